@@ -10,7 +10,7 @@ import trimesh
 from any_arms import ARMS, limb, loaded_arm
 from shapes import torus
 
-from hplan.collision.collision_bodies import GROUND, MOST_POINTS, body_shapes, collision_bodies
+from hplan.collision.collision_bodies import MOST_POINTS, body_shapes, collision_bodies
 from hplan.collision.reach import carriers, joint_axis, reach
 from hplan.collision.touching_pairs import self_pairs
 from hplan.robot.model import load_robot
@@ -243,9 +243,3 @@ def test_pairs_that_are_never_far_apart_are_asked_only_whether_they_touch(load):
     assert (needed == np.where(pairs.farthest > keep, keep, 0.0)).all()
     assert 0.0 in needed
     assert keep in needed
-
-
-def test_the_ground_is_carried_by_nothing(load):
-    robot = load("toy")
-    assert collision_bodies(robot)[0].joint == GROUND
-    assert not reach(robot)[0].any()

@@ -143,13 +143,6 @@ def test_boxes_by_face_edge_and_corner(scale: float) -> None:
         assert found == pytest.approx(scale * expected, rel=1e-9)
 
 
-def test_points_and_segments_have_no_depth() -> None:
-    point, segment = np.zeros((1, 3)), np.array([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
-    for first, second in ((point, point), (point, segment), (segment, segment), (segment, segment[:, [1, 0, 2]])):
-        assert measured(first, np.eye(3), np.zeros(3), second)[0] == 0.0
-        assert measured(first, np.eye(3), np.array([0.0, 0.0, 0.7]), second)[0] == pytest.approx(0.7)
-
-
 @given(SEEDS, st.floats(0.0, 3.0))
 @settings(max_examples=100)
 def test_what_is_enough_is_shown_and_fractions_are_kept(seed: int, enough: float) -> None:

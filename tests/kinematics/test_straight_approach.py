@@ -11,7 +11,6 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from hplan.base.arrays import readonly
-from hplan.errors import ApproachError, InputError, OptionError
 from hplan.kinematics.planar_inverse_kinematics import reach
 from hplan.kinematics.straight_approach import STRAIGHT, ApproachPath, standoffs
 from hplan.robot.limits import Limits
@@ -71,21 +70,6 @@ def test_straight_with_the_last_link_at_its_angle(variants, name):
     for path in random_approaches(variants[name], 0, 6, 0.12):
         assert_straight(path)
         assert_derivatives_match(path)
-
-
-def test_parameter_runs_as_the_joint_length(robot):
-    path = ApproachPath(robot, GOAL, 0.2)
-    fine = path.evaluate(np.linspace(0.0, path.end, 20001))
-    assert np.linalg.norm(np.diff(fine, axis=0), axis=1).sum() == pytest.approx(path.length, rel=1e-7)
-    np.testing.assert_array_equal(path.breaks, [0.0, path.length])
-
-
-def test_shapes(robot):
-    path = ApproachPath(robot, GOAL, 0.2)
-    for derivative in (0, 1, 2):
-        assert path.evaluate(0.1, derivative).shape == (4,)
-        assert path.evaluate(np.zeros((2, 3)), derivative).shape == (2, 3, 4)
-    np.testing.assert_array_equal(path.evaluate([-1.0, 9.0]), path.evaluate([0.0, path.end]))
 
 
 @pytest.mark.parametrize("name", LONG)
@@ -193,32 +177,3 @@ def test_timed(robot, goal):
 
 
 # What is no question
-
-
-def test_too_few_joints(variants, robot):
-    with pytest.raises(ApproachError, match="three joints") as caught:
-        standoffs(variants["no yaw"], [[0.1, 0.2]], 0.1)
-    assert caught.value.reason == "joints"
-    with pytest.raises(ApproachError, match="three joints"):
-        standoffs(robot, GOAL[None], 0.1, locked=["elbow"])
-
-
-@pytest.mark.parametrize("standoff", [0.0, -0.1, np.nan, np.inf])
-def test_standoffs_that_are_none(robot, standoff):
-    with pytest.raises(OptionError, match="standoff"):
-        standoffs(robot, GOAL[None], standoff)
-
-
-def test_other_input(robot):
-    with pytest.raises(InputError, match="no joint 'hand'"):
-        standoffs(robot, GOAL[None], 0.1, locked=["hand"])
-    with pytest.raises(InputError, match="candidates"):
-        standoffs(robot, GOAL, 0.1)
-
-
-def test_yaw_limits_do_not_matter(robot):
-    """The yaw stands still, at its limit too."""
-    lower = np.array(robot.lower)
-    lower[0] = GOAL[0]
-    narrow = replace(robot, lower=readonly(lower))
-    assert ApproachPath(narrow, GOAL, 0.1).evaluate(0.0)[0] == GOAL[0]

@@ -226,16 +226,6 @@ def test_arrays_of_all_kinds(robot):
     assert whole.points.tolist() == [[1.0, 1.0, 1.0]]
 
 
-@pytest.mark.parametrize(
-    "points",
-    [np.zeros(3), np.zeros((4, 2)), np.zeros((2, 2, 2, 3)), [[1, 2, 3], [1, 2]], "points", [["a", "b", "c"]],
-     np.zeros((2, 3), dtype=complex), None, np.zeros((3, 0))],
-)  # fmt: skip
-def test_what_is_no_array_of_points(robot, points):
-    with pytest.raises(InputError, match="points"):
-        Frame.of(robot, points, radius=RADIUS)
-
-
 def test_a_pose_is_a_matrix_or_six_numbers(robot):
     turn, shift = rpy_rotation(0.1, -0.2, 0.3), [0.4, 0.5, 0.6]
     matrix = np.eye(4)
@@ -257,33 +247,6 @@ def test_a_pose_is_a_matrix_or_six_numbers(robot):
     for pose in (np.full((4, 4), np.nan), np.eye(3), [1, 2, 3], "pose"):
         with pytest.raises(InputError, match="pose"):
             Frame.of(robot, np.zeros((1, 3)), radius=RADIUS, pose=pose)
-
-
-@pytest.mark.parametrize(
-    "wrong",
-    [{"radius": 0.0}, {"radius": -1.0}, {"radius": np.nan}, {"radius": "1"}, {"radius": 1e5}, {"keep_s": -1.0},
-     {"keep_s": np.inf}, {"time_s": np.nan}, {"joints": [0.0]}, {"joints": [np.nan] * 4}, {"joints": "q"}],
-)  # fmt: skip
-def test_frames_that_cannot_be(robot, wrong):
-    with pytest.raises((InputError, OptionError), match=next(iter(wrong))):
-        Frame.of(robot, np.zeros((1, 3)), **{"radius": RADIUS, **wrong})
-
-
-def test_voxels_that_are_far_too_small_are_refused(robot):
-    frame = Frame.of(robot, np.ones((1, 3)), radius=RADIUS)
-    with pytest.raises(OptionError, match="growth_m"):
-        filter_frame(robot, frame, CloudOptions(growth_m=1e-4, reach_margin_m=1000.0))
-    assert filter_frame(robot, frame, CloudOptions(growth_m=1e-4)).report.kept == 1
-
-
-@pytest.mark.parametrize(
-    "wrong",
-    [{"growth_m": 0.0}, {"growth_m": 2.0}, {"arm_padding_m": -1.0}, {"ignore_padding_m": np.inf},
-     {"reach_margin_m": "1"}, {"least_points": 0}, {"least_points": 1.5}, {"most_remembered": -1}],
-)  # fmt: skip
-def test_options_that_cannot_be(wrong):
-    with pytest.raises(OptionError, match=next(iter(wrong))):
-        CloudOptions(**wrong)
 
 
 # Memory

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
 import pytest
 
 from hplan.collision.coal_scene import CoalScene
-from hplan.errors import ConfigurationInCollisionError, InputError, JointLimitError
+from hplan.errors import ConfigurationInCollisionError, InputError
 from hplan.planning.definition import Problem, check_problem
 from hplan.planning.world import World
 from hplan.robot.model import Robot
@@ -42,17 +41,8 @@ def test_spare_clearance_is_the_lesser_of_both_ends(robot: Robot, scene: Scene) 
     assert pose(robot, scene, clearance=0.02).spare_clearance == pytest.approx(min(ends) - 0.02)
 
 
-def test_spare_clearance_without_obstacles(robot: Robot, scene: Scene) -> None:
-    assert pose(robot, scene, obstacles=()).spare_clearance == math.inf
-
-
 def test_locked_joints_keep_their_start_value(robot: Robot, scene: Scene) -> None:
-    problem = pose(
-        robot,
-        scene,
-        start={"joints_deg": (0.0, 0.0, 60.0, 0.0)},
-        locked_joints=("base_yaw", "elbow"),
-    )
+    problem = pose(robot, scene, start={"joints_deg": (0.0, 0.0, 60.0, 0.0)}, locked_joints=("base_yaw", "elbow"))
     assert problem.movable.tolist() == [1, 3]
     assert problem.lower[2] == problem.upper[2] == problem.start[2] == problem.goal[2]
 
@@ -77,21 +67,6 @@ def test_uncertainty_and_tracking_error_take_from_the_spare_clearance(robot: Rob
     assert check_problem(world, *ends).spare_clearance == pytest.approx(expected, abs=1e-9)
 
 
-def test_joints_in_radians(robot: Robot, scene: Scene) -> None:
-    problem = pose(robot, scene, goal={"joints_rad": (0.0, 0.5, 0.6, 0.7)})
-    np.testing.assert_array_equal(problem.goal, [0.0, 0.5, 0.6, 0.7])
-
-
-def test_start_equal_to_goal(robot: Robot, scene: Scene) -> None:
-    assert pose(robot, scene, goal={"joints_deg": (0.0, 0.0, 0.0, 0.0)}).is_empty
-
-
-def test_arrays_are_read_only(robot: Robot, scene: Scene) -> None:
-    problem = pose(robot, scene)
-    for name in ("start", "goal", "movable", "lower", "upper"):
-        assert not getattr(problem, name).flags.writeable, name
-
-
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
@@ -106,13 +81,6 @@ def test_refusals(robot: Robot, scene: Scene, changes: dict[str, Any], message: 
         pose(robot, scene, **changes)
     assert error.value.message.startswith(message)
     assert error.value.data
-
-
-@pytest.mark.parametrize("which", ["start", "goal"])
-def test_outside_the_limits(robot: Robot, scene: Scene, which: str) -> None:
-    with pytest.raises(JointLimitError) as error:
-        pose(robot, scene, **{which: {"joints_deg": (0.0, 10.0, -2.0, 10.0)}})
-    assert (error.value.which, error.value.joint, error.value.lower) == (which, "elbow", 0.0)
 
 
 @pytest.mark.parametrize(

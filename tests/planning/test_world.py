@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from arm_variants import load_variant, random_obstacles
+from arm_variants import random_obstacles
 from planned import post
 
 from hplan.base import deadline
@@ -54,15 +54,6 @@ def test_field_bodies_and_judge_agree(robot: Robot) -> None:
     radii = np.array([0.1, 0.12, 0.14]) + world.clearance + 0.003
     np.testing.assert_allclose(bodies.balls.radii, radii)
     assert bodies.names == ("sure", "vague", "vaguer")
-
-
-def test_without_solids(robot: Robot) -> None:
-    world = World.of(robot, [], clearance=0.1, sigmas=3.0)
-    assert world.field.clearance(np.zeros(4)) == np.inf
-    assert world.checker.nearest(np.zeros(4)) is None
-    assert world.bodies().names == ()
-    world.check_base(0.0)
-    assert world.touching("none").bodies().names == ()
 
 
 def test_the_arm_keeps_the_clearance_from_itself_too(tmp_path: Path) -> None:
@@ -210,14 +201,6 @@ def test_what_stands_in_the_base_is_named(robot: Robot, obstacle, link: str, yaw
     assert repr(obstacle.name) in caught.value.message
 
 
-def test_deepest_is_named(robot: Robot) -> None:
-    grazing = Sphere(name="grazing", center=(0.25, 0.0, 0.2), radius=0.14)
-    deep = Sphere(name="deep", center=(0.1, 0.0, 0.2), radius=0.14)
-    for solids in ([grazing, deep], [deep, grazing]):
-        with pytest.raises(InputError, match="'deep'"):
-            World.of(robot, solids).check_base(0.0)
-
-
 def test_no_obstacle_is_missed(robot: Robot) -> None:
     """Only what is near the base is asked for; the answer is that of all."""
     rng, refused = np.random.default_rng(2), 0
@@ -232,12 +215,6 @@ def test_no_obstacle_is_missed(robot: Robot) -> None:
         else:
             world.check_base(yaw)
     assert refused > 3
-
-
-def test_a_base_without_shape_has_nothing_in_it(tmp_path: Path) -> None:
-    bare = load_variant("upright on a yaw", tmp_path)
-    rock = Sphere(name="rock", center=(0.0, 0.0, 0.2), radius=0.1)
-    World.of(bare, [rock]).check_base(0.0)
 
 
 def test_what_stands_in_the_pedestal_is_left_out(robot: Robot) -> None:

@@ -5,16 +5,14 @@ import re
 import shutil
 import struct
 
-import coal
 import numpy as np
 import pinocchio as pin
 import pytest
 from toy_urdf import SIX_AXIS_LIMITS, six_axis_arm
 
 from hplan.base.data_files import urdf_dir
-from hplan.errors import InputError, JointLimitError, RobotFamilyError, RobotFileError
+from hplan.errors import JointLimitError, RobotFamilyError, RobotFileError
 from hplan.robot.family.members import HARVESTER, ArmSpec, write_robot
-from hplan.robot.family_reader import outline
 from hplan.robot.files import read_limits, read_models
 from hplan.robot.model import Robot, load_robot
 
@@ -104,23 +102,11 @@ def test_shipped_robot(robot):
     assert_kinematics_match(robot)
 
 
-def test_arrays_are_read_only(robot):
-    for array in (robot.lower, robot.torque_limit, robot.plane_axes, robot.arm.lengths, robot.arm.half_widths):
-        with pytest.raises(ValueError, match="read-only"):
-            array[0] = 1.0
-
-
-def test_plane_turns_with_the_yaw(robot):
-    origin, axes = robot.plane_at(HALF_PI)
-    np.testing.assert_allclose(origin, [0.0, 0.0, 0.6], atol=1e-15)
-    np.testing.assert_allclose(axes, [[0, 1, 0], [0, 0, 1], [1, 0, 0]], atol=1e-15)
-
-
 # The family
 
 
 @pytest.mark.parametrize("has_yaw", [True, False])
-@pytest.mark.parametrize("links", [1, 2, 3, 4, 5])
+@pytest.mark.parametrize("links", [1, 3, 5])
 def test_family(tmp_path, links, has_yaw):
     joints = links + has_yaw
     spec = ArmSpec(
@@ -180,15 +166,6 @@ def test_members_with_other_zeros(load_edited, edits, signs, offsets):
     assert_kinematics_match(robot)
 
 
-def test_cranked_link_is_as_wide_as_its_capsule_must_be(load_edited):
-    """The forearm's geometry stays along x while its axis goes to the wrist, aside."""
-    robot = load_edited(origin_of("hand", 'xyz="0.6 0 0.3"'))
-    far_end = np.array([0.8, 0.0])
-    axis = np.array([0.6, 0.3]) / math.hypot(0.6, 0.3)
-    beyond = far_end - min(far_end @ axis, math.hypot(0.6, 0.3)) * axis
-    assert robot.arm.half_widths[1] == pytest.approx(np.linalg.norm(beyond) + 0.04, rel=1e-3)
-
-
 def test_horizontal_arm_without_yaw(tmp_path):
     """Vertical parallel axes: the arm plane is horizontal."""
     spec = ArmSpec("flat", (0.5, 0.4), (0.03, 0.03), (1, 1), (-2, -2), (2, 2), (1, 1), (50, 50), (2, 2), has_yaw=False)
@@ -232,12 +209,6 @@ def test_half_width_holds_the_collision_geometry(load_edited, tmp_path, collisio
     robot = load_edited(collision_of_hand(f"<collision>{collision}</collision>"))
     assert half_width * (1 - 1e-7) <= robot.arm.half_widths[2] <= half_width * (1 + 1e-7 + tolerance)
     assert robot.arm.half_widths[:2] == pytest.approx([0.05, 0.04], rel=1e-14)
-
-
-def test_shape_of_no_known_outline_is_refused():
-    ground = pin.GeometryObject("ground", 0, pin.SE3.Identity(), coal.Halfspace(np.array([0.0, 0.0, 1.0]), 0.0))
-    with pytest.raises(TypeError, match="shape Halfspace is not supported"):
-        outline(ground, rim_from_outside=True)
 
 
 # Robots that are not of the family
@@ -370,17 +341,6 @@ def test_what_lies_aside_is_part_of_the_family(load_edited, case):
     assert_kinematics_match(robot)
 
 
-def test_no_moving_joint(tmp_path):
-    (tmp_path / "rock.urdf").write_text('<robot name="rock"><link name="base_link"/></robot>')
-    with pytest.raises(RobotFileError, match=r"rock\.urdf: it has no moving joint"):
-        load_robot(tmp_path / "rock.urdf")
-
-
-def test_another_tool_frame(robot):
-    with pytest.raises(RobotFileError, match="frame 'gripper': it marks the end of the arm and is missing"):
-        load_robot(robot.urdf_path, tool_frame="gripper")
-
-
 def test_six_axis_arm_with_offsets_is_no_planar_arm(tmp_path):
     (tmp_path / "six.urdf").write_text(six_axis_arm())
     (tmp_path / "six.limits.yaml").write_text(SIX_AXIS_LIMITS)
@@ -411,25 +371,11 @@ def test_tool_of_any_arm_is_pinocchios(tmp_path):
 # Files that cannot be read
 
 
-def test_missing_file(tmp_path):
-    with pytest.raises(RobotFileError, match=r"robot file .*nowhere\.urdf: No such file or directory") as caught:
-        load_robot(tmp_path / "nowhere.urdf")
-    assert caught.value.path == tmp_path / "nowhere.urdf"
-    with pytest.raises(RobotFileError, match="Is a directory"):
-        load_robot(tmp_path)
-
-
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "malformed XML: no element found: line 1"),
         ("<robot name='a'><link></robot>", "malformed XML: mismatched tag: line 1"),
-        ("<?xml version='1.0' encoding='klingon'?><robot name='a'/>", "malformed XML: unknown encoding"),
         ("<mujoco/>", "the root element is <mujoco>, expected <robot>"),
-        ("<robot/>", "the robot has no name"),
-        ("<robot name='a'><link/></robot>", "a <link> has no name"),
-        ("<robot name='a'><link name='b'/><joint/></robot>", "a <joint> has no name"),
-        ("<robot name='a'><link name='b'/><link name='b'/></robot>", "link 'b' is defined twice"),
         ("<robot name='a'/>", "Pinocchio refuses it"),
     ],
 )
@@ -445,19 +391,10 @@ LIMIT = '<limit effort="250" velocity="1.2" lower="0" upper="1.5707963267948966"
 FILE_FAULTS = {
     "joint twice": (('<joint name="elbow"', '<joint name="shoulder"'), "joint 'shoulder' is defined twice"),
     "no such link": (('<child link="hand"/>', '<child link="paw"/>'), "joint 'wrist': its child link 'paw' does not"),
-    "no parent": (('<parent link="hand"/>', ""), "its parent link None does not exist"),
-    "two parents": (('<child link="hand"/>', '<child link="forearm"/>'), "Pinocchio refuses it"),
     "mimic": ((AXIS, f'{AXIS}<mimic joint="base_yaw"/>'), "joint 'shoulder' mimics another"),
     "no limit": ((LIMIT, ""), "joint 'shoulder': it has no <limit>"),
-    "no effort": (('effort="250"', ""), "joint 'shoulder': <limit> has no effort"),
-    "infinite limit": (('lower="0"', 'lower="-inf"'), "lower of <limit> is '-inf', expected a finite number"),
-    "NaN limit": (('upper="1.5707963267948966"', 'upper="nan"'), "upper of <limit> is 'nan', expected a finite"),
-    "text limit": (('lower="0"', 'lower="low"'), "lower of <limit> is 'low', expected a finite number"),
     "velocity of zero": (('velocity="1.2"', 'velocity="0"'), "'shoulder': velocity of <limit> is '0', expected"),
-    "negative effort": (('effort="250"', 'effort="-1"'), "'shoulder': effort of <limit> is '-1', expected"),
     "negative mass": (('<mass value="6"/>', '<mass value="-6"/>'), "link 'upper_arm': value of <mass> is '-6'"),
-    "negative radius": (('<sphere radius="0.05"/>', '<sphere radius="-0.05"/>'), "radius of <sphere> is '-0.05'"),
-    "NaN radius": (('<sphere radius="0.05"/>', '<sphere radius="nan"/>'), "radius of <sphere> is 'nan'"),
     "flat box": (collision_of_hand('<collision><geometry><box size="1 0 1"/></geometry></collision>'), "is '1 0 1'"),
     "collision of nothing": (collision_of_hand("<collision><geometry/></collision>"), "a <collision> has no geometry"),
     "missing mesh": (
@@ -492,37 +429,18 @@ def test_limits_in_the_order_of_the_joints(tmp_path):
     assert jerk.tolist() == [20.0, 10.0]
 
 
-def test_limits_from_another_file(robot, tmp_path):
-    path = tmp_path / "slow.yaml"
-    path.write_text("format: hplan-limits/1\nacceleration_rad_s2: {base_yaw: 1, shoulder: 1, elbow: 1, wrist: 1}\n")
-    slow = load_robot(robot.urdf_path, limits=path)
-    assert slow.acceleration_limit.tolist() == [1.0] * 4
-    assert slow.jerk_limit is None
-
-
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
         (GOOD_LIMITS, "", "valid dictionary"),
-        (GOOD_LIMITS, "- a", "valid dictionary"),
-        ("{a: 1", "{a: ", "acceleration_rad_s2: a: "),
         ("{a: 1", "{a: 0", "acceleration_rad_s2: a: Input should be greater than 0 (got 0)"),
-        ("{a: 1", "{a: -3", "greater than 0 (got -3)"),
         ("{a: 1", "{a: .nan", "finite number (got nan)"),
-        ("{a: 1", "{a: .inf", "finite number (got inf)"),
-        ("{a: 1", "{a: fast", "valid number (got 'fast')"),
-        ("{a: 1", "{a: true", "valid number (got True)"),
-        ("{a: 1", "{a: '1'", "valid number (got '1')"),
         ("{a: 1, ", "{", "acceleration_rad_s2: joints missing ['a'], unknown []"),
-        ("{a: 1", "{c: 3, a: 1", "acceleration_rad_s2: joints missing [], unknown ['c']"),
-        ("{b: 20", "{c: 20", "jerk_rad_s3: joints missing ['b'], unknown ['c']"),
         ("{a: 1", "{a: 1, a: 9", "line 2: malformed YAML: key 'a' stands on line 2 already"),
         ("acceleration_rad_s2: {a: 1, b: 2.5}", "", "acceleration_rad_s2 is missing"),
         ("format: hplan-limits/1", "", "format: this key is missing; expected 'hplan-limits/1'"),
         ("jerk_rad_s3", "snap", "snap: Extra inputs are not permitted"),
         ("hplan-limits/1", "hplan-limits/2", "format is 'hplan-limits/2', expected 'hplan-limits/1'"),
-        ("{a: 1", "{a: [1", "line 2: malformed YAML"),
-        ("{a: 1", "{a: " + "[" * 5000, "nested too deeply"),
     ],
 )
 def test_bad_limits(tmp_path, old, new, message):
@@ -534,51 +452,12 @@ def test_bad_limits(tmp_path, old, new, message):
     assert caught.value.path == path
 
 
-def test_limits_file_that_cannot_be_read(tmp_path):
-    shutil.copy(urdf_dir() / "harvester.urdf", tmp_path)
-    with pytest.raises(RobotFileError, match=r"harvester\.limits\.yaml: No such file .* acceleration limits"):
-        load_robot(tmp_path / "harvester.urdf")
-    (tmp_path / "harvester.limits.yaml").write_bytes(b"\xff\xfe")
-    with pytest.raises(RobotFileError, match="not UTF-8"):
-        load_robot(tmp_path / "harvester.urdf")
-
-
 # Configurations
-
-
-def test_configuration_within_limits(robot):
-    q = robot.check_configuration([0, 1, 0.5, 0], "start")
-    assert q.tolist() == [0.0, 1.0, 0.5, 0.0]
-    assert not q.flags.writeable
 
 
 def test_configuration_a_rounding_error_outside_is_clipped(robot):
     q = robot.check_configuration([math.pi + 1e-12, HALF_PI + 1e-10, -1e-10, 0.0], "start")
     assert q.tolist() == [math.pi, HALF_PI, 0.0, 0.0]
-
-
-@pytest.mark.parametrize(
-    ("q", "message"),
-    [
-        (
-            [0, 0, 0],
-            "goal: expected 4 joint values (base_yaw, shoulder, elbow, wrist), got 3; the robot is 'harvester'",
-        ),
-        ([], "got 0"),
-        (0.5, "got an array of shape ()"),
-        ([[0, 0], [0, 0]], "got an array of shape (2, 2)"),
-        ([[0, 0], [0]], "got [[0, 0], [0]]"),
-        (["a", "b", "c", "d"], "got ['a', 'b', 'c', 'd']"),
-        (None, "got an array of shape ()"),
-        ([0, math.nan, 0, 0], "goal: joint 'shoulder' is at nan, expected a finite number"),
-        ([0, 0, math.inf, 0], "goal: joint 'elbow' is at inf, expected a finite number"),
-    ],
-)
-def test_bad_configurations(robot, q, message):
-    with pytest.raises(InputError) as caught:
-        robot.check_configuration(q, "goal")
-    assert message in caught.value.message
-    assert caught.value.data["which"] == "goal"
 
 
 @pytest.mark.parametrize(("joint", "value"), [(0, 3.2), (1, -0.01), (3, 1.6)])

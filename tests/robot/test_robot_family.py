@@ -12,11 +12,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from hplan.base.data_files import urdf_dir
-from hplan.errors import OptionError, OutputError, RobotFileError
+from hplan.errors import OptionError
 from hplan.robot.base_shapes import turning_shapes
 from hplan.robot.family import HARVESTER, ORCHARD_HARVESTER, ArmSpec, Gripper, cross_check, write_robot
-from hplan.robot.family.urdf import limits_text, urdf_text
-from hplan.robot.files import LIMITS_FORMAT
 from hplan.robot.model import load_robot
 
 URDF = urdf_dir() / "harvester.urdf"
@@ -67,12 +65,6 @@ def test_gripper_has_mass_and_shape(tmp_path):
     assert load_robot(urdf).arm.half_widths[2] == pytest.approx(0.03)
 
 
-@pytest.mark.parametrize("values", [(0.0, 0.1, 0.03), (1.0, -0.1, 0.03), (1.0, 0.1, math.nan)])
-def test_wrong_gripper(values):
-    with pytest.raises(OptionError):
-        Gripper(*values)
-
-
 def test_shipped_robot_reads_alike_everywhere():
     check = cross_check(URDF)
     assert check.frames == ("base_link", "turret", "upper_arm", "forearm", "hand", "tool0")
@@ -81,24 +73,6 @@ def test_shipped_robot_reads_alike_everywhere():
     assert check.max_rotation_deviation < 1e-12
     assert check.limits_equal
     assert check.masses_equal
-
-
-def test_shipped_limits_are_exact():
-    model = pin.buildModelFromUrdf(str(URDF))
-    assert list(model.names)[1:] == ["base_yaw", "shoulder", "elbow", "wrist"]
-    assert model.lowerPositionLimit.tolist() == [-math.pi, 0.0, 0.0, 0.0]
-    assert model.upperPositionLimit.tolist() == [math.pi, HALF_PI, HALF_PI, HALF_PI]
-    assert model.velocityLimit.tolist() == [1.5, 1.2, 1.5, 2.0]
-    assert model.effortLimit.tolist() == [150.0, 250.0, 120.0, 30.0]
-
-
-def test_shipped_limits_file():
-    limits = yaml.safe_load(URDF.with_suffix(".limits.yaml").read_text())
-    assert limits == {
-        "format": LIMITS_FORMAT,
-        "acceleration_rad_s2": {"base_yaw": 3.0, "shoulder": 3.0, "elbow": 4.0, "wrist": 6.0},
-        "jerk_rad_s3": {"base_yaw": 150.0, "shoulder": 150.0, "elbow": 200.0, "wrist": 300.0},
-    }
 
 
 @pytest.mark.parametrize(
@@ -116,33 +90,6 @@ def test_shipped_tool_frame(q_deg, expected):
     model = pin.buildModelFromUrdf(str(URDF))
     q = [math.radians(angle) for angle in q_deg]
     np.testing.assert_allclose(tool_position(model, q), expected, atol=1e-12)
-
-
-def test_shipped_frames_point_along_x_at_zero():
-    model = pin.buildModelFromUrdf(str(URDF))
-    data = model.createData()
-    pin.framesForwardKinematics(model, data, np.zeros(4))
-    expected = {
-        "base_link": [0, 0, 0],
-        "turret": [0, 0, 0],
-        "upper_arm": [0, 0, 0.6],
-        "forearm": [1.0, 0, 0.6],
-        "hand": [1.8, 0, 0.6],
-        "tool0": [2.2, 0, 0.6],
-    }
-    for frame, position in expected.items():
-        placement = data.oMf[model.getFrameId(frame)]
-        np.testing.assert_allclose(placement.translation, position, atol=1e-12)
-        np.testing.assert_allclose(placement.rotation, np.eye(3), atol=1e-12)
-
-
-def test_shipped_masses_and_inertias():
-    model = pin.buildModelFromUrdf(str(URDF))
-    assert [inertia.mass for inertia in model.inertias] == pytest.approx([40, 12, 6, 3.5, 1.2])
-    upper_arm = model.inertias[model.getJointId("shoulder")]
-    np.testing.assert_allclose(upper_arm.lever, [0.5, 0, 0], atol=1e-12)
-    across = 6.0 * (3 * 0.05**2 + 1.0) / 12
-    np.testing.assert_allclose(upper_arm.inertia, np.diag([6.0 * 0.05**2 / 2, across, across]), atol=1e-9)
 
 
 def test_shipped_static_torques_leave_room():
@@ -238,25 +185,14 @@ def outline(shape: pin.GeometryObject) -> np.ndarray:
         HARVESTER,
         arm(1),
         arm(5),
-        replace(
-            arm(2),
-            link_lengths=(0.3, 0.1),
-            link_half_widths=(0.02, 0.15),
-            shoulder_height=0.2,
-        ),
+        replace(arm(2), link_lengths=(0.3, 0.1), link_half_widths=(0.02, 0.15), shoulder_height=0.2),
     ],
     ids=["harvester", "one", "five", "stubby"],
 )
 def test_what_one_sees_is_what_is_checked(spec, tmp_path):
     urdf, _ = write_robot(spec, tmp_path / "arm.urdf")
     model, _, visual_model = pin.buildModelsFromUrdf(str(urdf))
-    sizes = dict(
-        zip(
-            spec.arm_link_names,
-            zip(spec.link_lengths, spec.link_half_widths, strict=True),
-            strict=True,
-        )
-    )
+    sizes = dict(zip(spec.arm_link_names, zip(spec.link_lengths, spec.link_half_widths, strict=True), strict=True))
     seen = set()
     for shape in visual_model.geometryObjects:
         link = model.frames[shape.parentFrame].name
@@ -271,49 +207,6 @@ def test_what_one_sees_is_what_is_checked(spec, tmp_path):
 
 
 # The family
-
-
-@pytest.mark.parametrize("has_yaw", [True, False])
-@pytest.mark.parametrize("n", [1, 2, 3, 5])
-def test_other_members(n, has_yaw, tmp_path):
-    spec = arm(n, has_yaw=has_yaw)
-    urdf, _ = write_robot(spec, tmp_path / "arm.urdf")
-    model = pin.buildModelFromUrdf(str(urdf))
-    assert model.nq == model.nv == n + has_yaw
-    assert tuple(model.names)[1:] == spec.joint_names
-    np.testing.assert_allclose(tool_position(model, [0.0] * model.nq), [sum(spec.link_lengths), 0, 0.6], atol=1e-12)
-    check = cross_check(urdf, samples=10)
-    assert check.max_position_deviation < 1e-12
-    assert check.frames == spec.link_names
-    assert check.limits_equal
-    assert check.masses_equal
-
-
-def test_names():
-    assert arm(3).joint_names == ("base_yaw", "shoulder", "elbow", "wrist")
-    assert arm(3).arm_link_names == ("upper_arm", "forearm", "hand")
-    assert arm(2, has_yaw=False).joint_names == ("joint_1", "joint_2")
-    assert arm(2).link_names == ("base_link", "turret", "link_1", "link_2", "tool0")
-
-
-def test_spec_takes_any_sequence_of_numbers():
-    assert replace(arm(2), link_lengths=[1, 2]) == replace(arm(2), link_lengths=np.array([1.0, 2.0]))
-    assert replace(arm(2), link_lengths=[1, 2]).link_lengths == (1.0, 2.0)
-
-
-def test_header_says_how_to_write_it_again():
-    spec = arm(2, name="two-links")
-    text = urdf_text(spec)
-    header = text[text.index("<!--") : text.index("-->")]
-    code = header[header.index("spec = ") : header.index("    write_robot(")]
-    scope: dict[str, object] = {"ArmSpec": ArmSpec}
-    exec(code, scope)
-    assert scope["spec"] == spec
-    assert "HARVESTER" in urdf_text(HARVESTER).split("-->")[0]
-
-
-def test_jerk_is_optional():
-    assert "jerk_rad_s3" not in yaml.safe_load(limits_text(arm(2)))
 
 
 positive = st.floats(1e-3, 1e3)
@@ -425,56 +318,3 @@ def test_bad_specs_name_the_field(change, option):
     with pytest.raises(OptionError) as caught:
         replace(arm(2), **change)
     assert caught.value.option == option
-
-
-def test_missing_folder(tmp_path):
-    with pytest.raises(OutputError) as caught:
-        write_robot(HARVESTER, tmp_path / "missing" / "arm.urdf")
-    assert "missing" in str(caught.value.path)
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_folder_that_is_a_file(tmp_path):
-    (tmp_path / "file").write_text("")
-    with pytest.raises(OutputError):
-        write_robot(HARVESTER, tmp_path / "file" / "arm.urdf")
-    assert [path.name for path in tmp_path.iterdir()] == ["file"]
-
-
-@pytest.mark.parametrize("name", ["arm.urdf", "arm.limits.yaml"])
-def test_folder_in_the_place_of_a_file(name, tmp_path):
-    (tmp_path / name).mkdir()
-    with pytest.raises(OutputError) as caught:
-        write_robot(HARVESTER, tmp_path / "arm.urdf")
-    assert caught.value.path == tmp_path / name
-    assert [path.name for path in tmp_path.iterdir()] == [name]
-
-
-def test_writing_leaves_the_two_files_only(tmp_path):
-    write_robot(HARVESTER, tmp_path / "arm.urdf")
-    write_robot(arm(2), tmp_path / "arm.urdf")
-    assert {path.name for path in tmp_path.iterdir()} == {"arm.urdf", "arm.limits.yaml"}
-    assert (tmp_path / "arm.urdf").read_text() == urdf_text(arm(2))
-
-
-def test_urdf_path_has_its_suffix(tmp_path):
-    with pytest.raises(OptionError):
-        write_robot(HARVESTER, tmp_path / "arm.xml")
-
-
-def test_cross_check_finds_a_missing_file(tmp_path):
-    with pytest.raises(RobotFileError):
-        cross_check(tmp_path / "none.urdf")
-
-
-def test_cross_check_refuses_a_continuous_joint(tmp_path):
-    text = urdf_text(HARVESTER).replace('"base_yaw" type="revolute"', '"base_yaw" type="continuous"')
-    path = tmp_path / "arm.urdf"
-    path.write_text(text)
-    with pytest.raises(RobotFileError, match="base_yaw"):
-        cross_check(path)
-
-
-def test_cross_check_needs_samples():
-    with pytest.raises(OptionError):
-        cross_check(URDF, samples=0)

@@ -12,26 +12,23 @@ import pinocchio as pin
 import pytest
 from arm_variants import OFFSETS, coal_distances, link_axes, load_variant, random_obstacles
 from studies.planar_cspace import arm_sections, joint_grid
-from studies.validation.cspace import sampled_occupancy
 
 from hplan.base.planar_geometry import polygon_distances
 from hplan.certificate.certificate import certify
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.coal_scene import CoalScene
-from hplan.collision.obstacle_rows import BOUND, CENTRE, KIND, LINK_RANGE, TURNS, _base_solid
+from hplan.collision.obstacle_rows import BOUND, CENTRE, KIND, LINK_RANGE, TURNS
 from hplan.errors import ConfigurationInCollisionError
-from hplan.grid.blockers import blockers
 from hplan.grid.grid import Grid
 from hplan.grid.occupancy import occupancy
-from hplan.grid.prepared_obstacles import prepare_obstacles
-from hplan.grid.sections import only, sections_at
+from hplan.grid.sections import only
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
 from hplan.robot.base_shapes import coal_distance, turning_shapes
 from hplan.robot.family.members import write_robot
 from hplan.robot.family.spec import ArmSpec
 from hplan.robot.model import Robot, load_robot
-from hplan.robot.self_contact import GROUND, TURRET, BaseBody, pair_rates, pair_sway, self_contact
+from hplan.robot.self_contact import GROUND, TURRET, pair_rates, pair_sway, self_contact
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Sphere
 from hplan.trajectory.trajectory import Trajectory
@@ -194,14 +191,6 @@ def test_what_is_held_together_is_left_out(tmp_path):
     assert self_contact(folds).links == ((0, 2),)
 
 
-def test_pedestal_and_turret(wide):
-    bodies = {body.name: body for body in self_contact(wide).bodies}
-    assert bodies["base_link"].carrier == GROUND
-    assert bodies["turret"].carrier == TURRET
-    # The first link is the turret's neighbour; the tip of the second cannot come back to it.
-    assert (bodies["base_link"].links[0], bodies["turret"].links) == (0, (2,))
-
-
 def test_what_turns_turns_about_the_yaw_axis(tmp_path):
     """An axle that carries a shoulder beside the axis, as Pinocchio turns it."""
     robot = arm_of(tmp_path, 0.0, 90.0, yaw_axis=(0.7, -0.5), shoulder_offset=0.4)
@@ -331,30 +320,6 @@ def test_four_links_in_the_cspace_are_exact(tmp_path, lengths):
         assert (apart[sure] < 0.0).any()
 
 
-def test_cspace_with_obstacles_is_the_union(wide):
-    rng = np.random.default_rng(8)
-    grid = joint_grid(wide.arm, math.radians(10.0))
-    obstacles = random_obstacles(rng)
-    checker = CoalScene(wide, obstacles)
-    for yaw, half_angle in ((0.4, 0.0), (-1.0, 0.02)):
-        ours = occupancy(
-            wide.arm, sections_at(wide, prepare_obstacles(obstacles), yaw, half_angle=half_angle), grid
-        ).occupied
-        theirs = sampled_occupancy(checker, grid, yaw)
-        wrong = np.argwhere(theirs & ~ours)
-        assert all(checker.distances([yaw, *grid.coordinates(node)]).min() > -TOUCH for node in wrong)
-        assert theirs.sum() <= ours.sum() <= 1.1 * theirs.sum()
-
-
-def test_own_clearance_is_the_smallest_unless_given():
-    discs = [Sphere(name="a", center=(1, 0, 1), radius=0.1), Sphere(name="b", center=(1, 0, 2), radius=0.1)]
-    assert prepare_obstacles(discs, clearance=[0.03, 0.01]).own_clearance == 0.01
-    assert prepare_obstacles(discs, clearance=0.02).own_clearance == 0.02
-    assert prepare_obstacles([], clearance=np.zeros(0)).own_clearance == 0.0
-    assert prepare_obstacles([], clearance=np.zeros(0), own_clearance=0.04).own_clearance == 0.04
-    assert prepare_obstacles(discs, clearance=0.02, own_clearance=0.0).own_clearance == 0.0
-
-
 # Distances
 
 
@@ -398,19 +363,6 @@ def test_distances_from_what_carries_the_arm(tmp_path):
             assert (found[~apart] <= TOUCH).all()
             near += int((lower < 0.05).sum())
     assert near > 100
-
-
-def test_near_and_only_keep_the_arm_itself(wide):
-    obstacles = random_obstacles(np.random.default_rng(2))
-    field = ClearanceField.of(wide, obstacles)
-    folded = np.radians([0.0, 20.0, 150.0, 120.0])
-    alone = ClearanceField.of(wide, []).link_clearances(folded)
-    assert alone.min() < 0.0
-    none = field.only(np.zeros(len(obstacles), dtype=bool))
-    np.testing.assert_array_equal(none.link_clearances(folded), alone)
-    near = field.near([folded, folded], 0.01)
-    assert (near.owner == -1).any()
-    assert near.link_clearances(folded).min() <= alone.min()
 
 
 def test_what_is_shown_clear_is_clear(wide):
@@ -463,14 +415,6 @@ def test_judge_against_coal(tmp_path):
             nearest = checker.nearest(q)
             assert nearest.distance_m == pytest.approx(table.min(), abs=1e-5 if table.min() > 0.0 else 1e-3)
     assert contacts > 20
-
-
-def test_a_fruit_of_a_links_name_may_be_touched_the_link_not(wide):
-    checker = CoalScene(wide, [Sphere(name="upper_arm", center=(2.0, 0.0, 1.0), radius=0.05)]).touching("upper_arm")
-    table = checker.distances(np.zeros(4))
-    column = checker.obstacle_names.index("upper_arm", 1)
-    assert table[2, 0] == np.inf
-    assert table[2, column] == pytest.approx(0.8 - 0.08)
 
 
 # Bounds on motion, as seen from another part
@@ -620,22 +564,3 @@ def test_an_arm_goes_around_itself(tmp_path, start, goal, locked):
     result = plan(robot, bare(start=start, goal=goal, locked_joints=locked), PlanOptions(step_deg=5.0))
     assert result.certificate.verified
     assert min(truth.clearance(q) for q in result.trajectory.position[::5]) >= result.certificate.min_clearance_m > 0.0
-
-
-def test_blockers_name_links(wide):
-    sections = arm_sections(wide, [])
-    grid = joint_grid(wide.arm, math.radians(15.0))
-    space = occupancy(wide.arm, sections, grid)
-    found = blockers(wide.arm, sections, grid, ~space.occupied)
-    assert ("hand", "upper_arm") in {(item["link"], item["obstacle"]) for item in found}
-
-
-def test_parts_of_the_base_as_solids() -> None:
-    """A point, a line, a plate and a body of the base, each as far away as its core says."""
-    corners = np.array([[0.3, 0.2, 0.1], [0.5, 0.2, 0.1], [0.5, 0.4, 0.1], [0.3, 0.4, 0.6]])
-    for count in range(1, 5):
-        solid = _base_solid(BaseBody("part", 0, TURRET, corners[:count], 0.04, (0, 1)))
-        assert solid.rounding == pytest.approx(0.04)
-        assert {tuple(corner) for corner in np.round(corners[:count], 6).tolist()} <= {
-            tuple(point) for point in np.round(solid.core, 4).tolist()
-        }

@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 
 from hplan.certificate.certificate import Certificate, certify
-from hplan.certificate.clearance_proof import prove_clearance
 from hplan.collision.coal_scene import CoalScene
-from hplan.errors import BlockedError, CertificationError, NoPathError, OptionError
+from hplan.errors import BlockedError, CertificationError, NoPathError
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
 from hplan.robot.model import Robot
-from hplan.robot.tracking import FRACTION_ERROR, TrackingModel, largest_fraction
+from hplan.robot.tracking import TrackingModel
 from hplan.scene.model import Fruit, Goal, Scene, Start
 from hplan.scene.obstacles import Box, Capsule, Solid, Sphere
 from hplan.trajectory.trajectory import Trajectory
@@ -74,22 +73,12 @@ def test_deviations_grow_with_speed() -> None:
     assert model.scaled(0.5) == TrackingModel(0.005, 0.0015)
 
 
-@pytest.mark.parametrize("value", [-1e-9, math.nan, math.inf, None, "1"])
-@pytest.mark.parametrize(("field", "option"), [("still_rad", "tracking_error"), ("delay_s", "tracking_delay_s")])
-def test_values_that_are_no_deviation(value: object, field: str, option: str) -> None:
-    with pytest.raises(OptionError) as error:
-        TrackingModel(**{field: value})  # type: ignore[arg-type]
-    assert error.value.data["option"] == option
-    with pytest.raises(OptionError):
-        PlanOptions(**{option: value})  # type: ignore[arg-type]
-
-
 def test_what_is_not_certified_needs_no_room() -> None:
     assert PlanOptions(tracking_error=0.1, tracking_delay_s=0.01).tracking == TrackingModel(0.1, 0.01)
     assert PlanOptions(tracking_error=0.1, tracking_delay_s=0.01, certify=False).tracking.is_exact
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 def test_no_deviation_inside_the_model_comes_nearer_than_certified(robot: Robot, scene: Scene, seed: int) -> None:
     """Every joint off by as much as the model allows at its speed, either way, or by less, at dense instants."""
     rng = np.random.default_rng(seed)
@@ -190,16 +179,6 @@ def test_bound_of_pieces_is_not_looser_than_that_of_the_largest_speed(robot: Rob
     assert better > 3
 
 
-def test_deviations_that_do_not_change_are_one_for_all_pieces(robot: Robot, scene: Scene) -> None:
-    """To the last bit."""
-    rng = np.random.default_rng(2)
-    bezier = rng.uniform(0.1, 0.3, (9, 4, robot.dof)).cumsum(axis=1)
-    checker = CoalScene(robot, scene.solids)
-    each = rng.uniform(0.0, 1e-3, (1, robot.dof))
-    one = prove_clearance(robot, bezier, checker, each, 0.0)
-    assert prove_clearance(robot, bezier, checker, np.repeat(each, len(bezier), axis=0), 0.0) == one
-
-
 def test_the_upper_arm_keeps_what_it_may_sway_itself(robot: Robot) -> None:
     """A ball 60 mm beside the upper arm: that sways 35 mm with 1 deg a joint, the tool 105 mm, and nowhere near it."""
     along = math.radians(57.0)
@@ -271,16 +250,3 @@ def test_refusal_of_a_motion_names_what_there_is_room_for(robot: Robot, delay_s:
         assert certify(robot, scene, motion, **asked).verified == shown
     if delay_s == 0.0:
         assert robot.sway(share * error)[-1] == pytest.approx(gap, rel=0.01)
-
-
-def test_what_is_refused_anyway_names_no_error(robot: Robot) -> None:
-    with pytest.raises((NoPathError, CertificationError)) as refused:
-        plan(robot, turning_above_a_bead(-0.01), PlanOptions(tracking_error=1e-3))
-    assert "tracking_error_deg" not in refused.value.data
-
-
-def test_largest_fraction() -> None:
-    assert largest_fraction(lambda share: False) == 0.0
-    for true in (0.003, 0.31, 0.9999):
-        found = largest_fraction(lambda share, true=true: share <= true)  # type: ignore[misc]
-        assert true - FRACTION_ERROR <= found <= true

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 import shutil
 from pathlib import Path
@@ -10,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
-from arm_variants import VARIANTS, load_variant
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from toy_urdf import seven_axis_arm
@@ -60,40 +58,19 @@ FAULTS = {
     # What was read before, and what is not: each of these was accepted, or lost without a word.
     "decimal comma in an inertial's origin": ('"0.1 0 0"', '"0,1 0 0"', "link 'tool0': xyz of <origin> is '0,1 0 0'"),
     "decimal comma in a mass": ('mass value="3"', 'mass value="3,5"', "value of <mass> is '3,5', expected a finite"),
-    "decimal comma in an inertia": ('ixx=".01"', 'ixx="0,01"', "ixx of <inertia> is '0,01'"),
-    "decimal comma in a collision's origin": ('xyz="0 0 0" rpy="0 0.5', 'xyz="0 0 0,1" rpy="0 0.5', "'0 0 0,1'"),
-    "decimal comma in an angle": ('"0 0.5 0"', '"0 0,5 0"', "rpy of <origin> is '0 0,5 0'"),
     "decimal comma in a size": ('"0.05 0.1 0.02"', '"0,05 0.1 0.02"', "size of <box> is '0,05 0.1 0.02', expected 3"),
-    "decimal comma in a visual": ('"0.1 0.1 0.1"', '"0.1 0.1 0,1"', "size of <box> is '0.1 0.1 0,1'"),
-    "two numbers of three": ('"0.05 0.1 0.02"', '"0.05 0.1"', "expected 3 finite numbers"),
     "four numbers of three": ('xyz="0.1 0 0"', 'xyz="0.1 0 0 0"', "expected 3 finite numbers"),
-    "no numbers": ('xyz="0.1 0 0"', 'xyz=""', "xyz of <origin> is ''"),
-    "commas between": ('xyz="0.1 0 0"', 'xyz="0.1,0,0"', "expected 3 finite numbers with spaces between"),
-    "underscore": ('mass value="3"', 'mass value="1_0"', "is '1_0'"),
-    "full-width digits": ('mass value="3"', 'mass value="\uff13"', "value of <mass>"),
     "full-width space": ('xyz="0.1 0 0"', 'xyz="0.1\u30000\u30000"', "xyz of <origin>"),
-    "hexadecimal": ('mass value="3"', 'mass value="0x3"', "is '0x3'"),
-    "infinity": ('mass value="3"', 'mass value="inf"', "is 'inf'"),
-    "not a number": ('xyz="0.1 0 0"', 'xyz="nan 0 0"', "is 'nan 0 0'"),
-    "overflow": ('mass value="3"', 'mass value="1e400"', "is '1e400'"),
     "a place beyond all": ('xyz="0.1 0 0"', 'xyz="1e200 0 0"', "3 finite numbers of at most 10000 m"),
     "a size beyond all": ('"0.05 0.1 0.02"', '"0.05 0.1 1e308"', "positive, at most 10000 m"),
     "no mass": ('<mass value="3"/>', "", "<inertial> has no <mass>"),
-    "a mass in words": ('<mass value="3"/>', "<mass>3</mass>", "<mass> has no value"),
-    "no inertia": (re.search("<inertia .*?/>", TOOL).group(), "", "<inertial> has no <inertia>"),
     "an inertia with a number missing": ('iyz="0" ', "", "<inertia> has no iyz"),
     "negative inertia": ('ixx=".01"', 'ixx="-.01"', "principal moments -0.01, 0.01, 0.01 kg m^2; of a body none is"),
     "an inertia of no body": ('izz=".01"', 'izz=".03"', "principal moments 0.01, 0.01, 0.03"),
-    "products too large": ('ixy="0"', 'ixy=".02"', "principal moments -0.01, 0.01, 0.03"),
     "misspelled collision": ("<collision>", "<colision>", "<colision> in <link> means nothing"),
-    "misspelled origin": ('<origin xyz="0.1', '<orgin xyz="0.1', "<orgin> in <inertial> means nothing"),
     "misspelled attribute": ('<origin xyz="0.1', '<origin xzy="0.1', "xzy of <origin> means nothing"),
-    "a quaternion": ('rpy="0 0.5 0"', 'quat_xyzw="0 0 0 1"', "quat_xyzw of <origin> means nothing"),
     "unknown shape": ('<box size="0.05 0.1 0.02"/>', '<cone radius="1" length="1"/>', "<cone> in <geometry>"),
-    "a capsule": ('<box size="0.05 0.1 0.02"/>', '<capsule radius="1" length="1"/>', "<capsule> in <geometry>"),
     "two shapes": ('<box size="0.05', '<sphere radius="1"/><box size="0.05', "a <geometry> has 2 shapes"),
-    "two inertials": ("<inertial>", "<inertial/><inertial>", "a second <inertial> in <link>; only one would count"),
-    "mesh without a file": ('<box size="0.05 0.1 0.02"/>', "<mesh/>", "<mesh> has no filename"),
     "mesh of scale 0": ('<box size="0.05 0.1 0.02"/>', '<mesh filename="a.stl" scale="1 0 1"/>', "scale of <mesh> is"),
 }  # fmt: skip
 
@@ -114,19 +91,10 @@ WRIST = SHIPPED[SHIPPED.index('<joint name="wrist"') :].split("</joint>")[0]
 JOINT_FAULTS = {
     "decimal comma in the origin": ('xyz="0.8 0 0"', 'xyz="0,8 0 0"', "xyz of <origin> is '0,8 0 0'", 3),
     "decimal comma in the axis": ('"0 -1 0"', '"0 -1,0 0"', "xyz of <axis> is '0 -1,0 0'", 4),
-    "one number for an axis": ('"0 -1 0"', '"-1"', "xyz of <axis> is '-1', expected 3 finite numbers", 4),
     "axis without numbers": ('<axis xyz="0 -1 0"/>', "<axis/>", "<axis> has no xyz", 4),
-    "decimal comma in a limit": ('effort="30"', 'effort="3,0"', "effort of <limit> is '3,0'", 5),
-    "underscore in a limit": ('velocity="2"', 'velocity="2_0"', "velocity of <limit> is '2_0'", 5),
     "misspelled limit": ('lower="0"', 'low="0"', "low of <limit> means nothing", 5),
-    "no velocity": (' velocity="2"', "", "<limit> has no velocity", 5),
-    "unreadable damping": ("<axis", '<dynamics damping="0,1"/><axis', "damping of <dynamics> is '0,1'", 4),
-    "unreadable soft limit": (
-        "<axis", '<safety_controller soft_lower_limit="-inf" k_velocity="1"/><axis', "soft_lower_limit of", 4
-    ),
     "unreadable mimic": ("<axis", '<mimic joint="elbow" multiplier="1,5"/><axis', "multiplier of <mimic> is", 4),
     "unknown type": ('"revolute"', '"Revolute"', "its type is 'Revolute', expected one of revolute, continuous", 0),
-    "no type": (' type="revolute"', "", "its type is None", 0),
     "two axes": ("<axis", '<axis xyz="0 1 0"/><axis', "a second <axis> in <joint>", 4),
 }  # fmt: skip
 
@@ -142,20 +110,12 @@ def test_faults_of_joints_name_line_and_element(tmp_path, case):
     assert caught.value.reason.startswith(f"line {line}: joint 'wrist': ")
 
 
-@pytest.mark.parametrize(
-    "name", ["", " ", "wr&#10;ist", "wr&#13;ist", "wr&#9;ist", "wr\u2028ist", "wrist ", "wr\u200bist"]
-)
+@pytest.mark.parametrize("name", ["", "wr&#10;ist", "wr\u2028ist", "wrist "])
 @pytest.mark.parametrize("what", ["joint", "link", "robot"])
 def test_names_that_break_lines_are_refused(tmp_path, what, name):
     old = {"joint": '"wrist"', "link": '"hand"', "robot": '"harvester"'}[what]
     with pytest.raises(RobotFileError, match=r"has no name|a name holds no line break"):
         load_robot(write(tmp_path, SHIPPED.replace(old, f'"{name}"')))
-
-
-def test_a_line_break_that_xml_takes_for_a_space_is_refused(tmp_path):
-    """XML has attributes on one line; Pinocchio's reader keeps the break."""
-    with pytest.raises(RobotFileError, match="joint 'wr ist': Pinocchio reads no joint of that name"):
-        load_robot(write(tmp_path, SHIPPED.replace('"wrist"', '"wr\nist"')))
 
 
 def test_commas_and_quotes_in_a_name_survive_a_csv(tmp_path):
@@ -238,14 +198,6 @@ def edited(collision_model: pin.GeometryModel, number: int, **attributes: object
             setattr(other, name, value)
         copy.addGeometryObject(other)
     return copy
-
-
-def test_models_of_the_family_are_what_their_files_say(tmp_path):
-    for index, name in enumerate(VARIANTS):
-        folder = tmp_path / str(index)
-        folder.mkdir()
-        robot = load_variant(name, folder)
-        check_models(robot.urdf_path, said(robot.urdf_path), robot.model, robot.collision_model)
 
 
 def test_differences_are_found(tmp_path):
@@ -336,9 +288,3 @@ def test_a_second_reader_has_the_same(tmp_path):
             assert link.inertial.mass == other.inertial.mass
             np.testing.assert_array_equal(link.inertial.inertia, other.inertial.inertia)
             np.testing.assert_allclose(link.inertial.placement.homogeneous, other.inertial.origin, atol=1e-12)
-
-
-def test_inertia_rounded_by_a_cad_program_is_taken(tmp_path):
-    for izz in (".02", ".020001"):
-        load_robot(write(tmp_path, GRIPPER.replace('izz=".01"', f'izz="{izz}"')))
-    assert math.isclose(load_robot(tmp_path / "robot.urdf").model.inertias[4].mass, 4.2)

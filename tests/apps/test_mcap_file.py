@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 from collections import defaultdict
 from dataclasses import replace
 from pathlib import Path
@@ -21,7 +20,7 @@ from hplan.apps.ros.transforms import LinkFrames
 from hplan.apps.view.scenery import Pick
 from hplan.certificate.certificate import certify
 from hplan.collision.coal_scene import CoalScene
-from hplan.errors import InputError, OptionError, OutputError
+from hplan.errors import OptionError, OutputError
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import PlanResult, plan
 from hplan.robot.model import Robot
@@ -304,19 +303,6 @@ def test_obstacles_that_move(picked: PlanResult, tmp_path: Path) -> None:
             assert np.abs(table - np.linalg.norm(ends[1] - ends[0])).min() < 1e-5
 
 
-def test_the_words_of_the_certificate(recorded: Recorded, picked: PlanResult) -> None:
-    path, words = recorded.only("/certificate").markers
-    proof = picked.certificate
-    assert proof.nearest is not None
-    assert words.text == (
-        f"certified: {1e3 * proof.min_clearance_m:.2f} mm or more, for all times\n"
-        f"nearest: {proof.nearest.link} to {proof.nearest.obstacle}"
-    )
-    ends = [xyz(path.points[0]), xyz(path.points[-1])]
-    tool = picked.robot.tool_positions(picked.trajectory.position[[0, -1]])
-    np.testing.assert_allclose(ends, tool, atol=1e-12)
-
-
 def test_a_tour(robot: Robot, tmp_path: Path) -> None:
     drop = Goal(joints_deg=(-30.0, 60.0, 30.0, 30.0))
     options = PlanOptions(effort="quick")
@@ -332,14 +318,6 @@ def test_a_tour(robot: Robot, tmp_path: Path) -> None:
     assert [(m.ns, m.id, m.action) for m in (*held.markers, *gone.markers)] == [("fruits", 1, 0), ("fruits", 1, 2)]
 
 
-def test_without_rosbags(picked: PlanResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "rosbags.rosbag2", None)
-    with pytest.raises(InputError, match=r"pip install 'hplan\[ros\]'") as error:
-        write_mcap(picked, tmp_path / "motion.mcap")
-    assert error.value.data == {"extra": "ros"}
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_files_that_cannot_be_written(picked: PlanResult, tmp_path: Path) -> None:
     with pytest.raises(OutputError, match="No such file"):
         write_mcap(picked, tmp_path / "nowhere" / "motion.mcap")
@@ -350,14 +328,3 @@ def test_files_that_cannot_be_written(picked: PlanResult, tmp_path: Path) -> Non
     for wrong in ({"rate_hz": 0.0}, {"rate_hz": math.nan}, {"stamp_s": -1.0}, {"file": ""}, {"result": None}):
         with pytest.raises(OptionError):
             write_mcap(**{"result": picked, "file": tmp_path / "m.mcap", **wrong})  # type: ignore[arg-type]
-
-
-def test_the_same_motion_gives_the_same_bytes(picked: PlanResult, tmp_path: Path) -> None:
-    first, second = (write_mcap(picked, tmp_path / folder / "m.mcap", rate_hz=5.0) for folder in _folders(tmp_path))
-    assert first.read_bytes() == second.read_bytes()
-
-
-def _folders(path: Path) -> list[str]:
-    for name in ("a", "b"):
-        (path / name).mkdir()
-    return ["a", "b"]

@@ -14,7 +14,6 @@ from script_loader import load_script
 
 from hplan.apps.execution.plant import Plant
 from hplan.apps.execution.simulation import execute
-from hplan.errors import OptionError
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import PlanResult, plan
 from hplan.robot.model import Robot, load_robot
@@ -38,16 +37,6 @@ def around_a_post(robot: Robot) -> PlanResult:
     """Past an obstacle, with room for the tracking error."""
     scene = task((0.0, 30.0, 20.0, 20.0), (60.0, 30.0, 20.0, 20.0), [post("post", 30.0, 1.3, 0.0, 2.6, 0.05)])
     return plan(robot, scene, PlanOptions(tracking_error=MODEL.still_rad, tracking_delay_s=MODEL.delay_s))
-
-
-@pytest.mark.parametrize(
-    ("option", "value"),
-    [("mass_factor", 0.0), ("mass_factor", math.nan), ("command_delay_s", -1e-9), ("bandwidth", 0.0)],
-)
-def test_no_such_machine(option: str, value: float) -> None:
-    with pytest.raises(OptionError) as error:
-        Plant(**{option: value})
-    assert error.value.data["option"] == option
 
 
 @needs_mujoco

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import builtins
 import importlib.util
 import math
 from pathlib import Path
@@ -11,14 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 from script_loader import load_script
-from shapes import ball, torus
+from shapes import torus
 
 from hplan.apps.execution import simulation
-from hplan.apps.execution.mujoco_model import MOST_BALLS
 from hplan.apps.execution.recorded_motion import RecordedMotion, read_motion
 from hplan.apps.execution.simulation import HOLD, Execution, execute
 from hplan.collision.coal_scene import CoalScene
-from hplan.errors import ConfigurationInCollisionError, HplanError, InputError, NoPathError, RobotFileError
+from hplan.errors import ConfigurationInCollisionError, InputError, NoPathError
 from hplan.planning.plan import PlanResult, plan
 from hplan.robot.family.members import ArmSpec, write_robot
 from hplan.robot.model import Robot, load_robot
@@ -51,10 +49,7 @@ def straight(robot: Robot, scene: Scene, duration: float, rows: int = 201) -> Re
     u = np.linspace(0.0, 1.0, rows)
     share, rate = u**3 * (10 - 15 * u + 6 * u**2), 30 * u**2 * (1 - u) ** 2 / duration
     return RecordedMotion(
-        robot.joint_names,
-        u * duration,
-        start + share[:, None] * (goal - start),
-        rate[:, None] * (goal - start),
+        robot.joint_names, u * duration, start + share[:, None] * (goal - start), rate[:, None] * (goal - start)
     )
 
 
@@ -89,23 +84,6 @@ def test_the_exported_reference_plan(robot: Robot, scene: Scene, planned: PlanRe
     assert result.position.shape == (len(result.time), robot.dof)
     assert result.time[-1] == pytest.approx(result.duration_s + HOLD, abs=2e-3)
     assert not result.position.flags.writeable
-
-
-@needs_mujoco
-def test_a_trajectory_is_a_motion(robot: Robot, scene: Scene, planned: PlanResult, csv_file: Path) -> None:
-    first, second = execute(robot, scene, planned.trajectory), execute(robot, scene, read_motion(csv_file))
-    np.testing.assert_array_equal(first.position, second.position)
-    assert first.contacts == second.contacts
-
-
-@needs_mujoco
-def test_the_empty_motion_rests(robot: Robot) -> None:
-    here = Scene(name="here", start=Start(joints_deg=(0, 30, 20, 10)), goal=Goal(joints_deg=(0, 30, 20, 10)))
-    result = execute(robot, here, plan(robot, here).trajectory)
-    assert result.ok
-    assert result.duration_s == 0.0
-    assert off_deg(result) < 0.1
-    assert result.nearest is None
 
 
 @needs_mujoco
@@ -239,32 +217,6 @@ def test_contacts_of_mujoco_are_those_of_coal(robot: Robot, obstacle: Any) -> No
 
 
 @needs_mujoco
-def test_a_grown_hull_is_held(robot: Robot) -> None:
-    """A ball of many triangles: MuJoCo's hull holds the simplified one with its rounding."""
-    mesh = Mesh.of("ball", *ball(0.1), position=(2.0, 0.0, 0.95))
-    (hull,) = mesh.solids
-    assert hull.rounding > 1e-3
-    scene = Scene(name="one", start=Start(joints_deg=(0,) * 4), goal=Goal(joints_deg=(0,) * 4), obstacles=(mesh,))
-    checker = CoalScene(robot, scene.solids)
-    up = np.linspace(0.0, 0.5, 60)
-    deep = [checker.distances(np.array([0.0, angle, 0.0, 0.0])).min() for angle in up]
-    first = int(np.argmax(np.array(deep) < 0.0))
-    for index, expected in ((first, True), (int(np.argmax(np.array(deep) < 1.3 * hull.rounding)) - 1, False)):
-        still = RecordedMotion(robot.joint_names, np.zeros(1), np.array([[0.0, up[index], 0.0, 0.0]]), np.zeros((1, 4)))
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(simulation, "HOLD", 0.0)
-            assert bool(execute(robot, scene, still).contacts) is expected
-
-
-@needs_mujoco
-def test_too_many_balls(robot: Robot, scene: Scene) -> None:
-    cloud = PointCloud.of("canopy", np.random.default_rng(0).uniform(2, 3, (MOST_BALLS + 1, 3)), 0.01)
-    crowded = scene.with_obstacles([cloud])
-    with pytest.raises(InputError, match="'canopy' has 2001 balls, too many for MuJoCo; thin its points"):
-        execute(robot, crowded, straight(robot, crowded, 1.0))
-
-
-@needs_mujoco
 def test_other_robots_and_the_order_of_joints(tmp_path: Path) -> None:
     spec = ArmSpec(
         name="two-link",
@@ -290,15 +242,6 @@ def test_other_robots_and_the_order_of_joints(tmp_path: Path) -> None:
     assert execute(robot, free, turned).ok
 
 
-@needs_mujoco
-def test_the_turret_counts_and_the_pedestal_does_not_move(robot: Robot) -> None:
-    still = RecordedMotion(robot.joint_names, np.zeros(1), np.zeros((1, 4)), np.zeros((1, 4)))
-    for height, links in ((0.5, ["turret"]), (0.1, [])):
-        nut = Sphere(name="nut", center=(0.0, 0.15, height), radius=0.05)
-        scene = Scene(name="nut", start=Start(joints_deg=(0,) * 4), goal=Goal(joints_deg=(0,) * 4), obstacles=(nut,))
-        assert [touch.link for touch in execute(robot, scene, still).contacts] == links
-
-
 # Motions and their files
 
 
@@ -319,13 +262,6 @@ def test_the_reference_is_the_hermite_cubic(robot: Robot) -> None:
     np.testing.assert_array_equal(q[0], cubic(time, 0)[-1])
     assert not v.any()
     assert not a.any()
-
-
-def test_velocities_from_positions() -> None:
-    time = np.array([0.0, 0.3, 0.4, 1.0])
-    motion = RecordedMotion.from_positions(["a"], time, (2.0 * time**2 - time)[:, None])
-    np.testing.assert_allclose(motion.velocity[:, 0], [0.0, 0.2, 0.6, 0.0], atol=1e-12)
-    assert RecordedMotion.from_positions(["a"], np.zeros(1), np.ones((1, 1))).velocity.tolist() == [[0.0]]
 
 
 def test_reading_our_own_file(planned: PlanResult, csv_file: Path) -> None:
@@ -368,64 +304,6 @@ def test_bad_files(tmp_path: Path, text: str, message: str) -> None:
         read_motion(path)
     assert message in str(caught.value)
     assert str(path) in str(caught.value)
-
-
-def test_missing_and_binary_files(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="No such file"):
-        read_motion(tmp_path / "none.csv")
-    (tmp_path / "binary.csv").write_bytes(b"\xff\xfe\x00\x01")
-    with pytest.raises(InputError, match="UTF-8"):
-        read_motion(tmp_path / "binary.csv")
-
-
-@needs_mujoco
-def test_bad_motions(robot: Robot, scene: Scene) -> None:
-    names = robot.joint_names
-    time, still = np.array([0.0, 1.0]), np.zeros((2, 4))
-    bad = [
-        (RecordedMotion(names[1:], time, still[:, 1:], still[:, 1:]), "missing base_yaw"),
-        (RecordedMotion((*names[:3], "knee"), time, still, still), "unknown knee"),
-        (RecordedMotion(names, time, still[:1], still), "do not match"),
-        (RecordedMotion(names, np.zeros(0), np.zeros((0, 4)), np.zeros((0, 4))), "do not match"),
-        (RecordedMotion(names, np.array([0.0, np.nan]), still, still), "not finite"),
-        (RecordedMotion(names, time[::-1], still, still), "does not increase"),
-    ]
-    for motion, message in bad:
-        with pytest.raises(InputError, match=message):
-            execute(robot, scene, motion)
-
-
-@needs_mujoco
-def test_a_urdf_that_mujoco_refuses(tmp_path: Path, robot: Robot, scene: Scene) -> None:
-    # Pinocchio takes a moving link without mass; a simulation cannot.
-    text = robot.urdf_path.read_text()
-    begin = text.index("<inertial>", text.index('<link name="hand">'))
-    end = text.index("</inertial>", begin) + len("</inertial>")
-    shapes = text.index('<collision name="hand_capsule_side">')
-    path = tmp_path / "massless.urdf"
-    massless = '<inertial><mass value="0"/><inertia ixx="0" ixy="0" ixz="0" iyy="0" iyz="0" izz="0"/></inertial>'
-    path.write_text(text[:begin] + massless + text[end:shapes] + text[shapes:])
-    path.with_suffix(".limits.yaml").write_text(robot.urdf_path.with_suffix(".limits.yaml").read_text())
-    light = load_robot(path)
-    still = RecordedMotion(light.joint_names, np.zeros(1), np.zeros((1, 4)), np.zeros((1, 4)))
-    with pytest.raises(RobotFileError, match="MuJoCo refuses it"):
-        execute(light, scene, still)
-
-
-def test_without_mujoco(robot: Robot, scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
-    real = builtins.__import__
-
-    def refuse(name: str, *args: Any, **kwargs: Any) -> Any:
-        if name.split(".")[0] == "mujoco":
-            raise ModuleNotFoundError("No module named 'mujoco'", name="mujoco")
-        return real(name, *args, **kwargs)
-
-    monkeypatch.setattr(builtins, "__import__", refuse)
-    still = RecordedMotion(robot.joint_names, np.zeros(1), np.zeros((1, 4)), np.zeros((1, 4)))
-    with pytest.raises(InputError, match=r"hplan\[execution\]") as caught:
-        execute(robot, scene, still)
-    assert caught.value.exit_status == 2
-    assert isinstance(caught.value, HplanError)
 
 
 # The command

@@ -108,9 +108,7 @@ def test_nowhere_to_keep_them(folder: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "damage",
-    [lambda data: data[: len(data) // 2], lambda data: b"", lambda data: data[:-1], lambda data: b"x" * len(data)],
-    ids=["a half", "nothing", "one byte short", "something else"],
+    "damage", [lambda data: data[: len(data) // 2], lambda data: b"x" * len(data)], ids=["a half", "something else"]
 )
 def test_damaged_files(folder: Path, damage: Callable[[bytes], bytes]) -> None:
     run(folder)
@@ -305,10 +303,6 @@ def test_no_room_to_keep_them(folder: Path) -> None:
     assert warned.count("KernelCacheWarning") == 1
     assert "can be written ([Errno 28] No space left on device)" in warned
     assert list(folder.rglob("*.nbc*")) == []
-
-
-def test_without_compiling_there_is_nothing_to_keep(folder: Path) -> None:
-    assert run(folder, NUMBA_DISABLE_JIT="1") == ("False False 4.0 6.0", "")
 
 
 def test_an_installation_that_nobody_may_write_to(tmp_path: Path) -> None:

@@ -42,14 +42,6 @@ def test_imported_when_used(package: Path) -> None:
         _ = wants_heavy.plots.nothing
 
 
-def test_used_within_the_block(package: Path) -> None:
-    with deferred("heavy_part", "heavy_part.plots"):
-        import heavy_part.plots as plots
-
-        assert plots.answer == 42
-    assert sys.modules["heavy_part.plots"].answer == 42
-
-
 def test_what_is_there_stays(package: Path) -> None:
     import heavy_part.plots as plots
 

@@ -9,7 +9,6 @@ import numpy as np
 
 import hplan
 from hplan.base.arrays import FloatArray, Record, readonly
-from hplan.scene import PointCloud
 
 
 @dataclass(frozen=True)
@@ -38,12 +37,3 @@ def test_results_are_a_line(robot: hplan.Robot, scene: hplan.Scene) -> None:
     assert re.fullmatch(r"<Trajectory: \S+ s, \d+ rows, joints base_yaw, .*>", repr(result.trajectory))
     assert len(repr(result)) < 1500
     assert len(repr(result.motion)) < 1500
-
-
-def test_scenes_count_what_is_long() -> None:
-    scene = hplan.load_scene("tour")
-    assert f"obstacles=<{len(scene.obstacles)} items>" in repr(scene)
-    assert "robot=" not in repr(scene)
-    assert len(repr(scene)) < 500
-    cloud = PointCloud.of("canopy", np.zeros((1000, 3)) + 1.0, 0.01)
-    assert len(repr(cloud)) < 300

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from reference import assert_path, make_occupancy, path_cost
-from studies.paper.random_scenes import GRID, disc_occupancy
+from reference import assert_path, make_occupancy
+from studies.paper.random_scenes import disc_occupancy
 
-from hplan.base.arrays import BoolArray
-from hplan.errors import InputError
-from hplan.grid import SearchResult, dense_search, reachable, slices_with_path, two_level_search
+from hplan.grid import dense_search, slices_with_path, two_level_search
 from hplan.grid.grid import Grid, Occupancy
 from hplan.grid.sections import LinkModel
 
@@ -75,14 +73,6 @@ def test_fewer_expansions_by_default(table_1: Occupancy) -> None:
     assert result.sparse_nodes < 7_000
 
 
-def test_slice_paths_have_the_same_cost_either_way(table_1: Occupancy) -> None:
-    jumped = two_level_search(table_1, START, GOAL).slice_paths
-    plain = two_level_search(table_1, START, GOAL, octile=False).slice_paths
-    assert jumped.keys() == plain.keys()
-    for number, path in jumped.items():
-        assert path_cost(path, GRID.step) == pytest.approx(path_cost(plain[number], GRID.step), abs=1e-12)
-
-
 def test_workspace_demonstration(demonstration: Occupancy) -> None:
     start, goal = demonstration.grid.nearest([5, 10, 5]), demonstration.grid.nearest([55, 50, 25])
     dense = dense_search(demonstration, start, goal)
@@ -95,34 +85,6 @@ def test_workspace_demonstration(demonstration: Occupancy) -> None:
         assert dense.cost - 1e-9 <= result.cost <= 1.05 * dense.cost
 
 
-def test_two_runs_are_identical(table_1: Occupancy) -> None:
-    for search in (two_level_search, dense_search):
-        first, second = search(table_1, START, GOAL), search(table_1, START, GOAL)
-        assert np.array_equal(first.path, second.path)  # type: ignore[arg-type]
-        assert first.cost == second.cost
-        assert first.expansions == second.expansions
-        assert first.slice_paths.keys() == second.slice_paths.keys()
-        for number, path in first.slice_paths.items():
-            assert np.array_equal(path, second.slice_paths[number])
-
-
-def _arrays(result: SearchResult) -> list[BoolArray]:
-    arrays = [result.path, result.feasible_slices, *result.slice_paths.values()]
-    return [array for array in arrays if array is not None]
-
-
-def test_results_are_read_only(table_1: Occupancy) -> None:
-    for octile in (True, False):
-        for array in [
-            *_arrays(two_level_search(table_1, START, GOAL, octile=octile)),
-            *_arrays(dense_search(table_1, START, GOAL, octile=octile)),
-        ]:
-            with pytest.raises(ValueError, match="read-only"):
-                array[0] = 0
-    with pytest.raises(ValueError, match="read-only"):
-        reachable(table_1, START)[0] = False
-
-
 @pytest.mark.parametrize("shape", [(4, 5), (4, 5, 6), (3, 4, 3, 5)])
 @pytest.mark.parametrize("octile", [True, False])
 def test_start_is_the_goal(shape: tuple[int, ...], octile: bool) -> None:
@@ -133,21 +95,3 @@ def test_start_is_the_goal(shape: tuple[int, ...], octile: bool) -> None:
         assert result.path is not None
         assert result.path.tolist() == [node]
         assert result.cost == 0.0
-
-
-@pytest.mark.parametrize(
-    "node",
-    [[2, 2, 2], [-1, 0, 0], [0, 5, 0], [0, 0, 6], [0, 0], [0, 0, 0, 0], [0.0, 0.0, 0.0], [0.5, 0, 0]],
-    ids=["occupied", "below", "above", "above last", "short", "long", "floats", "fraction"],
-)
-def test_bad_nodes_are_named(node: list[int]) -> None:
-    free = np.ones((4, 5, 6), dtype=bool)
-    free[2, 2, 2] = False
-    space = make_occupancy(free, np.ones(3))
-    for search in (two_level_search, dense_search):
-        with pytest.raises(InputError, match="start"):
-            search(space, node, [0, 0, 0])
-        with pytest.raises(InputError, match="goal"):
-            search(space, [0, 0, 0], node)
-    with pytest.raises(InputError, match="start"):
-        reachable(space, node)

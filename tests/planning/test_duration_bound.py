@@ -67,13 +67,6 @@ def test_the_reference_motion_is_near_its_bound(robot: Robot, scene: Scene) -> N
     assert list(result.report["time_ms"]).index("bound") < list(result.report["time_ms"]).index("export")
 
 
-def test_nothing_is_bounded_where_it_is_not_asked_for(robot: Robot, scene: Scene) -> None:
-    result = plan(robot, scene)
-    assert result.bound is None
-    assert "bound" not in result.report
-    assert result.report["time_ms"]["bound"] == 0.0
-
-
 @pytest.mark.parametrize("joint", [1, 2, 3])
 def test_one_joint_alone_is_bounded_by_its_own_fastest_motion(robot: Robot, joint: int) -> None:
     goal = np.zeros(4)
@@ -107,12 +100,6 @@ def test_slower_motions_have_larger_bounds(robot: Robot, scene: Scene) -> None:
     assert slow.seconds == pytest.approx(2.0 * fast.seconds, rel=0.02)
 
 
-def test_an_empty_motion_has_no_gap(robot: Robot) -> None:
-    bound = plan(robot, task([0, 10, 10, 10], [0, 10, 10, 10]), BOUND).bound
-    assert bound is not None
-    assert (bound.seconds, bound.gap) == (0.0, 0.0)
-
-
 def test_a_motion_that_is_too_fast_to_exist_is_an_error(robot: Robot, scene: Scene) -> None:
     result = plan(robot, scene)
     for duration in (1.0, 1.4):  # by the slowest joint alone, by reachability
@@ -136,13 +123,6 @@ def test_transit_and_approach_are_bounded_together_where_one_flows_into_the_othe
     assert result.bound is not None
     assert result.bound.duration_s == pytest.approx(ends)
     assert 0.0 < result.bound.gap < 1.0
-
-
-def test_what_is_not_certified_has_no_bound(robot: Robot, scene: Scene) -> None:
-    result = plan(robot, scene, PlanOptions(bound=True, certify=False, tracking_error=0.2))
-    assert not result.certificate.verified
-    assert result.bound is None
-    assert result.report["bound"] is None
 
 
 @pytest.mark.usefixtures("coarse")

@@ -94,10 +94,3 @@ def test_a_motion_that_is_just_too_short_is_excluded_by_its_own_bounds() -> None
     assert (lower <= upper).all()
     lower, upper = motion.places(0.999 * least * time, 0.999 * least)
     assert (lower > upper).any()
-
-
-def test_a_joint_that_stands_still_stays_and_cannot_reach_another_place() -> None:
-    lower, upper = joint(0.0, 0.0, 1.0).places(np.array([[0.3]]), 1.0)
-    assert -4e-5 < lower.item() <= 0.0 <= upper.item() < 4e-5
-    assert joint(0.0, 0.0, 1.0).least_durations[0] == 0.0
-    assert joint(0.5, 0.0, 1.0).least_durations[0] == np.inf

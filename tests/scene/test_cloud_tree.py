@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hplan.scene.cloud_tree import box_centres, halves, merged, number_cells, tree_of
+from hplan.scene.cloud_tree import box_centres, number_cells, tree_of
 from hplan.scene.solids import LEAF
 
 
@@ -35,16 +35,6 @@ def test_middles_of_boxes(seed, count, groups):
     assert farthest == pytest.approx(np.linalg.norm(points - middles[numbers], axis=1).max(), rel=1e-12)
 
 
-def test_points_are_merged_where_that_pays():
-    few = np.array([[0.0, 0.0, 0.0], [0.9, 0.0, 0.0], [5.0, 0.0, 0.0], [-0.0, 0.0, 0.0]])
-    same, growth = merged(few, 1.0)
-    assert same.tolist() == [[0.45, 0.0, 0.0], [5.0, 0.0, 0.0]]
-    assert growth == 0.45
-    same, growth = merged(few, 0.5)  # the two zeros are one point; nothing else is near
-    assert same.tolist() == [[0.0, 0.0, 0.0], [0.9, 0.0, 0.0], [5.0, 0.0, 0.0]]
-    assert growth == 0.0
-
-
 @pytest.mark.parametrize("kind", ["random", "one place", "steps", "line", "sorted"])
 @pytest.mark.parametrize("count", [1, LEAF + 1, 1000])
 def test_a_tree_halves_its_points(kind, count):
@@ -68,10 +58,3 @@ def test_a_tree_halves_its_points(kind, count):
             axis, middle = int(np.argmax(high - low)), (int(first) + int(last)) // 2
             assert nodes[number + 1, 1] == middle
             assert core[int(first) : middle, axis].max() <= core[middle : int(last), axis].min()
-
-
-@pytest.mark.parametrize("count", [1, 7, 8, 9, 1000])
-def test_parts_of_a_tree(count):
-    starts = halves(count, 8)
-    leaves = [(int(n[0]), int(n[1])) for n in tree_of(np.zeros((count, 3)), 8) if n[1] - n[0] <= 8]
-    assert list(zip(starts[:-1].tolist(), starts[1:].tolist(), strict=True)) == leaves

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from shapes import ball, blocks, crate, distances, torus, uncovered
 
 from hplan import PlanOptions, certify, plan
-from hplan.scene.convex_decomposition import PIECES, _clipped, convex_pieces, winding_numbers
+from hplan.scene.convex_decomposition import PIECES, convex_pieces, winding_numbers
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Mesh
 
@@ -164,36 +164,6 @@ def test_a_motion_through_a_sheet_is_not_certified(robot, thickness):
     certificate = certify(robot, MOTION.with_obstacles([tree]), motion)
     assert not certificate.verified
     assert certificate.min_clearance_m < 0.0
-
-
-def test_the_same_every_time():
-    first, second = (convex_pieces(*torus(n=12)) for _ in range(2))
-    assert first.excess == second.excess
-    for one, other in zip(first.hulls, second.hulls, strict=True):
-        assert np.array_equal(one.core, other.core)
-
-
-def test_clipping_keeps_the_area():
-    vertices, faces = torus()
-    triangles = vertices[faces]
-
-    def area(some):
-        return np.linalg.norm(np.cross(some[:, 1] - some[:, 0], some[:, 2] - some[:, 0]), axis=1).sum() / 2
-
-    for axis, at in ((0, 0.05), (1, -0.31), (2, 0.0), (2, 1.0)):
-        below, above = (_clipped(triangles, axis, at, side) for side in (-1.0, 1.0))
-        assert area(below) + area(above) == pytest.approx(area(triangles))
-        assert (below[..., axis] <= at + 1e-12).all()
-        assert (above[..., axis] >= at - 1e-12).all()
-
-
-def test_what_lies_in_the_plane_of_a_cut_is_on_the_side_of_the_solid():
-    vertices, faces = crate()
-    below, above = (_clipped(vertices[faces], 2, 0.02, side) for side in (-1.0, 1.0))
-    for some, count in ((below, 1), (above, 0)):
-        level = some[(some[..., 2] == 0.02).all(axis=1)]
-        area = np.linalg.norm(np.cross(level[:, 1] - level[:, 0], level[:, 2] - level[:, 0]), axis=1).sum() / 2
-        assert area == pytest.approx(count * 0.46 * 0.36)
 
 
 def test_winding_numbers():

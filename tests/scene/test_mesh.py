@@ -6,12 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from shapes import crate, torus, uncovered
+from shapes import crate, torus
 
 from hplan.errors import SceneError
 from hplan.scene.file import dump_scene, load_scene, parse_scene, save_scene
 from hplan.scene.model import Goal, Scene, Start
-from hplan.scene.obstacles import Box, Mesh, PointCloud
+from hplan.scene.obstacles import Box, Mesh
 from hplan.scene.shape_data import MOST_TRIANGLES, Surface, write_shape
 
 HEAD = "format: hplan-scene/1\nname: a\nstart: {joints_deg: [0]}\ngoal: {joints_deg: [1]}\nobstacles:\n"
@@ -63,12 +63,6 @@ def test_placement():
     assert faces.shape == FACES.shape
     assert (hull.sigma, hull.rounding, hull.is_point_set, rest.excess) == (0.02, 0.0, False, 0.0)
     assert not hull.core.flags.writeable
-
-
-def test_solids_hold_the_mesh():
-    mesh = Mesh.of("crate", *crate(), position=(1, 0, 0), rpy_deg=(0, 0, 45))
-    assert len(mesh.solids) == 5
-    assert uncovered(mesh.solids, mesh.surface[0]) <= 1e-6
 
 
 def test_pieces_are_cut_once(monkeypatch):
@@ -143,17 +137,10 @@ def test_faulty_files(name, kind, tmp_path):
         ("file: no.stl", None, "file", "cannot read .*no.stl: No such file"),
         ("file: empty.stl", b"", "file", "empty.stl is empty"),
         ("file: junk.stl", b"this is no mesh", "file", "empty: it has no triangles"),
-        ("file: junk.ply", b"ply\nnonsense\n", "file", "is no whole .ply file"),
         ("file: cut.ply", b"ply\nformat ascii 1.0\nelement vertex 3\n", "file", "ply"),
         ("file: crate.dae", b"<xml/>", "file", "'crate.dae' is no mesh file .*convert it to one of .stl"),
-        ("file: .", None, "file", "no mesh file"),
-        ("file: ''", None, "file", "at least 1 character"),
         ("scale: 2.0", None, "file", "this key is missing"),
         ("{file: ring.ply, scale: 0}", None, "scale", "greater than 0"),
-        ("{file: ring.ply, scale: .nan}", None, "scale", "finite"),
-        ("{file: ring.ply, sigma: -1}", None, "sigma", "greater than or equal to 0"),
-        ("{file: ring.ply, position: [0, 0]}", None, "position", "too few values"),
-        ("{file: ring.ply, radius: 1}", None, "radius", "unknown key"),
         ("{file: ring.ply, scale: 1.0e+7}", None, "file", "look at its scale"),
     ],
 )  # fmt: skip
@@ -167,12 +154,6 @@ def test_faulty_entries(entry, content, where, message, tmp_path):
         parse_scene(text, path=tmp_path / "scene.yaml")
     assert caught.value.line == 6
     assert caught.value.where.startswith(f"obstacles[0].{where}")
-
-
-def test_names_must_differ():
-    mesh = Mesh.of("ring", *torus(n=8))
-    with pytest.raises(ValueError, match="two obstacles are called 'ring'"):
-        a_scene(mesh, PointCloud.of("ring", [[0, 0, 0]], 0.1))
 
 
 def test_saved_and_read_again(tmp_path):
@@ -201,10 +182,3 @@ def test_arrays_are_written_beside_the_scene(tmp_path):
     for mine, theirs in zip(scene.obstacles, again.obstacles, strict=True):
         assert mine.surface[0].tolist() == theirs.surface[0].tolist()
         assert mine.surface[1].tolist() == theirs.surface[1].tolist()
-
-
-def test_equal_by_shape():
-    one, other = Mesh.of("m", *torus(n=8)), Mesh.of("m", *torus(n=8))
-    assert one == other
-    assert one != Mesh.of("m", *torus(n=9))
-    assert one != one.model_copy(update={"scale": 2.0})

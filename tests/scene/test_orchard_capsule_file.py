@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hplan.errors import InputError, OptionError
+from hplan.errors import InputError
 from hplan.scene.orchard import import_capsules
 
 HEADER = "kind,x1,y1,z1,x2,y2,z2,radius\n"
@@ -72,51 +72,18 @@ def test_columns_in_any_order_among_others(write):
     [
         ("", 1, "column 'kind' is missing; expected kind,x1,y1,z1,x2,y2,z2,radius"),
         (TREE.replace("radius", "width"), 1, "column 'radius' is missing"),
-        (TREE.replace("y2", "x2"), 1, "column 'x2' is there twice"),
         (HEADER, 1, "no capsules follow the header"),
         (TREE.replace("0.005", "nan"), 3, "radius is 'nan', expected a finite number"),
-        (TREE.replace("0.005", "-0.005"), 3, "radius is -0.005, expected a positive number"),
-        (TREE.replace("0.005", "0"), 3, "radius is 0, expected a positive number"),
-        (TREE.replace("0.005", ""), 3, "radius is '', expected a finite number"),
-        (TREE.replace("0.3", "inf"), 3, "x2 is 'inf', expected a finite number"),
         (TREE.replace("0.3", "1,5"), 3, "9 values, expected 8"),
         (TREE.replace("1.2,0.02", "1598,0.02"), 2, "z2 is 1598, expected metres, 1000 at most"),
-        (TREE.replace("0.3", "1e308"), 3, "x2 is 1e[+]308, expected metres"),
-        (TREE.replace("0.01", "1001"), 4, "radius is 1001, expected metres"),
         (TREE.replace("branch", " "), 3, "kind is empty"),
         (TREE.replace("0,0,0,0,0,1.2", "0,0,1.2,0,0,1.2"), 2, "both ends are in the same place"),
-        (TREE + "\n", 5, "0 values, expected 8"),
     ],
 )
 def test_faults_name_the_line(write, text, line, message):
     with pytest.raises(InputError, match=rf"capsule file .*tree\.csv, line {line}: {message}") as caught:
         import_capsules(write(text))
     assert caught.value.data["line"] == line
-
-
-def test_files_that_cannot_be_read(tmp_path):
-    with pytest.raises(InputError, match="No such file"):
-        import_capsules(tmp_path / "none.csv")
-    (tmp_path / "b.csv").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(InputError, match="not UTF-8"):
-        import_capsules(tmp_path / "b.csv")
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"position": (1.0, 2.0)}, "three numbers"),
-        ({"position": 1.0}, "position = 1.0: expected a list of numbers"),
-        ({"position": (1.0, math.nan, 0.0)}, r"position\[1\] = nan"),
-        ({"position": "abc"}, "list of numbers"),
-        ({"yaw_deg": math.inf}, "yaw_deg = inf"),
-        ({"yaw_deg": "90"}, "yaw_deg = '90'"),
-        ({"prefix": None}, "prefix = None"),
-    ],
-)
-def test_options_out_of_range(write, options, message):
-    with pytest.raises(OptionError, match=message):
-        import_capsules(write(TREE), **options)
 
 
 @pytest.mark.skipif(not MEASURED.is_dir(), reason="the measured trees are not beside the project")

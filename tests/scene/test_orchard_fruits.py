@@ -117,28 +117,6 @@ def test_zone_is_kept():
         fruit_at_tips(TREE, 1, zone=FruitZone(5.0, 6.0))
 
 
-def test_nothing_to_do():
-    assert fruit_at_tips([], 0) == ()
-    assert fruit_at_tips(TREE, 0) == ()
-    with pytest.raises(OptionError, match="at most 0"):
-        fruit_at_tips([], 1)
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"count": -1}, "count = -1"),
-        ({"count": 1.0}, "count = 1.0"),
-        ({"count": 1, "radius": 0.0}, "radius = 0.0"),
-        ({"count": 1, "radius": math.nan}, "radius = nan"),
-        ({"count": 1, "seed": -1}, "seed = -1"),
-    ],
-)
-def test_values_out_of_range(options, message):
-    with pytest.raises(OptionError, match=message):
-        fruit_at_tips(TREE, **options)
-
-
 points = st.tuples(*[st.floats(-1, 1)] * 3)
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from hplan.base.data_files import scenes_dir
 from hplan.collision.coal_scene import CoalScene, base_contacts
-from hplan.errors import InputError, OptionError
+from hplan.errors import OptionError
 from hplan.robot.model import load_robot
 from hplan.scene.file import dump_scene, load_scene, parse_scene
 from hplan.scene.obstacles import Capsule, Sphere
@@ -62,17 +62,6 @@ def test_same_seed_same_scene(grown):
     assert again == scene
     assert dump_scene(again) == dump_scene(scene)
     assert generate(dataclasses.replace(options, seed=options.seed + 1)) != scene
-
-
-def test_defaults():
-    assert generate() == generate(OrchardOptions())
-
-
-def test_file_holds_it_all(grown):
-    _, scene = grown
-    text = dump_scene(scene)
-    assert parse_scene(text) == scene
-    assert len(text) < 100_000
 
 
 def test_lengths_are_whole_tenths_of_a_millimetre(grown):
@@ -139,22 +128,6 @@ def test_a_spindle_narrows_upwards():
     assert max(b - a for a, b in itertools.pairwise(angles)) < math.radians(60)
 
 
-def test_trellis_arms_follow_the_wires():
-    options = VARIANTS["trellis"]
-    arms = [c for c in wood_of(generate(options)) if " arm " in c.name]
-    for arm in arms:
-        assert min(abs(z - h) for z in (arm.start[2], arm.end[2]) for h in options.wire_heights) < 0.08
-        assert abs(arm.end[0] - options.distance) < 0.15
-
-
-def test_a_longer_row_has_the_same_trees():
-    short = [c for c in wood_of(generate(OrchardOptions(trees=1, fruits=3))) if c.name.startswith("tree 1 ")]
-    long = [c for c in wood_of(generate(OrchardOptions(trees=3))) if c.name.startswith("tree 1 ")]
-    for a, b in zip(short, long, strict=True):
-        np.testing.assert_allclose(b.core - a.core, np.tile([0.0, -1.1, 0.0], (2, 1)), atol=1.1e-4)
-        assert a.radius == b.radius
-
-
 def test_bare_tree_bears_nothing():
     with pytest.raises(OptionError, match="fruits = 1: expected at most 0, which found room") as caught:
         generate(OrchardOptions(branches=0, fruits=1))
@@ -177,12 +150,6 @@ def test_fruit_hangs_clear_of_wood_and_of_each_other(grown):
         assert options.fruit_zone.holds(*fruit.center)
     for a, b in itertools.combinations(scene.fruits, 2):
         assert math.dist(a.center, b.center) >= a.radius + b.radius
-
-
-def test_fruit_counts_from_the_base_outwards(grown):
-    _, scene = grown
-    reach = [math.hypot(*fruit.center[:2]) for fruit in scene.fruits]
-    assert reach == sorted(reach)
 
 
 def test_picked_fruit_is_gone():
@@ -239,13 +206,6 @@ def test_start_is_tucked_away_from_trees_and_vehicle(grown, robot):
     assert base_contacts(robot, [o for o in scene.obstacles if o.name in ("vehicle", "ground")]) == ()
 
 
-def test_start_as_given():
-    assert generate(start_deg=[1, 2.5]).start.joints_deg == (1.0, 2.5)
-    for start in ("0 0", 3.0, [math.nan], [None]):
-        with pytest.raises(OptionError, match="start_deg"):
-            generate(start_deg=start)
-
-
 def test_most_fruit_is_within_reach(robot):
     for seed in range(4):
         fruits = generate(OrchardOptions(seed=seed)).fruits
@@ -278,18 +238,6 @@ def test_every_fruit_of_the_tour_can_be_picked(robot):
         assert within_reach(robot, fruit.center, clear_of=CoalScene(robot, [*scene.obstacles, *others])), fruit
 
 
-@pytest.mark.parametrize("name", ["orchard-arm-row", "orchard-arm-tour"])
-def test_orchard_arm_has_fruit_above_and_below_its_shoulder(name):
-    scene = load_scene(scenes_dir() / f"{name}.yaml")
-    assert scene.robot == "orchard_harvester"
-    shoulder = load_robot(scene.robot).plane_origin[-1]
-    heights = np.array([fruit.center[2] for fruit in scene.fruits])
-    assert len(heights) >= 20
-    assert (heights < shoulder).sum() >= 3
-    assert (heights > shoulder + 1.0).sum() >= 3
-    assert "ground" in {obstacle.name for obstacle in scene.obstacles}
-
-
 # Measured trees
 
 
@@ -315,38 +263,6 @@ def test_measured_row(stick):
     assert scene.obstacles[5].end == (1.5, 0.1, 2.1)
     assert scene.obstacles[1].radius == 0.0051234
     assert (len(scene.fruits), scene.goal.fruit, scene.start.joints_deg) == (3, "fruit 01", TUCKED_DEG)
-
-
-def test_measured_tree_alone_turns_about_its_trunk(stick):
-    options = MeasuredOptions(fruits=2, yaw_deg=90.0, goal="fruit 02")
-    scene = measured_orchard([stick], options, start_deg=(0, 0, 0, 0))
-    assert scene.obstacles[1].name == "branch 1"
-    assert scene.obstacles[1].end == (1.4, -0.3, 1.6)
-    assert scene.goal.fruit == "fruit 02"
-    assert scene.start.joints_deg == (0.0, 0.0, 0.0, 0.0)
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"fruits": 0}, "fruits = 0: expected at least one"),
-        ({"fruits": 50}, "which found room at these branches"),
-        ({"distance": math.nan}, "distance = nan"),
-        ({"spacing": -1.0}, "spacing = -1.0"),
-        ({"height": "1"}, "height = '1'"),
-        ({"clearance": -0.1}, "clearance = -0.1"),
-        ({"yaw_deg": math.inf}, "yaw_deg = inf"),
-        ({"name": ""}, "name = ''"),
-        ({"goal": "plum"}, "goal = 'plum'"),
-        ({"paths": []}, "at least one file"),
-        ({"paths": ["none.csv"]}, "No such file"),
-    ],
-)
-def test_measured_orchard_out_of_range(stick, options, message):
-    paths = options.get("paths", [stick])
-    wanted = {"fruits": 2, **{option: value for option, value in options.items() if option != "paths"}}
-    with pytest.raises(InputError, match=message):
-        measured_orchard(paths, MeasuredOptions(**wanted))
 
 
 @pytest.mark.skipif(not MEASURED.is_dir(), reason="the measured trees are not beside the project")

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hplan.errors import SceneError
-from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Cylinder
 from hplan.scene.prism import ERROR, FEWEST_SIDES, MOST_SIDES
 from hplan.scene.solids import hull_of
@@ -49,27 +46,3 @@ def test_facets_and_edges_are_those_of_the_hull():
     assert rounded(middles[0]) == rounded(middles[1])
     assert not any(array.flags.writeable for array in (found.corners, found.planes, found.edges))
     assert can.prism is found
-
-
-@pytest.mark.parametrize(
-    ("key", "value", "match"),
-    [
-        ("radius", 0.0, "greater than 0"),
-        ("length", -1.0, "greater than 0"),
-        ("length", float("nan"), "finite"),
-        ("radius", 1e5, "less than or equal to 10000"),
-        ("center", (0.0, 0.0), "too few values"),
-        ("rpy_deg", (0.0, 0.0, float("inf")), "finite"),
-        ("height", 1.0, "unknown key"),
-    ],
-)
-def test_wrong_values(key, value, match):
-    good = {"name": "can", "center": (0.0, 0.0, 0.0), "length": 1.0, "radius": 0.1}
-    with pytest.raises(SceneError, match=match) as error:
-        Cylinder(**{**good, key: value})
-    assert error.value.where.startswith(key)
-    item = {**good, "kind": "cylinder", key: value}
-    rest = Start(joints_deg=(0.0,)), Goal(joints_deg=(0.0,))
-    with pytest.raises(SceneError, match=match) as error:
-        Scene.model_validate({"name": "s", "start": rest[0], "goal": rest[1], "obstacles": (item,)})
-    assert error.value.where.startswith(f"obstacles[0].{key}")

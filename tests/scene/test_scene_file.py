@@ -8,7 +8,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hplan.base.data_files import scenes_dir
 from hplan.certificate.digests import scene_digest
 from hplan.errors import OutputError, SceneError
 from hplan.scene.file import default_scene_path, dump_scene, load_scene, parse_scene, save_scene
@@ -26,11 +25,6 @@ BALL = "  - {name: ball, kind: sphere, center: [1, 0, 1.9], radius: 0.15}\n"
 
 
 # Good files
-
-
-@pytest.mark.parametrize("path", sorted(scenes_dir().glob("*.yaml")), ids=lambda path: path.stem)
-def test_shipped_scenes_load(path):
-    assert load_scene(path).name == path.stem
 
 
 def test_default_is_table_1():
@@ -104,19 +98,7 @@ def test_json_is_yaml():
         assert scene.obstacles[0].radius == 0.01
 
 
-@pytest.mark.parametrize(
-    ("text", "value"),
-    [
-        ("1e-2", 0.01),
-        ("1E-2", 0.01),
-        ("1.e-2", 0.01),
-        ("+1.5e1", 15.0),
-        (".5", 0.5),
-        ("5", 5.0),
-        ("010", 10.0),
-        ("0", 0.0),
-    ],
-)
+@pytest.mark.parametrize(("text", "value"), [("1e-2", 0.01), ("+1.5e1", 15.0), (".5", 0.5), ("010", 10.0)])
 def test_numbers_are_read_as_json_and_yaml_1_2_do(text, value):
     assert parse_scene(f"{HEAD}clearance: {text}\n").clearance == value
 
@@ -176,28 +158,6 @@ def test_round_trip(scene):
     assert parse_scene(dump_scene(scene)) == scene
 
 
-def test_dump_is_for_reading(scene):
-    assert (
-        dump_scene(scene)
-        == """\
-format: hplan-scene/1
-name: table-1
-start:
-  joints_deg: [0.0, 0.0, 0.0, 0.0]
-goal:
-  joints_deg: [0.0, 45.0, 60.0, 70.0]
-locked_joints: [base_yaw]
-clearance: 0.0
-obstacles:
-- kind: sphere
-  name: ball
-  center: [1.0, 0.0, 1.9]
-  radius: 0.15
-fruits: []
-"""
-    )
-
-
 def test_save_and_load(scene, tmp_path):
     assert load_scene(save_scene(scene, tmp_path / "scene.yaml")) == scene
     with pytest.raises(OutputError, match="No such file"):
@@ -219,52 +179,21 @@ BAD_CONTENT = {
         "obstacles[1].centre",
         "unknown key",
     ),
-    "unknown key before bad values": ("clearance: -1\ncolour: red\n", 6, "colour", "unknown key"),
     "NaN": ("clearance: .nan\n", 5, "clearance", "finite number (got nan)"),
-    "infinity": ("clearance: -.INF\n", 5, "clearance", "finite number (got -inf)"),
-    "too large for a float": ("clearance: 1e400\n", 5, "clearance", "finite number (got inf)"),
-    "a huge whole number": (f"clearance: {'1' * 400}\n", 5, "clearance", "valid number (got 111"),
-    "negative clearance": ("clearance: -0.01\n", 5, "clearance", "greater than or equal to 0 (got -0.01)"),
     "a coordinate of 1e308": (
         obstacle("name: b, kind: sphere, center: [0, -1e308, 0], radius: 1"),
         7,
         "obstacles[1].center[1]",
         "greater than or equal to -10000 (got -1e+308)",
     ),
-    "a size of 1e200": (
-        obstacle("name: b, kind: box, center: [0, 0, 0], size: [1, 1, 1e200]"),
-        7,
-        "obstacles[1].size[2]",
-        "less than or equal to 10000 (got 1e+200)",
-    ),
-    "a radius beyond the limit": (
-        "fruits:\n  - {name: f, center: [1, 0, 1], radius: 10000.1}\n",
-        6,
-        "fruits[0].radius",
-        "less than or equal to 10000 (got 10000.1)",
-    ),
-    "a clearance of 1e308": ("clearance: 1e308\n", 5, "clearance", "less than or equal to 10000"),
     "text for a number": ("clearance: wide\n", 5, "clearance", "valid number (got 'wide')"),
-    "quoted number": ("clearance: '1'\n", 5, "clearance", "valid number (got '1')"),
-    "truth for a number": ("clearance: true\n", 5, "clearance", "valid number (got True)"),
-    "list for a number": ("clearance: [1]\n", 5, "clearance", "valid number (got [1])"),
-    "nothing for a number": ("clearance:\n", 5, "clearance", "valid number (got None)"),
-    "nothing for a list": ("obstacles:\n", 5, "obstacles", "should be a list (got None)"),
-    "mapping for a list": ("obstacles: {a: 1}\n", 5, "obstacles", "should be a list"),
     "text for a list": ("locked_joints: base_yaw\n", 5, "locked_joints", "should be a list (got 'base_yaw')"),
     "number for a name": ("locked_joints:\n  - base_yaw\n  - 3\n", 7, "locked_joints[1]", "should be text (got 3)"),
-    "number for an obstacle": ("obstacles:\n  - 3\n", 6, "obstacles[0]", "should be a mapping of keys (got 3)"),
     "negative radius": (
         obstacle("name: b, kind: sphere, center: [0, 0, 0], radius: -1"),
         7,
         "obstacles[1].radius",
         "than 0 (got -1)",
-    ),
-    "radius of zero": (
-        obstacle("name: b, kind: capsule, from: [0, 0, 0], to: [0, 0, 1], radius: 0"),
-        7,
-        "obstacles[1].radius",
-        "than 0",
     ),
     "too few values": (
         obstacle("name: b, kind: sphere, center: [0, 0], radius: 1"),
@@ -272,23 +201,11 @@ BAD_CONTENT = {
         "obstacles[1].center",
         "too few values",
     ),
-    "too many values": (
-        obstacle("name: b, kind: sphere, center: [0, 0, 0, 0], radius: 1"),
-        7,
-        "obstacles[1].center",
-        "list should have at most 3 items, not 4 (got [0, 0, 0, 0])",
-    ),
     "one bad value": (
         "obstacles:\n  - name: b\n    kind: box\n    size: [1, 1, 1]\n    center:\n      - 0\n      - x\n      - 0\n",
         11,
         "obstacles[0].center[1]",
         "valid number (got 'x')",
-    ),
-    "flat box": (
-        obstacle("name: b, kind: box, center: [0, 0, 0], size: [1, 0, 1]"),
-        7,
-        "obstacles[1].size[1]",
-        "greater than 0",
     ),
     "missing key": (
         obstacle("name: b, kind: capsule, from: [0, 0, 0], radius: 1"),
@@ -296,20 +213,12 @@ BAD_CONTENT = {
         "obstacles[1].to",
         "this key is missing",
     ),
-    "missing kind": (
-        obstacle("name: b, radius: 1"),
-        7,
-        "obstacles[1]",
-        "missing: kind (sphere, capsule, cylinder, box, mesh or points)",
-    ),
     "unknown kind": (
         obstacle("name: b, kind: cone"),
         7,
         "obstacles[1].kind",
         "kind is 'cone', expected one of 'sphere', 'capsule', 'cylinder', 'box'",
     ),
-    "kind that is a list": (obstacle("name: b, kind: [1]"), 7, "obstacles[1].kind", "expected one of 'sphere'"),
-    "empty name": (obstacle("name: '', kind: box"), 7, "obstacles[1].name", "at least 1 character"),
     "same name twice": (
         obstacle("name: ball, kind: sphere, center: [0, 0, 0], radius: 1"),
         7,
@@ -343,15 +252,9 @@ def test_bad_content(case):
     ("line", "text", "where", "message"),
     [
         (1, "format: hplan-scene/2", "format", "'hplan-scene/1' (got 'hplan-scene/2')"),
-        (2, "name: 3", "name", "should be text (got 3)"),
         (3, "start: {}", "start", "give exactly one of joints_deg, joints_rad; got none"),
-        (3, "start: {joints_deg: [0], joints_rad: [0]}", "start", "got joints_deg, joints_rad"),
-        (3, "start: [0, 0, 0, 0]", "start", "should be a mapping of keys (got [0, 0, 0, 0])"),
-        (3, "start: {fruit: f}", "start.fruit", "unknown key"),
         (3, "start: {joints_deg: [0, x]}", "start.joints_deg[1]", "valid number (got 'x')"),
-        (4, "goal: {position: [1, 2]}", "goal.position", "too few values"),
         (4, "goal: {fruit: plum}", "goal.fruit", "'plum' is not among the fruits"),
-        (4, "goal: {fruit: f, position: [0, 0, 0]}", "goal", "exactly one of"),
     ],
 )
 def test_bad_head(line, text, where, message):
@@ -363,13 +266,6 @@ def test_bad_head(line, text, where, message):
     assert (caught.value.where, caught.value.line) == (where, line)
 
 
-@pytest.mark.parametrize("key", ["name", "start", "goal"])
-def test_missing_key(key):
-    text = "".join(line for line in HEAD.splitlines(keepends=True) if not line.startswith(key))
-    with pytest.raises(SceneError, match=f"{key}: this key is missing"):
-        parse_scene(text)
-
-
 # Text that is no scene at all
 
 
@@ -377,36 +273,18 @@ def test_missing_key(key):
     ("text", "line", "message"),
     [
         ("", None, "expected a mapping"),
-        ("# only a comment\n", None, "expected a mapping"),
-        ("- a\n- b\n", None, "expected a mapping"),
         ("just text", None, "expected a mapping"),
         (f"{HEAD}name: again\n", 5, "key 'name' stands on line 2 already"),
         (f"{HEAD}obstacles:\n  - {{name: a, name: b}}\n", 6, "key 'name' stands on line 6 already"),
-        (f"{HEAD}  indented: wrongly\n", 5, "malformed YAML"),
         (f"{HEAD}obstacles: [1, 2\n", 6, "malformed YAML"),
-        (f"{HEAD}\tname: tab\n", 5, "malformed YAML"),
         (f"{HEAD}---\n{HEAD}", 5, "but found another document"),
-        (f"{HEAD}3: key\n", 5, "a key must be text"),
         (f"{HEAD}[1, 2]: key\n", 5, "a key must be text"),
-        (f"{HEAD}? {{a: b}}\n: key\n", 5, "a key must be text"),
         (f"{HEAD}x: !!python/object/apply:os.system ['true']\n", 5, "python/object/apply:os.system' is not allowed"),
-        (f"{HEAD}x: !!timestamp abc\n", 5, "timestamp' is not allowed"),
-        (f"{HEAD}x: !!binary '%'\n", 5, "binary' is not allowed"),
-        (f"{HEAD}x: !!set {{a}}\n", 5, "set' is not allowed"),
-        (f"{HEAD}x: !mine 3\n", 5, "'!mine' is not allowed"),
         (f"{HEAD}x: !!int abc\n", 5, "'abc' cannot be read as int"),
-        (f"{HEAD}x: !!bool abc\n", 5, "'abc' cannot be read as bool"),
-        (f"{HEAD}x: !!float [1]\n", 5, "malformed YAML"),
-        (f"{HEAD}x: !!str [1]\n", 5, "malformed YAML"),
-        (f"{HEAD}x: !!map [1]\n", 5, "malformed YAML"),
-        (f"{HEAD}x: !!seq {{a: 1}}\n", 5, "malformed YAML"),
         (f"{HEAD}x: {'1' * 5000}\n", 5, "cannot be read as int"),
         (f"{HEAD}x: &a [*a]\n", 5, "alias *a stands in what it repeats"),
         (f"{HEAD}x: *b\n", 5, "undefined alias 'b'"),
-        (f"{HEAD}x: {{<<: 3}}\n", 5, "<< takes a mapping"),
         (f"{HEAD}x: {'[' * 5000}\n", None, "nested too deeply"),
-        (f"{HEAD}x: {'{a: ' * 5000}\n", None, "nested too deeply"),
-        (f"{HEAD}x: {'[' * 5000}{']' * 5000}\n", None, "nested too deeply"),
         (f'{HEAD}x: "\\ud83c"\n', 5, "half a character"),
         (f"{HEAD}x: \x01\n", None, "cannot stand in YAML"),
     ],

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -40,12 +38,6 @@ def test_a_scene_file_has_a_largest_size(tmp_path, monkeypatch):
     for read in (lambda: load_scene(path), lambda: parse_scene(HEAD + "#")):
         with pytest.raises(SceneError, match="at most"):
             read()
-
-
-@pytest.mark.skipif(not Path("/dev/zero").exists(), reason="a device without end")
-def test_a_device_without_end_is_refused():
-    with pytest.raises(SceneError, match="at most 8,000,000 are read"):
-        load_scene("/dev/zero")
 
 
 def test_a_scene_has_a_largest_number_of_obstacles():

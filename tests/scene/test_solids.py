@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from shapes import ball, distances, uncovered
 
-from hplan.scene.solids import HULL_VERTICES, LEAF, MERGE_ERROR, Cloud, hull_of
+from hplan.scene.solids import HULL_VERTICES, MERGE_ERROR, Cloud, hull_of
 
 
 def test_hull_of_a_block():
@@ -24,12 +24,6 @@ def test_hull_of_a_block():
     assert sorted(np.linalg.norm(hull.edges[:, 3:], axis=1)) == [1] * 4 + [2] * 4 + [3] * 4
     assert not hull.core.flags.writeable
     assert not hull.planes.flags.writeable
-
-
-def test_points_in_a_plane_have_no_hull():
-    flat = np.column_stack([np.random.default_rng(0).uniform(0, 1, (9, 2)), np.zeros(9)])
-    with pytest.raises(ValueError, match="one plane"):
-        hull_of(flat)
 
 
 @pytest.mark.parametrize("most", [14, 40, HULL_VERTICES])
@@ -74,32 +68,3 @@ def test_balls_after_merging_hold_those_before(seed, count, size):
     if size == 1.0:
         assert growth == 0.0
         assert sorted(map(tuple, cloud.core)) == sorted(map(tuple, points))
-
-
-def test_points_that_are_one_are_one_ball():
-    cloud = Cloud.of("cloud", np.repeat([[1.0, 2.0, 3.0], [0.0, 0.0, 0.0]], 100, axis=0), 0.01)
-    assert sorted(cloud.core.tolist()) == [[0, 0, 0], [1, 2, 3]]
-    assert cloud.rounding == 0.01
-
-
-@pytest.mark.parametrize("count", [1, 2, LEAF, LEAF + 1, 1000])
-def test_tree(count):
-    cloud = Cloud.of("cloud", np.random.default_rng(count).uniform(0, 1, (count, 3)), 0.01)
-    first, last, after = cloud.tree[:, :3].astype(int).T
-    assert (first[0], last[0], after[0]) == (0, count, len(cloud.tree))
-    reached, node = [], 0
-    while node < len(cloud.tree):  # by leaves only
-        inside = cloud.core[first[node] : last[node]]
-        distance = np.linalg.norm(inside - cloud.tree[node, 3:6], axis=1)
-        assert distance.max() <= cloud.tree[node, 6] * (1 + 1e-12)
-        if after[node] == node + 1:
-            assert len(inside) <= LEAF
-            reached += range(first[node], last[node])
-        else:
-            # The first child ends where the second begins, and with it ends all below the node.
-            second = after[node + 1]
-            assert (first[node + 1], last[second]) == (first[node], last[node])
-            assert last[node + 1] == first[second]
-            assert after[second] == after[node]
-        node += 1
-    assert reached == list(range(count))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import math
 
 import numpy as np
 import pytest
@@ -11,7 +10,6 @@ from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
-from hplan.errors import InputError, OptionError
 from hplan.trajectory.corner_rounding import largest_deviation, rounded_path
 
 
@@ -97,15 +95,3 @@ def test_waypoints_in_line_and_noise_are_left_out():
 def test_equal_waypoints_are_a_constant_path():
     path = rounded_path([[1.0, 2.0]] * 3, 0.1)
     np.testing.assert_array_equal(path.evaluate([0.0, 0.5, 1.0]), [[1.0, 2.0]] * 3)
-
-
-@pytest.mark.parametrize("points", [[], [[]], [1.0, 2.0], [[1.0], [1.0, 2.0]], "ab", [[0.0], [math.nan]]])
-def test_bad_waypoints(points):
-    with pytest.raises(InputError, match="waypoint"):
-        rounded_path(points, 0.1)
-
-
-@pytest.mark.parametrize("deviation", [0.0, 1e-5, -1.0, math.nan, math.inf])
-def test_bad_deviation(deviation):
-    with pytest.raises(OptionError, match="deviation_rad"):
-        rounded_path([[0.0]], deviation)

@@ -9,8 +9,7 @@ import pinocchio as pin
 import pytest
 from toy_urdf import LIMIT, urdf
 
-from hplan.errors import InputError, JointLimitError, RobotFileError
-from hplan.robot.files import read_models
+from hplan.errors import InputError, JointLimitError
 from hplan.trajectory import time_waypoints
 from hplan.trajectory.machine import ENDLESS, limits_of, read_machine
 
@@ -56,12 +55,6 @@ def test_limits_that_the_urdf_does_not_give(load):
     assert limits_of(machine.model, 5.0, torque=False).torque is None
 
 
-@pytest.mark.parametrize("value", [math.nan, -1.0, [1.0, -2.0]])
-def test_limits_out_of_range(toy, value):
-    with pytest.raises(InputError, match="acceleration limit is"):
-        limits_of(toy.model, value)
-
-
 @pytest.mark.parametrize("kind", ["floating", "planar"])
 def test_joint_of_several_coordinates_is_refused_and_can_stay(load, kind):
     joints = (f'<joint name="base" type="{kind}">', f'<joint name="a" type="revolute">{LIMIT}')
@@ -91,11 +84,6 @@ def test_what_mimics_a_held_joint_follows_it(load):
         load(*joints, hold={"other": 0.4})
 
 
-def test_a_continuous_joint_that_stands_needs_no_limits(load):
-    machine = load('<joint name="a" type="continuous">', f'<joint name="b" type="revolute">{LIMIT}', joints=["b"])
-    assert (machine.joint_names, machine.held) == (("b",), {"a": 0.0})
-
-
 def test_held_joints_stand_where_told(load):
     wide, narrow = LIMIT, LIMIT.replace('lower="-3"', 'lower="0.5"')
     joints = [f'<joint name="a" type="revolute">{wide}', f'<joint name="b" type="revolute">{narrow}']
@@ -113,43 +101,3 @@ def test_held_joints_stand_where_told(load):
             load(*joints, joints=[name])
     with pytest.raises(InputError, match="no joint is to move"):
         load(*joints, joints=[])
-
-
-def test_link_and_joint_of_one_name(write):
-    machine = read_machine(write("toy.urdf", urdf(chain=("l2", "l1"))), joints=["l1"])
-    assert machine.joint_names == ("l1",)
-    assert machine.held == {"l2": 0.0}
-
-
-def test_what_programs_add_to_robots_of_others_may_stay(write):
-    """As in the URDFs of the Panda, ANYmal, PR2 and SO-101."""
-    text = urdf().replace("<limit", '<dynamics damping="1" D="1"/><limit gear_velocity="5"')
-    text = text.replace('<link name="l0"/>', '<link name="l0"><self_filter/><origin/><sensor/></link>')
-    text = text.replace('ixx="0.01"', 'ixx="0.5"')
-    machine = read_machine(write("others.urdf", text))
-    assert machine.model.inertias[1].inertia[0, 0] == 0.5
-    with pytest.raises(RobotFileError, match="<self_filter> in <link> means nothing"):
-        read_models(write("ours.urdf", text))
-
-
-@pytest.mark.parametrize(
-    ("text", "reason"),
-    [
-        (None, "No such file"),
-        ("<robot", "malformed XML"),
-        ("<sdf/>", "root element is <sdf>"),
-        (urdf().replace('name="b"', 'name="a"'), "'a' is defined twice"),
-        (urdf().replace("<limit", "<limits"), "line 1: joint 'a': <limits> in <joint> means nothing"),
-        (urdf().replace('<child link="l2"/>', '<child link="l1"/>'), "Pinocchio refuses it"),
-        (urdf().replace('lower="-3"', 'lower="-3,0"'), "lower of <limit> is '-3,0', expected a finite number"),
-        (urdf().replace('<mass value="1"/>', '<mass value="1_0"/>'), "value of <mass> is '1_0'"),
-        (urdf().replace('xyz="0.4 0 0"', 'xyz="0.4 0"'), "xyz of <origin> is '0.4 0', expected 3 finite numbers"),
-        (urdf().replace("<mass", "<Mass"), "<Mass> in <inertial> means nothing"),
-        (urdf().replace("<origin xyz", "<origin xzy"), "xzy of <origin> means nothing"),
-        (urdf().replace('"b"', '"b&#10;c"'), "is called 'b\\\\nc'"),
-    ],
-)
-def test_bad_robot_file(tmp_path, write, text, reason):
-    path = tmp_path / "none.urdf" if text is None else write("bad.urdf", text)
-    with pytest.raises(RobotFileError, match=reason):
-        read_machine(path)

@@ -12,14 +12,7 @@ from toy_urdf import urdf
 
 from hplan.errors import InputError, JointLimitError, OptionError, TimingError
 from hplan.robot.limits import Limits
-from hplan.trajectory import (
-    largest_deviation,
-    limit_shares,
-    limits_of,
-    read_machine,
-    read_waypoints,
-    time_waypoints,
-)
+from hplan.trajectory import largest_deviation, limit_shares, limits_of, read_machine, read_waypoints, time_waypoints
 from hplan.trajectory.trajectory import read_csv
 
 SCRIPT = Path(__file__).resolve().parents[2] / "scripts" / "time_waypoints.py"
@@ -59,14 +52,6 @@ def test_bad_csv(write, text, reason):
     with pytest.raises(InputError, match=reason) as caught:
         read_waypoints(write("w.csv", text), ("a", "b"))
     assert caught.value.data["line"] >= 1
-
-
-def test_unreadable_csv(tmp_path):
-    with pytest.raises(InputError, match="No such file"):
-        read_waypoints(tmp_path / "none.csv", ("a",))
-    (tmp_path / "w.csv").write_bytes(b"a\n\xff\n")
-    with pytest.raises(InputError, match="not UTF-8"):
-        read_waypoints(tmp_path / "w.csv", ("a",))
 
 
 # The motion
@@ -131,18 +116,6 @@ def test_speed_scales_the_duration(toy):
         time_waypoints(toy.model, CORNERS, limits, speed=1.5)
 
 
-@pytest.mark.parametrize("deviation", [0.0, 1e-5, -1.0, math.nan, math.inf])
-def test_bad_deviation(toy, deviation):
-    with pytest.raises(OptionError, match="deviation_rad"):
-        time_waypoints(toy.model, [[0, 0]], limits_of(toy.model, 1.0), deviation_rad=deviation)
-
-
-@pytest.mark.parametrize("rate", [0.0, math.nan, 1e6])
-def test_bad_rate(toy, rate):
-    with pytest.raises(OptionError, match="rate_hz"):
-        time_waypoints(toy.model, CORNERS, limits_of(toy.model, 4.0), rate_hz=rate)
-
-
 @pytest.mark.parametrize("waypoints", [[[0.3, 0.2]], [[0.3, 0.2]] * 4, [[0.3, 0.2], [0.3, 0.2 + 1e-9]]])
 def test_no_motion_is_an_empty_motion(toy, waypoints):
     motion = time_waypoints(toy.model, waypoints, limits_of(toy.model, 0.0))
@@ -172,18 +145,6 @@ def test_waypoint_outside_the_joint_limits(toy):
     with pytest.raises(JointLimitError, match=r"waypoint 3: joint 'b' is at 3\.5 rad") as caught:
         time_waypoints(toy.model, [[0, 0], [1, 1], [0, 3.5]], limits_of(toy.model, 1.0))
     assert (caught.value.which, caught.value.joint) == ("waypoint 3", "b")
-
-
-def test_wrong_number_of_joints(toy):
-    with pytest.raises(InputError, match="3 values each, expected 2"):
-        time_waypoints(toy.model, [[0, 0, 0]], limits_of(toy.model, 1.0))
-
-
-def test_model_with_a_continuous_joint_of_pinocchio(write):
-    path = write("c.urdf", urdf('<joint name="spin" type="continuous"><limit velocity="2" effort="60"/>'))
-    model = pin.buildModelFromUrdf(str(path))
-    with pytest.raises(InputError, match=r"'spin' .* has 2 coordinates and 1 velocities"):
-        time_waypoints(model, [[1.0, 0.0]], limits_of(model, 1.0))
 
 
 @pytest.mark.parametrize(
@@ -238,23 +199,6 @@ def test_script_writes_the_csv(script, capsys, files, tmp_path):
     assert read_csv(tmp_path / "o2.csv").duration == pytest.approx(motion.duration, rel=0.1)
 
 
-def test_script_takes_limits_from_files(script, capsys, files, write, tmp_path):
-    out = tmp_path / "o.csv"
-    text = "format: hplan-limits/1\nacceleration_rad_s2: {a: 4.0, b: 2.0}\njerk_rad_s3: {a: 90.0, b: 90.0}\n"
-    beside, elsewhere = write("toy.limits.yaml", text), write("other.yaml", text)
-    assert run(script, capsys, *files, "--out", out)[0] == 0
-    first = out.read_bytes()
-    beside.unlink()
-    assert run(script, capsys, *files, "--limits", elsewhere, "--out", out)[0] == 0
-    assert out.read_bytes() == first
-    # A file for all joints serves those that move.
-    arguments = ("--limits", elsewhere, "--joints", "b", "--hold", "a=0.3", "--out", out)
-    status, text, _ = run(script, capsys, *files, *arguments)
-    assert status == 0
-    assert "a at 0.3 rad" in text
-    assert np.abs(read_csv(out).acceleration).max() <= 2.001
-
-
 @pytest.mark.parametrize(
     ("arguments", "status", "reason"),
     [
@@ -297,17 +241,6 @@ def test_a_robot_by_its_name_has_its_own_limits(script, capsys, write, tmp_path)
     assert (tmp_path / "a.csv").read_bytes() == (tmp_path / "b.csv").read_bytes()
     assert run(script, capsys, "harvester", rows, "--out", tmp_path / "c.csv", "--quiet", "--limits", "ur5")[0] == 2
     assert run(script, capsys, "harvestr", rows, "--out", tmp_path / "c.csv", "--quiet")[0] == 2
-
-
-def test_script_without_torque_limits(script, capsys, files, tmp_path):
-    files[0].write_text(urdf().replace('effort="60"', 'effort="0"'))
-    arguments = (*files, "--acceleration", 4, "--out", tmp_path / "o.csv")
-    status, _, text = run(script, capsys, *arguments)
-    assert status == 4
-    assert "torque limit is 0" in text
-    status, text, _ = run(script, capsys, *arguments, "--no-torque")
-    assert status == 0
-    assert "torque is not limited" in text
 
 
 # Robots of others

@@ -172,23 +172,6 @@ def test_what_is_far_is_left_out(arm: Robot, solids: list[Solid]) -> None:
     assert (clear >= all_clear - 1e-12).all()
 
 
-def test_the_last_joint_may_touch_what_is_spared(arm: Robot) -> None:
-    fruit = Sphere(name="fruit", center=(0.0, 0.0, 0.0), radius=0.05)
-    q = np.array([0.3, 0.5, 0.4, -0.3, 0.5, 0.2])
-    bodies = collision_bodies(arm)
-    data = arm.model.createData()
-    pin.forwardKinematics(arm.model, data, q)
-    last = next(body for body in bodies if body.joint == arm.dof - 1)
-    centre = data.oMi[arm.dof] * last.core.mean(axis=0)
-    field = ClearanceField.of(arm, [fruit.model_copy(update={"center": tuple(centre)})])
-    assert field.clearance(q) < -0.05
-    spared = field.sparing(np.array([True]))
-    found, before = spared.link_clearances(q), field.link_clearances(q)
-    carried = np.array([body.joint == arm.dof - 1 for body in bodies])
-    assert (found[: len(bodies)][carried] == FAR).all()
-    assert found[: len(bodies)][~carried] == pytest.approx(before[: len(bodies)][~carried])
-
-
 @given(SEEDS)
 @settings(max_examples=25)
 def test_gradients_are_those_of_differences(arm: Robot, solids: list[Solid], seed: int) -> None:

@@ -8,14 +8,13 @@ import math
 
 import numpy as np
 import pytest
-from arm_variants import VARIANTS, axis_points, coal_distances, link_axes, load_variant, random_obstacles
-from shapes import torus
+from arm_variants import VARIANTS, coal_distances, link_axes, load_variant, random_obstacles
 
 from hplan.collision import obstacle_rows
 from hplan.collision.clearance_field import ClearanceField
-from hplan.collision.clearance_kernels import motion_bounds, segment_is_clear
+from hplan.collision.clearance_kernels import motion_bounds
 from hplan.collision.coal_scene import CoalScene
-from hplan.scene.obstacles import Box, Capsule, Cylinder, Mesh, PointCloud, Sphere
+from hplan.scene.obstacles import Box, Capsule, Cylinder, Sphere
 from hplan.scene.solids import Cloud, hull_of
 
 #: Where signed distances are this near to zero, either side may call it contact [m].
@@ -53,14 +52,6 @@ def test_clearances_are_those_of_coal(variant):
     assert contacts > 0
 
 
-@pytest.mark.parametrize("kind", range(3))
-def test_each_obstacle_by_itself(robot, kind):
-    rng = np.random.default_rng(10 + kind)
-    for _ in range(30):
-        obstacle = random_obstacles(rng, 3)[kind]
-        assert_clearances_match(robot, [obstacle], rng.uniform(robot.lower, robot.upper, (4, 4)))
-
-
 def random_hull(rng, index, count=12):
     points = rng.normal(size=(count, 3)) * rng.uniform(0.02, 0.3, 3)
     name, place = f"h{index}", rng.uniform([-1.2, -1.2, 0.0], [1.2, 1.2, 1.6])
@@ -94,24 +85,6 @@ def test_hulls_are_those_of_coal(variant, count):
     assert free > 50
 
 
-def test_hull_by_hand(robot):
-    """A block as a hull is the block: above, beside, beyond the tip, pierced, about the whole link, grown."""
-    for center, size in (
-        ((0.5, 0, 1.0), (0.2, 0.2, 0.2)),
-        ((1.6, 0.4, 0.6), (0.1, 0.2, 0.1)),
-        ((2.5, 0, 0.6), (0.2, 0.2, 0.2)),
-        ((2.5, 0.4, 0.9), (0.2, 0.2, 0.2)),
-        ((0.5, 0, 0.6), (0.1, 0.3, 0.3)),
-        ((0.5, 0, 0.6), (2.0, 0.3, 0.3)),
-    ):
-        box = Box(name="b", center=center, size=size)
-        for rounding in (0.0, 0.03):
-            hull = dataclasses.replace(hull_of(box.core), rounding=rounding)
-            found = ClearanceField.of(robot, [hull]).link_clearances(np.zeros(4))
-            expected = ClearanceField.of(robot, [box]).link_clearances(np.zeros(4)) - rounding
-            np.testing.assert_allclose(found, expected, atol=1e-9)
-
-
 @pytest.mark.parametrize("count", [1, 2, 17, 2000])
 def test_clouds_ball_by_ball(variant, count):
     rng = np.random.default_rng(count)
@@ -141,19 +114,6 @@ def test_all_kinds_together(robot):
         for row, index in zip(field.solids, field.owner, strict=True):
             reach = np.linalg.norm(solids[index].core - row[2:5], axis=1).min()
             assert reach <= row[5]
-
-
-def test_meshes_and_points_of_a_scene(robot, scene):
-    ring = Mesh.of("ring", *torus(n=12), position=(1.2, 0.2, 1.0), rpy_deg=(90, 0, 0))
-    canopy = PointCloud.of("canopy", np.random.default_rng(0).uniform(-0.3, 0.3, (300, 3)), 0.01, position=(1, 0, 1.9))
-    solids = scene.with_obstacles([ring, canopy]).solids
-    field, checker = ClearanceField.of(robot, solids), CoalScene(robot, solids)
-    for q in np.random.default_rng(1).uniform(robot.lower, robot.upper, (40, 4)):
-        expected = checker.distances(q).min(axis=1)
-        np.testing.assert_allclose(np.maximum(field.link_clearances(q), 0), np.maximum(expected, 0), atol=1e-6)
-    path = np.array([[0, 0, 0, 0], [0, 1.0, 0, 0]])
-    assert not field.is_clear(path, 1e-3)
-    assert ClearanceField.of(robot, canopy.solids).is_clear(path * 0.1, 1e-3)
 
 
 def test_cylinders_from_outside(robot):
@@ -196,14 +156,6 @@ def test_links_in_line_with_and_across_obstacles(robot):
     np.testing.assert_allclose(field.link_clearances(flat), ends - 0.05 - robot.arm.half_widths, atol=1e-12)
 
 
-def test_depth_in_balls_is_exact(robot):
-    """Penetration of a ball whose centre is beside a link's axis, by the closed form."""
-    for depth in (1e-4, 0.02, 0.06):
-        ball = Sphere(name="ball", center=(0.4, 0.03, 0.6 + 0.04), radius=depth)
-        expected = 0.05 - 0.05 - depth
-        assert ClearanceField.of(robot, [ball]).link_clearances(np.zeros(4))[0] == pytest.approx(expected, abs=1e-12)
-
-
 def test_nearest_of_many_is_not_culled(robot):
     """A wire far longer than the others has its middle far away; big obstacles hide small ones."""
     rng = np.random.default_rng(4)
@@ -213,21 +165,6 @@ def test_nearest_of_many_is_not_culled(robot):
         obstacles = [wall, wire, *random_obstacles(rng, 30)]
         rng.shuffle(obstacles)
         assert_clearances_match(robot, obstacles, rng.uniform(robot.lower, robot.upper, (3, 4)))
-
-
-@pytest.mark.parametrize("clearance", [0.0, 0.013, 0.3])
-def test_obstacles_grown_by_the_clearance_to_keep(robot, clearance):
-    rng = np.random.default_rng(5)
-    obstacles = random_obstacles(rng)
-    plain, grown = ClearanceField.of(robot, obstacles), ClearanceField.of(robot, obstacles, clearance=clearance)
-    for q in rng.uniform(robot.lower, robot.upper, (20, 4)):
-        np.testing.assert_allclose(grown.link_clearances(q), plain.link_clearances(q) - clearance, atol=1e-12)
-
-
-def test_without_obstacles(robot):
-    field = ClearanceField.of(robot, [])
-    assert field.clearance(np.zeros(4)) == np.inf
-    assert field.is_clear(np.array([np.zeros(4), np.ones(4)]), 1e9)
 
 
 def crowd(rng):
@@ -310,18 +247,6 @@ def test_near_a_motion_the_field_is_the_whole_one(robot):
     assert nearer > 100
 
 
-def test_near_a_single_configuration(robot):
-    far = Sphere(name="far", center=(-1.0, 0, 1.5), radius=0.1)
-    close = Sphere(name="close", center=(1.0, 0, 0.8), radius=0.1)
-    field = ClearanceField.of(robot, [far, close])
-    assert field.near(np.zeros((1, 4)), 0.2).owner.tolist() == [1]
-    assert field.near(np.zeros((1, 4)), 5.0).owner.tolist() == [0, 1]
-    assert field.near(np.zeros((1, 4)), 0.01).clearance(np.zeros(4)) == np.inf
-    sweep = np.array([[0.0, 0, 0, 0], [3.0, 0, 0, 0]])
-    aside = Sphere(name="aside", center=(0, 1.5, 0.6), radius=0.1)
-    assert ClearanceField.of(robot, [aside]).near(sweep, 0.1).owner.size == 1
-
-
 def test_near_looks_where_a_link_beside_the_plane_is(robot):
     aside = robot.with_arm(dataclasses.replace(robot.arm, lateral=np.array([0.0, 0.0, 0.5])))
     balls = [Sphere(name=f"b{y}", center=(2.0, y, 0.6), radius=0.05) for y in (0.0, -0.5)]  # the normal is -y
@@ -354,18 +279,6 @@ def test_no_axis_point_moves_farther_than_the_bound(variant):
             assert (farthest <= t * bounds + 1e-12).all()
             closest = max(closest, (farthest / np.maximum(t * bounds, 1e-12)).max())
     assert closest > 0.5
-
-
-def test_bounds_are_tight_for_a_stretched_arm(robot):
-    """A small turn of the shoulder, and one of the yaw, move the tool by what the bound says."""
-    field = ClearanceField.of(robot, [])
-    for joint in (0, 1):
-        turns = np.zeros(4)
-        turns[joint] = 1e-3
-        moved = np.linalg.norm(axis_points(robot, turns) - axis_points(robot, np.zeros(4)), axis=1)[1:]
-        np.testing.assert_allclose(bounds_of(field, turns), moved, rtol=1e-5)
-    np.testing.assert_allclose(bounds_of(field, [0, 0.2, -0.2, 0]), [0.2, 0.2, 0.2], rtol=1e-14)
-    np.testing.assert_allclose(bounds_of(field, [-0.1, 0, 0, 0.5]), [0.1, 0.18, 0.42], rtol=1e-14)
 
 
 # Motions shown clear
@@ -418,14 +331,6 @@ def test_contact_for_a_moment_is_refused(robot):
             assert field.is_clear([end, start], 0.5e-4) is clear
 
 
-def test_yaw_sweeps_into_an_obstacle(robot):
-    post = Capsule(name="post", start=(1.0, 1.0, 0), end=(1.0, 1.0, 2), radius=0.02)
-    field = ClearanceField.of(robot, [post])
-    assert field.is_clear([[0, 0.1, 0, 0], [0.7, 0.1, 0, 0]], 1e-3)
-    assert not field.is_clear([[0, 0.1, 0, 0], [1.6, 0.1, 0, 0]], 1e-3)
-    assert field.is_clear([[0, 1.5, 0.2, 0], [1.6, 1.5, 0.2, 0]], 1e-3)
-
-
 def test_every_segment_of_a_path_counts(robot):
     obstacle = Sphere(name="ball", center=(1.0, 0.0, 1.9), radius=0.15)
     field = ClearanceField.of(robot, [obstacle])
@@ -439,39 +344,11 @@ def test_every_segment_of_a_path_counts(robot):
     assert not field.is_clear(blocked[[1, 1]] * [0, 0.62, 0, 0], 1e-3)  # standing in contact
 
 
-def test_margin_is_asked_for(robot):
-    ball = Sphere(name="ball", center=(1.5, 0, 1.0), radius=0.1)
-    field = ClearanceField.of(robot, [ball])
-    path = np.array([[0, 0, 0, 0], [0, 0.05, 0, 0]])
-    least = min(field.clearance(q) for q in np.linspace(*path, 500))
-    assert field.is_clear(path, least - 1e-9)
-    assert not field.is_clear(path, least + 1e-5)
-    assert segment_is_clear(path[0], path[1], field.arrays, least - 1e-9)
-
-
 @pytest.mark.parametrize("joint", [0, 1, 3])
 def test_motion_that_is_not_a_number_is_not_clear(robot, scene, joint):
     path = np.radians([[0.0, 0, 0, 0], [0, 10, 0, 0]])
     path[1, joint] = np.nan
     assert not ClearanceField.of(robot, scene.solids).is_clear(path, 1e-3)
-
-
-def test_the_last_link_may_touch_some(robot):
-    """As a field for each link: the last one's does not know what it may touch, those of the others do."""
-    rng = np.random.default_rng(5)
-    for _ in range(6):
-        cloud = Cloud.of("cloud", rng.uniform([0.6, -0.5, 0.5], [1.6, 0.5, 1.5], (200, 3)), 0.01)
-        solids = [*random_obstacles(rng, 2), cloud, random_hull(rng, 0)]
-        solids = [solids[i] for i in rng.permutation(len(solids))]
-        touched = rng.random(len(solids)) < 0.4
-        field = ClearanceField.of(robot, solids, clearance=0.01)
-        spared, without = field.sparing(touched), field.only(~touched)
-        near = spared.near(rng.uniform(robot.lower, robot.upper, (4, 4)), 10.0)
-        for q in rng.uniform(robot.lower, robot.upper, (30, 4)):
-            expected = np.append(field.link_clearances(q)[:-1], without.link_clearances(q)[-1])
-            np.testing.assert_array_equal(spared.link_clearances(q), expected)
-            np.testing.assert_array_equal(near.link_clearances(q), expected)
-            np.testing.assert_array_equal(spared.only(~touched).link_clearances(q), without.link_clearances(q))
 
 
 def test_many_solids_in_groups_are_those_in_none(robot, monkeypatch):

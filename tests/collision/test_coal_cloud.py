@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hplan.collision.coal_cloud import BareShape, PointBlocks, _lower_bounds, distance_from, local_box, obstacle_shape
+from hplan.collision.coal_cloud import BareShape, PointBlocks, _lower_bounds, distance_from, local_box
 from hplan.robot.base_shapes import coal_distance
 from hplan.scene.convex_shape import convex_hull_shape
 from hplan.scene.solids import CUBE_CORNERS, Cloud
@@ -71,26 +71,3 @@ def test_balls_hold_their_points_and_bound_distances_from_below():
         for (*centre, radius), bound in zip(blocks.balls.tolist(), bounds.tolist(), strict=True):
             at = pin.SE3(np.eye(3), np.array(centre))
             assert bound <= coal_distance(coal.Sphere(radius), at, shape, place) + 1e-6 or bound < 0.0
-
-
-def test_only_blocks_that_are_near_are_built():
-    points = np.random.default_rng(5).uniform(-1.0, 1.0, (6000, 3))
-    cloud = Cloud.of("cloud", points, 0.02)
-    blocks = PointBlocks.of(cloud)
-    assert PointBlocks.of(cloud) is blocks is obstacle_shape(cloud)
-    assert not blocks._trees
-    for shift in np.linspace(0.0, 0.2, 20):
-        blocks.distance(BareShape.of(SHAPES["capsule"]), pin.SE3(np.eye(3), np.array([2.0, shift, 0.0])))
-    assert 0 < len(blocks._trees) < 0.2 * len(blocks.balls)
-
-
-def test_points_in_no_order_are_put_into_one():
-    points = np.random.default_rng(5).uniform(-1.0, 1.0, (600, 3))
-    bare, cloud = Cloud("bare", points, 0.02, np.zeros((0, 7))), Cloud.of("cloud", points, 0.02)
-    place = pin.SE3(np.eye(3), np.array([0.0, 1.4, 0.0]))
-    found = PointBlocks.of(bare).distance(BareShape.of(SHAPES["box"]), place)
-    assert found == pytest.approx(PointBlocks.of(cloud).distance(BareShape.of(SHAPES["box"]), place), abs=1e-6)
-    np.testing.assert_allclose(
-        PointBlocks.of(bare).balls[:, 3].max(), PointBlocks.of(cloud).balls[:, 3].max(), rtol=0.5
-    )
-    np.testing.assert_array_equal(bare.core, points)

@@ -11,20 +11,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from arm_variants import VARIANTS, coal_distances, link_axes, load_variant, random_obstacles
-from shapes import torus
 from studies.planar_cspace import arm_sections, joint_grid
 from studies.validation.cspace import sampled_occupancy
 
 from hplan.base.data_files import urdf_dir
 from hplan.collision.coal_scene import CoalScene, base_contacts
-from hplan.errors import ConfigurationInCollisionError, OptionError
+from hplan.errors import ConfigurationInCollisionError
 from hplan.grid.occupancy import occupancy
 from hplan.planning.world import check_clear
 from hplan.robot.base_shapes import base_radius
 from hplan.robot.family import HARVESTER, write_robot
 from hplan.robot.model import load_robot
 from hplan.scene.convex_shape import convex_hull_shape
-from hplan.scene.obstacles import Box, Capsule, Cylinder, Mesh, Sphere
+from hplan.scene.obstacles import Box, Capsule, Cylinder, Sphere
 from hplan.scene.solids import Cloud, hull_of
 
 FLAT = np.zeros(4)
@@ -73,14 +72,10 @@ def test_distances_to_all_kinds(robot):
     ("obstacle", "expected"),
     [
         (Capsule(name="o", start=(0.2, 0, 1.0), end=(0.8, 0, 1.0), radius=0.1), [0.25, 0.0, 0.0]),
-        (Capsule(name="o", start=(0.5, -1, 1.0), end=(0.5, 1, 1.0), radius=0.1), [0.25, 0.0, 0.0]),
-        (Capsule(name="o", start=(0.5, 0.3, 0.6), end=(0.5, 0.3, 0.6), radius=0.1), [0.15, 0.0, 0.0]),
         (Box(name="o", center=(0.5, 0, 1.0), size=(0.2, 0.2, 0.2)), [0.25, 0.0, 0.0]),
         (Box(name="o", center=(0.5, 0, 1.0), size=(0.2, 0.2, 0.2), rpy_deg=(0, 45, 0)), [0.35 - 0.1 * 2**0.5]),
-        (Box(name="o", center=(0.5, 0, 1.0), size=(0.2, 0.6, 0.2), rpy_deg=(90, 0, 0)), [0.35 - 0.3]),
         (Box(name="o", center=(1.6, 1.0, 0.6), size=(0.2, 0.4, 0.2), rpy_deg=(0, 0, 90)), [0.0, 0.86]),
         (Cylinder(name="o", center=(0.5, 0, 1.0), length=0.2, radius=0.1), [0.25, 0.0, 0.0]),
-        (Cylinder(name="o", center=(0.5, 0, 1.0), length=0.6, radius=0.1), [0.05, 0.0, 0.0]),
         (Cylinder(name="o", center=(0.5, 0, 1.0), length=0.6, radius=0.1, rpy_deg=(0, 90, 0)), [0.25, 0.0, 0.0]),
         (Cylinder(name="o", center=(1.6, 1.0, 0.6), length=0.2, radius=0.2, rpy_deg=(90, 0, 0)), [0.0, 0.86]),
         (Capsule(name="o", start=(2.7, 0, 0.6), end=(2.3, 0.0, 0.6), radius=0.02), [0.0, 0.0, 0.05]),
@@ -91,37 +86,6 @@ def test_capsules_and_boxes_by_hand(robot, obstacle, expected):
     for link, value in enumerate(expected):
         if value:
             assert found[link] == pytest.approx(value, abs=1e-6)
-
-
-def test_depth(robot):
-    for depth in (1e-4, 0.03):
-        below = ball(0.5, 0.0, 0.6 - 0.05 - 0.1 + depth)
-        assert CoalScene(robot, [below]).distances(FLAT)[0, 0] == pytest.approx(-depth, abs=1e-7)
-
-
-def test_order_and_names(robot):
-    checker = CoalScene(robot, [ball(0.5, 0, 1.0, name="near upper arm"), ball(1.5, 0, 1.2, name="forearm's")])
-    assert checker.link_names == ("upper_arm", "forearm", "hand")
-    assert checker.obstacle_names == ("near upper arm", "forearm's")
-    table = checker.distances(FLAT)
-    assert table.shape == (3, 2)
-    assert table[0, 0] == pytest.approx(0.25)
-    assert table[1, 1] == pytest.approx(0.46)
-    assert table[2, 0] == pytest.approx(np.hypot(1.3, 0.4) - 0.13)
-    nearest = checker.nearest(FLAT)
-    assert (nearest.link, nearest.obstacle) == ("upper_arm", "near upper arm")
-    assert nearest.distance_m == table.min()
-    nearest = checker.nearest(np.array([np.pi, 0, 0, 0]))
-    assert nearest.obstacle == "near upper arm"
-    assert checker.nearest(np.array([0, 0, 0.6, 0])).link == "forearm"
-
-
-def test_without_obstacles(robot):
-    checker = CoalScene(robot, [])
-    assert checker.distances(FLAT).shape == (3, 0)
-    assert checker.nearest(FLAT) is None
-    assert checker.in_collision(np.zeros((5, 4))).tolist() == [False] * 5
-    assert check_clear(checker, FLAT, 0.1, "start") == np.inf
 
 
 # Hulls and clouds
@@ -178,13 +142,6 @@ def test_a_cloud_is_its_balls(robot, shape, links):
     assert min(table) == pytest.approx(checker.distances(configurations[0]).min())
 
 
-def test_pieces_of_a_mesh_bear_its_name(robot):
-    ring = Mesh.of("ring", *torus(n=12), position=(1.2, 0.0, 1.2))
-    checker = CoalScene(robot, [*ring.solids, ball(0.5, 0, 3.0)])
-    assert checker.obstacle_names == ("ring",) * len(ring.solids) + ("ball",)
-    assert checker.nearest(FLAT).obstacle == "ring"
-
-
 def test_what_stands_in_the_base(robot):
     cloud = Cloud.of("dust", np.array([[0.0, 0.0, 0.3], [3.0, 0, 0]]), 0.02)
     crate = hull_of(Box(name="b", center=(0, 0, 0.1), size=(0.5, 0.5, 0.1)).core, "crate")
@@ -218,11 +175,6 @@ def test_growth_of_each_obstacle(robot, links):
         np.testing.assert_array_equal(grown.in_collision(configurations)[sure], (np.array(least) <= 0.0)[sure])
 
 
-def test_growth_without_obstacles(robot):
-    assert CoalScene(robot, [], growth=[]).distances(FLAT).shape == (3, 0)
-    assert CoalScene(robot, [], growth=0.1).nearest(FLAT) is None
-
-
 @pytest.mark.parametrize("links", ["capsule", "urdf"])
 def test_the_last_link_may_touch(robot, links):
     fruit, other = ball(2.1, 0, 0.6, radius=0.05, name="fruit"), ball(2.0, 0.3, 0.7, name="other")
@@ -251,26 +203,7 @@ def test_the_last_link_may_touch(robot, links):
     assert inside.nearest(FLAT).link == "forearm"
 
 
-def test_pieces_of_a_mesh_may_be_touched_together(robot):
-    ring = Mesh.of("ring", *torus(n=12), position=(2.1, 0.0, 0.6))
-    free = CoalScene(robot, ring.solids).touching("ring")
-    assert np.isinf(free.distances(FLAT)[2]).all()
-    assert np.isfinite(free.distances(FLAT)[:2]).all()
-
-
 # Shapes of the links
-
-
-def test_beams_have_corners(robot):
-    """Square beams of the capsules' half-widths, with flat ends at the joints."""
-    beams = CoalScene(robot, [ball(0.5, 0.3, 0.9), ball(0.5, 0, 1.0), ball(2.7, 0, 0.6)], links="box")
-    found = beams.distances(FLAT)
-    assert found[0, 0] == pytest.approx(np.hypot(0.25, 0.25) - 0.1, abs=1e-7)
-    assert found[0, 1] == pytest.approx(0.25, abs=1e-7)
-    assert found[2, 2] == pytest.approx(0.4, abs=1e-7)
-    capsules = CoalScene(robot, [ball(0.5, 0.3, 0.9), ball(2.7, 0, 0.6)]).distances(FLAT)
-    assert capsules[0, 0] == pytest.approx(np.hypot(0.3, 0.3) - 0.15, abs=1e-7)
-    assert capsules[2, 1] == pytest.approx(0.37, abs=1e-7)
 
 
 @pytest.mark.parametrize("name", VARIANTS)
@@ -290,18 +223,6 @@ def test_beams_lie_along_the_links(name, tmp_path):
         corner = middle + (width + 0.01) * (normal + np.cross(normal, along / np.linalg.norm(along)))
         found = CoalScene(robot, [ball(*corner, radius=0.001)], links="box").distances(q)[k, 0]
         assert found == pytest.approx(0.01 * 2**0.5 - 0.001, abs=1e-7)
-
-
-def test_collision_geometry_of_the_shipped_robot_is_its_capsules(robot):
-    rng = np.random.default_rng(4)
-    obstacles = random_obstacles(rng, 9)
-    capsules, urdf = CoalScene(robot, obstacles), CoalScene(robot, obstacles, links="urdf")
-    q = rng.uniform(robot.lower, robot.upper, (100, 4))
-    for row in q:
-        found, expected = urdf.distances(row), capsules.distances(row)
-        assert found.shape == expected.shape
-        np.testing.assert_allclose(np.maximum(found, 0), np.maximum(expected, 0), atol=1e-5)
-    np.testing.assert_array_equal(urdf.in_collision(q), capsules.in_collision(q))
 
 
 def test_meshes_are_filled(tmp_path):
@@ -333,11 +254,6 @@ def test_flat_and_needle_like_hulls_do_not_end_the_process(robot):
     needle = hull_of(rng.uniform(-1.0, 1.0, (12, 3)) * [1.4e-5, 1e-5, 3e-2] + [2.1, 0.0, 1.6], "needle")
     checker = CoalScene(robot, [needle])
     assert checker.distances(FLAT)[2, 0] == pytest.approx(needle.core[:, 2].min() - 0.6 - 0.03, abs=1e-4)
-
-
-def test_unknown_shape(robot):
-    with pytest.raises(OptionError, match="one of capsule, box, urdf"):
-        CoalScene(robot, [], links="mesh")
 
 
 # Yes or no for many configurations
@@ -407,10 +323,6 @@ def test_ball_about_the_base(offsets, least, tmp_path):
             assert base_contacts(robot, [ball(*place, radius=0.02)], yaw) == ()
 
 
-def test_base_without_shapes(tmp_path):
-    assert base_radius(load_variant("upright on a yaw", tmp_path)) == 0.0
-
-
 # Start and goal
 
 
@@ -427,15 +339,3 @@ def test_configuration_in_collision(robot, clearance):
     assert error.exit_status == 2
     for word in ("goal", "forearm", "below"):
         assert word in error.message
-
-
-def test_configuration_closer_than_the_clearance(robot):
-    checker = CoalScene(robot, [ball(0.5, 0, 1.0)])
-    assert check_clear(checker, FLAT, 0.2, "start") == pytest.approx(0.05, abs=1e-7)
-    with pytest.raises(ConfigurationInCollisionError) as caught:
-        check_clear(checker, FLAT, 0.3, "start")
-    assert caught.value.depth_m == pytest.approx(0.05, abs=1e-7)
-    assert caught.value.clearance_m == 0.3
-    touching = float(checker.distances(FLAT).min())
-    with pytest.raises(ConfigurationInCollisionError):
-        check_clear(checker, FLAT, touching, "start")

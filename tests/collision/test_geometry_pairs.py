@@ -11,7 +11,6 @@ from hplan.collision.coal_scene import CoalScene
 from hplan.robot.family.members import write_robot
 from hplan.robot.family.spec import ArmSpec
 from hplan.robot.model import load_robot
-from hplan.scene.obstacles import Sphere
 from hplan.scene.solids import Cloud
 
 
@@ -36,7 +35,7 @@ def wide(tmp_path_factory):
 
 
 @pytest.mark.parametrize("links", ["capsule", "urdf"])
-@pytest.mark.parametrize("count", [0, 1, 6, 7, 13])
+@pytest.mark.parametrize("count", [0, 7, 13])
 def test_models_of_few_obstacles_answer_as_one_of_all(wide, links, count, monkeypatch):
     rng = np.random.default_rng(count)
     obstacles = random_obstacles(rng, count)
@@ -63,13 +62,3 @@ def test_models_of_few_obstacles_answer_as_one_of_all(wide, links, count, monkey
         np.testing.assert_array_equal(
             parts.in_collision(configurations, margin=margin), whole.in_collision(configurations, margin=margin)
         )
-
-
-def test_construction_is_linear_in_the_obstacles(robot):
-    """One geometry model of 4,000 obstacles takes more than a minute, and 10,000 a quarter of an hour."""
-    rng = np.random.default_rng(4)
-    balls = [Sphere(name=f"b{i}", center=tuple(rng.uniform(-3, 3, 3)), radius=0.01) for i in range(10_000)]
-    checker = CoalScene(robot, balls)
-    distances = checker.distances(np.zeros(4))
-    one = CoalScene(robot, [balls[-1]])
-    np.testing.assert_array_equal(distances[:, -1:], one.distances(np.zeros(4)))

@@ -44,16 +44,6 @@ def test_the_nearest_pair_is_that_of_all_distances(robot):
         assert beyond[pair] == pytest.approx(beyond.min(), abs=1e-9)
 
 
-def test_what_may_be_touched_is_infinitely_far(robot):
-    rng = np.random.default_rng(4)
-    obstacles = many(rng)
-    checker = CoalScene(robot, obstacles).touching(obstacles[0].name)
-    checker.place(np.zeros(4))
-    bounds = checker.lower_bounds(np.arange(len(checker.pairs)))
-    assert np.isposinf(bounds[(len(checker.link_names) - 1) * len(obstacles)])
-    assert np.isfinite(bounds[0])
-
-
 def test_capsules_placed_together_are_those_placed_alone():
     rng = np.random.default_rng(5)
     ends = rng.normal(size=(60, 2, 3))

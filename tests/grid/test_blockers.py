@@ -49,10 +49,3 @@ def test_slices_are_those_of_the_occupied_border(robot: Robot) -> None:
     for blocker in found:
         low, high = blocker["slices_deg"]
         assert 0.0 <= low <= high <= 33.0
-
-
-def test_nothing_blocks_without_obstacles(robot: Robot) -> None:
-    grid = joint_grid(robot.arm, np.radians(10.0))
-    reached = np.zeros(grid.shape, dtype=bool)
-    reached[0, 0, 0] = True
-    assert blockers(robot.arm, arm_sections(robot, []), grid, reached) == []

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from studies.planar_cspace import RoundedPolygon, arm_sections, joint_grid, planar_sections
 
 from hplan.base.arrays import readonly
-from hplan.errors import InputError, OptionError
+from hplan.errors import InputError
 from hplan.grid.grid import Grid
 from hplan.grid.occupancy import occupancy
 from hplan.grid.sections import LINK_MODELS
@@ -151,22 +151,6 @@ def test_reference_scene_cell_for_cell(robot, table_1, model):
     np.testing.assert_array_equal(result.occupied, MARGINS[model](robot.arm, grid, discs) <= 0.0)
 
 
-@pytest.mark.parametrize("model", LINK_MODELS)
-def test_reference_scene_from_its_file(robot, scene, table_1, model):
-    sections = arm_sections(robot, scene.solids, link_model=model)
-    assert occupancy(robot.arm, sections, table_1[0]).occupied_count == TABLE_1_COUNTS[model]
-
-
-def test_models_are_nested_on_the_reference_scene(robot, table_1):
-    grid, discs = table_1
-    capsule, paper, rectangle = (
-        occupancy(robot.arm, planar_sections(discs, robot.arm.half_widths, link_model=model), grid).occupied
-        for model in LINK_MODELS
-    )
-    assert not (paper & ~capsule).any()
-    assert not (rectangle & ~capsule).any()
-
-
 # Random arms and obstacles
 
 
@@ -224,17 +208,6 @@ def check_random_scene(seed, model, polygons):
     return occupied.mean()
 
 
-@pytest.mark.parametrize("model", LINK_MODELS)
-def test_random_arms_among_discs(model):
-    shares = [check_random_scene(seed, model, polygons=False) for seed in range(150)]
-    assert 0.1 < np.mean(shares) < 0.9
-
-
-def test_random_arms_among_polygons():
-    shares = [check_random_scene(seed, "capsule", polygons=True) for seed in range(150)]
-    assert 0.1 < np.mean(shares) < 0.9
-
-
 @settings(max_examples=100)
 @given(st.integers(0, 2**32 - 1), st.sampled_from(LINK_MODELS), st.booleans())
 def test_any_scene(seed, model, polygons):
@@ -259,9 +232,7 @@ def test_stout_and_thin_links(model, length, width):
 
 def one_link(length=1.0, half_width=0.02, sign=1.0, offset=0.0):
     return PlanarArm(
-        ("joint",),
-        ("link",),
-        *(np.array([value]) for value in (length, half_width, 0.0, sign, offset, -8.0, 8.0)),
+        ("joint",), ("link",), *(np.array([value]) for value in (length, half_width, 0.0, sign, offset, -8.0, 8.0))
     )
 
 
@@ -270,25 +241,16 @@ SQUARE = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 AWKWARD = {
     "behind the joint, across the cut of atan2": 0.1 * SQUARE + [-0.5, 0.0],
     "just above the cut": 0.1 * SQUARE + [-0.5, 0.1],
-    "just below the cut": 0.1 * SQUARE + [-0.5, -0.1],
     "round the joint": 0.1 * SQUARE,
-    "round the joint, almost": 0.1 * SQUARE + [0.125, 0.0],
     "a wall in front": np.array([[0.9, -50.0], [0.9, 50.0]]),
-    "a wall behind": np.array([[-0.9, 50.0], [-0.9, -50.0]]),
     "a half-plane beside the joint": 50.0 * SQUARE + [50.03, 0.0],
-    "a half-plane behind the joint": 50.0 * SQUARE + [-50.03, 0.0],
     "reach ends in a straight side": 0.5 * SQUARE + [1.4, 0.0],
-    "reach ends just in a straight side": 0.5 * SQUARE + [1.519, 0.0],
-    "reach ends just before it": 0.5 * SQUARE + [1.521, 0.0],
     "reach ends in two straight sides": np.array([[0.5, 0.0], [3.0, -0.3], [3.0, 0.3]]),
     "a needle that points at the joint": np.array([[0.3, 0.0], [3.0, -1e-6], [3.0, 1e-6]]),
-    "a needle that ends at the joint": np.array([[0.03, 0.0], [3.0, -1e-6], [3.0, 1e-6]]),
     "a needle beside the joint": np.array([[-1.0, 0.03], [1.0, 0.03]]),
     "two points as one": np.array([[0.5, 0.2], [0.5, 0.2]]),
     "points an ulp apart": np.array([[0.5, 0.2], [0.5, np.nextafter(0.2, 1.0)], [np.nextafter(0.5, 0.0), 0.2]]),
-    "three in line": np.array([[0.4, 0.3], [0.5, 0.3], [0.9, 0.3]]),
     "clockwise": 0.1 * SQUARE[::-1] + [0.5, 0.0],
-    "clockwise round the joint": 0.2 * SQUARE[::-1],
 }
 
 
@@ -332,19 +294,6 @@ def test_joint_on_the_side_of_a_polygon_collides_always(turn):
 # Grids
 
 
-@pytest.mark.parametrize("nodes", [2, 63, 64, 65, 127, 128, 129])
-def test_word_boundaries(nodes):
-    rng = np.random.default_rng(nodes)
-    arm = random_arm(rng, 2)
-    grid = Grid.over(arm.lower, arm.upper, (arm.upper - arm.lower) / [9, nodes - 1])
-    assert grid.shape == (10, nodes)
-    for _ in range(50):
-        discs = [random_disc(rng, arm.lengths.sum())]
-        result = occupancy(arm, planar_sections(discs, arm.half_widths), grid)
-        assert_same(result.occupied, capsule_margins(arm, grid, discs))
-        assert result.occupied_count == result.occupied.sum()
-
-
 @pytest.mark.parametrize(("first", "last"), list(combinations_with_replacement([0, 1, 62, 63, 64, 65, 127, 128], 2)))
 def test_forbidden_interval_between_any_two_nodes(first, last):
     """A link of length 1 touches a thin disc at its tip within a known angle."""
@@ -358,47 +307,9 @@ def test_forbidden_interval_between_any_two_nodes(first, last):
     assert np.flatnonzero(occupancy(arm, sections, grid).occupied).tolist() == list(range(first, last + 1))
 
 
-def test_locked_joint_is_one_node(robot, scene):
-    free = joint_grid(robot.arm, math.radians(5.0))
-    lower, upper = robot.arm.lower.copy(), robot.arm.upper.copy()
-    lower[1] = upper[1] = free.axis(1)[9]
-    locked = Grid.over(lower, upper, math.radians(5.0))
-    sections = arm_sections(robot, scene.solids)
-    assert locked.shape == (19, 1, 19)
-    expected = occupancy(robot.arm, sections, free).occupied[:, 9:10]
-    np.testing.assert_array_equal(occupancy(robot.arm, sections, locked).occupied, expected)
-
-
-def test_no_obstacle_no_occupied_cell(robot):
-    grid = joint_grid(robot.arm, 0.1)
-    assert occupancy(robot.arm, arm_sections(robot, []), grid).occupied_count == 0
-
-
-def test_link_behind_a_colliding_one_is_occupied_whole():
-    """The first link's collisions stay, whatever the second does."""
-    rng = np.random.default_rng(3)
-    arm = random_arm(rng, 3)
-    grid = random_grid(rng, arm)
-    on_the_joint = [RoundedPolygon(np.zeros((1, 2)), 0.1)]
-    assert occupancy(arm, planar_sections(on_the_joint, arm.half_widths), grid).occupied.all()
-
-
-def test_same_input_same_bits(robot, scene):
-    grid = joint_grid(robot.arm, 0.05)
-    first, second = (occupancy(robot.arm, arm_sections(robot, scene.solids), grid) for _ in range(2))
-    np.testing.assert_array_equal(first.free_words, second.free_words)
-    assert not first.free_words.flags.writeable
-
-
 # What cannot be asked
 
 
 def test_grid_of_another_arm_is_refused(robot, scene):
     with pytest.raises(InputError, match="the arm has 3 links, the grid 2 axes and the sections are for 3 links"):
         occupancy(robot.arm, arm_sections(robot, scene.solids), Grid.over([0, 0], [1, 1], 0.1))
-
-
-@pytest.mark.parametrize("step", [0.0, -1.0, math.nan, math.inf, 1e-6, [0.1, 0.1]])
-def test_bad_step_is_refused(robot, step):
-    with pytest.raises(OptionError, match="step"):
-        joint_grid(robot.arm, step)

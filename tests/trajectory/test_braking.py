@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -52,22 +51,6 @@ def test_a_stop_is_quick(speed):
     assert alone.max() - 2.0 * PERIOD <= found.duration <= 1.1 * alone.max() + 8.0 * PERIOD
 
 
-def test_from_rest_there_is_nothing_to_do(robot):
-    zero = np.zeros(4)
-    found = braking(robot, zero, zero, zero, PERIOD, robot.acceleration_limit)
-    assert not found.velocity.any()
-
-
 def test_a_joint_that_cannot_brake(robot):
     fast, zero = robot.velocity_limit, np.zeros(4)
     assert braking(robot, zero, fast, zero, PERIOD, np.full(4, 1e-6)) is None
-
-
-@pytest.mark.parametrize("joint", range(4))
-def test_a_joint_alone(robot, joint):
-    speed = np.zeros(4)
-    speed[joint] = 1.0
-    found = braking(robot, np.zeros(4), speed, np.zeros(4), PERIOD, robot.acceleration_limit)
-    still = [other for other in range(4) if other != joint]
-    assert not found.position[:, still].any()
-    assert (np.diff(found.position[:, joint]) >= -2e-6).all()  # rows do not meet the end of the ramp exactly

@@ -14,15 +14,13 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from planned import on_cubics
 
-from hplan.collision.clearance_field import ClearanceField
-from hplan.errors import InputError, OptionError, TimingError
+from hplan.errors import OptionError, TimingError
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
-from hplan.robot.family.members import ArmSpec, write_robot
 from hplan.robot.limits import Limits
-from hplan.robot.model import Robot, load_robot
+from hplan.robot.model import Robot
 from hplan.trajectory import rounded_path
-from hplan.trajectory.retime import GRID_POINTS, resting, time_path
+from hplan.trajectory.retime import GRID_POINTS, time_path
 from hplan.trajectory.spline import SplinePath
 
 RATE = 250.0
@@ -178,11 +176,6 @@ def test_jerk_of_random_motions(robot, limits, rate):
     assert max(uses) <= 1.001
 
 
-def test_jerk_of_a_straight_motion_at_a_high_rate(robot, limits):
-    trajectory = time_path(straight(START, GOAL), robot.model, limits, rate_hz=5000.0)
-    assert jerk_uses(trajectory, limits).max() <= 1.001
-
-
 def test_tight_torque_slows_the_motion_and_is_kept(robot, smooth_limits):
     path = straight(START, GOAL)
     data = robot.model.createData()
@@ -209,9 +202,7 @@ def torque_bound(robot, smooth_limits, path, share):
         for q in path.evaluate(np.linspace(0, path.end, 400))
     ]
     return Limits(
-        2.0 * smooth_limits.velocity,
-        10.0 * smooth_limits.acceleration,
-        np.maximum(share * np.max(static, axis=0), 3.0),
+        2.0 * smooth_limits.velocity, 10.0 * smooth_limits.acceleration, np.maximum(share * np.max(static, axis=0), 3.0)
     )
 
 
@@ -221,12 +212,6 @@ def test_torque_of_motions_bound_by_it(robot, smooth_limits, rate):
         path = curve(seed, robot)
         kept = torque_bound(robot, smooth_limits, path, 1.3)
         assert_sound(time_path(path, robot.model, kept, rate_hz=rate), robot.model, kept, rate=rate, path=path)
-
-
-def test_torque_little_above_what_gravity_takes(robot, smooth_limits):
-    path = curve(1, robot)
-    kept = torque_bound(robot, smooth_limits, path, 1.05)
-    assert_sound(time_path(path, robot.model, kept), robot.model, kept, path=path)
 
 
 def test_rows_are_near_the_path(robot, limits):
@@ -239,14 +224,6 @@ def test_rows_are_near_the_path(robot, limits):
 
 
 @pytest.mark.parametrize("seed", [2, 7])
-@pytest.mark.parametrize(("points", "with_jerk"), [(3200, True), (3200, False), (GRID_POINTS, True)])
-def test_random_motions_are_at_a_limit_nearly_all_the_time(robot, limits, smooth_limits, seed, points, with_jerk):
-    kept = limits if with_jerk else smooth_limits
-    use = row_uses(time_path(curve(seed, robot), robot.model, kept, grid_points=points), kept)
-    assert (use >= 0.99).mean() >= 0.8
-
-
-@pytest.mark.parametrize("seed", [2, 7])
 def test_little_is_lost_with_few_points(robot, smooth_limits, seed):
     """What passes a limit between two of few points is remedied there: it does not slow the whole motion."""
     few, many = (
@@ -254,12 +231,6 @@ def test_little_is_lost_with_few_points(robot, smooth_limits, seed):
     )
     assert few.duration <= 1.015 * many.duration
     assert np.median(row_uses(few, smooth_limits)) >= 0.9
-
-
-def test_same_motion_twice(robot, limits, reference_path):
-    first, second = (time_path(reference_path, robot.model, limits) for _ in range(2))
-    for name in ("time", "position", "velocity", "acceleration", "torque"):
-        assert getattr(first, name).tobytes() == getattr(second, name).tobytes()
 
 
 # Durations by hand
@@ -277,15 +248,6 @@ def test_duration_of_a_single_joint(robot, limits, smooth_limits, joint, angle, 
     path = joint_turn(robot, joint, angle, start=1.3 if angle < 0 else 0.1)
     duration = time_path(path, robot.model, kept).duration
     assert fastest * (1 - 1e-3) <= duration <= fastest * (1 + 1e-3) + allowed
-
-
-def test_the_joint_that_takes_longest_sets_the_pace(robot, smooth_limits):
-    kept = replace(smooth_limits, torque=None)
-    path = straight(START, GOAL, 9)
-    turn = np.abs(GOAL - START)
-    v, a = (kept.velocity / turn).min(), (kept.acceleration / turn).min()
-    fastest = 1.0 / v + v / a if v * v / a < 1.0 else 2.0 / np.sqrt(a)
-    assert time_path(path, robot.model, kept).duration == pytest.approx(fastest + 2.0 / RATE, abs=2.0 / RATE)
 
 
 def test_share_of_the_speed(robot, limits, smooth_limits):
@@ -306,20 +268,10 @@ def test_share_of_the_speed(robot, limits, smooth_limits):
     assert free.scaled(0.3).torque is None
 
 
-@pytest.mark.parametrize("share", [0.0, -0.5, 1.0001, np.nan, np.inf])
-def test_bad_share_of_the_speed(limits, share):
-    with pytest.raises(OptionError) as caught:
-        limits.scaled(share)
-    assert caught.value.option == "speed"
-
-
 # From and to a given speed
 
 
-MOVING_ENDS = [
-    (None, GRID_POINTS, 1e-5),
-    (7, 3200, 1e-4),
-]
+MOVING_ENDS = [(None, GRID_POINTS, 1e-5), (7, 3200, 1e-4)]
 
 
 @pytest.mark.parametrize("speed", [0.05, 0.3])
@@ -334,17 +286,6 @@ def test_from_a_given_speed(robot, limits, smooth_limits, seed, points, near, wi
     assert np.linalg.norm(trajectory.velocity[0]) == pytest.approx(speed, rel=0.01)
     along = path.evaluate(0.0, 1)
     assert trajectory.velocity[0] @ along == pytest.approx(speed * np.linalg.norm(along), rel=0.011)
-
-
-@pytest.mark.parametrize("speed", [0.05, 0.3])
-@pytest.mark.parametrize("with_jerk", [False, True])
-@pytest.mark.parametrize(("seed", "points", "near"), MOVING_ENDS)
-def test_to_a_given_speed(robot, limits, smooth_limits, seed, points, near, with_jerk, speed):
-    kept, path = limits if with_jerk else smooth_limits, curve(seed, robot) if seed else straight(START, GOAL)
-    trajectory = time_path(path, robot.model, kept, end_speeds=(0.0, speed), grid_points=points)
-    assert_sound(trajectory, robot.model, kept, path=path, rest=(True, False), jerk=False)
-    np.testing.assert_allclose(trajectory.position[-1], path.evaluate(path.end), rtol=0, atol=near)
-    assert np.linalg.norm(trajectory.velocity[-1]) == pytest.approx(speed, rel=0.01)
 
 
 @pytest.mark.parametrize(
@@ -362,20 +303,6 @@ def test_from_and_to_given_speeds(robot, limits, rate, speeds, off):
     assert (ends <= np.array(speeds) * (1 + 1e-6)).all()
     assert (ends >= np.array(speeds) * (1 - 2.0 / rate)).all()
     np.testing.assert_allclose(trajectory.position[[0, -1]], path.evaluate([0.0, path.end]), rtol=0, atol=off)
-
-
-def test_speeds_shorten_the_motion(robot, limits):
-    path = straight(START, GOAL)
-    rest, moving = (time_path(path, robot.model, limits, end_speeds=(v, v)).duration for v in (0.0, 0.5))
-    assert moving < 0.9 * rest
-
-
-@pytest.mark.parametrize("end", [0, 1])
-@pytest.mark.parametrize("value", [-0.1, np.nan, np.inf])
-def test_bad_speeds(robot, limits, end, value):
-    with pytest.raises(OptionError) as caught:
-        time_path(straight(START, GOAL), robot.model, limits, end_speeds=at_one_end(value, end))
-    assert caught.value.option == "end_speeds"
 
 
 @pytest.mark.parametrize("end", [0, 1])
@@ -434,13 +361,6 @@ def test_torque_that_cannot_hold_the_arm(robot, limits, torque):
     assert f"{max(static):.3g}"[:3] in error.message
 
 
-@pytest.mark.parametrize("rate", [0.0, 0.5, -250.0, 1e6, np.nan, np.inf])
-def test_bad_rates(robot, limits, rate):
-    with pytest.raises(OptionError) as caught:
-        time_path(straight(START, GOAL), robot.model, limits, rate_hz=rate)
-    assert caught.value.option == "rate_hz"
-
-
 # Small, closed and awkward motions
 
 
@@ -471,10 +391,6 @@ def assert_rests(robot, trajectory, q):
     assert not trajectory.acceleration.any()
     gravity = pin.computeGeneralizedGravity(robot.model, robot.model.createData(), q)
     np.testing.assert_allclose(trajectory.torque, [gravity], atol=1e-12)
-
-
-def test_resting(robot):
-    assert_rests(robot, resting(robot.model, GOAL), GOAL)
 
 
 @pytest.mark.parametrize("with_jerk", [False, True])
@@ -521,31 +437,10 @@ def test_awkward_paths(robot, smooth_limits, case):
     assert trajectory.duration < 12.0
 
 
-@pytest.mark.parametrize("case", ["start twice", "start thrice", "four equal"])
-def test_paths_with_many_equal_control_points(case):
-    control = {
-        "start twice": np.vstack([START, START, GOAL - 0.2, GOAL + np.array([0.1, 0, 0, 0]), GOAL]),
-        "start thrice": np.vstack([START, START, START, GOAL - 0.2, GOAL]),
-        "four equal": with_twins(4),
-    }[case]
-    with pytest.raises(InputError, match="coincide"):
-        SplinePath.through(control)
-
-
-@pytest.mark.parametrize("quantity", ["velocity", "acceleration"])
-@pytest.mark.parametrize("factor", [1e-2, 1e2])
-def test_limits_of_very_different_size(robot, smooth_limits, quantity, factor):
-    values = np.array(getattr(smooth_limits, quantity))
-    values[2] *= factor
-    kept = replace(smooth_limits, torque=None, **{quantity: values})
-    path = curve(11, robot)
-    assert_sound(time_path(path, robot.model, kept, rate_hz=100.0), robot.model, kept, rate=100.0, path=path)
-
-
 # Rates and robots
 
 
-@pytest.mark.parametrize("rate", [1.0, 3.7, 20.0, 125.0, 5000.0])
+@pytest.mark.parametrize("rate", [1.0, 20.0, 5000.0])
 @pytest.mark.parametrize("with_jerk", [False, True])
 def test_rates(robot, limits, smooth_limits, rate, with_jerk):
     kept = limits if with_jerk else smooth_limits
@@ -555,31 +450,6 @@ def test_rates(robot, limits, smooth_limits, rate, with_jerk):
     fastest = time_path(path, robot.model, smooth_limits, rate_hz=2000.0).duration
     window = 2.0 * (limits.acceleration / limits.jerk).max() if with_jerk else 0.0
     assert fastest * (1 - 5e-3) <= trajectory.duration <= fastest * (1 + 5e-3) + 4.0 / rate + window
-
-
-@pytest.mark.parametrize("with_jerk", [False, True])
-@pytest.mark.parametrize("links", [1, 2, 5])
-def test_robots_of_other_sizes(tmp_path, links, with_jerk):
-    spec = ArmSpec(
-        name="cousin",
-        link_lengths=[0.6 - 0.05 * k for k in range(links)],
-        link_half_widths=[0.04] * links,
-        link_masses=[2.0 / (k + 1) for k in range(links)],
-        lower=[-2.0] * links,
-        upper=[2.0] * links,
-        velocity=[1.0 + 0.5 * k for k in range(links)],
-        effort=[120.0] * links,
-        acceleration=[4.0 + k for k in range(links)],
-        jerk=[100.0 + 10 * k for k in range(links)] if with_jerk else None,
-        has_yaw=False,
-    )
-    robot = load_robot(write_robot(spec, tmp_path / "cousin.urdf")[0])
-    assert ClearanceField.of(robot, []).is_clear(np.zeros((2, links)), 1e-3)
-    kept = Limits(robot.velocity_limit, robot.acceleration_limit, robot.torque_limit, robot.jerk_limit)
-    for path in (straight(np.full(links, -0.5), np.linspace(0.7, 0.9, links)), curve(13, robot, 6)):
-        trajectory = time_path(path, robot.model, kept)
-        assert trajectory.joint_names == robot.joint_names
-        assert_sound(trajectory, robot.model, kept, path=path, jerk=False)
 
 
 def test_motions_of_too_many_rows_are_refused_before_they_are_made(robot, scene):
@@ -595,15 +465,6 @@ def test_motions_of_too_many_rows_are_refused_before_they_are_made(robot, scene)
     assert time.process_time() - begin < 100.0  # seconds, kernels compiled in it
     with pytest.raises(OptionError, match="rows"):
         plan(robot, scene, PlanOptions(speed=1e-9))
-
-
-def test_a_hundredth_of_full_speed(robot, scene):
-    """Averages over a thousand rows keep the jerk: they are not tried one by one."""
-    begin = time.process_time()
-    result = plan(robot, scene, PlanOptions(speed=0.01))
-    assert result.certificate.verified
-    assert time.process_time() - begin < 200.0
-    assert result.trajectory.duration == pytest.approx(100.0 * plan(robot, scene).trajectory.duration, rel=0.05)
 
 
 def test_a_sharp_bend_does_not_slow_the_whole_motion(robot: Robot) -> None:

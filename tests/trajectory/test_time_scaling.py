@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from functools import cache
 
 import numpy as np
@@ -10,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hplan.errors import InputError, OptionError, TimingError
+from hplan.errors import OptionError, TimingError
 from hplan.planning.plan import plan
 from hplan.robot.model import Robot, load_robot
 from hplan.scene.file import load_scene
@@ -120,11 +119,7 @@ def test_a_stop_is_about_as_quick_as_limits_allow(robot, motion, part):
 
 
 @settings(max_examples=25)
-@given(
-    motion=with_motion(),
-    times=st.lists(st.floats(0.0, 2.0), min_size=1, max_size=6),
-    data=st.data(),
-)
+@given(motion=with_motion(), times=st.lists(st.floats(0.0, 2.0), min_size=1, max_size=6), data=st.data())
 def test_speed_factors_keep_path_and_limits(robot, motion, times, data):
     factors = data.draw(st.lists(st.floats(0.0, 1.0), min_size=len(times), max_size=len(times)))
     rows = [*zip(sorted(times), factors, strict=True), (3.0, 0.7)]
@@ -167,12 +162,6 @@ def test_more_than_full_speed_where_there_is_room(robot):
         scaled(slow, 3.0, robot)
 
 
-def test_a_speed_of_one_is_the_motion_itself(robot):
-    motion = motions()[0]
-    assert scaled(motion, 1.0, robot).trajectory is motion
-    assert scaled(motion, [(0.0, 1.0), (5.0, 1.0), (5.0, 0.1)], robot).trajectory is motion
-
-
 def test_rows_far_apart_get_denser_ones_for_the_stop(robot):
     motion = motions()[1]
     rows = np.append(np.arange(0, motion.samples - 1, 10), motion.samples - 1)
@@ -198,12 +187,6 @@ def test_how_far_it_is_off_the_path_whatever_the_accelerations_say(robot):
     assert off.max() > 1e-7
 
 
-def test_the_methods_of_a_trajectory(robot):
-    motion = motions()[0]
-    assert motion.stop_at(0.5, robot).duration < motion.duration
-    assert motion.scaled(0.5, robot).duration > motion.duration
-
-
 def test_a_motion_that_does_not_end_at_rest(robot):
     motion = motions()[1]
     begun = motion.until(40)
@@ -212,30 +195,6 @@ def test_a_motion_that_does_not_end_at_rest(robot):
         stopped(begun, begun.duration, robot)
 
 
-@pytest.mark.parametrize("t", [-1e-9, 99.0, math.nan, math.inf, None, "1", True])
-def test_a_time_that_is_none(robot, t):
-    with pytest.raises(OptionError):
-        stopped(motions()[0], t, robot)
-
-
-@pytest.mark.parametrize(
-    "profile",
-    [-1.0, 0.0, math.nan, None, "1", [], [(0.0,)], [(0.0, -1.0)], [(0.0, math.nan)], [(1.0, 1.0), (0.0, 1.0)],
-     [(-1.0, 1.0)], lambda time: -1.0, lambda time: math.nan, lambda time: "1", 1e9],
-)  # fmt: skip
-def test_a_profile_that_is_none(robot, profile):
-    with pytest.raises(OptionError):
-        scaled(motions()[0], profile, robot)
-
-
 def test_a_pause_without_an_end_is_refused(robot):
     with pytest.raises(OptionError, match="has not"):
         scaled(motions()[1], lambda time: 0.0, robot)
-
-
-def test_another_robots_motion(robot):
-    other = Trajectory(("a",), np.zeros(1), *np.zeros((4, 1, 1)))
-    with pytest.raises(InputError, match="the trajectory moves a"):
-        stopped(other, 0.0, robot)
-    with pytest.raises(OptionError):
-        stopped(motions()[0], 0.0, other)

@@ -122,9 +122,7 @@ def test_random_paths(compared, dynamics, limits, seed, span, locked, torque, fa
     path = spline(rng, span, locked)
     static = np.abs(dynamics.gravity(path.evaluate(np.linspace(0.0, path.end, 200)))).max(axis=0)
     kept = Limits(
-        limits.velocity,
-        faster * limits.acceleration,
-        None if torque is None else np.maximum(torque * static, 3.0),
+        limits.velocity, faster * limits.acceleration, None if torque is None else np.maximum(torque * static, 3.0)
     )
     speed, cause = timed(path, dynamics, kept, cosine(path.end, points), np.array(rates))
     assert cause == outcomes[-1][0]
@@ -147,19 +145,6 @@ def test_outcomes_of_many_paths(compared, dynamics, limits):
     assert ("Ok", "Ok") in outcomes
     assert ("FailUncontrollable", "FailUncontrollable") in outcomes
     assert not [pair for pair in outcomes if pair[1] == "Ok" != pair[0]]
-
-
-def test_velocity_bounds_are_toppras(limits):
-    rng = np.random.default_rng(5)
-    still = spline(rng, 1.0, 2)
-    for path in (spline(rng, 1.0, None), spline(rng, 1e-4, None), still):
-        view = topp._Path(path, cosine(path.end, 70), 1.0)
-        places = view._grid
-        own = topp._Velocity(limits.velocity).compute_constraint_params(view, places)
-        both = np.stack([-limits.velocity, limits.velocity], axis=1)
-        toppras = constraint.JointVelocityConstraint(both).compute_constraint_params(view, places)
-        assert own[:6] == toppras[:6] == (None,) * 6
-        np.testing.assert_allclose(own[6], np.maximum(toppras[6], 0.0), rtol=1e-6)  # toppra stores floats of 32 bits
 
 
 def test_constraints_of_toppra_itself():

@@ -5,12 +5,9 @@ from __future__ import annotations
 import concurrent.futures
 import copy
 import dataclasses
-import importlib
 import multiprocessing
 import pickle
-import pkgutil
 from collections.abc import Callable, Iterator, Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,7 +18,6 @@ import hplan
 from hplan import errors
 from hplan.collision.coal_scene import CoalScene
 from hplan.errors import HplanError
-from hplan.planning.refusals import EnclosedError
 from hplan.robot.model import Robot
 from hplan.scene.model import Goal, Scene
 from hplan.scene.obstacles import Mesh, PointCloud
@@ -108,32 +104,6 @@ def test_every_error_class_is_among_the_samples() -> None:
     assert kinds == {type(error) for error in SAMPLES}
 
 
-def test_subclasses_need_nothing_of_their_own() -> None:
-    for module in pkgutil.walk_packages(hplan.__path__, "hplan."):
-        if module.name.split(".")[1] not in ("benchmark", "reproduction", "validation"):
-            importlib.import_module(module.name)
-    kinds, todo = set(), [HplanError]
-    while todo:
-        kinds |= (found := set(todo.pop().__subclasses__()))
-        todo += found
-    assert EnclosedError in kinds
-    assert [kind for kind in kinds if "__reduce__" in vars(kind) or "__setstate__" in vars(kind)] == []
-
-
-class Derived(errors.OptionError):
-    """An error of a user's own."""
-
-    def __init__(self, first: int, second: int, *, third: int) -> None:
-        super().__init__("option", first, f"{second}")
-        self.third = third
-
-
-def test_an_error_of_a_users_own_arrives(travelled: Callable[[Any], Any]) -> None:
-    found = travelled(Derived(1, 2, third=3))
-    assert isinstance(found, Derived)
-    assert (found.option, found.third, found.data["value"]) == ("option", 3, "1")
-
-
 def test_what_cannot_be_pickled_becomes_its_text() -> None:
     error = errors.OptionError("speed", lambda: 1.0, "a number")
     found = by_pickle(error)
@@ -218,18 +188,6 @@ def test_a_plan_arrives_and_can_be_certified(
     np.testing.assert_array_equal(checker.distances(q), locked.motion.task.world.checker.distances(q))
 
 
-def test_a_plan_with_approach_and_retreat_arrives(robot: Robot, orchard: Scene) -> None:
-    result = hplan.plan(robot, orchard, progress=lambda _: None)
-    found = by_pickle(result)
-    assert_alike(result, found)
-    assert found.picked == result.picked
-    world = found.motion.task.world
-    q = found.grasp.goal
-    near = world.touching("a").checker.distances(q)
-    np.testing.assert_array_equal(near, result.motion.task.world.touching("a").checker.distances(q))
-    np.testing.assert_array_equal(near, by_pickle(world.touching("a")).checker.distances(q))
-
-
 def test_a_tour_arrives(robot: Robot, orchard: Scene, travelled: Callable[[Any], Any]) -> None:
     result = hplan.plan_tour(robot, orchard)
     found = travelled(result)
@@ -280,18 +238,7 @@ def test_a_planner_arrives_and_goes_on(robot: Robot, scene: Scene) -> None:
     np.testing.assert_array_equal(found.replan().trajectory.position, planner.replan().trajectory.position)
 
 
-def test_a_plan_does_not_carry_the_memory_of_layers(robot: Robot, orchard: Scene) -> None:
-    planner = hplan.Planner(robot, orchard, hplan.PlanOptions(step_deg=2.0))
-    assert len(pickle.dumps(planner.plan())) < 5_000_000
-
-
 def test_results_hold_no_listener(robot: Robot, scene: Scene) -> None:
     """Who listens to the progress of a plan is left where they are."""
     result = hplan.plan(robot, scene, progress=lambda _: None)
     assert by_pickle(result).motion.task.progress("stage") is None
-
-
-def test_csv_of_what_arrived(locked: hplan.PlanResult, tmp_path: Path) -> None:
-    found = by_pickle(locked.trajectory)
-    here, there = (hplan.write_csv(each, tmp_path / name) for each, name in ((locked.trajectory, "a"), (found, "b")))
-    assert here.read_bytes() == there.read_bytes()

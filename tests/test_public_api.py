@@ -83,23 +83,3 @@ def test_all_errors_have_one_root() -> None:
     assert len(kinds) > 8
     assert all(issubclass(kind, hplan.HplanError) for kind in kinds)
     assert {kind.exit_status for kind in kinds} == {1, 2, 3, 4, 5, 6}
-
-
-def test_trajectory_file_from_anywhere_can_be_judged(tmp_path: Path) -> None:
-    robot, scene = hplan.load_robot(), hplan.load_scene()
-    path = hplan.write_csv(hplan.plan(robot, scene).trajectory, tmp_path / "motion.csv")
-    assert hplan.certify(robot, scene, hplan.read_csv(path)).verified
-
-
-def test_planner_from_the_top() -> None:
-    """As a program uses it: obstacles come and go, the motion follows."""
-    robot, scene = hplan.load_robot(), hplan.load_scene()
-    planner = hplan.Planner(robot, scene, hplan.PlanOptions(step_deg=2.0))
-    first = planner.plan()
-    planner.move("ball", center=(1.0, 0.0, 1.95))
-    second = planner.replan()
-    assert isinstance(second, hplan.PlanResult)
-    assert first.certificate.verified
-    assert hplan.certify(robot, planner.scene, second.trajectory).verified
-    planner.remove("ball")
-    assert planner.replan().trajectory.duration < first.trajectory.duration

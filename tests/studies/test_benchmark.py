@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from script_loader import load_script
-from studies import reference
+from studies import fruit, reference
 from studies.harness import Study, read_rows
 from toy_urdf import SIX_AXIS_LIMITS, six_axis_arm
 
@@ -101,8 +101,10 @@ def test_motionbenchmaker(tmp_path: Path) -> None:
     assert all(row["certified"] and row["contacts"] + row["own_contacts"] == 0 for row in rows)
 
 
-def test_tracking(tmp_path: Path) -> None:
+def test_tracking(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("mujoco")
+    monkeypatch.setattr(fruit, "BANDWIDTHS", (200.0,))
+    monkeypatch.setattr(fruit, "MASSES", (1.0,))
     (row,) = rows_of("tracking", tmp_path)
     assert row["longer"] >= 1.0
     assert row["within_at_200"]

@@ -62,30 +62,22 @@ def assert_sound(result: Validation) -> None:
 
 @pytest.fixture(scope="module")
 def reference(robot: Robot, scene: Scene) -> Validation:
-    return validate_cspace(robot, scene)
+    return validate_cspace(robot, scene, step=float(np.radians(3.0)))
 
 
 def test_no_cell_of_the_reference_scene_differs(reference: Validation) -> None:
-    assert reference.nodes == 753_571
-    assert reference.shape == (91, 91, 91)
-    for checker in ("capsule", "urdf"):
-        comparison = by(reference, checker)
-        assert comparison.occupied == comparison.coal_occupied == 128_891
+    """At every degree, too: `tests/studies/test_benchmark.py` looks at those."""
+    assert reference.ok
+    for links, model in (("capsule", "capsule"), ("urdf", "capsule"), ("box", "rectangle")):
+        comparison = by(reference, links, model)
+        assert comparison.decisive
+        assert comparison.occupied == comparison.coal_occupied > 0
         assert comparison.faults == comparison.conservative == comparison.in_contact == 0
         assert comparison.fault_examples == comparison.conservative_examples == ()
-    assert reference.ok
-
-
-def test_reference_scene_against_boxes(reference: Validation) -> None:
     # In the arm plane the capsule holds the rectangle, so that coal's boxes find nothing that the capsules do not.
     beams = by(reference, "box")
     assert not beams.decisive
-    assert (beams.faults, beams.conservative, beams.coal_occupied) == (0, 1_549, 127_342)
-    assert 0.0 < beams.unexplained <= beams.conservative
-    rectangle = by(reference, "box", "rectangle")
-    assert rectangle.decisive
-    assert rectangle.occupied == rectangle.coal_occupied == 127_342
-    assert rectangle.faults == rectangle.conservative == 0
+    assert beams.faults == 0 < beams.unexplained <= beams.conservative
 
 
 # Other scenes and robots
@@ -100,7 +92,7 @@ def test_other_obstacles(robot: Robot, obstacles: tuple[Any, ...], yaw_deg: floa
     assert result.clearance_m == clearance
 
 
-@pytest.mark.parametrize(("links", "has_yaw", "step_deg"), [(1, True, 1), (2, False, 2), (3, False, 5), (4, True, 15)])
+@pytest.mark.parametrize(("links", "has_yaw", "step_deg"), [(2, False, 2), (4, True, 15)])
 def test_other_robots(tmp_path: Path, links: int, has_yaw: bool, step_deg: float) -> None:
     joints = links + has_yaw
     spec = ArmSpec(

@@ -187,6 +187,17 @@ def test_links_that_are_no_capsules_are_bounded_off_their_axes(robot, scene):
     assert any(beyond)
 
 
+@pytest.mark.parametrize("turn_deg", [5.0, 10.0, 15.0, 20.0, 25.0, 29.0])
+def test_no_more_is_shown_than_there_is_where_few_looks_do(robot, scene, turn_deg):
+    """The stretched arm turns towards a ball: its tip comes nearer by all that it travels, until one look would do."""
+    tip = robot.tool_positions(np.radians([35.0, 0.0, 0.0, 0.0]))
+    ball = scene.with_obstacles([Sphere(name="ball", center=tuple(tip.tolist()), radius=0.05)])
+    motion = quintic(robot, np.zeros(4), np.radians([turn_deg, 0.0, 0.0, 0.0]))
+    certificate = certify(robot, ball, motion)
+    least = CoalScene(robot, ball.solids).distances(motion.position[-1]).min()
+    assert 0.4 * least < certificate.min_clearance_m <= least + 1e-9
+
+
 # Limits
 
 

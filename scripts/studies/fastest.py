@@ -3,9 +3,8 @@
 The file `best_known.json` says what each problem is made from. In each the straight motion is in contact: discs in the
 plane of the default arm and of the orchard arm, pinches for both and for arms drawn at random, all with the base
 locked; and measured trees, one at a time, with all joints. A digest of robot and scene makes sure that it is still the
-problem whose best duration is known. A motion counts only if hplan certifies its rows. Others look for quicker ones:
-RRTConnect's paths, and detours by way of random configurations, each finished by hplan with its best effort. IPOPT on
-the whole timed motion, whose durations the file has too, is no longer run.
+problem whose best duration is known. A motion counts only if hplan certifies its rows. The file
+has durations of RRTConnect's paths, of detours and of IPOPT on the whole timed motion too; these are no longer run.
 """
 
 from __future__ import annotations
@@ -14,19 +13,16 @@ import hashlib
 import json
 from collections.abc import Iterable
 from functools import cache
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from studies.harness import Asked, Row, Study, evenly_chosen
-from studies.measure import planned, smallest
-from studies.peers import finished_s, ompl_path, seed_ompl, world_of
+from studies.measure import planned
 from studies.pinches import pinch
 from studies.planar import random_scene
 from studies.trees import Orchard, measured_orchard
 
-from hplan.base.arrays import FloatArray
 from hplan.certificate.digests import robot_digest
 from hplan.errors import InputError
 from hplan.planning.options import EFFORT_NAMES, PlanOptions
@@ -41,9 +37,6 @@ SEED, _DECIMALS = 14, 9
 
 #: A duration is shorter than another only by more than this part of it.
 SHORTER = 1e-9
-
-#: Paths of RRTConnect and detours on each problem, draws of a clear configuration for one, CPU time of each half [s].
-PATHS, DETOURS, _DRAWS, HALF_S = 3, 6, 200, 1.0
 
 
 class FastestProblem(NamedTuple):
@@ -142,21 +135,19 @@ def _problems(asked: Asked) -> Iterable[FastestProblem]:
     return [problem_of(record, asked.trees) for record in evenly_chosen(records, asked.count, group_of)]
 
 
-def _row(asked: Asked, problem: FastestProblem) -> Row:
-    """The motion with each effort, and those of others where a peer is asked for, to the best known."""
+def _row(_: Asked, problem: FastestProblem) -> Row:
+    """The motion with each effort, to the best known."""
     record, robot, scene = problem
     row: Row = {"name": record["name"], "group": group_of(record), "certified": True, "fault": False}
     found: dict[str, float | None] = {}
     for effort in EFFORT_NAMES:
-        _, told = planned(robot, scene, PlanOptions(effort=effort))
+        told = planned(robot, scene, PlanOptions(effort=effort))[1]
         found[effort] = told.get("duration_s") if told["certified"] else None
         row |= {f"{effort}_ms": told["ms"], f"{effort}_s": found[effort]}
         row["certified"], row["fault"] = (
             row["certified"] and told["certified"],
             row["fault"] or told.get("fault", False),
         )
-    if asked.peer is not None:
-        found |= _others(asked, robot, scene, int(record["digest"], 16))
     known_s = record["duration_s"] * (1.0 - SHORTER)
     best_s, by = min((known_s, record["by"]), *((s, who) for who, s in found.items() if s is not None))
     improved = best_s < known_s
@@ -165,36 +156,13 @@ def _row(asked: Asked, problem: FastestProblem) -> Row:
     return row | {"best_s": best_s, "by": by, "improved": improved}
 
 
-def _others(asked: Asked, robot: Robot, scene: Scene, seed: int) -> dict[str, float | None]:
-    """Durations of the best certified motions near paths of RRTConnect, and near detours."""
-    seed_ompl(asked.seed + 1)
-    world, random = world_of(robot, scene), np.random.default_rng(seed)
-    start, goal = scene.start.configuration, scene.goal.configuration
-    moving = ~robot.locked_mask(scene.locked_joints)
-    places: list[FloatArray] = []
-    for _ in range(_DRAWS):
-        place = np.where(moving, random.uniform(robot.lower, robot.upper), start)
-        if len(places) < DETOURS and world.field.clearance(place) > 1e-3:
-            places.append(place)
-    paths = [ompl_path(world, scene, goal, planner=asked.peer or "RRTConnect") for _ in range(PATHS)]
-    detours: list[FloatArray | None] = []
-    for via in places:
-        halves = [ompl_path(world, scene, b, start=a, seconds=HALF_S) for a, b in pairwise((start, via, goal))]
-        there, on = halves
-        detours.append(None if there is None or on is None else np.concatenate([there, on[1:]]))
-    return {
-        who: smallest([finished_s(robot, scene, path, "best") for path in some])
-        for who, some in (("rrtconnect", paths), ("detours", detours))
-    }
-
-
 FASTEST = Study(
     "fastest",
-    "durations with each effort to the best known, whoever found it (--trees for those among trees; --peer to look)",
+    "durations with each effort to the best known, whoever found it (--trees for those among trees)",
     _row,
     (
         *("certified", *(f"to_best_{effort}" for effort in EFFORT_NAMES), *(f"{effort}_ms" for effort in EFFORT_NAMES)),
-        *("to_best_rrtconnect", "to_best_detours", "improved", "by"),
+        *("improved", "by"),
     ),
     problems=_problems,
     by="group",

@@ -10,7 +10,7 @@ import contextlib
 import os
 import platform
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from importlib import metadata
 from pathlib import Path
 from typing import Any, TypeVar
@@ -77,11 +77,6 @@ def planned(robot: Robot, scene: Scene, options: PlanOptions | None = None) -> t
 def ratio(value: float | None, other: float | None) -> float | None:
     """One number to another, where both are there."""
     return None if value is None or not other else value / other
-
-
-def smallest(values: Sequence[float | None]) -> float | None:
-    """The smallest of the numbers that are there."""
-    return min((value for value in values if value is not None), default=None)
 
 
 def environment() -> dict[str, Any]:

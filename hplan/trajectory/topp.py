@@ -8,10 +8,11 @@ and its average over an interval is of second order. The rows of a trajectory ar
 (`hplan.trajectory.retime`), so there the limits are used in full and kept to within a fraction that timing then takes
 back.
 
-toppra states the problem: at each grid point its constraints give half-planes of (u, x). From the end backward, the
-set of x from which the end can be reached is an interval, whose two ends are linear programs in two variables; forward,
-the largest u that stays in these intervals is taken. `algorithm.TOPPRA` does so with a call from Python for each
-program, which takes many times what solving it takes; here both passes are one compiled call.
+toppra's constraints state the problem: in their canonical form they give half-planes of (u, x). From the end backward,
+the set of x from which the end can be reached is an interval, whose two ends are linear programs in two variables;
+forward, the largest u that stays in these intervals is taken. `toppra.algorithm.TOPPRA` does so with a call from Python
+for each program, which takes many times what solving it takes, and its constraint of torque with one for each point;
+here both passes are one compiled call, and torques come from one. The tests hold the passes against toppra's own.
 
 This module is imported lazily: toppra, with scipy, takes a quarter of a second.
 """
@@ -19,11 +20,9 @@ This module is imported lazily: toppra, with scipy, takes a quarter of a second.
 from __future__ import annotations
 
 import logging
-import math
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from hplan.base.arrays import FloatArray
 from hplan.base.kernels import kernel
@@ -33,17 +32,12 @@ from hplan.robot.dynamics import InverseDynamics
 from hplan.robot.limits import GeometricPath, Limits
 
 with deferred("matplotlib", "matplotlib.pyplot"):  # toppra wants it for plots that nobody asks for here
-    import toppra
     from toppra import constraint
-    from toppra.algorithm.algorithm import ParameterizationAlgorithm, ParameterizationReturnCode
 
 logging.getLogger("toppra").setLevel(logging.ERROR)
 
 #: What toppra is given for a limit of zero, which only joints that do not move may have.
 _TINY = 1e-9
-
-#: Paths shorter than this are given a longer parameter [rad].
-_SHORT = 0.01
 
 #: toppra's bounds of u and x, its tolerances of a half-plane and of parallel lines, its weight of u in the programs of
 #: the backward pass (of points with the same x, one with small u), what its forward pass takes from x at each step
@@ -66,173 +60,86 @@ def fastest_speed(
     Raises:
         TimingError: There is no motion within the limits; `cause` is toppra's code.
     """
-    # toppra's tolerances are absolute; on a short path a longer parameter brings ds/dt to about 10.
+    # toppra's tolerances are absolute; where a path is shorter than 0.01 rad, a longer parameter brings ds/dt to
+    # about 10.
     span = float(grid[-1] - grid[0])
-    scale = 10.0 / np.sqrt(max(float(limits.acceleration.max()), _TINY) * span) if span < _SHORT else 1.0
-    constraints: list[Any] = [
-        _Velocity(np.maximum(limits.velocity, _TINY)),
-        _Acceleration(np.maximum(limits.acceleration, _TINY)),
-    ]
-    if limits.torque is not None:
-        constraints.append(_Torque(dynamics, np.maximum(limits.torque, _TINY)))
-    view = _Path(path, grid, scale)
-    instance = Passes(constraints, view, gridpoints=scale * grid)
-    _, speed, _ = instance.compute_parameterization(scale * float(rates[0]), scale * float(rates[1]))
-    if speed is None or not np.isfinite(speed).all():
-        code = instance.problem_data.return_code.name
-        raise TimingError(f"toppra finds no motion along the path ({code})", cause=code)
-    return np.maximum(np.asarray(speed, dtype=np.float64), 0.0) / scale
+    scale = 10.0 / np.sqrt(max(float(limits.acceleration.max()), _TINY) * span) if span < 0.01 else 1.0
+    scaled = scale * grid
+    rows = half_planes(PathView(path, len(limits.velocity), scale), dynamics, limits, scaled)
+    speed, _, _ = passes(rows, np.diff(scaled), scale * rates)
+    return np.maximum(speed, 0.0) / scale
 
 
-class _Path(toppra.interpolator.AbstractGeometricPath):  # type: ignore[misc]
-    """The part of a path that a grid covers, as toppra's interface; its parameter is the path's times `scale`."""
+@dataclass(frozen=True)
+class PathView:
+    """A path as toppra's constraints ask for it; its parameter is the path's times `scale`."""
 
-    def __init__(self, path: GeometricPath, grid: FloatArray, scale: float) -> None:
-        self._path, self._grid, self._scale = path, grid, scale
-        # Constraints ask for the same points, one after the other.
-        self._known: dict[tuple[int, bytes], FloatArray] = {}
+    path: GeometricPath
+    dof: int
+    scale: float
 
-    @property
-    def dof(self) -> int:
-        return int(self._path.evaluate(0.0).shape[-1])
-
-    @property
-    def path_interval(self) -> FloatArray:
-        return self._scale * np.array([self._grid[0], self._grid[-1]])
-
-    @property
-    def waypoints(self) -> tuple[FloatArray, FloatArray]:
-        return self._scale * self._grid, self._path.evaluate(self._grid)
-
-    def __call__(self, path_positions: ArrayLike, order: int = 0) -> FloatArray:
-        positions = np.asarray(path_positions, dtype=np.float64)
-        asked = (order, positions.tobytes())
-        if asked not in self._known:
-            self._known[asked] = self._path.evaluate(positions / self._scale, order) / self._scale**order
-        return self._known[asked]
+    def __call__(self, positions: FloatArray, order: int = 0) -> FloatArray:
+        """Points or derivatives at (n,) parameters, (n, dof)."""
+        return self.path.evaluate(positions / self.scale, order) / self.scale**order
 
 
-class _Velocity(constraint.LinearConstraint):  # type: ignore[misc]
-    """|q'| ds/dt <= limit at the grid points, as a bound of x.
+def half_planes(view: PathView, dynamics: InverseDynamics, limits: Limits, grid: FloatArray) -> FloatArray:
+    """(n, 6 + m, 3) half-planes a u + b x + c <= 0 at each grid point.
 
-    `JointVelocityConstraint` without its loops.
+    Four are the bounds of u and x, two are left for the interval of the next grid point. The last grid point has no
+    interval after it, and so no limit of acceleration or torque.
     """
-
-    def __init__(self, limit: FloatArray) -> None:
-        super().__init__()
-        self._limit = limit
-
-    def compute_constraint_params(self, path: Any, gridpoints: FloatArray, *_: Any) -> tuple[Any, ...]:
-        """Return toppra's a, b, c, F, g, ubound, of which there are none, and xbound."""
-        fastest = (self._limit / np.maximum(np.abs(path(gridpoints, 1)), 1e-300)).min(axis=1)
-        bound = np.stack([np.zeros(len(fastest)), np.minimum(fastest, math.sqrt(_BOUND)) ** 2], axis=1)
-        return None, None, None, None, None, None, bound
-
-
-class _AtMiddles(constraint.LinearConstraint):  # type: ignore[misc]
-    """|a u + b x + c| <= limit at the middle of each interval, in toppra's canonical form at its first grid point."""
-
-    def __init__(self, limit: FloatArray) -> None:
-        super().__init__()
-        self.identical = True
-        self._limit = limit
-
-    def coefficients(
-        self, q: FloatArray, first: FloatArray, second: FloatArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """The (n, dof) coefficients a, b, c from position and derivatives of the path."""
-        raise NotImplementedError
-
-    def compute_constraint_params(self, path: Any, gridpoints: FloatArray, *_: Any) -> tuple[Any, ...]:
-        """Return toppra's a, b, c, F, g, ubound, xbound; the last grid point has no interval, and so no limit."""
-        half = 0.5 * np.diff(gridpoints)
-        middle = gridpoints[:-1] + half
-        a, b, c = self.coefficients(path(middle), path(middle, 1), path(middle, 2))
-        a = a + 2.0 * half[:, None] * b
-        dof = a.shape[1]
-        bounds = np.vstack([np.eye(dof), -np.eye(dof)])
-        last = np.zeros((1, dof))
-        stacked = (np.vstack([part, last]) for part in (a, b, c))
-        return (*stacked, bounds, np.tile(self._limit, 2), None, None)
+    half = 0.5 * np.diff(grid)
+    middle = grid[:-1] + half
+    bounds = np.tile([-_BOUND, _BOUND, -_BOUND, _BOUND], (len(grid), 1))
+    velocity = constraint.JointVelocityConstraint(np.maximum(limits.velocity, _TINY))
+    bounds[:, 2:] = np.clip(velocity.compute_constraint_params(view, grid)[6], 0.0, _BOUND)
+    fixed = np.zeros((len(grid), 6, 3))
+    fixed[:, 0:4, 0], fixed[:, 0:4, 1] = (-1.0, 1.0, 0.0, 0.0), (0.0, 0.0, -1.0, 1.0)
+    fixed[:, 0:4, 2] = bounds * (1.0, -1.0, 1.0, -1.0)
+    found = [fixed]
+    collocation = constraint.DiscretizationType.Collocation
+    acceleration = constraint.JointAccelerationConstraint(np.maximum(limits.acceleration, _TINY), collocation)
+    a, b, c = acceleration.compute_constraint_params(view, middle)[:3]
+    linear = [(a, b, c, np.maximum(limits.acceleration, _TINY))]
+    if limits.torque is not None:
+        # M(q) q' u + (M(q) q'' + C(q, q') q') x + g(q), in toppra's form.
+        q, still = view(middle), np.zeros_like(a)
+        gravity = dynamics.torques(q, still, still)
+        inertia, moving = dynamics.torques(q, still, a) - gravity, dynamics.torques(q, a, b) - gravity
+        linear.append((inertia, moving, gravity, np.maximum(limits.torque, _TINY)))
+    for a, b, c, limit in linear:
+        planes = np.stack([a + 2.0 * half[:, None] * b, b, c], axis=2)
+        for side in (1.0, -1.0):
+            kept = side * planes
+            kept[:, :, 2] -= limit
+            last = np.zeros((1, *kept.shape[1:]))
+            last[:, :, 2] = -limit
+            found.append(np.concatenate([kept, last]))
+    return np.concatenate(found, axis=1)
 
 
-class _Acceleration(_AtMiddles):
-    """Joint acceleration q' u + q'' x."""
+def passes(rows: FloatArray, steps: FloatArray, rates: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Both of toppra's passes: (n,) path speeds, (n - 1,) path accelerations and (n, 2) controllable sets of x.
 
-    def coefficients(
-        self, q: FloatArray, first: FloatArray, second: FloatArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        return first, second, np.zeros_like(q)
+    Args:
+        rows: (n, 6 + m, 3) half-planes, as `half_planes` gives them; two of each point are filled in.
+        steps: (n - 1,) lengths of the grid's intervals.
+        rates: (2,) path speeds at the ends.
 
-
-class _Torque(_AtMiddles):
-    """Joint torque by inverse dynamics, M(q) q' u + (M(q) q'' + C(q, q') q') x + g(q)."""
-
-    def __init__(self, dynamics: InverseDynamics, limit: FloatArray) -> None:
-        super().__init__(limit)
-        self._dynamics = dynamics
-
-    def coefficients(
-        self, q: FloatArray, first: FloatArray, second: FloatArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        still = np.zeros_like(q)
-        gravity = self._dynamics.torques(q, still, still)
-        inertia = self._dynamics.torques(q, still, first)
-        moving = self._dynamics.torques(q, first, second)
-        return inertia - gravity, moving - gravity, gravity
-
-
-class Passes(ParameterizationAlgorithm):  # type: ignore[misc]
-    """`algorithm.TOPPRA` with both passes compiled: its results and return codes, for constraints that are linear."""
-
-    def compute_parameterization(self, sd_start: float, sd_end: float, return_data: bool = False) -> tuple[Any, ...]:
-        """Path accelerations (n - 1,), path speeds (n,), no further variables; with `return_data` the sets (n, 2) too.
-
-        All but the last are None where no motion was found; `problem_data.return_code` says why.
-        """
-        rows = self._half_planes()
-        sets, x, u = np.full((len(rows), 2), np.nan), np.full(len(rows), np.nan), np.zeros(len(rows) - 1)
-        steps = np.diff(self.gridpoints)
-        _controllable(rows, steps, sd_end**2, sets)
-        start = sd_start**2
-        within = sets[0, 0] <= start + _NEAR and start <= sets[0, 1] + _NEAR
-        extra = (sets,) if return_data else ()
-        if not within:
-            self._problem_data.return_code = ParameterizationReturnCode.FailUncontrollable
-            return (None, None, None, *extra)
+    Raises:
+        TimingError: There is no motion within the limits; `cause` is toppra's code.
+    """
+    sets, x, u = np.full((len(rows), 2), np.nan), np.full(len(rows), np.nan), np.zeros(len(rows) - 1)
+    start, end = (float(rate) ** 2 for rate in rates)
+    _controllable(rows, steps, end, sets)
+    within = sets[0, 0] <= start + _NEAR and start <= sets[0, 1] + _NEAR
+    if within:
         greedy(rows, steps, sets, start, x, u)
-        speed = np.sqrt(x)
-        code = ParameterizationReturnCode
-        self._problem_data.return_code = code.ErrUnknown if np.isnan(speed).any() else code.Ok
-        self._problem_data.K, self._problem_data.sd_vec, self._problem_data.sdd_vec = sets, speed, u
-        return (u, speed, np.zeros((len(u), 0)), *extra)
-
-    def _half_planes(self) -> FloatArray:
-        """(n, 6 + m, 3) half-planes a u + b x + c <= 0 at each grid point.
-
-        Four are the bounds of u and x, two are left for the interval of the next grid point.
-        """
-        bounds = np.tile([-_BOUND, _BOUND, -_BOUND, _BOUND], (len(self.gridpoints), 1))
-        found = []
-        for given in self.constraints:
-            a, b, c, faces, offsets, of_u, of_x = given.compute_constraint_params(self.path, self.gridpoints)
-            if a is not None:
-                faces = np.swapaxes(faces, -1, -2)
-                found.append(np.stack([_through(a, faces), _through(b, faces), _through(c, faces) - offsets], axis=2))
-            for first, bound in ((0, of_u), (2, of_x)):
-                if bound is not None:
-                    np.maximum(bounds[:, first], bound[:, 0], out=bounds[:, first])
-                    np.minimum(bounds[:, first + 1], bound[:, 1], out=bounds[:, first + 1])
-        fixed = np.zeros((len(bounds), 6, 3))
-        fixed[:, 0:4, 0], fixed[:, 0:4, 1] = (-1.0, 1.0, 0.0, 0.0), (0.0, 0.0, -1.0, 1.0)
-        fixed[:, 0:4, 2] = bounds * (1.0, -1.0, 1.0, -1.0)
-        return np.concatenate([fixed, *found], axis=1)
-
-
-def _through(values: FloatArray, faces: FloatArray) -> FloatArray:
-    """(n, m) values by faces that are the same at all grid points, (k, m), or not, (n, k, m)."""
-    product: FloatArray = values @ faces if faces.ndim == 2 else (values[:, None] @ faces)[:, 0]
-    return product
+    if not np.isfinite(x).all():
+        code = "ErrUnknown" if within else "FailUncontrollable"
+        raise TimingError(f"toppra finds no motion along the path ({code})", cause=code)
+    return np.sqrt(x), u, sets
 
 
 @kernel

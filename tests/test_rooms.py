@@ -7,7 +7,9 @@ from collections.abc import Iterator
 from itertools import chain
 from pathlib import Path
 
+import numpy as np
 import pytest
+from scipy.sparse.csgraph import connected_components
 
 PACKAGE = Path(__file__).resolve().parents[1] / "hplan"
 
@@ -64,6 +66,30 @@ def test_a_room_imports_only_what_is_below_it(room: str) -> None:
 @pytest.mark.parametrize("room", rooms())
 def test_a_room_says_what_it_is_for(room: str) -> None:
     assert ast.get_docstring(ast.parse((PACKAGE / room / "__init__.py").read_text(encoding="utf-8")))
+
+
+#: Rooms with modules that still import one another in circles.
+CIRCLES = {"scene", "planning"}
+
+
+def test_no_modules_import_one_another() -> None:
+    """Wherever in the file: an import within a function, or for types alone, is one too."""
+    names = {path: ".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts) for path in PACKAGE.rglob("*.py")}
+    modules = {name.removesuffix(".__init__") for name in names.values()} - {"hplan"}
+    graph: dict[str, set[str]] = {}
+    for path, name in names.items():
+        own, found = name.removesuffix(".__init__"), graph.setdefault(name.removesuffix(".__init__"), set())
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ImportFrom) and node.module is not None:
+                found |= {n if (n := f"{node.module}.{a.name}") in modules else node.module for a in node.names}
+            elif isinstance(node, ast.Import):
+                found |= {alias.name for alias in node.names}
+        graph[own] = (found & modules) - {own}
+    listed = sorted(graph.keys() - {"hplan"})
+    matrix = np.array([[name in graph[other] for name in listed] for other in listed])
+    _, label = connected_components(matrix, directed=True, connection="strong")
+    circles = [name for name, number in zip(listed, label, strict=True) if np.count_nonzero(label == number) > 1]
+    assert {name.split(".")[1] for name in circles} <= CIRCLES, circles
 
 
 def test_no_study_is_imported() -> None:

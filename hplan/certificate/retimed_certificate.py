@@ -36,8 +36,7 @@ from hplan.robot.base_shapes import GROUND, TURRET
 from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel
 from hplan.scene.model import Scene
-from hplan.trajectory.time_scaling import SAME_TIME, Retimed
-from hplan.trajectory.trajectory import Trajectory, cubic_pieces
+from hplan.trajectory.trajectory import SAME_TIME, Retimed, Trajectory, cubic_pieces
 
 
 @dataclass(frozen=True, eq=False)

@@ -32,8 +32,7 @@ from hplan.planning.plan import PlanResult, plan_with
 from hplan.planning.report import motion_report
 from hplan.planning.task import PlanningCache
 from hplan.scene.model import Scene, Start
-from hplan.trajectory.time_scaling import SAME_TIME, Retimed, stopped
-from hplan.trajectory.trajectory import Phase, Trajectory, joined
+from hplan.trajectory.trajectory import SAME_TIME, Phase, Retimed, Trajectory, joined, stopped
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,8 +14,9 @@ import numpy as np
 from hplan.base.arrays import FloatArray, frozen
 from hplan.base.kernels import kernel
 from hplan.optimization.options import JointArrays, PostprocessOptions
+from hplan.trajectory.cubics import bezier_piece
 from hplan.trajectory.speed_profile import SpeedProfile
-from hplan.trajectory.spline import SplinePath, bezier_piece
+from hplan.trajectory.spline import SplinePath
 
 #: Points at which a piece's speed is estimated.
 _PER_PIECE = 8

@@ -23,6 +23,7 @@ from hplan.optimization.timed_spline import (
     even_breaks,
 )
 from hplan.optimization.torque_rows import ALLOWED, TorqueUse
+from hplan.trajectory.cubics import accelerations, hermite_pieces
 from hplan.trajectory.retime import KEPT
 
 #: A step is halved so often at most until it is clear.
@@ -180,11 +181,9 @@ def _use_between_rows(spline: TimedSpline, problem: TimeProblem) -> float:
     step_s, (speed, push, jerk) = 1.0 / problem.rate_hz, problem.arrays.rates
     clock = np.linspace(0.0, spline.duration, round(spline.duration * problem.rate_hz) + 1)
     velocity = spline.path.evaluate(clock, 1)
-    gained = 6.0 * np.diff(spline.positions(clock), axis=0) / step_s
-    first = (gained - 4.0 * velocity[:-1] - 2.0 * velocity[1:]) / step_s
-    last = (2.0 * velocity[:-1] + 4.0 * velocity[1:] - gained) / step_s
+    bent = accelerations(*hermite_pieces(clock, spline.positions(clock), velocity))
     moved = problem.options.movable
-    uses = (np.abs(velocity) / speed, np.abs(np.stack([first, last])) / push, np.abs(last - first) / step_s / jerk)
+    uses = (np.abs(velocity) / speed, np.abs(bent) / push, np.abs(np.diff(bent, axis=1)) / step_s / jerk)
     largest = (float(use[..., moved].max()) for use in uses)
     return max(math.pow(use, 1.0 / order) for order, use in enumerate(largest, 1))
 

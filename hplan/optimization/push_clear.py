@@ -18,7 +18,8 @@ from hplan.collision.body_kernels import FAR, body_slopes, least_body_clearance
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.clearance_kernels import LINK, FieldArrays, link_clearances, smallest
 from hplan.optimization.options import JointArrays, PostprocessOptions
-from hplan.trajectory.spline import STRIDE, MovableSpline, SplinePath, bezier_piece, piece_is_clear
+from hplan.trajectory.cubics import bezier_piece
+from hplan.trajectory.spline import STRIDE, MovableSpline, SplinePath, piece_is_clear
 
 #: Rounds of pushing.
 _ROUNDS = any_int(40)

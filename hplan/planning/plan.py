@@ -31,10 +31,9 @@ from hplan.planning.whole_motion import Beginning, all_parts, parts_in_time
 from hplan.robot.model import Robot
 from hplan.robot.tracking import largest_fraction, name_margin
 from hplan.scene.model import Scene, Start
-from hplan.trajectory.speed_factors import Profile
 from hplan.trajectory.spline import SplinePath
-from hplan.trajectory.time_scaling import Retimed, scaled, stopped
-from hplan.trajectory.trajectory import Phase, Trajectory, joined
+from hplan.trajectory.time_scaling import Profile
+from hplan.trajectory.trajectory import Phase, Retimed, Trajectory, joined, scaled, stopped
 
 if TYPE_CHECKING:
     from hplan.planning.lower_bound.duration_bound import DurationBound
@@ -111,7 +110,7 @@ class PlanResult(Record):
         """The trajectory at other speeds, on its path.
 
         Args:
-            profile: Fraction of its own speed over time (`hplan.trajectory.time_scaling.scaled`).
+            profile: Fraction of its own speed over time (`hplan.trajectory.trajectory.scaled`).
 
         Raises:
             OptionError: Factors that are none, beyond what limits allow, or with which the motion does not end.

@@ -1,6 +1,6 @@
 r"""Stops that each joint makes on its own, from a state of motion: for where there is no path to stay on.
 
-The control points of the motion's uniform cubic B-spline (`hplan.trajectory.retime`) begin with the three that give the
+The control points of the motion's uniform cubic B-spline (`hplan.trajectory.cubics`) begin with the three that give the
 state. Each next one changes the joint's step as far towards rest as second and third differences may be; a change that
 could no longer be brought to nothing in time is not begun. So the motion goes on from the state without a jump, up to
 the acceleration, and keeps velocity, acceleration and jerk at all times. It leaves the path that the arm was on.
@@ -12,6 +12,7 @@ import numpy as np
 
 from hplan.base.arrays import FloatArray
 from hplan.robot.model import Robot
+from hplan.trajectory.cubics import points_of, rows_of
 from hplan.trajectory.trajectory import Trajectory
 
 #: Most rows of a stop.
@@ -36,10 +37,9 @@ def braking(
     """
     most = np.maximum(push, np.abs(acceleration)) * period**2
     jerk = np.full(robot.dof, np.inf) if robot.jerk_limit is None else robot.jerk_limit * period**3
-    middle = position - period**2 / 6.0 * acceleration
+    points = list(points_of(position, velocity, acceleration, period))
     change = acceleration * period**2
     step = period * velocity + 0.5 * change
-    points = [middle - period * velocity + 0.5 * change, middle, middle + step]
     while (step != 0.0).any() or (change != 0.0).any():
         if len(points) > MOST_ROWS:
             return None
@@ -47,7 +47,12 @@ def braking(
         step = np.where(np.abs(step + change) <= 1e-15, 0.0, step + change)
         points.append(points[-1] + step)
     points += [points[-1]] * (2 if (points[-1] != points[-2]).any() else 1)
-    return _trajectory(robot, np.array(points), period, (position, velocity, acceleration))
+    rows = rows_of(np.array(points), period)
+    ends = zip(rows, (position, velocity, acceleration), (points[-1], 0.0, 0.0), strict=True)
+    for values, first, last in ends:
+        values[0], values[-1] = first, last
+    time = np.arange(len(rows[0]), dtype=np.float64) * period
+    return Trajectory(robot.joint_names, time, *rows, robot.dynamics.torques(*rows), robot.slides)
 
 
 def _change(step: FloatArray, change: FloatArray, most: FloatArray, jerk: FloatArray) -> FloatArray:
@@ -58,19 +63,3 @@ def _change(step: FloatArray, change: FloatArray, most: FloatArray, jerk: FloatA
     wanted = -np.sign(step) * np.minimum(np.where(np.isfinite(jerk), still, away), most)
     allowed: FloatArray = np.clip(wanted, np.maximum(change - jerk, -most), np.minimum(change + jerk, most))
     return allowed
-
-
-def _trajectory(
-    robot: Robot, points: FloatArray, period: float, state: tuple[FloatArray, FloatArray, FloatArray]
-) -> Trajectory:
-    """The motion with control points, which begins in a state and ends at rest."""
-    change = np.diff(points, axis=0)
-    rows = (
-        (points[:-2] + 4.0 * points[1:-1] + points[2:]) / 6.0,
-        (change[1:] + change[:-1]) / (2.0 * period),
-        np.diff(change, axis=0) / period**2,
-    )
-    for values, first, last in zip(rows, state, (points[-1], 0.0, 0.0), strict=True):
-        values[0], values[-1] = first, last
-    time = np.arange(len(rows[0]), dtype=np.float64) * period
-    return Trajectory(robot.joint_names, time, *rows, robot.dynamics.torques(*rows), robot.slides)

@@ -2,12 +2,7 @@ r"""Time along a path: the fastest under velocity, acceleration and torque limit
 
 toppra finds the path speed on a grid of path parameters that holds the ends of the spline's pieces
 (`hplan.trajectory.topp`). The samples :math:`q_k = q(s(k h))` of that motion are then taken as control points of a
-uniform cubic B-spline in time, and the rows of the trajectory are its knots:
-
-.. math::
-    x_k = \tfrac16 (q_{k-1} + 4 q_k + q_{k+1}), \quad
-    \dot x_k = \frac{q_{k+1} - q_{k-1}}{2 h}, \quad
-    \ddot x_k = \frac{q_{k+1} - 2 q_k + q_{k-1}}{h^2}.
+uniform cubic B-spline in time, and the rows of the trajectory are its knots (`hplan.trajectory.cubics.rows_of`).
 
 These are averages of the motion's own position, velocity and acceleration over :math:`\pm h`, so its limits are kept.
 Between rows the acceleration is linear and the velocity lies in the hull of the differences
@@ -41,6 +36,7 @@ from hplan.base.deadline import check_deadline
 from hplan.errors import HplanError, OptionError, TimingError
 from hplan.robot.dynamics import InverseDynamics, joints_that_slide
 from hplan.robot.limits import GeometricPath, Limits, check_rate
+from hplan.trajectory.cubics import rows_of
 from hplan.trajectory.speed_profile import (
     LITTLE,
     MOST_POINTS,
@@ -318,19 +314,16 @@ def _rows(profile: SpeedProfile, limits: Limits, period: float, window: int, str
         if window > 1:
             total = np.cumsum(np.concatenate([np.zeros((1, control.shape[1])), control - control[0]]), axis=0)
             control = control[0] + (total[window:] - total[:-window]) / window
-        change = np.diff(control, axis=0) / period
-        acceleration = np.diff(change, axis=0) / period
+        position, velocity, acceleration = rows_of(control, period)
         moves = np.ptp(control, axis=0) > NO_MOTION
         excess = max(
-            _largest_use(change, limits.velocity, moves),
+            _largest_use(np.diff(control, axis=0) / period, limits.velocity, moves),
             np.sqrt(_largest_use(acceleration, limits.acceleration, moves)),
         )
         if limits.jerk is not None:
             jerk = np.diff(acceleration, axis=0, prepend=0.0, append=0.0) / period
             excess = max(excess, math.cbrt(_largest_use(jerk, limits.jerk, moves)))
         if excess <= 1.0 + KEPT:
-            position = (control[:-2] + 4.0 * control[1:-1] + control[2:]) / 6.0
-            velocity = 0.5 * (change[1:] + change[:-1])
             _make_exact(position, velocity, acceleration, control, profile)
             return _Rows(position, velocity, acceleration, stretch)
         stretch *= excess

@@ -14,6 +14,7 @@ import numpy as np
 from hplan.base.arrays import FloatArray
 from hplan.robot.dynamics import InverseDynamics
 from hplan.robot.limits import GeometricPath, Limits
+from hplan.trajectory.cubics import rows_of
 
 #: Longer motions get more points, up to a number that takes a tenth of a second.
 MOST_POINTS = 4000
@@ -147,13 +148,13 @@ def _rows_over(profile: SpeedProfile, dynamics: InverseDynamics, limits: Limits,
     clock = np.arange(-1, steps + 1, dtype=np.float64) * period
     control = profile.positions(clock)
     change = np.diff(control, axis=0) / period
-    acceleration = np.diff(change, axis=0) / period
+    _, velocity, acceleration = rows_of(control, period)
     moves = np.ptp(control, axis=0) > NO_MOTION
     fast = np.any(np.abs(change[:, moves]) > (1.0 + LITTLE) * limits.velocity[moves], axis=1)
     over = np.any(np.abs(acceleration[:, moves]) > (1.0 + LITTLE) ** 2 * limits.acceleration[moves], axis=1)
     over |= fast[1:] | fast[:-1]
     if limits.torque is not None:
-        torque = dynamics.torques(control[1:-1], 0.5 * (change[1:] + change[:-1]), acceleration)
+        torque = dynamics.torques(control[1:-1], velocity, acceleration)
         over |= np.any(np.abs(torque) > (1.0 + LITTLE) * limits.torque, axis=1)
     found: FloatArray = clock[1:-1][over]
     return found

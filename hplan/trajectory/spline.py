@@ -22,6 +22,7 @@ from hplan.collision.body_motions import body_piece_is_clear
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.clearance_kernels import LINK, FieldArrays, link_clearances, proven_advance
 from hplan.errors import InputError
+from hplan.trajectory.cubics import bezier_piece, bezier_pieces, evaluate
 
 #: Longest step along a piece with which an optimiser looks for contact before the proof.
 STRIDE = 1.0 / 16.0
@@ -89,10 +90,7 @@ class SplinePath(Record):
         Returns:
             (..., dof) values.
         """
-        parameters = np.array(s, dtype=np.float64)
-        values = np.empty((parameters.size, self.control.shape[1]))
-        _evaluate(self.pieces, self.breaks, parameters.ravel(), derivative, values)
-        return values.reshape(*parameters.shape, -1)
+        return evaluate(self.pieces, self.breaks, s, derivative)
 
     @cached_property
     def length(self) -> float:
@@ -122,79 +120,6 @@ class MovableSpline(NamedTuple):
 
     control: FloatArray
     knots: FloatArray
-
-
-@kernel
-def copy_into(target: FloatArray, source: FloatArray) -> None:
-    """Copy a 2-D array (numba compiles the loop in a fraction of the time of `target[:] = source`)."""
-    for i in range(source.shape[0]):
-        for j in range(source.shape[1]):
-            target[i, j] = source[i, j]
-
-
-@kernel
-def bezier_piece(control: FloatArray, knots: FloatArray, span: int, result: FloatArray) -> None:
-    """Bezier control points of the span between knots[span] and knots[span + 1], by blossoming.
-
-    The blossom of a span is de Boor's recursion with another argument on each level; its values at the span's ends
-    taken 3, 2, 1, 0 times are the Bezier points.
-    """
-    dof = control.shape[1]
-    low, high = knots[span], knots[span + 1]
-    for which in range(4):
-        for joint in range(dof):
-            d0, d1 = control[span - 3, joint], control[span - 2, joint]
-            d2, d3 = control[span - 1, joint], control[span, joint]
-            x = high if which > 0 else low
-            a = (x - knots[span - 2]) / (knots[span + 1] - knots[span - 2])
-            b = (x - knots[span - 1]) / (knots[span + 2] - knots[span - 1])
-            c = (x - knots[span]) / (knots[span + 3] - knots[span])
-            d0, d1, d2 = d0 + a * (d1 - d0), d1 + b * (d2 - d1), d2 + c * (d3 - d2)
-            x = high if which > 1 else low
-            a = (x - knots[span - 1]) / (knots[span + 1] - knots[span - 1])
-            b = (x - knots[span]) / (knots[span + 2] - knots[span])
-            d0, d1 = d0 + a * (d1 - d0), d1 + b * (d2 - d1)
-            x = high if which > 2 else low
-            a = (x - low) / (high - low)
-            result[which, joint] = d0 + a * (d1 - d0)
-
-
-@kernel
-def _evaluate(
-    pieces: FloatArray, breaks: FloatArray, parameters: FloatArray, derivative: int, values: FloatArray
-) -> None:
-    """Points or derivatives of Bezier pieces, as `SplinePath.evaluate`."""
-    last = len(pieces) - 1
-    i = 0
-    for row in range(len(parameters)):
-        s = min(breaks[last + 1], max(breaks[0], parameters[row]))
-        # The piece of the parameter before is most often this one's too, or the one before this one's.
-        while i > 0 and s < breaks[i]:
-            i -= 1
-        while i < last and s >= breaks[i + 1]:
-            i += 1
-        width = breaks[i + 1] - breaks[i]
-        t = (s - breaks[i]) / width
-        u = 1.0 - t
-        for joint in range(values.shape[1]):
-            b0, b1, b2, b3 = pieces[i, 0, joint], pieces[i, 1, joint], pieces[i, 2, joint], pieces[i, 3, joint]
-            if derivative == 0:
-                value = u * u * (u * b0 + 3.0 * t * b1) + t * t * (3.0 * u * b2 + t * b3)
-            elif derivative == 1:
-                value = 3.0 * (u * u * (b1 - b0) + 2.0 * u * t * (b2 - b1) + t * t * (b3 - b2)) / width
-            else:
-                value = 6.0 * (u * (b2 - 2.0 * b1 + b0) + t * (b3 - 2.0 * b2 + b1)) / (width * width)
-            values[row, joint] = value
-
-
-@kernel
-def bezier_pieces(control: FloatArray, knots: FloatArray) -> FloatArray:
-    """Bezier control points of all spans."""
-    spans = control.shape[0] - 3
-    pieces = np.empty((spans, 4, control.shape[1]))
-    for i in range(spans):
-        bezier_piece(control, knots, i + 3, pieces[i])
-    return pieces
 
 
 @kernel

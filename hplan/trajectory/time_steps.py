@@ -15,6 +15,7 @@ import numpy as np
 from hplan.base.arrays import FloatArray
 from hplan.base.kernels import kernel
 from hplan.robot.dynamics import newton_euler
+from hplan.trajectory.cubics import bezier_slope, bezier_value
 
 #: Rows over which the offset at the seam is faded out.
 FADED = 100
@@ -154,14 +155,13 @@ def _at(clocks: Clocks, at: float, found: FloatArray) -> None:
     piece = min(int(np.searchsorted(time, at, side="right")) - 1, last - 1)
     h = time[piece + 1] - time[piece]
     t = (at - time[piece]) / h
-    u = 1.0 - t
     span = fade[2, 0]
     since = at - clocks.clock[2]
     x = since / span if span > 0.0 else 1.0
     for j in range(bezier.shape[2]):
         p0, p1, p2, p3 = bezier[piece, 0, j], bezier[piece, 1, j], bezier[piece, 2, j], bezier[piece, 3, j]
-        found[0, j] = u * u * (u * p0 + 3.0 * t * p1) + t * t * (3.0 * u * p2 + t * p3)
-        found[1, j] = 3.0 * (u * u * (p1 - p0) + 2.0 * u * t * (p2 - p1) + t * t * (p3 - p2)) / h if inside else 0.0
+        found[0, j] = bezier_value(p0, p1, p2, p3, t)
+        found[1, j] = bezier_slope(p0, p1, p2, p3, t) / h if inside else 0.0
         if x < 1.0:
             y = max(x, 0.0)
             value = 1.0 + y * y * y * (-10.0 + y * (15.0 - 6.0 * y))

@@ -8,7 +8,6 @@ import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,14 +17,13 @@ from hplan.base.arrays import FloatArray, Record, numbers
 from hplan.base.csv_file import CsvFile
 from hplan.base.files import write_text
 from hplan.base.units import SLIDING, TURNING, joint_unit
-from hplan.errors import InputError
+from hplan.errors import InputError, TimingError
+from hplan.robot.model import Robot
+from hplan.trajectory.cubics import Rows, evaluate, hermite_pieces, joined_rows
+from hplan.trajectory.time_scaling import Profile, check_factors, rescaled, speed_factors
 
-if TYPE_CHECKING:
-    from hplan.robot.model import Robot
-    from hplan.trajectory.speed_factors import Profile
-
-#: Ends of motions nearer to each other than this are one [rad, rad/s].
-JOINED = 1e-9
+#: A row so little before a time is at it [s].
+SAME_TIME = 1e-9
 
 #: Differences of a controller's times are no finer than this where it counts seconds since 1970 [s].
 CLOCK_STEP = 1e-6
@@ -99,17 +97,18 @@ class Trajectory(Record):
         return float(self.time[-1])
 
     @property
+    def rows(self) -> Rows:
+        """Its samples alone."""
+        return Rows(self.time, self.position, self.velocity, self.acceleration, self.torque)
+
+    def _with(self, rows: Rows) -> Trajectory:
+        return Trajectory(self.joint_names, *rows, self.slides)
+
+    @property
     def reversed(self) -> Trajectory:
         """The motion backwards. Torques stay as they are: inverse dynamics knows velocity only by its square."""
-        return Trajectory(
-            self.joint_names,
-            self.time[-1] - self.time[::-1],
-            self.position[::-1],
-            -self.velocity[::-1],
-            self.acceleration[::-1],
-            self.torque[::-1],
-            self.slides,
-        )
+        time, position, acceleration = self.time[-1] - self.time[::-1], self.position[::-1], self.acceleration[::-1]
+        return self._with(Rows(time, position, -self.velocity[::-1], acceleration, self.torque[::-1]))
 
     @property
     def samples(self) -> int:
@@ -122,16 +121,7 @@ class Trajectory(Record):
         Raises:
             OptionError: It has no such row.
         """
-        row = whole("row", row, 0, self.samples - 1)
-        return Trajectory(
-            self.joint_names,
-            self.time[row:] - self.time[row],
-            self.position[row:],
-            self.velocity[row:],
-            self.acceleration[row:],
-            self.torque[row:],
-            self.slides,
-        )
+        return self._with(self.rows.since(whole("row", row, 0, self.samples - 1)))
 
     def until(self, row: int) -> Trajectory:
         """The motion up to a row; it ends in motion if it is in motion there.
@@ -139,22 +129,12 @@ class Trajectory(Record):
         Raises:
             OptionError: It has no such row.
         """
-        row = whole("row", row, 0, self.samples - 1)
-        return Trajectory(
-            self.joint_names,
-            self.time[: row + 1],
-            self.position[: row + 1],
-            self.velocity[: row + 1],
-            self.acceleration[: row + 1],
-            self.torque[: row + 1],
-            self.slides,
-        )
+        return self._with(self.rows.until(whole("row", row, 0, self.samples - 1)))
 
     def stop_at(self, t: float, robot: Robot) -> Trajectory:
         """The motion up to the first row at or after a time, and from there on the quickest stop on its path.
 
-        The path stays (to 0.1 mm): what was clear of obstacles on it is. `hplan.trajectory.time_scaling.stopped` says
-        more.
+        The path stays (to 0.1 mm): what was clear of obstacles on it is. `stopped` says more.
 
         Args:
             t: The time, within the motion [s].
@@ -164,8 +144,6 @@ class Trajectory(Record):
             OptionError: A time before the motion or after it, or no robot.
             TimingError: The motion neither ends at rest, nor was a stop found.
         """
-        from hplan.trajectory.time_scaling import stopped
-
         return stopped(self, t, robot).trajectory
 
     def scaled(self, profile: Profile, robot: Robot) -> Trajectory:
@@ -173,15 +151,13 @@ class Trajectory(Record):
 
         Args:
             profile: Fraction of the motion's own speed over time: a number, (n, 2) rows of time [s] and factor, or a
-                function of the time (`hplan.trajectory.time_scaling.scaled`).
+                function of the time (the function `scaled` says more).
             robot: The arm, for its limits.
 
         Raises:
             OptionError: Factors that are none, beyond what limits allow, or with which the motion does not end.
             TimingError: No motion within the limits was found.
         """
-        from hplan.trajectory.time_scaling import scaled
-
         return scaled(self, profile, robot).trajectory
 
     def state_at(self, t: float) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -202,7 +178,9 @@ class Trajectory(Record):
         if not 0.0 <= t < self.duration:
             still = np.zeros(len(self.joint_names))
             return self.position[0 if t < 0.0 else -1], still, still
-        q, v, a = cubic_states(self.time, self.position, self.velocity, np.array([t]))
+        row = min(int(np.searchsorted(self.time, t, side="right")), self.samples - 1)
+        about = slice(row - 1, row + 1)
+        q, v, a = cubic_states(self.time[about], self.position[about], self.velocity[about], np.array([t]))
         return q[0], v[0], a[0]
 
     def positions(self, clock: ArrayLike) -> FloatArray:
@@ -211,36 +189,135 @@ class Trajectory(Record):
         Raises:
             InputError: No list of finite times.
         """
-        clock = np.clip(numbers("clock", clock, (None,)), 0.0, self.duration)
-        bezier, duration = cubic_pieces(self)
-        piece = np.clip(np.searchsorted(self.time, clock, side="right") - 1, 0, len(bezier) - 1)
-        t = np.clip((clock - self.time[piece]) / duration[piece], 0.0, 1.0)[:, None]
-        a, b, c, d = np.moveaxis(bezier[piece], 1, 0)
-        u = 1.0 - t
-        q: FloatArray = u * u * (u * a + 3.0 * t * b) + t * t * (3.0 * u * c + t * d)
-        return q
+        return self.rows.positions(numbers("clock", clock, (None,)))
+
+
+@dataclass(frozen=True, eq=False)
+class Retimed(Record):
+    """A motion on the path of another one.
+
+    Attributes:
+        trajectory: The motion, on the same clock as the other one up to where they part.
+        row: The row at which they part.
+        clock: (samples,) for each row the time at which the other motion is there [s].
+        off_path: (dof,) bound of how far each joint is off the path at any time [rad].
+        off_path_m: Bound of how far the arm is off it [m].
+    """
+
+    trajectory: Trajectory
+    row: int
+    clock: FloatArray
+    off_path: FloatArray
+    off_path_m: float
+
+    @classmethod
+    def cut(cls, trajectory: Trajectory, row: int) -> Retimed:
+        """The motion up to a row at which it is at rest."""
+        kept = trajectory if row == trajectory.samples - 1 else trajectory.until(row)
+        return cls(kept, row, kept.time, np.zeros(len(trajectory.joint_names)), 0.0)
+
+
+def stopped(trajectory: Trajectory, t: float, robot: Robot) -> Retimed:
+    """The motion with the quickest stop on its path from the first row at or after a time on.
+
+    Where the motion itself comes to rest as early, that is the stop.
+
+    Args:
+        trajectory: The motion; its joints are the robot's.
+        t: The time, within the motion [s].
+        robot: The arm, for its limits.
+
+    Raises:
+        OptionError: A time before the motion or after it.
+        InputError: A motion of other joints.
+        TimingError: The motion neither ends at rest, nor was a stop found.
+    """
+    _check_kinds(trajectory, robot)
+    number(
+        "t", t, f"a time between 0 and the motion's end at {trajectory.duration:.6g} s",
+        lambda value: 0.0 <= value <= trajectory.duration,
+    )  # fmt: skip
+    row, rows = int(np.searchsorted(trajectory.time, t - SAME_TIME)), trajectory.rows
+    if rows.is_at_rest(row):
+        return Retimed.cut(trajectory, row)
+    found = None
+    if row < trajectory.samples - 1:
+        found = rescaled(rows, robot, row, np.zeros_like, final_s=0.0)
+    rests = rows.is_at_rest(-1)
+    if found is not None and (not rests or found[0].duration < trajectory.duration):
+        return Retimed(Trajectory(robot.joint_names, *found[0], robot.slides), row, *found[1:])
+    if rests:
+        return Retimed.cut(trajectory, trajectory.samples - 1)
+    raise TimingError("no stop within the limits was found, and the motion does not end at rest", cause="no stop")
+
+
+def scaled(trajectory: Trajectory, profile: Profile, robot: Robot) -> Retimed:
+    """The motion at other speeds, on its path.
+
+    Factors are followed as closely as limits allow: what they ask for at once is reached over a ramp. A pause is a
+    factor of 0; where the last factor of rows is 0, the motion ends at rest when it gets there.
+
+    Args:
+        trajectory: The motion; its joints are the robot's.
+        profile: Fraction of the motion's own speed over the time of the new motion: a number, (n, 2) rows of time [s]
+            and factor, linear in between and constant after the last one (at a time given twice it steps), or a
+            function of the time [s]. More than 1 is taken where the whole motion has room for it.
+        robot: The arm, for its limits.
+
+    Raises:
+        OptionError: A factor that is negative, not finite or beyond what limits allow; times that decrease or are
+            negative; factors with which the motion does not end.
+        InputError: A motion of other joints.
+        TimingError: No motion within the limits was found.
+    """
+    _check_kinds(trajectory, robot)
+    factors, last_s, last = speed_factors(profile)
+    rows, own = trajectory.rows, factors(trajectory.time)
+    differs = np.flatnonzero((own[:-1] != 1.0) | (own[1:] != 1.0))
+    if len(differs) == 0:
+        return Retimed.cut(trajectory, trajectory.samples - 1)
+    row = int(differs[0])
+    check_factors(rows, robot, float(own.max()))
+    begin = float(trajectory.time[row])
+
+    def wanted(clock: FloatArray) -> FloatArray:
+        values = factors(begin + clock)
+        check_factors(rows, robot, float(values.max(initial=0.0)))
+        return values
+
+    found = rescaled(rows, robot, row, wanted, final_s=last_s - begin if last == 0.0 else np.inf)
+    if found is not None:
+        return Retimed(Trajectory(robot.joint_names, *found[0], robot.slides), row, *found[1:])
+    if rows.is_at_rest(-1):
+        raise TimingError("no motion at these speed factors keeps the limits", cause="speed factors")
+    velocity, acceleration = trajectory.velocity[-1], trajectory.acceleration[-1]
+    joint = int((np.abs(velocity) if velocity.any() else np.abs(acceleration)).argmax())
+    unit = joint_unit(robot.slides[joint])
+    raise TimingError(
+        f"the motion ends with joint {robot.joint_names[joint]!r} at {abs(velocity[joint]):.3g} {unit.velocity} "
+        f"with an acceleration of {abs(acceleration[joint]):.3g} {unit.acceleration}: at other speeds it would end "
+        "otherwise; only one that ends without either can be run so",
+        joint=robot.joint_names[joint],
+        cause="not at rest at the end",
+    )
+
+
+def _check_kinds(trajectory: Trajectory, robot: Robot) -> None:
+    """Refuse what is no trajectory of a robot."""
+    instance("trajectory", trajectory, Trajectory, "plan or read_csv")
+    instance("robot", robot, Robot, "load_robot")
+    check_joints(trajectory, robot)
 
 
 def cubic_pieces(trajectory: Trajectory) -> tuple[FloatArray, FloatArray]:
-    """The cubics between the rows of a trajectory, with the rows' positions and velocities.
-
-    Returns:
-        (pieces, 4, dof) Bezier points [rad] and (pieces,) durations [s]; of a single row one constant piece of 1 s.
-        Points are not finite where numbers overflow.
-    """
-    q, v = trajectory.position, trajectory.velocity
-    if len(q) == 1:
-        return np.repeat(q[:, None, :], 4, axis=1), np.ones(1)
-    duration = np.diff(trajectory.time)
-    third = duration[:, None] / 3.0
-    with np.errstate(over="ignore", invalid="ignore"):
-        return np.stack([q[:-1], q[:-1] + third * v[:-1], q[1:] - third * v[1:], q[1:]], axis=1), duration
+    """The cubics between the rows of a trajectory: Bezier points and durations (`cubics.hermite_pieces`)."""
+    return trajectory.rows.pieces
 
 
 def cubic_states(
     time: FloatArray, position: FloatArray, velocity: FloatArray, clock: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Position, velocity and acceleration on the cubics between rows, those of `cubic_pieces`; after the end, there.
+    """Position, velocity and acceleration on the cubics between rows; after the end, there.
 
     Args:
         time: (n,) times of the rows, n > 1 [s].
@@ -251,13 +328,8 @@ def cubic_states(
     Returns:
         Three of (k, dof).
     """
-    piece = np.clip(np.searchsorted(time, clock, side="right") - 1, 0, len(time) - 2)
-    h = (time[piece + 1] - time[piece])[:, None]
-    t = np.minimum((clock - time[piece])[:, None] / h, 1.0)
-    p0, p1 = position[piece], position[piece + 1]
-    m0, m1 = h * velocity[piece], h * velocity[piece + 1]
-    c2, c3 = 3.0 * (p1 - p0) - 2.0 * m0 - m1, 2.0 * (p0 - p1) + m0 + m1
-    return p0 + t * (m0 + t * (c2 + t * c3)), (m0 + t * (2.0 * c2 + 3.0 * t * c3)) / h, (2.0 * c2 + 6.0 * t * c3) / h**2
+    pieces, _ = hermite_pieces(time, position, velocity)
+    return evaluate(pieces, time, clock), evaluate(pieces, time, clock, 1), evaluate(pieces, time, clock, 2)
 
 
 def check_joints(trajectory: Trajectory, robot: Robot) -> None:
@@ -312,19 +384,13 @@ def joined(parts: Sequence[Trajectory]) -> Trajectory:
             float(np.abs(second.position[0] - first.position[-1]).max()),
             float(np.abs(second.velocity[0] - first.velocity[-1]).max()),
         )
-        if gap > JOINED:
+        if gap > 1e-9:
             raise InputError(
                 f"joined: motion {place + 1} does not go on where the one before it ends (off by {gap:.4g})",
                 motion=place + 1,
             )
-    begins = np.concatenate([[0.0], np.cumsum([part.duration for part in parts])])
-    times = [part.time[1:] + begin for part, begin in zip(parts, begins, strict=False)]
-    rows = {
-        name: np.concatenate([getattr(parts[0], name)[:1], *(getattr(part, name)[1:] for part in parts)])
-        for name in ("position", "velocity", "acceleration", "torque")
-    }
     slides = next((part.slides for part in parts if part.slides), ())
-    return Trajectory(parts[0].joint_names, np.concatenate([[0.0], *times]), slides=slides, **rows)
+    return Trajectory(parts[0].joint_names, *joined_rows([part.rows for part in parts]), slides)
 
 
 def csv_header(joint_names: tuple[str, ...], slides: Sequence[bool] = ()) -> list[str]:
@@ -357,8 +423,6 @@ def write_csv(trajectory: Trajectory, path: Path | str, robot: Robot | None = No
     """
     instance("trajectory", trajectory, Trajectory, "plan or read_csv")
     if robot is not None:
-        from hplan.robot.model import Robot
-
         instance("robot", robot, Robot, "load_robot")
         check_joints(trajectory, robot)
         trajectory = replace(trajectory, slides=robot.slides)

@@ -21,7 +21,7 @@ from hplan.scene.file import load_scene
 from hplan.scene.model import Goal
 from hplan.scene.obstacles import Box, Sphere
 from hplan.scene.tracks import Track
-from hplan.trajectory.time_scaling import scaled, stopped
+from hplan.trajectory.trajectory import scaled, stopped
 
 STILL = TrackingModel(0.0, 0.0)
 

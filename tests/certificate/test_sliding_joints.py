@@ -22,8 +22,7 @@ from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Sphere
 from hplan.scene.tracks import Track
 from hplan.trajectory import read_waypoints
-from hplan.trajectory.time_scaling import scaled
-from hplan.trajectory.trajectory import Trajectory
+from hplan.trajectory.trajectory import Trajectory, scaled
 
 ROBOT = load_robot(GANTRY)
 BEGIN, END = np.array([0.2, 0.3]), np.array([0.7, 0.5])

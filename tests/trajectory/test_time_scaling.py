@@ -14,9 +14,9 @@ from hplan.planning.plan import plan
 from hplan.robot.model import Robot, load_robot
 from hplan.scene.file import load_scene
 from hplan.scene.model import Goal, Scene, Start
-from hplan.trajectory.time_scaling import OFF_PATH, Retimed, scaled, stopped
+from hplan.trajectory.time_scaling import OFF_PATH
 from hplan.trajectory.time_steps import AHEAD
-from hplan.trajectory.trajectory import Trajectory, cubic_pieces
+from hplan.trajectory.trajectory import Retimed, Trajectory, cubic_pieces, scaled, stopped
 
 #: By so much a limit may be passed, of acceleration and torque, and of jerk.
 TOLERANCE, JERK_TOLERANCE = 1.001, 1.035

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from hplan.errors import InputError, OptionError, OutputError
-from hplan.trajectory.trajectory import JOINED, Trajectory, csv_header, joined, read_csv, write_csv
+from hplan.trajectory.trajectory import Trajectory, csv_header, joined, read_csv, write_csv
 
 HEADER = "time_s,a_pos_rad,a_vel_rad_s,a_acc_rad_s2,a_torque_nm"
 FIELDS = ("time", "position", "velocity", "acceleration", "torque")
@@ -122,11 +122,11 @@ def test_what_does_not_go_on_is_not_joined():
         joined([])
     with pytest.raises(InputError, match="motion 1 moves other joints"):
         joined([first, ending_at_rest(5, 1.0, 2.0, ("b", "a"))])
-    for gap in (0.1, -2.0 * JOINED):
+    for gap in (0.1, -2.0 * 1e-9):
         with pytest.raises(InputError, match="motion 2 does not go on where the one before it ends") as caught:
             joined([first, first.reversed, ending_at_rest(5, gap, 2.0)])
         assert caught.value.data["motion"] == 2
-    joined([first, first.reversed, ending_at_rest(5, 0.5 * JOINED, 2.0)])
+    joined([first, first.reversed, ending_at_rest(5, 0.5 * 1e-9, 2.0)])
     moving = Trajectory(first.joint_names, first.time, first.position + 1.0, first.velocity + 0.1, *np.zeros((2, 5, 2)))
     with pytest.raises(InputError, match="does not go on"):
         joined([first, moving])

@@ -77,7 +77,7 @@ class Schedule(Record):
 
     @property
     def profile(self) -> FloatArray:
-        """(k, 2) rows of time and speed factor, as `hplan.trajectory.time_scaling.scaled` takes them."""
+        """(k, 2) rows of time and speed factor, as `hplan.trajectory.trajectory.scaled` takes them."""
         rows: list[tuple[float, float]] = []
         for i, (time, speed) in enumerate(zip(self.time.tolist(), self.speed.tolist(), strict=True)):
             begins = i + 1 < len(self.time) and self.place[i] == 0.0 and speed == 0.0 and self.speed[i + 1] > 0.0

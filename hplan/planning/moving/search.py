@@ -33,8 +33,7 @@ from hplan.planning.moving.schedule import STEP_S, Schedule, earliest_schedule, 
 from hplan.planning.options import PlanOptions
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
-from hplan.trajectory.time_scaling import Retimed, scaled
-from hplan.trajectory.trajectory import Phase, Trajectory
+from hplan.trajectory.trajectory import Phase, Retimed, Trajectory, scaled
 
 #: So much earlier or later than scheduled the arm may be anywhere [s], tried in turn until a motion is certified.
 SPARE_S: Final = (0.02, 0.06, 0.15)

@@ -1,0 +1,209 @@
+r"""Piecewise cubics: Bezier points from rows or from B-splines, values and derivatives, and rows from control points.
+
+A motion given by rows of positions and velocities is a cubic between each two of them. A motion made from control
+points that are a period h apart is a uniform cubic B-spline whose knots are its rows,
+
+.. math::
+    x_k = \tfrac16 (q_{k-1} + 4 q_k + q_{k+1}), \quad
+    \dot x_k = \frac{q_{k+1} - q_{k-1}}{2 h}, \quad
+    \ddot x_k = \frac{q_{k+1} - 2 q_k + q_{k-1}}{h^2},
+
+so that between its rows it is the same cubics, with a continuous acceleration.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hplan.base.arrays import FloatArray, frozen
+from hplan.base.kernels import inlined, kernel
+
+
+class Rows(NamedTuple):
+    """Samples of a motion.
+
+    Attributes:
+        time: (n,) strictly increasing from 0 [s].
+        position: (n, dof).
+        velocity: (n, dof) [rad/s].
+        acceleration: (n, dof) [rad/s^2].
+        torque: (n, dof) [N m].
+    """
+
+    time: FloatArray
+    position: FloatArray
+    velocity: FloatArray
+    acceleration: FloatArray
+    torque: FloatArray
+
+    @property
+    def duration(self) -> float:
+        """Time of the last sample [s]."""
+        return float(self.time[-1])
+
+    @property
+    def pieces(self) -> tuple[FloatArray, FloatArray]:
+        """The cubics between the rows (`hermite_pieces`)."""
+        return hermite_pieces(self.time, self.position, self.velocity)
+
+    def since(self, row: int) -> Rows:
+        """The motion from a row on."""
+        return Rows(self.time[row:] - self.time[row], *(values[row:] for values in self[1:]))
+
+    def until(self, row: int) -> Rows:
+        """The motion up to a row."""
+        return Rows(*(values[: row + 1] for values in self))
+
+    def is_at_rest(self, row: int) -> bool:
+        """True without speed and acceleration at a row, of 1e-6 rad/s and rad/s^2."""
+        return float(max(np.abs(self.velocity[row]).max(), np.abs(self.acceleration[row]).max())) <= 1e-6
+
+    def positions(self, clock: FloatArray) -> FloatArray:
+        """(k, dof) configurations at (k,) times; before the motion and after it, at its ends."""
+        if len(self.time) == 1:
+            return np.repeat(self.position, len(clock), axis=0)
+        return evaluate(self.pieces[0], self.time, clock)
+
+
+def joined_rows(parts: Sequence[Rows]) -> Rows:
+    """Motions one after the other; each begins in the state in which the one before it ends."""
+    begins = np.cumsum([0.0, *(part.duration for part in parts[:-1])])
+    times = [parts[0].time, *(part.time[1:] + begin for part, begin in zip(parts[1:], begins[1:], strict=True))]
+    others = zip(*(part[1:] for part in parts), strict=True)
+    return Rows(np.concatenate(times), *(np.concatenate([own[0], *(more[1:] for more in own[1:])]) for own in others))
+
+
+def hermite_pieces(time: FloatArray, position: FloatArray, velocity: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The cubics between rows, with the rows' positions and velocities.
+
+    Returns:
+        (pieces, 4, dof) Bezier points [rad] and (pieces,) durations [s]; of a single row one constant piece of 1 s.
+        Points are not finite where numbers overflow.
+    """
+    if len(position) == 1:
+        return np.repeat(position[:, None, :], 4, axis=1), np.ones(1)
+    duration = np.diff(time)
+    third = duration[:, None] / 3.0
+    with np.errstate(over="ignore", invalid="ignore"):
+        inner = position[:-1] + third * velocity[:-1], position[1:] - third * velocity[1:]
+        return np.stack([position[:-1], *inner, position[1:]], axis=1), duration
+
+
+def accelerations(pieces: FloatArray, duration: FloatArray) -> FloatArray:
+    """(pieces, 2, dof) second derivatives of cubics at both of their ends, between which they are linear."""
+    bent: FloatArray = 6.0 * np.diff(pieces, n=2, axis=1) / duration[:, None, None] ** 2
+    return bent
+
+
+def rows_of(points: FloatArray, period: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(n - 2, dof) positions, velocities and accelerations at the rows of (n, dof) control points a period apart."""
+    change = np.diff(points, axis=0)
+    position = (points[:-2] + 4.0 * points[1:-1] + points[2:]) / 6.0
+    return position, 0.5 * (change[1:] + change[:-1]) / period, np.diff(change, axis=0) / period**2
+
+
+def points_of(position: FloatArray, velocity: FloatArray, acceleration: FloatArray, period: float) -> FloatArray:
+    """(3, dof) control points that give the state at a row."""
+    middle = position - period**2 / 6.0 * acceleration
+    aside = 0.5 * period**2 * acceleration
+    return np.stack([middle - period * velocity + aside, middle, middle + period * velocity + aside])
+
+
+def evaluate(pieces: FloatArray, breaks: FloatArray, parameters: ArrayLike, derivative: int = 0) -> FloatArray:
+    """Points or derivatives of Bezier pieces.
+
+    Args:
+        pieces: (pieces, 4, dof) Bezier points.
+        breaks: (pieces + 1,) parameters where they meet.
+        parameters: (...) parameters; clipped to these.
+        derivative: 0, 1 or 2.
+
+    Returns:
+        (..., dof) values.
+    """
+    wanted = np.array(parameters, dtype=np.float64)
+    values = np.empty((wanted.size, pieces.shape[2]))
+    _evaluate(frozen(pieces), frozen(breaks), wanted.ravel(), derivative, values)
+    return values.reshape(*wanted.shape, -1)
+
+
+@inlined
+def bezier_value(b0: float, b1: float, b2: float, b3: float, t: float) -> float:
+    """Value of a cubic at t in [0, 1]."""
+    u = 1.0 - t
+    return u * u * (u * b0 + 3.0 * t * b1) + t * t * (3.0 * u * b2 + t * b3)
+
+
+@inlined
+def bezier_slope(b0: float, b1: float, b2: float, b3: float, t: float) -> float:
+    """Derivative of a cubic at t in [0, 1]."""
+    u = 1.0 - t
+    return 3.0 * (u * u * (b1 - b0) + 2.0 * u * t * (b2 - b1) + t * t * (b3 - b2))
+
+
+@kernel
+def _evaluate(
+    pieces: FloatArray, breaks: FloatArray, parameters: FloatArray, derivative: int, values: FloatArray
+) -> None:
+    """Points or derivatives of Bezier pieces, as `evaluate`."""
+    last = len(pieces) - 1
+    i = 0
+    for row in range(len(parameters)):
+        s = min(breaks[last + 1], max(breaks[0], parameters[row]))
+        # The piece of the parameter before is most often this one's too, or the one before this one's.
+        while i > 0 and s < breaks[i]:
+            i -= 1
+        while i < last and s >= breaks[i + 1]:
+            i += 1
+        width = breaks[i + 1] - breaks[i]
+        t = (s - breaks[i]) / width
+        for joint in range(values.shape[1]):
+            b0, b1, b2, b3 = pieces[i, 0, joint], pieces[i, 1, joint], pieces[i, 2, joint], pieces[i, 3, joint]
+            if derivative == 0:
+                value = bezier_value(b0, b1, b2, b3, t)
+            elif derivative == 1:
+                value = bezier_slope(b0, b1, b2, b3, t) / width
+            else:
+                value = 6.0 * ((1.0 - t) * (b2 - 2.0 * b1 + b0) + t * (b3 - 2.0 * b2 + b1)) / (width * width)
+            values[row, joint] = value
+
+
+@kernel
+def bezier_piece(control: FloatArray, knots: FloatArray, span: int, result: FloatArray) -> None:
+    """Bezier control points of the span between knots[span] and knots[span + 1], by blossoming.
+
+    The blossom of a span is de Boor's recursion with another argument on each level; its values at the span's ends
+    taken 3, 2, 1, 0 times are the Bezier points.
+    """
+    dof = control.shape[1]
+    low, high = knots[span], knots[span + 1]
+    for which in range(4):
+        for joint in range(dof):
+            d0, d1 = control[span - 3, joint], control[span - 2, joint]
+            d2, d3 = control[span - 1, joint], control[span, joint]
+            x = high if which > 0 else low
+            a = (x - knots[span - 2]) / (knots[span + 1] - knots[span - 2])
+            b = (x - knots[span - 1]) / (knots[span + 2] - knots[span - 1])
+            c = (x - knots[span]) / (knots[span + 3] - knots[span])
+            d0, d1, d2 = d0 + a * (d1 - d0), d1 + b * (d2 - d1), d2 + c * (d3 - d2)
+            x = high if which > 1 else low
+            a = (x - knots[span - 1]) / (knots[span + 1] - knots[span - 1])
+            b = (x - knots[span]) / (knots[span + 2] - knots[span])
+            d0, d1 = d0 + a * (d1 - d0), d1 + b * (d2 - d1)
+            x = high if which > 2 else low
+            a = (x - low) / (high - low)
+            result[which, joint] = d0 + a * (d1 - d0)
+
+
+@kernel
+def bezier_pieces(control: FloatArray, knots: FloatArray) -> FloatArray:
+    """Bezier control points of all spans."""
+    spans = control.shape[0] - 3
+    pieces = np.empty((spans, 4, control.shape[1]))
+    for i in range(spans):
+        bezier_piece(control, knots, i + 3, pieces[i])
+    return pieces

@@ -43,7 +43,7 @@ from hplan.base.arrays import BoolArray, FloatArray
 from hplan.collision.reach import carriers, joint_axis, points_reach
 from hplan.robot.model import Robot
 from hplan.scene.model import Fruit
-from hplan.trajectory.time_scaling import SAME_TIME
+from hplan.trajectory.trajectory import SAME_TIME
 
 #: Distance from the point to be reached at which the tool counts as there [m].
 THERE = 1e-3

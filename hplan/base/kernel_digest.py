@@ -57,6 +57,16 @@ def code_digest(kernel: Any, *, afresh: bool = False) -> str:
     return _digest([kernel], {} if afresh else _SEEN)
 
 
+def kernels_below(kernel: Any) -> list[Any]:
+    """The compiled functions that one refers to, directly or by way of others; itself first.
+
+    Raises:
+        UnknownDependencyError: As for `code_digest`.
+    """
+    found = dict.fromkeys(_reached([kernel], _SEEN))
+    return [function for function in found if isinstance(function, Dispatcher)]
+
+
 def forget() -> None:
     """Look at everything again, for whoever asks next."""
     _SEEN.clear()
@@ -76,19 +86,26 @@ def value_digest(value: Any) -> str:
 def _digest(functions: Iterable[Any], seen: dict[Any, _Own]) -> str:
     """Digest of functions and all that they refer to, in the order in which they are met; again met, by number."""
     whole, numbers = hashlib.sha256(), dict[Any, int]()
-    left = list(functions)
-    while left:
-        function = left.pop()
+    for function in _reached(functions, seen):
         if function in numbers:
             whole.update(b"again %d." % numbers[function])
-            continue
-        numbers[function] = len(numbers)
-        if function not in seen:
-            seen[function] = _own(function)
-        digest, others = seen[function]
-        whole.update(digest)
-        left.extend(others)
+        else:
+            numbers[function] = len(numbers)
+            whole.update(seen[function][0])
     return whole.hexdigest()
+
+
+def _reached(functions: Iterable[Any], seen: dict[Any, _Own]) -> Iterator[Any]:
+    """Functions and all that they refer to, as often as they are met; what is known of them is then seen."""
+    left, met = list(functions), set[Any]()
+    while left:
+        function = left.pop()
+        if function not in met:
+            met.add(function)
+            if function not in seen:
+                seen[function] = _own(function)
+            left.extend(seen[function][1])
+        yield function
 
 
 def _own(function: Any) -> _Own:

@@ -4,6 +4,10 @@ What is on disk is found by what its machine code depends on (`hplan.base.kernel
 the processor, and the versions of Python, NumPy and numba: files may be copied, moved, touched and shared by processes,
 and none is ever out of date. Each bears a checksum, which is checked before anything else in it. Whatever is the
 matter with them or with the disk, kernels are compiled, and a `KernelCacheWarning` says so once.
+
+A kernel that is not tiny is compiled once, and called by its name: numba alone would put all that a kernel
+calls into it, and compile it again there, which takes most of the time. A name tells the code; those called are loaded
+before it.
 """
 
 from __future__ import annotations
@@ -18,25 +22,33 @@ import warnings
 from collections.abc import Callable
 from contextlib import suppress
 from functools import lru_cache
+from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple, ParamSpec, TypeVar, cast
 
 import llvmlite
+import llvmlite.binding as ll
 import numba as nb
 import numpy as np
 from numba.core.caching import NullCache, _CacheLocator
-from numba.core.compiler import CompileResult
+from numba.core.compiler import Compiler, CompileResult
 from numba.core.serialize import dumps
 from numba.misc.appdirs import AppDirs
 
 from hplan.base import forking  # noqa: F401  # a fork waits for what compiles
-from hplan.base.kernel_digest import UnknownDependencyError, code_digest, forget, value_digest
+from hplan.base.kernel_digest import UnknownDependencyError, code_digest, forget, kernels_below, value_digest
 
 P = ParamSpec("P")
 R = TypeVar("R")
 
 #: Settings of numba that make other machine code of the same kernel.
 _SETTINGS = ("OPT", "LOOP_VECTORIZE", "SLP_VECTORIZE", "BOUNDSCHECK", "DEBUGINFO_DEFAULT")
+
+#: How machine code is put together: another number for another way.
+_MANNER = 1
+
+#: Kernels of no more instructions are put into those that call them.
+_TINY = 60
 
 #: Length of a checksum [bytes].
 _CHECKSUM = 32
@@ -55,14 +67,15 @@ def kernel(function: Callable[P, R]) -> Callable[P, R]:
     kernel to kernel; so a kernel is called with the same kinds everywhere. Arrays go in named tuples; one taken out of
     a tuple, or given to an inlined function, is counted at about 10 ns: before a loop, not in it.
     """
-    compiled: Callable[P, R] = nb.njit(no_cfunc_wrapper=True, error_model="numpy", nogil=True)(function)
+    options = {"no_cfunc_wrapper": True, "error_model": "numpy", "nogil": True, "pipeline_class": _NamedByContent}
+    compiled: Callable[P, R] = nb.njit(**options)(function)
     _keep_on_disk(compiled)
     return compiled
 
 
 def inlined(function: Callable[P, R]) -> Callable[P, R]:
     """A function put into each kernel that calls it: for a few lines whose many arguments cost more than they do."""
-    compiled: Callable[P, R] = nb.njit(inline="always")(function)
+    compiled: Callable[P, R] = nb.njit(inline="always", pipeline_class=_NamedByContent)(function)
     _keep_on_disk(compiled)
     return compiled
 
@@ -96,6 +109,43 @@ def is_kept(compiled: Any) -> bool:
     """True if a function, as it stands with all that it calls, is on disk, compiled for this processor."""
     cache = getattr(compiled, "_cache", None)
     return isinstance(cache, _DiskCache) and cache.holds_any()
+
+
+class _NamedByContent(Compiler):  # type: ignore[misc]
+    """numba's compiler, where symbols are the same in each process: they end in a digest instead of a count."""
+
+    def _compile_bytecode(self) -> Any:
+        identity = self.state.func_id
+        with suppress(UnknownDependencyError):
+            identity.unique_id = code_digest(identity.func)[:16]
+            identity.unique_name = f"{identity.func_qualname}${identity.unique_id}"
+        return super()._compile_bytecode()
+
+
+class _Called(NamedTuple):
+    """A kernel that others call by name, for some types of arguments."""
+
+    module: str
+    function: str
+    code: str
+    types: tuple[Any, ...]
+
+    @classmethod
+    def of(cls, compiled: Any, types: Any) -> _Called:
+        """As what numba has compiled is known.
+
+        Raises:
+            UnknownDependencyError: As for `hplan.base.kernel_digest.code_digest`.
+        """
+        function = compiled.py_func
+        return cls(function.__module__, function.__qualname__, code_digest(compiled), tuple(types))
+
+
+#: By symbol, the kernels of this process that are called by name.
+_CALLED: dict[str, _Called] = {}
+
+#: What is put into those that call such a kernel.
+_NOTHING = ll.parse_assembly("")
 
 
 class _Key(NamedTuple):
@@ -155,7 +205,7 @@ class _DiskCache(NullCache):  # type: ignore[misc]
             return None
         for folder in self.folders():
             try:
-                return CompileResult._rebuild(target_context, *pickle.loads(_read(folder, key)))
+                return self._loaded(_read(folder, key), sig, target_context)
             except (FileNotFoundError, NotADirectoryError):
                 continue
             except Exception as error:  # whatever numba says of what it cannot take
@@ -166,10 +216,17 @@ class _DiskCache(NullCache):  # type: ignore[misc]
     def save_overload(self, sig: Any, data: Any) -> None:
         """Keep what was compiled for these types, if that can be done."""
         key = self._key(sig)
-        # Constants that were changed since they were first read are in the code, or are not: nobody knows.
-        if key is None or key != self._key(sig, afresh=True) or data.library.has_dynamic_globals:
+        if key is None:
             return
-        kept = dumps(data._reduce())
+        by_name, calls = not _is_tiny(data), _calls(data)
+        if by_name:
+            data.library._shared_module = _stub(data.fndesc.llvm_cpython_wrapper_name)
+        kept = dumps((calls, by_name, data._reduce()))
+        if by_name:
+            _call_by_name(data, _Called.of(self._compiled, sig))
+        # Constants that were changed since they were first read are in the code, or are not: nobody knows.
+        if key != self._key(sig, afresh=True) or data.library.has_dynamic_globals:
+            return
         errors = []
         for folder in self.folders():
             try:
@@ -191,6 +248,30 @@ class _DiskCache(NullCache):  # type: ignore[misc]
         """Look at everything again: numba is asked to compile anew."""
         forget()
 
+    def _loaded(self, kept: memoryview, sig: Any, target_context: Any) -> Any:
+        """What was kept, and what it calls."""
+        calls, by_name, reduced = pickle.loads(kept)
+        libraries = self._libraries_of(calls)
+        loaded = CompileResult._rebuild(target_context, *reduced)
+        loaded.library._linking_libraries += libraries  # they are there as long as what calls them
+        if by_name:
+            _call_by_name(loaded, _Called.of(self._compiled, sig))
+        return loaded
+
+    def _libraries_of(self, calls: list[_Called]) -> list[Any]:
+        """Machine code of kernels that are called by name, loaded or compiled now.
+
+        Raises:
+            LookupError: One of them is none of those that the function refers to.
+        """
+        below = {_Called.of(each, ()): each for each in kernels_below(self._compiled)} if calls else {}
+        libraries = []
+        for called in calls:
+            compiled = below[called._replace(types=())]
+            compiled.compile(called.types)
+            libraries.append(compiled.overloads[called.types].library)
+        return libraries
+
     def _key(self, types: Any, *, afresh: bool = False) -> _Key | None:
         function = self._compiled.py_func
         name = f"{Path(function.__code__.co_filename).stem}.{function.__qualname__}"[:150]
@@ -203,10 +284,34 @@ class _DiskCache(NullCache):  # type: ignore[misc]
             return None
 
 
+def _is_tiny(data: Any) -> bool:
+    """True if a compiled function is put into those that call it."""
+    blocks = data.library.get_function(data.fndesc.mangled_name).blocks
+    instructions = (1 for block in blocks for _ in block.instructions)
+    return sum(islice(instructions, _TINY + 1)) <= _TINY
+
+
+def _calls(data: Any) -> list[_Called]:
+    """The kernels that a compiled function calls by name."""
+    functions = data.library._final_module.functions
+    return [_CALLED[each.name] for each in functions if each.is_declaration and each.name in _CALLED]
+
+
+def _call_by_name(data: Any, called: _Called) -> None:
+    """Have a compiled function called by name."""
+    data.library._shared_module = _NOTHING
+    _CALLED[data.fndesc.mangled_name] = called
+
+
+def _stub(symbol: str) -> Any:
+    """What tells numba, when it loads a function from disk, that there is its entry from Python."""
+    return ll.parse_assembly(f'define void @"{symbol}"() {{ unreachable }}')
+
+
 @lru_cache
 def _machine(target: tuple[Any, ...]) -> str:
     """Digest of processor, versions and settings."""
-    versions = (sys.implementation.cache_tag, nb.__version__, llvmlite.__version__, np.__version__)
+    versions = (_MANNER, _TINY, sys.implementation.cache_tag, nb.__version__, llvmlite.__version__, np.__version__)
     return value_digest((target, versions, tuple(str(getattr(nb.config, name, None)) for name in _SETTINGS)))
 
 

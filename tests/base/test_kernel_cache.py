@@ -98,6 +98,38 @@ def test_another_processor_compiles_anew(folder: Path) -> None:
     assert run(folder, NUMBA_CPU_NAME="generic")[0] == "False True 4.0 6.0"
 
 
+LONG = """
+from hplan.base.kernels import kernel
+
+@kernel
+def long(x):
+    return {}
+
+@kernel
+def twice(x):
+    return 2.0 * long(x)
+""".format(" + ".join(f"(x / {n}.0 if x < {n}.0 else x * x - {n}.0)" for n in range(1, 60)))
+
+
+def test_a_kernel_that_is_not_tiny_is_compiled_once(folder: Path) -> None:
+    """What calls it has it by a name that is the same in every process; where its own file is lost it is made anew."""
+    (folder / "long.py").write_text(LONG)
+    whole, values = "import long; print(long.twice(2.0) == 2.0 * long.long(2.0))", "import long; print(long.twice(2.0))"
+    assert run(folder, whole) == ("True", "")
+    caller, called = (next(folder.rglob(f"long.{name}-*.nbc")) for name in ("twice", "long"))
+    assert caller.stat().st_size < 0.7 * called.stat().st_size
+    kept, answer = caller.stat().st_ino, run(folder, values)
+    called.unlink()
+    before = "from hplan.base.kernels import kernel; kernel(lambda x: x)(1)\n"  # as a count goes on
+    assert run(folder, before + values) == answer
+    assert called.exists()
+    assert caller.stat().st_ino == kept
+    called.write_bytes(b"")
+    said, warned = run(folder, values)
+    assert (said, warned.count("KernelCacheWarning")) == (answer[0], 1)
+    assert caller.stat().st_ino == kept
+
+
 def test_nowhere_to_keep_them(folder: Path) -> None:
     (folder / "__pycache__").touch()  # a file where the folder should be stops root as well
     said, warned = run(folder, **NOWHERE)

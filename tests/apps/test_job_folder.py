@@ -96,16 +96,6 @@ def test_a_fault_at_any_move_leaves_no_trajectory(
         assert caught.value.reason == "full"
 
 
-def test_a_fault_of_writing_names_the_files_place(folder: JobFolder) -> None:
-    def job() -> None:
-        with folder.job("scene", "robot"), folder.filling() as staging:
-            raise OutputError(staging / "a.csv", "No space left on device")
-
-    with pytest.raises(OutputError, match=r"out/a\.csv: No space left") as caught:
-        job()
-    assert caught.value.path == folder.path / "a.csv"
-
-
 def test_what_a_killed_job_has_left_goes_with_the_next(folder: JobFolder) -> None:
     ended = subprocess.Popen([sys.executable, "-c", ""])
     ended.wait()
@@ -187,12 +177,6 @@ def test_what_cannot_be_understood_or_read_changes_no_file(
         status = ended.code
     assert status == 2
     assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
-
-
-def test_a_word_that_is_nearly_a_command(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit):
-        main(["certfy", "out"])
-    assert "'certfy' is no command and no scene; did you mean 'certify'?" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("later", ["report.json", "tour.json"])

@@ -109,17 +109,6 @@ def test_the_clearance_is_the_certificates(robot: Robot, playback: Playback, res
     assert max(clearance["nearest"]) < len(clearance["pairs"])
 
 
-def test_phases_say_which_fruit_they_are_about(robot: Robot) -> None:
-    names = ("transit", "approach", "retreat", "transit", "approach", "retreat", "drop", "return")
-    phases = [Phase(name, float(k), k + 1.0) for k, name in enumerate(names)]
-    shown = Playback(waving(robot, 100), {"a": 2.0, "b": 5.0}, {"a": 7.0, "b": 7.0}, phases)
-    data = motion_data(robot, load_scene(), shown)
-    assert [phase["fruit"] for phase in data["phases"]] == ["a", "a", "a", "b", "b", "b", "b", None]
-    assert data["fruits"] == [{"name": "a", "start": 0.0, "end": 3.0}, {"name": "b", "start": 3.0, "end": 7.0}]
-    one = motion_data(robot, load_scene(), replace(shown, picked={"a": 2.0}))
-    assert one["fruits"] == []
-
-
 # The page.
 
 

@@ -9,14 +9,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import coal
 import numpy as np
 import pinocchio as pin
 import pytest
 from PIL import Image
 from shapes import crate
 
-from hplan.apps.view import three_js as three
 from hplan.apps.view.page import render_page
 from hplan.apps.view.playback import Playback
 from hplan.apps.view.scene_stage import FRAME_RATE_HZ, REST_S, keyframe_times, stage
@@ -220,28 +218,6 @@ def test_the_camera_holds_arm_and_obstacles(robot: Robot) -> None:
         depth = np.linalg.norm(camera) - point @ toward
         assert abs(point @ up) < depth * half_height
         assert abs(point @ right) < depth * half_height * 1.3
-
-
-def test_every_kind_of_shape() -> None:
-    mesh = coal.BVHModelOBBRSS()
-    mesh.beginModel(1, 3)
-    mesh.addTriangle(np.zeros(3), np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0]))
-    mesh.endModel()
-    shapes = {
-        coal.Box(1.0, 2.0, 3.0): ["BoxGeometry"],
-        coal.Sphere(0.5): ["SphereGeometry"],
-        coal.Cylinder(0.1, 1.0): ["CylinderGeometry"],
-        coal.Capsule(0.1, 1.0): ["CylinderGeometry", "SphereGeometry"],
-        mesh: ["BufferGeometry"],
-    }
-    for shape, kinds in shapes.items():
-        body = three.Body()
-        three.add_shape(body, shape, three.material(0xFFFFFF), np.eye(4))
-        assert [geometry["type"] for geometry in body.json()["geometries"]] == kinds
-    assert body.json()["geometries"][0]["data"]["attributes"]["normal"]["array"] == [0.0, 0.0, 1.0] * 3
-    nothing = three.Body()
-    three.add_shape(nothing, coal.Halfspace(np.array([0.0, 0.0, 1.0]), 0.0), {}, np.eye(4))
-    assert len(nothing) == 0
 
 
 @pytest.mark.browser

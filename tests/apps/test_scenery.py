@@ -11,7 +11,6 @@ from scipy.spatial.transform import Rotation
 from hplan.apps.view.playback import Playback
 from hplan.apps.view.scene_stage import REST_S, keyframe_times, stage
 from hplan.apps.view.scenery import BULK, LEAVES, METAL, OTHER, WOOD, Look, look_of, moving_nodes, obstacles, picks
-from hplan.errors import InputError
 from hplan.robot.model import Robot
 from hplan.scene.model import Fruit, Goal, Scene, Start
 from hplan.scene.obstacles import Box, Capsule, Cylinder
@@ -165,34 +164,6 @@ def test_of_a_tour_the_tool_holds_one_fruit_until_it_lets_it_go(robot: Robot) ->
     # None of several fruits is the one to pick, and no one pose is the goal's.
     assert len(drawn(commands)["/hplan/fruits/fruit ripe"]["object"]["children"]) == 1
     assert not any("pose" in path for path in drawn(commands))
-
-
-@pytest.mark.parametrize(("picked", "words"), [
-    ({"pear": 1.0}, "'pear', which is not among"),
-    ({"ripe": -0.1}, "picked at -0.1 s"),
-    ({"ripe": 2.5}, "from 0 to 2 s"),
-    ({"ripe": math.nan}, "picked = nan"),
-])  # fmt: skip
-def test_a_pick_that_cannot_be(robot: Robot, picked: dict[str, float], words: str) -> None:
-    with pytest.raises(InputError, match=words):
-        stage(robot, orchard(), Playback(motion(robot), picked=picked))
-
-
-def test_the_camera_looks_from_where_least_is_hidden(robot: Robot) -> None:
-    """A wall on one side of the arm: the camera stands on the other."""
-    for side in (-1.0, 1.0):
-        wall = Box(name="wall", center=(0.8, side * 0.8, 1.0), size=(3.0, 0.05, 2.5))
-        panel = tuple(
-            Capsule(name=f"bar {k}", start=(-0.5, side * 0.8, h), end=(2.0, side * 0.8, h), radius=0.06)
-            for k, h in enumerate(np.linspace(0.1, 2.2, 20))
-        )
-        row = np.zeros((1, robot.dof))
-        still = Trajectory(robot.joint_names, np.zeros(1), row, row, row, row)
-        commands = stage(
-            robot, orchard(obstacles=(wall, *panel), fruits=(), goal=Goal(position=(1, 0, 1))), Playback(still)
-        )
-        (place,) = [c["value"] for c in commands if c["path"] == "/Cameras/default/rotated/<object>"]
-        assert -place[2] * side < 0.0  # y of the camera
 
 
 def test_a_cylinder_lies_where_it_is() -> None:

@@ -95,6 +95,15 @@ def test_near_miss_is_verified_and_its_clearance_close(robot, scene):
         assert 0.3 * gap < certificate.min_clearance_m <= gap + 1e-9
 
 
+def test_scene_clearance_is_asked_for(robot, scene):
+    trajectory = swing(robot, 0.301, 0.901, 0.6, 101)
+    scene = scene.with_obstacles([grazed_ball(-0.01, 0.604)])
+    assert certify(robot, scene.model_copy(update={"clearance": 0.0099}), trajectory).verified
+    refused = certify(robot, scene.model_copy(update={"clearance": 0.0101}), trajectory)
+    assert not refused.verified
+    assert refused.min_clearance_m == pytest.approx(0.0101, abs=2e-5)  # where the proof gave up
+
+
 def test_contact_at_an_end_is_refused(robot, scene):
     inside = np.radians([0, 52, 0, 0])
     checker = CoalScene(robot, scene.solids)

@@ -13,14 +13,7 @@ from hypothesis import strategies as st
 from hplan.base.arrays import FloatArray
 from hplan.certificate.certificate import certify
 from hplan.collision.coal_scene import CoalScene
-from hplan.errors import (
-    HplanError,
-    InputError,
-    JointLimitError,
-    MovingObstacleError,
-    OptionError,
-    PathInContactError,
-)
+from hplan.errors import HplanError, InputError, MovingObstacleError, OptionError, PathInContactError
 from hplan.planning.finishing.finish import finish
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import PlanResult
@@ -232,27 +225,6 @@ def test_a_scene_with_the_ends_of_the_path_is_kept(harvester: tuple[Robot, Float
     ends = {"start": Start(joints_rad=tuple(start.tolist())), "goal": Goal(joints_rad=tuple(goal.tolist()))}
     scene = scene_of(robot, far_ball(*harvester), **ends)
     assert finish(robot, scene, [start, goal], QUICK).scene is scene
-
-
-@pytest.mark.parametrize(
-    ("change", "kind", "words"),
-    [
-        (lambda points: points[:1], InputError, "two or more"),
-        (lambda points: points[:, :3], InputError, "shape"),
-        (lambda points: points[[0, 0, 0]], InputError, "the same"),
-        (lambda points: points[[0, 1, 0]], InputError, "ends where it begins"),
-        (lambda points: np.where(points == points[1], np.nan, points), InputError, "finite"),
-        (
-            lambda points: points + 9.0 * np.outer([0.0, 1.0], np.eye(4)[1]),
-            JointLimitError,
-            "waypoint 2: joint 'shoulder'",
-        ),
-    ],
-)
-def test_waypoints_that_are_none(harvester: tuple[Robot, FloatArray], change, kind, words) -> None:  # type: ignore[no-untyped-def]
-    robot, middle = harvester
-    with pytest.raises(kind, match=words):
-        finish(robot, scene_of(robot), change(swing(middle)), QUICK)
 
 
 def test_scenes_that_do_not_fit(harvester: tuple[Robot, FloatArray]) -> None:

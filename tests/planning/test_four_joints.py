@@ -24,14 +24,7 @@ from planned import (
 )
 
 from hplan.collision.coal_scene import CoalScene
-from hplan.errors import (
-    BlockedError,
-    ConfigurationInCollisionError,
-    InputError,
-    NoPathError,
-    OptionError,
-    UnreachableError,
-)
+from hplan.errors import BlockedError, ConfigurationInCollisionError, InputError, NoPathError, UnreachableError
 from hplan.planning.find_motion import least_duration
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
@@ -68,11 +61,6 @@ def test_straight_motion_without_search(robot: Robot) -> None:
         np.testing.assert_allclose(
             result.trajectory.position, np.radians(START) + share[:, None] * [math.radians(60), 0, 0, 0]
         )
-
-
-def test_straight_motion_is_about_as_fast_as_can_be(robot: Robot) -> None:
-    result = plan(robot, task(START, (100.0, 70.0, 30.0, 60.0)))
-    assert result.trajectory.duration < 1.1 * least_duration(result.motion.task)
 
 
 def around_the_bar() -> Scene:
@@ -140,44 +128,10 @@ def test_no_path_whatever_the_yaw(robot: Robot, enclosed: str, step_deg: float) 
     assert "'bar" in error.message
 
 
-@pytest.mark.parametrize(
-    "scene",
-    [
-        task(START, GOAL),
-        task(START, GOAL, [post("post", 30.0, 1.2, 0.0, 2.0)]),
-        around_the_bar(),
-        task(
-            FOLDED, Goal(fruit="apple"), [post("trunk", 47.0, 1.5, 0.0, 2.5)], fruits=(APPLE, fruit("b", 36, 1.3, 1.7))
-        ),
-    ],
-    ids=["direct", "post", "bar", "fruit"],
-)
-def test_same_input_same_output(robot: Robot, scene: Scene) -> None:
-    first, second = plan(robot, scene, COARSE), plan(robot, Scene(**vars(scene)), COARSE)
-    for name in ("time", "position", "velocity", "acceleration", "torque"):
-        assert getattr(first.trajectory, name).tobytes() == getattr(second.trajectory, name).tobytes()
-    assert first.certificate == second.certificate
-
-
 def bytes_of(step_deg: float) -> float:
     """Of the C-space of a harvester that may turn all around, one bit a node and whole words."""
     planar, yaws = 90.0 / step_deg + 1.0, 360.0 / step_deg + 1.0
     return planar**3 * 8.0 * math.ceil(yaws / 64.0)
-
-
-def test_memory(robot: Robot) -> None:
-    """At the finest step, with all yaws open to the search."""
-    enclosed = task((0.0, 70.0, 20.0, 20.0), (60.0, 20.0, 20.0, 20.0), frame_about_upper_arm(60.0, 20.0))
-    plan(robot, around_the_bar(), COARSE)
-    with pytest.raises(NoPathError):
-        plan(robot, enclosed, COARSE)  # loads the kernels, whose memory is not the search's
-    tracemalloc.start()
-    plan(robot, around_the_bar())
-    with pytest.raises(NoPathError):
-        plan(robot, enclosed)
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    assert peak < 8 * bytes_of(1.0)
 
 
 def test_nothing_is_left_behind(robot: Robot) -> None:
@@ -259,14 +213,6 @@ def test_the_target_fruit_is_uncertain(robot: Robot) -> None:
         assert_sound(robot, scene, plan(robot, scene, COARSE))
 
 
-@pytest.mark.parametrize("field", ["sigmas", "standoff"])
-@pytest.mark.parametrize("value", [-1.0, math.nan, math.inf])
-def test_options_are_checked(field: str, value: float) -> None:
-    with pytest.raises(OptionError) as caught:
-        PlanOptions(**{field: value})
-    assert caught.value.option == field
-
-
 # Fruits and points
 
 CROWN = [
@@ -311,13 +257,6 @@ def test_retreat_is_the_approach_backwards(robot: Robot) -> None:
 def test_approach_angle_is_kept(robot: Robot, approach: Any) -> None:
     scene = task(FOLDED, Goal(fruit="apple", approach_deg=approach), CROWN, fruits=(APPLE, *OTHERS))
     assert_sound(robot, scene, plan(robot, scene, COARSE))
-
-
-def test_approach_angle_that_cannot_be(robot: Robot) -> None:
-    scene = task(FOLDED, Goal(fruit="apple", approach_deg=-90.0), fruits=(APPLE,))
-    with pytest.raises(UnreachableError) as caught:
-        plan(robot, scene)
-    assert caught.value.reason == "approach"
 
 
 def test_to_a_point(robot: Robot) -> None:
@@ -394,13 +333,6 @@ def test_unreachable(robot: Robot, target: Any, reason: str) -> None:
     assert caught.value.exit_status == 3
 
 
-def test_fruit_beside_the_locked_plane(robot: Robot) -> None:
-    scene = task(FOLDED, Goal(fruit="apple"), fruits=(APPLE,), locked_joints=("base_yaw",))
-    with pytest.raises(UnreachableError, match="not with base_yaw locked") as caught:
-        plan(robot, scene)
-    assert caught.value.reason == "locked"
-
-
 def test_fruit_inside_a_trunk(robot: Robot) -> None:
     scene = task(FOLDED, Goal(fruit="apple"), [post("trunk", 40.0, 1.3, 0.0, 2.5, 0.12)], fruits=(APPLE,))
     with pytest.raises(BlockedError, match="fruit 'apple' is blocked") as caught:
@@ -415,11 +347,6 @@ def test_fruit_inside_another(robot: Robot) -> None:
     assert {item["obstacle"] for item in caught.value.obstacles} == {"twin"}
 
 
-def test_point_in_an_obstacle(robot: Robot) -> None:
-    with pytest.raises(BlockedError, match="the point is blocked"):
-        plan(robot, task(FOLDED, Goal(position=at(48.0, 1.55, 1.5)), CROWN))
-
-
 def test_start_at_the_fruit(robot: Robot) -> None:
     """The start touches what is to be picked: refused as any other collision."""
     start = (40.0, 60.0, 45.0, 20.0)
@@ -427,16 +354,6 @@ def test_start_at_the_fruit(robot: Robot) -> None:
     scene = task(start, Goal(fruit="apple"), fruits=({"name": "apple", "center": point, "radius": 0.04},))
     with pytest.raises(ConfigurationInCollisionError, match=r"start is in collision: .*'apple'"):
         plan(robot, scene)
-
-
-def test_base_in_an_obstacle(robot: Robot) -> None:
-    rock = Sphere(name="rock", center=(0.1, 0.0, 0.2), radius=0.1)
-    for goal in (GOAL, Goal(fruit="apple")):
-        with pytest.raises(InputError, match=r"obstacle 'rock' is .* deep in the robot's 'base_link'"):
-            plan(robot, task(START, goal, [rock], fruits=(APPLE,)))
-    ground = Box(name="ground", center=(0.0, 0.0, -0.05), size=(6.0, 6.0, 0.1))
-    scene = task(START, GOAL, [ground])
-    assert_sound(robot, scene, plan(robot, scene))
 
 
 # Many scenes
@@ -454,19 +371,3 @@ def test_random_scenes(robot: Robot, seed: int) -> None:
             plan(robot, scene, COARSE)
         return
     assert_sound(robot, scene, plan(robot, scene, COARSE))
-
-
-def test_random_scenes_are_worth_it(robot: Robot) -> None:
-    """Motions of all kinds come out of them."""
-    kinds: dict[str, int] = {}
-    for seed in range(30, 60):
-        scene = random_scene(seed, robot)
-        if seed in NONE:
-            with pytest.raises(NONE[seed]):
-                plan(robot, scene, PlanOptions(step_deg=3.0))
-            continue
-        result = plan(robot, scene, PlanOptions(step_deg=3.0))
-        assert_sound(robot, scene, result)
-        kind = planner_of(result)[0]
-        kinds[kind] = kinds.get(kind, 0) + 1
-    assert kinds.keys() == {"direct", "trees"}

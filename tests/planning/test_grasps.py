@@ -10,7 +10,7 @@ import pytest
 from planned import at, last_link, post
 
 from hplan.collision.coal_scene import CoalScene
-from hplan.errors import BlockedError, InputError, OptionError, UnreachableError
+from hplan.errors import BlockedError
 from hplan.kinematics.planar_inverse_kinematics import reach
 from hplan.kinematics.straight_approach import ApproachPath
 from hplan.planning.grasps import SEARCHED, SPARE, Grasp, Target, grasps, promising
@@ -164,20 +164,6 @@ def test_obstacles_on_the_way_in_are_seen(robot: Robot) -> None:
     assert seen >= 3
 
 
-def test_standoff_within_the_fruit_is_none(robot: Robot) -> None:
-    assert {grasp.distance for grasp in found(robot, standoff=0.05, least_standoff=0.0)} == {0.0}
-
-
-def test_no_standoff_asked_for(robot: Robot) -> None:
-    ways = found(robot, fruit=False, standoff=0.0, least_standoff=0.0)
-    assert {grasp.distance for grasp in ways} == {0.0}
-    assert {grasp.distance for grasp in found(robot, standoff=0.0)} == {0.075}
-
-
-def test_longer_least_standoff_than_asked_for(robot: Robot) -> None:
-    assert {grasp.distance for grasp in found(robot, standoff=0.02, least_standoff=0.09)} == {0.09}
-
-
 @pytest.mark.parametrize("locked", [("elbow",), ("wrist",), ("shoulder", "elbow")])
 def test_no_straight_approach_with_fewer_than_three_joints(robot: Robot, locked: tuple[str, ...]) -> None:
     goal = np.radians([30.0, 60.0, 45.0, 20.0])
@@ -223,41 +209,6 @@ def test_blocked_most_frequent_first(robot: Robot) -> None:
     counts = [item["configurations"] for item in caught.value.obstacles]
     assert counts == sorted(counts, reverse=True)
     assert "fruit" not in {item["obstacle"] for item in caught.value.obstacles}
-
-
-@pytest.mark.parametrize("approach", [-90.0, (0.0, 45.0)])
-def test_approach_that_cannot_be(robot: Robot, approach: Any) -> None:
-    with pytest.raises(UnreachableError) as caught:
-        found(robot, approach_deg=approach)
-    assert caught.value.reason == "approach"
-    assert caught.value.data["reachable_deg"]
-
-
-@pytest.mark.parametrize(
-    ("point", "reason"),
-    [((3.0, 0.0, 1.0), "too_far"), ((1.2, 0.8, 0.2), "joint_limit"), ((0.0, 0.0, 0.7), "joint_limit")],
-)
-def test_unreachable(robot: Robot, point: Any, reason: str) -> None:
-    with pytest.raises(UnreachableError) as caught:
-        found(robot, point=point, fruit=False)
-    assert caught.value.reason == reason
-
-
-def test_bad_values(robot: Robot) -> None:
-    with pytest.raises(InputError):
-        found(robot, point=(1.0, math.nan, 1.0))
-    with pytest.raises(InputError):
-        found(robot, point=(1.0, 1.0))
-    with pytest.raises(OptionError):
-        found(robot, approach_deg=(10.0, -10.0))
-    with pytest.raises(InputError):
-        found(robot, locked=("knee",))
-
-
-def test_results_cannot_be_changed(robot: Robot) -> None:
-    for grasp in found(robot):
-        assert not grasp.goal.flags.writeable
-        assert not grasp.standoff.flags.writeable
 
 
 @pytest.mark.parametrize("behind", [0, 1, 5, 8, 9, 20])

@@ -12,11 +12,10 @@ from studies.validation.cspace import sampled_occupancy
 
 from hplan.certificate.certificate import certify
 from hplan.collision.coal_scene import CoalScene
-from hplan.errors import CertificationError, ConfigurationInCollisionError, InputError, NoPathError, OptionError
+from hplan.errors import CertificationError, ConfigurationInCollisionError, NoPathError
 from hplan.grid.grid import Grid
 from hplan.planning.options import PlanOptions
-from hplan.planning.plan import plan, with_export_time
-from hplan.planning.task import PlanningCache
+from hplan.planning.plan import plan
 from hplan.robot.model import Robot
 from hplan.scene.model import Fruit, Goal, Scene, Start
 from hplan.scene.obstacles import Box, Capsule, Cylinder, Sphere
@@ -79,65 +78,7 @@ def test_same_input_same_output(robot: Robot, scene: Scene) -> None:
         assert getattr(first.trajectory, name).tobytes() == getattr(second.trajectory, name).tobytes()
 
 
-def test_result_arrays_cannot_be_changed(robot: Robot, scene: Scene) -> None:
-    result = plan(robot, scene)
-    with pytest.raises(ValueError, match="read-only"):
-        result.grid_path[0] = 1.0
-
-
-def test_export_time_is_added_to_the_report(robot: Robot, scene: Scene) -> None:
-    result = plan(robot, scene)
-    before, after = result.report["time_ms"], with_export_time(result, 0.012).report["time_ms"]
-    assert after["export"] == 12.0
-    assert after["total"] == pytest.approx(before["total"] + 12.0, abs=1e-3)
-    assert result.report["time_ms"]["export"] == 0.0
-
-
-@pytest.mark.parametrize(
-    ("field", "value"), [("method", "magic"), ("step_deg", 0.0), ("step_deg", -1.0), ("step_deg", math.nan)]
-)
-def test_options_are_checked_at_once(field: str, value: Any) -> None:
-    with pytest.raises(OptionError) as error:
-        PlanOptions(**{field: value})
-    assert error.value.option == field
-
-
-@pytest.mark.parametrize(("field", "value"), [("rate_hz", -3.0), ("speed", 7.0), ("tracking_error", -1.0)])
-def test_options_are_checked_for_an_empty_motion_too(robot: Robot, field: str, value: float) -> None:
-    with pytest.raises(OptionError):
-        plan(robot, task(goal=START), PlanOptions(**{field: value}))
-
-
 # Scenes
-
-
-@pytest.mark.parametrize(
-    "obstacles",
-    [
-        [disc("a", 0.1, 60.0, 1.7), disc("b", 0.05, 40.0, 2.0), disc("c", 0.2, 100.0, 1.0)],
-        [
-            Capsule(name="branch", start=(1.0, -1.0, 1.9), end=(1.2, 1.0, 2.1), radius=0.03),
-            Capsule(name="trunk", start=(2.5, 0.0, 0.0), end=(2.5, 0.0, 3.0), radius=0.08),
-        ],
-        [
-            Box(name="ground", center=(0.0, 0.0, -0.05), size=(6.0, 6.0, 0.1)),
-            Box(name="post", center=(1.0, 0.0, 2.0), size=(0.1, 0.1, 0.2), rpy_deg=(10.0, 20.0, 30.0)),
-        ],
-        [
-            Cylinder(name="can", center=(1.0, 0.0, 1.95), length=0.3, radius=0.12, rpy_deg=(20.0, 30.0, 0.0)),
-            Cylinder(name="ground", center=(0.0, 0.0, -0.05), length=0.1, radius=3.0),
-        ],
-        [
-            disc("ball", 0.1, 60.0, 1.7),
-            Capsule(name="wire", start=(1.3, -2.0, 1.9), end=(1.3, 2.0, 1.9), radius=0.005),
-            Box(name="ground", center=(0.0, 0.0, -0.05), size=(6.0, 6.0, 0.1)),
-        ],
-    ],
-    ids=["spheres", "capsules", "boxes", "cylinders", "mixed"],
-)
-def test_several_obstacles_of_each_kind(robot: Robot, obstacles: Obstacles) -> None:
-    scene = task(obstacles)
-    assert_sound(robot, scene, plan(robot, scene))
 
 
 def test_fruit_is_an_obstacle(robot: Robot) -> None:
@@ -300,11 +241,6 @@ def test_uncertified_result_says_so(robot: Robot, scene: Scene) -> None:
         plan(robot, scene, PlanOptions(tracking_error=0.3))
 
 
-def test_wrong_robot_for_the_scene(robot: Robot) -> None:
-    with pytest.raises(InputError, match="expected 4 joint values"):
-        plan(robot, task(start=(0.0, 0.0, 0.0), goal=(0.0, 1.0, 1.0)))
-
-
 def test_certificate_judges_the_motion_not_the_planner(robot: Robot, scene: Scene) -> None:
     """A motion planned without the ball runs through the ball."""
     blind = plan(robot, task())
@@ -313,24 +249,3 @@ def test_certificate_judges_the_motion_not_the_planner(robot: Robot, scene: Scen
     certificate = certify(robot, scene, blind.trajectory)
     assert not certificate.verified
     assert "'ball'" in certificate.violations[0]
-
-
-def test_what_is_kept_clear_of_is_made_ready_once(robot: Robot) -> None:
-    """As long as it stays the same, whatever the task; else anew."""
-    ball, fruit = disc("ball", 0.1, 90.0, 1.3), Fruit(name="apple", center=(0.0, 1.2, 0.8), radius=0.04)
-    scene, options = task([ball], fruits=(fruit,)), PlanOptions()
-    workspace = PlanningCache(robot)
-    world = workspace.world(scene, options)
-    assert workspace.world(scene.model_copy(update={"goal": Goal(fruit="apple")}), options) is world
-    assert workspace.world(task([ball.model_copy()], fruits=(fruit.model_copy(),)), options) is world
-    others = (
-        (task([disc("ball", 0.1, 90.0, 1.31)], fruits=(fruit,)), options),
-        (task([ball, disc("other", 0.1, 90.0, 1.3)], fruits=(fruit,)), options),
-        (task([ball]), options),
-        (task([ball], fruits=(fruit,), clearance=0.01), options),
-        (scene, PlanOptions(sigmas=2.0)),
-        (scene, PlanOptions(tracking_error=0.01)),
-    )
-    for other, chosen in others:
-        assert workspace.world(scene, options) is not workspace.world(other, chosen)
-        assert workspace.world(other, chosen).solids == other.solids_with_goal

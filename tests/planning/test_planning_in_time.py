@@ -12,7 +12,6 @@ import pytest
 from arm_variants import link_axes, upright_capsule
 from planned import task
 
-import hplan
 from hplan.certificate.certificate import LIMIT_TOLERANCE
 from hplan.collision.coal_shapes import solid_shape
 from hplan.errors import ConfigurationInCollisionError, MovingObstacleError, ObstacleInTimeError
@@ -205,12 +204,6 @@ def test_a_stop_among_what_moves_is_certified_in_time(robot):
     assert slower.certificate.nearest_s is not None
 
 
-def test_the_same_every_time(robot):
-    scene = task(START, GOAL, [wall(0.7)], **PLANAR)
-    first, second = plan(robot, scene), plan(robot, scene)
-    np.testing.assert_array_equal(first.trajectory.position, second.trajectory.position)
-
-
 def test_poses_that_stand_for_a_movement_are_close_together(robot):
     scene = task(START, GOAL, [ball(robot, (0.0, (0, 0, 0.0)), (2.0, (0, 0.3, 0.0))), wall(1.0)], **PLANAR)
     among = among_poses(scene, 0.0, 2.0)
@@ -319,10 +312,3 @@ def test_the_earliest_schedule_against_a_search_of_all(robot):
         assert late.time[-1] >= found.time[-1]
         assert late.waiting_s == pytest.approx(late.time[-1] - duration, abs=2.0 * STEP_S)
     assert earliest_schedule(Window(61, 10**6), duration, room, at_rest_s=1.0) is None
-
-
-def test_options_are_those_of_a_plan(robot):
-    scene = task(START, GOAL, [wall(0.7)], clearance=0.01, **PLANAR)
-    result = hplan.plan(robot, scene, PlanOptions(tracking_error=0.002, effort="quick"))
-    assert result.certificate.verified
-    assert least_by_coal(robot, scene, result) > 0.01

@@ -4,63 +4,15 @@ from __future__ import annotations
 
 import json
 import math
-import time
 from pathlib import Path
 
 import pytest
 from scipy.stats import chi
 
-import hplan
 from hplan.errors import JointLimitError, NoPathError, OutputError
-from hplan.planning.report import (
-    STAGES,
-    StageClock,
-    beyond_sigmas,
-    failure_report,
-    uncertainty_report,
-    versions,
-    write_report,
-)
+from hplan.planning.report import beyond_sigmas, failure_report, uncertainty_report, write_report
 from hplan.scene.file import load_scene
 from hplan.scene.obstacles import Sphere
-
-
-def test_clock_adds_up_what_a_stage_took() -> None:
-    clock = StageClock()
-    for _ in range(2):
-        with clock.stage("timing"):
-            time.sleep(0.002)
-    clock.add("layers", 0.5)
-    table = clock.as_ms()
-    assert tuple(table) == (*STAGES, "total")
-    assert 4.0 <= table["timing"] <= table["total"]
-    assert table["layers"] == 500.0
-    assert table["cspace"] == 0.0
-
-
-def test_clock_counts_a_stage_that_fails() -> None:
-    clock = StageClock()
-
-    def fail() -> None:
-        with clock.stage("cspace"):
-            time.sleep(0.001)
-            raise ZeroDivisionError
-
-    with pytest.raises(ZeroDivisionError):
-        fail()
-    assert clock.seconds["cspace"] >= 0.001
-
-
-def test_clock_knows_its_stages() -> None:
-    with pytest.raises(KeyError):
-        StageClock().add("magic", 1.0)
-
-
-def test_versions() -> None:
-    found = versions()
-    assert set(found) == {"hplan", "pin", "coal", "toppra", "numba", "numpy"}
-    assert found["hplan"] in {hplan.__version__, "not installed as a package"}
-    assert found["numpy"][0].isdigit()
 
 
 def test_what_is_not_finite_becomes_null(tmp_path: Path) -> None:

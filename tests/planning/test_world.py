@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +11,6 @@ import pytest
 from arm_variants import random_obstacles
 from planned import post
 
-from hplan.base import deadline
 from hplan.base.arrays import FloatArray
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.coal_scene import CoalScene, base_contacts
@@ -240,26 +238,3 @@ def test_what_stands_in_the_pedestal_is_left_out(robot: Robot) -> None:
     assert smaller.goal == Goal(fruit="out")
     assert smaller.start == scene.start
     assert without_inside(robot, smaller) == (smaller, ())
-
-
-def test_the_deadline_is_looked_at_all_the_while_that_a_world_is_made(
-    robot: Robot, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    wood = [
-        Capsule(name=f"twig {k}", start=(1, 0.01 * k, 1), end=(1.1, 0.01 * k, 1.2), radius=0.005) for k in range(300)
-    ]
-    looks: list[str] = []
-
-    def is_up(_: deadline.TimeLimit) -> bool:
-        frame = inspect.currentframe()
-        while frame is not None and frame.f_code.co_filename in (__file__, deadline.__file__):
-            frame = frame.f_back
-        looks.append("" if frame is None else frame.f_code.co_qualname)
-        return False
-
-    monkeypatch.setattr(deadline.TimeLimit, "is_up", property(is_up))
-    with deadline.time_limit(1e3):
-        World.of(robot, wood, clearance=0.01)
-    assert looks.count("capsule_shapes") == len(wood)
-    assert {"rows_of", "World.of", "CoalScene.__init__"} <= set(looks)
-    assert looks.count("_QueryData.__init__") == 3  # of each 128 obstacles, which take milliseconds

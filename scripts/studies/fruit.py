@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import time
 from collections.abc import Iterable, Iterator
@@ -9,6 +10,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from typing import NamedTuple
 
+import numpy as np
 from studies.harness import Asked, Row, Study
 from studies.measure import planned, ratio
 from studies.trees import measured_orchards, motions_in
@@ -16,14 +18,18 @@ from studies.trees import measured_orchards, motions_in
 from hplan.apps.execution.plant import Plant
 from hplan.apps.execution.simulation import execute
 from hplan.base.data_files import scenes_dir
+from hplan.planning.compile_ahead import load_kernels
 from hplan.planning.options import PlanOptions
 from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel
 from hplan.scene.file import load_scene
-from hplan.scene.model import Goal, Scene
+from hplan.scene.model import Goal, Scene, Start
 
 #: Deadlines [ms], and by which share of one an answer is late.
 DEADLINES_MS, LATE = (20.0, 50.0, 100.0), 1.1
+
+#: Short deadlines [ms], by how much a call may be late [ms], how far starts are shifted [rad].
+RETURN_MS, LATE_MS, SHIFTED = (1.0, 5.0, 20.0), 5.0, 0.05
 
 #: Tracking error at rest [deg] and what comes to it with the velocity [ms]; masses of the simulated arms as multiples
 #: of those that the controller knows, by how much it is late [ms], natural frequencies of its loop [rad/s].
@@ -104,6 +110,43 @@ DEADLINES = Study(
     by="group",
     count=(None, 6),
     warm=8,
+)
+
+
+def _return_problems(asked: Asked) -> Iterable[tuple[float, int, FruitProblem, Robot]]:
+    """So many calls with each deadline, of one robot: what is known of it is there."""
+    found, robot = _shipped(asked), asked.arm()
+    deadlines = asked.values.get("deadlines", RETURN_MS)
+    return [(ms, number, found[number % len(found)], robot) for ms in deadlines for number in asked.numbers]
+
+
+_load_once = functools.cache(load_kernels)
+
+
+def _return_row(asked: Asked, problem: tuple[float, int, FruitProblem, Robot]) -> Row:
+    """A call with a deadline, and by how much it is late."""
+    ms, number, (name, _, scene), robot = problem
+    _load_once()  # what a short deadline never gets to is not loaded by the calls before
+    rng = np.random.default_rng([asked.seed, number])
+    start = robot.joints_of(scene.start, "start") + rng.uniform(-SHIFTED, SHIFTED, robot.dof)
+    start = np.clip(start, robot.lower, robot.upper)
+    scene = scene.model_copy(update={"start": Start(joints_rad=tuple(start.tolist()))})
+    with _deadlines_in_cpu_time():
+        found, row = planned(robot, scene, PlanOptions(deadline_s=1e-3 * ms))
+    late_ms = row["ms"] - ms
+    told = {"certified": found is not None, "late_ms": late_ms, f"late_by_{LATE_MS:g}_ms": late_ms > LATE_MS}
+    return {"name": f"{ms:g} ms, {number}: {name}", "group": f"{ms:g} ms", "origin": row["origin"], **told}
+
+
+RETURNS = Study(
+    "returns",
+    "calls with deadlines of 1, 5 and 20 ms: how late they return",
+    _return_row,
+    ("certified", "late_ms", f"late_by_{LATE_MS:g}_ms"),
+    problems=_return_problems,
+    by="group",
+    count=(2000, 6),
+    warm=30,
 )
 
 

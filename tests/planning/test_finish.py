@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from hplan.base.arrays import FloatArray
 from hplan.certificate.certificate import certify
 from hplan.collision.coal_scene import CoalScene
-from hplan.errors import HplanError, InputError, MovingObstacleError, OptionError, PathInContactError
+from hplan.errors import HplanError, InputError, MovingObstacleError, NotInTimeError, OptionError, PathInContactError
 from hplan.planning.finishing.finish import finish
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import PlanResult
@@ -181,12 +181,17 @@ def test_locked_joints_stay_when_it_is_moved_away(harvester: tuple[Robot, FloatA
     np.testing.assert_allclose(np.ptp(found.trajectory.position[:, [1, 3]], axis=0), 0.0, atol=1e-12)
 
 
-def test_the_quicker_motion_is_taken(harvester: tuple[Robot, FloatArray]) -> None:
+@pytest.mark.parametrize("effort", ["quick", "default", "best"])
+def test_a_deadline_with_time_enough_changes_nothing(harvester: tuple[Robot, FloatArray], effort: str) -> None:
     robot, middle = harvester
     (start, goal), up = swing(middle), np.array([0.0, -0.7, 0.6, 0.0])
     scene, path = scene_of(robot, ball_at(robot, middle, -0.05)), [start, start + up, goal + up, goal]
-    quick, better = (finish(robot, scene, path, options) for options in (QUICK, PlanOptions(deadline_s=300.0)))
-    assert better.trajectory.duration <= quick.trajectory.duration
+    found, timed = (
+        finish(robot, scene, path, PlanOptions(effort=effort, deadline_s=deadline_s)) for deadline_s in (None, 300.0)
+    )
+    np.testing.assert_array_equal(timed.trajectory.position, found.trajectory.position)
+    with pytest.raises(NotInTimeError):
+        finish(robot, scene, path, PlanOptions(effort=effort, deadline_s=1e-3))
 
 
 @pytest.mark.parametrize("waypoint", [1, 2])

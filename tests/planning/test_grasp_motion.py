@@ -291,10 +291,21 @@ def test_no_path_to_any_in_a_pocket(robot: Robot) -> None:
     bars = frame_about_upper_arm(60.0, 20.0)
     scenes = [task((0.0, 70.0, 20.0, 20.0), (60.0, 20.0, wrist, 20.0), bars) for wrist in (20.0, 30.0, 40.0, 50.0)]
     tasks = [posed(robot, scene, PlanOptions(step_deg=3.0)) for scene in scenes]
-    assert all(isinstance(error, NoPathError) for error in without_path(tasks))
+    errors = without_path(tasks)
+    assert all(isinstance(error, NoPathError) for error in errors)
     with pytest.raises(NoPathError) as caught:
         find_motion(tasks)
     assert caught.value.goals == 4
+    # What is said of the first is what is said of it alone; and one outside is reached, whatever is said of the others.
+    with pytest.raises(NoPathError) as alone:
+        find_motion(tasks[:1])
+    assert caught.value.reached_cells == alone.value.reached_cells > 0
+    assert caught.value.blockers == alone.value.blockers != ()
+    outside = posed(robot, task((0.0, 70.0, 20.0, 20.0), (20.0, 60.0, 30.0, 20.0), bars), PlanOptions(step_deg=3.0))
+    assert without_path([*tasks, outside])[4] is None
+    number, motion = find_motion([*tasks, outside])
+    assert number == 4
+    assert motion.certificate.verified
 
 
 def test_more_yaws_may_open_what_is_closed_over_few(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:

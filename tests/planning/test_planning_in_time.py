@@ -18,12 +18,15 @@ from hplan.errors import ConfigurationInCollisionError, MovingObstacleError, Obs
 from hplan.planning.moving.obstacles_at import among_poses, without_moving
 from hplan.planning.moving.path_in_time import MovingField, PathInTime
 from hplan.planning.moving.schedule import CHANGES, LEVELS, STEP_S, USED, earliest_schedule, room_to_change
+from hplan.planning.moving.search import _later
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import PlanResult, plan
 from hplan.robot.model import Robot
 from hplan.scene.model import Fruit, Goal, Scene
 from hplan.scene.obstacles import Box, Sphere
 from hplan.scene.tracks import Track
+from hplan.trajectory.time_scaling import scaled
+from hplan.trajectory.trajectory import Phase
 
 START, GOAL = (0.0, 0.0, 0.0, 0.0), (0.0, 45.0, 60.0, 70.0)
 PLANAR = {"locked_joints": ("base_yaw",)}
@@ -273,22 +276,22 @@ class Window:
         return clear
 
 
-def test_the_earliest_schedule_against_a_search_of_all(robot):
+@pytest.mark.parametrize("at_rest", [True, False], ids=["from rest", "in motion"])
+def test_the_earliest_schedule_against_a_search_of_all(at_rest):
     """On a small grid: breadth first over all states in plain Python."""
     duration = 0.3
     for opens in (0, 4, 9, 15):
         cells = Window(61, opens)
         room = np.ones((61, LEVELS + 1, 2 * CHANGES + 1), dtype=np.bool_)
-        found = earliest_schedule(cells, duration, room, at_rest_s=opens * STEP_S)
-        assert found is not None
+        found = earliest_schedule(cells, duration, room, at_rest_s=opens * STEP_S, at_rest=at_rest)
         unit = STEP_S / (2 * LEVELS)
         places = math.ceil(duration / unit - 1e-9)
 
         def station(place, duration=duration, unit=unit):
             return min(int(np.rint(place * unit / duration * 60)), 60)
 
-        states, row = {(0, 0)}, 0
-        while not any(place == places for place, _ in states):
+        states, row = {(0, 0 if at_rest else LEVELS)}, 0
+        while states and not any(place == places for place, _ in states):
             before, after, following = cells.clear(row), cells.clear(row + 1), set()
             for place, speed in states:
                 top = LEVELS if (place, speed) == (0, 0) else speed + CHANGES
@@ -300,7 +303,12 @@ def test_the_earliest_schedule_against_a_search_of_all(robot):
                     ):
                         following.add((to, new))
             states, row = following, row + 1
+        assert (found is None) == (not states)
+        if found is None:  # in motion it cannot wait
+            assert not at_rest
+            continue
         assert len(found.time) - 1 == row
+        assert at_rest or found.speed[0] == 1.0
         assert found.place[0] == 0.0
         assert found.place[-1] == duration
         assert (np.diff(found.place) >= 0.0).all()
@@ -308,7 +316,27 @@ def test_the_earliest_schedule_against_a_search_of_all(robot):
         fixed = room.copy()
         fixed[:] = False
         fixed[:, :, CHANGES] = True
-        late = earliest_schedule(cells, duration, fixed, at_rest_s=opens * STEP_S)
+        late = earliest_schedule(cells, duration, fixed, at_rest_s=opens * STEP_S, at_rest=at_rest)
+        if not at_rest:
+            assert late is None or late.time[-1] == pytest.approx(duration, abs=2.0 * STEP_S)
+            continue
         assert late.time[-1] >= found.time[-1]
         assert late.waiting_s == pytest.approx(late.time[-1] - duration, abs=2.0 * STEP_S)
     assert earliest_schedule(Window(61, 10**6), duration, room, at_rest_s=1.0) is None
+
+
+def test_phases_by_another_clock_hold_all_that_they_held(robot):
+    """From the last row up to the begin to the first from the end on."""
+    motion, random = plan(robot, task(START, GOAL, **PLANAR)).trajectory, np.random.default_rng(0)
+    retimed = scaled(motion, [(0.0, 0.4), (0.3, 1.0), (0.6, 0.5)], robot)
+    clock, time = retimed.clock, retimed.trajectory.time
+    for ends in (
+        *np.sort(random.uniform(0.0, motion.duration, (20, 2))),
+        np.sort(random.choice(clock, 2)),
+        clock[[0, -1]],
+    ):
+        phase = _later(Phase("any", *ends.tolist()), retimed)
+        first = max(row for row, when in enumerate(clock) if when <= ends[0] + 1e-9)
+        last = min(row for row, when in enumerate(clock) if when >= ends[1] - 1e-9)
+        assert phase.start_s == (time[first] if ends[0] > 0.0 else 0.0)
+        assert phase.end_s == (time[last] if ends[1] < motion.duration else time[-1])

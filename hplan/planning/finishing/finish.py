@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from hplan.base.arguments import number as checked_number
 from hplan.base.arrays import FloatArray
-from hplan.base.deadline import Cancel, TimeIsUpError, TimeLimit, time_limit
+from hplan.base.deadline import Cancel, TimeIsUpError, time_limit
 from hplan.base.polyline import path_length
 from hplan.errors import CertificationError, InputError, TimingError
 from hplan.optimization.repair import pushed_clear, repaired
@@ -103,30 +103,20 @@ def finish(
     with time_limit(options.deadline_s, cancel) as limit:
         try:
             context = PlanningCache(robot).context(along, options, progress, clock)
-            return _finished(context, path, keep_within_rad, limit)
+            return _finished(context, path, keep_within_rad)
         except TimeIsUpError:
             raise limit.error(clock.told()) from None
 
 
-def _finished(context: PlanningContext, path: GivenPath, keep_within_rad: float | None, limit: TimeLimit) -> PlanResult:
-    """The motion; with a deadline the quick one where there is no time for what the options ask for."""
+def _finished(context: PlanningContext, path: GivenPath, keep_within_rad: float | None) -> PlanResult:
+    """The motion."""
     robot, points = context.robot, path.points
     context.world.check_base(robot.yaw_of(points[0]))
     clear = _shown_clear(context, path)
     task = context.task(points[0], points[-1])
     if keep_within_rad is not None:
         return _result(context, path, clear, _kept(task, clear.waypoints, keep_within_rad))
-    options = context.options
-    if options.deadline_s is None or options.effort == "quick":
-        return _result(context, path, clear, _smoothed(task, clear.waypoints))
-    quick = replace(task, options=replace(options, effort="quick"))
-    motion = replace(_smoothed(quick, clear.waypoints), task=task)
-    try:
-        better = _smoothed(task, clear.waypoints)
-        motion = min(motion, better, key=lambda found: found.trajectory.duration)
-    except TimeIsUpError:
-        limit.check_cancelled()
-    return _result(context, path, clear, motion)
+    return _result(context, path, clear, _smoothed(task, clear.waypoints))
 
 
 def _shown_clear(context: PlanningContext, path: GivenPath) -> _Clear:

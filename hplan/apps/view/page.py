@@ -6,16 +6,12 @@ process.
 
 from __future__ import annotations
 
-import contextlib
 import html
 import importlib.util
 import json
-import subprocess
-import threading
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from string import Template
-from types import TracebackType
 from typing import Any
 
 from hplan.apps.view import scenery
@@ -23,17 +19,14 @@ from hplan.apps.view.framing import ASPECT
 from hplan.apps.view.motion_data import certificate_words, motion_data
 from hplan.apps.view.playback import Playback
 from hplan.apps.view.scene_stage import APPROACH_COLOR, GOAL_COLOR, START_COLOR, stage
+from hplan.apps.view.server import LiveView
 from hplan.apps.view.three_js import Json
 from hplan.base.arguments import instance
-from hplan.base.child_process import import_environment, python_module
 from hplan.base.data_files import view_asset
 from hplan.base.files import write_text
 from hplan.errors import HplanError
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
-
-#: Longest wait for the live server [s].
-START_S = 60.0
 
 #: Violations of a motion that is not certified which its page lists.
 MOST_VIOLATIONS = 6
@@ -137,39 +130,6 @@ def write_page(robot: Robot, scene: Scene, playback: Playback, path: Path | str)
     return write_text(path, render_page(robot, scene, playback))
 
 
-class LiveView:
-    """A running server that shows the page of one motion; `close` ends it, as does leaving a `with` block."""
-
-    def __init__(self, url: str, process: subprocess.Popen[bytes]) -> None:
-        """Hold what `serve` has started."""
-        self.url = url
-        self._process = process
-
-    @property
-    def running(self) -> bool:
-        """True until the server has ended."""
-        return self._process.poll() is None
-
-    def wait(self, timeout_s: float | None = None) -> None:
-        """Wait until the server ends (it does not by itself) or `timeout_s` seconds have passed."""
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            self._process.wait(timeout_s)
-
-    def close(self) -> None:
-        """End the server."""
-        _end(self._process)
-
-    def __enter__(self) -> LiveView:
-        """Return the view itself."""
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
-        """End the server."""
-        self.close()
-
-
 def serve(robot: Robot, scene: Scene, playback: Playback) -> LiveView:
     """Start a server of the same page; prints nothing and opens no browser.
 
@@ -180,62 +140,13 @@ def serve(robot: Robot, scene: Scene, playback: Playback) -> LiveView:
 
     Returns:
         The running view; its `url` is for a browser on this machine, the only one that reaches it. The server ends
-        with `close`, and with this process, however that ends.
+        with `close`, and with this process.
 
     Raises:
         InputError: As `render_page`.
         HplanError: The server does not start.
     """
-    page = render_page(robot, scene, playback).encode()
-    try:
-        process = subprocess.Popen(
-            python_module("hplan.apps.view.server"),
-            stdin=subprocess.PIPE,  # the page, and from then on nothing: the server ends with it
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            env=import_environment(),
-        )
-    except OSError as error:
-        raise HplanError(f"the page's server does not start: {error}") from error
-    try:
-        return LiveView(_address(process, page), process)
-    except BaseException:
-        _end(process)
-        raise
-
-
-def _address(process: subprocess.Popen[bytes], page: bytes) -> str:
-    """Hand the page to the process of `hplan.apps.view.server`; the address at which it serves that.
-
-    Raises:
-        HplanError: It does not start.
-    """
-    too_late = threading.Timer(START_S, process.kill)
-    too_late.start()
-    said: list[str] = []
-    try:
-        with contextlib.suppress(BrokenPipeError):  # what it has to say about that comes next
-            if process.stdin is not None:
-                process.stdin.write(b"%d\n" % len(page) + page)
-                process.stdin.flush()
-        for line in process.stdout or ():
-            said.append(line.decode(errors="replace"))
-            if said[-1].startswith("web_url="):
-                return said[-1].strip().split("=", 1)[1]
-    finally:
-        too_late.cancel()
-    raise HplanError(f"the page's server does not start: {''.join(said).strip() or 'it says nothing'}")
-
-
-def _end(process: subprocess.Popen[bytes]) -> None:
-    """End a process and close its pipes."""
-    if process.poll() is None:
-        process.kill()
-    process.wait()
-    for stream in (process.stdin, process.stdout):
-        if stream is not None:
-            with contextlib.suppress(BrokenPipeError):  # a page that it has not read
-                stream.close()
+    return LiveView(render_page(robot, scene, playback).encode())
 
 
 def _viewer_source() -> str:

@@ -1,38 +1,61 @@
-"""The process of the live view: it serves one page on 127.0.0.1, for as long as whoever started it lives.
-
-It reads the page from standard input, its length in a line of its own before it, says its address on standard output,
-`web_url=...`, and nothing from then on, so that nobody has to read its pipes. It ends when its standard input does:
-that is a pipe whose other end closes with the process that holds it, however that process ends.
-"""
+"""The live view: one page served on 127.0.0.1, by a thread of this process."""
 
 from __future__ import annotations
 
-import os
-import signal
-import sys
 import threading
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from types import TracebackType
 from typing import Any
 
-#: The one address that other machines do not reach.
-HOST = "127.0.0.1"
+from hplan.errors import HplanError
 
 
-def main() -> None:
-    """Serve until standard input ends."""
-    # An interrupt at the terminal is for the process that started this one.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    page = sys.stdin.buffer.read(int(sys.stdin.buffer.readline()))
-    server = ThreadingHTTPServer((HOST, 0), _handler(page))
-    threading.Thread(target=server.serve_forever, daemon=True).start()
-    sys.stdout.write(f"web_url=http://{HOST}:{server.server_port}/\n")
-    sys.stdout.flush()
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    for stream in (sys.stdout, sys.stderr):
-        os.dup2(nowhere, stream.fileno())
-    while sys.stdin.buffer.read(1):
-        pass
+class LiveView:
+    """A running server that shows the page of one motion; `close` ends it, as does leaving a `with` block.
+
+    Attributes:
+        url: Its address, for a browser on this machine, the only one that reaches it.
+    """
+
+    def __init__(self, page: bytes) -> None:
+        """Serve a page at a free port.
+
+        Raises:
+            HplanError: There is none.
+        """
+        try:
+            self._server = ThreadingHTTPServer(("127.0.0.1", 0), _handler(page))
+        except OSError as error:
+            raise HplanError(f"the page's server does not start: {error}") from error
+        self.url = f"http://127.0.0.1:{self._server.server_port}/"
+        self._thread = threading.Thread(target=self._server.serve_forever, daemon=True)
+        self._thread.start()
+
+    @property
+    def running(self) -> bool:
+        """True until the server has ended."""
+        return self._thread.is_alive()
+
+    def wait(self, timeout_s: float | None = None) -> None:
+        """Wait until the server ends (it does not by itself) or `timeout_s` seconds have passed."""
+        self._thread.join(timeout_s)
+
+    def close(self) -> None:
+        """End the server."""
+        self._server.shutdown()
+        self._server.server_close()
+        self._thread.join()
+
+    def __enter__(self) -> LiveView:
+        """Return the view itself."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        """End the server."""
+        self.close()
 
 
 def _handler(page: bytes) -> type[BaseHTTPRequestHandler]:
@@ -54,7 +77,3 @@ def _handler(page: bytes) -> type[BaseHTTPRequestHandler]:
             pass
 
     return Handler
-
-
-if __name__ == "__main__":
-    main()

@@ -27,7 +27,6 @@ from hplan.errors import OptionError, OutputError, RobotFileError
 from hplan.robot.family.spec import HARVESTER, ArmSpec
 from hplan.robot.files import read_models
 
-# The files that `write_robot` writes name this module as the place to find the first two.
 __all__ = ["HARVESTER", "ArmSpec", "CrossCheck", "cross_check", "write_robot"]
 
 

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Reproduce the paper: its numbers beside the measured ones.
+"""Reproduce the paper: its numbers beside the measured ones, and its figures.
 
 The paper plans for a three-link arm among one disc: analytic C-space (equations 1-3), a 2-D A* in every theta3 slice,
 connectivity restoration, and a second A* on the sparse union. Three searches are run here:
@@ -9,7 +9,8 @@ connectivity restoration, and a second A* on the sparse union. Three searches ar
 - *hplan*: `hplan.grid.two_level_search`, which floods before it searches, restores on both sides and is complete on
   the grid; once with plain A* and the paper's straight-line bound, once as it is by default.
 
-What the paper's text leaves open, the slices searched and what restoration carries back, is run each way.
+Each figure has the number and the subject of the paper's; the layout is our own. What the paper's text leaves open, the
+slices searched and what restoration carries back, is run each way.
 """
 
 from __future__ import annotations
@@ -39,7 +40,8 @@ if TYPE_CHECKING:
 SEED = 1
 
 _EPILOG = """\
-writes into DIR: reproduction.json and reproduction.md
+writes into DIR: reproduction.json, reproduction.md, figure-02-... to figure-16-... by the paper's numbers, and
+overview (PNG)
 
 exit status:
   0  done
@@ -50,9 +52,10 @@ exit status:
 
 def main(argv: list[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
-    parser = command_parser("Print the paper's numbers beside the measured ones.", _EPILOG)
+    parser = command_parser("Print the paper's numbers beside the measured ones and draw its figures.", _EPILOG)
     add = parser.add_argument
     add("--out", type=Path, metavar="DIR", help="folder to write into (default: a temporary one, named in the end)")
+    add("--no-figures", action="store_true", help="numbers only")
     add("--scenes", type=int, default=0, metavar="N", help="compare both searches on N random planar scenes "
         "of 1 to 12 discs, some of them without a path (default: none; 2000 take a minute or two)")  # fmt: skip
     arguments = parser.parse_args(argv)
@@ -60,19 +63,28 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _run(options: argparse.Namespace, console: Console, errors: Console) -> int:
-    """Measure and write what was asked for."""
+    """Measure, draw and write what was asked for."""
     if options.scenes < 0:
         raise OptionError("--scenes", options.scenes, "0 or more")
+    from hplan.apps.view.figure_style import png_bytes, require_matplotlib
+
+    if not options.no_figures:
+        require_matplotlib()
     out: Path = options.out or Path(tempfile.mkdtemp(prefix="hplan-"))
     prepare_folder(out)
     from studies.paper import measure, random_scenes
+    from studies.paper.figures import figures
 
     with progress_line(errors, quiet=False) as told:
-        numbers = measure.measure(report=told)
+        numbers, evidence = measure.measure(report=told)
         scenes = random_scenes.compare(options.scenes, SEED) if options.scenes else None
+        contents: dict[str, bytes] = {}
+        for name, draw in {} if options.no_figures else figures(numbers, evidence).items():
+            told(name)
+            contents[name] = png_bytes(draw())
     text = measure.markdown(numbers, scenes)
     record = {**numbers.as_dict(), "random_scenes": None if scenes is None else asdict(scenes)}
-    contents = {"reproduction.md": text.encode(), "reproduction.json": (json.dumps(record, indent=2) + "\n").encode()}
+    contents |= {"reproduction.md": text.encode(), "reproduction.json": (json.dumps(record, indent=2) + "\n").encode()}
     with ExitStack() as files:  # all or none
         for name, content in contents.items():
             files.enter_context(replacing(out / name)).write_bytes(content)

@@ -24,13 +24,18 @@ _R = TypeVar("_R")
 #: Resolution of the PNGs [dots per inch].
 DPI = 160
 
-# Okabe and Ito's colours, told apart by colour-blind eyes.
+# Okabe and Ito's colours, told apart by colour-blind eyes, and tints of them.
 INK = "#22303C"
 QUIET = "#7A8793"
 FAINT = "#D9DFE4"
 OBSTACLE = "#D55E00"
+OBSTACLE_TINT = "#F0B183"
+PATH = "#0072B2"
+PATH_TINT = "#DCEBF5"
+RESTORED = "#E69F00"
 START = "#009E73"
 GOAL = "#AA4488"
+LINKS = ("#34495E", "#5D7F9E", "#9DBBD3")
 
 #: One look for all figures.
 STYLE: dict[str, Any] = {

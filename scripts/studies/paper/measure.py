@@ -11,16 +11,16 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from studies.harness import Row, plain, table
 from studies.measure import environment
-from studies.paper.plain import RESTORATIONS, Restoration, path_found, plain_two_level
+from studies.paper.plain import RESTORATIONS, PlainTwoLevel, Restoration, path_found, plain_two_level
 from studies.paper.random_scenes import SearchComparison
 from studies.planar_cspace import arm_sections, joint_grid
 
-from hplan.base.arrays import IntArray
+from hplan.base.arrays import FloatArray, IntArray
 from hplan.grid import SearchResult, dense_search, slices_with_path, two_level_search
 from hplan.grid import occupancy as cspace
 from hplan.grid.grid import Grid, Occupancy
-from hplan.grid.sections import LINK_MODELS, LinkModel
-from hplan.robot.model import load_robot
+from hplan.grid.sections import LINK_MODELS, ArmSections, LinkModel
+from hplan.robot.model import Robot, load_robot
 from hplan.scene.file import load_scene
 
 _T = TypeVar("_T")
@@ -57,6 +57,37 @@ class Run(NamedTuple):
 PAPER_DENSE, PAPER_TWO_LEVEL = Run(145.214952, 107, 0, 154_647, 0, 23_500.0), Run(145.800739, 108, 0, 6_605, 0, 2_560.0)
 
 
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """What the numbers were taken from; the figures are drawn from it.
+
+    Attributes:
+        robot: The arm.
+        centre: (2,) centre of the disc in the arm plane [m].
+        radius: Its radius [m].
+        sections: The obstacle cut by the arm plane (capsule model).
+        occupancy: The C-space.
+        start: (3,) node index.
+        goal: (3,) node index.
+        dense: Dense A*.
+        plain: The two levels to the letter.
+        demo: Workspace of the demonstration.
+        demo_result: Its two-level search.
+    """
+
+    robot: Robot
+    centre: FloatArray
+    radius: float
+    sections: ArmSections
+    occupancy: Occupancy
+    start: IntArray
+    goal: IntArray
+    dense: SearchResult
+    plain: PlainTwoLevel
+    demo: Occupancy
+    demo_result: SearchResult
+
+
 @dataclass(frozen=True)
 class Reproduction:
     """All numbers.
@@ -83,7 +114,7 @@ class Reproduction:
         return plain({"format": "hplan-reproduction/2", "environment": environment(), **vars(self), **told})  # type: ignore[no-any-return]
 
 
-def measure(repetitions: int = 5, report: Callable[[str], None] = lambda _: None) -> Reproduction:
+def measure(repetitions: int = 5, report: Callable[[str], None] = lambda _: None) -> tuple[Reproduction, Evidence]:
     """Measure everything; each time is the median of some runs, told what is being done."""
     robot, scene = load_robot(), load_scene()
     grid = joint_grid(robot.arm, math.radians(1.0))
@@ -115,7 +146,7 @@ def measure(repetitions: int = 5, report: Callable[[str], None] = lambda _: None
     second, expanded = letter.second, sum(letter.expansions.values())
     without = [number for number in letter.expansions if number not in letter.paths]
     scale = 180.0 / math.pi
-    return Reproduction(
+    numbers = Reproduction(
         nodes=grid.size,
         runs={
             "dense": _run(dense, dense_ms, scale),
@@ -128,6 +159,11 @@ def measure(repetitions: int = 5, report: Callable[[str], None] = lambda _: None
         demo={"dense": _run(*demo_dense), "two-level": _run(*demo_two)},
         without=(len(without), sum(letter.expansions[number] for number in without)),
     )
+    origin, axes = robot.plane_at(0.0)
+    disc, sections = scene.solids[0], arm_sections(robot, scene.solids)
+    centre = ((disc.core - origin) @ axes.T)[0, :2]
+    found = Evidence(robot, centre, disc.rounding, sections, space, start, goal, dense, letter, demo[0], demo_two[0])
+    return numbers, found
 
 
 def demonstration() -> tuple[Occupancy, IntArray, IntArray]:

@@ -309,7 +309,12 @@ def _first(due: FloatArray, bezier: FloatArray) -> tuple[IntArray, float, FloatA
 def _due_before(due: FloatArray, pairs: IntArray) -> IntArray:
     """Pairs that are due before one is; none where that is after the end."""
     place = due[pairs[0]]
-    return np.flatnonzero(due < place) if place < math.inf else np.empty(0, dtype=np.int64)
+    count, before = 0, np.empty(len(due), dtype=np.int64)
+    for pair in range(len(due)):
+        if due[pair] < place < math.inf:
+            before[count] = pair
+            count += 1
+    return before[:count]
 
 
 @kernel
@@ -392,8 +397,14 @@ def place_after(travel: FloatArray, at: float, part: float) -> float:
     """
     row = min(int(at), len(travel) - 2)
     limit = travel[row] + (at - row) * (travel[row + 1] - travel[row]) + part
-    row = np.searchsorted(travel, limit, side="right") - 1
-    if row >= len(travel) - 1:
+    row, beyond = -1, len(travel)
+    while row + 1 < beyond:  # the last row that is no farther
+        middle = (row + beyond) // 2
+        if travel[middle] <= limit:
+            row = middle
+        else:
+            beyond = middle
+    if row == len(travel) - 1:
         return math.inf
     place: float = row + (limit - travel[row]) / (travel[row + 1] - travel[row])
     return place

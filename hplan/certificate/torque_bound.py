@@ -98,7 +98,9 @@ def _largest(
     count, dof = bezier.shape[0], bezier.shape[2]
     slack = _remainders(bezier, duration, sizes, _norm(gravity))
     # Open intervals: their pieces, where they begin, their lengths as a fraction of the piece, |torque| at both ends.
-    piece, begin, width = np.arange(count), np.zeros(count), np.ones(count)
+    piece, begin, width = np.empty(count, dtype=np.int64), np.zeros(count), np.empty(count)
+    for i in range(count):
+        piece[i], width[i] = i, 1.0
     first = _torques_at(bezier, duration, piece, begin, bodies, gravity)
     last = _torques_at(bezier, duration, piece, width, bodies, gravity)
     peak, bound, spent = np.zeros(dof), np.zeros(dof), 0
@@ -114,27 +116,36 @@ def _largest(
             for j in range(dof):
                 high = max(first[i, j], last[i, j]) + width[i] * width[i] * slack[piece[i], j]
                 is_open[i] |= high > enough * scale[j]
-        halved = np.flatnonzero(is_open)
-        if spent + len(halved) > most:
-            halved = halved[:0]
-            is_open[:] = False
+        halved = 0
         for i in range(len(piece)):
-            if not is_open[i]:
+            halved += is_open[i]
+        if spent + halved > most:
+            halved = 0
+        for i in range(len(piece)):
+            if halved == 0 or not is_open[i]:
                 for j in range(dof):
                     high = max(first[i, j], last[i, j]) + width[i] * width[i] * slack[piece[i], j]
                     bound[j] = max(bound[j], high)
-        if len(halved) == 0:
+        if halved == 0:
             return bound
-        spent += len(halved)
-        piece, begin, half = piece[halved], begin[halved], 0.5 * width[halved]
-        middle = _torques_at(bezier, duration, piece, begin + half, bodies, gravity)
-        for i in range(len(middle)):
+        spent += halved
+        # The first halves, then the second ones.
+        pieces, begins, widths = np.empty(2 * halved, dtype=np.int64), np.empty(2 * halved), np.empty(2 * halved)
+        firsts, lasts, n = np.empty((2 * halved, dof)), np.empty((2 * halved, dof)), 0
+        for i in range(len(piece)):
+            if is_open[i]:
+                half = 0.5 * width[i]
+                pieces[n], begins[n], widths[n] = piece[i], begin[i], half
+                pieces[halved + n], begins[halved + n], widths[halved + n] = piece[i], begin[i] + half, half
+                for j in range(dof):
+                    firsts[n, j], lasts[halved + n, j] = first[i, j], last[i, j]
+                n += 1
+        middle = _torques_at(bezier, duration, pieces[halved:], begins[halved:], bodies, gravity)
+        for n in range(halved):
             for j in range(dof):
-                peak[j] = max(peak[j], middle[i, j])
-        first = np.concatenate((first[halved], middle))
-        last = np.concatenate((middle, last[halved]))
-        piece, width = np.concatenate((piece, piece)), np.concatenate((half, half))
-        begin = np.concatenate((begin, begin + half))
+                peak[j] = max(peak[j], middle[n, j])
+                lasts[n, j] = firsts[halved + n, j] = middle[n, j]
+        piece, begin, width, first, last = pieces, begins, widths, firsts, lasts
 
 
 @kernel

@@ -10,6 +10,7 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -32,6 +33,7 @@ from hplan.collision.obstacle_rows import (
     LINK_RANGE,
     NEXT,
     TURNS,
+    BodyFieldArrays,
     core_rows,
     own_clearance_of,
     rows_of,
@@ -69,7 +71,10 @@ class ClearanceField(Record):
     @property
     def arrays(self) -> FieldArrays:
         """The arrays for kernels, and how long these may take."""
-        return FieldArrays(self.chain, self.base, self.solids, self.data, until())
+        planar = FieldArrays(self.chain, self.base, self.solids, self.data, until())
+        if self.chain.shape[1] == LINK:
+            return planar
+        return cast(FieldArrays, BodyFieldArrays(*planar, int(self.base[BODIES])))
 
     @classmethod
     def of(

@@ -27,6 +27,7 @@ from hplan.collision.body_kernels import body_clearances
 from hplan.collision.body_motions import body_bounds, body_segment_is_clear, body_segment_is_refused, mark_near_bodies
 from hplan.collision.distances import Vector, point_segment, segment_box, segment_hull, segment_segment
 from hplan.collision.motion_cover import body_keeps_margin
+from hplan.collision.obstacle_rows import OF_BODIES
 from hplan.collision.obstacle_rows import FieldArrays as FieldArrays
 
 _FIRST_ROW = any_int(0)
@@ -103,7 +104,7 @@ def _arm_plane(q: FloatArray, base: FloatArray) -> tuple[int, float, float, Vect
 @kernel
 def link_clearances(q: FloatArray, field: FieldArrays, result: FloatArray) -> None:
     """Clearance of each link at one configuration; of a general (non-planar) arm, of each moving body."""
-    if field.chain.shape[1] != LINK:
+    if len(field) == OF_BODIES:
         body_clearances(q, field, result)
         return
     chain, base, solids, data = field.chain, field.base, field.solids, field.data
@@ -209,10 +210,10 @@ def clearances_along(points: FloatArray, field: FieldArrays, result: FloatArray)
 @kernel
 def mark_near(path: FloatArray, field: FieldArrays, distance: float, near: BoolArray) -> None:
     """Mark the rows whose bounding ball comes within a distance of a link at some configuration."""
-    chain, base, solids = field.chain, field.base, field.solids
-    if chain.shape[1] != LINK:
+    if len(field) == OF_BODIES:
         mark_near_bodies(path, field, distance, near)
         return
+    chain, base, solids = field.chain, field.base, field.solids
     for i in range(path.shape[0]):
         if is_up(field.until):
             break
@@ -249,7 +250,7 @@ def smallest(values: FloatArray) -> float:
 @kernel
 def keeps_margin(q: FloatArray, field: FieldArrays, margin: float) -> bool:
     """True if no clearance at a configuration is below a margin; how large they are is not looked for."""
-    if field.chain.shape[1] != LINK:
+    if len(field) == OF_BODIES:
         return body_keeps_margin(q, field, margin)
     clear = np.empty(field.chain.shape[0])
     link_clearances(q, field, clear)
@@ -271,18 +272,18 @@ def proven_advance(clear: FloatArray, bounds: FloatArray, margin: float) -> floa
 
 
 @kernel
-def motion_bounds(turns: FloatArray, chain: FloatArray, base: FloatArray, result: FloatArray) -> None:
+def motion_bounds(turns: FloatArray, field: FieldArrays, result: FloatArray) -> None:
     """Largest displacement of any axis point of each link while all joints turn in proportion, by `turns` in all.
 
     Args:
         turns: (dof,) joint displacements.
-        chain: As in `ClearanceField`.
-        base: As in `ClearanceField`.
+        field: The arm.
         result: (links,) bounds, written [m].
     """
-    if chain.shape[1] != LINK:
-        body_bounds(turns, chain, base, result)
+    if len(field) == OF_BODIES:
+        body_bounds(turns, field.chain, field.base, result)
         return
+    chain, base = field.chain, field.base
     first = 1 if base[9] > 0.0 else 0
     swing = abs(turns[0]) if first else 0.0
     absolute, bound = 0.0, 0.0
@@ -305,19 +306,21 @@ def path_is_clear(path: FloatArray, field: FieldArrays, margin: float) -> bool:
 @kernel
 def segment_is_refused(start: FloatArray, end: FloatArray, field: FieldArrays, margin: float) -> bool:
     """True if a few looks show that a motion is not clear; none are taken at planar arms, whose proofs are quick."""
-    return field.chain.shape[1] != LINK and body_segment_is_refused(start, end, field, margin)
+    if len(field) == OF_BODIES:
+        return body_segment_is_refused(start, end, field, margin)
+    return False
 
 
 @kernel
 def segment_is_clear(start: FloatArray, end: FloatArray, field: FieldArrays, margin: float) -> bool:
     """True if the straight joint-space motion is verified to keep `margin`, which is asked for at what is evaluated."""
-    if field.chain.shape[1] != LINK:
+    if len(field) == OF_BODIES:
         return body_segment_is_clear(start, end, field, margin)
     links, dof = field.chain.shape[0], start.shape[0]
     bounds, clear, q, turns = np.empty(links), np.empty(links), np.empty(dof), np.empty(dof)
     for i in range(dof):
         turns[i] = end[i] - start[i]
-    motion_bounds(turns, field.chain, field.base, bounds)
+    motion_bounds(turns, field, bounds)
     # The middle first: where a motion fails it often fails there.
     t, at_middle = 0.5, True
     while True:

@@ -78,6 +78,25 @@ class FieldArrays(NamedTuple):
     until: FloatArray
 
 
+class BodyFieldArrays(NamedTuple):
+    """The same of an arm that is not of the planar family: what a kernel is handed says of which kind the arm is.
+
+    A kernel that is compiled for one kind has nothing in it that `len(field) == OF_BODIES` keeps for the other one,
+    where `field` is an argument of its own.
+    """
+
+    chain: FloatArray
+    base: FloatArray
+    solids: FloatArray
+    data: FloatArray
+    until: FloatArray
+    bodies: int
+
+
+#: How many fields tell that kind.
+OF_BODIES = len(BodyFieldArrays._fields)
+
+
 class _Stack:
     """Blocks of rows, one below the other, and their data.
 

@@ -102,12 +102,15 @@ def _row_bounds(used: IntArray, rows: int, lattice: LatticeArrays, goal_row: int
         if move != centre:
             shortest = min(shortest, move_costs[move, 1])
     longest = move_costs[0, 1]
-    weights = np.array([np.hypot(longest, step) - longest, np.hypot(shortest, step) - shortest])
+    costs, weights = np.empty(len(row_offsets)), np.empty(2)
     settled = 0
     for k in range(2):
+        aside = longest if k == 0 else shortest
+        weights[k] = math.hypot(aside, step) - aside
+        for move in range(len(row_offsets)):
+            costs[move] = min(move_costs[move, 1], move_costs[move, 2] - weights[k])
         for row in used:
             slot[row], values[row, k] = -1, np.inf
-        costs = np.minimum(move_costs[:, 1], move_costs[:, 2] - weights[k])
         values[goal_row, k] = 0.0
         size = begin(keys, entries, slot, goal_row)
         while size > 0:

@@ -65,7 +65,7 @@ class Chain(NamedTuple):
 def solve_all(starts: FloatArray, chain: Chain, solutions: FloatArray, found: BoolArray) -> None:
     """Write for each of (k, dof) starts where it leads, and whether the pose is reached there."""
     for row in range(starts.shape[0]):
-        solutions[row] = starts[row]
+        write(starts[row], solutions[row])
         found[row] = solve(chain, solutions[row])
 
 
@@ -73,8 +73,8 @@ def solve_all(starts: FloatArray, chain: Chain, solutions: FloatArray, found: Bo
 def solve_each(starts: FloatArray, poses: FloatArray, chain: Chain, solutions: FloatArray, found: BoolArray) -> None:
     """As `solve_all`, with a pose for each start, (k, 12); the chain's pose is overwritten."""
     for row in range(starts.shape[0]):
-        chain.pose[:] = poses[row]
-        solutions[row] = starts[row]
+        write(poses[row], chain.pose)
+        write(starts[row], solutions[row])
         found[row] = solve(chain, solutions[row])
 
 
@@ -96,14 +96,14 @@ def draw_back(
     """
     frames, tool, back = np.empty((goals.shape[1] + 1, 12)), np.empty(12), np.empty(3)
     for k in range(goals.shape[0]):
-        rows[k, 0] = goals[k]
+        write(goals[k], rows[k, 0])
         place_frame(chain, goals[k], frames, tool)
-        chain.pose[:] = tool
+        write(tool, chain.pose)
         for r in range(3):
             back[r] = -tool[3 * r + 2]
         reached[k] = distances.shape[0]
         for i in range(1, distances.shape[0]):
-            rows[k, i] = rows[k, i - 1]
+            write(rows[k, i - 1], rows[k, i])
             if i >= reached[k]:
                 continue
             for r in range(3):
@@ -113,7 +113,14 @@ def draw_back(
                 kept = kept and abs(rows[k, i, j] - rows[k, i - 1, j]) <= most[i, j]
             if not kept:
                 reached[k] = i
-                rows[k, i] = rows[k, i - 1]
+                write(rows[k, i - 1], rows[k, i])
+
+
+@kernel
+def write(source: FloatArray, target: FloatArray) -> None:
+    """Write numbers over others; an assignment of slices would have numba compile what it says of their shapes."""
+    for i in range(len(source)):
+        target[i] = source[i]
 
 
 @kernel
@@ -145,7 +152,10 @@ def solve(chain: Chain, q: FloatArray) -> bool:
             tried[j] = min(max(q[j] + step[j], lower[j]), upper[j])
         linearise(chain, tried, frames, tried_error, tried_jacobian)
         if squared(tried_error) < squared(error):
-            q[:], error[:], jacobian[:] = tried, tried_error, tried_jacobian
+            write(tried, q)
+            write(tried_error, error)
+            for r in range(6):
+                write(tried_jacobian[r], jacobian[r])
             damping = max(damping * _LESS, _LEAST)
         else:
             damping *= _MORE

@@ -372,6 +372,7 @@ def middles(
     count = 0
     for number in range(len(counts)):
         if counts[number] > 0 and not dropped[number]:
-            found[count] = found[number]
+            for axis in range(3):
+                found[count, axis] = found[number, axis]
             count += 1
     return found[:count].copy(), math.sqrt(growth)

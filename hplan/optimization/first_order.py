@@ -23,7 +23,8 @@ from hplan.base.arrays import FloatArray, IntArray
 from hplan.base.deadline import is_up
 from hplan.base.kernels import any_int, inlined, kernel
 from hplan.collision.body_kernels import body_slopes
-from hplan.collision.clearance_kernels import LINK, FieldArrays, link_clearances
+from hplan.collision.clearance_kernels import link_clearances
+from hplan.collision.obstacle_rows import OF_BODIES, FieldArrays
 from hplan.optimization.interior_point import ProgramRows
 
 #: Places in each piece where the clearance is kept.
@@ -148,9 +149,16 @@ def first_order(
     """
     control, knots, drift = motion
     n, joints = control.shape[0], len(limits.movable)
-    matters = margin, trust if not drift.any() else math.inf
+    matters = margin, trust
+    for k in range(n):
+        for j in range(control.shape[1]):
+            if drift[k, j] != 0.0:
+                matters = margin, math.inf
     near = _places(control, knots, limits, field, matters)
-    links_near = int((near.clear < NEAR).sum())
+    links_near = 0
+    for place in range(near.clear.shape[0]):
+        for link in range(near.clear.shape[1]):
+            links_near += near.clear[place, link] < NEAR
     kinematic, free = joints * (3 * n - 6), joints * (n - 6)
     split = 2 * joints * DRIFTING
     most = kinematic + free + links_near + split
@@ -300,8 +308,9 @@ def _places(
     count = (n - 3) * PLACES
     q, weight, clear = np.zeros((count, dof)), np.empty((count, 4)), np.full((count, field.chain.shape[0]), np.inf)
     speed, velocity = np.zeros((count, 4)), np.zeros(dof)
-    is_planar = field.chain.shape[1] == LINK
-    gradient = np.empty((0, 0, 0) if is_planar else (count, field.chain.shape[0], len(movable)))
+    gradient = np.empty((0, 0, 0))
+    if len(field) == OF_BODIES:
+        gradient = np.empty((count, field.chain.shape[0], len(movable)))
     for place in range(count):
         piece = place // PLACES
         basis(knots, piece, (place % PLACES) / PLACES, weight[place])
@@ -310,10 +319,10 @@ def _places(
                 q[place, j] += weight[place, c] * control[piece + c, j]
         if is_up(field.until):
             break
-        if is_planar:
-            link_clearances(q[place], field, clear[place])
-        else:
+        if len(field) == OF_BODIES:
             body_slopes(q[place], field, movable, NEAR_OF_BODIES, clear[place], gradient[place])
+        else:
+            link_clearances(q[place], field, clear[place])
         if limits.sway.shape[0] > 0:
             _velocity_weights(knots, piece, (place % PLACES) / PLACES, speed[place])
             for j in range(dof):
@@ -323,7 +332,7 @@ def _places(
             for link in range(clear.shape[1]):
                 for j in range(dof):
                     clear[place, link] -= limits.sway[link, j] * abs(velocity[j])
-        if not is_planar:
+        if len(field) == OF_BODIES:
             for link in range(clear.shape[1]):
                 change = 0.0
                 for m in range(len(movable)):
@@ -383,8 +392,10 @@ def _add_clearances(
             nearest = min(nearest, clear[place, link])
         if not nearest < NEAR or is_up(field.until):
             continue
-        if slopes.shape[0] > 0:
-            gradient[:] = slopes[place]
+        if len(field) == OF_BODIES:
+            for link in range(links):
+                for m in range(joints):
+                    gradient[link, m] = slopes[place, link, m]
         elif sways:
             link_clearances(q[place], field, here_clear)
         else:
@@ -395,7 +406,7 @@ def _add_clearances(
                 velocity[m] = 0.0
                 for c in range(4):
                     velocity[m] += speed[place, c] * control[place // PLACES + c, limits.movable[m]]
-        for m in range(joints if slopes.shape[0] == 0 else 0):
+        for m in range(0 if len(field) == OF_BODIES else joints):
             j = limits.movable[m]
             here = q[place, j]
             q[place, j] = here + _DIFFERENCE

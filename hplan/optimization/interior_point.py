@@ -124,7 +124,8 @@ def solve(rows: ProgramRows, count: int, band: int, accuracy: float, until: Floa
         corner = _normal_equations(rows, slack, dual, normal.factor, normal.border)
         if not (worst < _LOST and _factored(normal.factor)):
             break
-        normal.solved[:] = normal.border
+        for i in range(count):
+            normal.solved[i] = normal.border[i]
         _substitute(normal.factor, normal.solved)
         for i in range(count):
             corner -= normal.border[i] * normal.solved[i]

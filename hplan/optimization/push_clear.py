@@ -16,7 +16,8 @@ from hplan.base.kernels import any_int, inlined, kernel
 from hplan.base.polyline import stations
 from hplan.collision.body_kernels import FAR, body_slopes, least_body_clearance
 from hplan.collision.clearance_field import ClearanceField
-from hplan.collision.clearance_kernels import LINK, FieldArrays, link_clearances, smallest
+from hplan.collision.clearance_kernels import link_clearances, smallest
+from hplan.collision.obstacle_rows import OF_BODIES, FieldArrays
 from hplan.optimization.options import JointArrays, PostprocessOptions
 from hplan.trajectory.cubics import bezier_piece
 from hplan.trajectory.spline import STRIDE, MovableSpline, SplinePath, piece_is_clear
@@ -107,7 +108,10 @@ def _worst_of_bodies(
             for k in range(dof):
                 worst[k] = q[k]
     body_slopes(worst, field, movable, least + 1e-9, clear, slopes)
-    nearest = np.argmin(clear)
+    nearest = 0
+    for k in range(movers):
+        if clear[k] < clear[nearest]:
+            nearest = k
     for m in range(len(movable)):
         gradient[movable[m]] = slopes[nearest, m]
     return least, at
@@ -138,10 +142,10 @@ def push_out(
             if is_up(field.until):
                 return False
             contact = True
-            if field.chain.shape[1] == LINK:
-                least, at = _worst_point(piece, field, movable, gradient)
-            else:
+            if len(field) == OF_BODIES:
                 least, at = _worst_of_bodies(piece, field, movable, gradient)
+            else:
+                least, at = _worst_point(piece, field, movable, gradient)
             square = 0.0
             for j in movable:
                 square += gradient[j] * gradient[j]

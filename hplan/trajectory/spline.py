@@ -20,7 +20,8 @@ from hplan.base.kernels import any_int, kernel
 from hplan.base.polyline import curve_length, stations
 from hplan.collision.body_motions import body_piece_is_clear
 from hplan.collision.clearance_field import ClearanceField
-from hplan.collision.clearance_kernels import LINK, FieldArrays, link_clearances, proven_advance
+from hplan.collision.clearance_kernels import link_clearances, proven_advance
+from hplan.collision.obstacle_rows import OF_BODIES, FieldArrays
 from hplan.errors import InputError
 from hplan.trajectory.cubics import bezier_piece, bezier_pieces, evaluate
 
@@ -149,7 +150,7 @@ def piece_is_clear(piece: FloatArray, field: FieldArrays, margin: float, stride:
 
     With a `stride` above 0 no step is shorter than that: no proof then near contact, but cheap, for optimisers.
     """
-    if field.chain.shape[1] != LINK:
+    if len(field) == OF_BODIES:
         return body_piece_is_clear(piece, field, margin, stride)
     links, dof = field.chain.shape[0], piece.shape[1]
     bounds, clear, q = np.empty(links), np.empty(links), np.empty(dof)

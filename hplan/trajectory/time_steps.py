@@ -83,7 +83,10 @@ def run_clock(clocks: Clocks, kept: Kept, period: float, final: int) -> tuple[in
     rows, dof = len(clocks.factors), clocks.points.shape[1]
     end = clocks.time[len(clocks.time) - 1]
     tau, points, most = np.empty(rows), np.empty((rows, dof)), np.full(rows, np.inf)
-    tau[:3], points[:3] = clocks.clock, clocks.points
+    for k in range(3):
+        tau[k] = clocks.clock[k]
+        for j in range(dof):
+            points[k, j] = clocks.points[k, j]
     found, work = np.empty((2, dof)), np.empty((4, dof))
     returns, back, farthest = 0, BACK, 2
     i = 2
@@ -110,7 +113,8 @@ def run_clock(clocks: Clocks, kept: Kept, period: float, final: int) -> tuple[in
         if ok:
             _at(clocks, tau[i] + step, found)
             tau[i + 1] = tau[i] + step
-            points[i + 1] = found[0]
+            for j in range(dof):
+                points[i + 1, j] = found[0, j]
             i += 1
             if i > farthest + BACK:
                 back = BACK

@@ -258,7 +258,7 @@ def test_near_looks_where_a_link_beside_the_plane_is(robot):
 
 def bounds_of(field, turns):
     result = np.empty(len(field.chain))
-    motion_bounds(np.asarray(turns, dtype=float), field.chain, field.base, result)
+    motion_bounds(np.asarray(turns, dtype=float), field.arrays, result)
     return result
 
 

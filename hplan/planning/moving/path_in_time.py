@@ -100,9 +100,9 @@ class PathInTime:
         self._field, self._half = field, 0.5 * step_s + spare_s
         turns = np.diff(self.configurations, axis=0)
         empty = ClearanceField.of(robot, []).only(np.zeros(0, dtype=np.bool_), arm=False)
-        bounds = np.empty((count, len(empty.chain)))
+        arrays, bounds = empty.arrays, np.empty((count, len(empty.chain)))
         for turn, bound in zip(turns, bounds, strict=True):
-            motion_bounds(turn, empty.chain, empty.base, bound)
+            motion_bounds(turn, arrays, bound)
         self._travel = 0.5 * np.maximum(np.vstack([bounds[:1], bounds]), np.vstack([bounds, bounds[-1:]]))
         self._last: tuple[int, BoolArray] | None = None
 

@@ -20,7 +20,8 @@ from hplan.base.deadline import check_deadline, is_up
 from hplan.base.kernels import any_int, kernel
 from hplan.collision.body_motions import body_shown_part
 from hplan.collision.clearance_field import ClearanceField
-from hplan.collision.clearance_kernels import LINK, FieldArrays, link_clearances, motion_bounds, proven_advance
+from hplan.collision.clearance_kernels import link_clearances, motion_bounds, proven_advance
+from hplan.collision.obstacle_rows import OF_BODIES, FieldArrays
 from hplan.planning.definition import Problem
 from hplan.planning.sampling.time_shortcut import motion_time
 
@@ -197,11 +198,7 @@ def _extend(tree: Tree, node: int, target: FloatArray, arm: Surroundings, looks:
     part = min(1.0, EDGE_S / time) if time > 0.0 else 1.0
     for i in range(dof):
         turns[i] = part * (target[i] - start[i])
-    if arm.field.chain.shape[1] == LINK:
-        shown = _shown_part(start, turns, target, part == 1.0, arm, looks)
-    else:
-        shown, used = body_shown_part(start, turns, arm.field, arm.margin, LOOKS)
-        looks[0] -= used
+    shown = _shown_part((start, turns, target), part == 1.0, arm.field, arm.margin, looks)
     if shown * part * time < LEAST_S and not (shown == 1.0 and part == 1.0):
         return -1
     new = int(tree.size[0])
@@ -214,21 +211,25 @@ def _extend(tree: Tree, node: int, target: FloatArray, arm: Surroundings, looks:
 
 @kernel
 def _shown_part(
-    start: FloatArray, turns: FloatArray, target: FloatArray, reaches: bool, arm: Surroundings, looks: IntArray
+    edge: tuple[FloatArray, FloatArray, FloatArray], reaches: bool, field: FieldArrays, margin: float, looks: IntArray
 ) -> float:
     """The part of an edge that is shown clear.
 
     Args:
-        start: (dof,) where it begins.
-        turns: (dof,) how far joints turn along it.
-        target: (dof,) where it leads.
+        edge: (dof,) where it begins, how far joints turn along it, and where it leads.
         reaches: Whether it ends there.
-        arm: Arm and obstacles.
+        field: Arm and obstacles.
+        margin: Clearance asked for wherever it is evaluated [m].
         looks: Evaluations that are left.
     """
-    dof, links = len(start), arm.field.chain.shape[0]
+    start, turns, target = edge
+    if len(field) == OF_BODIES:
+        verified, used = body_shown_part(start, turns, field, margin, LOOKS)
+        looks[0] -= used
+        return verified
+    dof, links = len(start), field.chain.shape[0]
     q, bounds, clear = np.empty(dof), np.empty(links), np.empty(links)
-    motion_bounds(turns, arm.field.chain, arm.field.base, bounds)
+    motion_bounds(turns, field, bounds)
     shown, at = 0.0, 0.0
     for _ in range(LOOKS):
         for i in range(dof):
@@ -237,8 +238,8 @@ def _shown_part(
             for i in range(dof):
                 q[i] = target[i]
         looks[0] -= 1
-        link_clearances(q, arm.field, clear)
-        advance = proven_advance(clear, bounds, arm.margin)
+        link_clearances(q, field, clear)
+        advance = proven_advance(clear, bounds, margin)
         if advance < 0.0:
             break
         shown = at

@@ -78,12 +78,15 @@ def _quicken(path: FloatArray, slowness: FloatArray, field: FieldArrays, margin:
         saved = before - motion_time(ends[0], ends[1], slowness) + CORNER_S * (tail - head - corners)
         if saved > 1e-6 and segment_is_clear(ends[0], ends[1], field, margin):
             joined = np.empty((head + corners + count - tail, dof))
-            joined[:head] = path[:head]
-            if 0.0 < leave < 1.0:
-                joined[head] = ends[0]
-            if 0.0 < arrive < 1.0:
-                joined[head + corners - 1] = ends[1]
-            joined[head + corners :] = path[tail:]
+            for k in range(dof):
+                for m in range(head):
+                    joined[m, k] = path[m, k]
+                if 0.0 < leave < 1.0:
+                    joined[head, k] = ends[0, k]
+                if 0.0 < arrive < 1.0:
+                    joined[head + corners - 1, k] = ends[1, k]
+                for m in range(tail, count):
+                    joined[head + corners + m - tail, k] = path[m, k]
             path = joined
     return path
 

@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike
 from hplan.base.arrays import FloatArray
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
-from hplan.scene.obstacles import Mesh, PointCloud
+from hplan.scene.obstacle_kind import FromData
 from hplan.scene.tracks import Sway, Track
 from hplan.trajectory.trajectory import Trajectory, as_table
 
@@ -62,7 +62,7 @@ def trajectory_digest(trajectory: Trajectory) -> str:
 def scene_digest(scene: Scene) -> str:
     """The digest of a scene: the same wherever its meshes and clouds lie."""
     found = _Digest(scene.format)
-    read = [obstacle for obstacle in scene.obstacles if isinstance(obstacle, Mesh | PointCloud)]
+    read = [obstacle for obstacle in scene.obstacles if isinstance(obstacle, FromData)]
     # Leaving fields out takes five times as long, where there are any or not.
     found.add_text(scene.model_dump_json(exclude={"obstacles": {"__all__": {"file"}}} if read else None))
     for obstacle in read:

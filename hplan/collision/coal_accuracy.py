@@ -23,7 +23,7 @@ import numpy as np
 import pinocchio as pin
 
 from hplan.base.arrays import FloatArray
-from hplan.scene.obstacles import Box, Capsule, Cylinder, Solid, Sphere
+from hplan.scene.obstacles import Capsule, Cylinder, Solid, Sphere
 
 #: Where coal iterates [m].
 ITERATION = 2e-6
@@ -90,8 +90,4 @@ def _solid_extent(solid: Solid) -> tuple[float, float]:
     if type(solid) is Capsule:
         length = math.dist(solid.start, solid.end)
         return length + 2.0 * solid.radius, length
-    if isinstance(solid, Cylinder):
-        return math.hypot(solid.length, 2.0 * solid.radius), math.inf
-    if isinstance(solid, Box):
-        return math.hypot(*solid.size), math.inf
     return float(np.linalg.norm(np.ptp(solid.core, axis=0))) + 2.0 * solid.rounding, math.inf

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Literal, TypeAlias, assert_never
+from typing import Literal, TypeAlias
 
 import coal
 import numpy as np
@@ -15,6 +15,7 @@ from hplan.base.deadline import check_deadline
 from hplan.robot.base_shapes import filled
 from hplan.robot.model import Robot
 from hplan.scene.convex_shape import convex_shape
+from hplan.scene.obstacle_kind import Convex
 from hplan.scene.obstacles import Box, Capsule, Cylinder, Solid, Sphere
 from hplan.scene.solids import Cloud, Hull
 
@@ -98,7 +99,7 @@ def capsule_shapes(capsules: Sequence[Capsule]) -> list[pin.GeometryObject]:
     return shapes
 
 
-def solid_shape(obstacle: Sphere | Capsule | Cylinder | Box | Hull) -> pin.GeometryObject:
+def solid_shape(obstacle: Convex | Hull) -> pin.GeometryObject:
     """A convex obstacle as a fixed geometry object."""
     placement = _AT_ORIGIN
     if isinstance(obstacle, Sphere):
@@ -112,10 +113,8 @@ def solid_shape(obstacle: Sphere | Capsule | Cylinder | Box | Hull) -> pin.Geome
     elif isinstance(obstacle, Box):
         placement = pin.SE3(obstacle.rotation, np.array(obstacle.center))
         shape = coal.Box(*(float(size) for size in obstacle.size))
-    elif isinstance(obstacle, Hull):
-        shape = convex_shape(obstacle)
     else:
-        assert_never(obstacle)
+        shape = convex_shape(obstacle.hull)
     return pin.GeometryObject(f"obstacle:{obstacle.name}", 0, placement, shape)
 
 

@@ -11,10 +11,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import lru_cache
 from itertools import groupby
-from typing import NamedTuple, TypeVar, assert_never, cast
+from typing import NamedTuple, TypeVar, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,8 +24,8 @@ from hplan.robot.base_shapes import TURRET
 from hplan.robot.model import Robot
 from hplan.robot.self_contact import BaseBody, pair_sway, self_contact
 from hplan.scene.corner_table import corner_table
-from hplan.scene.obstacles import Box, Capsule, Cylinder, Solid, Sphere
-from hplan.scene.solids import Cloud, Hull, hull_of
+from hplan.scene.obstacles import Box, Capsule, Solid, Sphere
+from hplan.scene.solids import Cloud, whole_hull
 
 #: Kinds of rows. Nodes and leaves are those of a cloud's tree, a leaf has some points; what is below a link range is
 #: for these links alone; a pair is one link of the arm to one after it.
@@ -60,9 +59,6 @@ ROUND = (Sphere, Capsule)
 _MANY, _SIZE, _LARGE = 32, 8, 4.0
 
 _Lengths = TypeVar("_Lengths", float, FloatArray)
-
-#: A hull whose points lie in one plane is made so thick [m].
-_THICKNESS = 1e-5
 
 
 class FieldArrays(NamedTuple):
@@ -299,17 +295,15 @@ def _rows(obstacle: Solid, clearance: float, offset: int) -> tuple[FloatArray, F
         first[KIND], first[SHAPE : SHAPE + 3] = BOX, 0.5 * np.array(obstacle.size)
         first[AXES : AXES + 9] = obstacle.rotation.T.ravel()  # rows: the box's axes in base_link
         centre, reach = obstacle.center, 0.5 * math.hypot(*obstacle.size)
-    elif isinstance(obstacle, Hull | Cylinder):
-        flat = obstacle.prism if isinstance(obstacle, Cylinder) else obstacle
+    else:
+        flat = obstacle.hull
         edges = np.column_stack([flat.edges, 0.5 * np.linalg.norm(flat.edges[:, 3:], axis=1)])
         data = np.concatenate([flat.planes.ravel(), edges.ravel()])
         first[KIND], first[FACETS], first[EDGES] = HULL, offset, offset + flat.planes.size
         first[EDGES_END] = offset + len(data)
-        low, high = obstacle.core.min(axis=0), obstacle.core.max(axis=0)
+        low, high = flat.core.min(axis=0), flat.core.max(axis=0)
         centre = tuple((0.5 * (low + high)).tolist())
-        reach = float(np.linalg.norm(obstacle.core - centre, axis=1).max())
-    else:
-        assert_never(obstacle)
+        reach = float(np.linalg.norm(flat.core - centre, axis=1).max())
     first[RADIUS], first[CENTRE:BOUND], first[BOUND] = radius, centre, _bounding(reach, radius)
     first[NEXT] = 1
     return row, data
@@ -350,9 +344,7 @@ def convex_solid(name: str, core: FloatArray, rounding: float) -> Solid:
         return Capsule.model_validate(
             {"name": name, "from": tuple(a.tolist()), "to": tuple(b.tolist()), "radius": rounding}
         )
-    if flat == 2:
-        core = np.vstack([core - _THICKNESS * directions[2], core + _THICKNESS * directions[2]])
-    return replace(hull_of(core, name, most=len(core) + 14), rounding=rounding)
+    return whole_hull(core, name, rounding)
 
 
 def _pair_rows(robot: Robot, pairs: Sequence[tuple[int, int]], clearance: float, deviation: float) -> FloatArray:

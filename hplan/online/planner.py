@@ -36,7 +36,8 @@ from hplan.planning.task import PlanningCache
 from hplan.robot.model import Robot
 from hplan.scene.limits import Vector
 from hplan.scene.model import Goal, Scene, Start
-from hplan.scene.obstacles import Box, Capsule, Cylinder, Mesh, Obstacle, PointCloud, Sphere
+from hplan.scene.obstacle_kind import FromData
+from hplan.scene.obstacles import KINDS, Obstacle, PointCloud
 from hplan.scene.tracks import Track
 
 
@@ -470,14 +471,13 @@ def _route(track: Track | None) -> tuple[Any, ...]:
 _SAME_M = 1e-9
 
 _Model = TypeVar("_Model", bound=BaseModel)
-_KINDS = (Sphere, Capsule, Cylinder, Box, Mesh, PointCloud)
 _VECTOR: TypeAdapter[Vector] = TypeAdapter(Vector, config=ConfigDict(allow_inf_nan=False, strict=True))
 
 
 def _check_kind(item: object) -> None:
     """Refuse what is no obstacle."""
-    if not isinstance(item, _KINDS):
-        kinds = ", ".join(kind.__name__ for kind in _KINDS)
+    if not isinstance(item, KINDS):
+        kinds = ", ".join(kind.__name__ for kind in KINDS)
         raise InputError(f"expected one of {kinds}, got {type(item).__name__} {item!r}")
 
 
@@ -492,10 +492,10 @@ def _changed(item: _Model, changes: Mapping[str, Any]) -> _Model:
     unknown = [key for key in changes if key not in fields]
     if unknown:
         raise InputError(f"a {type(item).__name__.lower()} has no {unknown[0]!r}; it has {', '.join(fields)}")
-    if isinstance(item, (Mesh, PointCloud)) and not changes.keys() <= {"position", "rpy_deg"}:
+    if isinstance(item, FromData) and not changes.keys() <= {"position", "rpy_deg"}:
         raise InputError("of a mesh or a point cloud only position and rpy_deg can be changed; add another instead")
     copied = item.model_copy
-    if isinstance(item, (Mesh, PointCloud)):
+    if isinstance(item, FromData):
         # What was read from the file stays.
         return copied(update={key: _vector(key, value) for key, value in changes.items()})
     return type(item).model_validate({**{key: getattr(item, key) for key in fields}, **changes})

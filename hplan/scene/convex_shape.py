@@ -9,7 +9,7 @@ from __future__ import annotations
 import coal
 
 from hplan.base.arrays import FloatArray
-from hplan.scene.solids import Hull, hull_of, thickening
+from hplan.scene.solids import Hull, whole_hull
 
 
 def convex_shape(hull: Hull) -> coal.Convex:
@@ -25,6 +25,5 @@ def convex_shape(hull: Hull) -> coal.Convex:
 
 
 def convex_hull_shape(points: FloatArray) -> coal.Convex:
-    """The convex hull in coal of (n, 3) points, all of its vertices kept; made a little thicker where it is flat."""
-    thicker = (points[:, None] + thickening(points)).reshape(-1, 3)
-    return convex_shape(hull_of(thicker, most=len(thicker) + 14))
+    """The convex hull in coal of (n, 3) points (`whole_hull`)."""
+    return convex_shape(whole_hull(points))

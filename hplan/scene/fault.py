@@ -19,9 +19,6 @@ else:
 
 _Part = TypeVar("_Part", bound=BaseModel)
 
-#: Steps that pydantic puts before the keys of an obstacle.
-_KINDS = ("sphere", "capsule", "cylinder", "box", "mesh", "points")
-
 
 class _SceneErrors(ModelMetaclass):
     """Classes whose constructor raises a `SceneError` for a wrong value."""
@@ -83,7 +80,8 @@ def scene_error(error: ValidationError) -> SceneError:
     """The error for a scene, or a part of one, that was made in Python."""
     first = worst_fault(error)
     below = first.get("ctx", {}).get("below", ())
-    steps = [*(step for step in first["loc"] if step not in _KINDS), *below]
+    # Pydantic puts an obstacle's kind before its keys.
+    steps = [*(step for step in first["loc"] if step not in _kinds()), *below]
     value = None if isinstance(first["input"], dict) else first["input"]
     reason = plain_message(first)
     if first["type"] == "model_type":  # no mapping in a file, but an object in a program
@@ -110,7 +108,7 @@ def plain_message(fault: Any, words: Mapping[str, str] = MappingProxyType({})) -
     if kind == "missing":
         return "too few values" if isinstance(fault["loc"][-1], int) else "this key is missing"
     if kind == "union_tag_not_found":
-        return "this key is missing: kind (sphere, capsule, cylinder, box, mesh or points)"
+        return f"this key is missing: kind ({', '.join(_kinds()[:-1])} or {_kinds()[-1]})"
     if kind == "union_tag_invalid":
         return f"kind is {fault['ctx']['tag']!r}, expected one of {fault['ctx']['expected_tags']}"
     if kind in ("model_type", "model_attributes_type", "dict_type"):
@@ -120,6 +118,13 @@ def plain_message(fault: Any, words: Mapping[str, str] = MappingProxyType({})) -
         message = message.replace(theirs, ours)
     message = message[0].lower() + message[1:]
     return message if isinstance(value, dict) else f"{message} (got {_short(value)})"
+
+
+def _kinds() -> list[str]:
+    """Kinds of obstacles, as files name them."""
+    from hplan.scene.obstacles import KINDS
+
+    return [kind.model_fields["kind"].default for kind in KINDS]
 
 
 def _short(value: Any) -> str:

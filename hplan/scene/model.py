@@ -21,20 +21,8 @@ from hplan.base.data_files import robot_names
 from hplan.errors import MovingObstacleError, SceneError
 from hplan.scene.fault import StrictModel, fault
 from hplan.scene.limits import FARTHEST_M, MOST_OBSTACLES, Size, Vector
-from hplan.scene.obstacles import (
-    Box,
-    Capsule,
-    Cylinder,
-    Mesh,
-    Name,
-    Obstacle,
-    PointCloud,
-    Sigma,
-    Solid,
-    Sphere,
-    SwayField,
-    TrackField,
-)
+from hplan.scene.obstacle_kind import Name, Sigma, SwayField, TrackField
+from hplan.scene.obstacles import AnyObstacle, Obstacle, Solid, Sphere
 from hplan.scene.solids import moved, quaternion_rotation
 from hplan.scene.tracks import Movement
 
@@ -347,13 +335,13 @@ class Scene(StrictModel):
         base_track = None if self.base_track is None else self.base_track.since(time_s)
         return self.model_copy(update=items | {"base_track": base_track})
 
-    def with_obstacles(self, obstacles: Sequence[Sphere | Capsule | Cylinder | Box | Mesh | PointCloud]) -> Scene:
+    def with_obstacles(self, obstacles: Sequence[AnyObstacle]) -> Scene:
         """The scene's task among other obstacles.
 
         Raises:
             InputError: They are no list of obstacles, or two have one name.
         """
-        obstacles = list_of("obstacles", obstacles, Sphere | Capsule | Cylinder | Box | Mesh | PointCloud, "obstacles")
+        obstacles = list_of("obstacles", obstacles, AnyObstacle, "obstacles")
         return Scene.model_validate(
             {**{key: getattr(self, key) for key in type(self).model_fields}, "obstacles": obstacles}
         )

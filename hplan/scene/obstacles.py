@@ -5,83 +5,31 @@ Positions are in `base_link`, z up, in metres. The classes are the scene file's 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, TypeVar, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import Field, PositiveFloat, PrivateAttr, ValidationError, ValidationInfo, model_validator
+from pydantic import Field, PositiveFloat, ValidationError, ValidationInfo, model_validator
 
 from hplan.base.arrays import FloatArray, IntArray, readonly
 from hplan.base.files import ByteBudget
 from hplan.errors import SceneError
-from hplan.scene.fault import StrictModel, fault, scene_error, validated
+from hplan.scene.fault import fault, scene_error, validated
 from hplan.scene.limits import FARTHEST_M, MOST_SHAPE_BYTES, Angles, Size, Vector
-from hplan.scene.prism import Prism, prism
-from hplan.scene.solids import CUBE_CORNERS, Cloud, Hull, rpy_rotation
-from hplan.scene.tracks import Sway, Track
+from hplan.scene.obstacle_kind import Convex, FromData, Name, Sigma, SwayField, TrackField, Turned
+from hplan.scene.prism import prism, prism_excess
+from hplan.scene.solids import CUBE_CORNERS, Cloud, Hull
 
 if TYPE_CHECKING:
     from hplan.scene.shape_data import PointSet, Surface
-
-Name: TypeAlias = Annotated[str, Field(min_length=1)]
-Sigma: TypeAlias = Annotated[float, Field(ge=0.0, le=FARTHEST_M)]
-
-#: How an obstacle moves. In dumps these keys are added where there are any: a still scene has the digest it had.
-TrackField: TypeAlias = Annotated[Track | None, Field(exclude=True)]
-SwayField: TypeAlias = Annotated[Sway | None, Field(exclude=True)]
 
 _Data = TypeVar("_Data", "Mesh", "PointCloud")
 _Shape = TypeVar("_Shape", "Surface", "PointSet")
 
 
-class _Obstacle(StrictModel):
-    """Base of all obstacles.
-
-    Attributes of every kind:
-        name: Name of the obstacle.
-        sigma: Standard deviation of its position [m].
-        track: How it moves; None for an obstacle that stands still.
-        sway: How far it may swing out of its place; None for not at all.
-    """
-
-
-class _Turned(_Obstacle):
-    """An obstacle that is turned by roll, pitch and yaw (fixed axes x, y, z)."""
-
-    if TYPE_CHECKING:
-        rpy_deg: Angles  # a field of all kinds below, where it stands in the order of the file's keys
-
-    @property
-    def rotation(self) -> FloatArray:
-        """(3, 3) rotation from the obstacle's own frame to `base_link`."""
-        return rpy_rotation(*map(math.radians, self.rpy_deg))
-
-
-class _Convex(_Obstacle):
-    """One convex solid: the hull of its core grown by its rounding."""
-
-    if TYPE_CHECKING:
-        sway: SwayField  # a field of all kinds below, where it stands in the order of the file's keys
-
-    @property
-    def is_point_set(self) -> Literal[False]:
-        """False: the solid is the hull of its core grown by its rounding."""
-        return False
-
-    @property
-    def solids(self) -> tuple[Solid, ...]:
-        """The obstacle itself, for it is convex, or what it sweeps as it sways."""
-        if self.sway is None:
-            return (self,)  # type: ignore[return-value]  # one of the four below
-        from hplan.scene.solids import swept_convex
-
-        return (swept_convex(self),)
-
-
-class Sphere(_Convex):
+class Sphere(Convex):
     """A ball."""
 
     kind: Literal["sphere"] = "sphere"
@@ -103,7 +51,7 @@ class Sphere(_Convex):
         return self.radius
 
 
-class Capsule(_Convex):
+class Capsule(Convex):
     """A segment with a radius: branch, wire, trunk."""
 
     kind: Literal["capsule"] = "capsule"
@@ -126,7 +74,7 @@ class Capsule(_Convex):
         return self.radius
 
 
-class Cylinder(_Turned, _Convex):
+class Cylinder(Turned, Convex):
     """A cylinder, flat at both ends, turned by roll, pitch and yaw (fixed axes x, y, z); unturned it stands on z.
 
     The certificate and MuJoCo take it as it is, kernels and sections the prism about it (`hplan.scene.prism`).
@@ -143,22 +91,22 @@ class Cylinder(_Turned, _Convex):
     sway: SwayField = None
 
     @property
-    def prism(self) -> Prism:
+    def hull(self) -> Hull:
         """The prism about it."""
         return prism(self.center, self.rpy_deg, self.length, self.radius)
 
     @property
     def core(self) -> FloatArray:
         """(k, 3) corners of the prism about it; the obstacle lies in their hull."""
-        return self.prism.corners
+        return self.hull.core
 
     @property
-    def rounding(self) -> float:
-        """Radius about the core [m]."""
-        return 0.0
+    def excess(self) -> float:
+        """How far the prism stands out of it [m]."""
+        return prism_excess(self.radius)
 
 
-class Box(_Turned, _Convex):
+class Box(Turned, Convex):
     """A block of the given full edge lengths, turned by roll, pitch and yaw (fixed axes x, y, z)."""
 
     kind: Literal["box"] = "box"
@@ -175,51 +123,8 @@ class Box(_Turned, _Convex):
         """(8, 3) corners; the obstacle is their hull."""
         return readonly(np.array(self.center) + (0.5 * CUBE_CORNERS * np.array(self.size)) @ self.rotation.T)
 
-    @property
-    def rounding(self) -> float:
-        """Radius about the core [m]."""
-        return 0.0
 
-
-class _FromData(_Turned):
-    """An obstacle whose shape is in a file or in arrays, placed by a rotation and a shift."""
-
-    if TYPE_CHECKING:
-        sway: SwayField  # a field of both kinds below, where it stands in the order of the file's keys
-
-    _data: Any = PrivateAttr(None)
-    _path: Path | None = PrivateAttr(None)
-
-    @property
-    def path(self) -> Path | None:
-        """Absolute path of its file, or None if it was made of arrays."""
-        return self._path
-
-    @property
-    def data_digest(self) -> str:
-        """SHA-256 of its data before scale, turn and shift, in hexadecimal digits; made once."""
-        return str(self._data.digest)
-
-    def _swept(self, solids: tuple[Solid, ...]) -> tuple[Solid, ...]:
-        """What its solids sweep as it sways."""
-        if self.sway is None:
-            return solids
-        from hplan.scene.solids import swept
-
-        return tuple(swept(solid, self.sway.reach) for solid in solids)
-
-    def write(self, path: Path) -> Path:
-        """Write its data as a PLY file, before scale, turn and shift.
-
-        Raises:
-            OutputError: The file cannot be written.
-        """
-        from hplan.scene.shape_data import write_shape
-
-        return write_shape(self._data, path)
-
-
-class Mesh(_FromData):
+class Mesh(FromData):
     """The solid inside a closed surface, from a file or from arrays (`Mesh.of`).
 
     The surface is scaled, then turned by roll, pitch and yaw (fixed axes x, y, z), then shifted. A relative `file` is
@@ -292,7 +197,7 @@ class Mesh(_FromData):
         return self._swept(hulls)
 
 
-class PointCloud(_FromData):
+class PointCloud(FromData):
     """Balls of one radius about points, from a file or from an array (`PointCloud.of`); placed as a `Mesh` is."""
 
     kind: Literal["points"] = "points"
@@ -393,9 +298,11 @@ def _shape_data(
         raise fault(str(error), "file") from error
 
 
+#: The kinds of obstacles, as a scene lists them: a new one is its class and its name here.
+AnyObstacle: TypeAlias = Sphere | Capsule | Cylinder | Box | Mesh | PointCloud
+Obstacle: TypeAlias = Annotated[AnyObstacle, Field(discriminator="kind")]
+KINDS: tuple[type[AnyObstacle], ...] = get_args(AnyObstacle)
+
 #: A body that the planner keeps clear of: the hull of `core` grown by `rounding`; of a point set a ball about each
 #: core point; of a cylinder the hull holds it.
-Solid: TypeAlias = Sphere | Capsule | Cylinder | Box | Hull | Cloud
-
-#: An obstacle as a scene lists it.
-Obstacle: TypeAlias = Annotated[Sphere | Capsule | Cylinder | Box | Mesh | PointCloud, Field(discriminator="kind")]
+Solid: TypeAlias = Convex | Hull | Cloud

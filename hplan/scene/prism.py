@@ -8,14 +8,13 @@ The prism's sides touch the cylinder, so that it holds the whole; its corners st
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final
 
 import numpy as np
 
-from hplan.base.arrays import FloatArray, Record, frozen
-from hplan.scene.solids import HULL_VERTICES, rpy_rotation
+from hplan.base.arrays import frozen, readonly
+from hplan.scene.solids import HULL_VERTICES, Hull, rpy_rotation
 
 #: A prism stands out of its cylinder by no more than this, as far as its sides allow [m].
 ERROR: Final = 5e-4
@@ -25,28 +24,11 @@ FEWEST_SIDES: Final = 12
 MOST_SIDES: Final = HULL_VERTICES // 2
 
 
-@dataclass(frozen=True, eq=False)
-class Prism(Record):
-    """The prism about a cylinder.
-
-    Attributes:
-        corners: (2 n, 3) corners, those of the lower end first [m].
-        planes: (n + 2, 4) facets: outward unit normal and offset; the prism is where normal @ x <= offset for all.
-        edges: (3 n, 6) edges: one end, and the vector to the other.
-        excess: How far the prism stands out of the cylinder [m].
-    """
-
-    corners: FloatArray
-    planes: FloatArray
-    edges: FloatArray
-    excess: float
-
-
 @lru_cache(maxsize=4096)
 def prism(
     center: tuple[float, float, float], rpy_deg: tuple[float, float, float], length: float, radius: float
-) -> Prism:
-    """The prism about a cylinder; the last ones are kept.
+) -> Hull:
+    """The prism about a cylinder as a hull, corners of the lower end first; the last ones are kept.
 
     Args:
         center: Middle of the cylinder [m].
@@ -71,7 +53,25 @@ def prism(
     starts = np.concatenate([ends[0], ends[1], ends[0]])
     stops = np.concatenate([np.roll(ends[0], -1, axis=0), np.roll(ends[1], -1, axis=0), ends[1]])
     edges = np.column_stack([starts, stops - starts])
-    return Prism(frozen(corners), frozen(planes), frozen(edges), excess=widest - radius)
+    at = np.arange(n)
+    following = np.roll(at, -1)
+    fan = at[1:-1]
+    faces = np.concatenate(
+        [
+            np.column_stack([np.zeros_like(fan), fan + 1, fan]),
+            np.column_stack([np.full_like(fan, n), fan + n, fan + n + 1]),
+            np.column_stack([at, following, following + n]),
+            np.column_stack([at, following + n, at + n]),
+        ]
+    )
+    hull = Hull("prism", frozen(corners), readonly(faces, np.int64))
+    vars(hull)["_facets"] = frozen(planes), frozen(edges)
+    return hull
+
+
+def prism_excess(radius: float) -> float:
+    """How far the prism about a cylinder stands out of it [m]."""
+    return radius / math.cos(math.pi / _sides(radius)) - radius
 
 
 def _sides(radius: float) -> int:

@@ -33,7 +33,8 @@ from hplan.base.arrays import FloatArray, IntArray, Record, frozen, readonly
 from hplan.scene.limits import MOST_POINTS
 
 if TYPE_CHECKING:
-    from hplan.scene.obstacles import Box, Capsule, Cylinder, Solid, Sphere
+    from hplan.scene.obstacle_kind import Convex
+    from hplan.scene.obstacles import Solid
 
 #: Most vertices of a hull.
 HULL_VERTICES: Final = 128
@@ -129,6 +130,30 @@ class Hull(Record):
         """False: the solid is the hull of its core grown by its rounding."""
         return False
 
+    @property
+    def hull(self) -> Hull:
+        """Itself."""
+        return self
+
+    @property
+    def excess(self) -> float:
+        """How far it stands out of the obstacle that it is: 0, it is the obstacle [m]."""
+        return 0.0
+
+    @property
+    def grown_corners(self) -> FloatArray:
+        """(n, 3) points whose hull holds the grown one, nothing of it farther outside than 0.74 of the rounding [m]."""
+        if self.rounding == 0.0:
+            return self.core
+        grown: FloatArray = (self.core[:, None] + self.rounding * CUBE_CORNERS).reshape(-1, 3)
+        return grown
+
+    @property
+    def surface(self) -> tuple[FloatArray, IntArray]:
+        """(n, 3) vertices [m] and (m, 3) triangles of the hull of its grown corners."""
+        grown = self if self.rounding == 0.0 else whole_hull(self.grown_corners)
+        return grown.core, grown.faces
+
     @cached_property
     def planes(self) -> FloatArray:
         """(f, 4) facets: outward unit normal and offset; the core is where normal @ x <= offset for all."""
@@ -203,6 +228,12 @@ def hull_of(points: FloatArray, name: str = "", *, most: int = HULL_VERTICES) ->
     outside = corners[excess > 0.0]
     rounding = float(_distance_to_triangles(outside, core[hull.simplices]).max(initial=0.0))
     return _oriented(name, core, rounding)
+
+
+def whole_hull(points: FloatArray, name: str = "", rounding: float = 0.0, sigma: float = 0.0) -> Hull:
+    """The convex hull of (n, 3) points, all of its vertices kept; made a little thicker where it is flat."""
+    thicker = (points[:, None] + thickening(points)).reshape(-1, 3)
+    return replace(hull_of(thicker, name, most=len(thicker) + 14), rounding=rounding, sigma=sigma)
 
 
 def thickening(points: FloatArray) -> FloatArray:
@@ -294,6 +325,11 @@ class Cloud(Record):
         """True: each core point is a ball by itself."""
         return True
 
+    @property
+    def excess(self) -> float:
+        """How far it stands out of the obstacle that it is: 0, it is the obstacle [m]."""
+        return 0.0
+
     @classmethod
     def of(cls, name: str, points: FloatArray, radius: float, sigma: float = 0.0) -> Cloud:
         """The balls about (n, 3) points, n > 0; near ones merged where that makes them notably fewer."""
@@ -314,7 +350,7 @@ class Cloud(Record):
 
 
 @lru_cache(maxsize=_KEPT)
-def swept_convex(obstacle: Sphere | Capsule | Cylinder | Box) -> Solid:
+def swept_convex(obstacle: Convex) -> Solid:
     """What a convex obstacle that sways sweeps; a cylinder as the prism about it."""
     return obstacle if obstacle.sway is None else swept(obstacle, obstacle.sway.reach)
 

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 from pathlib import Path
 from types import ModuleType
-from typing import Any, assert_never
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
-from hplan.base.arrays import FloatArray
 from hplan.base.lazy_import import extra
 from hplan.errors import InputError, RobotFileError
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 from hplan.scene.obstacles import Box, Capsule, Cylinder, Solid, Sphere
-from hplan.scene.solids import CUBE_CORNERS, Cloud, Hull
+from hplan.scene.solids import Cloud
 
 #: Most balls of a cloud that MuJoCo is given.
 MOST_BALLS = 2_000
@@ -102,11 +101,6 @@ def _shapes(mujoco: ModuleType, spec: Any, obstacle: Solid, number: int) -> list
         else:
             kind, size = kinds.mjGEOM_CYLINDER, [obstacle.radius, 0.5 * obstacle.length, 0.0]
         return [{"type": kind, "pos": obstacle.center, "quat": [turn.w, turn.x, turn.y, turn.z], "size": size}]
-    if isinstance(obstacle, Hull):
-        name = f"obstacle:{number}"
-        mesh = spec.add_mesh(name=name, uservert=_grown_vertices(obstacle).ravel())
-        mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # small pieces have too little volume for it
-        return [{"type": kinds.mjGEOM_MESH, "meshname": name}]
     if isinstance(obstacle, Cloud):
         if len(obstacle.core) > MOST_BALLS:
             raise InputError(
@@ -117,15 +111,7 @@ def _shapes(mujoco: ModuleType, spec: Any, obstacle: Solid, number: int) -> list
             )
         size = [obstacle.rounding, 0.0, 0.0]
         return [{"type": kinds.mjGEOM_SPHERE, "pos": center, "size": size} for center in obstacle.core]
-    assert_never(obstacle)
-
-
-def _grown_vertices(hull: Hull) -> FloatArray:
-    """(n, 3) points whose hull, which is what MuJoCo takes, holds a hull grown by its rounding [m].
-
-    A cube of that half edge about each vertex: nothing is farther outside than 0.74 of the rounding.
-    """
-    if hull.rounding == 0.0:
-        return hull.core
-    grown: FloatArray = (hull.core[:, None] + hull.rounding * CUBE_CORNERS).reshape(-1, 3)
-    return grown
+    name = f"obstacle:{number}"
+    mesh = spec.add_mesh(name=name, uservert=obstacle.hull.grown_corners.ravel())
+    mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # small pieces have too little volume for it
+    return [{"type": kinds.mjGEOM_MESH, "meshname": name}]

@@ -6,7 +6,7 @@ Numbers of markers go with their places in the scene, so that a marker sent agai
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Final, assert_never
+from typing import Final
 
 import numpy as np
 import pinocchio as pin
@@ -18,7 +18,7 @@ from hplan.apps.view.scenery import FRUIT_COLOR, GOAL_FRUIT_COLOR, look_of
 from hplan.base.arguments import instance, text
 from hplan.base.arrays import FloatArray
 from hplan.scene.model import Fruit, Scene
-from hplan.scene.obstacles import Box, Capsule, Cylinder, Mesh, Obstacle, PointCloud, Sphere
+from hplan.scene.obstacles import Box, Capsule, Cylinder, Obstacle, PointCloud, Sphere
 
 #: Most balls of a cloud that are drawn; of more, every second, third, ... one.
 MOST_BALLS: Final = 20_000
@@ -89,13 +89,11 @@ def _parts(obstacle: Obstacle) -> list[Marker]:
         return [_round(obstacle.center, obstacle.rotation, obstacle.length, obstacle.radius)]
     if isinstance(obstacle, Box):
         return [{"type": mark.CUBE, "pose": mark.pose(obstacle.center, obstacle.rotation), "scale": xyz(obstacle.size)}]
-    if isinstance(obstacle, Mesh):
-        vertices, faces = obstacle.surface
-        corners = mark.points(vertices[faces].reshape(-1, 3))
-        return [{"type": mark.TRIANGLES, "pose": mark.pose(), "scale": xyz((1.0, 1.0, 1.0)), "points": corners}]
     if isinstance(obstacle, PointCloud):
         return [_balls(solid.core, solid.rounding) for solid in obstacle.solids]
-    assert_never(obstacle)
+    vertices, faces = obstacle.surface
+    corners = mark.points(vertices[faces].reshape(-1, 3))
+    return [{"type": mark.TRIANGLES, "pose": mark.pose(), "scale": xyz((1.0, 1.0, 1.0)), "points": corners}]
 
 
 def _round(center: Sequence[float] | FloatArray, rotation: FloatArray, length: float, radius: float) -> Marker:

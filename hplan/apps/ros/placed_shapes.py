@@ -85,7 +85,7 @@ def shape(name: str, kind: str, sizes: Sequence[float], place: pin.SE3) -> Obsta
     can = Cylinder(name=name, center=center, radius=sizes[0], length=sizes[1], rpy_deg=_rpy_deg(place))
     if kind == "cylinder":
         return can
-    ring = prism((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), can.length, can.radius).corners
+    ring = prism((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), can.length, can.radius).core
     count = len(ring) // 2
     tip = np.array([[0.0, 0.0, 0.5 * can.length]])
     around = [(k, (k + 1) % count) for k in range(count)]

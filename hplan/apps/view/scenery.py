@@ -11,7 +11,6 @@ import re
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import assert_never
 
 import numpy as np
 import pinocchio as pin
@@ -25,7 +24,7 @@ from hplan.apps.view.three_js import Body, Json
 from hplan.base.arrays import FloatArray
 from hplan.errors import InputError
 from hplan.scene.model import Fruit, Scene
-from hplan.scene.obstacles import Box, Capsule, Cylinder, Mesh, PointCloud, Sphere
+from hplan.scene.obstacles import AnyObstacle, Box, Capsule, Cylinder, PointCloud, Sphere
 from hplan.scene.tracks import Track
 
 
@@ -141,7 +140,7 @@ def _surface(look: Look) -> Json:
     return three.material(look.color, opacity=look.opacity, roughness=0.55 if look in (OTHER, METAL) else 0.85)
 
 
-def _add(body: Body, item: Sphere | Cylinder | Box | Mesh | PointCloud, look: Look) -> None:
+def _add(body: Body, item: AnyObstacle, look: Look) -> None:
     surface = _surface(look)
     # Most points of a cloud that are drawn.
     most_points = 20_000
@@ -153,8 +152,6 @@ def _add(body: Body, item: Sphere | Cylinder | Box | Mesh | PointCloud, look: Lo
             body.add(three.cylinder(item.radius, item.length), surface, place, name=item.name)
         case Box():
             body.add(three.box(item.size), surface, three.transform(item.rotation, item.center), name=item.name)
-        case Mesh():
-            body.add(three.facets(*item.surface), surface, name=item.name)
         case PointCloud():
             for cloud in item.solids:
                 some = cloud.core[:: -(-len(cloud.core) // most_points)]
@@ -163,7 +160,7 @@ def _add(body: Body, item: Sphere | Cylinder | Box | Mesh | PointCloud, look: Lo
                 dots = three.dots_material(look.color, float(wide))
                 body.add(three.points(some), dots, name=item.name, kind="Points", shadow=False)
         case _:
-            assert_never(item)
+            body.add(three.facets(*item.surface), surface, name=item.name)
 
 
 def fruits(scene: Scene, goal: str | None) -> list[Json]:

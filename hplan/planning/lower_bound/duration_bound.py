@@ -22,7 +22,6 @@ from hplan.planning.lower_bound.joint_tubes import JointMotions
 from hplan.planning.lower_bound.planar_search import PlanarSearch, Resolution, TimedGrid
 from hplan.planning.world import World
 from hplan.robot.limits import Limits
-from hplan.scene.obstacles import Cylinder
 
 #: Samples of the grids on which the speed of each joint is followed in turn, and of those for the best of them. How the
 #: cells lie to the obstacles matters about as much as their size: so there are two.
@@ -171,7 +170,7 @@ def _planar(
 
 def _obstacles(world: World) -> ClearanceField:
     """Obstacles with the clearance to keep, without tracking errors and the arm itself; none is too large."""
-    excess = np.array([solid.prism.excess if isinstance(solid, Cylinder) else 0.0 for solid in world.solids])
+    excess = np.array([solid.excess for solid in world.solids])
     field = ClearanceField.of(
         world.robot, world.solids, clearance=world.clearance + world.growth - excess, own_clearance=world.clearance
     )

@@ -10,14 +10,12 @@ import numpy as np
 
 from hplan.base.arrays import FloatArray
 from hplan.scene.model import Fruit, Scene
-from hplan.scene.obstacles import Box, Capsule, Cylinder, Mesh, PointCloud, Sphere
+from hplan.scene.obstacles import AnyObstacle, Sphere
 from hplan.scene.solids import moved
 
 #: Poses of one obstacle are so far apart, at most, unless there would be more of them than this [m].
 APART_M: Final = 0.03
 MOST_POSES: Final = 24
-
-Obstacle = Sphere | Capsule | Cylinder | Box | Mesh | PointCloud
 
 
 def without_moving(scene: Scene) -> Scene:
@@ -43,7 +41,7 @@ def among_poses(scene: Scene, from_s: float, to_s: float) -> Scene:
     moving = set(scene.poses_at([from_s]))
     still_fruits = tuple(fruit for fruit in scene.fruits if fruit.name not in moving)
     fruits = tuple(fruit for fruit in scene.fruits if fruit.name in moving)
-    obstacles: list[Obstacle] = [item for item in scene.obstacles if item.name not in moving]
+    obstacles: list[AnyObstacle] = [item for item in scene.obstacles if item.name not in moving]
     items = [*(item for item in scene.obstacles if item.name in moving), *(_ball(fruit) for fruit in fruits)]
     clock = np.linspace(from_s, to_s, MOST_POSES)
     poses = scene.poses_at(clock)
@@ -76,6 +74,6 @@ def _ball(fruit: Fruit) -> Sphere:
     return Sphere(**{key: getattr(fruit, key) for key in keys})
 
 
-def _points(item: Obstacle) -> FloatArray:
+def _points(item: AnyObstacle) -> FloatArray:
     """(k, 3) points of an obstacle whose travel is looked at."""
     return np.concatenate([solid.core for solid in item.solids])

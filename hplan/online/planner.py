@@ -29,7 +29,7 @@ from hplan.online.frame import CloudOptions, Frame, FrameReport, SeenPoints, fil
 from hplan.online.frame_kernels import Scratch
 from hplan.online.scene_cloud import check_cloud_name, solids_named, with_cloud
 from hplan.online.splice import RunningMotion, SplicedResult
-from hplan.planning.certified_motion import PlannedMotion
+from hplan.planning.motion import Transit
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import PlanResult, check_task, plan_with
 from hplan.planning.task import PlanningCache
@@ -228,7 +228,7 @@ class Planner:
             self.last, self._is_told = replace(self.last, begins_s=float(at_s)), True
             return self.last
 
-    def _from_rest(self, begins_s: float | None, before: PlannedMotion | None) -> PlanResult:
+    def _from_rest(self, begins_s: float | None, before: Transit | None) -> PlanResult:
         """A plan of a motion that has not begun."""
         scene, options = self.scene, self.options
         self._check_crops(scene, options)

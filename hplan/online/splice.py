@@ -29,7 +29,6 @@ from hplan.errors import HplanError, InputError, NotOnMotionError, RunningMotion
 from hplan.planning.moving.obstacles_at import without_moving
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import PlanResult, plan_with
-from hplan.planning.report import motion_report
 from hplan.planning.task import PlanningCache
 from hplan.scene.model import Scene, Start
 from hplan.trajectory.trajectory import SAME_TIME, Phase, Retimed, Trajectory, joined, stopped
@@ -252,13 +251,11 @@ class RunningMotion:
         first = trajectory.until(int(np.searchsorted(trajectory.time, phases[0].end_s - SAME_TIME)))
         motion = replace(transit, task=task, trajectory=first, certificate=certificate)
         values = {name: getattr(made, name) for name in PlanResult.__dataclass_fields__}
-        report = made.report | {"phases": [vars(phase) for phase in phases]}
         values |= {
             "trajectory": trajectory,
             "certificate": certificate,
             "phases": tuple(phases),
             "motion": motion,
-            "report": report | motion_report(trajectory, certificate, self._options, scene),
             "bound": None,
             "begins_s": self.plan.begins_s + begins_s,
         }

@@ -73,7 +73,7 @@ def _start() -> subprocess.Popen[bytes] | None:
 
 def compile_from_postprocessing_on() -> None:
     """Optimise and certify a motion through the reference scene, and time its path."""
-    from hplan.planning.certified_motion import smooth_and_certify, timed
+    from hplan.planning.motion import Polyline, quickest, timed
     from hplan.planning.options import PlanOptions
     from hplan.planning.task import MARGIN, PlanningCache
     from hplan.robot.model import load_robot
@@ -85,7 +85,7 @@ def compile_from_postprocessing_on() -> None:
     waypoints = np.stack([start, start, goal, goal])
     waypoints[1:3, -2:] = np.radians(_FOLDED_DEG)
     task = PlanningCache(load_robot()).context(scene, PlanOptions()).task(start, goal)
-    motion = smooth_and_certify(task, waypoints, MARGIN, "search")
+    motion = quickest(task, [Polyline(waypoints, "search")], MARGIN)
     timed(task, SplinePath.through(motion.trajectory.position[:: motion.trajectory.samples // 8]))
 
 

@@ -4,20 +4,31 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from hplan.optimization.minimize_time import Effort, Level
+from hplan.optimization.minimize_time import Effort as OptimizerEffort
+from hplan.optimization.minimize_time import Level
 from hplan.optimization.several_starts import StartsEffort
-from hplan.planning.options import EffortName
+from hplan.planning.options import EffortName, PlanOptions
 from hplan.planning.sampling.several_trees import TreesEffort
-from hplan.planning.task import GridAttempt, PlanningContext
-
-_COARSE = Level(piece_s=0.08, pieces=(20, 40), steps=20, gain=2e-3, trust=0.2)
-
-#: A motion that takes no more than so many times the least duration is close to the fastest.
-CLOSE = 1.15
+from hplan.robot.model import Robot
 
 
 @dataclass(frozen=True)
-class PlanningEffort:
+class GridAttempt:
+    """A grid: how fine and wide the grid is, and how obstacles are mapped into it.
+
+    Attributes:
+        step_factor: Largest spacing of the grid as a multiple of the option `step_deg`.
+        yaw_range_deg: How far the base may turn beyond start and goal; used where it turns [deg].
+        growth_m: Growth of obstacles in the C-space [m].
+    """
+
+    step_factor: float = 1.0
+    yaw_range_deg: float = 0.0
+    growth_m: float = 0.0
+
+
+@dataclass(frozen=True)
+class Effort:
     """What may be spent on a motion.
 
     Attributes:
@@ -31,6 +42,10 @@ class PlanningEffort:
         blended: Optimisation of a transit that ends in motion.
         begun: Optimisation of a motion that begins in motion.
         pose_goals: To so many of the configurations with a frame at a pose motions are looked for, the nearest ones.
+        compared: Motions by trees to so many goals are compared; the first that is found is taken where it is one.
+        exhaustive: Whether trees grow far, and floods show that there is no path, before goals are refused.
+        at_once: Whether the first motion is to come as soon as can be: by what finds most motions in a few
+            milliseconds, to a few grasps, without regard to how quick it is. Quicker ones near it follow.
     """
 
     trees: TreesEffort
@@ -39,40 +54,47 @@ class PlanningEffort:
     close: float
     starts: StartsEffort | None
     leads: int
-    blended: Effort
-    begun: Effort
+    blended: OptimizerEffort
+    begun: OptimizerEffort
     pose_goals: int
+    compared: int = 1
+    exhaustive: bool = True
+    at_once: bool = False
 
 
+#: A motion that takes no more than so many times the least duration is close to the fastest.
+CLOSE = 1.15
+
+_COARSE = Level(piece_s=0.08, pieces=(20, 40), steps=20, gain=2e-3, trust=0.2)
 _GRIDS = (GridAttempt(2.0, growth_m=0.02), GridAttempt(2.0, growth_m=5e-3), GridAttempt(3.0, growth_m=0.01))
-_FINE = Effort((Level(piece_s=0.03, pieces=(50, 120), steps=12, gain=0.02, trust=0.2),))
-_FINEST = Effort((Level(piece_s=0.012, pieces=(60, 300), steps=20, gain=1e-4, trust=0.2),))
+_FINE = OptimizerEffort((Level(piece_s=0.03, pieces=(50, 120), steps=12, gain=0.02, trust=0.2),))
+_FINEST = OptimizerEffort((Level(piece_s=0.012, pieces=(60, 300), steps=20, gain=1e-4, trust=0.2),))
 
 #: Of planar arms.
-EFFORTS: dict[EffortName, PlanningEffort] = {
-    "quick": PlanningEffort(
+EFFORTS: dict[EffortName, Effort] = {
+    "quick": Effort(
         trees=TreesEffort(2, 12_000),
         planar=None,
         grids=(),
         close=CLOSE,
         starts=StartsEffort(
-            Effort((Level(piece_s=0.03, pieces=(50, 120), steps=4, gain=2e-2, trust=0.2),)),
+            OptimizerEffort((Level(piece_s=0.03, pieces=(50, 120), steps=4, gain=2e-2, trust=0.2),)),
             rough=1,
             others=0,
             finished=1,
         ),
         leads=0,
         blended=_FINE,
-        begun=Effort((Level(piece_s=0.05, pieces=(24, 60), steps=8, gain=0.05, trust=0.2),)),
+        begun=OptimizerEffort((Level(piece_s=0.05, pieces=(24, 60), steps=8, gain=0.05, trust=0.2),)),
         pose_goals=4,
     ),
-    "default": PlanningEffort(
+    "default": Effort(
         trees=TreesEffort(4, 12_000),
         planar=TreesEffort(2, 3_000),
         grids=_GRIDS,
         close=1.08,
         starts=StartsEffort(
-            Effort((_COARSE, Level(piece_s=0.03, pieces=(50, 120), steps=3, gain=5e-3, trust=0.05))),
+            OptimizerEffort((_COARSE, Level(piece_s=0.03, pieces=(50, 120), steps=3, gain=5e-3, trust=0.05))),
             rough=4,
             others=1,
             finished=2,
@@ -82,21 +104,22 @@ EFFORTS: dict[EffortName, PlanningEffort] = {
         begun=_FINE,
         pose_goals=8,
     ),
-    "best": PlanningEffort(
+    "best": Effort(
         trees=TreesEffort(16, 12_000),
         planar=TreesEffort(16, 12_000),
         grids=_GRIDS,
         close=1.005,
-        starts=StartsEffort(Effort((_COARSE, *_FINEST.levels)), rough=8, others=4, finished=2),
+        starts=StartsEffort(OptimizerEffort((_COARSE, *_FINEST.levels)), rough=8, others=4, finished=2),
         leads=4,
         blended=_FINEST,
         begun=_FINEST,
         pose_goals=16,
+        compared=6,
     ),
 }
 
 #: Of general (non-planar) arms, an evaluation of whose clearance takes ten times as long.
-EFFORTS_OF_BODIES: dict[EffortName, PlanningEffort] = {
+EFFORTS_OF_BODIES: dict[EffortName, Effort] = {
     "quick": replace(EFFORTS["quick"], trees=TreesEffort(1, 6_000)),
     "default": replace(
         EFFORTS["default"],
@@ -105,7 +128,7 @@ EFFORTS_OF_BODIES: dict[EffortName, PlanningEffort] = {
         grids=(),
         close=CLOSE,
         starts=StartsEffort(
-            Effort(
+            OptimizerEffort(
                 (
                     replace(_COARSE, enough=7e-3),
                     Level(piece_s=0.03, pieces=(50, 120), steps=2, gain=5e-3, trust=0.05, enough=2e-3),
@@ -121,11 +144,21 @@ EFFORTS_OF_BODIES: dict[EffortName, PlanningEffort] = {
 }
 
 
-def effort_of(context: PlanningContext) -> PlanningEffort:
-    """What may be spent on motions of a context."""
-    return (EFFORTS_OF_BODIES if context.robot.planar is None else EFFORTS)[context.options.effort]
+def effort_named(robot: Robot, name: EffortName) -> Effort:
+    """What may be spent on motions of a robot."""
+    return (EFFORTS if robot.planar is not None else EFFORTS_OF_BODIES)[name]
 
 
-def optimization_of(context: PlanningContext) -> StartsEffort | None:
-    """What may be spent on their optimisation; None where a short path is asked for, not a fast motion."""
-    return effort_of(context).starts if context.options.objective == "duration" else None
+def efforts_of(robot: Robot, options: PlanOptions) -> tuple[Effort, ...]:
+    """What may be spent on motions, one after the other, the last one what the options ask for.
+
+    With a deadline a first motion comes at once. More starts of an optimiser need not lead to all that fewer lead to,
+    so that what `default` finds counts for `best` too.
+    """
+    asked, quick = effort_named(robot, options.effort), effort_named(robot, "quick")
+    first = replace(asked, begun=quick.begun, exhaustive=False, at_once=True)
+    return (
+        *((first,) if options.deadline_s is not None else ()),
+        *((effort_named(robot, "default"),) if options.effort == "best" else ()),
+        asked,
+    )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -23,25 +23,16 @@ ON_NODE = 1e-6
 REACH = 2
 
 
-class GridEntry:
-    """The nodes that start or goal is joined to; the first is found at once, the others when asked for.
+class GridEntry(NamedTuple):
+    """The nodes that start or goal is joined to.
 
     Attributes:
         waypoints: (k, dof) configurations from the start or goal to where the nodes are joined, mostly one alone.
-        first: The nearest node.
+        nodes: The nodes, at least one, the nearest first.
     """
 
-    def __init__(self, waypoints: FloatArray, first: IntArray, others: Iterator[IntArray]) -> None:
-        """Begin with the nearest node; the others are made when asked for."""
-        self.waypoints = waypoints
-        self.first = first
-        self._rest = others
-        self._known = [first]
-
-    def all(self) -> list[IntArray]:
-        """All of them, the nearest first."""
-        self._known.extend(self._rest)
-        return self._known
+    waypoints: FloatArray
+    nodes: list[IntArray]
 
 
 def grid_entry(task: PlanningTask, space: Occupancy, which: Literal["start", "goal"], margin: float) -> GridEntry:
@@ -58,12 +49,10 @@ def grid_entry(task: PlanningTask, space: Occupancy, which: Literal["start", "go
     """
     problem = task.problem
     q = problem.start if which == "start" else problem.goal
-    paths_out = leave_contact(q, task.field, problem.lower, problem.upper, margin)
-    for waypoints in itertools.chain([q[None]], paths_out):
-        nodes = joined_nodes(space, waypoints[-1], task.axes, task.field, margin)
-        first = next(nodes, None)
-        if first is not None:
-            return GridEntry(waypoints, first, nodes)
+    for waypoints in itertools.chain([q[None]], leave_contact(q, task.field, problem.lower, problem.upper, margin)):
+        nodes = list(joined_nodes(space, waypoints[-1], task.axes, task.field, margin))
+        if nodes:
+            return GridEntry(waypoints, nodes)
     raise CertificationError(
         f"no motion from the {which} to a free node of the grid can be shown clear; a smaller step may help",
         which=which,

@@ -9,12 +9,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hplan.base.arrays import BoolArray, FloatArray, IntArray, Record, frozen
+from hplan.base.arrays import FloatArray, IntArray, Record, frozen
 from hplan.grid import SearchResult, dense_search, reachable, two_level_search
 from hplan.grid.grid import Grid, Occupancy
+from hplan.planning.effort import GridAttempt
+from hplan.planning.failures import EnclosedError, Region
 from hplan.planning.grid_entry import GridEntry, grid_entry
-from hplan.planning.refusals import EnclosedError, Region
-from hplan.planning.task import GridAttempt, PlanningTask
+from hplan.planning.task import PlanningTask
 
 #: A node and a configuration that differ by less than this are one [rad].
 ON_NODE = 1e-9
@@ -88,22 +89,21 @@ def _planar_search(
     Off the grid there may be several, and the nearest may lie in a pocket: "no path" is said only when no pair of them
     is connected.
     """
-    search = _search(task, space, start.first, goal.first)
+    search = _search(task, space, start.nodes[0], goal.nodes[0])
     if search.path is not None:
         return search, search.path
-    most: tuple[int, BoolArray] = (0, np.zeros(space.grid.shape, dtype=np.bool_))
-    known = most[1].copy()  # nodes from which the goal cannot be reached
-    for node in start.all():
+    largest = known = np.zeros(space.grid.shape, dtype=np.bool_)  # nodes from which the goal cannot be reached
+    for node in start.nodes:
         if known[tuple(node)]:
             continue
         reached = reachable(space, node)
-        for other in goal.all():
+        for other in goal.nodes:
             if reached[tuple(other)]:
                 search = _search(task, space, node, other)
                 if search.path is not None:
                     return search, search.path
-        known |= reached
-        if (count := int(reached.sum())) > most[0]:
-            most = count, reached
-    what = f"the start reaches {most[0]} of {space.grid.size} nodes, not the goal"
-    raise EnclosedError(Region(what, task, attempt.growth_m, space.grid, most[1]), most[0], open_ended=False)
+        known = known | reached
+        largest = max(largest, reached, key=np.count_nonzero)
+    count = int(largest.sum())
+    what = f"the start reaches {count} of {space.grid.size} nodes, not the goal"
+    raise EnclosedError(task, attempt, count, Region(what, space.grid, largest))

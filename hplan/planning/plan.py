@@ -2,44 +2,38 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from itertools import pairwise
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
-
-import numpy as np
 
 from hplan.base.arguments import function, instance
 from hplan.base.arrays import FloatArray, Record
 from hplan.base.deadline import Cancel, TimeIsUpError, TimeLimit, check_deadline, time_limit
-from hplan.certificate.certificate import REST, Certificate, GoalContact, all_of, certify, goal_contacts
+from hplan.certificate.certificate import Certificate, GoalContact, certify, goal_contacts
 from hplan.certificate.digests import Digests
 from hplan.certificate.retimed_certificate import CertifiedMotion, certified_retiming
 from hplan.certificate.start_state import start_state
-from hplan.errors import CertificationError, HplanError, NoPathError, ObstacleInTimeError, OptionError, TimingError
+from hplan.errors import CertificationError, HplanError, NoPathError, OptionError, TimingError
 from hplan.grid import SearchResult
 from hplan.grid.grid import Occupancy
-from hplan.planning.certified_motion import Part, PlannedMotion, motion_limits
 from hplan.planning.definition import Problem
 from hplan.planning.grasps import Grasp
-from hplan.planning.moving.search import certified_in_time, quickest_in_time
+from hplan.planning.in_time import plans_in_time
+from hplan.planning.motion import Plan, Transit, last, motion_limits, seconds
 from hplan.planning.options import PlanOptions
-from hplan.planning.report import StageClock, bound_report, deadline_report, motion_report, plan_report
-from hplan.planning.start_in_motion import Stop, after_stop, stops
-from hplan.planning.task import LastWorld, PlanningCache, PlanningContext, Progress, no_progress
-from hplan.planning.whole_motion import Beginning, all_parts, parts_in_time
+from hplan.planning.plans import plans
+from hplan.planning.report import StageClock, bounded_phases, deadline_report, plan_report
+from hplan.planning.task import LastWorld, PlanningCache, Progress, no_progress
 from hplan.robot.model import Robot
 from hplan.robot.tracking import largest_fraction, name_margin
-from hplan.scene.model import Scene, Start
+from hplan.scene.model import Scene
 from hplan.trajectory.spline import SplinePath
 from hplan.trajectory.time_scaling import Profile
-from hplan.trajectory.trajectory import Phase, Retimed, Trajectory, joined, scaled, stopped
+from hplan.trajectory.trajectory import Phase, Retimed, Trajectory, scaled, stopped
 
 if TYPE_CHECKING:
     from hplan.planning.lower_bound.duration_bound import DurationBound
-
-#: With a deadline this part of the time that the world took to make is kept: freeing it afterwards takes time too.
-FREED = 0.25
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,36 +41,58 @@ class PlanResult(Record):
     """A plan.
 
     Attributes:
-        problem: Start and goal of the transit, and the joints that may move.
-        occupancy: The C-space that was searched; None where nothing was searched.
-        search: The search; None where nothing was searched.
-        grid_path: (m, dof) waypoints of the transit's grid path.
-        path: The transit's smooth path; None for an empty motion.
+        motion: The transit, with all that it was made from.
         trajectory: The timed motion, all phases.
         certificate: What was shown of it.
-        grasp: Where the tool takes the fruit, or reaches the point; None where the goal is given by joints.
         phases: The parts of the trajectory.
-        motion: The transit, with all that it was made from.
-        report: The numbers of `report.json`.
+        grasp: Where the tool takes the fruit, or reaches the point; None where the goal is given by joints.
+        time_ms: How long each stage took, and all of them [ms].
         bound: A lower bound of the durations of all transits between the same configurations, or of all motions to the
             grasp where transit and approach are one; None where it was not asked for, or nothing was certified.
         begins_s: When the trajectory begins, on the controller's clock (`hplan.Planner`); NaN where that was not told
             [s]. All else counts from there: rows, phases, and the tracks of `scene`.
+        told: What the report says of plans with a deadline, past what moves, or along a path that was given.
     """
 
-    problem: Problem
-    occupancy: Occupancy | None
-    search: SearchResult | None
-    grid_path: FloatArray
-    path: SplinePath | None
+    motion: Transit
     trajectory: Trajectory
     certificate: Certificate
-    grasp: Grasp | None
     phases: tuple[Phase, ...]
-    motion: PlannedMotion
-    report: dict[str, Any]
+    grasp: Grasp | None
+    time_ms: Mapping[str, float]
     bound: DurationBound | None = None
     begins_s: float = 0.0
+    told: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+
+    @cached_property
+    def report(self) -> dict[str, Any]:
+        """The numbers of `report.json`."""
+        return plan_report(self)
+
+    @property
+    def problem(self) -> Problem:
+        """Start and goal of the transit, and the joints that may move."""
+        return self.motion.task.problem
+
+    @property
+    def occupancy(self) -> Occupancy | None:
+        """The C-space that was searched; None where nothing was searched."""
+        return None if self.motion.route is None else self.motion.route.occupancy
+
+    @property
+    def search(self) -> SearchResult | None:
+        """The search; None where nothing was searched."""
+        return None if self.motion.route is None else self.motion.route.search
+
+    @property
+    def grid_path(self) -> FloatArray:
+        """(m, dof) waypoints of the transit's path before it was smoothed."""
+        return self.motion.waypoints
+
+    @property
+    def path(self) -> SplinePath | None:
+        """The transit's smooth path; None for an empty motion."""
+        return self.motion.path
 
     @property
     def robot(self) -> Robot:
@@ -187,7 +203,7 @@ def plan_with(
     options: PlanOptions,
     *,
     progress: Progress = no_progress,
-    before: PlannedMotion | None = None,
+    before: Transit | None = None,
     stop: Trajectory | None = None,
 ) -> PlanResult:
     """As `plan`, with what earlier plans of the same robot have left.
@@ -199,7 +215,7 @@ def plan_with(
         scene: Obstacles and task.
         options: How to plan.
         progress: Called with the name of each stage as it begins.
-        before: An earlier motion, to be kept or repaired where that can be (`hplan.planning.find_motion.reuse_motion`).
+        before: An earlier motion, to be kept or repaired where that can be (`hplan.planning.transits.reused`).
         stop: How a start in motion might be brought to rest, in addition to what is tried anyway.
 
     Raises:
@@ -209,9 +225,8 @@ def plan_with(
     try:
         with time_limit(options.deadline_s) as limit:
             try:
-                if scene.moves:
-                    return _among_moving(cache, scene, options, progress, stop)
-                return _planned(cache.context(scene, options, progress, clock), before, stop, limit)
+                found = _plans(cache, scene, options, progress, clock, before, stop)
+                return plan_result(last(found)) if options.deadline_s is None else _last_in_time(found, limit)
             except TimeIsUpError:
                 raise limit.error(["motions past what moves"] if scene.moves else clock.told()) from None
     except (NoPathError, TimingError, CertificationError) as error:
@@ -223,64 +238,52 @@ def plan_with(
         raise
 
 
-def _among_moving(
-    cache: PlanningCache, scene: Scene, options: PlanOptions, progress: Progress, stop: Trajectory | None
-) -> PlanResult:
-    """The plan where obstacles move: one as if they did not, in a timing that keeps clear of them.
-
-    A start in motion is brought to rest first where there is none.
-    """
+def _plans(
+    cache: PlanningCache, scene: Scene, options: PlanOptions, progress: Progress, clock: StageClock,
+    before: Transit | None, stop: Trajectory | None,
+) -> Iterator[Plan]:  # fmt: skip
+    """Ever quicker plans of a scene; where nothing moves the world is made ready before this returns."""
     robot = cache.robot
+    if scene.moves:
+
+        def plans_of(other: Scene) -> Iterator[Plan]:
+            return _plans(cache, other, options, progress, clock, None, stop)
+
+        return plans_in_time(robot, scene, options, plans_of, stop)
+    context = cache.context(scene, options, progress, clock)
+    start = robot.check_configuration(robot.joints_of(scene.start, "start"), "start")
+    check_deadline()
+    context.world.check_base(robot.yaw_of(start))
+    check_deadline()
+    state = start_state(robot, scene)
+    if state is not None and options.bound:
+        raise OptionError("bound", True, "False where the start is in motion")
+    return plans(context, start, state, before=before, stop=stop)
+
+
+def _last_in_time(found: Iterator[Plan], limit: TimeLimit) -> PlanResult:
+    """The last of ever quicker plans that there is time for.
+
+    Raises:
+        TimeIsUpError: There was time for none.
+    """
+    best: PlanResult | None = None
+    count, first_s, cut_short = 0, 0.0, False
+    # This part of the time that the world took to make is kept: freeing it afterwards takes time too.
+    freeing_s = 0.25 * limit.elapsed_s
+    limit.keep(freeing_s)
     try:
-        found = quickest_in_time(
-            robot, scene, options, lambda still: plan_with(cache, still, options, progress=progress, stop=stop)
-        )
-    except ObstacleInTimeError:
-        state = start_state(robot, scene)
-        if state is None:
-            raise
-        return after_stop(
-            stops(robot, state, 1.0 / options.rate_hz, stop),
-            lambda motion: certified_in_time(robot, scene, options, motion, check_ends=False),
-            lambda stopped: _onward(cache, (scene, options), progress, stopped),
-        )
-    return _in_time(found.still, (scene, options), found.trajectory, found.certificate, found.phases, found.report)
-
-
-def _onward(
-    cache: PlanningCache, asked: tuple[Scene, PlanOptions], progress: Progress, stopped: Stop
-) -> PlanResult | None:
-    """The plan from the end of a stop among what moves, with the stop; None where it is not verified as a whole."""
-    (scene, options), stop_s = asked, stopped.trajectory.duration
-    rest = Start(joints_rad=tuple(stopped.trajectory.position[-1].tolist()))
-    later = scene.since(stop_s).model_copy(update={"start": rest})
-    found = plan_with(cache, later, options, progress=progress)
-    first, *others = (phase.later(stop_s) for phase in found.phases)
-    phases = (replace(first, start_s=0.0), *others)
-    whole = joined([stopped.trajectory, found.trajectory])
-    certificate = certified_in_time(cache.robot, scene, options, whole, direct=len(phases) == 1)
-    if not certificate.verified:
-        return None
-    return _in_time(found, asked, whole, certificate, phases, {"stops_until_s": stop_s})
-
-
-def _in_time(
-    plan: PlanResult, asked: tuple[Scene, PlanOptions], trajectory: Trajectory, certificate: Certificate,
-    phases: tuple[Phase, ...], report: dict[str, Any],
-) -> PlanResult:  # fmt: skip
-    """A plan whose motion is run, or begins, as one found among what moves; `report` is what is said of that."""
-    scene, options = asked
-    in_time = plan.report.get("in_time", {}) | report | {"clear_until_s": certificate.clear_until_s}
-    return replace(
-        plan,
-        trajectory=trajectory,
-        certificate=certificate,
-        phases=phases,
-        motion=replace(plan.motion, task=replace(plan.motion.task, scene=scene)),
-        report=plan.report
-        | {"scene": scene.name, "phases": [vars(phase) for phase in phases], "in_time": in_time}
-        | motion_report(trajectory, certificate, options, scene),
-    )
+        for plan in found:
+            since_s = limit.elapsed_s
+            best = plan_result(plan)
+            count, first_s = count + 1, first_s or limit.elapsed_s
+            limit.keep(freeing_s + limit.elapsed_s - since_s)  # for the result of the next one
+    except TimeIsUpError:
+        limit.check_cancelled()
+        cut_short = True
+    if best is None:
+        raise TimeIsUpError
+    return replace(best, told={**best.told, **deadline_report(limit, count, first_s, cut_short=cut_short)})
 
 
 def _fraction_with_room(cache: PlanningCache, scene: Scene, options: PlanOptions) -> float:
@@ -301,88 +304,32 @@ def _fraction_with_room(cache: PlanningCache, scene: Scene, options: PlanOptions
     return largest_fraction(is_certified)
 
 
-def _planned(
-    context: PlanningContext, before: PlannedMotion | None, stop: Trajectory | None, limit: TimeLimit
-) -> PlanResult:
-    """The plan that the options ask for; with a deadline the best of those found before it."""
-    robot, scene = context.robot, context.scene
-    start = robot.check_configuration(robot.joints_of(scene.start, "start"), "start")
-    check_deadline()
-    context.world.check_base(robot.yaw_of(start))
-    check_deadline()
-    begin = Beginning(start, start_state(robot, scene), before, stop)
-    if begin.state is not None and context.options.bound:
-        raise OptionError("bound", True, "False where the start is in motion")
-    if context.options.deadline_s is None:
-        return plan_result(context, *all_parts(context, begin))
-    best: PlanResult | None = None
-    count, first_s, cut_short = 0, 0.0, False
-    freeing_s = FREED * limit.elapsed_s
-    limit.keep(freeing_s)
-    try:
-        for parts in parts_in_time(context, begin):
-            since_s = limit.elapsed_s
-            best = plan_result(context, *parts)
-            count, first_s = count + 1, first_s or limit.elapsed_s
-            limit.keep(freeing_s + limit.elapsed_s - since_s)  # for the report of the next one
-    except TimeIsUpError:
-        limit.check_cancelled()
-        cut_short = True
-    if best is None:
-        raise TimeIsUpError
-    return replace(best, report=best.report | deadline_report(limit, count, first_s, cut_short=cut_short))
-
-
-def in_sequence(parts: Sequence[Part], begin_s: float = 0.0) -> tuple[tuple[Phase, ...], Trajectory, Certificate]:
-    """The phases, the trajectory and the certificate of motions one after the other, from a time on."""
-    ends = np.cumsum([begin_s, *(part.trajectory.duration for part in parts)]).tolist()
-    phases = tuple(Phase(part.name, *span) for part, span in zip(parts, pairwise(ends), strict=True))
-    return phases, joined([part.trajectory for part in parts]), all_of([part.certificate for part in parts])
-
-
-def plan_result(
-    context: PlanningContext, grasp: Grasp | None, motion: PlannedMotion, parts: Sequence[Part]
-) -> PlanResult:
-    """The plan that consists of a motion and, after it, approach and retreat."""
-    phases, trajectory, certificate = in_sequence(parts)
-    scene, route = context.scene, motion.route
-    fruit = scene.goal_fruit
-    if fruit is not None:
-        # Without an approach the last link may touch the fruit all the time.
-        goal_contact: GoalContact = "motion" if len(phases) == 1 else "approach"
-        contacts = goal_contacts(context.robot, trajectory, fruit, goal_contact)
-        certificate = replace(certificate, goal_contact=goal_contact, contacts=contacts)
-    certificate = replace(certificate, digests=Digests.of(context.robot, scene, trajectory))
-    bounded = _bounded(parts)
-    bound = _bound(context, grasp, motion, bounded) if context.options.bound else None
+def plan_result(plan: Plan) -> PlanResult:
+    """A plan with its bound, where that is asked for, and when the fruit is touched."""
+    phases, trajectory, certificate = plan.whole
+    task = plan.transit.task
+    fruit = task.scene.goal_fruit
+    if plan.in_time is None:
+        if fruit is not None:
+            # Without an approach the last link may touch the fruit all the time.
+            goal_contact: GoalContact = "approach" if plan.others else "motion"
+            contacts = goal_contacts(task.robot, trajectory, fruit, goal_contact)
+            certificate = replace(certificate, goal_contact=goal_contact, contacts=contacts)
+        certificate = replace(certificate, digests=Digests.of(task.robot, task.scene, trajectory))
     return PlanResult(
-        problem=motion.task.problem,
-        occupancy=None if route is None else route.occupancy,
-        search=None if route is None else route.search,
-        grid_path=motion.waypoints,
-        path=motion.path,
+        motion=plan.transit,
         trajectory=trajectory,
         certificate=certificate,
-        grasp=grasp,
         phases=phases,
-        motion=motion,
-        report=plan_report(context, grasp, motion, phases)
-        | (bound_report(bound, [part.name for part in bounded]) if context.options.bound else {})
-        | motion_report(trajectory, certificate, context.options, context.scene),
-        bound=bound,
+        grasp=plan.grasp,
+        bound=_bound(plan) if task.options.bound else None,
+        time_ms=task.clock.as_ms(),
+        told={} if plan.in_time is None else {"in_time": plan.in_time.report},
     )
 
 
-def _bounded(parts: Sequence[Part]) -> Sequence[Part]:
-    """The first parts of a plan that end at rest: the transit, and the approach where one flows into the other."""
-    at_rest = np.abs(parts[0].trajectory.velocity[-1]).max() <= REST
-    return parts[: 1 if at_rest else 2]
-
-
-def _bound(
-    context: PlanningContext, grasp: Grasp | None, motion: PlannedMotion, parts: Sequence[Part]
-) -> DurationBound | None:
-    """The bound of the durations of some first parts of a plan; None where they are not certified.
+def _bound(plan: Plan) -> DurationBound | None:
+    """The bound of the durations of the first motions of a plan; None where they are not certified.
 
     Raises:
         BoundError: It contradicts them.
@@ -391,21 +338,22 @@ def _bound(
         duration_bound,  # its kernels cost nothing where none is asked for
     )
 
-    if not all(part.certificate.verified for part in parts):
+    motions = plan.motions[: bounded_phases(plan.transit)]
+    if not all(motion.certificate.verified for motion in motions):
         return None
-    world, problem = motion.task.world, motion.task.problem
-    if len(parts) > 1 and grasp is not None:
+    task, problem, world = plan.transit.task, plan.transit.task.problem, plan.transit.task.world
+    if len(motions) > 1 and plan.grasp is not None:
         # Any motion to the grasp, the last link free to touch the fruit all the time: more than there are.
-        fruit = context.scene.goal.fruit
-        world, problem = context.world, replace(problem, goal=grasp.goal)
+        fruit = task.scene.goal.fruit
+        problem = replace(problem, goal=plan.grasp.goal)
         world = world if fruit is None else world.touching(fruit)
-    with context.stage("bound"):
-        return duration_bound(world, problem, motion_limits(context), sum(part.trajectory.duration for part in parts))
+    with task.stage("bound"):
+        return duration_bound(world, problem, motion_limits(task), seconds(motions))
 
 
-def with_export_time(result: PlanResult, seconds: float) -> PlanResult:
+def with_export_time(result: PlanResult, export_s: float) -> PlanResult:
     """The result with the time of the export added to its report."""
-    times = dict(result.report["time_ms"])
-    times["export"] = round(1e3 * seconds, 4)
-    times["total"] = round(times["total"] + times["export"], 4)
-    return replace(result, report={**result.report, "time_ms": times})
+    took = round(1e3 * export_s, 4)
+    return replace(
+        result, time_ms={**result.time_ms, "export": took, "total": round(result.time_ms["total"] + took, 4)}
+    )

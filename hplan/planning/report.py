@@ -12,21 +12,23 @@ from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from hplan.base.files import write_text
 from hplan.base.polyline import path_length
+from hplan.certificate.certificate import REST
 from hplan.errors import HplanError
 from hplan.grid.result import Expansions
 
 if TYPE_CHECKING:
     from hplan.base.deadline import TimeLimit
     from hplan.certificate.certificate import Certificate
-    from hplan.planning.certified_motion import PlannedMotion
-    from hplan.planning.grasps import Grasp
     from hplan.planning.lower_bound.duration_bound import DurationBound
+    from hplan.planning.motion import Transit
     from hplan.planning.options import PlanOptions
-    from hplan.planning.task import PlanningContext
+    from hplan.planning.plan import PlanResult
     from hplan.scene.model import Scene
-    from hplan.trajectory.trajectory import Phase, Trajectory
+    from hplan.trajectory.trajectory import Trajectory
 
 #: Stages of a plan, in order.
 STAGES = (
@@ -150,34 +152,23 @@ def curve_report(certificate: Certificate) -> dict[str, Any]:
     }
 
 
-def bound_report(bound: DurationBound | None, phases: Sequence[str]) -> dict[str, Any]:
-    """The part of a plan's report that compares the durations of some phases with the bound of all; null for none."""
-    if bound is None:
-        return {"bound": None}
-    return {
-        "bound": {
-            "phases": list(phases),
-            "bound_s": bound.seconds,
-            "duration_s": bound.duration_s,
-            "gap": bound.gap,
-            "method": bound.method,
-            "joint": bound.joint,
-            "joints_s": bound.joints_s,
-        }
-    }
+def bounded_phases(transit: Transit) -> int:
+    """How many phases of a plan a bound is of: up to rest, the transit, or approach too where that does not stop."""
+    return 1 if np.abs(transit.trajectory.velocity[-1]).max() <= REST else 2
 
 
-def plan_report(
-    context: PlanningContext, grasp: Grasp | None, motion: PlannedMotion, phases: Sequence[Phase]
-) -> dict[str, Any]:
-    """The first part of the report of a plan, in the shape of `report.json`."""
-    scene, options, route, path = context.scene, context.options, motion.route, motion.path
+def plan_report(plan: PlanResult) -> dict[str, Any]:
+    """The report of a plan, in the shape of `report.json`."""
+    motion, grasp = plan.motion, plan.grasp
+    scene, options, route, path = motion.task.scene, motion.task.options, motion.route, motion.path
     search = None if route is None else route.search
     spent = Expansions() if search is None else search.expansions
+    phases = [vars(phase) for phase in plan.phases]
+    bounded = [phase.name for phase in plan.phases[: bounded_phases(motion)]]
     return {
         "status": "ok",
         "scene": scene.name,
-        "robot": context.robot.name,
+        "robot": motion.task.robot.name,
         "planner": {
             "method": options.method if motion.origin in ("none", "search") else motion.origin,
             "link_model": options.link_model,
@@ -193,12 +184,12 @@ def plan_report(
                 "flooded_cells": spent.flooded,
             },
         },
-        "time_ms": context.clock.as_ms(),
+        "time_ms": dict(plan.time_ms),
         "path": {
             "length_deg_grid": math.degrees(path_length(motion.waypoints)),
             "length_deg": 0.0 if path is None else math.degrees(path.length),
         },
-        "phases": [vars(phase) for phase in phases],
+        "phases": phases,
         "grasp": None
         if grasp is None
         else {
@@ -207,10 +198,28 @@ def plan_report(
             "standoff_m": grasp.distance,
             "joints_rad": grasp.goal.tolist(),
         },
+        **({"bound": _bound_report(plan.bound, bounded)} if options.bound else {}),
+        **plan.told,
+        **motion_report(plan.trajectory, plan.certificate, options, scene),
     }
 
 
-def deadline_report(limit: TimeLimit, count: int, first_s: float, *, cut_short: bool) -> dict[str, Any]:
+def _bound_report(bound: DurationBound | None, phases: Sequence[str]) -> dict[str, Any] | None:
+    """What compares the durations of some phases with the bound of all; None where there is none."""
+    if bound is None:
+        return None
+    return {
+        "phases": list(phases),
+        "bound_s": bound.seconds,
+        "duration_s": bound.duration_s,
+        "gap": bound.gap,
+        "method": bound.method,
+        "joint": bound.joint,
+        "joints_s": bound.joints_s,
+    }
+
+
+def deadline_report(limit: TimeLimit, count: int, first_s: float, *, cut_short: bool) -> dict[str, dict[str, Any]]:
     """The part of a plan's report that says what there was time for.
 
     Args:

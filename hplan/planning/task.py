@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,9 @@ from hplan.grid.grid import Grid, Occupancy
 from hplan.grid.occupancy import occupancy
 from hplan.grid.sections import ArmSections, sections_at
 from hplan.grid.yaw_layers import LayerCache, turning_occupancy, yaw_axis
+from hplan.optimization.several_starts import StartsEffort
 from hplan.planning.definition import Problem, check_problem
+from hplan.planning.effort import Effort, GridAttempt, efforts_of
 from hplan.planning.options import PlanOptions
 from hplan.planning.report import StageClock
 from hplan.planning.world import World
@@ -35,6 +37,9 @@ MARGIN = 2e-3
 STEP_FACTORS = (0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0, 48.0, 64.0)
 COARSEST_DEG = 8.0
 
+#: Most nodes of a grid.
+MOST_CELLS = 1e8
+
 #: A row of yaws takes as much memory as one of so many nodes, however few there are.
 LEAST_ROW = 32
 
@@ -46,21 +51,6 @@ def no_progress(_: str) -> None:
     """Ignore the stages."""
 
 
-@dataclass(frozen=True)
-class GridAttempt:
-    """A grid: how fine and wide the grid is, and how obstacles are mapped into it.
-
-    Attributes:
-        step_factor: Largest spacing of the grid as a multiple of the option `step_deg`.
-        yaw_range_deg: How far the base may turn beyond start and goal; used where it turns [deg].
-        growth_m: Growth of obstacles in the C-space [m].
-    """
-
-    step_factor: float = 1.0
-    yaw_range_deg: float = 0.0
-    growth_m: float = 0.0
-
-
 @dataclass(frozen=True, eq=False)
 class PlanningContext(Record):
     """World, scene and options, common to all motions planned among the same obstacles.
@@ -69,6 +59,7 @@ class PlanningContext(Record):
         world: The arm and what it must keep clear of.
         scene: Where that comes from.
         options: How to plan.
+        effort: What may be spent on a motion.
         layers: Planar layers that are already there.
         clock: Where time is noted.
         progress: Called with the name of each stage as it begins.
@@ -77,6 +68,7 @@ class PlanningContext(Record):
     world: World
     scene: Scene
     options: PlanOptions
+    effort: Effort
     layers: LayerCache
     clock: StageClock
     progress: Progress
@@ -90,6 +82,11 @@ class PlanningContext(Record):
     def field(self) -> ClearanceField:
         """Distances between the arm and what it must keep clear of."""
         return self.world.field
+
+    @property
+    def optimization(self) -> StartsEffort | None:
+        """What may be spent on optimisation; None where a short path is asked for, not a fast motion."""
+        return self.effort.starts if self.options.objective == "duration" else None
 
     def __getstate__(self) -> dict[str, tuple[Any, bool]]:
         """The fields; who listens to the progress of a plan does not travel with it."""
@@ -106,9 +103,8 @@ class PlanningContext(Record):
             HplanError: As `check_problem`.
         """
         problem = check_problem(self.world, start, goal, locked_joints=self.scene.locked_joints)
-        return PlanningTask(
-            self.world, self.scene, self.options, self.layers, self.clock, self.progress, problem=problem
-        )
+        common = {field.name: getattr(self, field.name) for field in fields(PlanningContext)}
+        return PlanningTask(**common, problem=problem)
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
@@ -159,8 +155,9 @@ class PlanningTask(PlanningContext):
             count *= max(1.0 + (high - low) / step, LEAST_ROW)
         return float(count)
 
-    def fitting(self, attempt: GridAttempt, most_cells: float) -> GridAttempt | None:
+    def fitting(self, attempt: GridAttempt, most_cells: float | None = None) -> GridAttempt | None:
         """The attempt with a step as much larger as keeps the grid within a number of nodes; None without any."""
+        most_cells = MOST_CELLS if most_cells is None else most_cells
         coarsest = max(attempt.step_factor, COARSEST_DEG / self.options.step_deg)
         factors = (factor for factor in STEP_FACTORS if attempt.step_factor <= factor <= coarsest)
         larger = (replace(attempt, step_factor=factor) for factor in factors)
@@ -247,4 +244,5 @@ class PlanningCache:
     ) -> PlanningContext:
         """A context with a clock, its own where none is given, to plan motions among the scene's solids."""
         clock = StageClock() if clock is None else clock
-        return PlanningContext(self.world(scene, options), scene, options, self.layers, clock, progress)
+        effort = efforts_of(self.robot, options)[-1]
+        return PlanningContext(self.world(scene, options), scene, options, effort, self.layers, clock, progress)

@@ -23,23 +23,24 @@ import math
 from bisect import bisect
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
-from itertools import pairwise
-from typing import TypeAlias
+from dataclasses import replace
+from itertools import islice
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
 from hplan.base import ties
 from hplan.base.arrays import FloatArray, IntArray, readonly
-from hplan.planning.certified_motion import Part
-from hplan.planning.find_motion import find_motion
-from hplan.planning.grasp_motion import Flow, Pick, approach_and_retreat, flowing, motion_to_grasp
+from hplan.planning.approach import Approach, blended
 from hplan.planning.grasps import Grasp, Target, grasps
+from hplan.planning.motion import Motion, Transit, last, seconds
+from hplan.planning.plans import plans_to_grasps
 from hplan.planning.pose_goal import configurations_at
 from hplan.planning.task import PlanningContext, PlanningTask
+from hplan.planning.transits import one_transit
 from hplan.robot.limits import rest_to_rest
 from hplan.scene.model import Fruit, Goal
-from hplan.tour.moves import NO_MOTION, NONE, Move, Moves, Stop, quick_or_any_motion
+from hplan.tour.moves import NO_MOTION, Moves, Stop
 from hplan.tour.ordering import Costs, Visits, along
 
 #: Finds a tour, given costs, the order of the fruits in the tour it found before, and whether to look far, as nothing
@@ -47,40 +48,29 @@ from hplan.tour.ordering import Costs, Visits, along
 Solver: TypeAlias = Callable[[Costs, IntArray | None, bool], Visits]
 
 #: The fruit and how it is taken, neither for the leg back, and the motions.
-LegParts: TypeAlias = tuple[str | None, Grasp | None, list[Part]]
+LegMotions: TypeAlias = tuple[str | None, Grasp | None, list[Motion]]
+
+#: A retreat, a motion without a stop after it, and the approach after that; None for those that it is not blended with.
+_Blended: TypeAlias = tuple[Motion | None, Motion, Motion | None]
 
 #: Other grasps are tried so many times, as long as the tour becomes shorter by this fraction.
 WIDENINGS, LEAST_GAIN = 8, 5e-3
 
 
-@dataclass(frozen=True, eq=False)
-class DropOff:
-    """The configuration in which the arm lets go of what it carries.
+class _Step(NamedTuple):
+    """A step of a tour: at a place, or from stop to stop.
 
     Attributes:
-        configuration: (dof,).
-        transit: The motion there from the start.
+        name: The name of its phase; that of its motions where it is empty.
+        place: The place that it approaches and retreats from; None from stop to stop.
+        stops: The stops that it is between.
+        loaded: Whether the arm carries something.
     """
 
-    configuration: FloatArray
-    transit: Part
-
-
-@dataclass(eq=False)
-class _Motion:
-    """A motion of a tour in the making.
-
-    Attributes:
-        part: The motion.
-        step: The place that it approaches or retreats from, or the stops that it is between and whether it is loaded.
-    """
-
-    part: Part
-    step: tuple[int, ...]
-
-    def place_of(self, name: str) -> int | None:
-        """The place of an approach or a retreat; None for another motion."""
-        return self.step[0] if self.part.name == name else None
+    name: str = ""
+    place: int | None = None
+    stops: tuple[int, int] = (0, 0)
+    loaded: bool = False
 
 
 class Motions:
@@ -92,7 +82,7 @@ class Motions:
 
     def __init__(
         self, empty: PlanningContext, loaded: PlanningContext | None, *, here: Stop, home: Stop,
-        drop: DropOff | None, every: int, back: bool,
+        drop: Transit | None, every: int, back: bool,
     ) -> None:  # fmt: skip
         """Begin without fruits.
 
@@ -110,19 +100,17 @@ class Motions:
         self._moves = Moves(empty, loaded)
         self._every, self._back, self._carries = every, back, loaded is not None
         self._here, self._home = self._moves.stop(here), self._moves.stop(home)
-        self._hub = self._home if drop is None else self._moves.stop(Stop(drop.configuration))
+        self._hub = self._home if drop is None else self._moves.stop(Stop(drop.task.problem.goal))
         self._moves.drop_at(self._hub)
         self._begin = [0]
         self._first = len(self._moves.stops)  # stop of the first place
-        self._grasps: list[Grasp] = []
-        self._targets: list[Target] = []
+        self._places: list[Approach] = []
         self._active: list[list[int]] = []
-        self._picks: dict[int, Move] = {}
-        self._non_stops: dict[int, Pick] = {}
-        self._blended: dict[tuple[int | None, ...], Flow | None] = {}
+        self._picks: dict[int, tuple[Motion, ...] | None] = {}
+        self._blended: dict[tuple[_Step, int | None, int | None], _Blended | None] = {}
         self._sought = 0
         if drop is not None and self._home != self._hub:
-            self._moves.keep(self._home, self._hub, False, [drop.transit])
+            self._moves.keep(self._home, self._hub, False, drop)
 
     @property
     def planned(self) -> int:
@@ -144,26 +132,18 @@ class Motions:
         target = Target.of_fruit(context.world, fruit, context.scene.goal.approach_deg)
         found = grasps(target, hub, standoff=context.options.standoff_m, locked=context.scene.locked_joints)
         self._sought += 1
-        shown, motion, pick = motion_to_grasp(
-            target,
-            found,
-            hub,
-            lambda grasp: context.among(target.transit_world(grasp)).task(hub, grasp.standoff),
-            lambda grasp: self._planned_pick(target, grasp),
-            quick_or_any_motion,
-        )
+        approach, plan = next(plans_to_grasps(context, target, found, hub))
         begin = self._begin[-1]
         for grasp in found:
-            self._grasps.append(grasp)
+            self._places.append(approach if grasp is approach.grasp else Approach(context, target, grasp))
             self._moves.add(Stop(grasp.standoff, fruit.name if grasp.distance == 0.0 else None))
-        place = begin + next(number for number, grasp in enumerate(found) if grasp is shown)
-        self._picks[place] = pick
-        self._moves.keep(self._hub, self._first + place, self._carries, [motion.transit])
+        place = begin + next(number for number, grasp in enumerate(found) if grasp is approach.grasp)
+        self._picks[place] = plan.others
+        self._moves.keep(self._hub, self._first + place, self._carries, plan.transit)
         spread = begin + np.linspace(0, len(found) - 1, max(0, keep - 1)).astype(int)
         self._active.append(sorted({place, *spread.tolist()}))
-        self._begin.append(len(self._grasps))
+        self._begin.append(len(self._places))
         self.fruits.append(fruit.name)
-        self._targets.append(target)
 
     def settle(self, solve: Solver) -> Visits:
         """The tour that a solver finds by true durations."""
@@ -171,19 +151,19 @@ class Motions:
         widened, cost, last = 0, math.inf, False
         while True:
             before, visits = visits, self._solved(solve, visits, last)
-            missing = [step for leg in self._steps(visits) for _, step in leg if not self._known(step)]
-            for step in dict.fromkeys(missing):
-                if len(step) == 1:
-                    self._pick(step[0])
+            missing = [step for leg in self._steps(visits) for step in leg if not self._known(step)]
+            for step in dict.fromkeys(step._replace(name="") for step in missing):
+                if step.place is not None:
+                    self._pick(step.place)
                 else:
-                    self._moves.look(step[0], step[1], bool(step[2]))
+                    self._moves.look(*step.stops, step.loaded)
             same = not missing and before is not None and np.array_equal(before.places, visits.places)
             if not same or not last:
                 last = same
                 continue
             last = False
-            steps = [step for leg in self._steps(visits) for _, step in leg if len(step) == 3]
-            if [step for step in steps if self._moves.made_quicker(step[0], step[1], bool(step[2]))]:
+            steps = [step for leg in self._steps(visits) for step in leg if step.place is None]
+            if [step for step in steps if self._moves.made_quicker(*step.stops, step.loaded)]:
                 continue
             if widened == WIDENINGS or visits.cost > (1.0 - LEAST_GAIN) * cost or not self._widened(visits):
                 return visits
@@ -198,7 +178,7 @@ class Motions:
     def _widened(self, visits: Visits) -> bool:
         """True if other grasps promise a quicker tour in the same order: they become active, in place of others."""
         order = self.fruits_at(visits.places)
-        promised = along(self._costs(np.arange(len(self._grasps))), order).places
+        promised = along(self._costs(np.arange(len(self._places))), order).places
         wider = False
         for fruit, place, other in zip(order.tolist(), visits.places.tolist(), promised.tolist(), strict=True):
             active = self._active[fruit]
@@ -211,7 +191,7 @@ class Motions:
         """The numbers of the fruits at places."""
         return np.searchsorted(self._begin, places, side="right") - 1
 
-    def legs(self, visits: Visits, *, back: bool, stops: bool) -> list[LegParts]:
+    def legs(self, visits: Visits, *, back: bool, stops: bool) -> list[LegMotions]:
         """The legs of a tour: the fruit's name, how it is taken, the motions there and, if it is, to the drop-off.
 
         Args:
@@ -221,64 +201,56 @@ class Motions:
         """
         places = visits.places.tolist()
         names: list[tuple[str | None, Grasp | None]] = [
-            (self.fruits[bisect(self._begin, place) - 1], self._grasps[place]) for place in places
+            (self.fruits[bisect(self._begin, place) - 1], self._places[place].grasp) for place in places
         ]
-        steps = [[(name, step) for name, step in leg if name != "return"] for leg in self._steps(visits)]
+        legs = [[step for step in leg if step.name != "return"] for leg in self._steps(visits)]
         if back:
             names.append((None, None))
-            steps.append([("return", (self._end(visits), self._home, 0))])
-        legs = [[motion for name, step in leg for motion in self._motions_of(name, step)] for leg in steps]
-        for group in legs if stops else [[motion for leg in legs for motion in leg]]:
-            self._blend(group)
-        return [(*name, [motion.part for motion in leg]) for name, leg in zip(names, legs, strict=True)]
+            legs.append([_Step("return", stops=(self._end(visits), self._home))])
+        driven = [[each for step in leg for each in self._motions_of(step)] for leg in legs]
+        if stops:
+            motions = [self._without_stops(leg) for leg in driven]
+        else:
+            whole = iter(self._without_stops([each for leg in driven for each in leg]))
+            motions = [list(islice(whole, len(leg))) for leg in driven]
+        return [(*name, leg) for name, leg in zip(names, motions, strict=True)]
 
-    def _motions_of(self, name: str, step: tuple[int, ...]) -> list[_Motion]:
-        """The motions of a step, planned if need be."""
-        parts = self._take(step).named(name)
-        if len(step) == 1:
-            return [_Motion(part, step) for part in parts]
-        path = self._moves.path(step[0], step[1], bool(step[2])) or []
-        return [_Motion(part, (*ends, step[2])) for part, ends in zip(parts, pairwise(path), strict=True)]
+    def _motions_of(self, step: _Step) -> list[tuple[_Step, Motion]]:
+        """The motions of a step, planned if need be, each with what it is of."""
+        if step.place is not None:
+            return [(step, motion) for motion in self._pick(step.place) or ()]
+        taken = self._moves.take(*step.stops, step.loaded) or ()
+        return [(step._replace(stops=stops), replace(motion, name=step.name)) for stops, motion in taken]
 
-    def _blend(self, motions: Sequence[_Motion]) -> None:
-        """Take motions without stops at stand-offs in place of those with stops, where they are quicker."""
-        for number, motion in enumerate(motions):
-            if len(motion.step) == 1:
+    def _without_stops(self, driven: Sequence[tuple[_Step, Motion]]) -> list[Motion]:
+        """The motions, without stops at stand-offs where that is quicker."""
+        found = [motion for _, motion in driven]
+        places = {(number, motion.name): step.place for number, (step, motion) in enumerate(driven)}
+        for number, (step, motion) in enumerate(driven):
+            if step.place is not None:
                 continue
-            before = motions[number - 1] if number else None
-            after = motions[number + 1] if number + 1 < len(motions) else None
-            leaving = None if before is None else before.place_of("retreat")
-            coming = None if after is None else after.place_of("approach")
-            key = *motion.step, leaving, coming
+            leaving, coming = places.get((number - 1, "retreat")), places.get((number + 1, "approach"))
+            key = step._replace(name=""), leaving, coming
             if key not in self._blended:
-                self._blended[key] = self._blend_at(motion, leaving, coming)
+                self._blended[key] = self._blend(motion, *key)
             blended = self._blended[key]
-            if blended is None:
-                continue
-            motion.part = blended.transit._replace(name=motion.part.name)
-            if before is not None and blended.retreat is not None:
-                before.part = blended.retreat
-            if after is not None and blended.approach is not None:
-                after.part = blended.approach
+            if blended is not None:
+                retreat, transit, approach = blended
+                found[number] = replace(transit, name=motion.name)
+                if retreat is not None:
+                    found[number - 1] = retreat
+                if approach is not None:
+                    found[number + 1] = approach
+        return found
 
-    def _blend_at(self, motion: _Motion, leaving: int | None, coming: int | None) -> Flow | None:
+    def _blend(self, motion: Motion, step: _Step, leaving: int | None, coming: int | None) -> _Blended | None:
         """A motion blended with the retreat from a place, or with the approach to one; None for stops."""
         if leaving is None and coming is None:
             return None
         with suppress(*NO_MOTION):
-            a, b, loaded = motion.step
-            task = self._moves.task(a, b, bool(loaded))
-            return flowing(
-                task, motion.part, *(None if place is None else self._non_stop(place) for place in (leaving, coming))
-            )
+            before, after = (None if place is None else self._places[place] for place in (leaving, coming))
+            return blended(self._moves.task(*step.stops, step.loaded), motion, before, after)
         return None
-
-    def _non_stop(self, place: int) -> Pick:
-        """The approach to a place, as it may be in motion at the stand-off."""
-        if place not in self._non_stops:
-            target = self._targets[bisect(self._begin, place) - 1]
-            self._non_stops[place] = Pick(self._context, target, self._grasps[place], self._pick(place).parts[0])
-        return self._non_stops[place]
 
     def end(self, visits: Visits) -> Stop:
         """The end of a tour's last leg."""
@@ -288,45 +260,34 @@ class Motions:
         """The stop at which a tour's last leg ends."""
         return self._hub if self._carries else self._first + int(visits.places[-1])
 
-    def _planned_pick(self, target: Target, grasp: Grasp) -> Move:
-        """Approach and retreat."""
-        return Move.of(approach_and_retreat(self._context, target, grasp))
-
-    def _pick(self, place: int) -> Move:
-        """Approach and retreat at a place; planned if they are not there yet."""
+    def _pick(self, place: int) -> tuple[Motion, ...] | None:
+        """Approach and retreat at a place, planned if they are not there yet; None where there are none."""
         if place not in self._picks:
-            try:
-                self._picks[place] = self._planned_pick(
-                    self._targets[bisect(self._begin, place) - 1], self._grasps[place]
-                )
-            except NO_MOTION:
-                self._picks[place] = NONE
+            self._picks[place] = None
+            with suppress(*NO_MOTION):
+                self._picks[place] = self._places[place].motions
         return self._picks[place]
 
-    def _steps(self, visits: Visits) -> list[list[tuple[str, tuple[int, ...]]]]:
-        """For each fruit of a tour the names of its phases and what they are: (place) or (stop, stop, loaded)."""
+    def _steps(self, visits: Visits) -> list[list[_Step]]:
+        """For each fruit of a tour the steps to it and on to the drop-off, and those back."""
         found = []
         here = self._here
-        last = len(visits.places) - 1
+        end = len(visits.places) - 1
         for number, place in enumerate(visits.places.tolist()):
             stop = self._first + place
             full = self._carries and here not in (self._here, self._hub)
-            leg: list[tuple[str, tuple[int, ...]]] = [("transit", (here, stop, int(full))), ("", (place,))]
+            leg = [_Step("transit", stops=(here, stop), loaded=full), _Step(place=place)]
             here = stop
-            if self._carries and (visits.dropped[number] or number == last):
-                leg.append(("drop", (stop, self._hub, 1)))
+            if self._carries and (visits.dropped[number] or number == end):
+                leg.append(_Step("drop", stops=(stop, self._hub), loaded=True))
                 here = self._hub
             found.append(leg)
         if self._back and found:
-            found[-1].append(("return", (here, self._home, 0)))
+            found[-1].append(_Step("return", stops=(here, self._home)))
         return found
 
-    def _known(self, step: tuple[int, ...]) -> bool:
-        return step[0] in self._picks if len(step) == 1 else self._moves.is_known(step[0], step[1], bool(step[2]))
-
-    def _take(self, step: tuple[int, ...]) -> Move:
-        """The motions of a step, planned if need be."""
-        return self._pick(step[0]) if len(step) == 1 else self._moves.take(step[0], step[1], bool(step[2]))
+    def _known(self, step: _Step) -> bool:
+        return self._moves.is_known(*step.stops, step.loaded) if step.place is None else step.place in self._picks
 
     def _costs(self, places: IntArray) -> Costs:
         """Costs of going to some places: true durations where they are known, else bounds.
@@ -336,11 +297,13 @@ class Motions:
         ends = np.concatenate([[self._here, self._hub, self._home], self._first + places])
         empty = self._moves.seconds(ends, False)
         loaded = self._moves.seconds(ends, True) if self._carries else empty
-        turns = np.array([np.abs(self._grasps[place].goal - self._grasps[place].standoff) for place in places])
+        taken = [self._places[place].grasp for place in places]
+        turns = np.array([np.abs(grasp.goal - grasp.standoff) for grasp in taken])
         pick = 2.0 * rest_to_rest(turns, *self._moves.limits).max(axis=1)
         for number, place in enumerate(places.tolist()):
             if place in self._picks:
-                pick[number] = self._picks[place].seconds
+                motions = self._picks[place]
+                pick[number] = np.inf if motions is None else seconds(motions)
         drop = loaded[3:, 1] if self._carries else np.full(len(pick), np.inf)
         if self._carries:
             last = drop + (empty[1, 2] if self._back else 0.0)
@@ -357,8 +320,8 @@ class Motions:
         )
 
 
-def drop_off(goal: Goal, empty: PlanningContext, loaded: PlanningContext, start: FloatArray) -> DropOff:
-    """The drop-off: clear also as the arm carries, and reached from the start.
+def drop_off(goal: Goal, empty: PlanningContext, loaded: PlanningContext, start: FloatArray) -> Transit:
+    """The motion from the start to the drop-off, which is clear also as the arm carries.
 
     Args:
         goal: Joints, a position or a pose.
@@ -376,12 +339,10 @@ def drop_off(goal: Goal, empty: PlanningContext, loaded: PlanningContext, start:
     if joints is not None:
         q = world.robot.check_configuration(world.robot.turned_near(joints, start), "drop_off")
         world.check_clear(q, "drop_off")
-        _, motion = find_motion([empty.task(start, q)])
-        return DropOff(q, motion.transit)
+        return one_transit([empty.task(start, q)])[1]
     if goal.pose is not None:
         ends = configurations_at(world, goal, start, empty.scene.locked_joints)
-        number, motion = find_motion([empty.task(start, q) for q in ends])
-        return DropOff(ends[number], motion.transit)
+        return one_transit([empty.task(start, q) for q in ends])[1]
     target = Target("the drop-off", np.array(goal.position), world, world, goal.approach_deg)
     found = grasps(target, start, standoff=0.0, locked=empty.scene.locked_joints)
 
@@ -389,5 +350,5 @@ def drop_off(goal: Goal, empty: PlanningContext, loaded: PlanningContext, start:
         world.check_clear(grasp.goal, "goal")
         return empty.task(start, grasp.goal)
 
-    grasp, motion, _ = motion_to_grasp(target, found, start, task_to, lambda _: None)
-    return DropOff(grasp.goal, motion.transit)
+    _, plan = last(plans_to_grasps(empty, target, found, start, task_to))
+    return plan.transit

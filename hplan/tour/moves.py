@@ -13,9 +13,8 @@ import math
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -28,22 +27,28 @@ from hplan.errors import (
     NotFoundError,
     TimingError,
 )
-from hplan.planning.certified_motion import Part, PlannedMotion
 from hplan.planning.effort import CLOSE
-from hplan.planning.find_motion import SAMPLED, first_found, first_motion, straight, straight_is_clear
-from hplan.planning.refusals import Refusals
-from hplan.planning.sampled_motion import ONE_PAIR, by_trees
+from hplan.planning.failures import FailuresError
+from hplan.planning.motion import Motion, last, seconds
 from hplan.planning.task import PlanningContext, PlanningTask
+from hplan.planning.transits import straight_is_clear, transits
 from hplan.robot.limits import Limits, rest_to_rest
 
 #: What says that there is no motion, or none was found; anything else is a fault of what was asked.
-NO_MOTION = (BlockedError, NoPathError, NotFoundError, CertificationError, TimingError, ConfigurationInCollisionError)
+NO_MOTION = (
+    BlockedError,
+    NoPathError,
+    NotFoundError,
+    CertificationError,
+    TimingError,
+    ConfigurationInCollisionError,
+)
 
 #: A motion whose straight one is blocked is reckoned with so many times its least duration until trees look for it.
-BLOCKED = 1.5
+BLOCKED: Final = 1.5
 
 #: By less than this a joined motion is not quicker than another [s]; motions last whole periods.
-_GAIN_S = 1e-6
+_GAIN_S: Final = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,45 +64,24 @@ class Stop:
     fruit: str | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class Move:
-    """Motions between two stops, or back and forth between a stand-off and its fruit.
+#: Two stops, the lower number first, and whether the arm carries something between them.
+_Key: TypeAlias = tuple[int, int, bool]
 
-    Attributes:
-        seconds: Its duration; infinite where there is none [s].
-        parts: Its motions.
+
+def _key(a: int, b: int, loaded: bool) -> _Key:
+    return min(a, b), max(a, b), loaded
+
+
+def _transit(task: PlanningTask, *, at_once: bool = False) -> Motion | None:
+    """The motion that is found first, or the last and quickest one; None where there is none.
+
+    Raises:
+        HplanError: One of `NO_MOTION`.
     """
-
-    seconds: float
-    parts: tuple[Part, ...]
-
-    @classmethod
-    def of(cls, parts: Sequence[Part]) -> Move:
-        """Motions one after the other."""
-        return cls(sum(part.trajectory.duration for part in parts), tuple(parts))
-
-    @property
-    def reversed(self) -> Move:
-        """The move backwards, with the same distances and torques."""
-        return replace(self, parts=tuple(part.reversed for part in self.parts[::-1]))
-
-    def named(self, name: str) -> list[Part]:
-        """Its parts under another name, if it is one."""
-        return [part._replace(name=name or part.name) for part in self.parts]
-
-
-NONE = Move(math.inf, ())
-
-
-def quick_motion(tasks: Sequence[PlanningTask]) -> tuple[int, PlannedMotion] | None:
-    """The first motion that is straight, or that a pair of trees finds, to one of several goals; None for none."""
-    tasks = [task for task in tasks if task.problem.turns and not task.problem.is_empty]
-    return first_found(tasks, straight) or first_found(tasks[:SAMPLED], partial(by_trees, effort=ONE_PAIR))
-
-
-def quick_or_any_motion(tasks: Sequence[PlanningTask]) -> tuple[int, PlannedMotion] | Refusals:
-    """As `first_motion`, but the first motion that is found is taken without a look at others."""
-    return quick_motion(tasks) or first_motion(tasks)
+    with suppress(FailuresError):
+        found = transits([task])
+        return (next(found) if at_once else last(found))[1]
+    return None
 
 
 class _Joins(NamedTuple):
@@ -136,9 +120,9 @@ class Moves:
         self._contexts = (empty, empty if loaded is None else loaded)
         self._carries = loaded is not None
         self._hub = 0
-        self._found: dict[tuple[int, int, bool], Move | None] = {}
-        self._thorough: set[tuple[int, int, bool]] = set()
-        self._blocked: set[tuple[int, int, bool]] = set()
+        self._found: dict[_Key, Motion | None] = {}
+        self._thorough: set[_Key] = set()
+        self._blocked: set[_Key] = set()
         self._joined: dict[bool, _Joins] = {}
         robot = empty.robot
         limits = Limits(robot.velocity_limit, robot.acceleration_limit, jerk=robot.jerk_limit)
@@ -161,48 +145,44 @@ class Moves:
         """Say at which stop what is carried is let go: there loaded motions end."""
         self._hub = hub
 
-    def keep(self, a: int, b: int, loaded: bool, parts: Sequence[Part]) -> None:
+    def keep(self, a: int, b: int, loaded: bool, motion: Motion) -> None:
         """Keep a motion that is there."""
-        move = Move.of(parts)
-        self._found[min(a, b), max(a, b), loaded] = move if a < b else move.reversed
+        self._found[_key(a, b, loaded)] = motion if a < b else motion.reversed
         self._joined.clear()
 
     def is_known(self, a: int, b: int, loaded: bool) -> bool:
         """True if the motion was planned."""
-        return a == b or (min(a, b), max(a, b), loaded) in self._found
+        return a == b or _key(a, b, loaded) in self._found
 
     def look(self, a: int, b: int, loaded: bool) -> None:
         """Look for a motion: the straight one first, another one where that is looked for again.
 
         A motion whose straight one is blocked is reckoned with a longer duration than its bound.
         """
-        key = min(a, b), max(a, b), loaded
-        if a == b or key in self._found:
+        key = _key(a, b, loaded)
+        if self.is_known(a, b, loaded):
             return
         try:
             task = self.task(*key)
             if not task.problem.turns or task.problem.is_empty:
-                self._plan(key, first_motion([task]))
+                self._plan(key, _transit(task))
             elif key in self._blocked or straight_is_clear(task):
-                self._plan(key, quick_motion([task]))
+                effort = replace(task.effort, trees=replace(task.effort.trees, pairs=1), exhaustive=False)
+                self._plan(key, _transit(replace(task, effort=effort), at_once=True))
             else:
                 self._blocked.add(key)
         except NO_MOTION:
             self._plan(key, None)
 
-    def take(self, a: int, b: int, loaded: bool) -> Move:
-        """The quickest motions from stop to stop that are there; looked for if that was not done yet."""
-        path = self.path(a, b, loaded)
-        if path is None:
-            return NONE
-        return Move.of([part for one, other in pairwise(path) for part in self._one(one, other, loaded).parts])
+    def take(self, a: int, b: int, loaded: bool) -> list[tuple[tuple[int, int], Motion]] | None:
+        """The quickest motions that are there, with the stops that they are between; looked for if need be.
 
-    def path(self, a: int, b: int, loaded: bool) -> list[int] | None:
-        """The stops from one to another on the quickest motions; None where there are none."""
+        None where there are none.
+        """
         while not self.is_known(a, b, loaded):
             self.look(a, b, loaded)
         if a == b:
-            return [a]
+            return []
         joins = self._joins(loaded)
         i, j = joins.numbers[a], joins.numbers[b]
         if not math.isfinite(joins.seconds[i, j]):
@@ -211,20 +191,20 @@ class Moves:
         while i != j:
             j = int(joins.before[i, j])
             path.append(joins.stops[j])
-        return path[::-1]
+        return [((one, other), self._one(one, other, loaded)) for one, other in pairwise(path[::-1])]
 
     def made_quicker(self, a: int, b: int, loaded: bool) -> bool:
         """True if a thorough search, done once where it may pay, gives quicker motions than there are."""
-        key = min(a, b), max(a, b), loaded
-        seconds = self.take(a, b, loaded).seconds
-        if key in self._thorough or seconds <= CLOSE * self._least([a, b])[0, 1]:
+        key, taken = _key(a, b, loaded), self.take(a, b, loaded)
+        duration_s = math.inf if taken is None else seconds([motion for _, motion in taken])
+        if key in self._thorough or duration_s <= CLOSE * self._least([a, b])[0, 1]:
             return False
         self._thorough.add(key)
         before = self._found[key]
         with suppress(*NO_MOTION):
-            self._plan(key, first_motion([self.task(*key)]))
+            self._plan(key, _transit(self.task(*key)))
         found = self._found[key]
-        if found is not None and found.seconds < seconds - _GAIN_S:
+        if found is not None and found.trajectory.duration < duration_s - _GAIN_S:
             return True
         self._found[key] = before
         return False
@@ -259,17 +239,17 @@ class Moves:
             context = context.among(context.world.touching(name))  # at a fruit the last link may touch it
         return context.task(*(end.configuration for end in ends))
 
-    def _plan(self, key: tuple[int, int, bool], found: tuple[int, PlannedMotion] | Refusals | None) -> None:
+    def _plan(self, key: _Key, found: Motion | None) -> None:
         """Keep what was found of a motion."""
         self.planned += 1
-        self._found[key] = None if found is None or isinstance(found, Refusals) else Move.of([found[1].transit])
+        self._found[key] = found
         self._joined.clear()
 
-    def _one(self, a: int, b: int, loaded: bool) -> Move:
+    def _one(self, a: int, b: int, loaded: bool) -> Motion:
         """The quicker of the direct motions that are there: the empty arm may move as if it carried."""
-        both = [self._found.get((min(a, b), max(a, b), also)) for also in (loaded, loaded or self._carries)]
-        move = min((one for one in both if one is not None), key=lambda one: one.seconds, default=NONE)
-        return move if a < b else move.reversed
+        both = [self._found.get(_key(a, b, also)) for also in (loaded, loaded or self._carries)]
+        there = min((one for one in both if one is not None), key=lambda one: one.trajectory.duration)
+        return there if a < b else there.reversed
 
     def _joins(self, loaded: bool) -> _Joins:
         """The quickest motions over other stops, those of the empty arm or of the loaded one."""
@@ -283,10 +263,10 @@ class Moves:
         seconds = np.full((len(stops), len(stops)), math.inf)
         np.fill_diagonal(seconds, 0.0)
         before = np.repeat(np.arange(len(stops))[:, None], len(stops), axis=1)
-        for (a, b, also), move in self._found.items():
-            if move is not None and (also or not loaded):
+        for (a, b, also), motion in self._found.items():
+            if motion is not None and (also or not loaded):
                 i, j = numbers[a], numbers[b]
-                seconds[i, j] = seconds[j, i] = min(seconds[i, j], move.seconds)
+                seconds[i, j] = seconds[j, i] = min(seconds[i, j], motion.trajectory.duration)
         for number, stop in enumerate(stops):
             if self.stops[stop].fruit is not None or (loaded and stop == self._hub):
                 continue  # the fruit would be touched, what is carried dropped

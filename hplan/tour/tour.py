@@ -22,15 +22,15 @@ from hplan.base.deadline import Cancel, TimeIsUpError, time_limit
 from hplan.certificate.certificate import all_of
 from hplan.certificate.digests import Digests
 from hplan.errors import CertificationError, OptionError, SceneError, TourError, UnreachableError
-from hplan.planning.certified_motion import Part, certificate_of, required
+from hplan.planning.motion import Motion, certificate_of, in_sequence, required, seconds
 from hplan.planning.options import PlanOptions
-from hplan.planning.plan import check_task, in_sequence
+from hplan.planning.plan import check_task
 from hplan.planning.report import motion_report
 from hplan.planning.task import PlanningCache, Progress, no_progress
 from hplan.robot.model import Robot
 from hplan.scene.model import Fruit, Goal, Scene
 from hplan.tour.carried import carrying
-from hplan.tour.motions import LegParts, Motions, drop_off
+from hplan.tour.motions import LegMotions, Motions, drop_off
 from hplan.tour.moves import NO_MOTION, Stop
 from hplan.tour.ordering import Visits, along, best, nearest
 from hplan.tour.result import Leg, TourResult, Unreached
@@ -230,14 +230,14 @@ class _TourPlanner:
 
     def _result(self, stages: Sequence[_Stage], unreached: Sequence[Unreached]) -> TourResult:
         """The tour and its report."""
-        drafts = list[LegParts]()
+        drafts = list[LegMotions]()
         for stage in stages:
             drafts += self._legs(stage.motions, stage.visits, back=self.tour.back and stage is stages[-1])
         here, begin, legs = self.start, 0.0, list[Leg]()
         for fruit, grasp, parts in drafts:
             if not parts:  # the arm rests where it is
                 rest = resting(self.robot.model, here)
-                parts = [Part("return", rest, required(self.context, certificate_of(self.context, rest)))]
+                parts = [Motion("return", rest, required(self.context, certificate_of(self.context, rest)))]
             legs.append(Leg(fruit, grasp, begin, *in_sequence(parts, begin)))
             begin = legs[-1].phases[-1].end_s
             here = legs[-1].trajectory.position[-1]
@@ -259,7 +259,7 @@ class _TourPlanner:
             scene=self.scene,
         )
 
-    def _legs(self, motions: Motions, visits: Visits, *, back: bool) -> list[LegParts]:
+    def _legs(self, motions: Motions, visits: Visits, *, back: bool) -> list[LegMotions]:
         """The legs of a tour among one set of obstacles."""
         return motions.legs(visits, back=back, stops=self.tour.stops)
 
@@ -268,7 +268,7 @@ class _TourPlanner:
         if not math.isfinite(visits.cost):
             return math.inf
         legs = self._legs(motions, visits, back=self.tour.back)
-        return sum(part.trajectory.duration for _, _, parts in legs for part in parts)
+        return sum(seconds(motions) for _, _, motions in legs)
 
     def _report(
         self, stages: Sequence[_Stage], legs: Sequence[Leg], picked: Mapping[str, float], unreached: Sequence[Unreached]

@@ -21,8 +21,8 @@ from hplan.errors import BoundError, InputError
 from hplan.grid import dense_search, two_level_search
 from hplan.grid.grid import Occupancy
 from hplan.grid.occupancy import occupancy
-from hplan.planning.certified_motion import motion_limits
 from hplan.planning.lower_bound.duration_bound import ENOUGH, DurationBound, duration_bound
+from hplan.planning.motion import motion_limits
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import PlanResult
 from hplan.planning.task import PlanningCache

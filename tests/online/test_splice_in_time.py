@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
-from typing import Any
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
@@ -19,10 +19,11 @@ from hplan.certificate.certificate import certify
 from hplan.errors import ObstacleInTimeError, RunningMotionBlockedError
 from hplan.online.planner import Planner
 from hplan.online.splice import SplicedResult
-from hplan.planning.moving.search import certified_in_time
+from hplan.planning.in_time import certified_in_time, stopping_first
+from hplan.planning.motion import Motion, Plan
 from hplan.planning.options import PlanOptions
-from hplan.planning.plan import PlanResult, plan, plan_with
-from hplan.planning.start_in_motion import Stop
+from hplan.planning.plan import PlanResult, plan
+from hplan.planning.report import StageClock
 from hplan.planning.task import PlanningCache, no_progress
 from hplan.robot.model import Robot
 from hplan.scene.model import Goal, Scene, Start
@@ -230,17 +231,18 @@ def test_after_a_stop_what_moves_is_where_it_is_then(robot, monkeypatch):
     ball = crossing(tool_at(robot, running, 0.6), 8.0, speed=0.15)
     scene, seen = task(START, GOAL, [ball], **PLANAR).model_copy(update={"start": start}), list[Scene]()
 
-    def seeing(cache: PlanningCache, later: Scene, *arguments: Any, **options: Any) -> PlanResult:
-        seen.append(later)
-        return plan_with(cache, later, *arguments, **options)
+    options = PlanOptions(effort="quick")
 
-    monkeypatch.setattr(planning, "plan_with", seeing)
-    certified = certified_in_time(robot, scene, PlanOptions(), stop, check_ends=False)
-    asked = scene, PlanOptions(effort="quick")
-    found = planning._onward(PlanningCache(robot), asked, no_progress, Stop(stop, certified))
+    def plans_of(later: Scene) -> Iterator[Plan]:
+        seen.append(later)
+        return planning._plans(PlanningCache(robot), later, options, no_progress, StageClock(), None, None)
+
+    certified = certified_in_time(robot, scene, options, stop, check_ends=False)
+    found = stopping_first(robot, scene, options, plans_of, Motion("stop", stop, certified))
     assert found is not None
-    assert found.certificate.verified
-    assert found.report["in_time"]["stops_until_s"] == stop.duration > 0.1
+    assert found.in_time is not None
+    assert found.in_time.certificate.verified
+    assert found.in_time.report["stops_until_s"] == stop.duration > 0.1
     for one, other in zip(seen[0].poses_at([0.5])["ball"], scene.poses_at([stop.duration + 0.5])["ball"], strict=True):
         np.testing.assert_allclose(one, other, atol=1e-12)
 

@@ -13,8 +13,8 @@ from hplan.optimization.coarse_profile import coarse_profile
 from hplan.optimization.first_order import MotionArrays, MotionLimits, first_order
 from hplan.optimization.minimize_time import minimize_time, rough_motion
 from hplan.optimization.time_problem import TimeProblem
-from hplan.planning.certified_motion import certificate_of, motion_limits, smoothing_options
 from hplan.planning.effort import EFFORTS_OF_BODIES
+from hplan.planning.motion import certificate_of, motion_limits, smoothing_options
 from hplan.planning.options import PlanOptions
 from hplan.planning.task import PlanningCache, PlanningTask
 from hplan.scene.model import Scene

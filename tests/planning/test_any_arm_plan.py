@@ -11,7 +11,7 @@ from any_arms import LIFT, loaded_arm
 
 from hplan.certificate.certificate import certify
 from hplan.errors import ConfigurationInCollisionError, InputError, NotFoundError, OptionError, RobotFileError
-from hplan.planning import find_motion
+from hplan.planning import transits
 from hplan.planning.effort import EFFORTS_OF_BODIES
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
@@ -73,7 +73,7 @@ def test_a_start_in_an_obstacle_is_refused(arm: Robot) -> None:
 def test_where_nothing_is_found_nothing_is_claimed(arm: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
     few = replace(EFFORTS_OF_BODIES["quick"], trees=TreesEffort(1, 20))
     monkeypatch.setitem(EFFORTS_OF_BODIES, "quick", few)
-    monkeypatch.setattr(find_motion, "by_trees_to_any", lambda tasks: None)
+    monkeypatch.setattr(transits, "_by_long_trees", lambda tasks: iter(()))
     # From the pedestal outward, higher than the arm reaches, between start and goal.
     along = np.array([np.cos(0.9), np.sin(0.9)])
     centre = (*(1.4 * along).tolist(), 1.0)

@@ -17,8 +17,8 @@ import hplan.planning.lower_bound.duration_bound as module
 from hplan.apps.cli.main import main
 from hplan.certificate.certificate import LIMIT_TOLERANCE
 from hplan.errors import BoundError, HplanError
-from hplan.planning.certified_motion import motion_limits
 from hplan.planning.lower_bound.duration_bound import DurationBound, duration_bound
+from hplan.planning.motion import motion_limits
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import PlanResult, plan
 from hplan.robot.limits import rest_to_rest

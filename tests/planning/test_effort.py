@@ -11,9 +11,7 @@ import pytest
 
 import hplan
 from hplan.planning.effort import EFFORTS
-from hplan.planning.find_motion import find_motion
 from hplan.planning.options import PlanOptions
-from hplan.planning.task import PlanningCache
 from hplan.robot.family import ArmSpec, write_robot
 from hplan.robot.model import Robot
 from hplan.scene.model import Goal, Scene, Start
@@ -24,14 +22,7 @@ def test_best_falls_back_on_what_the_default_finds(robot: Robot, scene: Scene, m
     default = hplan.plan(robot, scene)
     # With nothing spent on optimisation, `best` finds no more than `quick`.
     monkeypatch.setitem(EFFORTS, "best", replace(EFFORTS["best"], starts=None))
-    task = (
-        PlanningCache(robot)
-        .context(scene, PlanOptions(effort="best"))
-        .task(scene.start.configuration, scene.goal.configuration)
-    )
-    _, motion = find_motion([task])
-    assert motion.trajectory.duration == default.trajectory.duration
-    assert motion.task is task
+    assert hplan.plan(robot, scene, PlanOptions(effort="best")).trajectory.duration == default.trajectory.duration
 
 
 def test_coarse_grids_give_paths_where_fine_ones_are_too_large(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -45,7 +36,7 @@ def test_coarse_grids_give_paths_where_fine_ones_are_too_large(monkeypatch: pyte
         obstacles=(Sphere(name="ball", center=tuple(tip.tolist()), radius=0.2),),
         locked_joints=("base_yaw",),
     )
-    monkeypatch.setattr(hplan.planning.sampled_motion, "promising_paths", lambda *_: [])
+    monkeypatch.setattr(hplan.planning.transits, "promising_paths", lambda *_: [])
     result = hplan.plan(robot, scene)
     assert result.motion.origin == "search"
     assert result.motion.route is None

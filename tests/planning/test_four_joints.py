@@ -25,9 +25,9 @@ from planned import (
 
 from hplan.collision.coal_scene import CoalScene
 from hplan.errors import BlockedError, ConfigurationInCollisionError, InputError, NoPathError, UnreachableError
-from hplan.planning.find_motion import least_duration
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
+from hplan.planning.transits import least_duration
 from hplan.robot.model import Robot
 from hplan.scene.model import Goal, Scene
 from hplan.scene.obstacles import Box, Sphere

@@ -11,16 +11,16 @@ import numpy as np
 import pytest
 from planned import assert_clear, frame_about_upper_arm, random_scene, task
 
-import hplan.planning.find_motion
+import hplan.planning.failures
 from hplan.errors import HplanError, NoPathError, OptionError
 from hplan.grid import reachable
 from hplan.grid.grid import Occupancy
 from hplan.grid.yaw_layers import turning_occupancy, yaw_axis
-from hplan.planning.find_motion import without_path
+from hplan.planning.effort import GridAttempt
+from hplan.planning.failures import EnclosedError, enclosed_goals, without_path
 from hplan.planning.grid_route import Route, find_route
 from hplan.planning.options import PlanOptions
-from hplan.planning.refusals import EnclosedError, enclosed_goals
-from hplan.planning.task import GridAttempt, PlanningCache, PlanningTask
+from hplan.planning.task import PlanningCache, PlanningTask
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 from hplan.scene.obstacles import Sphere
@@ -84,7 +84,7 @@ def test_beyond_start_and_goal(robot: Robot, monkeypatch: pytest.MonkeyPatch) ->
     assert error.open_ended
     assert error.reached_cells > 0
     assert shown_enclosed(one, GridAttempt(1.0, yaw_range_deg=20.0)) is None
-    monkeypatch.setattr(hplan.planning.find_motion, "WIDTHS", (0.0, 20.0))
+    monkeypatch.setattr(hplan.planning.failures, "WIDTHS", (0.0, 20.0))
     assert without_path([one]) == [None]
 
 

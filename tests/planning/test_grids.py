@@ -8,11 +8,12 @@ import pytest
 from planned import frame_about_upper_arm, task
 from test_grid_route import posed
 
-import hplan.planning.find_motion
+import hplan.planning.task
 from hplan.errors import NoPathError
-from hplan.planning.find_motion import find_motion
+from hplan.planning.effort import GridAttempt
 from hplan.planning.options import PlanOptions
-from hplan.planning.task import GridAttempt, PlanningTask
+from hplan.planning.task import PlanningTask
+from hplan.planning.transits import one_transit
 from hplan.robot.model import Robot
 
 
@@ -63,8 +64,8 @@ def test_closed_on_the_finest_grid_that_fits_names_its_step(robot: Robot, monkey
     locked = locked.model_copy(update={"goal": type(scene.goal)(joints_deg=(60.0, 70.0, 20.0, 20.0))})
     for one in (posed(robot, scene, PlanOptions(step_deg=3.0)), posed(robot, locked)):
         widest = GridAttempt(1.0, 360.0)
-        monkeypatch.setattr(hplan.planning.find_motion, "MOST_CELLS", 0.5 * one.cells(widest))
+        monkeypatch.setattr(hplan.planning.task, "MOST_CELLS", 0.5 * one.cells(widest))
         with pytest.raises(NoPathError, match=r"the grid's step is (4|1)\.5 deg") as caught:
-            find_motion([one])
+            one_transit([one])
         assert caught.value.data["step_deg"] == 1.5 * one.options.step_deg
         assert caught.value.blockers

@@ -14,8 +14,8 @@ import hplan
 from hplan.apps.cli.main import main
 from hplan.base.deadline import current
 from hplan.errors import NotFoundError, NotInTimeError, OptionError, PlanCancelledError, UnreachableError
+from hplan.planning.plans import plans
 from hplan.planning.task import LastWorld, PlanningCache
-from hplan.planning.whole_motion import Beginning, parts_in_time
 from hplan.planning.world import World
 from hplan.robot.model import Robot
 from hplan.scene.model import Goal, Scene
@@ -157,13 +157,13 @@ def test_the_best_so_far_is_handed_out_at_the_deadline(robot: Robot, monkeypatch
     """Time is up after the first motion."""
     found = []
 
-    def one(*arguments: Any) -> Any:
-        for parts in parts_in_time(*arguments):
-            found.append(sum(part.trajectory.duration for part in parts.parts))
-            yield parts
+    def one(*arguments: Any, **options: Any) -> Any:
+        for plan in plans(*arguments, **options):
+            found.append(plan.duration)
+            yield plan
             time_is_up()
 
-    monkeypatch.setattr("hplan.planning.plan.parts_in_time", one)
+    monkeypatch.setattr("hplan.planning.plan.plans", one)
     result = hplan.plan(robot, hplan.load_scene("orchard-row"), hplan.PlanOptions(deadline_s=ENOUGH_S))
     assert result.certificate.verified
     assert len(found) == 1
@@ -174,12 +174,12 @@ def test_the_best_so_far_is_handed_out_at_the_deadline(robot: Robot, monkeypatch
 
 
 def test_each_motion_in_time_is_certified_and_quicker_than_the_one_before(robot: Robot) -> None:
-
-    context = PlanningCache(robot).context(hplan.load_scene("tour"), hplan.PlanOptions())
-    motions = list(parts_in_time(context, Beginning(context.scene.start.configuration, None)))
-    assert all(part.certificate.verified for found in motions for part in found.parts)
-    durations = [sum(part.trajectory.duration for part in found.parts) for found in motions]
-    assert durations == sorted(durations, reverse=True)
+    context = PlanningCache(robot).context(hplan.load_scene("tour"), hplan.PlanOptions(deadline_s=ENOUGH_S))
+    found = list(plans(context, context.scene.start.configuration))
+    assert len(found) > 1
+    assert all(motion.certificate.verified for plan in found for motion in plan.motions)
+    durations = [plan.duration for plan in found]
+    assert durations == sorted(set(durations), reverse=True)
 
 
 def test_what_is_refused_without_a_deadline_is_refused_with_one(robot: Robot) -> None:

@@ -15,18 +15,17 @@ from planned import task
 from hplan.certificate.certificate import LIMIT_TOLERANCE
 from hplan.collision.coal_shapes import solid_shape
 from hplan.errors import ConfigurationInCollisionError, MovingObstacleError, ObstacleInTimeError
+from hplan.planning.in_time import _later
 from hplan.planning.moving.obstacles_at import among_poses, without_moving
 from hplan.planning.moving.path_in_time import MovingField, PathInTime
 from hplan.planning.moving.schedule import CHANGES, LEVELS, STEP_S, USED, earliest_schedule, room_to_change
-from hplan.planning.moving.search import _later
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import PlanResult, plan
 from hplan.robot.model import Robot
 from hplan.scene.model import Fruit, Goal, Scene
 from hplan.scene.obstacles import Box, Sphere
 from hplan.scene.tracks import Track
-from hplan.trajectory.time_scaling import scaled
-from hplan.trajectory.trajectory import Phase
+from hplan.trajectory.trajectory import Phase, scaled
 
 START, GOAL = (0.0, 0.0, 0.0, 0.0), (0.0, 45.0, 60.0, 70.0)
 PLANAR = {"locked_joints": ("base_yaw",)}

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import math
+from typing import NoReturn
 
 import numpy as np
 import pytest
 from planned import assert_sound
 
-import hplan.planning.grasp_motion
+import hplan.planning.plans
 from hplan.errors import BlockedError, CertificationError
+from hplan.planning.failures import FailuresError
 from hplan.planning.grasps import ROOMS, SPARE, Target, grasps
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
-from hplan.planning.refusals import Refusals
-from hplan.planning.task import PlanningCache
+from hplan.planning.task import PlanningCache, PlanningTask
 from hplan.robot.model import Robot, load_robot
 from hplan.scene.model import Fruit, Goal, Scene, Start
 from hplan.scene.obstacles import Capsule, Sphere
@@ -78,11 +79,10 @@ def test_a_slot_with_less_is_refused_with_the_room_there_is(orchard_arm: Robot) 
 
 
 def test_the_room_is_named_where_no_motion_leads_there(orchard_arm: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(
-        hplan.planning.grasp_motion,
-        "first_motion",
-        lambda tasks: Refusals(tuple(CertificationError("not shown clear") for _ in tasks)),
-    )
+    def none(tasks: list[PlanningTask]) -> NoReturn:
+        raise FailuresError(tuple(CertificationError("not shown clear") for _ in tasks))
+
+    monkeypatch.setattr(hplan.planning.plans, "transits", none)
     with pytest.raises(CertificationError, match=r"not shown clear.*spare clearance 0\.2 mm at the grasp") as no:
         plan(orchard_arm, slot(orchard_arm, 35.0, 2e-4))
     assert no.value.data["spare_clearance_m"] == pytest.approx(2e-4, abs=1e-6)

@@ -20,7 +20,7 @@ from hplan.certificate.certificate import Certificate
 from hplan.certificate.limit_use import LimitUse
 from hplan.collision.coal_scene import CoalScene
 from hplan.errors import BlockedError, ConfigurationInCollisionError, InputError, TourError, UnreachableError
-from hplan.planning.certified_motion import Part
+from hplan.planning.motion import Motion
 from hplan.planning.options import PlanOptions
 from hplan.planning.task import PlanningCache
 from hplan.robot.limits import rest_to_rest
@@ -342,7 +342,7 @@ def moves_of_seconds(robot: Robot, seconds: dict[tuple[int, int], float], stops:
     for (a, b), duration in seconds.items():
         there, back = (SimpleNamespace(duration=duration, ends=ends) for ends in ((a, b), (b, a)))
         there.reversed, back.reversed = back, there
-        moves.keep(a, b, False, [Part("transit", there, shown)])  # type: ignore[arg-type]
+        moves.keep(a, b, False, Motion("transit", there, shown))  # type: ignore[arg-type]
     return moves
 
 
@@ -351,8 +351,9 @@ def test_motions_are_joined_where_that_is_quicker(robot: Robot) -> None:
     seconds = {(0, 1): 1.0, (2, 1): 1.5, (0, 2): 3.0, (2, 3): 0.5, (0, 3): 2.9}
 
     def path(moves: Moves, a: int, b: int) -> tuple[float, list[tuple[int, int]]]:
-        move = moves.take(a, b, False)
-        return move.seconds, [part.trajectory.ends for part in move.parts]
+        taken = moves.take(a, b, False) or []
+        assert [ends for ends, _ in taken] == [motion.trajectory.ends for _, motion in taken]
+        return sum(motion.trajectory.duration for _, motion in taken), [ends for ends, _ in taken]
 
     moves = moves_of_seconds(robot, seconds, stops)
     assert path(moves, 0, 2) == (2.5, [(0, 1), (1, 2)])

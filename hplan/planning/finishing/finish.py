@@ -16,9 +16,9 @@ from hplan.base.polyline import path_length
 from hplan.errors import CertificationError, InputError, TimingError
 from hplan.optimization.repair import pushed_clear, repaired
 from hplan.optimization.smooth_path import SMALLEST_FRACTION
-from hplan.planning.certified_motion import PlannedMotion, certified_trajectory, smooth_and_certify
 from hplan.planning.finishing.given_path import SAME, GivenPath, given_path, scene_along
 from hplan.planning.finishing.path_contact import places_of, refuse
+from hplan.planning.motion import Plan, Polyline, Transit, certified_trajectory, quickest
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import PlanResult, check_task, plan_result
 from hplan.planning.report import StageClock
@@ -115,8 +115,8 @@ def _finished(context: PlanningContext, path: GivenPath, keep_within_rad: float 
     clear = _shown_clear(context, path)
     task = context.task(points[0], points[-1])
     if keep_within_rad is not None:
-        return _result(context, path, clear, _kept(task, clear.waypoints, keep_within_rad))
-    return _result(context, path, clear, _smoothed(task, clear.waypoints))
+        return _result(path, clear, _kept(task, clear.waypoints, keep_within_rad))
+    return _result(path, clear, _smoothed(task, clear.waypoints))
 
 
 def _shown_clear(context: PlanningContext, path: GivenPath) -> _Clear:
@@ -155,10 +155,10 @@ def _shown_clear(context: PlanningContext, path: GivenPath) -> _Clear:
     return _Clear(clear, segments)
 
 
-def _smoothed(task: PlanningTask, waypoints: FloatArray) -> PlannedMotion:
+def _smoothed(task: PlanningTask, waypoints: FloatArray) -> Transit:
     """The motion along the path shortened and smoothed; where it cannot be certified, with its corners rounded."""
     try:
-        return smooth_and_certify(task, waypoints, task.margin(), "given")
+        return quickest(task, [Polyline(waypoints, "given")], task.margin())
     except (CertificationError, TimingError):
         with suppress(CertificationError, TimingError):
             return _kept(task, waypoints, ROUNDING)
@@ -169,7 +169,7 @@ def _smoothed(task: PlanningTask, waypoints: FloatArray) -> PlannedMotion:
 ROUNDING = 0.02
 
 
-def _kept(task: PlanningTask, waypoints: FloatArray, deviation_rad: float) -> PlannedMotion:
+def _kept(task: PlanningTask, waypoints: FloatArray, deviation_rad: float) -> Transit:
     """The motion along the path with its corners rounded, as far as can be shown clear.
 
     Raises:
@@ -186,12 +186,12 @@ def _kept(task: PlanningTask, waypoints: FloatArray, deviation_rad: float) -> Pl
             allowed = max(0.5 * allowed, LEAST_DEVIATION)
             path = rounded_path(waypoints, allowed)
     trajectory, certificate = certified_trajectory(task, path, grid=corner_grid(path))
-    return PlannedMotion(task, None, waypoints, path, trajectory, certificate, "given")
+    return Transit("transit", trajectory, certificate, task, waypoints, path, "given")
 
 
-def _result(context: PlanningContext, path: GivenPath, clear: _Clear, motion: PlannedMotion) -> PlanResult:
+def _result(path: GivenPath, clear: _Clear, motion: Transit) -> PlanResult:
     """The result of a plan, with what became of the path in its report."""
-    result = plan_result(context, None, motion, [motion.transit])
+    result = plan_result(Plan(motion))
     given: dict[str, Any] = {
         "waypoints": path.count,
         "moved_segments": list(clear.moved),
@@ -199,4 +199,4 @@ def _result(context: PlanningContext, path: GivenPath, clear: _Clear, motion: Pl
         "length_moved_rad": path_length(clear.waypoints),
         "length_finished_rad": 0.0 if motion.path is None else motion.path.length,
     }
-    return replace(result, report=result.report | {"given": given})
+    return replace(result, told={"given": given})

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from hplan.certificate.certificate import certify
-from hplan.planning import whole_motion as planning
-from hplan.planning.grasp_motion import LEADS, Flow, Pick, flowing
+from hplan.planning import plans as planning
+from hplan.planning.approach import LEADS, Approach, blended
+from hplan.planning.motion import seconds
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import PlanResult, plan
 from hplan.robot.model import Robot
@@ -23,12 +24,12 @@ SCENES = ("trellis", "dense-canopy")
 
 
 class Told:
-    """The arguments and the result of the last call of `flowing`."""
+    """The arguments and the result of the last call of `blended`."""
 
     asked: tuple[Any, Any]
-    pick: Pick
+    approach: Approach
     stopping: float
-    flow: Flow | None
+    blended: Any
 
 
 @pytest.fixture(scope="module")
@@ -39,13 +40,13 @@ def plans(robot: Robot) -> dict[str, tuple[Scene, PlanResult, Told]]:
         for name in SCENES:
             told = Told()
 
-            def keep(task: Any, transit: Any, before: Any, after: Pick, told: Told = told) -> Flow | None:
-                told.asked, told.pick = (task, transit), after
-                told.stopping = transit.trajectory.duration + 2.0 * after.approach.trajectory.duration
-                told.flow = flowing(task, transit, before, after)
-                return told.flow
+            def keep(task: Any, transit: Any, before: Any, after: Approach, told: Told = told) -> Any:
+                told.asked, told.approach = (task, transit), after
+                told.stopping = transit.trajectory.duration + 2.0 * after.from_rest.trajectory.duration
+                told.blended = blended(task, transit, before, after)
+                return told.blended
 
-            patch.setattr(planning, "flowing", keep)
+            patch.setattr(planning, "blended", keep)
             scene = load_scene(name)
             found[name] = scene, plan(robot, scene), told
     return found
@@ -72,7 +73,7 @@ def offset_of(robot: Robot, result: PlanResult, motion: Trajectory) -> float:
 @pytest.mark.parametrize("name", SCENES)
 def test_the_approach_begins_in_motion_and_is_straight(robot: Robot, plans: Any, name: str) -> None:
     _, result, told = plans[name]
-    assert told.flow is not None
+    assert told.blended is not None
     assert [phase.name for phase in result.phases] == ["transit", "approach", "retreat"]
     assert np.abs(result.trajectory.velocity[seam_of(result)]).max() > 0.05
     assert offset_of(robot, result, result.trajectory) < 1e-4
@@ -83,7 +84,7 @@ def test_the_approach_begins_in_motion_and_is_straight(robot: Robot, plans: Any,
 def test_the_seam_is_as_smooth_as_the_rest(robot: Robot, plans: Any, name: str) -> None:
     _, result, told = plans[name]
     motion, seam = result.trajectory, seam_of(result)
-    transit, approach = told.flow.transit.trajectory, told.flow.approach.trajectory
+    transit, approach = (motion.trajectory for motion in told.blended[1:])
     for quantity in ("position", "velocity", "acceleration", "torque"):
         end, begin = getattr(transit, quantity)[-1], getattr(approach, quantity)[0]
         np.testing.assert_allclose(end, begin, rtol=0, atol=1e-9)
@@ -120,55 +121,56 @@ def test_quick_motions_stop_those_that_make_room_for_a_delay_need_not(
 
 def test_where_the_stop_is_as_quick_the_arm_stops(plans: Any) -> None:
     _, _, told = plans["dense-canopy"]
-    assert told.flow is not None
-    flown = told.flow.transit.trajectory.duration + told.flow.approach.trajectory.duration
+    assert told.blended is not None
+    flown = seconds(told.blended[1:])
     task, transit = told.asked
-    for seconds, flows in ((0.004, True), (0.0, False)):
+    for sooner_s, is_blended in ((0.004, True), (0.0, False)):
         # As if the approach from rest were as quick as this.
-        rest = told.pick.approach
-        left = flown - transit.trajectory.duration + seconds
+        rest = told.approach.from_rest
+        left = flown - transit.trajectory.duration + sooner_s
         time = rest.trajectory.time * (left / rest.trajectory.duration)
-        quick = rest._replace(trajectory=replace(rest.trajectory, time=time))
-        found = flowing(task, transit, None, replace(told.pick, approach=quick))
-        assert (found is not None) is flows
+        approach = replace(told.approach)
+        vars(approach)["from_rest"] = replace(rest, trajectory=replace(rest.trajectory, time=time))
+        found = blended(task, transit, None, approach)
+        assert (found is not None) is is_blended
 
 
 def test_more_lead_is_more_speed(plans: Any) -> None:
     _, _, told = plans["dense-canopy"]
-    pick, speeds, seconds = told.pick, [0.0], [told.pick.approach.trajectory.duration]
+    pick, speeds, durations = told.approach, [0.0], [told.approach.from_rest.trajectory.duration]
     for lead in LEADS:
-        passing = pick.passing(lead)
+        passing = pick.non_stop(lead)
         assert passing is not None
         assert pick.certified(passing) is not None
         assert not passing.velocity[-1].any()
         speeds.append(float(np.linalg.norm(passing.velocity[0])))
-        seconds.append(passing.duration)
+        durations.append(passing.duration)
     assert speeds == sorted(speeds)
-    assert seconds == sorted(seconds, reverse=True)
-    assert pick.passing(LEADS[0]) is pick.passing(LEADS[0])
+    assert durations == sorted(durations, reverse=True)
+    assert pick.non_stop(LEADS[0]) is pick.non_stop(LEADS[0])
 
 
 def test_there_is_no_lead_into_obstacles(plans: Any) -> None:
     """Behind the stand-off before the trellis' fruit there are few millimetres of room."""
     _, _, told = plans["trellis"]
-    pick = told.pick
+    pick = told.approach
     assert pick.grasp.distance < pick.farthest < 1.1 * pick.grasp.distance
-    assert pick.passing(LEADS[-1]) is pick.passing(LEADS[-2])
+    assert pick.non_stop(LEADS[-1]) is pick.non_stop(LEADS[-2])
     narrow = replace(pick, grasp=replace(pick.grasp, distance=pick.farthest))
-    assert narrow.passing(LEADS[-1]) is None
+    assert narrow.non_stop(LEADS[-1]) is None
 
 
 def test_at_few_rows_a_second_approaches_in_motion_are_straight_too(robot: Robot, plans: Any) -> None:
     _, _, told = plans["dense-canopy"]
-    pick = told.pick
-    slow = Pick(replace(pick.context, options=PlanOptions(rate_hz=25.0)), pick.target, pick.grasp, pick.approach)
-    found = [slow.passing(lead) for lead in LEADS]
+    pick = told.approach
+    slow = replace(pick, context=replace(pick.context, options=PlanOptions(rate_hz=25.0)))
+    found = [slow.non_stop(lead) for lead in LEADS]
     assert any(part is None for part in found)  # off their line by more, between rows
     for part in found:
         assert part is None or straightness(robot, pick, part) <= 1e-4
 
 
-def straightness(robot: Robot, pick: Pick, motion: Trajectory) -> float:
+def straightness(robot: Robot, pick: Approach, motion: Trajectory) -> float:
     tip = robot.tool_positions(pick.grasp.goal)
     line = robot.tool_positions(pick.grasp.standoff) - tip
     line /= np.linalg.norm(line)

@@ -1,70 +1,50 @@
-"""Motions along given paths: smoothed, timed, certified."""
+"""Certified motions, and how they are made of paths: smoothed or optimised with their timing, timed, certified."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple, TypeAlias
+from functools import cached_property
+from itertools import pairwise
+from typing import Any, Literal, NamedTuple, Self, TypeAlias, TypeVar
 
 import numpy as np
 
 from hplan.base.arrays import FloatArray, Record, frozen
-from hplan.certificate.certificate import Certificate, Stretch, certify_among
+from hplan.certificate.certificate import Certificate, Stretch, all_of, certify_among
 from hplan.collision.reach import largest_sway
 from hplan.errors import CertificationError, TimingError
 from hplan.optimization.minimize_time import Effort, minimize_time
 from hplan.optimization.options import PostprocessOptions
-from hplan.optimization.several_starts import NEAR, fastest_motions, optimization_starts
+from hplan.optimization.several_starts import NEAR, StartsEffort, fastest_motions, optimization_starts
 from hplan.optimization.smooth_path import clear_path, is_straight, near_field, short_path
 from hplan.optimization.time_problem import TimeProblem
 from hplan.optimization.timed_spline import BoundaryState
-from hplan.planning.effort import optimization_of
+from hplan.planning.grasps import Grasp
 from hplan.planning.grid_route import Route
 from hplan.planning.task import PlanningContext, PlanningTask
 from hplan.robot.limits import GeometricPath, Limits
 from hplan.trajectory.retime import time_path
 from hplan.trajectory.spline import SplinePath
-from hplan.trajectory.trajectory import Trajectory
-
-#: Where the base is locked a rough motion costs little: of more than so many polylines, so many and so many others are
-#: made at least (`StartsEffort`).
-MANY, PLANAR_ROUGH, PLANAR_OTHERS = 4, 6, 4
+from hplan.trajectory.trajectory import Phase, Trajectory, joined
 
 #: Where tracking errors grow with speed, motions make room for so many times as much, tried in turn until one is
 #: certified; a motion on a given path is run at these fractions of its own speed.
 SWAYS = (1.0, 1.6, 2.5)
 SPEEDS = (1.0, 0.7, 0.5, 0.35, 0.25, 0.17, 0.12, 0.08, 0.05, 0.03)
 
-#: Steps of the linear programs by which a motion is made quicker, in turn.
-STEPS = (3, 6, 12, 20)
-
-#: No joint that moves is asked to be slower than this [rad/s].
-SLOWEST = 1e-3
-
-#: Configurations of a motion between which obstacles are looked for that are near it.
-ALONG = 33
-
-#: A motion is empty, straight, along a path found by trees or on a grid, along that of an earlier motion,
-#: an earlier motion, or along a path that was given.
+#: Where a path comes from: there is none, as start and goal are the same; it is straight, found by trees or on a grid,
+#: that of an earlier motion, repaired, or as it was, or it was given.
 Origin: TypeAlias = Literal["none", "direct", "trees", "search", "mended", "kept", "given"]
 
 
-class Polyline(NamedTuple):
-    """A clear path of straight motions.
-
-    Attributes:
-        waypoints: (m, dof) its waypoints.
-        origin: Where they come from.
-    """
-
-    waypoints: FloatArray
-    origin: Origin
+_T = TypeVar("_T")
 
 
-class Part(NamedTuple):
-    """A motion of a plan or a tour.
+@dataclass(frozen=True, eq=False)
+class Motion(Record):
+    """A certified motion: a phase of a plan or of a tour.
 
     Attributes:
         name: The name of its phase.
@@ -77,97 +57,153 @@ class Part(NamedTuple):
     certificate: Certificate
 
     @property
-    def reversed(self) -> Part:
-        """The same backwards: the same distances, and the same torques."""
-        return self._replace(trajectory=self.trajectory.reversed, certificate=self.certificate.reversed)
+    def reversed(self) -> Motion:
+        """The motion backwards, with the same distances and torques."""
+        return Motion(self.name, self.trajectory.reversed, self.certificate.reversed)
+
+    def made(self, trajectory: Trajectory, certificate: Certificate, path: SplinePath | None) -> Self:
+        """The motion with another trajectory between the same ends, along a path."""
+        del path  # of a transit
+        return replace(self, trajectory=trajectory, certificate=certificate)
 
 
 @dataclass(frozen=True, eq=False)
-class PlannedMotion(Record):
-    """A certified motion from configuration to configuration.
+class Transit(Motion):
+    """A certified motion from configuration to configuration, with what it was made from.
 
     Attributes:
         task: What was asked.
-        route: The path over the grid; None where none was needed.
         waypoints: (m, dof) the polyline before post-processing.
         path: The smooth path; None for an empty motion. Of a motion optimised with its timing the parameter is time.
-        trajectory: The timed motion.
-        certificate: What was shown of it.
         origin: Where the waypoints come from.
+        route: The path over the grid; None where none was needed.
     """
 
     task: PlanningTask
-    route: Route | None
     waypoints: FloatArray
     path: SplinePath | None
+    origin: Origin
+    route: Route | None = None
+
+    def made(self, trajectory: Trajectory, certificate: Certificate, path: SplinePath | None) -> Self:
+        """The transit with another trajectory near the same waypoints, along a path."""
+        return replace(self, trajectory=trajectory, certificate=certificate, path=path)
+
+
+class InTime(NamedTuple):
+    """A plan as it is run past what moves.
+
+    Attributes:
+        trajectory: The timed motion.
+        certificate: What was shown of it.
+        phases: Its parts.
+        report: What was done about what moves.
+    """
+
     trajectory: Trajectory
     certificate: Certificate
-    origin: Origin
+    phases: tuple[Phase, ...]
+    report: dict[str, Any]
+
+
+@dataclass(frozen=True, eq=False)
+class Plan(Record):
+    """Certified motions, one after the other.
+
+    Attributes:
+        transit: The first one.
+        others: Those after it: the approach to a grasp and, from a fruit, the retreat.
+        grasp: Where the transit leads to; None for joints.
+        in_time: How it is run past what moves; None where nothing does.
+    """
+
+    transit: Transit
+    others: tuple[Motion, ...] = ()
+    grasp: Grasp | None = None
+    in_time: InTime | None = None
 
     @property
-    def transit(self) -> Part:
-        """The motion as a part of a plan or a tour."""
-        return Part("transit", self.trajectory, self.certificate)
+    def motions(self) -> tuple[Motion, ...]:
+        """All of them."""
+        return (self.transit, *self.others)
+
+    @property
+    def duration(self) -> float:
+        """How long all take together [s]."""
+        return seconds(self.motions) if self.in_time is None else self.in_time.trajectory.duration
+
+    @cached_property
+    def whole(self) -> tuple[tuple[Phase, ...], Trajectory, Certificate]:
+        """Phases, trajectory and certificate of all."""
+        run = self.in_time
+        return in_sequence(self.motions) if run is None else (run.phases, run.trajectory, run.certificate)
 
 
-def smooth_and_certify(
-    task: PlanningTask,
-    waypoints: FloatArray,
-    margin: float,
-    origin: Origin,
-    route: Route | None = None,
-    rivals: Sequence[Polyline] = (),
-) -> PlannedMotion:
-    """The certified motion along a polyline.
+class Polyline(NamedTuple):
+    """A clear path of straight motions.
 
-    Args:
-        task: What is asked.
-        waypoints: (m, dof) the polyline, clear.
-        margin: Clearance asked for beyond the one to keep [m].
-        origin: Where the polyline comes from.
-        route: The path over a grid that it comes from; None for none.
-        rivals: Other polylines between the same ends; one of them is taken where it promises a quicker motion.
-
-    Raises:
-        CertificationError: There is none, or none can be certified.
-        TimingError: It cannot be timed.
+    Attributes:
+        waypoints: (m, dof) its waypoints.
+        origin: Where they come from.
+        route: The path over a grid that it is; None for none.
     """
-    polylines = [Polyline(waypoints, origin), *rivals]
-    found = _optimized(task, polylines, margin) or _quickest_along(task, polylines[0], margin)
-    return replace(found, route=route)
+
+    waypoints: FloatArray
+    origin: Origin
+    route: Route | None = None
 
 
-def quickest_certified(
+def last(found: Iterable[_T]) -> _T:
+    """The last of ever better ones, of which there is one at least."""
+    *_, best = found
+    return best
+
+
+def seconds(motions: Sequence[Motion]) -> float:
+    """How long motions take one after the other [s]."""
+    return sum(motion.trajectory.duration for motion in motions)
+
+
+def in_sequence(motions: Sequence[Motion], begin_s: float = 0.0) -> tuple[tuple[Phase, ...], Trajectory, Certificate]:
+    """The phases, the trajectory and the certificate of motions one after the other, from a time on."""
+    ends = np.cumsum([begin_s, *(motion.trajectory.duration for motion in motions)]).tolist()
+    phases = tuple(Phase(motion.name, *span) for motion, span in zip(motions, pairwise(ends), strict=True))
+    return phases, joined([motion.trajectory for motion in motions]), all_of([motion.certificate for motion in motions])
+
+
+def quickest(
     task: PlanningTask, polylines: Sequence[Polyline], margin: float, *, quicker_than_s: float = math.inf
-) -> PlannedMotion | None:
-    """The quickest certified motion near some polylines; None where there is none.
+) -> Transit:
+    """The quickest certified motion near some polylines.
 
-    Where none can be optimised with its timing, that along the first of them that leads to one.
+    Where none can be optimised with its timing, or that is not asked for, that along the first that leads to one.
 
     Args:
         task: What is asked.
-        polylines: Clear polylines between the same ends.
+        polylines: Clear polylines between the same ends, at least one.
         margin: Clearance asked for beyond the one to keep [m].
         quicker_than_s: Longest duration of a motion that is of use [s].
+
+    Raises:
+        CertificationError: There is none, or none can be certified; that of the first polyline.
+        TimingError: It cannot be timed.
     """
-    optimized = _optimized(task, polylines, margin, quicker_than_s) if polylines else None
-    if optimized is not None or (math.isfinite(quicker_than_s) and optimization_of(task) is not None):
+    effort = task.optimization
+    optimized = None if effort is None else _optimized(task, polylines, margin, effort, quicker_than_s)
+    if optimized is not None:
         return optimized
-    for polyline in polylines:
-        with suppress(CertificationError, TimingError):
-            return _quickest_along(task, polyline, margin)
-    return None
+    failures: list[CertificationError | TimingError] = []
+    for polyline in polylines if effort is None or math.isinf(quicker_than_s) else ():
+        try:
+            found = last(improving(along(task, polyline, margin)))
+        except (CertificationError, TimingError) as error:
+            failures.append(error.with_traceback(None))
+        else:
+            return found
+    raise failures[0] if failures else CertificationError("no motion is quicker than the one that is known")
 
 
-def _quickest_along(task: PlanningTask, polyline: Polyline, margin: float) -> PlannedMotion:
-    """The last of `ever_quicker` motions that begin along a polyline; errors as `along`."""
-    found = along(task, polyline, margin)
-    for quicker in ever_quicker(found):
-        found = quicker
-    return found
-
-
-def along(task: PlanningTask, polyline: Polyline, margin: float) -> PlannedMotion:
+def along(task: PlanningTask, polyline: Polyline, margin: float) -> Transit:
     """The certified motion along the first smooth path near a polyline that is verified collision-free.
 
     Raises:
@@ -178,13 +214,16 @@ def along(task: PlanningTask, polyline: Polyline, margin: float) -> PlannedMotio
     with task.stage("postprocess"):
         smooth_path = short_path if task.options.objective == "length" else clear_path
         path = smooth_path(polyline.waypoints, task.field, options)
-    return PlannedMotion(task, None, polyline.waypoints, path, *certified_trajectory(task, path), polyline.origin)
+    return _transit(task, polyline, path, *certified_trajectory(task, path))
 
 
-def ever_quicker(motion: PlannedMotion) -> Iterator[PlannedMotion]:
-    """Quicker and quicker motions near one, each certified; none where a short path is asked for, or it is straight."""
-    task, effort = motion.task, optimization_of(motion.task)
-    start = motion.trajectory
+def improving(motion: Transit) -> Iterator[Transit]:
+    """A motion and quicker and quicker ones near it, each certified.
+
+    It is the only one where a short path is asked for, or it is straight.
+    """
+    yield motion
+    task, effort, start = motion.task, motion.task.optimization, motion.trajectory
     if (
         effort is None
         or start.samples == 1
@@ -195,17 +234,23 @@ def ever_quicker(motion: PlannedMotion) -> Iterator[PlannedMotion]:
     with task.stage("timing"):
         problem = time_problem(task, start)
     best_s = start.duration
-    for steps in STEPS:
+    for steps in (3, 6, 12, 20):
         with task.stage("timing"):
             spline = minimize_time(start, problem, Effort((replace(level, steps=steps),)))
         if spline is None or spline.duration >= (1.0 - level.gain) * best_s:
             return
-        trajectory = spline.trajectory(problem.dynamics, problem.rate_hz)
-        certificate = certificate_of(task, trajectory)
+        start = spline.trajectory(problem.dynamics, problem.rate_hz)
+        certificate = certificate_of(task, start)
         if not certificate.verified:
             return
-        start, best_s = trajectory, trajectory.duration
-        yield replace(motion, path=spline.path, trajectory=trajectory, certificate=certificate)
+        best_s = start.duration
+        yield motion.made(start, certificate, spline.path)
+
+
+def _transit(
+    task: PlanningTask, polyline: Polyline, path: SplinePath, trajectory: Trajectory, certificate: Certificate
+) -> Transit:
+    return Transit("transit", trajectory, certificate, task, polyline.waypoints, path, polyline.origin, polyline.route)
 
 
 def smoothing_options(task: PlanningTask, margin: float) -> PostprocessOptions:
@@ -242,7 +287,7 @@ def time_problem(
         motion: The motion to begin with.
         ends: The states in which the fastest one begins and ends; None where both are at rest.
     """
-    along = motion.position[np.linspace(0, motion.samples - 1, ALONG).astype(int)]
+    along = motion.position[np.linspace(0, motion.samples - 1, 33).astype(int)]
     return TimeProblem(
         task.field, near_field(along, task.field, NEAR), smoothing_options(task, task.margin()),
         motion_limits(task), task.robot.dynamics, task.options.rate_hz, ends, sway_of(task),
@@ -250,37 +295,29 @@ def time_problem(
 
 
 def _optimized(
-    task: PlanningTask, polylines: Sequence[Polyline], margin: float, quicker_than_s: float = math.inf
-) -> PlannedMotion | None:
+    task: PlanningTask, polylines: Sequence[Polyline], margin: float, effort: StartsEffort, quicker_than_s: float
+) -> Transit | None:
     """The quickest motion near some polylines that was optimised with its timing and is certified.
 
-    None where the straight one is as good, or none was found or is asked for.
+    None where the straight one is as good, or none was found.
     """
-    effort, options = optimization_of(task), task.options
-    if effort is None:
-        return None
-    if not task.problem.turns and len(polylines) > MANY:
-        rough, others = max(effort.rough, PLANAR_ROUGH), max(effort.others, PLANAR_OTHERS)
-        effort = replace(effort, rough=rough, others=others)
+    if not task.problem.turns and len(polylines) > 4:  # where the base is locked a rough motion costs little
+        effort = replace(effort, rough=max(effort.rough, 6), others=max(effort.others, 4))
     processing, paths = smoothing_options(task, margin), [polyline.waypoints for polyline in polylines]
-    limits, dynamics, sway = motion_limits(task), task.robot.dynamics, sway_of(task)
+    limits, dynamics, sway, rate_hz = motion_limits(task), task.robot.dynamics, sway_of(task), task.options.rate_hz
     if sway is None and is_straight(paths[0], task.field, processing):
         return None
-    for times in (0.0,) if sway is None else SWAYS:
+    for room in [None] if sway is None else [times * sway for times in SWAYS]:
         with task.stage("postprocess"):
-            problem = TimeProblem(
-                task.field, task.field, processing, limits, dynamics, options.rate_hz,
-                sway=None if sway is None else times * sway,
-            )  # fmt: skip
+            problem = TimeProblem(task.field, task.field, processing, limits, dynamics, rate_hz, sway=room)
             starts = optimization_starts(paths, problem)
         with task.stage("timing"):
             motions = fastest_motions(starts, effort, quicker_than_s=quicker_than_s)
         for number, motion in motions:
-            trajectory = motion.trajectory(dynamics, options.rate_hz)
+            trajectory = motion.trajectory(dynamics, rate_hz)
             certificate = certificate_of(task, trajectory)
             if certificate.verified:
-                waypoints, origin = polylines[number]
-                return PlannedMotion(task, None, waypoints, motion.path, trajectory, certificate, origin)
+                return _transit(task, polylines[number], motion.path, trajectory, certificate)
     return None
 
 
@@ -307,7 +344,7 @@ def certified_trajectory(
     limits, largest = motion_limits(context), np.empty(0)
     for speed in SPEEDS if context.options.tracking.delay_s > 0.0 else SPEEDS[:1]:
         if speed < 1.0:
-            limits = replace(limits, velocity=np.minimum(limits.velocity, np.maximum(speed * largest, SLOWEST)))
+            limits = replace(limits, velocity=np.minimum(limits.velocity, np.maximum(speed * largest, 1e-3)))
         trajectory = timed(context, path, limits, grid)
         largest = np.abs(trajectory.velocity).max(axis=0) if speed == 1.0 else largest
         certificate = certificate_of(context, trajectory, None if among is None else among(trajectory))

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 import pytest
@@ -12,21 +13,23 @@ from arm_variants import load_variant
 from planned import assert_sound, between_rows, frame_about_upper_arm, post, task
 from test_grid_route import posed
 
-import hplan.planning.grasp_motion
+import hplan.planning.plans
 import hplan.planning.tool_paths
 from hplan.collision.coal_scene import CoalScene
 from hplan.errors import BlockedError, CertificationError, NoPathError, NotFoundError, TimingError
 from hplan.kinematics.approach_angles import Candidates
 from hplan.kinematics.finer_angles import FINEST, Refined, refined
 from hplan.kinematics.planar_inverse_kinematics import reach
-from hplan.planning.find_motion import find_motion, without_path
-from hplan.planning.grasp_motion import approach_and_retreat
+from hplan.planning.approach import Approach
+from hplan.planning.effort import GridAttempt
+from hplan.planning.failures import EnclosedError, FailuresError, enclosed_goals, without_path
 from hplan.planning.grasps import SPARE, Grasp, Target, grasps, promising
 from hplan.planning.grid_route import find_route
+from hplan.planning.motion import Motion
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
-from hplan.planning.refusals import EnclosedError, Refusals, enclosed_goals
-from hplan.planning.task import GridAttempt, PlanningCache, PlanningContext
+from hplan.planning.task import PlanningCache, PlanningTask
+from hplan.planning.transits import one_transit
 from hplan.robot.model import Robot
 from hplan.scene.model import Fruit, Goal, Scene, Start
 from hplan.scene.obstacles import Capsule, Sphere
@@ -92,8 +95,8 @@ def test_all_grasps_are_tried(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> 
     assert_sound(robot, BRANCH, result)
     assert result.grasp is not None
     assert not any(np.array_equal(result.grasp.goal, grasp.goal) for grasp in likely)
-    monkeypatch.setattr("hplan.planning.whole_motion.grasps", lambda *_, **__: tuple(likely))
-    monkeypatch.setattr(hplan.planning.grasp_motion, "promising", lambda found, *_: found)
+    monkeypatch.setattr("hplan.planning.plans.grasps", lambda *_, **__: tuple(likely))
+    monkeypatch.setattr(hplan.planning.plans, "promising", lambda found, *_: found)
     with pytest.raises(NoPathError):
         plan(robot, BRANCH, COARSE)
 
@@ -198,8 +201,13 @@ def test_some_not_certified_is_no_no_path(robot: Robot, monkeypatch: pytest.Monk
     ways, likely = grasps_of(robot, BRANCH)
     none = NoPathError("no path exists on the grid", reached_cells=7)
     doubt = CertificationError("no path on the grid can be shown clear as a motion")
-    monkeypatch.setattr(hplan.planning.grasp_motion, "first_motion", lambda tasks: Refusals((doubt,) * len(tasks)))
-    monkeypatch.setattr(hplan.planning.grasp_motion, "without_path", lambda tasks: [none] * len(tasks))
+    failing = doubt
+
+    def fail(tasks: Sequence[PlanningTask]) -> NoReturn:
+        raise FailuresError((failing,) * len(tasks))
+
+    monkeypatch.setattr(hplan.planning.plans, "transits", fail)
+    monkeypatch.setattr(hplan.planning.plans, "without_path", lambda tasks: [none] * len(tasks))
     with pytest.raises(CertificationError) as caught:
         plan(robot, BRANCH, COARSE)
     rest = len(ways) - len(likely)
@@ -209,8 +217,8 @@ def test_some_not_certified_is_no_no_path(robot: Robot, monkeypatch: pytest.Monk
         {"reason": doubt.message, "goals": len(likely)},
     ]
     assert f"any of {len(ways)} grasps of fruit 'apple': {rest} x no path exists on the grid; " in caught.value.message
-    monkeypatch.setattr(hplan.planning.grasp_motion, "first_motion", lambda tasks: Refusals((none,) * len(tasks)))
-    monkeypatch.setattr(hplan.planning.grasp_motion, "without_path", lambda tasks: [None] * len(tasks))
+    failing = none
+    monkeypatch.setattr(hplan.planning.plans, "without_path", lambda tasks: [None] * len(tasks))
     with pytest.raises(NoPathError):
         plan(robot, BRANCH, COARSE)
 
@@ -222,13 +230,15 @@ def test_a_grasp_whose_approach_fails_is_left_for_another(robot: Robot, monkeypa
     first = plan(robot, scene, COARSE).grasp
     asked: list[Grasp] = []
 
-    def fails_at_first(context: PlanningContext, target: Target, grasp: Grasp) -> Any:
-        asked.append(grasp)
-        if len(asked) == 1:
-            raise CertificationError("the approach is not certified")
-        return approach_and_retreat(context, target, grasp)
+    class FailsAtFirst(Approach):
+        @property
+        def motions(self) -> tuple[Motion, ...]:
+            asked.append(self.grasp)
+            if len(asked) == 1:
+                raise CertificationError("the approach is not certified")
+            return super().motions
 
-    monkeypatch.setattr("hplan.planning.whole_motion.approach_and_retreat", fails_at_first)
+    monkeypatch.setattr("hplan.planning.plans.Approach", FailsAtFirst)
     other = plan(robot, scene, COARSE)
     assert_sound(robot, scene, other)
     assert other.grasp is asked[1] is not asked[0]
@@ -241,21 +251,21 @@ def test_a_grasp_whose_approach_fails_is_left_for_another(robot: Robot, monkeypa
 def test_the_error_of_several_goals() -> None:
     none, doubt = NoPathError("no path exists on the grid: here", reached_cells=7), CertificationError("doubt")
     late = TimingError("late", joint="elbow", cause="torque")
-    assert Refusals((doubt,)).error() is doubt
-    assert isinstance(Refusals((none, none)).error(), NoPathError)
+    assert FailuresError((doubt,)).as_one() is doubt
+    assert isinstance(FailuresError((none, none)).as_one(), NoPathError)
     for errors, kind in (
         ((none, doubt), CertificationError),
         ((doubt, none, none), CertificationError),
         ((late, doubt), CertificationError),
         ((none, late), TimingError),
     ):
-        assert type(Refusals(errors).error()) is kind
-    assert "3 goals: 2 x no path exists on the grid; 1 x doubt" in str(Refusals((doubt, none, none)).error())
+        assert type(FailuresError(errors).as_one()) is kind
+    assert "3 goals: 2 x no path exists on the grid; 1 x doubt" in str(FailuresError((doubt, none, none)).as_one())
     missed = NotFoundError(["trees"])
-    left_open = Refusals((none, missed, none)).error()
+    left_open = FailuresError((none, missed, none)).as_one()
     assert type(left_open) is NotFoundError
     assert (left_open.tried, left_open.data["goals"]) == (["trees"], 3)
-    assert type(Refusals((doubt, missed)).error()) is CertificationError
+    assert type(FailuresError((doubt, missed)).as_one()) is CertificationError
 
 
 # Goals decided together
@@ -294,16 +304,16 @@ def test_no_path_to_any_in_a_pocket(robot: Robot) -> None:
     errors = without_path(tasks)
     assert all(isinstance(error, NoPathError) for error in errors)
     with pytest.raises(NoPathError) as caught:
-        find_motion(tasks)
+        one_transit(tasks)
     assert caught.value.goals == 4
     # What is said of the first is what is said of it alone; and one outside is reached, whatever is said of the others.
     with pytest.raises(NoPathError) as alone:
-        find_motion(tasks[:1])
+        one_transit(tasks[:1])
     assert caught.value.reached_cells == alone.value.reached_cells > 0
     assert caught.value.blockers == alone.value.blockers != ()
     outside = posed(robot, task((0.0, 70.0, 20.0, 20.0), (20.0, 60.0, 30.0, 20.0), bars), PlanOptions(step_deg=3.0))
     assert without_path([*tasks, outside])[4] is None
-    number, motion = find_motion([*tasks, outside])
+    number, motion = one_transit([*tasks, outside])
     assert number == 4
     assert motion.certificate.verified
 
@@ -317,7 +327,7 @@ def test_more_yaws_may_open_what_is_closed_over_few(robot: Robot, monkeypatch: p
     shown = enclosed_goals([there], GridAttempt(), [1e-4])[0]
     assert shown is not None
     assert shown.open_ended
-    monkeypatch.setattr("hplan.planning.find_motion.WIDTHS", (0.0,))
+    monkeypatch.setattr("hplan.planning.failures.WIDTHS", (0.0,))
     assert without_path([there]) == [None]
 
 
@@ -327,7 +337,7 @@ def test_detour_is_to_the_goal_that_it_leads_to(robot: Robot) -> None:
     posts = [post("low", 15.0, 1.2, 0.0, 1.65, 0.03), post("behind", -120.0, 1.2, 0.0, 1.65, 0.03)]
     goals = [(-140.0, 30.0, 20.0, 20.0), (30.0, 30.0, 20.0, 20.0), (-100.0, 30.0, 20.0, 20.0)]
     tasks = [posed(robot, task(start, goal, posts), COARSE) for goal in goals]
-    number, motion = find_motion(tasks)
+    number, motion = one_transit(tasks)
     assert number == 1
     np.testing.assert_array_equal(motion.waypoints[-1], tasks[number].problem.goal)
 

@@ -14,10 +14,10 @@ from test_grid_route import ABOVE, BAR, BELOW, posed
 from hplan.certificate.certificate import certify
 from hplan.collision.coal_scene import CoalScene
 from hplan.errors import CertificationError, NoPathError
-from hplan.planning.certified_motion import PlannedMotion, certificate_of, required, timed
-from hplan.planning.find_motion import WORTHWHILE, find_motion, least_duration, reuse_motion
+from hplan.planning.motion import Transit, certificate_of, required, timed
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
+from hplan.planning.transits import WORTHWHILE, least_duration, one_transit, reused
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 from hplan.scene.obstacles import Sphere
@@ -27,7 +27,7 @@ NEAR, FAR = (30.0, 30.0, 20.0, 20.0), (90.0, 30.0, 20.0, 20.0)
 OPTIONS = PlanOptions(step_deg=2.0)
 
 
-def assert_motion(robot: Robot, scene: Scene, motion: PlannedMotion) -> None:
+def assert_motion(robot: Robot, scene: Scene, motion: Transit) -> None:
     assert motion.certificate.verified
     assert certify(robot, scene, motion.trajectory).verified
     checker = CoalScene(robot, scene.solids)
@@ -51,10 +51,10 @@ def test_first_goal_with_a_straight_motion(robot: Robot) -> None:
     tasks = [posed(robot, scene, OPTIONS) for scene in (blocked, clear, clear)]
     least = [least_duration(each) for each in tasks]
     assert least[0] > WORTHWHILE * least[1]  # not enough is to be won by going around the wall
-    number, motion = find_motion(tasks)
+    number, motion = one_transit(tasks)
     assert (number, motion.origin) == (1, "direct")
     assert_motion(robot, clear, motion)
-    number, motion = find_motion([posed(robot, task(START, NEAR)), posed(robot, task(START, FAR))])
+    number, motion = one_transit([posed(robot, task(START, NEAR)), posed(robot, task(START, FAR))])
     assert (number, motion.origin) == (0, "direct")
 
 
@@ -63,16 +63,16 @@ def test_a_nearer_goal_around_something_beats_a_far_straight_one(robot: Robot) -
     low = [post("low", 15.0, 1.7, 0.0, 1.65, 0.03)]
     near = task(START, NEAR, low)
     far = task(START, (-150.0, 30.0, 20.0, 20.0), low)
-    number, motion = find_motion([posed(robot, near, OPTIONS), posed(robot, far, OPTIONS)])
+    number, motion = one_transit([posed(robot, near, OPTIONS), posed(robot, far, OPTIONS)])
     assert number == 0
     assert_motion(robot, near, motion)
-    assert motion.trajectory.duration < find_motion([posed(robot, far, OPTIONS)])[1].trajectory.duration
+    assert motion.trajectory.duration < one_transit([posed(robot, far, OPTIONS)])[1].trajectory.duration
 
 
 @pytest.mark.parametrize("locked", [(), ("base_yaw",)])
 def test_goal_that_is_the_start(robot: Robot, locked: tuple[str, ...]) -> None:
     scene = task(BELOW, BELOW, BAR, locked_joints=locked)
-    number, motion = find_motion([posed(robot, scene)])
+    number, motion = one_transit([posed(robot, scene)])
     assert (number, motion.origin) == (0, "none")
     assert motion.path is None
     assert motion.route is None
@@ -85,10 +85,10 @@ def test_no_path_to_any_goal(robot: Robot) -> None:
     inside = [task((0.0, 70.0, 20.0, 20.0), (60.0, 20.0, wrist, 20.0), bars) for wrist in (20.0, 40.0)]
     tasks = [posed(robot, scene, PlanOptions(step_deg=3.0)) for scene in inside]
     with pytest.raises(NoPathError) as caught:
-        find_motion(tasks)
+        one_transit(tasks)
     assert caught.value.blockers
     outside = task((0.0, 70.0, 20.0, 20.0), (100.0, 20.0, 20.0, 20.0), bars)
-    number, motion = find_motion([*tasks, posed(robot, outside, PlanOptions(step_deg=3.0))])
+    number, motion = one_transit([*tasks, posed(robot, outside, PlanOptions(step_deg=3.0))])
     assert number == 2
     assert_motion(robot, outside, motion)
 
@@ -97,16 +97,16 @@ def test_locked_base_tries_the_goals_in_turn(robot: Robot) -> None:
     closed = task(BELOW, ABOVE, BAR, locked_joints=("base_yaw",))
     free = task(BELOW, (0.0, 12.0, 40.0, 30.0), BAR, locked_joints=("base_yaw",))
     tasks = [posed(robot, closed, OPTIONS), posed(robot, free, OPTIONS)]
-    number, motion = find_motion(tasks)
+    number, motion = one_transit(tasks)
     assert number == 1
     assert_motion(robot, free, motion)
     with pytest.raises(NoPathError):
-        find_motion(tasks[:1])
+        one_transit(tasks[:1])
 
 
 def test_what_is_not_certified_is_refused_unless_wanted(robot: Robot) -> None:
     """A motion timed without the ball, judged with it."""
-    motion = find_motion([posed(robot, task(BELOW, ABOVE))])[1]
+    motion = one_transit([posed(robot, task(BELOW, ABOVE))])[1]
     with_ball = posed(robot, task(BELOW, ABOVE, BAR))
     shown = certificate_of(with_ball, motion.trajectory)
     assert not shown.verified
@@ -118,7 +118,7 @@ def test_what_is_not_certified_is_refused_unless_wanted(robot: Robot) -> None:
 
 
 def test_speed_and_rate(robot: Robot) -> None:
-    motion = find_motion([posed(robot, task(START, FAR))])[1]
+    motion = one_transit([posed(robot, task(START, FAR))])[1]
     assert motion.path is not None
     slow = timed(posed(robot, task(START, FAR), PlanOptions(speed=0.5, rate_hz=100.0)), motion.path)
     assert slow.time[1] == pytest.approx(0.01)
@@ -129,14 +129,14 @@ def test_speed_and_rate(robot: Robot) -> None:
 # Earlier motions
 
 
-def after(robot: Robot, before: PlannedMotion, scene: Scene) -> PlannedMotion | None:
-    return reuse_motion(posed(robot, scene, OPTIONS), before)
+def after(robot: Robot, before: Transit, scene: Scene) -> Transit | None:
+    return reused([posed(robot, scene, OPTIONS)], before)
 
 
 def test_kept_and_repaired(robot: Robot) -> None:
     obstacles: list[Any] = [post("post", 30.0, 1.2, 0.0, 2.0, 0.05)]
     scene = task(START, (60.0, 30.0, 20.0, 20.0), obstacles)
-    before = find_motion([posed(robot, scene, OPTIONS)])[1]
+    before = one_transit([posed(robot, scene, OPTIONS)])[1]
     more = scene.with_obstacles([*obstacles, Sphere(name="far", center=at(-120.0, 1.5, 1.0), radius=0.2)])
     kept = after(robot, before, more)
     assert kept.origin == "kept"
@@ -157,7 +157,7 @@ def test_kept_and_repaired(robot: Robot) -> None:
 def test_another_range_of_a_joint_is_another_task(robot: Robot, joint: str) -> None:
     """Start and goal are the same, but the earlier motion went around something with a joint that is now locked."""
     scene = task((0.0, 30.0, 20.0, 20.0), (60.0, 30.0, 20.0, 20.0), [post("post", 30.0, 1.2, 0.0, 2.0, 0.05)])
-    before = find_motion([posed(robot, scene, OPTIONS)])[1]
+    before = one_transit([posed(robot, scene, OPTIONS)])[1]
     assert after(robot, before, scene).origin == "kept"
     changed = posed(robot, scene, OPTIONS)
     place = robot.joint_names.index(joint)
@@ -165,13 +165,13 @@ def test_another_range_of_a_joint_is_another_task(robot: Robot, joint: str) -> N
         limits = np.array(getattr(changed.problem, name))
         limits[place] = limits[place] - value  # narrower by a little
         problem = replace(changed.problem, **{name: limits})
-        assert reuse_motion(replace(changed, problem=problem), before) is None
+        assert reused([replace(changed, problem=problem)], before) is None
 
 
 def test_a_joint_locked_since_does_not_move(robot: Robot) -> None:
     obstacles = [post("post", 30.0, 1.2, 0.0, 2.0, 0.05)]
     scene = task(START, (60.0, 30.0, 20.0, 20.0), obstacles)
-    before = find_motion([posed(robot, scene, OPTIONS)])[1]
+    before = one_transit([posed(robot, scene, OPTIONS)])[1]
     assert np.ptp(before.trajectory.position[:, 1]) > 0.05
     locked = task(START, (60.0, 30.0, 20.0, 20.0), obstacles, locked_joints=("shoulder",))
     assert after(robot, before, locked) is None
@@ -179,15 +179,15 @@ def test_a_joint_locked_since_does_not_move(robot: Robot) -> None:
 
 def test_detours_are_given_up(robot: Robot) -> None:
     scene = task(START, (60.0, 30.0, 20.0, 20.0), [post("post", 30.0, 1.2, 0.0, 2.0, 0.05)])
-    before = find_motion([posed(robot, scene, OPTIONS)])[1]
+    before = one_transit([posed(robot, scene, OPTIONS)])[1]
     assert after(robot, before, scene.with_obstacles([])) is None
-    straight = find_motion([posed(robot, scene.with_obstacles([]), OPTIONS)])[1]
+    straight = one_transit([posed(robot, scene.with_obstacles([]), OPTIONS)])[1]
     assert after(robot, straight, scene.with_obstacles([])).origin == "kept"
 
 
 def test_what_cannot_be_repaired(robot: Robot) -> None:
     scene = task(START, (60.0, 30.0, 20.0, 20.0))
-    before = find_motion([posed(robot, scene, OPTIONS)])[1]
+    before = one_transit([posed(robot, scene, OPTIONS)])[1]
     wall = [post(f"p{i}", 30.0, 0.5 + 0.2 * i, 0.0, 3.0, 0.12) for i in range(8)]
     assert after(robot, before, scene.with_obstacles(wall)) is None
     assert plan(robot, scene.with_obstacles(wall[:3]), OPTIONS).certificate.verified
@@ -196,5 +196,5 @@ def test_what_cannot_be_repaired(robot: Robot) -> None:
 def test_stages_are_announced_in_order(robot: Robot) -> None:
     seen: list[str] = []
     found = replace(posed(robot, task(BELOW, ABOVE, BAR), OPTIONS), progress=seen.append)
-    find_motion([found])
+    one_transit([found])
     assert seen == ["trees", "postprocess", "timing", "certificate"]

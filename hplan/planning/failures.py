@@ -8,57 +8,97 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hplan.base.arrays import IntArray, Record, WordArray
+from hplan.base.arrays import IntArray, WordArray
 from hplan.errors import CertificationError, HplanError, NoPathError, NotFoundError, TimingError
 from hplan.grid.blockers import blockers
 from hplan.grid.flood import flood_from, has_bit, slice_sizes
 from hplan.grid.grid import Grid, Occupancy
 from hplan.grid.lattice import Lattice
 from hplan.planning.definition import Problem
+from hplan.planning.effort import GridAttempt
 from hplan.planning.grid_entry import grid_entry
-from hplan.planning.task import GridAttempt, PlanningTask
+from hplan.planning.task import PlanningTask
+
+#: So far the base may turn beyond start and goal where many goals are decided at once, tried in turn [deg].
+WIDTHS = (45.0, 360.0)
 
 #: So many reasons stand in the sentence; `data` has all of them.
 TOLD = 3
 
 
-@dataclass(frozen=True, eq=False)
-class Region(Record):
+class Region(NamedTuple):
     """A region of a grid.
 
     Attributes:
         what: Which end is enclosed, in words.
-        task: The motion that was to be planned.
-        growth_m: By how much obstacles were grown [m].
         grid: Planar joints, then yaw where the base may turn.
         reached: Nodes of the region: a mask of the grid's shape or, where the base may turn, (rows, words) bits as in
             `Occupancy`.
     """
 
     what: str
-    task: PlanningTask
-    growth_m: float
     grid: Grid
     reached: NDArray[Any]
 
+
+class EnclosedError(NoPathError):
+    """One end is enclosed on a grid; `explained` finds out by what."""
+
+    def __init__(
+        self,
+        task: PlanningTask,
+        attempt: GridAttempt,
+        reached_cells: int,
+        region: Region | None = None,
+        *,
+        open_ended: bool = False,
+    ) -> None:
+        """Store what is known at once.
+
+        Args:
+            task: The motion that was to be planned.
+            attempt: The grid.
+            reached_cells: Number of the region's nodes; of several goals' regions that of all together.
+            region: Where the end is enclosed; without it, it is not known what bounds it.
+            open_ended: True if it ends at the edge of the yaws that were looked at, so that more might open it.
+        """
+        where = "" if region is None else f": {region.what}"
+        super().__init__(f"no path exists on the grid{where}", reached_cells=reached_cells)
+        self.open_ended = open_ended
+        self._task, self._attempt, self._region = task, attempt, region
+
+    @property
+    def plain(self) -> NoPathError:
+        """The same without what bounds the region, and without the grid, which takes memory."""
+        return NoPathError(self.message, reached_cells=self.reached_cells)
+
     def explained(self) -> NoPathError:
-        """The error that says what bounds the region; over yaws, at the yaw at which it is largest."""
-        grid, reached, arm = self.grid, self.reached, self.task.robot.arm
-        yaw = self.task.robot.yaw_of(self.task.problem.start)
-        if self.task.problem.turns:
+        """The same with what bounds the region, which takes longer to find than whether another grid is open."""
+        error = self.plain if self._region is None else self._bounded(self._region)
+        if self._attempt.step_factor > 1.0:
+            step_deg = self._task.step_deg(self._attempt)
+            remark = f"the grid's step is {step_deg:g} deg, as a finer one over all joint ranges is too large"
+            error.add(remark, step_deg=step_deg)
+        return error
+
+    def _bounded(self, region: Region) -> NoPathError:
+        """The error that says what bounds a region; over yaws, at the yaw at which it is largest."""
+        task, grid, reached = self._task, region.grid, region.reached
+        yaw = task.robot.yaw_of(task.problem.start)
+        if task.problem.turns:
             layer = int(slice_sizes(reached).argmax())
             yaw = float(grid.lower[-1] + layer * grid.step[-1])
             grid = Grid(grid.lower[:-1], grid.step[:-1], grid.shape[:-1])
             inside = (reached[:, layer >> 6] >> np.uint64(layer & 63)) & np.uint64(1) > 0
             reached = inside.reshape(grid.shape)
-        walls = blockers(arm, self.task.sections(yaw, self.growth_m), grid, reached)
-        message = f"no path exists on the grid: {self.what}"
+        arm = task.robot.arm
+        walls = blockers(arm, task.sections(yaw, self._attempt.growth_m), grid, reached)
+        message = self.message
         if walls:
             first = walls[0]
             low, high = first["slices_deg"]
@@ -67,39 +107,6 @@ class Region(Record):
                 f" ({arm.joint_names[-1]} from {low:g} to {high:g} deg)"
             )
         return NoPathError(message, reached_cells=int(reached.sum()), blockers=walls)
-
-
-class EnclosedError(NoPathError):
-    """One end is enclosed on a grid; `explained` finds out by what."""
-
-    def __init__(self, region: Region | None, reached_cells: int, *, open_ended: bool) -> None:
-        """Store what is known at once; without the region it is not known what bounds it.
-
-        Args:
-            region: Where the end is enclosed.
-            reached_cells: Number of its nodes; of several goals' regions that of all together.
-            open_ended: True if it ends at the edge of the yaws that were looked at, so that more might open it.
-        """
-        where = "" if region is None else f": {region.what}"
-        super().__init__(f"no path exists on the grid{where}", reached_cells=reached_cells)
-        self.open_ended = open_ended
-        self.coarse_step_deg: float | None = None  # of the grid, where a finer one did not fit
-        self._region = region
-
-    def forget_region(self) -> None:
-        """Forget the region, which keeps the grid in memory."""
-        self._region = None
-
-    def explained(self) -> NoPathError:
-        """The same with what bounds the region, which takes longer to find than whether another grid is open."""
-        known = NoPathError(self.message, reached_cells=self.reached_cells)
-        error = known if self._region is None else self._region.explained()
-        if self.coarse_step_deg is not None:
-            remark = (
-                f"the grid's step is {self.coarse_step_deg:g} deg, as a finer one over all joint ranges is too large"
-            )
-            error.add(remark, step_deg=self.coarse_step_deg)
-        return error
 
 
 def open_ended(problem: Problem, grid: Grid, reached: WordArray) -> bool:
@@ -148,10 +155,10 @@ def enclosed_goals(
     free = lattice.bordered(space.free_words)
     goals: dict[int, IntArray] = {}
     with suppress(CertificationError):
-        start = np.array(grid_entry(first, space, "start", min(margins)).all())
+        start = np.array(grid_entry(first, space, "start", min(margins)).nodes)
         for number, (task, margin) in enumerate(zip(tasks, margins, strict=True)):
             with suppress(CertificationError):
-                goals[number] = np.array(grid_entry(task, space, "goal", margin).all())
+                goals[number] = np.array(grid_entry(task, space, "goal", margin).nodes)
     if not goals:
         return [None] * len(tasks)
 
@@ -165,37 +172,63 @@ def enclosed_goals(
             region, cells = flood_from(lattice, free, start)
             apart = {number for number, nodes in goals.items() if not holds(region, nodes)}
     more = first.problem.turns and open_ended(first.problem, space.grid, lattice.unbordered(region))
-    shown = _smaller_region(first, attempt, space, free, (start, goals[0])) if explained and 0 in apart else None
+    shown = _smaller_region(space, free, start, goals[0]) if explained and 0 in apart else None
     return [
-        EnclosedError(shown if number == 0 else None, cells, open_ended=more) if number in apart else None
-        for number in range(len(tasks))
+        EnclosedError(task, attempt, cells, None if number else shown, open_ended=more) if number in apart else None
+        for number, task in enumerate(tasks)
     ]
 
 
-def _smaller_region(
-    task: PlanningTask, attempt: GridAttempt, space: Occupancy, free: WordArray, ends: tuple[IntArray, IntArray]
-) -> Region:
+def _smaller_region(space: Occupancy, free: WordArray, start: IntArray, goal: IntArray) -> Region:
     """The region of the start or of the goal, whichever is the smaller."""
     lattice = Lattice.of(space.grid.shape, space.grid.step)
-    (from_start, of_start), (from_goal, of_goal) = (flood_from(lattice, free, nodes) for nodes in ends)
-    is_start = of_start <= of_goal
-    which, other, count = ("start", "goal", of_start) if is_start else ("goal", "start", of_goal)
+    floods = [(*flood_from(lattice, free, nodes), which) for nodes, which in ((start, "start"), (goal, "goal"))]
+    (region, count, which), (_, _, other) = sorted(floods, key=lambda flood: flood[1])
     what = f"the {which} is connected to {count} of {space.grid.size} nodes, and the {other} is not among them"
-    reached = lattice.unbordered(from_start if is_start else from_goal)
-    return Region(what, task, attempt.growth_m, space.grid, reached)
+    return Region(what, space.grid, lattice.unbordered(region))
 
 
-@dataclass(frozen=True, eq=False)
-class Refusals:
-    """Errors of several goals.
+def without_path(tasks: Sequence[PlanningTask]) -> list[NoPathError | None]:
+    """Goals to which no path exists on the finest grid, decided for all at once.
+
+    Args:
+        tasks: One for each goal, from the same start among the same obstacles.
+
+    Returns:
+        For each goal the error that says so; None where a path exists, or where that is left open.
+    """
+    errors: list[NoPathError | None] = [None] * len(tasks)
+    todo = list(range(len(tasks)))
+    while todo:
+        yaw = tasks[todo[0]].problem.goal[0]
+        left = [number for number in todo if abs(tasks[number].problem.goal[0] - yaw) < 1e-9]  # on the same grid
+        todo = [number for number in todo if number not in left]
+        for yaw_range_deg in WIDTHS:
+            attempt = tasks[0].fitting(GridAttempt(yaw_range_deg=yaw_range_deg))
+            if attempt is None or not left:
+                break
+            some = [tasks[number] for number in left]
+            found = enclosed_goals(some, attempt, [0.1 * task.margin() for task in some], explained=left[0] == 0)
+            shown = {number: error for number, error in zip(left, found, strict=True) if error is not None}
+            left = [number for number, error in shown.items() if error.open_ended]
+            for number in shown.keys() - left:
+                errors[number] = shown[number]
+    return errors
+
+
+class FailuresError(Exception):
+    """No motion was found to any of several goals. It does not leave planning: `as_one` does.
 
     Attributes:
         errors: One for each goal, in the goals' order; at least one.
     """
 
-    errors: tuple[HplanError, ...]
+    def __init__(self, errors: tuple[HplanError, ...]) -> None:
+        """Store the errors."""
+        super().__init__(errors)
+        self.errors = errors
 
-    def error(self, goals: str = "goals") -> HplanError:
+    def as_one(self, goals: str = "goals") -> HplanError:
         """The one error to raise.
 
         `NoPathError` only where no path was shown for every goal; `NotFoundError` where it was shown for some and no

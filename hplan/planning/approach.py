@@ -1,0 +1,247 @@
+"""The straight approach to a grasp, and the retreat: from rest, or blended with the motion before and after."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Final, TypeVar
+
+import numpy as np
+
+from hplan.base.deadline import check_deadline
+from hplan.certificate.certificate import Stretch, goal_contacts, stretches
+from hplan.errors import TimingError
+from hplan.optimization.minimize_time import minimize_time
+from hplan.optimization.timed_spline import BoundaryState, TimedSpline
+from hplan.planning.grasps import Grasp, Target
+from hplan.planning.motion import (
+    Motion,
+    certificate_of,
+    certified_trajectory,
+    seconds,
+    time_problem,
+    timed,
+)
+from hplan.planning.task import PlanningContext, PlanningTask
+from hplan.planning.tool_paths import largest_standoff, tool_path
+from hplan.robot.model import Robot
+from hplan.trajectory.trajectory import Trajectory
+
+#: A non-stop approach would begin at rest so much farther away than the stand-off, as a fraction of its length. More
+#: lets it pass the stand-off faster, and gives the transit more to do.
+LEADS: Final = (0.02, 0.05, 0.15, 0.3, 0.45)
+
+#: By less than this no motion is quicker than another [s].
+LEAST_GAIN_S: Final = 1e-6
+
+_Transit = TypeVar("_Transit", bound=Motion)
+
+
+def retreat_of(approach: Motion) -> Motion:
+    """An approach backwards: accelerations and torques stay as they are, and so do all the distances."""
+    return replace(approach.reversed, name="retreat")
+
+
+@dataclass(frozen=True, eq=False)
+class Approach:
+    """Approaches to a grasp: from rest, and non-stop ones that are in motion at the stand-off.
+
+    Attributes:
+        context: The arm among its obstacles, and options.
+        target: What is grasped.
+        grasp: How.
+    """
+
+    context: PlanningContext
+    target: Target
+    grasp: Grasp
+    _known: dict[float, Trajectory | None] = field(init=False, default_factory=dict)
+    _shown: dict[int, Motion | None] = field(init=False, default_factory=dict)
+
+    @cached_property
+    def touching(self) -> PlanningContext:
+        """The context in which the last link may touch the fruit (`hplan.certificate.goal_contact`)."""
+        return self.context.among(self.target.world_touching)
+
+    @cached_property
+    def from_rest(self) -> Motion | None:
+        """The approach from rest to rest; None for a grasp without one.
+
+        Raises:
+            TimingError: There is none within the limits.
+            CertificationError: It is asked for, and something was not shown.
+        """
+        path = self.grasp.path(self.context.robot, self.context.scene.locked_joints)
+        if path is None:
+            return None
+        return Motion("approach", *certified_trajectory(self.touching, path, self._contact_stretches))
+
+    @property
+    def motions(self) -> tuple[Motion, ...]:
+        """The approach from rest and, from a fruit, the retreat; errors as `from_rest`."""
+        there = self.from_rest
+        if there is None:
+            return ()
+        return (there,) if self.target.fruit is None else (there, retreat_of(there))
+
+    @cached_property
+    def farthest(self) -> float:
+        """From where the tool can come straight and clear, at most `LEADS` beyond the stand-off [m]."""
+        grasp, context, locked = self.grasp, self.context, self.context.scene.locked_joints
+        longest = (1.0 + LEADS[-1]) * grasp.distance
+        possible = largest_standoff(context.robot, grasp.goal, longest, locked, grasp.keeps_turn)
+        if possible <= grasp.distance:
+            return grasp.distance
+        check_deadline()
+        path = tool_path(context.robot, grasp.goal, possible, locked, grasp.keeps_turn)
+        away = np.linspace(grasp.distance, possible, 16)
+        field = self.target.transit_world(grasp).field
+        touching = np.flatnonzero(field.along(path.evaluate((1.0 - away / possible) * path.end)).min(axis=1) < 0.0)
+        return float(away[max(0, touching[0] - 1)]) if len(touching) else possible
+
+    def non_stop(self, lead: float) -> Trajectory | None:
+        """The approach that is in motion where it passes the stand-off; None where there is none.
+
+        It is the last part of one that begins at rest farther away. So it passes the stand-off at a speed that the arm
+        can reach on a straight line, and on this line all joints can keep their limits; the motion there need not.
+
+        Args:
+            lead: How much farther away, as a fraction of the approach.
+        """
+        longer = min(self.farthest, (1.0 + lead) * self.grasp.distance)
+        if longer not in self._known:
+            self._known[longer] = self._non_stop(longer)
+        return self._known[longer]
+
+    def certified(self, approach: Trajectory) -> Motion | None:
+        """A non-stop approach with its certificate; None where it is not verified."""
+        if id(approach) not in self._shown:
+            shown = certificate_of(self.touching, approach, self._contact_stretches(approach), rest_to_rest=False)
+            self._shown[id(approach)] = Motion("approach", approach, shown) if shown.verified else None
+        return self._shown[id(approach)]
+
+    def _non_stop(self, longer: float) -> Trajectory | None:
+        """The approach of which the whole has a length [m]."""
+        grasp, robot = self.grasp, self.context.robot
+        if longer < grasp.distance + 1e-3:
+            return None
+        path = tool_path(robot, grasp.goal, longer, self.context.scene.locked_joints, grasp.keeps_turn)
+        try:
+            whole = timed(self.touching, path)
+        except TimingError:
+            return None
+        check_deadline()
+        tool = robot.tool_positions(whole.position)
+        beyond = np.linalg.norm(tool - tool[-1], axis=1) >= grasp.distance - 1e-9
+        there = whole.since(int(np.flatnonzero(beyond)[-1]))
+        return there if _off_line(robot, there, grasp) <= 1e-4 else None
+
+    def _contact_stretches(self, approach: Trajectory) -> list[Stretch]:
+        """What an approach is certified among: the last link may touch the fruit while it moves straight."""
+        fruit = self.target.fruit
+        contacts = () if fruit is None else goal_contacts(self.context.robot, approach, fruit, "approach")
+        return stretches(self.target.world.checker, approach.time, contacts)
+
+
+def _off_line(robot: Robot, approach: Trajectory, grasp: Grasp) -> float:
+    """How far the tool leaves the straight line between stand-off and grasp, at rows and between them [m]."""
+    clock = np.linspace(0.0, approach.duration, 4 * (approach.samples - 1) + 1)
+    tip, standoff = robot.tool_positions(np.stack([grasp.goal, grasp.standoff]))
+    line = standoff - tip
+    away = robot.tool_positions(approach.positions(clock)) - tip
+    away -= (away @ line / (line @ line))[:, None] * line
+    return float(np.linalg.norm(away, axis=1).max())
+
+
+def blended(
+    task: PlanningTask, transit: _Transit, before: Approach | None, after: Approach | None
+) -> tuple[Motion | None, _Transit, Motion | None] | None:
+    """The quickest motion without a stop at the stand-offs; None where the one with stops is as quick.
+
+    Args:
+        task: What is asked of the transit.
+        transit: The transit from rest to rest.
+        before: From where the arm retreats before it; None where the transit begins at rest.
+        after: What it approaches after it; None where the transit ends at rest.
+
+    Returns:
+        The retreat before it, the transit, and the approach after it; None for those that it is not blended with.
+
+    Raises:
+        HplanError: As `Approach.from_rest`.
+    """
+    if task.optimization is None or transit.trajectory.samples == 1:
+        return None
+    sides = before, after
+    at_rest = [None if side is None else side.from_rest for side in sides]
+    stops_s = seconds([motion for motion in at_rest if motion is not None])
+    limit_s = transit.trajectory.duration + stops_s - LEAST_GAIN_S
+    found: list[tuple[float, TimedSpline, list[Trajectory | None]]] = []
+    number, step = 2, 0
+    known: list[Trajectory | None] = []
+    for _ in range(task.effort.leads):
+        check_deadline()
+        approaches = [None if side is None else side.non_stop(LEADS[number]) for side in sides]
+        if known and all(one is other for one, other in zip(known, approaches, strict=True)):
+            break  # there is no more room beyond the stand-offs
+        known = approaches
+        spline = _between(task, transit.trajectory, approaches)
+        if spline is not None:
+            pairs = zip(at_rest, approaches, strict=True)
+            saved_s = sum(
+                rest.trajectory.duration - other.duration for rest, other in pairs if rest and other is not None
+            )
+            total_s = spline.duration + stops_s - saved_s
+            if found and total_s > found[-1][0] - LEAST_GAIN_S:
+                break
+            found.append((total_s, spline, approaches))
+            # Where the transit comes to last longer by more than half of what approach and retreat save, try less.
+            step = step or (1 if limit_s - total_s > 0.5 * saved_s else -1)
+            if step > 0 and None in sides and task.effort.leads <= 2:
+                break  # with one stand-off there is little more to gain
+        number += step or -1
+        if number not in range(len(LEADS)):
+            break
+    for total_s, spline, approaches in reversed(found):  # the quickest first
+        if total_s > limit_s:
+            break
+        certified = _certified(task, transit, spline, [*zip(sides, approaches, strict=True)])
+        if certified is not None:
+            return certified
+    return None
+
+
+def _certified(
+    task: PlanningTask,
+    transit: _Transit,
+    spline: TimedSpline,
+    sides: Sequence[tuple[Approach | None, Trajectory | None]],
+) -> tuple[Motion | None, _Transit, Motion | None] | None:
+    """The motions with their certificates; None where one is not verified."""
+    shown: list[Motion | None] = []
+    for side, approach in sides:
+        shown.append(None if side is None or approach is None else side.certified(approach))
+        if shown[-1] is None and approach is not None:
+            return None
+    trajectory = spline.trajectory(task.robot.dynamics, task.options.rate_hz)
+    certificate = certificate_of(task, trajectory, rest_to_rest=False)
+    if not certificate.verified:
+        return None
+    leaving, coming = shown
+    retreat = None if leaving is None else retreat_of(leaving)
+    return retreat, transit.made(trajectory, certificate, spline.path), coming
+
+
+def _between(task: PlanningTask, transit: Trajectory, approaches: Sequence[Trajectory | None]) -> TimedSpline | None:
+    """The fastest motion near a transit between non-stop approaches, at rest without one; None where none is found."""
+    leaving, coming = approaches
+    if leaving is None and coming is None:
+        return None
+    first, last = (BoundaryState.at_rest(transit.position[end]) for end in (0, -1))
+    if leaving is not None:
+        first = BoundaryState.of_row(leaving.reversed, -1)
+    if coming is not None:
+        last = BoundaryState.of_row(coming, 0)
+    with task.stage("timing"):
+        return minimize_time(transit, time_problem(task, transit, (first, last)), task.effort.blended)

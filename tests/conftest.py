@@ -9,6 +9,7 @@ from any_arms import loaded_arm
 from hypothesis import settings
 from toy_urdf import urdf
 
+from hplan.planning.compile_ahead import compile_from_postprocessing_on, is_first_run
 from hplan.robot.model import Robot, load_robot
 from hplan.scene.file import load_scene
 from hplan.scene.model import Scene
@@ -17,6 +18,12 @@ from hplan.trajectory.machine import read_machine
 # The same examples in every run, and no limit on the time of one: the first compiles kernels.
 settings.register_profile("hplan", derandomize=True, deadline=None)
 settings.load_profile("hplan")
+
+
+def pytest_sessionstart() -> None:
+    """Where nothing is compiled yet, the second worker begins with what the first plan of the first comes to last."""
+    if os.environ.get("PYTEST_XDIST_WORKER") == "gw1" and is_first_run():
+        compile_from_postprocessing_on()
 
 
 @pytest.fixture(scope="session", autouse=True)

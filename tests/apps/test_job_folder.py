@@ -96,16 +96,6 @@ def test_a_fault_at_any_move_leaves_no_trajectory(
         assert caught.value.reason == "full"
 
 
-def test_what_a_killed_job_has_left_goes_with_the_next(folder: JobFolder) -> None:
-    ended = subprocess.Popen([sys.executable, "-c", ""])
-    ended.wait()
-    for number in (ended.pid, os.getppid()):
-        (folder.path / f".hplan-job-{number}").mkdir(parents=True)
-        (folder.path / f".hplan-job-{number}" / "a.csv").touch()
-    with folder.job("scene", "robot"):
-        assert names(folder.path) == {f".hplan-job-{os.getppid()}"}  # that one is still at work
-
-
 AT_THE_REPORT = """
 import os, signal, sys, time
 import hplan.planning.report

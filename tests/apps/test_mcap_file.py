@@ -13,7 +13,7 @@ import pinocchio as pin
 import pytest
 import yourdfpy
 
-from hplan.apps.ros import robot_description, scene_markers, to_joint_trajectory, write_mcap
+from hplan.apps.ros import scene_markers, write_mcap
 from hplan.apps.ros.marked_motion import NearestPairs, fruit_events
 from hplan.apps.ros.mcap_file import TOPICS
 from hplan.apps.ros.transforms import LinkFrames
@@ -124,19 +124,6 @@ def test_every_topic_is_there_and_what_stays_is_kept(recorded: Recorded) -> None
         assert times[0] == 5_250_000_000 or topic == "/clearance"
 
 
-def test_the_whole_motion(recorded: Recorded, picked: PlanResult) -> None:
-    found = recorded.only("/joint_trajectory")
-    expected = to_joint_trajectory(picked.trajectory, frame_id="base_link", stamp_s=5.25)
-    assert list(found.joint_names) == expected["joint_names"]
-    assert len(found.points) == picked.trajectory.samples
-    for point, other in zip(found.points, expected["points"], strict=True):
-        assert list(point.positions) == other["positions"]
-        assert list(point.velocities) == other["velocities"]
-        assert list(point.accelerations) == other["accelerations"]
-        assert list(point.effort) == other["effort"]
-        assert {"sec": point.time_from_start.sec, "nanosec": point.time_from_start.nanosec} == other["time_from_start"]
-
-
 def test_states_and_transforms_go_together(recorded: Recorded, picked: PlanResult, robot: Robot) -> None:
     """The transforms of each state, by another library's forward kinematics."""
     states, transforms = recorded.messages["/joint_states"], recorded.messages["/tf"]
@@ -162,12 +149,6 @@ def test_states_and_transforms_go_together(recorded: Recorded, picked: PlanResul
             assert stamp_of(item.header) == time or link in fixed
             expected = urdf.get_transform(link, item.header.frame_id)
             np.testing.assert_allclose(transform_of(item.transform).homogeneous, expected, atol=1e-12)
-
-
-def test_the_robot_can_be_read_from_the_file(recorded: Recorded, robot: Robot) -> None:
-    text = recorded.only("/robot_description").data
-    assert text == robot_description(robot)
-    assert pin.buildModelFromXML(text).nq == robot.dof
 
 
 def test_markers_fill_the_obstacles(recorded: Recorded, robot: Robot) -> None:

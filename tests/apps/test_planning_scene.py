@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from hplan.apps.ros import read_moveit_scene, read_planning_scene
-from hplan.errors import OptionError, SceneError
+from hplan.errors import SceneError
 from hplan.scene.obstacles import Box, Cylinder, Mesh
 
 #: As robowflex writes a problem of MotionBenchMaker.
@@ -187,28 +187,3 @@ def test_what_is_wrong_and_where(case: str) -> None:
     assert reason in error.value.reason
     assert (error.value.where or "").startswith("world.collision_objects[")
     assert where in (error.value.where or "")
-
-
-def test_wrong_files_and_options(tmp_path: Path) -> None:
-    path = tmp_path / "scene.yaml"
-    for text, reason in (
-        ("world: [", "malformed YAML"),
-        ("- 1", "a mapping with world"),
-        ("name: x", "this key is missing"),
-        ("world: 5", "a mapping of keys"),
-        ("world: {collision_objects: 1}", "expected a list"),
-        ("world: {collision_objects: [1]}", "a mapping of keys"),
-        ("world: {collision_objects: [], octomap: {octomap: {data: [1]}}}", "an octomap cannot be read"),
-    ):
-        path.write_text(text)
-        with pytest.raises(SceneError, match=reason) as error:
-            read_planning_scene(path)
-        assert error.value.path == path
-    with pytest.raises(SceneError, match="No such file"):
-        read_planning_scene(tmp_path / "none.yaml")
-    path.write_bytes(b"\xff")
-    with pytest.raises(SceneError, match="not UTF-8"):
-        read_planning_scene(path)
-    for wrong in ({"prefix": 1}, {"open_meshes": None}, {"position": 1.0}, {"source": 3}, {"source": ""}):
-        with pytest.raises(OptionError):
-            read_planning_scene(**{"source": message(), **wrong})

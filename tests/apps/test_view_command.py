@@ -129,24 +129,6 @@ def test_the_robot_of_a_job_is_that_of_its_report(
     assert len(served) == 1
 
 
-@pytest.mark.parametrize(
-    ("change", "says"),
-    [
-        ({"phases": None}, "what happens when"),
-        ({"grasp": "tool"}, "what happens when"),
-        ({"files": "trajectory.csv"}, "files: expected names"),
-        ({"certificate": None}, "no report of a plan with digests"),
-    ],
-)
-def test_reports_that_say_too_little(
-    job: Path, change: dict[str, Any], says: str, capsys: pytest.CaptureFixture[str], served: list[str]
-) -> None:
-    report = {**json.loads((job / "report.json").read_text()), **change}
-    (job / "report.json").write_text(json.dumps(report))
-    assert main(["view", str(job), "--quiet"]) == (2 if says else 0)
-    assert says in capsys.readouterr().err
-
-
 @pytest.mark.parametrize("name", ["trajectory.csv", "report.json"])
 def test_what_is_read_is_not_replaced(job: Path, name: str, capsys: pytest.CaptureFixture[str]) -> None:
     before = (job / name).read_bytes()

@@ -33,8 +33,9 @@ def test_a_module_of_an_earlier_package_is_no_copy(before: str, now: str) -> Non
 def test_public_names_of_earlier_packages() -> None:
     from hplan.orchard import generate  # type: ignore[import-not-found]
     from hplan.robot_family import ArmSpec  # type: ignore[import-not-found]
-    from hplan.search import dense_search  # type: ignore[import-not-found]
     from hplan.waypoints import time_waypoints  # type: ignore[import-not-found]
+
+    from hplan.search import dense_search  # type: ignore[import-not-found]
 
     assert all(callable(item) for item in (generate, ArmSpec, dense_search, time_waypoints))
 

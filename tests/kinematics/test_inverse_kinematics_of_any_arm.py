@@ -94,28 +94,3 @@ def test_out_of_reach_is_said_to_be_sought_only(arm: Robot) -> None:
     with pytest.raises(errors.UnreachableError, match="no proof") as refused:
         inverse_kinematics(arm, far, seeds=8)
     assert refused.value.reason == "not_found"
-
-
-@pytest.mark.parametrize(
-    ("given", "kind"),
-    [
-        ({"pose": np.zeros((4, 4))}, errors.InputError),
-        ({"pose": np.diag([1.0, 1.0, -1.0, 1.0])}, errors.InputError),
-        ({"pose": np.full((4, 4), np.nan)}, errors.InputError),
-        ({"pose": np.eye(3)}, errors.InputError),
-        ({"pose": np.eye(4) * 1e200}, errors.InputError),
-        ({"frame": "nowhere"}, errors.InputError),
-        ({"seeds": 0}, errors.OptionError),
-        ({"seeds": 10**9}, errors.OptionError),
-        ({"free_turn": 1}, errors.OptionError),
-        ({"locked": ["nothing"]}, errors.InputError),
-        ({"start": [0.0]}, errors.InputError),
-    ],
-)
-def test_wrong_values(
-    tmp_path_factory: pytest.TempPathFactory, given: dict[str, object], kind: type[Exception]
-) -> None:
-    arm = loaded_arm("toy", tmp_path_factory)
-    pose = given.pop("pose", np.eye(4))
-    with pytest.raises(kind):
-        inverse_kinematics(arm, pose, **given)  # type: ignore[arg-type]

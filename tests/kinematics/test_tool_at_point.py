@@ -86,15 +86,3 @@ def test_what_is_not_found_is_no_proof(picker: Robot) -> None:
     with pytest.raises(errors.UnreachableError, match="no proof") as caught:
         tool_at_point(picker, (1.1, 0.1, 0.1), approach_deg=180.0)
     assert caught.value.reason == "not_found"
-
-
-@pytest.mark.parametrize("position", [(1.0, 2.0), "x", (np.nan, 0.0, 0.0), (1e308, 1e308, 1e308)])
-def test_positions_that_are_none(picker: Robot, position: object) -> None:
-    with pytest.raises((errors.InputError, errors.UnreachableError)):
-        tool_at_point(picker, position)  # type: ignore[arg-type]
-
-
-def test_options_that_are_none(picker: Robot) -> None:
-    for wrong in ({"count": 0}, {"approach_deg": (3.0, 1.0)}, {"approach_deg": np.nan}):
-        with pytest.raises(errors.OptionError):
-            tool_at_point(picker, POINT, **wrong)  # type: ignore[arg-type]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gc
-import pickle
 
 import numpy as np
 import pytest
@@ -141,12 +140,3 @@ def test_frames_leave_nothing_behind(robot):
             held.append((len(_KNOWN), sum(isinstance(o, PointCloud) for o in gc.get_objects())))
     assert len(set(held)) == 1
     assert held[0][0] <= 3
-
-
-def test_a_planner_with_a_cloud_can_be_pickled(robot):
-    planner = Planner(robot, a_scene())
-    planner.set_cloud("canopy", canopy(0), radius=0.005)
-    other = pickle.loads(pickle.dumps(planner))
-    assert other.scene == planner.scene
-    np.testing.assert_array_equal(other.scene.obstacles[1].solids[0].core, planner.scene.obstacles[1].solids[0].core)
-    assert other.set_cloud("canopy", canopy(1), radius=0.005, options=CloudOptions(growth_m=0.01)).growth_m > 5e-3

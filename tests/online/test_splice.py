@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import pickle
 
 import numpy as np
@@ -11,7 +10,7 @@ from planned import assert_clear, at, between_rows, fruit, post, task
 from spliced import assert_goes_on
 
 from hplan.certificate.certificate import certify
-from hplan.errors import InputError, NotInTimeError, OptionError, RunningMotionBlockedError
+from hplan.errors import InputError, NotInTimeError, RunningMotionBlockedError
 from hplan.online.planner import Planner
 from hplan.online.splice import SplicedResult
 from hplan.planning.options import PlanOptions
@@ -192,17 +191,6 @@ def test_before_anything_runs(robot, scene):
         planner.replan(at=0.1)
     with pytest.raises(InputError, match="plan one first"):
         planner.stop_at(0.1)
-
-
-@pytest.mark.parametrize(
-    ("at_s", "now"),
-    [(-0.1, 0.0), (99.0, 0.0), (math.nan, 0.0), (0.1, math.nan), (0.1, 0.2), ("1", 0.0), (0.1, "0"), (0.1, -1.0)],
-)
-def test_times_that_are_none(robot, at_s, now):
-    planner, before = a_planner(robot, effort="quick")
-    with pytest.raises(OptionError):
-        planner.replan(at=at_s, now=now)
-    assert planner.last is before
 
 
 def test_the_start_of_a_later_scene_is_left_alone(robot):

@@ -10,7 +10,6 @@ import pytest
 import hplan
 from hplan.certificate.limit_use import limit_use
 from hplan.optimization.torque_rows import TorqueUse
-from hplan.planning.effort import EFFORTS
 from hplan.planning.options import EFFORT_NAMES, PlanOptions
 from hplan.trajectory.trajectory import cubic_pieces
 
@@ -18,10 +17,6 @@ from hplan.trajectory.trajectory import cubic_pieces
 @pytest.fixture(scope="module")
 def plans(robot, scene):
     return {effort: hplan.plan(robot, scene, PlanOptions(effort=effort)) for effort in EFFORT_NAMES}
-
-
-def test_every_effort_has_a_name():
-    assert tuple(EFFORTS) == EFFORT_NAMES
 
 
 def test_more_effort_is_quicker(plans):
@@ -41,18 +36,6 @@ def test_limits_are_kept_from_row_to_row_and_between(plans, robot):
         use = limit_use(robot, trajectory, *cubic_pieces(trajectory))
         assert max(use.velocity, use.acceleration, use.torque) <= 1.0 + 1e-5
         assert use.position <= 1.0 + 1e-6
-
-
-def test_the_same_input_gives_the_same_motion(plans, robot, scene):
-    again = hplan.plan(robot, scene).trajectory
-    np.testing.assert_array_equal(again.position, plans["default"].trajectory.position)
-
-
-@pytest.mark.parametrize("rate_hz", [40.0, 1000.0])
-def test_other_rates(robot, scene, rate_hz):
-    plan = hplan.plan(robot, scene, PlanOptions(rate_hz=rate_hz))
-    assert plan.certificate.verified
-    assert plan.trajectory.duration < 1.82 + 1.0 / rate_hz
 
 
 def test_half_speed_takes_its_time(robot, scene, plans):

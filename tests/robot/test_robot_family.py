@@ -19,7 +19,6 @@ from hplan.robot.family import HARVESTER, ORCHARD_HARVESTER, ArmSpec, Gripper, c
 from hplan.robot.model import load_robot
 
 URDF = urdf_dir() / "harvester.urdf"
-HALF_PI = math.pi / 2
 
 
 def arm(n: int, *, has_yaw: bool = True, name: str = "test_arm") -> ArmSpec:
@@ -36,12 +35,6 @@ def arm(n: int, *, has_yaw: bool = True, name: str = "test_arm") -> ArmSpec:
         acceleration=(2.0,) * joints,
         has_yaw=has_yaw,
     )
-
-
-def tool_position(model: pin.Model, q: list[float]) -> np.ndarray:
-    data = model.createData()
-    pin.framesForwardKinematics(model, data, np.array(q))
-    return data.oMf[model.getFrameId("tool0")].translation
 
 
 # The shipped robot
@@ -75,38 +68,6 @@ def test_shipped_robot_reads_alike_everywhere():
     assert check.max_rotation_deviation < 1e-12
     assert check.limits_equal
     assert check.masses_equal
-
-
-@pytest.mark.parametrize(
-    ("q_deg", "expected"),
-    [
-        ([0, 0, 0, 0], [2.2, 0.0, 0.6]),
-        ([0, 90, 0, 0], [0.0, 0.0, 2.8]),
-        ([90, 0, 0, 0], [0.0, 2.2, 0.6]),
-        ([180, 0, 90, 0], [-1.0, 0.0, 1.8]),
-        ([0, 0, 0, 90], [1.8, 0.0, 1.0]),
-        ([0, 90, 90, 90], [-0.8, 0.0, 1.2]),
-    ],
-)
-def test_shipped_tool_frame(q_deg, expected):
-    model = pin.buildModelFromUrdf(str(URDF))
-    q = [math.radians(angle) for angle in q_deg]
-    np.testing.assert_allclose(tool_position(model, q), expected, atol=1e-12)
-
-
-def test_shipped_static_torques_leave_room():
-    model = pin.buildModelFromUrdf(str(URDF))
-    data = model.createData()
-    worst = np.zeros(4)
-    angles = np.linspace(0, HALF_PI, 13)
-    for shoulder in angles:
-        for elbow in angles:
-            for wrist in angles:
-                q = np.array([0.4, shoulder, elbow, wrist])
-                torque = pin.rnea(model, data, q, np.zeros(4), np.zeros(4))
-                worst = np.maximum(worst, np.abs(torque))
-    assert np.all(worst <= 0.45 * model.effortLimit)
-    assert worst[1] == pytest.approx(9.81 * (6 * 0.5 + 3.5 * 1.4 + 1.2 * 2.0), rel=1e-9)
 
 
 # Geometry
@@ -154,16 +115,6 @@ def test_collision_shapes_of_a_link_are_its_exact_capsule():
 def direction(rng: np.random.Generator) -> np.ndarray:
     vector = rng.normal(size=3)
     return vector / np.linalg.norm(vector)
-
-
-def test_fixed_body_stays_low_and_slim():
-    _, collision_model, _ = pin.buildModelsFromUrdf(str(URDF))
-    body = [g for g in collision_model.geometryObjects if g.name.startswith(("base_", "turret_"))]
-    assert body
-    for shape in body:
-        assert shape.geometry.radius <= 0.15
-        top = shape.placement.translation[2] + shape.geometry.halfLength
-        assert top <= 0.6 + 1e-12
 
 
 # The family

@@ -11,7 +11,6 @@ import pytest
 
 from hplan.base.data_files import scenes_dir
 from hplan.collision.coal_scene import CoalScene, base_contacts
-from hplan.errors import OptionError
 from hplan.robot.model import load_robot
 from hplan.scene.file import dump_scene, load_scene, parse_scene
 from hplan.scene.obstacles import Capsule, Sphere
@@ -128,14 +127,6 @@ def test_a_spindle_narrows_upwards():
     assert max(b - a for a, b in itertools.pairwise(angles)) < math.radians(60)
 
 
-def test_bare_tree_bears_nothing():
-    with pytest.raises(OptionError, match="fruits = 1: expected at most 0, which found room") as caught:
-        generate(OrchardOptions(branches=0, fruits=1))
-    assert caught.value.option == "fruits"
-    with pytest.raises(OptionError, match="which found room"):
-        generate(OrchardOptions(trees=1, branches=3, fruits=500))
-
-
 # Fruit
 
 
@@ -159,13 +150,6 @@ def test_picked_fruit_is_gone():
     assert [fruit.center for fruit in rest.fruits] == kept
     assert [fruit.name for fruit in rest.fruits] == [f"fruit {n:02d}" for n in range(1, 22)]
     assert rest.obstacles == every.obstacles
-
-
-def test_goal():
-    assert generate().goal.fruit == "fruit 01"
-    assert generate(OrchardOptions(goal="fruit 07")).goal.fruit == "fruit 07"
-    with pytest.raises(OptionError, match="goal = 'plum': expected one of the fruits, fruit 01 to fruit 24"):
-        generate(OrchardOptions(goal="plum"))
 
 
 # Arm

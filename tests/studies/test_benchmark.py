@@ -14,6 +14,7 @@ from studies.harness import Study, read_rows
 from toy_urdf import SIX_AXIS_LIMITS, six_axis_arm
 
 from hplan.errors import InputError
+from hplan.scene.file import load_scene
 
 script = load_script("benchmark")
 
@@ -105,6 +106,8 @@ def test_tracking(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("mujoco")
     monkeypatch.setattr(fruit, "BANDWIDTHS", (200.0,))
     monkeypatch.setattr(fruit, "MASSES", (1.0,))
+    trellis = fruit.FruitProblem("trellis", "fruit", load_scene("trellis"))  # little for MuJoCo to look at
+    monkeypatch.setattr(fruit, "_shipped", lambda _: [trellis])
     (row,) = rows_of("tracking", tmp_path)
     assert row["longer"] >= 1.0
     assert row["within_at_200"]

@@ -147,12 +147,3 @@ def test_half_planes_without_a_point(dynamics, limits, a, c, at):
     with pytest.raises(TimingError) as caught:
         passes(rows, np.diff(grid), np.zeros(2))
     assert caught.value.cause == "FailUncontrollable"
-
-
-def test_start_beyond_its_set(dynamics, limits):
-    path = SplinePath.through(np.linspace(np.zeros(4), np.full(4, 0.5), 5))
-    grid = cosine(path.end, 50)
-    with pytest.raises(TimingError) as caught:
-        fastest_speed(path, dynamics, limits, grid, np.array([100.0, 0.0]))
-    assert caught.value.cause == "FailUncontrollable"
-    assert "toppra" in caught.value.message

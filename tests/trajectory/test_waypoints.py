@@ -10,7 +10,7 @@ import pinocchio as pin
 import pytest
 from toy_urdf import urdf
 
-from hplan.errors import InputError, JointLimitError, OptionError, TimingError
+from hplan.errors import OptionError, TimingError
 from hplan.robot.limits import Limits
 from hplan.trajectory import largest_deviation, limit_shares, limits_of, read_machine, read_waypoints, time_waypoints
 from hplan.trajectory.trajectory import read_csv
@@ -32,26 +32,6 @@ def script():
 def test_waypoints_in_any_order_with_other_columns(write):
     path = write("w.csv", "\ufefftime_s, b ,a_pos_rad,note\r\n0,1,2,x\r\n\r\n1,-3e-1,4,y\r\n")
     np.testing.assert_array_equal(read_waypoints(path, ("a", "b")), [[2, 1], [4, -0.3]])
-
-
-@pytest.mark.parametrize(
-    ("text", "reason"),
-    [
-        ("", "line 1: expected a header"),
-        ("a,c\n0,0\n", "line 1: joint 'b' has no column; expected b_pos_rad or b .the columns are a, c"),
-        ("a,b,b_pos_rad\n0,0,0\n", "line 1: joint 'b' has two columns"),
-        ("a,b\n", "line 1: no waypoints"),
-        ("a,b\n0,0\n\n1\n", "line 4: 1 values, expected 2"),
-        ("a,b\n0,0\n1,x\n", "line 3: b is 'x', expected a finite number"),
-        ("a,b\n0,nan\n", "line 2: b is 'nan'"),
-        ("a,b\n0,1_0\n", "line 2: b is '1_0'"),
-        ('a,b\n0,"1\n', "line 2: "),
-    ],
-)
-def test_bad_csv(write, text, reason):
-    with pytest.raises(InputError, match=reason) as caught:
-        read_waypoints(write("w.csv", text), ("a", "b"))
-    assert caught.value.data["line"] >= 1
 
 
 # The motion
@@ -139,12 +119,6 @@ def test_reversal_and_a_detour_within_the_deviation(toy):
     check_by_differencing(toy.model, motion, limits)
     assert motion.position.max() >= 1.0 - math.radians(1.0)
     assert time_waypoints(toy.model, [[0, 0], [1e-3, 0], [0, 0]], limits).samples == 1
-
-
-def test_waypoint_outside_the_joint_limits(toy):
-    with pytest.raises(JointLimitError, match=r"waypoint 3: joint 'b' is at 3\.5 rad") as caught:
-        time_waypoints(toy.model, [[0, 0], [1, 1], [0, 3.5]], limits_of(toy.model, 1.0))
-    assert (caught.value.which, caught.value.joint) == ("waypoint 3", "b")
 
 
 @pytest.mark.parametrize(

@@ -8,8 +8,6 @@ import pytest
 from hplan.apps.view.cspace_surface import surface_net
 from hplan.base.arrays import FloatArray, IntArray
 
-CENTRE, RADIUS = (1.0, 1.3), 0.15
-
 
 class TestSurfaceNet:
     def test_ball(self) -> None:

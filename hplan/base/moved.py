@@ -30,7 +30,7 @@ MOVED = {
     "sampling": "planning.sampling",
     "search": "grid",
     "smoothing": "optimization",
-    "smoothing.round_corners": "trajectory.round_corners",
+    "smoothing.round_corners": "trajectory.corner_rounding",
     "smoothing.spline": "trajectory.spline",
     "timing": "trajectory",
     "verification": "certificate",

@@ -26,10 +26,6 @@ from hplan.base.kernels import inlined, kernel
 #: Cells along each side of the cube.
 _CELLS: Final = 180
 
-#: A point counts as seen where what was measured in its cell is nearer by less than this [m]: noise, and the size of a
-#: voxel, do not hide a point behind itself.
-_TOLERANCE: Final = 0.03
-
 
 @inlined
 def _direction(x: float, y: float, z: float) -> int:
@@ -78,5 +74,7 @@ def hidden(points: FloatArray, frame: FloatArray) -> BoolArray:
     ranges = np.full(6 * _CELLS * _CELLS, np.inf)
     _note_ranges(frame, ranges)
     found = np.zeros(len(points), dtype=np.bool_)
-    _mark_hidden(np.ascontiguousarray(points), ranges, _TOLERANCE, found)
+    # A point counts as seen where what was measured in its cell is nearer by less than this [m]: noise, and the size
+    # of a voxel, do not hide a point behind itself.
+    _mark_hidden(np.ascontiguousarray(points), ranges, 0.03, found)
     return found

@@ -36,9 +36,6 @@ NEAR = 0.15
 #: Of arms that are no planar chain, which have many more bodies, those farther than this.
 NEAR_OF_BODIES = 0.06
 
-#: By how much a step has to add to a clearance that is less than the margin, where all control points may move [m].
-RECOVERED = 5e-4
-
 #: Kinematic rows of a joint that the states at the ends have a part in: one, two and three at each end.
 DRIFTING = any_int(12)
 
@@ -437,7 +434,9 @@ def _add_clearances(
                         entry += 1
             if entry > rows.starts[row]:
                 rows.pace[row] = pace
-                rows.upper[row] = (distance - min(margin, distance + free * RECOVERED)) / NEAR + pace
+                # By how much a step has to add to a clearance that is less than the margin, where all control points
+                # may move [m].
+                rows.upper[row] = (distance - min(margin, distance + free * 5e-4)) / NEAR + pace
                 row += 1
                 rows.starts[row] = entry
     return row

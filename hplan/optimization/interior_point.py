@@ -25,20 +25,11 @@ from hplan.base.kernels import kernel
 #: Weight of the squares of the changes: of motions that take the same time, the nearest one.
 NEARBY = 1e-4
 
-#: Most iterations; of those that succeed nearly all take 8 to 20.
-_ITERATIONS = 60
-
 #: Largest residual of a solution; and that, and the accuracy, of one where rounding leaves no further step.
 _RESIDUAL, _NEARLY = 1e-7, 1e-5
 
-#: A residual beyond which nothing will be found any more.
-_LOST = 1e12
-
 #: Part of the longest step that keeps slacks and multipliers positive.
 _INSIDE = 0.995
-
-#: Slacks begin with at least this.
-_FIRST_SLACK = 0.1
 
 
 class ProgramRows(NamedTuple):
@@ -112,7 +103,8 @@ def solve(rows: ProgramRows, count: int, band: int, accuracy: float, until: Floa
     x, slack, dual = point
     _begin(rows, point, value, residual)
     worst, gap = math.inf, math.inf
-    for _ in range(_ITERATIONS):
+    # Most iterations; of those that succeed nearly all take 8 to 20.
+    for _ in range(60):
         worst = max(_residuals(rows, point, value, residual), _gradient(rows, point, gradient))
         gap = 0.0
         for side in range(sides):
@@ -122,7 +114,8 @@ def solve(rows: ProgramRows, count: int, band: int, accuracy: float, until: Floa
         if is_up(until):
             break
         corner = _normal_equations(rows, slack, dual, normal.factor, normal.border)
-        if not (worst < _LOST and _factored(normal.factor)):
+        # A residual beyond which nothing will be found any more.
+        if not (worst < 1e12 and _factored(normal.factor)):
             break
         for i in range(count):
             normal.solved[i] = normal.border[i]
@@ -164,7 +157,8 @@ def _begin(rows: ProgramRows, point: _Point, value: FloatArray, residual: FloatA
     _residuals(rows, point, value, residual)
     slope = 0.0
     for side in range(len(slack)):
-        slack[side] = max(_FIRST_SLACK, -residual[side])
+        # Slacks begin with at least this.
+        slack[side] = max(0.1, -residual[side])
         dual[side] = 1.0 / slack[side]
         slope += max(0.0, -rows.pace[side if side < total else side - total]) * dual[side]
     for side in range(len(slack)):

@@ -26,9 +26,6 @@ from hplan.optimization.torque_rows import ALLOWED, TorqueUse
 from hplan.trajectory.cubics import accelerations, hermite_pieces
 from hplan.trajectory.retime import KEPT
 
-#: A step is halved so often at most until it is clear.
-HALVINGS = 5
-
 #: How near to the best pace steps come, and the last one.
 COARSE, EXACT = 1e-5, 1e-8
 
@@ -44,13 +41,6 @@ LONGEST_S = 600.0
 
 #: How often the rows of a motion are counted anew until they are enough.
 TRIES = 4
-
-#: Within these times, tried in turn, a motion is led over into the state of motion at its end: with more it leaves its
-#: path for a longer distance, with less it is farther beyond the limits [s].
-LED_OVER_S = (0.2, 0.1, 0.05)
-
-#: Least pace of a step where an end is in motion, or tracking errors grow with speed: neither is linear in the pace.
-LEAST_PACE = 0.75
 
 #: A motion that sways into what is near is slowed down so much, so often at most, before the first step.
 SLOWER, SLOWED = 1.5, 9
@@ -237,7 +227,9 @@ def _first(start: TimedMotion, problem: TimeProblem, breaks: FloatArray) -> Time
                 break
             spline = spline.at_pace(SLOWER)
         return spline
-    for within_s in LED_OVER_S:
+    # Within these times, tried in turn, a motion is led over into the state of motion at its end: with more it leaves
+    # its path for a longer distance, with less it is farther beyond the limits [s].
+    for within_s in (0.2, 0.1, 0.05):
         between = MotionBetween(start.positions, start.duration, problem.ends, within_s)
         spline = TimedSpline.near(between.positions, breaks, problem.ends)
         if problem.is_clear(spline):
@@ -303,13 +295,16 @@ def _step(
     errors grow with speed.
     """
     free = spline.ends is None and problem.sway is None
-    least = None if free else 1.0 if on_rows else LEAST_PACE
+    # Least pace of a step where an end is in motion, or tracking errors grow with speed: neither is linear in the
+    # pace.
+    least = None if free else 1.0 if on_rows else 0.75
     found = problem.step(spline, trust, gap, least=least)
     if found is None:
         return None
     change = np.zeros_like(spline.control)
     change[RESTING:-RESTING, problem.options.movable], pace = found
-    parts = (0.5**halving for halving in range(HALVINGS + 1))
+    # A step is halved so often at most until it is clear.
+    parts = (0.5**halving for halving in range(5 + 1))
     tried = (
         _Step(_taken(spline, part * change, 1.0 if on_rows or free else 1.0 + part * (pace - 1.0)), part, pace)
         for part in parts

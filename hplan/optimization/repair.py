@@ -18,14 +18,8 @@ from hplan.collision.clearance_field import ClearanceField
 #: How often a motion is halved.
 _HALVINGS = 3
 
-#: Steps along the gradient for one middle.
-_PUSHES = 8
-
 #: Largest push [rad], and the difference that the gradient is taken with.
 _LARGEST_PUSH, _DIFFERENCE = 0.1, 1e-4
-
-#: Clearances aimed at in turn when leaving a tight place [m].
-_ESCAPES = (5e-3, 0.01, 0.02, 0.04, 0.08)
 
 #: What a push aims at beyond the margin [m].
 _BEYOND = 2e-3
@@ -117,7 +111,8 @@ def leave_contact(
         (k, dof) configurations from `q` on, the motions between them shown clear.
     """
     path = q[None]
-    for wanted in _ESCAPES:
+    # Clearances aimed at in turn when leaving a tight place [m].
+    for wanted in (5e-3, 0.01, 0.02, 0.04, 0.08):
         if field.clearance(path[-1]) >= wanted:
             continue
         there = _out(path[-1], field, lower, upper, wanted)
@@ -185,7 +180,8 @@ def _out(
     """
     movable = np.flatnonzero(upper > lower)
     probe = _DIFFERENCE * np.eye(len(q))[movable]
-    for _ in range(_PUSHES):
+    # Steps along the gradient for one middle.
+    for _ in range(8):
         clearances = field.link_clearances(q)
         near = np.flatnonzero(clearances < wanted)
         if not len(near):

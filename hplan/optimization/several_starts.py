@@ -27,9 +27,6 @@ from hplan.trajectory.speed_profile import SpeedProfile
 #: Obstacles farther than this from a path are left out of the programs that move it [m].
 NEAR = 0.4
 
-#: Another path than the first is preferred to it only where its smooth path is quicker by more than this part.
-PREFERENCE = 0.02
-
 #: A rough motion comes out quicker by no more than about this part of a motion that is known, and of another one.
 LEFT_TO_GAIN, AMONG_ROUGH = 0.1, 0.05
 
@@ -81,7 +78,8 @@ def optimization_starts(paths: Sequence[FloatArray], problem: TimeProblem) -> li
                 OptimizationStart(number, replace(problem, near=near), coarse_profile(spline, problem.options))
             )
     found = [start for start in found if start.profile.duration < LONGEST_S]
-    times = [start.profile.duration * (1.0 - PREFERENCE * (start.number == 0)) for start in found]
+    # Another path than the first is preferred to it only where its smooth path is quicker by more than this part.
+    times = [start.profile.duration * (1.0 - 0.02 * (start.number == 0)) for start in found]
     return [found[k] for k in ties.argsort(times).tolist()]
 
 

@@ -13,26 +13,17 @@ from hplan.optimization.options import PostprocessOptions
 from hplan.optimization.push_clear import clear_spline
 from hplan.optimization.shortcut import shorten
 from hplan.robot.limits import least_duration, rest_to_rest
-from hplan.trajectory.round_corners import smooth
+from hplan.trajectory.corner_rounding import clear_rounding
 from hplan.trajectory.spline import SplinePath
 
 #: Numbers of control points of a spline for an optimiser to begin with, tried in turn: as few as will do.
 FAST_CONTROL_POINTS = (6, 8, 7, 9, 10, 12, 14, 17, 20, 25, 30, 44)
-
-#: Where any clear spline will do: a number that fails takes milliseconds, and more points succeed more often.
-ANY_CONTROL_POINTS = (6, 10, 14, 20, 30, 44, 8, 12)
-
-#: For a short path many, so that the spline can follow the obstacles closely.
-SHORT_CONTROL_POINTS = (44, 64)
 
 #: Shortcuts tried before an optimiser begins: what is less taut has more room.
 START_SHORTCUTS = 25
 
 #: Ends nearer to each other than this are one [rad].
 NO_MOTION = 1e-9
-
-#: A motion that takes no longer than so many times the least duration of its ends is as good as the fastest.
-GOOD_ENOUGH = 1.005
 
 #: Obstacles farther than this from the grid path are left out while the spline is moved [m].
 NEAR = 0.3
@@ -60,21 +51,23 @@ def clear_path(path: FloatArray, field: ClearanceField, options: PostprocessOpti
     if is_straight(path, field, options):
         return SplinePath.through(np.linspace(path[0], path[-1], 4))
     near = near_field(path, field)
-    found = clear_start(path, near, options, ANY_CONTROL_POINTS)
+    # Where any clear spline will do: a number that fails takes milliseconds, and more points succeed more often.
+    found = clear_start(path, near, options, (6, 10, 14, 20, 30, 44, 8, 12))
     if found is not None and (near is field or found.is_clear(field, 0.5 * smallest)):
         return found
-    return smooth(shorten(path, field, margin=smallest), field, margin=smallest)
+    return clear_rounding(shorten(path, field, margin=smallest), field, margin=smallest)
 
 
 def short_path(path: FloatArray, field: ClearanceField, options: PostprocessOptions) -> SplinePath:
     """A short smooth path: pulled taut, a spline along it. Arguments and errors are those of `clear_path`."""
     smallest = _smallest_margin(path, field, options)
     taut = shorten(path, field, margin=smallest)
-    for count in SHORT_CONTROL_POINTS:
+    # For a short path many, so that the spline can follow the obstacles closely.
+    for count in (44, 64):
         spline = clear_spline(taut, field, options, count=count, margin=smallest)
         if spline is not None:
             return spline
-    return smooth(taut, field, margin=smallest)
+    return clear_rounding(taut, field, margin=smallest)
 
 
 def _smallest_margin(path: FloatArray, field: ClearanceField, options: PostprocessOptions) -> float:
@@ -91,7 +84,8 @@ def is_straight(path: FloatArray, field: ClearanceField, options: PostprocessOpt
     """True if the fastest motion between the ends of a path is the straight one, which is shown clear."""
     least = least_duration(path[0], path[-1], options.velocity, options.acceleration)
     straight = straight_duration(path[0], path[-1], options)
-    return straight <= GOOD_ENOUGH * least and field.is_clear(path[[0, -1]], options.margin)
+    # A motion that takes no longer than so many times the least duration of its ends is as good as the fastest.
+    return straight <= 1.005 * least and field.is_clear(path[[0, -1]], options.margin)
 
 
 def near_field(path: FloatArray, field: ClearanceField, distance: float = NEAR) -> ClearanceField:

@@ -23,15 +23,6 @@ from hplan.trajectory.spline import FIRST, MovableSpline, piece_is_clear, pieces
 #: Fraction of the margin asked for wherever the proof of a step looks; the programs ask for all of it at their places.
 PROVED = 0.05
 
-#: Column of a chain with the half-widths of links.
-HALF_WIDTH = 1
-
-#: How often the pace of a motion is looked at anew whose ends do not slow down with it.
-PACES = 4
-
-#: Rounds in which the least duration of a spline and its pieces' come to agree.
-_ROUNDS = 4
-
 
 @dataclass(frozen=True, eq=False)
 class TimeProblem(Record):
@@ -85,7 +76,8 @@ class TimeProblem(Record):
         for piece, grown in zip(np.array(pieces), swayed, strict=True):
             if arrays.chain.shape[1] == LINK:
                 chain = arrays.chain.copy()
-                chain[:, HALF_WIDTH] += grown
+                # Column of a chain with the half-widths of links.
+                chain[:, 1] += grown
                 clear = piece_is_clear(piece, arrays._replace(chain=frozen(chain)), margin, 0.0)
             else:
                 clear = piece_is_clear(piece, arrays, margin + float(grown.max()), 0.0)
@@ -102,7 +94,8 @@ class TimeProblem(Record):
         # The states at the ends stay as they are: with the pace the pieces there change their shape. That may take more
         # pace than it gives, so that only what has to be slower is slowed down.
         total, more = 1.0, pace
-        for _ in range(PACES):
+        # How often the pace of a motion is looked at anew whose ends do not slow down with it.
+        for _ in range(4):
             if more <= 1.0:
                 break
             total *= more
@@ -122,7 +115,8 @@ class TimeProblem(Record):
         """
         limits, seconds = self.limits, 0.0
         jerk = self.arrays.rates[2]
-        for _ in range(_ROUNDS):
+        # Rounds in which the least duration of a spline and its pieces' come to agree.
+        for _ in range(4):
             growing = jerk if seconds == 0.0 else np.minimum(jerk, limits.acceleration * pieces / seconds)
             seconds = float(rest_to_rest(np.abs(turn), limits.velocity, limits.acceleration, growing).max())
         return seconds

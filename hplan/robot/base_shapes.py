@@ -27,9 +27,6 @@ from hplan.scene.convex_shape import convex_hull_shape
 TURRET: Final = -1
 GROUND: Final = -2
 
-#: A shape whose axis is nowhere farther than this from the yaw axis is round about it [m].
-_ROUND: Final = 1e-6
-
 #: A body that stands on another, or carries it, may be this deep in it [m].
 BASE_DEPTH: Final = 1e-3
 
@@ -215,7 +212,8 @@ def _is_round(geometry: coal.CollisionGeometry, placement: pin.SE3) -> bool:
     else:
         return False
     tilt = float(np.hypot(*placement.rotation[:2, 2]))
-    return float(np.hypot(*placement.translation[:2])) + tilt * half_length <= _ROUND
+    # A shape whose axis is nowhere farther than this from the yaw axis is round about it [m].
+    return float(np.hypot(*placement.translation[:2])) + tilt * half_length <= 1e-6
 
 
 def coal_distance(a: coal.CollisionGeometry, at: pin.SE3, b: coal.CollisionGeometry, other: pin.SE3) -> float:

@@ -5,12 +5,15 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Generic, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from hplan.base.arguments import is_number, number
 from hplan.base.arrays import FloatArray, Record, numbers
+
+_T = TypeVar("_T")
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,6 +161,16 @@ class PlanarFamily(Record):
         return math.hypot(abs(ahead) + float(self.arm.lengths.sum()), across)
 
 
+class _OfFamily(Generic[_T]):
+    """An attribute of the robot that is one of its `family`, of the same name."""
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self._name = name
+
+    def __get__(self, robot: PlanarNames | None, owner: type) -> _T:
+        return self if robot is None else getattr(robot.family, self._name)  # type: ignore[return-value]
+
+
 class PlanarNames:
     """What `PlanarFamily` holds, under the same names on the robot itself; refused where it is not of the family."""
 
@@ -170,40 +183,16 @@ class PlanarNames:
         """
         raise NotImplementedError
 
-    @property
-    def has_yaw(self) -> bool:
-        """True where joint 0 turns the arm plane about the vertical."""
-        return self.family.has_yaw
-
-    @property
-    def yaw_axis(self) -> FloatArray:
-        """(2,) where that vertical stands in `base_link` [m]; zeros without a yaw."""
-        return self.family.yaw_axis
-
-    @property
-    def arm(self) -> PlanarArm:
-        """The planar chain."""
-        return self.family.arm
-
-    @property
-    def plane_origin(self) -> FloatArray:
-        """(3,) shoulder position at yaw 0, in `base_link` [m]."""
-        return self.family.plane_origin
-
-    @property
-    def plane_axes(self) -> FloatArray:
-        """(2, 3) the plane's horizontal and upward unit vectors at yaw 0."""
-        return self.family.plane_axes
-
-    @property
-    def yaw_joints(self) -> int:
-        """Number of joints before the planar ones: 1 with a yaw, else 0."""
-        return self.family.yaw_joints
-
-    @property
-    def arm_slice(self) -> slice:
-        """Places of the planar joints in a configuration."""
-        return self.family.arm_slice
+    has_yaw = _OfFamily[bool]()
+    yaw_axis = _OfFamily[FloatArray]()
+    arm = _OfFamily[PlanarArm]()
+    plane_origin = _OfFamily[FloatArray]()
+    plane_axes = _OfFamily[FloatArray]()
+    yaw_joints = _OfFamily[int]()
+    arm_slice = _OfFamily[slice]()
+    shoulder_from_axis = _OfFamily[tuple[float, float]]()
+    yaw_radius = _OfFamily[FloatArray]()
+    tool_radius = _OfFamily[float]()
 
     def plane_at(self, yaw: float) -> tuple[FloatArray, FloatArray]:
         """The arm plane turned by `yaw` (`PlanarFamily.plane_at`).
@@ -221,18 +210,3 @@ class PlanarNames:
         """
         dof = self.family.arm.link_count + self.family.yaw_joints
         return self.family.sway(numbers("deviation", deviation, () if is_number(deviation) else (..., dof)))
-
-    @property
-    def shoulder_from_axis(self) -> tuple[float, float]:
-        """The shoulder as seen from the yaw axis: along the plane's horizontal axis, and along its normal [m]."""
-        return self.family.shoulder_from_axis
-
-    @property
-    def yaw_radius(self) -> FloatArray:
-        """(links,) largest distance of any point of each link's axis from the yaw axis [m]."""
-        return self.family.yaw_radius
-
-    @property
-    def tool_radius(self) -> float:
-        """Largest distance of the tool from the yaw axis [m]."""
-        return self.family.tool_radius

@@ -21,9 +21,6 @@ from hplan.errors import RobotFileError
 from hplan.robot.urdf_file import CollisionShape, Joint, Link, Urdf
 from hplan.robot.urdf_xml import line_of
 
-#: How far two readings of one number may be apart, as a fraction of one plus its size.
-_TOLERANCE: Final = 1e-9
-
 _MOVING: Final = ("revolute", "continuous", "prismatic")
 
 
@@ -99,7 +96,8 @@ class _Check:
     def same(self, element: ET.Element | None, name: str, what: str, found: ArrayLike, said: ArrayLike) -> None:
         """Refuse numbers that differ."""
         ours, theirs = np.asarray(said, dtype=np.float64), np.asarray(found, dtype=np.float64)
-        if ours.shape == theirs.shape and np.abs(ours - theirs).max() <= _TOLERANCE * (1.0 + np.abs(ours).max()):
+        # How far two readings of one number may be apart, as a fraction of one plus its size.
+        if ours.shape == theirs.shape and np.abs(ours - theirs).max() <= 1e-9 * (1.0 + np.abs(ours).max()):
             return
         raise self._fault(element, f"{name}: Pinocchio reads {what} as {_short(theirs)}, the file says {_short(ours)}")
 

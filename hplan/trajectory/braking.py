@@ -15,12 +15,6 @@ from hplan.robot.model import Robot
 from hplan.trajectory.cubics import points_of, rows_of
 from hplan.trajectory.trajectory import Trajectory
 
-#: Most rows of a stop.
-MOST_ROWS = 20_000
-
-#: Part of the jerk limit with which the end of a stop is planned ahead.
-AHEAD = 0.9
-
 
 def braking(
     robot: Robot, position: FloatArray, velocity: FloatArray, acceleration: FloatArray, period: float, push: FloatArray
@@ -41,7 +35,8 @@ def braking(
     change = acceleration * period**2
     step = period * velocity + 0.5 * change
     while (step != 0.0).any() or (change != 0.0).any():
-        if len(points) > MOST_ROWS:
+        # Most rows of a stop.
+        if len(points) > 20_000:
             return None
         change = _change(step, change, most, jerk)
         step = np.where(np.abs(step + change) <= 1e-15, 0.0, step + change)
@@ -58,7 +53,8 @@ def braking(
 def _change(step: FloatArray, change: FloatArray, most: FloatArray, jerk: FloatArray) -> FloatArray:
     """(dof,) changes of the steps from one row to the next."""
     away = np.abs(step)
-    ahead = np.minimum(AHEAD * jerk, 1e9)
+    # Part of the jerk limit with which the end of a stop is planned ahead.
+    ahead = np.minimum(0.9 * jerk, 1e9)
     still = np.where(away > ahead, 0.5 * (np.sqrt(ahead**2 + 8.0 * ahead * np.minimum(away, 1e9)) - ahead), away)
     wanted = -np.sign(step) * np.minimum(np.where(np.isfinite(jerk), still, away), most)
     allowed: FloatArray = np.clip(wanted, np.maximum(change - jerk, -most), np.minimum(change + jerk, most))

@@ -28,8 +28,10 @@ from numpy.typing import ArrayLike
 
 from hplan.base.arguments import number
 from hplan.base.arrays import FloatArray, numbers, readonly
-from hplan.errors import InputError
-from hplan.trajectory.spline import SplinePath
+from hplan.base.polyline import stations
+from hplan.collision.clearance_field import ClearanceField
+from hplan.errors import CertificationError, InputError
+from hplan.trajectory.spline import SplinePath, first_contact
 
 #: Smallest deviation that can be asked for [rad]: sharper corners are too much for toppra's tolerances.
 LEAST_DEVIATION = 1e-4
@@ -73,14 +75,48 @@ def rounded_path(waypoints: ArrayLike, deviation_rad: float) -> SplinePath:
     if len(points) < 2:
         return SplinePath(readonly(np.repeat(points, 4, axis=0)), readonly([0.0] * 4 + [1.0] * 4))
     length = np.linalg.norm(np.diff(points, axis=0), axis=1)
-    station = np.concatenate([[0.0], np.cumsum(length)])
     bend = np.linalg.norm(np.diff(np.diff(points, axis=0) / length[:, None], axis=0), axis=1)
-    # Largest fraction of a segment that the rounding of a corner at one of its ends takes.
-    segment_share = 0.4
-    half = np.minimum(
-        segment_share * np.minimum(length[:-1], length[1:]),
-        6.0 * (1.0 - THINNING) * deviation_rad / np.maximum(bend, 1e-12),
+    return _rounded(
+        points, np.minimum(_widest(length), 6.0 * (1.0 - THINNING) * deviation_rad / np.maximum(bend, 1e-12))
     )
+
+
+def clear_rounding(path: FloatArray, field: ClearanceField, *, margin: float) -> SplinePath:
+    """The polyline with its corners rounded as widely as is verified collision-free.
+
+    A corner that cannot be verified is rounded half as widely: in the limit the spline is the polyline.
+
+    Args:
+        path: (m, dof) waypoints, m >= 2, clear at `margin`, no two neighbours equal.
+        field: Arm and obstacles.
+        margin: Clearance the polyline has wherever it was evaluated [m]; half of it is asked of the spline.
+
+    Raises:
+        CertificationError: No rounding of some corner can be verified.
+    """
+    half = _widest(np.linalg.norm(np.diff(path, axis=0), axis=1))
+    while True:
+        spline = _rounded(path, half)
+        bad = np.flatnonzero(first_contact(spline.pieces, field, 0.5 * margin))
+        if not len(bad):
+            return spline
+        # Pieces come in threes: straight, into the corner, out of it.
+        corners = np.unique(bad[bad % 3 > 0] // 3)
+        if not len(corners) or half[corners].min() < 1e-6:
+            reason = "the path's corners cannot be rounded within its clearance"
+            raise CertificationError(reason, pieces=bad.tolist())
+        half[corners] *= 0.5
+
+
+def _widest(length: FloatArray) -> FloatArray:
+    """(m - 2,) largest half-widths of corners: none takes more than this part of a segment at one of its ends."""
+    widest: FloatArray = 0.4 * np.minimum(length[:-1], length[1:])
+    return widest
+
+
+def _rounded(points: FloatArray, half: FloatArray) -> SplinePath:
+    """The polyline's spline with corners of some half-widths (see the module's text)."""
+    station = stations(points)
     inner = (station[1:-1, None] + half[:, None] * np.array([-1.0, 0.0, 1.0])).ravel()
     knots = np.concatenate([[0.0] * 4, inner, [station[-1]] * 4])
     greville = (knots[1:-3] + knots[2:-2] + knots[3:-1]) / 3.0

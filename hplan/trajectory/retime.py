@@ -51,10 +51,6 @@ from hplan.trajectory.trajectory import Trajectory
 #: Grid points of the path parameter, in addition to the knots.
 GRID_POINTS = 400
 
-#: With fewer points than this for each row, what passes a limit between them slows the whole motion down; longer
-#: motions get more points, up to a number that takes a tenth of a second.
-POINTS_PER_ROW = 0.8
-
 #: Fraction by which a limit may be passed before the motion is slowed down.
 KEPT = 2e-4
 
@@ -129,7 +125,9 @@ def time_path(
         ends = (float(leads[0]), float(leads[1]))
         between = parameter_grid(path, grid_points, ends) if rates.any() else whole
         found = SpeedProfile.along(path, dynamics, limits, between, rates)
-        wanted = int(POINTS_PER_ROW * found.arrival[-1] * rate_hz)
+        # With fewer points than this for each row, what passes a limit between them slows the whole motion down;
+        # longer motions get more points, up to a number that takes a tenth of a second.
+        wanted = int(0.8 * found.arrival[-1] * rate_hz)
         if grid is None and wanted > len(between):
             found = SpeedProfile.along(
                 path, dynamics, limits, parameter_grid(path, min(wanted, MOST_POINTS), ends), rates

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,7 +14,7 @@ from hplan.robot.model import Robot
 from hplan.scene.model import Fruit, Goal, Scene, Start
 from hplan.scene.obstacles import Box, Capsule, Cylinder
 from hplan.scene.tracks import Track
-from hplan.trajectory.trajectory import Trajectory
+from hplan.trajectory.trajectory import Phase, Trajectory
 
 CAPSULES = (
     Capsule(name="tree 1 branch 1", start=(1.6, 0.5, 0.0), end=(1.2, 0.1, 1.4), radius=0.03),
@@ -23,13 +22,6 @@ CAPSULES = (
     Capsule(name="wire 1", start=(1.4, -2.0, 1.0), end=(1.4, 2.0, 1.0), radius=0.002),
     Capsule(name="trunk", start=(1.4, 0.0, 0.0), end=(1.4, 0.0, 1.0), radius=0.04),
 )
-
-
-@dataclass(frozen=True)
-class Part:
-    name: str
-    start_s: float
-    end_s: float
 
 
 def motion(robot: Robot, duration: float = 2.0) -> Trajectory:
@@ -121,7 +113,7 @@ def test_capsules_of_one_look_are_copies_of_one_shape(robot: Robot) -> None:
 
 def test_a_picked_fruit_changes_its_colour_and_goes_with_the_tool(robot: Robot) -> None:
     trajectory = motion(robot)
-    phases = (Part("transit", 0.0, 0.6), Part("approach", 0.6, 1.0), Part("retreat", 1.0, 2.0))
+    phases = (Phase("transit", 0.0, 0.6), Phase("approach", 0.6, 1.0), Phase("retreat", 1.0, 2.0))
     commands = stage(robot, orchard(), Playback(trajectory, picked={"ripe": 1.0}, phases=phases))
     found = tracks(commands)
     hanging = found["/hplan/fruits/fruit ripe"][".visible"]
@@ -149,7 +141,7 @@ def test_a_picked_fruit_changes_its_colour_and_goes_with_the_tool(robot: Robot) 
 
 def test_of_a_tour_the_tool_holds_one_fruit_until_it_lets_it_go(robot: Robot) -> None:
     scene, trajectory = orchard(), motion(robot, 4.0)
-    retreats = (Part("retreat", 1.0, 1.4), Part("retreat", 3.0, 3.4))
+    retreats = (Phase("retreat", 1.0, 1.4), Phase("retreat", 3.0, 3.4))
     times = {"green": 3.0, "ripe": 1.0}
     assert [(p.fruit.name, p.since, p.until) for p in picks(scene, Playback(trajectory, times, phases=retreats))] == [
         ("ripe", 1.0, 1.4),

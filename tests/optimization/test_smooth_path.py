@@ -24,8 +24,8 @@ from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
 from hplan.robot.limits import Limits
 from hplan.scene.obstacles import Sphere
+from hplan.trajectory.corner_rounding import clear_rounding
 from hplan.trajectory.retime import time_path
-from hplan.trajectory.round_corners import smooth
 from hplan.trajectory.spline import SplinePath
 
 MARGIN = 2e-3
@@ -158,7 +158,7 @@ def test_shortened_random_paths(robot):
         assert_kept(robot, checker, taut, path[0], path[-1])
         assert (taut[:, 0] == path[0, 0]).all()
         assert path_length(taut) <= path_length(path) * (1 + 1e-12)
-        assert_kept(robot, checker, smooth(taut, field, margin=1e-5), path[0], path[-1])
+        assert_kept(robot, checker, clear_rounding(taut, field, margin=1e-5), path[0], path[-1])
 
 
 def test_a_second_locked_joint_stays(robot, field):
@@ -208,11 +208,11 @@ def test_rounded_reference_path(robot, field, checker, grid_path):
     margin = 1e-4  # of the motions between nodes that stay, some have less than MARGIN
     taut = shorten(grid_path, field, margin=margin)
     assert field.is_clear(taut, margin)
-    path = smooth(taut, field, margin=margin)
+    path = clear_rounding(taut, field, margin=margin)
     assert_kept(robot, checker, path, taut[0], taut[-1])
     assert path.is_clear(field, 0.5 * margin)
     assert path.length < path_length(taut)
-    assert_same(path, smooth(taut, field, margin=margin))
+    assert_same(path, clear_rounding(taut, field, margin=margin))
     # It stays near the polyline.
     fine = samples_of(taut)
     off = [np.linalg.norm(fine - q, axis=1).min() for q in samples_of(path, 0.02)]
@@ -221,7 +221,7 @@ def test_rounded_reference_path(robot, field, checker, grid_path):
 
 def test_rounded_two_point_path_is_straight(robot, field):
     ends = np.radians([[10.0, 0, 0, 0], [10, 20, 15, 0]])
-    path = smooth(ends, field, margin=MARGIN)
+    path = clear_rounding(ends, field, margin=MARGIN)
     assert path.length == pytest.approx(np.linalg.norm(ends[1] - ends[0]), rel=1e-12)
     np.testing.assert_array_equal(path.evaluate([0.0, path.end]), ends)
 
@@ -229,7 +229,7 @@ def test_rounded_two_point_path_is_straight(robot, field):
 def test_corner_beside_an_obstacle_is_rounded_less(robot):
     """Beads about the tool where a wide rounding passes and the polyline does not."""
     path = np.array([[0, 0.42, 0.1, 0.07], [0, 0.29, 0.12, 1.44], [0, 0.15, 1.52, 1.05]])
-    wide = smooth(path, ClearanceField.of(robot, []), margin=1e-5)
+    wide = clear_rounding(path, ClearanceField.of(robot, []), margin=1e-5)
     rounded_less = 0
     for share, bearing in itertools.product((0.35, 0.45, 0.5, 0.55, 0.65), np.linspace(0.0, 2 * np.pi, 13)[:-1]):
         hand = robot.tool_positions(wide.evaluate(share * wide.end))
@@ -239,7 +239,7 @@ def test_corner_beside_an_obstacle_is_rounded_less(robot):
         if wide.is_clear(field, 5e-6) or not field.is_clear(path, 1e-5):
             continue
         rounded_less += 1
-        rounded = smooth(path, field, margin=1e-5)
+        rounded = clear_rounding(path, field, margin=1e-5)
         assert_kept(robot, checker, rounded, path[0], path[-1])
         corner = [np.linalg.norm(samples_of(spline) - path[1], axis=1).min() for spline in (wide, rounded)]
         assert 0.1 * corner[0] < corner[1] < 0.9 * corner[0]
@@ -251,7 +251,7 @@ def test_corner_in_contact_cannot_be_rounded(robot):
     tip = robot.tool_positions(path[1])
     ball = Sphere(name="ball", center=tuple(map(float, tip)), radius=0.05)
     with pytest.raises(CertificationError, match="corners cannot be rounded"):
-        smooth(path, ClearanceField.of(robot, [ball]), margin=1e-3)
+        clear_rounding(path, ClearanceField.of(robot, [ball]), margin=1e-3)
 
 
 # Splines pushed, and how fast they are

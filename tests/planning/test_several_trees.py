@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from hplan.optimization.path_classes import class_numbers
+from hplan.optimization.shortcut import shorten
+from hplan.optimization.smooth_path import START_SHORTCUTS
 from hplan.planning.definition import Problem, check_problem
 from hplan.planning.sampling import several_trees
 from hplan.planning.sampling.rrt_connect import TreeEffort, tree_path
-from hplan.planning.sampling.several_trees import OF_A_CLASS, PromisingPath, TreesEffort, promising_paths
-from hplan.planning.sampling.time_shortcut import path_time, quicken
+from hplan.planning.sampling.several_trees import OF_A_CLASS, PromisingPath, TreesEffort, path_time, promising_paths
 from hplan.planning.world import World
 from hplan.robot.model import Robot
 from hplan.scene import Sphere
@@ -35,7 +36,7 @@ def test_anywhere_each_pair_is_one_that_grows_alone(robot: Robot, blocked: tuple
     velocity = robot.velocity_limit
     grown = (tree_path(problem, world.field, velocity, MARGIN, TreeEffort(50_000, seed))[0] for seed in range(3))
     alone = [path for path in grown if path is not None]
-    times = [path_time(quicken(path, world.field, velocity, margin=MARGIN), velocity) for path in alone]
+    times = [path_time(shorten(path, world.field, margin=MARGIN, rounds=START_SHORTCUTS), velocity) for path in alone]
     paths = found(robot, blocked, ALONE)
     assert [path.seconds for path in paths] == pytest.approx(sorted(times), abs=1e-9)
     assert all(any(np.array_equal(path.waypoints, other) for other in alone) for path in paths)

@@ -6,7 +6,6 @@ Numbers of markers go with their places in the scene, so that a marker sent agai
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Final
 
 import numpy as np
 import pinocchio as pin
@@ -19,9 +18,6 @@ from hplan.base.arguments import instance, text
 from hplan.base.arrays import FloatArray
 from hplan.scene.model import Fruit, Scene
 from hplan.scene.obstacles import Box, Capsule, Cylinder, Obstacle, PointCloud, Sphere
-
-#: Most balls of a cloud that are drawn; of more, every second, third, ... one.
-MOST_BALLS: Final = 20_000
 
 #: Namespaces of markers.
 OBSTACLES, FRUITS = "obstacles", "fruits"
@@ -105,5 +101,6 @@ def _round(center: Sequence[float] | FloatArray, rotation: FloatArray, length: f
 
 
 def _balls(centers: FloatArray, radius: float) -> Marker:
-    some = mark.points(centers[:: -(-len(centers) // MOST_BALLS)])
+    # Most balls of a cloud that are drawn; of more, every second, third, ... one.
+    some = mark.points(centers[:: -(-len(centers) // 20_000)])
     return {"type": mark.SPHERE_LIST, "pose": mark.pose(), "scale": xyz((2.0 * radius,) * 3), "points": some}

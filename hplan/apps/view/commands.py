@@ -18,9 +18,6 @@ from hplan.base.arrays import FloatArray
 #: Path of the node that holds all.
 ROOT = "/hplan"
 
-#: The viewer takes no "for ever"; this is years.
-_REPETITIONS = 1_000_000_000
-
 
 def set_object(path: str, body: Body | Json) -> Json:
     """Put an object at a node."""
@@ -65,7 +62,8 @@ def clip(path: str, *tracks: Json) -> Json:
 
 def animation(clips: Sequence[Json]) -> Json:
     """Play all clips, again and again."""
-    options = {"play": True, "repetitions": _REPETITIONS}
+    # The viewer takes no "for ever"; this is years.
+    options = {"play": True, "repetitions": 1_000_000_000}
     return {"type": "set_animation", "path": "", "animations": list(clips), "options": options}
 
 

@@ -16,9 +16,6 @@ from hplan.apps.view.figure_style import FAINT, QUIET
 from hplan.base.arrays import BoolArray, FloatArray, IntArray
 from hplan.grid.grid import Grid
 
-#: Value of the field beyond the grid: closes the surface on the grid's faces.
-_OUTSIDE = 1e3
-
 
 def surface_net(field: FloatArray) -> tuple[FloatArray, IntArray]:
     """Surface where a field on a 3-D grid is zero, closed on the faces of the grid.
@@ -29,7 +26,8 @@ def surface_net(field: FloatArray) -> tuple[FloatArray, IntArray]:
     Returns:
         (V, 3) vertices in units of nodes and (F, 4) quadrilaterals, counter-clockwise seen from outside.
     """
-    values = np.pad(field, 1, constant_values=_OUTSIDE)
+    # Value of the field beyond the grid: closes the surface on the grid's faces.
+    values = np.pad(field, 1, constant_values=1e3)
     inside = values < 0.0
     cells = np.array(values.shape) - 1
     total = np.zeros((*cells, 3))

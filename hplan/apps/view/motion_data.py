@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hplan.apps.view.playback import NamedPhase, Playback
+from hplan.apps.view.playback import Playback
 from hplan.apps.view.scene_stage import REST_S
 from hplan.apps.view.three_js import Json
 from hplan.base.arrays import FloatArray
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
-from hplan.trajectory.trajectory import Trajectory
+from hplan.trajectory.trajectory import Phase, Trajectory
 
 if TYPE_CHECKING:
     from hplan.certificate.certificate import Certificate
@@ -62,7 +62,7 @@ def _phases(playback: Playback) -> list[Json]:
     ]
 
 
-def _fruit_of_each(phases: Sequence[NamedPhase], picked: Mapping[str, float]) -> list[str | None]:
+def _fruit_of_each(phases: Sequence[Phase], picked: Mapping[str, float]) -> list[str | None]:
     """The fruit that is picked next in a phase or, in those that come after a pick, was picked last."""
     found: list[str | None] = []
     for phase in phases:

@@ -4,35 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 from hplan.base.arguments import instance, list_of, number, text
 from hplan.base.arrays import numbers
 from hplan.errors import InputError, OptionError
 from hplan.robot.model import Robot
-from hplan.trajectory.trajectory import Trajectory
+from hplan.trajectory.trajectory import Phase, Trajectory
 
 if TYPE_CHECKING:
     from hplan.certificate.certificate import Certificate
     from hplan.certificate.clearance_curve import ClearanceCurve
     from hplan.planning.plan import PlanResult
     from hplan.tour.result import TourResult
-
-
-class NamedPhase(Protocol):
-    """A part of a motion, as `hplan.trajectory.trajectory.Phase` is one."""
-
-    @property
-    def name(self) -> str:
-        """`approach`, `retreat`, or another name."""
-
-    @property
-    def start_s(self) -> float:
-        """Begin [s]."""
-
-    @property
-    def end_s(self) -> float:
-        """End [s]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +36,7 @@ class Playback:
     trajectory: Trajectory
     picked: Mapping[str, float] = field(default_factory=dict)
     dropped: Mapping[str, float] = field(default_factory=dict)
-    phases: Sequence[NamedPhase] = ()
+    phases: Sequence[Phase] = ()
     certificate: Certificate | None = None
     clearance_curve: ClearanceCurve | None = None
     begin_s: float = 0.0
@@ -70,9 +54,8 @@ class Playback:
                 raise OptionError(option, times, "times [s] by the names of fruits")
             for name, time_s in times.items():
                 number(option, time_s, f"a time in seconds for {text(option, name)!r}")
-        for phase in list_of("phases", self.phases, object, "phases"):
-            text("phases", getattr(phase, "name", None), "phases with a name, a begin and an end")
-            numbers("phases", [getattr(phase, "start_s", None), getattr(phase, "end_s", None)], (2,))
+        for phase in list_of("phases", self.phases, Phase, "phases with a name, a begin and an end"):
+            numbers("phases", [phase.start_s, phase.end_s], (2,))
         number("begin_s", self.begin_s, "a time in seconds")
 
     @classmethod

@@ -28,12 +28,6 @@ from hplan.scene.obstacles import Solid
 from hplan.scene.solids import CUBE_CORNERS
 from hplan.trajectory.trajectory import Trajectory
 
-#: Visual meshes with more triangles than this are not drawn: those of a Panda would make a page of 68 MB.
-MOST_TRIANGLES = 20_000
-
-#: For the picture: how thick an arm of any kind is taken to be about its joints [m].
-THICKNESS = 0.08
-
 #: Most keyframes for each second of motion, and most of a whole motion: pages of long tours stay small.
 FRAME_RATE_HZ = 60.0
 MOST_FRAMES = 2400
@@ -119,7 +113,8 @@ def _looks(robot: Robot) -> Sequence[pin.GeometryObject]:
     """What is drawn of a robot: its visual geometry or, where that is too fine for a page, its collision geometry."""
     shown: Sequence[pin.GeometryObject] = robot.visual_model.geometryObjects
     triangles = sum(getattr(item.geometry, "num_tris", 0) for item in shown)
-    return shown if triangles <= MOST_TRIANGLES else robot.collision_model.geometryObjects
+    # Visual meshes with more triangles than this are not drawn: those of a Panda would make a page of 68 MB.
+    return shown if triangles <= 20_000 else robot.collision_model.geometryObjects
 
 
 def _arm(robot: Robot, q: FloatArray) -> list[Json]:
@@ -345,7 +340,8 @@ def _reach(robot: Robot) -> tuple[float, FloatArray, float]:
     """How far the arm reaches [m] from where, (3,) [m], and about how thick it is at most [m]."""
     if robot.planar is None:
         ball = reach_ball(robot)
-        return float(ball[3]), ball[:3], THICKNESS
+        # For the picture: how thick an arm of any kind is taken to be about its joints [m].
+        return float(ball[3]), ball[:3], 0.08
     reach, middle = float(robot.arm.lengths.sum()), robot.plane_origin
     if robot.has_yaw:
         reach += math.hypot(*robot.shoulder_from_axis)

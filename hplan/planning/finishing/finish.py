@@ -161,7 +161,9 @@ def _smoothed(task: PlanningTask, waypoints: FloatArray) -> Transit:
         return quickest(task, [Polyline(waypoints, "given")], task.margin())
     except (CertificationError, TimingError):
         with suppress(CertificationError, TimingError):
-            return _kept(task, waypoints, ROUNDING)
+            # Largest distance from the polyline where corners are only rounded because nothing else can be certified
+            # [rad].
+            return _kept(task, waypoints, 0.02)
         raise
 
 

@@ -26,9 +26,6 @@ STEP_M, MOST_STEPS = 2e-3, 4000
 #: Of the configurations with the least clearance along a motion, so many valleys and so many others are put to coal.
 VALLEYS, SPREAD = 12, 48
 
-#: Halvings of the distance between two configurations about the nearest one.
-REFINEMENTS = 12
-
 
 class Place(NamedTuple):
     """A place along a path that touches something, or comes too close.
@@ -135,7 +132,8 @@ def _nearest(world: World, ends: FloatArray, number: int) -> Place | None:
     else:
         centre = deepest[0]
     width = 1.0 / count
-    for _ in range(REFINEMENTS):
+    # Halvings of the distance between two configurations about the nearest one.
+    for _ in range(12):
         width *= 0.5
         tried = np.clip([centre - width, centre, centre + width], 0.0, 1.0)
         if deepest is None:

@@ -27,12 +27,6 @@ from hplan.robot.limits import Limits
 #: cells lie to the obstacles matters about as much as their size: so there are two.
 EACH_JOINT, ONE_JOINT = (24, 48), (66, 76)
 
-#: The largest number of states of all samples, in words, that a grid may have; finer ones are left out.
-MOST_STATES = 400_000_000
-
-#: The largest number of states of one sample, in words of 8 bytes.
-MOST_WORDS = 6_000_000
-
 #: The part of the duration that the search distinguishes, and the gap below which no finer grid is searched.
 STEP, ENOUGH = 0.002, 0.01
 
@@ -148,7 +142,8 @@ def _planar(
 
     def searched(order: IntArray, samples: int) -> PlanarSearch | None:
         grid = TimedGrid.of(motions.only(order), duration_s, Resolution(samples))
-        if grid.words > MOST_WORDS or grid.words * samples > MOST_STATES:
+        # Most states of one sample and of all that a grid may have, in words of 8 bytes; finer ones are left out.
+        if grid.words > 6_000_000 or grid.words * samples > 400_000_000:
             return None
         return PlanarSearch.of(world.robot, obstacles, problem.start, order, grid)
 

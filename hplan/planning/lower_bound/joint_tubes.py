@@ -27,9 +27,6 @@ from hplan.robot.limits import rest_to_rest
 #: Deviation of positions that the certificate's tolerances and rounding may make [rad].
 SLACK = SAME + 2e-6
 
-#: Halvings of the range of velocities; the bound holds after any number of them.
-_HALVINGS = 26
-
 
 @dataclass(frozen=True, eq=False)
 class JointMotions(Record):
@@ -99,7 +96,8 @@ class JointMotions(Record):
         fastest = np.minimum(self.velocity, self.acceleration * np.minimum(since, until) + faster) + SLACK
         low, high = np.maximum(velocities[0], -fastest), np.minimum(velocities[1], fastest)
         possible = low <= high
-        for _ in range(_HALVINGS):
+        # Halvings of the range of velocities; the bound holds after any number of them.
+        for _ in range(26):
             middle = 0.5 * (low + high)
             short = start + self._travel(since, middle) < goal + self._travel(until, -middle)
             low, high = np.where(short, middle, low), np.where(short, high, middle)

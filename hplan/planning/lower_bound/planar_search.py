@@ -14,12 +14,6 @@ from hplan.planning.lower_bound.occupied_cells import Cells, free_cells
 from hplan.planning.lower_bound.reachability import Samples, is_reachable
 from hplan.robot.model import Robot
 
-#: Size of the cells of a joint that stands still [rad].
-_STILL = 1e-3
-
-#: Parts of a cell along each axis but the first that are examined one by one.
-_PARTS = 2
-
 
 @dataclass(frozen=True)
 class Resolution:
@@ -65,7 +59,8 @@ class TimedGrid(Record):
         # Rounding never makes a cell too small for the steps below.
         change = motions.acceleration[0] * period**2 * (1.0 + 1e-9)
         travel = motions.velocity * period * (1.0 + 1e-9)
-        sizes = np.where(travel > 0.0, travel / resolution.speed_cells, _STILL)
+        # Size of the cells of a joint that stands still [rad].
+        sizes = np.where(travel > 0.0, travel / resolution.speed_cells, 1e-3)
         sizes[0] = min(change / resolution.move_cells, sizes[0])
         places = motions.places(np.linspace(0.0, longest, resolution.samples + 1)[:, None], longest)
         # Between samples a joint is no farther than half of its travel from where it is at one of them.
@@ -142,7 +137,8 @@ class PlanarSearch(Record):
             grid: The grid.
         """
         planar = joints - robot.yaw_joints
-        parts = np.array([1, *np.where(grid.counts[1:] > 1, _PARTS, 1)])
+        # Parts of a cell along each axis but the first that are examined one by one.
+        parts = np.array([1, *np.where(grid.counts[1:] > 1, 2, 1)])
         half = np.zeros(3)
         half[planar] = 0.5 * grid.sizes / parts
         lengths = robot.arm.lengths[:3]

@@ -23,7 +23,6 @@ from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.clearance_kernels import link_clearances, motion_bounds, proven_advance
 from hplan.collision.obstacle_rows import OF_BODIES, FieldArrays
 from hplan.planning.definition import Problem
-from hplan.planning.sampling.time_shortcut import motion_time
 
 #: Samples drawn at a time, and nodes that a tree may have.
 CHUNK, MOST_NODES = 500, 20_000
@@ -247,3 +246,12 @@ def _shown_part(
             break
         at = min(1.0, at + advance)
     return shown
+
+
+@kernel
+def motion_time(start: FloatArray, end: FloatArray, slowness: FloatArray) -> float:
+    """Least time of the straight motion at the velocity limits [s]."""
+    time = 0.0
+    for k in range(len(start)):
+        time = max(time, abs(end[k] - start[k]) * slowness[k])
+    return time

@@ -12,9 +12,10 @@ from hplan.base import ties
 from hplan.base.arrays import FloatArray, frozen
 from hplan.collision.clearance_field import ClearanceField
 from hplan.optimization.path_classes import PARTS, class_numbers
+from hplan.optimization.shortcut import shorten
+from hplan.optimization.smooth_path import START_SHORTCUTS
 from hplan.planning.definition import Problem
 from hplan.planning.sampling.rrt_connect import TreeEffort, tree_path
-from hplan.planning.sampling.time_shortcut import path_time, quicken
 
 #: So many paths of a class are of use, as smoothing may fail.
 OF_A_CLASS = 3
@@ -75,13 +76,18 @@ def promising_paths(
     for seed in range(grown, effort.pairs):
         path, _ = tree_path(problem, field, velocity, margin, TreeEffort(effort.each, seed))
         if path is not None:
-            shorter = quicken(path, field, velocity, margin=margin)
+            shorter = shorten(path, field, margin=margin, rounds=START_SHORTCUTS)
             found.append(PromisingPath(path_time(shorter, velocity), path, _evenly(shorter, velocity)))
     found = [found[number] for number in ties.argsort([path.seconds for path in found]).tolist()]
     if len(found) <= OF_A_CLASS:
         return found
     number = class_numbers(np.stack([path.points for path in found]), field)
     return [path for k, path in enumerate(found) if np.count_nonzero(number[:k] == number[k]) < OF_A_CLASS]
+
+
+def path_time(path: FloatArray, velocity: FloatArray) -> float:
+    """About how long a motion along waypoints takes: at the velocity limits, and 0.02 s for each corner [s]."""
+    return float((np.abs(np.diff(path, axis=0)) / velocity).max(axis=1).sum() + 0.02 * (len(path) - 2))
 
 
 def _evenly(path: FloatArray, velocity: FloatArray) -> FloatArray:

@@ -15,9 +15,6 @@ from hplan.robot.files import LIMITS_FORMAT
 #: Colours of the links that move, and of what carries them.
 _COLORS = {"warm_white": "0.93 0.91 0.86 1", "graphite": "0.17 0.18 0.2 1"}
 
-#: Where the pedestal ends, as a part of the shoulder height.
-_PEDESTAL_TOP = 0.62
-
 #: Roll, pitch, yaw that turn the z axis of a URDF cylinder onto a coordinate axis.
 _TURNED = ((0.0, 0.5 * math.pi, 0.0), (0.5 * math.pi, 0.0, 0.0), (0.0, 0.0, 0.0))
 
@@ -79,7 +76,8 @@ def urdf_text(spec: ArmSpec) -> str:
     for name, color in _COLORS.items():
         ET.SubElement(ET.SubElement(root, "material", name=name), "color", rgba=color)
     height, radius, (x, y) = spec.shoulder_height, min(0.15, 2.8 * spec.link_half_widths[0]), spec.yaw_axis
-    top = _nine(_PEDESTAL_TOP * height)
+    # Where the pedestal ends, as a part of the shoulder height.
+    top = _nine(0.62 * height)
     pedestal = _Round("pedestal", 2, (0.0, top), _nine(radius), (x, y, 0.0))
     _add_link(root, "base_link", [pedestal], spec.base_mass, "graphite")
     # The turret's body ends at the shoulder axis: above it there is nothing but the first link's own capsule.
@@ -108,7 +106,8 @@ def urdf_text(spec: ArmSpec) -> str:
         gripper = _Round("gripper_capsule", 0, (-spec.gripper.length, 0.0), spec.gripper.half_width, capped=True)
         _add_link(root, "tool0", [gripper], spec.gripper.mass, "graphite")
     ET.indent(root)
-    return f'<?xml version="1.0"?>\n{ET.tostring(root, encoding="unicode")}\n'
+    text = ET.tostring(root, encoding="unicode").replace(" />", "/>")
+    return f'<?xml version="1.0"?>\n{text}\n'
 
 
 def _add_link(root: ET.Element, name: str, shapes: Sequence[_Round], mass: float, color: str) -> None:

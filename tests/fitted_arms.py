@@ -184,7 +184,7 @@ def quintic(robot: Robot, start_deg, end_deg, duration: float = 6.0, count: int 
     s, ds, dds = 10 * t**3 - 15 * t**4 + 6 * t**5, 30 * t**2 * (1 - t) ** 2, 60 * t * (1 - t) * (1 - 2 * t)
     turn = end - start
     q, v, a = start + s * turn, ds / duration * turn, dds / duration**2 * turn
-    return Trajectory(robot.joint_names, duration * t[:, 0], q, v, a, robot.dynamics.torques(q, v, a))
+    return Trajectory(robot.joint_names, duration * t[:, 0], q, v, a, robot.dynamics.torques(q, v, a), robot.slides)
 
 
 def scene_of(start_deg, goal_deg=None, obstacles=(), **more) -> Scene:

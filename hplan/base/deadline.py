@@ -130,7 +130,9 @@ class _Garbage:
     """Python's garbage, which is not collected while any thread is within a short deadline.
 
     What is allocated within one makes a collection due, which would run in the last lines of the call. So the last one
-    to leave collects what is young itself (1 ms); everything only where the time left is enough for that.
+    to leave collects the youngest itself, everything only where the time left is enough for that. What the call holds
+    until it returns is no garbage yet: the first one to begin collects it after the call before (0.1 ms), or it would
+    grow old, and the next collection of everything would take long.
     """
 
     def __init__(self) -> None:
@@ -144,6 +146,8 @@ class _Garbage:
         with self._lock:
             if not self._inside:
                 self._was_enabled = gc.isenabled()
+                if self._was_enabled:
+                    gc.collect(1)
                 gc.disable()
             self._inside.append(limit)
 
@@ -160,7 +164,7 @@ class _Garbage:
                 gc.collect()
                 self._all_s = clock_s() - begin
             else:
-                gc.collect(1)
+                gc.collect(0)
             gc.enable()
 
     def begin_in_child(self) -> None:

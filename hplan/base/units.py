@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -56,3 +57,10 @@ SLIDING = JointUnit("m", "N", ("pos_m", "vel_m_s", "acc_m_s2", "force_n"), "m", 
 def joint_unit(slides: bool) -> JointUnit:
     """The units of a joint that slides, or of one that turns."""
     return SLIDING if slides else TURNING
+
+
+def joint_length(value: float, slides: Sequence[bool], digits: str = ".2f") -> str:
+    """A length over all joints (Euclidean norm) in words: degrees, or as it is where some slide [rad and m]."""
+    if not any(slides):
+        return f"{math.degrees(value):{digits}} deg"
+    return f"{value:.4g} {'m' if all(slides) else 'rad and m'}"

@@ -56,7 +56,7 @@ from hplan.certificate.sway import fastest, largest_deviations
 from hplan.certificate.task_check import task_violations
 from hplan.certificate.tilted_base import use_on_track
 from hplan.collision.coal_scene import CoalScene, Contact, base_contacts
-from hplan.errors import MovingObstacleError
+from hplan.errors import InputError, MovingObstacleError
 from hplan.robot.base_shapes import BASE_DEPTH
 from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel
@@ -183,7 +183,8 @@ def certify(
         The certificate; read `verified`.
 
     Raises:
-        InputError: The trajectory has other joints than the robot, or start or goal of the scene do not fit it.
+        InputError: The trajectory has other joints than the robot, or does not say which of them are in metres where
+            some slide; start or goal of the scene do not fit it.
         MovingObstacleError: The fruit that is the goal moves.
         OptionError: A time that is not finite; a tracking error or delay, or a number of standard deviations, that is
             negative or not finite; another contact with the goal.
@@ -198,6 +199,10 @@ def certify(
     one_of("goal_contact", goal_contact, GOAL_CONTACTS)
     number("begin_s", begin_s, "a finite number of seconds")
     check_joints(trajectory, robot)
+    if any(robot.slides) and not trajectory.slides:
+        joint = robot.joint_names[robot.slides.index(True)]
+        missing = f"the trajectory does not say which of its joints are in metres, and {joint!r} slides"
+        raise InputError(f"{missing}: give Trajectory(..., slides=robot.slides) if those of the robot are", joint=joint)
     allowed, violations, fruit = list[FruitContact](), list[str](), None
     if checker is None:
         checker, fruit = checker_in_time(robot, scene, sigmas), scene.goal_fruit

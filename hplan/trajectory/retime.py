@@ -109,7 +109,12 @@ def time_path(
     _check_limits(path, dynamics, limits, whole, names)
     ends = np.array([0.0, path.breaks[-1]])
     # Path speeds ds/dt at the ends; the parameter need not run exactly as the length.
-    rates = np.array(end_speeds) / np.linalg.norm(path.evaluate(ends, 1), axis=1)
+    runs = np.linalg.norm(path.evaluate(ends, 1), axis=1)
+    for where, run in zip(("begin", "end"), runs, strict=True):
+        if not run > 0.0:
+            message = f"the path's parameter stands still at its {where}; it should run about as the joint-space length"
+            raise TimingError(message, cause="parameter")
+    rates = np.array(end_speeds) / runs
 
     period = 1.0 / rate_hz
 

@@ -62,7 +62,7 @@ def motion_between(robot: Robot, start: np.ndarray, end: np.ndarray, samples: in
     v = 30.0 * u * u * (1.0 - u) ** 2 / duration
     a = (60.0 * u - 180.0 * u * u + 120.0 * u**3) / duration**2
     columns = [start + s[:, None] * way, v[:, None] * way, a[:, None] * way]
-    return Trajectory(robot.joint_names, duration * u, *columns, np.zeros((samples, robot.dof)))
+    return Trajectory(robot.joint_names, duration * u, *columns, np.zeros((samples, robot.dof)), robot.slides)
 
 
 def scene_of(robot: Robot, trajectory: Trajectory, obstacles, clearance: float) -> Scene:
@@ -281,7 +281,7 @@ def straight_in(robot: Robot, grasp: np.ndarray, length: float, aside: float = 0
     velocity = np.gradient(position, time, axis=0)
     velocity[[0, count, -1]] = 0.0
     zero = np.zeros_like(position)
-    return Trajectory(robot.joint_names, time, position, velocity, zero, zero)
+    return Trajectory(robot.joint_names, time, position, velocity, zero, zero, robot.slides)
 
 
 @pytest.mark.parametrize("name", ["toy", "panda", "ur5"])

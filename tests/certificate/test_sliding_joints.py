@@ -13,6 +13,7 @@ from any_arms import GANTRY
 import hplan
 from hplan.apps.cli.main import main
 from hplan.apps.execution.recorded_motion import read_motion
+from hplan.base.units import joint_length
 from hplan.certificate.certificate import certify
 from hplan.certificate.sway import largest_deviations
 from hplan.errors import InputError, JointLimitError, RobotFileError, TimingError
@@ -32,7 +33,7 @@ def motion() -> Trajectory:
     u, pace = np.linspace(0.0, 1.0, 20)[:, None], 0.25
     q = BEGIN + (3.0 * u**2 - 2.0 * u**3) * (END - BEGIN)
     v, a = 6.0 * u * (1.0 - u) * pace * (END - BEGIN), (6.0 - 12.0 * u) * pace**2 * (END - BEGIN)
-    return Trajectory(ROBOT.joint_names, u[:, 0] / pace, q, v, a, ROBOT.dynamics.torques(q, v, a))
+    return Trajectory(ROBOT.joint_names, u[:, 0] / pace, q, v, a, ROBOT.dynamics.torques(q, v, a), ROBOT.slides)
 
 
 def scene(*obstacles: Sphere) -> Scene:
@@ -138,10 +139,23 @@ def test_limits_of_what_slides_are_in_metres(tmp_path: Path) -> None:
                 load_robot(GANTRY, limits=path)
 
 
+@pytest.mark.parametrize(
+    ("slides", "told"), [((False, False), "57.30 deg"), ((True, False), "1 rad and m"), ((True, True), "1 m")]
+)
+def test_lengths_over_joints_that_slide_are_no_degrees(slides: tuple[bool, ...], told: str) -> None:
+    assert joint_length(1.0, slides) == told
+
+
+def test_a_trajectory_that_does_not_say_what_is_in_metres_is_refused() -> None:
+    with pytest.raises(InputError, match="'rail' slides: give Trajectory"):
+        certify(ROBOT, scene(), replace(motion(), slides=()))
+
+
 def test_a_trajectory_made_by_hand_is_written_in_the_robots_units(tmp_path: Path) -> None:
-    path = hplan.write_csv(motion(), tmp_path / "motion.csv", ROBOT)
+    by_hand = replace(motion(), slides=())
+    path = hplan.write_csv(by_hand, tmp_path / "motion.csv", ROBOT)
     assert path.read_text().startswith("time_s,rail_pos_m,")
-    assert motion().stop_at(1.0, ROBOT).slides == (True, False)
+    assert by_hand.stop_at(1.0, ROBOT).slides == (True, False)
     with pytest.raises(InputError, match="'rail' slides, but the motion has it in radians"):
         hplan.write_csv(replace(motion(), slides=(False, False)), path, ROBOT)
 

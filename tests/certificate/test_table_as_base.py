@@ -37,7 +37,9 @@ def robot(tmp_path_factory) -> Robot:
 def certified(robot: Robot, ball: Sphere):
     q = np.array([[0.2], [0.4]])
     none = np.zeros_like(q)
-    motion = Trajectory(robot.joint_names, np.array([0.0, 2.0]), q, none, none, robot.dynamics.torques(q, none, none))
+    motion = Trajectory(
+        robot.joint_names, np.array([0.0, 2.0]), q, none, none, robot.dynamics.torques(q, none, none), robot.slides
+    )
     scene = Scene(name="s", start=Start(joints_rad=(0.2,)), goal=Goal(joints_rad=(0.4,)), obstacles=(ball,))
     return certify(robot, scene, motion)
 

@@ -154,7 +154,9 @@ def test_one_for_each_pair(robot):
 def test_the_proof_takes_them_off(robot, monkeypatch):
     """At rest, half of what there is to spare is shown: of the distance, less the error."""
     zero = np.zeros((1, 4))
-    still = Trajectory(robot.joint_names, np.zeros(1), zero, zero, zero, robot.dynamics.torques(zero, zero, zero))
+    still = Trajectory(
+        robot.joint_names, np.zeros(1), zero, zero, zero, robot.dynamics.torques(zero, zero, zero), robot.slides
+    )
     ball = Sphere(name="s", center=(1.0, 0.0, 1.0), radius=0.2)
     rest = (0.0,) * 4
     scene = Scene(name="s", start=Start(joints_rad=rest), goal=Goal(joints_rad=rest), obstacles=(ball,))

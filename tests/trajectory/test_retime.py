@@ -313,6 +313,21 @@ def test_speed_that_no_motion_can_have(robot, limits, end):
         time_path(straight(START, START + 1e-3), robot.model, limits, end_speeds=at_one_end(1.0, end))
 
 
+@pytest.mark.parametrize(("where", "share"), [("begin", (0.0, 0.0, 0.0, 1.0)), ("end", (0.0, 3.0, -3.0, 1.0))])
+def test_a_path_whose_parameter_stands_still_is_refused(robot, limits, where, share):
+    """As that of an optimised motion, which begins and ends at rest."""
+
+    class Path:
+        breaks = np.array([0.0, 1.0])
+
+        def evaluate(self, s, derivative=0):
+            part = np.polynomial.Polynomial(share).deriv(derivative)(np.asarray(s))
+            return START * (derivative == 0) + np.multiply.outer(part, GOAL - START)
+
+    with pytest.raises(TimingError, match=f"stands still at its {where}"):
+        time_path(Path(), robot.model, limits)
+
+
 def at_one_end(speed, end):
     return (speed, 0.0) if end == 0 else (0.0, speed)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -242,9 +243,14 @@ def show_summary(console: Console, result: PlanResult, folder: Path, more: Seque
     """What came of a plan, with names of more files: rows that fit 80 columns, unless names are long."""
     from rich.markup import escape
 
+    from hplan.base.units import joint_length
+
     report = result.report
     planner, expansions, path = report["planner"], report["planner"]["expansions"], report["path"]
     motion, proof = report["trajectory"], report["certificate"]
+    length, grid = (
+        joint_length(math.radians(path[key]), result.robot.slides) for key in ("length_deg", "length_deg_grid")
+    )
     table = facts_table()
     add: Callable[[str, str], Any] = table.add_row
     if result.grasp is not None:
@@ -263,10 +269,10 @@ def show_summary(console: Console, result: PlanResult, folder: Path, more: Seque
         moved = len(given["moved_segments"])
         words = f"; {moved} motion{'s' * (moved != 1)} moved to keep clear" if moved else ""
         add("search", f"none: {given['waypoints']:,} waypoints were given{words}")
-        add("path", f"{path['length_deg']:.2f} deg, from {path['length_deg_grid']:.2f} deg")
+        add("path", f"{length}, from {grid}")
     elif result.search is None:
         add("search", f"{planner['method']}: {len(result.grid_path) - 2} configurations between start and goal")
-        add("path", f"{path['length_deg']:.2f} deg")
+        add("path", length)
     else:
         points = f"{planner['points']} points, cost {planner['cost_deg']:.6f} deg"
         fallback = "" if planner["fallback"] == "none" else f", with the {planner['fallback']} search after it"
@@ -274,7 +280,7 @@ def show_summary(console: Console, result: PlanResult, folder: Path, more: Seque
         stages = ", ".join(f"{stage} {expansions[stage]:,}" for stage in ("layers", "sparse", "fallback"))
         add("expanded", f"{expansions['total']:,} nodes: {stages}")
         add("flooded", f"{expansions['flooded_cells']:,} nodes")
-        add("path", f"{path['length_deg']:.2f} deg, from {path['length_deg_grid']:.2f} deg on the grid")
+        add("path", f"{length}, from {grid} on the grid")
     rows = "1 row" if motion["samples"] == 1 else f"{motion['samples']:,} rows at {motion['rate_hz']:g} Hz"
     add("motion", f"[bold]{motion['duration_s']:.3f} s[/], {rows}")
     if len(result.phases) > 1:

@@ -103,7 +103,13 @@ def parser(prog: str) -> argparse.ArgumentParser:
     add("--no-torque", action="store_true", help="do not limit the torque")
     add("--joints", nargs="+", metavar="NAME", help="the joints that move")
     add_hold(parser)
-    add("--deviation", type=float, default=1.0, metavar="DEG", help="largest distance from the polyline (default: 1)")
+    add(
+        "--deviation",
+        type=float,
+        default=1.0,
+        metavar="DEG",
+        help="largest distance from the polyline; of joints that slide 17.5 mm for each degree (default: 1)",
+    )
     add_pace(parser)
     add("--out", type=Path, metavar="FILE.csv", help="file to write (default: timed.csv); with --scene a folder")
     add("--quiet", action="store_true", help="no summary")
@@ -252,16 +258,20 @@ def _show(
     import numpy as np
     from rich.markup import escape
 
+    from hplan.base.units import joint_length
+    from hplan.robot.dynamics import joints_that_slide
     from hplan.trajectory import AT_LIMIT, largest_deviation, limit_shares
 
     full, paced = limit_shares(trajectory, limits), limit_shares(trajectory, limits.scaled(arguments.speed))
     facts = facts_table()
     length = float(np.linalg.norm(np.diff(waypoints, axis=0), axis=1).sum())
-    facts.add_row("waypoints", f"{len(waypoints):,}, {math.degrees(length):.2f} deg along the lines between them")
+    slides = joints_that_slide(machine.model)
+    facts.add_row("waypoints", f"{len(waypoints):,}, {joint_length(length, slides)} along the lines between them")
     rows = "1 row: nothing to move" if trajectory.samples == 1 else f"{trajectory.samples:,} rows"
     facts.add_row("motion", f"[bold]{trajectory.duration:.3f} s[/], {rows} at {arguments.rate_hz:g} Hz")
-    deviation = math.degrees(largest_deviation(trajectory.position, waypoints))
-    facts.add_row("deviation", f"{deviation:.4f} deg from the lines at most, {arguments.deviation:g} deg allowed")
+    deviation = joint_length(largest_deviation(trajectory.position, waypoints), slides, ".4f")
+    allowed = joint_length(math.radians(arguments.deviation), slides, "g")
+    facts.add_row("deviation", f"{deviation} from the lines at most, {allowed} allowed")
     facts.add_row("at a limit", f"{100.0 * paced.bound:.1f} % of the time")
     for name, value in machine.held.items():
         facts.add_row("held", f"{escape(name)} at {'its neutral position' if value is None else f'{value:g} rad'}")

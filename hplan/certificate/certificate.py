@@ -50,9 +50,9 @@ from hplan.certificate.clearance_proof import Proof, prove_clearance
 from hplan.certificate.digests import Digests
 from hplan.certificate.goal_contact import FruitContact, contact_window
 from hplan.certificate.limit_use import LimitUse, limit_use
+from hplan.certificate.motion_bound import fastest, largest_deviations
 from hplan.certificate.moving_obstacles import checker_in_time, clear_until, moving_base_contacts
 from hplan.certificate.start_state import start_violations
-from hplan.certificate.sway import fastest, largest_deviations
 from hplan.certificate.task_check import task_violations
 from hplan.certificate.tilted_base import use_on_track
 from hplan.collision.coal_scene import CoalScene, Contact, base_contacts
@@ -341,7 +341,7 @@ def certify_among(
     for part, checker in among:
         own = deviations if len(deviations) == 1 else deviations[part]
         times = clock[part.start : part.stop + 1]
-        proof = prove_clearance(robot, bezier[part], checker, own, clearance, times)
+        proof = prove_clearance(bezier[part], checker, own, clearance, times)
         proved.append(ProvedStretch(part, checker, own, proof, times))
         seen_s.append(None if checker.moving is None else _time_of(proof, times))
         violations += _not_shown(proof, trajectory, part.start, wanted, seen_s[-1])
@@ -359,7 +359,7 @@ def certify_among(
         nearest_s=_nearest_s([proof.nearest for proof in proofs], seen_s),
         clear_until_s=None
         if last.moving is None or violations
-        else clear_until(robot, bezier[-1, 3], last, at_rest, clearance, clock[-1]),
+        else clear_until(bezier[-1, 3], last, at_rest, clearance, clock[-1]),
     )
 
 

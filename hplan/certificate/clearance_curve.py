@@ -142,7 +142,7 @@ class ProvedMotion(Record):
         rows, time = np.arange(self.trajectory.samples, dtype=np.float64), self.trajectory.time
         found = []
         for stretch in self.stretches:
-            curve = _curve_over_places(self.robot, bezier[stretch.part], stretch, self.clearance)
+            curve = _curve_over_places(bezier[stretch.part], stretch, self.clearance)
             clock = np.interp(curve.time + stretch.part.start, rows, time)
             found.append(replace(curve, time=clock))
         return _one_after_the_other(found)
@@ -213,14 +213,14 @@ def _one_after_the_other(curves: Sequence[ClearanceCurve]) -> ClearanceCurve:
     )
 
 
-def _curve_over_places(robot: Robot, bezier: FloatArray, stretch: ProvedStretch, clearance: float) -> ClearanceCurve:
+def _curve_over_places(bezier: FloatArray, stretch: ProvedStretch, clearance: float) -> ClearanceCurve:
     """The curve of one stretch; its times are places counted in rows of the stretch."""
     deviations, proof = stretch.deviations, stretch.proof
     checker = stretch.checker.covering(float(deviations.max()), clearance)
     if not checker.pairs:
         nothing = np.full(2, np.inf)
         return ClearanceCurve(np.array([0.0, float(len(bezier))]), nothing, nothing, np.full(2, -1), ())
-    looks = list(_looks(Advancement(robot, bezier, checker, deviations, clearance, stretch.clock), bezier, checker))
+    looks = list(_looks(Advancement(bezier, checker, deviations, clearance, stretch.clock), bezier, checker))
     places, nearest = np.array([look.place for look in looks]), np.array([look.nearest for look in looks])
     bounds = _lower_of_both(np.array([look.bound_m for look in looks[1:]]))
     if proof.shown:

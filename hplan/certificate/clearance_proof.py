@@ -13,11 +13,11 @@ the motion no farther than
 
 .. math:: \sum_{i \le k} L_i \max |\varphi_i'| + r_k \max |\psi'|,
 
-by the hulls of the derivatives' Bezier points (`hplan.certificate.sway`; of a motion seen from another part of the arm
-`hplan.robot.self_contact.pair_rates`). With the joints' deviations the same sum is the tracking-error displacement
-bound (`Robot.sway`, `pair_sway`). Of a general (non-planar) arm the bound of each of its bodies, and of each pair of
-them, is in `hplan.certificate.body_travel`; such a pair that can never be as far apart as is asked for must not touch
-(`hplan.collision.touching_pairs`).
+by the hulls of the derivatives' Bezier points (`hplan.certificate.motion_bound`; of a motion seen from another part of
+the arm `hplan.robot.self_contact.pair_rates`). With the joints' deviations the same sum is the tracking-error
+displacement bound (`Robot.sway`, `pair_sway`). Of a general (non-planar) arm the bound of each of its bodies, and of
+each pair of them, is in `hplan.certificate.motion_bound`; such a pair that can never be as far apart as is asked for
+must not touch (`hplan.collision.touching_pairs`).
 
 **Tracking.** Joints that are off by their deviations bring a pair nearer by its displacement bound, at most :math:`m_r`
 in piece :math:`r` of the motion. It is replaced by the piecewise linear :math:`\tilde m` with the values
@@ -49,9 +49,8 @@ import numpy as np
 from hplan.base.arrays import FloatArray, IntArray
 from hplan.base.deadline import check_deadline
 from hplan.base.kernels import kernel
-from hplan.certificate.sway import at_rows, motion_of_movers, with_obstacles
+from hplan.certificate.motion_bound import at_rows, motion_of_movers, with_obstacles
 from hplan.collision.coal_scene import CoalScene, Contact
-from hplan.robot.model import Robot
 
 #: Spare clearance below which the proof gives up [m]: its steps, half of it, would become too small.
 SMALLEST_STEP = 1e-5
@@ -103,7 +102,6 @@ class Proof:
 
 
 def prove_clearance(
-    robot: Robot,
     bezier: FloatArray,
     checker: CoalScene,
     deviations: FloatArray,
@@ -113,7 +111,6 @@ def prove_clearance(
     """Show that every pair keeps its distance at all times, or find where it does not.
 
     Args:
-        robot: The arm.
         bezier: (pieces, 4, dof) Bezier points of the motion's cubics.
         checker: The arm among the obstacles.
         deviations: (pieces, dof) largest deviation of each joint within each cubic, or (1, dof) for all of them [rad].
@@ -124,7 +121,7 @@ def prove_clearance(
     checker = checker.covering(float(deviations.max()), needed)
     if not checker.pairs:
         return Proof("shown", math.inf, None, 0, len(bezier))
-    search = Advancement(robot, bezier, checker, deviations, needed, clock)
+    search = Advancement(bezier, checker, deviations, needed, clock)
     if search.bounded < len(bezier):
         return search.worst("travel")
     budget = CHECKS + CHECKS_PER_PIECE * len(bezier)
@@ -166,7 +163,6 @@ class Advancement:
 
     def __init__(
         self,
-        robot: Robot,
         bezier: FloatArray,
         checker: CoalScene,
         deviations: FloatArray,
@@ -177,7 +173,7 @@ class Advancement:
         self._bezier, self._checker = bezier, checker
         self._clock = None if checker.moving is None else clock
         with np.errstate(over="ignore", invalid="ignore"):
-            mover_of, moved, nearer = motion_of_movers(robot, bezier, checker, deviations)
+            mover_of, moved, nearer = motion_of_movers(checker, bezier, deviations)
             if checker.moving is not None and clock is not None:
                 mover_of, moved, nearer = with_obstacles(checker, mover_of, moved, nearer, clock)
             sway = at_rows(nearer, len(bezier))

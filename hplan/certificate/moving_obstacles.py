@@ -84,13 +84,10 @@ def _too_deep(
     return at
 
 
-def clear_until(
-    robot: Robot, q: FloatArray, checker: CoalScene, deviations: FloatArray, needed: float, from_s: float
-) -> float:
+def clear_until(q: FloatArray, checker: CoalScene, deviations: FloatArray, needed: float, from_s: float) -> float:
     """Time up to which the arm can rest at a configuration: it is shown to keep its distance until then [s].
 
     Args:
-        robot: The arm.
         q: (dof,) configuration.
         checker: The arm among the obstacles.
         deviations: (1, dof) largest deviation of each joint [rad].
@@ -105,7 +102,7 @@ def clear_until(
     breaks = checker.moving.breaks
     clock = np.concatenate([[from_s], breaks[breaks > from_s]])
     still = np.tile(q, (len(clock) - 1, 4, 1))
-    proof = prove_clearance(robot, still, checker, deviations, needed, clock)
+    proof = prove_clearance(still, checker, deviations, needed, clock)
     if proof.shown:
         return math.inf
     return float(np.interp(proof.end, np.arange(len(clock)), clock))

@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hplan.base.arrays import FloatArray, Record
-from hplan.certificate.body_travel import largest_body_sway
 from hplan.certificate.certificate import (
     Certificate,
     all_of,
@@ -29,10 +28,9 @@ from hplan.certificate.certificate import (
 from hplan.certificate.digests import Digests
 from hplan.certificate.goal_contact import FruitContact
 from hplan.certificate.limit_use import limit_use
+from hplan.certificate.motion_bound import largest_pair_sway
 from hplan.certificate.moving_obstacles import checker_in_time
-from hplan.certificate.sway import movers, sways
 from hplan.collision.coal_scene import CoalScene
-from hplan.robot.base_shapes import GROUND, TURRET
 from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel
 from hplan.scene.model import Scene
@@ -145,11 +143,7 @@ def _nearer(robot: Robot, off_path: FloatArray) -> float:
     """By how much any part of the arm may come nearer to anything with joints off by (dof,) [m]."""
     if not off_path.any():
         return 0.0
-    if robot.planar is None:
-        return largest_body_sway(robot, off_path)
-    own = robot.cached("movers of its own", lambda: movers(CoalScene(robot, ()))[1])
-    turning = [(TURRET, GROUND)] if robot.has_yaw else []
-    return float(sways(robot, [*own, *turning], off_path[None]).max())
+    return largest_pair_sway(robot, off_path)
 
 
 def later(retimed: Retimed, contacts: Sequence[FruitContact]) -> tuple[FruitContact, ...]:

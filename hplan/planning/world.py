@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from hplan.base import ties
 from hplan.base.arrays import FloatArray, Record, frozen
 from hplan.base.deadline import check_deadline
-from hplan.certificate.sway import pair_sways
+from hplan.certificate.motion_bound import pair_sways
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.coal_scene import CoalScene, base_contacts
 from hplan.errors import ConfigurationInCollisionError, InputError

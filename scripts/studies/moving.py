@@ -103,8 +103,8 @@ def _drawn(robot: Robot, seed: int, number: int, random: np.random.Generator) ->
     except InputError:
         return None
     checker = CoalScene(robot, scene.listed_solids, movements=scene.movements)
-    waits = clear_until(robot, start, checker, np.zeros((1, robot.dof)), ROOM, 0.0)
-    stays = clear_until(robot, goal, checker, np.zeros((1, robot.dof)), ROOM, scene.at_rest_s - 1e-3)
+    waits = clear_until(start, checker, np.zeros((1, robot.dof)), ROOM, 0.0)
+    stays = clear_until(goal, checker, np.zeros((1, robot.dof)), ROOM, scene.at_rest_s - 1e-3)
     return scene if room >= ROOM and waits == stays == math.inf else None
 
 

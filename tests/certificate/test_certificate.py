@@ -10,7 +10,7 @@ import pytest
 from planned import on_cubics
 
 from hplan.certificate import certificate as certificates
-from hplan.certificate.sway import link_bounds, off_axis
+from hplan.certificate.motion_bound import link_bounds, off_axis
 from hplan.collision.coal_scene import CoalScene
 from hplan.scene.obstacles import Box, Capsule, Sphere
 from hplan.trajectory.trajectory import Trajectory

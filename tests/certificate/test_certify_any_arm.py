@@ -11,11 +11,11 @@ import pytest
 from any_arms import ARMS, loaded_arm
 
 from hplan.certificate import goal_contact
-from hplan.certificate.body_travel import body_motion
 from hplan.certificate.certificate import certify
 from hplan.certificate.clearance_proof import point_at, prove_clearance
 from hplan.certificate.digests import robot_digest
 from hplan.certificate.goal_contact import OFFSET, TURN, contact_window, instant_at
+from hplan.certificate.motion_bound import motion_of_movers
 from hplan.collision.coal_scene import CoalScene
 from hplan.collision.coal_shapes import solid_shape
 from hplan.collision.collision_bodies import body_shapes, collision_bodies
@@ -182,7 +182,7 @@ def test_no_body_travels_farther_than_its_bound(load, name):
     bezier = rng.uniform(robot.lower, robot.upper)[None, None] + rng.normal(size=(12, 4, robot.dof)) * 0.3
     bezier[::2] = bezier[::2, :1] + np.linspace(0.0, 1.0, 4)[:, None] * (bezier[::2, -1:] - bezier[::2, :1])
     bezier = np.clip(bezier, robot.lower, robot.upper)
-    mover_of, moved, _ = body_motion(checker, pairs, bezier, np.zeros((1, robot.dof)))
+    mover_of, moved, _ = motion_of_movers(checker, bezier, np.zeros((1, robot.dof)))
     first, second = robot.model.createData(), robot.model.createData()
     moving = [number for number, body in enumerate(bodies) if body.joint >= 0]
     used = np.zeros(len(moving))
@@ -237,7 +237,7 @@ def test_clouds_and_what_stands_still(load):
     cloud = Cloud("leaves", 1.5 * points / np.linalg.norm(points, axis=1)[:, None], 0.02, np.zeros((0, 7)))
     bezier, _ = cubic_pieces(trajectory)
     checker = CoalScene(robot, [cloud])
-    proof = prove_clearance(robot, bezier, checker, np.zeros((1, robot.dof)), 0.0)
+    proof = prove_clearance(bezier, checker, np.zeros((1, robot.dof)), 0.0)
     first = len(checker.pairs) - len(checker.own_others)
     seen = min(checker.pair_distances(point_at(bezier, at))[:first].min() for at in np.linspace(0.0, len(bezier), 100))
     assert proof.shown == (seen > 0.0)

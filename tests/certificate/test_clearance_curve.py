@@ -10,7 +10,7 @@ from planned import on_cubics
 
 from hplan.certificate.certificate import Certificate, all_of, certify
 from hplan.certificate.clearance_curve import ClearanceCurve, ProvedMotion
-from hplan.certificate.sway import pair_sways
+from hplan.certificate.motion_bound import pair_sways
 from hplan.collision.coal_scene import CoalScene
 from hplan.errors import OptionError
 from hplan.planning.plan import plan

@@ -15,7 +15,7 @@ from hplan.apps.cli.main import main
 from hplan.apps.execution.recorded_motion import read_motion
 from hplan.base.units import joint_length
 from hplan.certificate.certificate import certify
-from hplan.certificate.sway import largest_deviations
+from hplan.certificate.motion_bound import largest_deviations
 from hplan.errors import InputError, JointLimitError, RobotFileError, TimingError
 from hplan.robot.model import load_robot
 from hplan.robot.tracking import TrackingModel

@@ -20,7 +20,7 @@ import pinocchio as pin
 
 from hplan.base.arrays import BoolArray
 from hplan.collision.coal_cloud import distance_from
-from hplan.collision.coal_shapes import link_shapes
+from hplan.collision.coal_shapes import LinkShapes, link_shapes, urdf_shapes
 from hplan.collision.collision_bodies import body_shapes, collision_bodies
 from hplan.collision.reach import carriers
 from hplan.collision.touching_pairs import BEYOND, SelfPairs, pairs_among, self_pairs
@@ -118,29 +118,51 @@ def turret_shapes(robot: Robot) -> dict[str, tuple[list[BaseShape], list[pin.Geo
     return found
 
 
-def planar_pairs(
-    robot: Robot,
-    shapes: Sequence[Sequence[pin.GeometryObject]],
-    deviation: float,
-    clearance: float,
-    *,
-    all_of_them: bool,
-) -> list[ArmPair]:
-    """The pairs of a planar arm's parts, the last of them its `shaped_pairs`.
+@dataclass(frozen=True, eq=False)
+class ArmParts:
+    """What of an arm meets obstacles, and which parts of it may touch each other.
+
+    Attributes:
+        links: The shapes of each link that moves, by its name.
+        turret: By body, the shapes of the turret that are not round about the yaw axis, and the same in coal.
+        tool_joint: The joint of the shapes that may touch a fruit which is picked, as Pinocchio counts them.
+        own: The pairs of its parts.
+        held: Those of them, the last ones, that are asked as the URDF has them.
+    """
+
+    links: dict[str, list[pin.GeometryObject]]
+    turret: dict[str, tuple[list[BaseShape], list[pin.GeometryObject]]]
+    tool_joint: int
+    own: Sequence[ArmPair]
+    held: SelfPairs
+
+
+def arm_parts(
+    robot: Robot, links: LinkShapes, deviation: float, clearance: float, *, single_joint_pairs: bool = True
+) -> ArmParts:
+    """The parts of an arm.
 
     Args:
         robot: The arm.
-        shapes: Shapes of each link.
+        links: Shape of the links; of a general (non-planar) arm it is always the URDF's.
         deviation: How far joints may be beyond their limits [rad].
         clearance: Distance to be kept [m].
-        all_of_them: Whether those are among them that ranges of joints are narrowed for.
+        single_joint_pairs: Whether those of a planar arm are among them that depend on one joint alone.
     """
+    if robot.planar is None:
+        shapes, held = body_shapes(robot), own_pairs(robot, deviation)
+        by_link = {name: [shapes[body] for body in bodies] for name, bodies in moving_bodies(robot).items()}
+        return ArmParts(by_link, {}, robot.tool_joint, body_pairs(robot, held), held)
+    of_links = urdf_shapes(robot) if links == "urdf" else [[shape] for shape in link_shapes(robot, links)]
     contact = self_contact(robot, deviation=deviation, clearance=clearance)
-    found = list(link_pairs(robot, contact, shapes))
-    if all_of_them:
-        found += [*fold_pairs(robot, contact, link_shapes(robot, "capsule")), *turret_pairs(robot, contact)]
-        found += _as_shaped(robot, shaped_pairs(robot, deviation))
-    return found
+    own = list(link_pairs(robot, contact, of_links))
+    turret, held = {}, SelfPairs((), (), np.zeros(0), np.zeros((0, robot.dof)))
+    if single_joint_pairs:
+        turret, held = turret_shapes(robot), shaped_pairs(robot, deviation)
+        own += [*fold_pairs(robot, contact, link_shapes(robot, "capsule")), *turret_pairs(robot, contact)]
+        own += _as_shaped(robot, held)
+    by_link = dict(zip(robot.arm.link_names, of_links, strict=True))
+    return ArmParts(by_link, turret, robot.dof, own, held)
 
 
 def shaped_pairs(robot: Robot, deviation: float) -> SelfPairs:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -14,27 +15,10 @@ from numpy.typing import ArrayLike
 from hplan.base import ties
 from hplan.base.arrays import BoolArray, FloatArray, IntArray
 from hplan.base.deadline import check_deadline
-from hplan.collision.arm_pairs import (
-    base_bodies,
-    below,
-    body_pairs,
-    moving_bodies,
-    own_pairs,
-    planar_pairs,
-    shaped_pairs,
-    turret_shapes,
-)
+from hplan.collision.arm_pairs import arm_parts, base_bodies, below, own_pairs, shaped_pairs
 from hplan.collision.coal_accuracy import distance_errors
 from hplan.collision.coal_cloud import distance_from, obstacle_shapes
-from hplan.collision.coal_shapes import (
-    LINK_SHAPES,
-    LinkShapes,
-    beyond_geometry,
-    bounding_balls,
-    link_shapes,
-    urdf_shapes,
-)
-from hplan.collision.collision_bodies import body_shapes
+from hplan.collision.coal_shapes import LINK_SHAPES, LinkShapes, beyond_geometry, bounding_balls
 from hplan.collision.geometry_pairs import GeometryPairs
 from hplan.collision.moving_solids import MovingSolids
 from hplan.errors import MovingObstacleError, OptionError
@@ -155,56 +139,40 @@ class CoalScene:
         self.moving = MovingSolids.of(obstacles, movements)
         self._touched: tuple[str, ...] = ()
         self.deviation, self.clearance = float(deviation), float(clearance)
-        self.own_bodies = own_pairs(robot, self.deviation) if robot.planar is None else None
-        if robot.planar is None:
-            named, turret = moving_bodies(robot), {}
-            self.link_names = tuple(named)
-            shapes = [[body_shapes(robot)[body] for body in bodies] for bodies in named.values()]
-            last = [shape.parentJoint == robot.tool_joint for of_link in shapes for shape in of_link]
-        else:
-            self.link_names = robot.arm.link_names
-            shapes = urdf_shapes(robot) if links == "urdf" else [[shape] for shape in link_shapes(robot, links)]
-            turret = turret_shapes(robot) if single_joint_pairs else {}
-            last = [of_link is shapes[-1] for of_link in shapes for _ in of_link]
-        movers = [*shapes, *(placed for _, placed in turret.values())]
-        self._last = np.flatnonzero(last)
-        self.mover_names = (*self.link_names, *turret)
+        parts = arm_parts(robot, self.links, self.deviation, self.clearance, single_joint_pairs=single_joint_pairs)
+        self._held, self.own_bodies = parts.held, parts.held if robot.planar is None else None
+        self.link_names = tuple(parts.links)
+        self.mover_names = (*self.link_names, *parts.turret)
+        movers = [*parts.links.values(), *(placed for _, placed in parts.turret.values())]
         # The shapes of moving body k are the rows from `_first_shape[k]` on.
         self._first_shape = np.cumsum([0, *(len(of_mover) for of_mover in movers[:-1])])
-        self.link_shapes = [shape for of_link in shapes for shape in of_link]
-        self._mover_shapes = [shape for of_mover in movers for shape in of_mover]
+        self.link_shapes = list(chain(*parts.links.values()))
+        self._mover_shapes = list(chain(*movers))
+        self._last = np.flatnonzero([shape.parentJoint == parts.tool_joint for shape in self.link_shapes])
         # To be taken off coal's distance of each shape from each obstacle [m].
         beyond = np.array([beyond_geometry(obstacle) for obstacle in obstacles], dtype=np.float64)
         beyond += np.asarray(growth, dtype=np.float64)
         self._beyond: FloatArray = np.tile(beyond, (len(self._mover_shapes), 1))
-        for row, shape in enumerate(shape for of_body, _ in turret.values() for shape in of_body):
+        for row, shape in enumerate(chain(*(of_body for of_body, _ in parts.turret.values())), len(self.link_shapes)):
             never = below(robot, shape, obstacles)
             if self.moving is not None:
                 never = self.moving.keep_below(never, shape.bottom)
-            self._beyond[len(self.link_shapes) + row, never] = -np.inf
+            self._beyond[row, never] = -np.inf
         check_deadline()
+        self.own_others = [pair.other for pair in parts.own]
+        self._own_shapes = [pair.shapes for pair in parts.own]
+        self.own_first = len(obstacles)
+        own_names = tuple(dict.fromkeys(pair.other_name for pair in parts.own))
+        self.obstacle_names = (*(obstacle.name for obstacle in obstacles), *own_names)
         mover_of = [mover for mover, of_mover in enumerate(movers) for _ in of_mover]
         self.pairs = [(mover, obstacle) for mover in mover_of for obstacle in range(len(obstacles))]
-        if self.own_bodies is not None:
-            own = list(body_pairs(robot, self.own_bodies))
-        else:
-            own = planar_pairs(robot, shapes, self.deviation, self.clearance, all_of_them=single_joint_pairs)
-        self.own_others = [pair.other for pair in own]
-        self._own_shapes = [pair.shapes for pair in own]
-        self.own_first = len(obstacles)
-        parts = tuple(dict.fromkeys(pair.other_name for pair in own))
-        self.obstacle_names = (*(obstacle.name for obstacle in obstacles), *parts)
-        self.pairs += [
-            (
-                self.mover_names.index(pair.mover_name, len(shapes)) if pair.mover == TURRET else pair.mover,
-                self.own_first + parts.index(pair.other_name),
-            )
-            for pair in own
-        ]
+        for pair in parts.own:
+            turns = pair.mover == TURRET
+            mover = self.mover_names.index(pair.mover_name, len(parts.links)) if turns else pair.mover
+            self.pairs.append((mover, self.own_first + own_names.index(pair.other_name)))
         # Parts of the arm do not grow.
-        self._taken_off: FloatArray = np.append(self._beyond, np.zeros(len(own)))
-        solids = obstacle_shapes(obstacles)
-        balls = bounding_balls(obstacles)
+        self._taken_off: FloatArray = np.append(self._beyond, np.zeros(len(parts.own)))
+        solids, balls = obstacle_shapes(obstacles), bounding_balls(obstacles)
         check_deadline()
         self._geometry = GeometryPairs(robot.model, self._mover_shapes, solids, self._own_shapes, balls)
 
@@ -253,10 +221,8 @@ class CoalScene:
 
         Bodies as the URDF has them may be nearer to each other where they can never be as far apart.
         """
-        own = self.own_bodies or shaped_pairs(self.robot, self.deviation)
-        if len(own.checked) == 0 or (self.own_bodies is None and not self._built["single_joint_pairs"]):
-            return clearance
-        return np.append(np.full(len(self.pairs) - len(own.checked), clearance), own.needed(clearance))
+        held = self._held.needed(clearance)
+        return np.append(np.full(len(self.pairs) - len(held), clearance), held) if len(held) else clearance
 
     def distances(self, q: ArrayLike, time_s: float | None = None) -> FloatArray:
         """Signed distances at one configuration, (dof,) -> (movers, obstacle names) [m]; negative is the depth.

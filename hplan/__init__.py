@@ -1,7 +1,7 @@
 """hplan: motion planning for fruit-harvesting arms.
 
-The names below load on first use, so that `import hplan` costs next to nothing. Each lives in the module that the
-table names; whatever stands there can be imported from there as well.
+The names below load on first use, so that `import hplan` costs next to nothing. Each lives in the module that it is
+imported from here; whatever stands there can be imported from there as well.
 """
 
 from __future__ import annotations
@@ -49,30 +49,7 @@ __all__ = [
     "write_csv",
 ]
 
-__getattr__ = lazy_names(
-    __name__,
-    {
-        "Certificate": "hplan.certificate.certificate",
-        "HplanError": "hplan.errors",
-        "PlanOptions": "hplan.planning.options",
-        "PlanResult": "hplan.planning.plan",
-        "Planner": "hplan.online.planner",
-        "Robot": "hplan.robot.model",
-        "Scene": "hplan.scene.model",
-        "TourOptions": "hplan.tour.tour",
-        "TourResult": "hplan.tour.result",
-        "Trajectory": "hplan.trajectory.trajectory",
-        "certify": "hplan.certificate.certificate",
-        "finish": "hplan.planning.finishing.finish",
-        "load_robot": "hplan.robot.model",
-        "load_scene": "hplan.scene.file",
-        "plan": "hplan.planning.plan",
-        "plan_tour": "hplan.tour.tour",
-        "read_csv": "hplan.trajectory.trajectory",
-        "save_scene": "hplan.scene.file",
-        "write_csv": "hplan.trajectory.trajectory",
-    },
-)
+__getattr__ = lazy_names(__name__)
 
 find_moved_modules()
 

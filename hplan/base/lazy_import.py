@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import importlib
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -41,16 +42,25 @@ def deferred(*names: str) -> Iterator[None]:
                 del sys.modules[name]
 
 
-def lazy_names(package: str, homes: Mapping[str, str]) -> Callable[[str], Any]:
+def lazy_names(package: str) -> Callable[[str], Any]:
     """A module-level `__getattr__` that loads a package's public names from their modules on first use.
+
+    The names are those that its `__init__` imports under `if TYPE_CHECKING`, which is read when one is first asked for.
 
     Args:
         package: Name of the package, its `__name__`.
-        homes: Module that defines each public name.
     """
+    homes: dict[str, str] = {}
 
     def load(name: str) -> Any:
         """Load one name and keep it in the package."""
+        if not homes:
+            import ast  # `import hplan` is to cost next to nothing
+
+            source = Path(str(sys.modules[package].__file__)).read_text(encoding="utf-8")
+            blocks = (node for node in ast.parse(source).body if isinstance(node, ast.If))
+            imports = (node for block in blocks for node in block.body if isinstance(node, ast.ImportFrom))
+            homes.update({alias.name: str(node.module) for node in imports for alias in node.names})
         if name not in homes:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
         value = getattr(importlib.import_module(homes[name]), name)

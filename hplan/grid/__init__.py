@@ -27,16 +27,4 @@ __all__ = [
     "two_level_search",
 ]
 
-__getattr__ = lazy_names(
-    __name__,
-    {
-        "Expansions": "hplan.grid.result",
-        "Fallback": "hplan.grid.result",
-        "SearchResult": "hplan.grid.result",
-        "StageTimes": "hplan.grid.result",
-        "dense_search": "hplan.grid.astar",
-        "reachable": "hplan.grid.flood",
-        "slices_with_path": "hplan.grid.flood",
-        "two_level_search": "hplan.grid.two_level",
-    },
-)
+__getattr__ = lazy_names(__name__)

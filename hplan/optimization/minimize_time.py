@@ -152,7 +152,7 @@ def _minimized(start: TimedMotion, problem: TimeProblem, effort: Effort) -> Time
 
 
 def _between_rows(spline: TimedSpline | None, problem: TimeProblem) -> TimedSpline | None:
-    """The same motion in a whole number of rows, wherever its pieces meet; None where that passes limits."""
+    """The motion in a whole number of rows, wherever its pieces meet; None where that passes limits."""
     if spline is None:
         return None
     pace = 1.0 + KEPT
@@ -227,7 +227,7 @@ def _first(start: TimedMotion, problem: TimeProblem, breaks: FloatArray) -> Time
                 break
             spline = spline.at_pace(SLOWER)
         return spline
-    # Within these times, tried in turn, a motion is led over into the state of motion at its end: with more it leaves
+    # Within these times, tried in turn, a motion is blended into the state of motion at its end: with more it leaves
     # its path for a longer distance, with less it is farther beyond the limits [s].
     for within_s in (0.2, 0.1, 0.05):
         between = MotionBetween(start.positions, start.duration, problem.ends, within_s)

@@ -43,7 +43,7 @@ def clear_spline(
         margin: Clearance asked for at the samples [m]; half of it wherever the proof evaluates it.
 
     Returns:
-        The spline, shown clear, or None where pushing did not succeed.
+        The spline, verified collision-free, or None where pushing did not succeed.
     """
     station = stations(path)
     even = np.linspace(0.0, station[-1], count)

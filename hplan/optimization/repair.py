@@ -1,4 +1,4 @@
-"""Repair of motions between free nodes that cannot be shown clear themselves: replaced by motions that can.
+"""Repair of motions between free nodes that cannot be verified collision-free themselves: replaced by motions that can.
 
 First the joints move one after the other, in any order that will do. Then the middle of the motion is pushed out of
 the obstacles, along the gradient of the clearance, and the two halves are repaired likewise.
@@ -33,7 +33,7 @@ def repaired(
     margin: float,
     known: dict[bytes, FloatArray | None] | None = None,
 ) -> tuple[FloatArray, list[int]]:
-    """A polyline whose motions are shown clear, as far as they can be repaired.
+    """A polyline whose motions are verified collision-free, as far as they can be repaired.
 
     Args:
         path: (m, dof) configurations.
@@ -108,7 +108,7 @@ def leave_contact(
         margin: Clearance asked for wherever a motion is evaluated [m].
 
     Yields:
-        (k, dof) configurations from `q` on, the motions between them shown clear.
+        (k, dof) configurations from `q` on, the motions between them verified collision-free.
     """
     path = q[None]
     # Clearances aimed at in turn when leaving a tight place [m].
@@ -125,7 +125,7 @@ def leave_contact(
 def _between(
     first: FloatArray, last: FloatArray, field: ClearanceField, lower: FloatArray, upper: FloatArray, margin: float
 ) -> FloatArray | None:
-    """Configurations between two by which the motion is shown clear; none where it is as it stands."""
+    """Configurations between two by which the motion is verified collision-free; none where it is as it stands."""
     if field.is_clear(np.stack([first, last]), margin):
         return np.empty((0, len(first)))
     inner = _in_turn(first, last, field, margin)

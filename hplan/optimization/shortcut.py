@@ -1,4 +1,4 @@
-"""Shortcuts: the path pulled taut among the obstacles, every piece of it shown clear.
+"""Shortcuts: the path pulled taut among the obstacles, every piece of it verified collision-free.
 
 Pairs of points on the path come from a low-discrepancy sequence, not from chance: the same path always gives the same
 result. Between two points either all joints or only one of them goes straight (the others keep their motion), which
@@ -36,13 +36,13 @@ def shorten(path: FloatArray, field: ClearanceField, *, margin: float, rounds: i
     """Shorten a path that is clear.
 
     Args:
-        path: (m, dof) waypoints, shown clear.
+        path: (m, dof) waypoints, verified collision-free.
         field: Arm and obstacles.
         margin: Clearance asked of shortcuts wherever they are evaluated [m]; what stays of the path keeps its own.
         rounds: Number of shortcuts tried.
 
     Returns:
-        (k, dof) waypoints from the same start to the same goal, shown clear, never longer.
+        (k, dof) waypoints from the same start to the same goal, verified collision-free, never longer.
     """
     path = without_twins(path)
     if len(path) < 3:

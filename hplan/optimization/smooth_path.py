@@ -81,7 +81,7 @@ def _smallest_margin(path: FloatArray, field: ClearanceField, options: Postproce
 
 
 def is_straight(path: FloatArray, field: ClearanceField, options: PostprocessOptions) -> bool:
-    """True if the fastest motion between the ends of a path is the straight one, which is shown clear."""
+    """True if the fastest motion between the ends of a path is the straight one, which is verified collision-free."""
     least = least_duration(path[0], path[-1], options.velocity, options.acceleration)
     straight = straight_duration(path[0], path[-1], options)
     # A motion that takes no longer than so many times the least duration of its ends is as good as the fastest.
@@ -99,7 +99,7 @@ def clear_start(
     options: PostprocessOptions,
     counts: Sequence[int] = FAST_CONTROL_POINTS,
 ) -> SplinePath | None:
-    """A spline along a clear path for an optimiser to begin with, shown clear; None where none is found at once.
+    """A spline along a clear path for an optimiser to begin with, verified collision-free; None where none is found.
 
     Args:
         path: (m, dof) waypoints, clear, m >= 2.

@@ -151,7 +151,7 @@ class TimedSpline(Record):
 
     @property
     def path(self) -> SplinePath:
-        """The same curve as a path; its parameter is the time."""
+        """The curve as a path; its parameter is the time."""
         return SplinePath(self.control, self.knots)
 
     def positions(self, clock: FloatArray) -> FloatArray:
@@ -183,7 +183,7 @@ class TimedSpline(Record):
 
 @dataclass(frozen=True, eq=False)
 class MotionBetween(Record):
-    """A motion that is led over into states of motion at its ends.
+    """A motion that is blended into states of motion at its ends.
 
     Attributes:
         positions_at_rest: The motion, from rest to rest, (k,) times -> (k, dof) configurations.

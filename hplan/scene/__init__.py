@@ -37,13 +37,4 @@ __all__ = [
     "save_scene",
 ]
 
-_OBSTACLES = ("Box", "Capsule", "Cylinder", "Mesh", "Obstacle", "PointCloud", "Sphere")
-_FILES = ("default_scene_path", "dump_scene", "load_scene", "parse_scene", "save_scene")
-
-__getattr__ = lazy_names(
-    __name__,
-    dict.fromkeys(__all__, "hplan.scene.model")
-    | dict.fromkeys(_OBSTACLES, "hplan.scene.obstacles")
-    | dict.fromkeys(_FILES, "hplan.scene.file")
-    | dict.fromkeys(("Sway", "Track"), "hplan.scene.tracks"),
-)
+__getattr__ = lazy_names(__name__)

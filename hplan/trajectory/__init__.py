@@ -37,20 +37,4 @@ __all__ = [
     "time_waypoints",
 ]
 
-__getattr__ = lazy_names(
-    __name__,
-    {
-        "AT_LIMIT": "hplan.trajectory.timing",
-        "DEVIATION": "hplan.trajectory.timing",
-        "LimitShares": "hplan.trajectory.timing",
-        "Machine": "hplan.trajectory.machine",
-        "corner_grid": "hplan.trajectory.timing",
-        "largest_deviation": "hplan.trajectory.corner_rounding",
-        "limit_shares": "hplan.trajectory.timing",
-        "limits_of": "hplan.trajectory.machine",
-        "read_machine": "hplan.trajectory.machine",
-        "read_waypoints": "hplan.trajectory.timing",
-        "rounded_path": "hplan.trajectory.corner_rounding",
-        "time_waypoints": "hplan.trajectory.timing",
-    },
-)
+__getattr__ = lazy_names(__name__)

@@ -61,7 +61,7 @@ TORQUE_PERIOD_S = 0.01
 ONE_BY_ONE, GROWTH = 128, 1.02
 
 #: How often the motion may be slowed down.
-MOST_STRETCHES = 20
+MOST_SLOWINGS = 20
 
 
 def time_path(
@@ -218,17 +218,17 @@ class _Rows:
     position: FloatArray
     velocity: FloatArray
     acceleration: FloatArray
-    stretch: float
+    factor: float
 
 
 def _sample(
     profile: SpeedProfile, dynamics: InverseDynamics, names: tuple[str, ...], limits: Limits, period: float, window: int
 ) -> tuple[Trajectory, float]:
     """The trajectory, slowed down where torque, which is no linear function of the motion, passes its limit."""
-    stretch = 1.0
-    for _ in range(MOST_STRETCHES):
+    factor = 1.0
+    for _ in range(MOST_SLOWINGS):
         check_deadline()
-        rows = _rows(profile, limits, period, window, stretch)
+        rows = _rows(profile, limits, period, window, factor)
         torque = dynamics.torques(rows.position, rows.velocity, rows.acceleration)
         excess = 0.0
         if limits.torque is not None:
@@ -239,9 +239,10 @@ def _sample(
         if excess <= 1.0:
             time = np.arange(len(torque), dtype=np.float64) * period
             made = time, rows.position, rows.velocity, rows.acceleration, torque, joints_that_slide(dynamics.model)
-            return Trajectory(names, *made), rows.stretch
-        stretch = rows.stretch * excess
-    raise TimingError("no pace was found at which the motion keeps the torque limits", cause="torque limit not kept")
+            return Trajectory(names, *made), rows.factor
+        factor = rows.factor * excess
+    reason = "no time-scaling factor was found at which the motion keeps the torque limits"
+    raise TimingError(reason, cause="torque limit not kept")
 
 
 def _sample_refined(
@@ -255,8 +256,8 @@ def _sample_refined(
     """
     coarse: HplanError | Trajectory
     try:
-        coarse, stretch = _sample(profile, dynamics, names, limits, period, window)
-        if stretch <= 1.0 + LITTLE:
+        coarse, factor = _sample(profile, dynamics, names, limits, period, window)
+        if factor <= 1.0 + LITTLE:
             return coarse
     except (OptionError, TimingError) as error:
         coarse = error
@@ -290,17 +291,17 @@ def _torque_excess(dynamics: InverseDynamics, position: FloatArray, torque: Floa
     return float(max(1.0 + 1e-4, np.sqrt((np.abs(torque - gravity) / room)[over].max())))
 
 
-def _rows(profile: SpeedProfile, limits: Limits, period: float, window: int, stretch: float = 1.0) -> _Rows:
+def _rows(profile: SpeedProfile, limits: Limits, period: float, window: int, factor: float = 1.0) -> _Rows:
     """Rows at multiples of the period (see the module's text), `window` control points averaged.
 
     Between grid points the velocity and acceleration limits are passed by a little, which slows the motion down.
     """
     moving_end = profile.speed[-1] > 0.0
-    for _ in range(MOST_STRETCHES):
-        duration = profile.arrival[-1] * stretch
+    for _ in range(MOST_SLOWINGS):
+        duration = profile.arrival[-1] * factor
         if moving_end:
-            stretch *= max(1.0, np.ceil(duration / period - 1e-9)) * period / duration
-            duration = profile.arrival[-1] * stretch
+            factor *= max(1.0, np.ceil(duration / period - 1e-9)) * period / duration
+            duration = profile.arrival[-1] * factor
         rows = duration / period + window
         if not rows <= MOST_ROWS:
             raise OptionError(
@@ -312,7 +313,7 @@ def _rows(profile: SpeedProfile, limits: Limits, period: float, window: int, str
         steps = max(1, int(np.ceil(duration / period - 1e-9))) + window + 1
         # Row i stands on control points i to i + window + 1; those of the first are all before the motion begins,
         # those of the last all after it has ended.
-        clock = (np.arange(steps + window + 2, dtype=np.float64) - (window + 1)) * (period / stretch)
+        clock = (np.arange(steps + window + 2, dtype=np.float64) - (window + 1)) * (period / factor)
         control = profile.positions(clock)
         if window > 1:
             total = np.cumsum(np.concatenate([np.zeros((1, control.shape[1])), control - control[0]]), axis=0)
@@ -328,9 +329,9 @@ def _rows(profile: SpeedProfile, limits: Limits, period: float, window: int, str
             excess = max(excess, math.cbrt(_largest_use(jerk, limits.jerk, moves)))
         if excess <= 1.0 + KEPT:
             _make_exact(position, velocity, acceleration, control, profile)
-            return _Rows(position, velocity, acceleration, stretch)
-        stretch *= excess
-    raise TimingError("no pace was found at which the motion keeps its limits", cause="limits not kept")
+            return _Rows(position, velocity, acceleration, factor)
+        factor *= excess
+    raise TimingError("no time-scaling factor was found at which the motion keeps its limits", cause="limits not kept")
 
 
 def _make_exact(

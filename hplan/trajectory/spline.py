@@ -102,12 +102,12 @@ class SplinePath(Record):
         return curve_length(lambda s: np.linalg.norm(self.evaluate(s, 1), axis=-1), panels)
 
     def is_clear(self, field: ClearanceField, margin: float) -> bool:
-        """True if the whole path is shown clear; `margin` [m] is asked for wherever it is evaluated."""
+        """True if the whole path is verified collision-free; `margin` [m] is asked for wherever it is evaluated."""
         return bool(np.isfinite(self.control).all()) and not first_contact(self.pieces, field, margin).any()
 
 
 def first_contact(pieces: FloatArray, field: ClearanceField, margin: float) -> BoolArray:
-    """(pieces,) True for each Bezier piece that is not shown clear."""
+    """(pieces,) True for each Bezier piece that is not verified collision-free."""
     contact = np.array([not piece_is_clear(piece, field.arrays, margin, 0.0) for piece in np.array(pieces)])
     check_deadline()
     return contact

@@ -17,17 +17,6 @@ if TYPE_CHECKING:
     from hplan.apps.ros.planning_scene import read_planning_scene
     from hplan.apps.ros.transforms import robot_description
 
-_HOMES = {
-    "from_joint_trajectory": "hplan.apps.ros.joint_messages",
-    "read_moveit_scene": "hplan.apps.ros.moveit_scene",
-    "read_planning_scene": "hplan.apps.ros.planning_scene",
-    "robot_description": "hplan.apps.ros.transforms",
-    "scene_markers": "hplan.apps.ros.marked_scene",
-    "to_joint_state": "hplan.apps.ros.joint_messages",
-    "to_joint_trajectory": "hplan.apps.ros.joint_messages",
-    "write_mcap": "hplan.apps.ros.mcap_file",
-}
-
 __all__ = [
     "from_joint_trajectory",
     "read_moveit_scene",
@@ -39,4 +28,4 @@ __all__ = [
     "write_mcap",
 ]
 
-__getattr__ = lazy_names(__name__, _HOMES)
+__getattr__ = lazy_names(__name__)

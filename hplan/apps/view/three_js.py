@@ -21,7 +21,7 @@ Json: TypeAlias = dict[str, Any]
 
 #: Segments of a full turn of a round body.
 _SEGMENTS = 48
-#: The same for bodies of which there may be hundreds.
+#: Segments of a full turn of bodies of which there may be hundreds.
 _COPY_SEGMENTS = 20
 _HALF_PI = 0.5 * np.pi
 

@@ -32,8 +32,8 @@ from hplan.trajectory.timing import corner_grid
 PATH_MARGIN = 0.1
 
 
-class _Clear(NamedTuple):
-    """A polyline shown clear, near the one that was given.
+class _ClearPath(NamedTuple):
+    """A polyline verified collision-free, near the one that was given.
 
     Attributes:
         waypoints: (m, dof) the polyline.
@@ -56,8 +56,8 @@ def finish(
 ) -> PlanResult:
     """The certified motion along somebody else's path.
 
-    The path is one of straight motions in joint space. It is shown clear; where it merely comes closer than the
-    clearance to keep it is moved away; then it is shortened, smoothed, timed and certified like hplan's own paths.
+    The path is one of straight motions in joint space. It is verified collision-free; where it merely comes closer than
+    the clearance to keep it is moved away; then it is shortened, smoothed, timed and certified like hplan's own paths.
     Whatever planned it: nothing is taken on trust. The motion begins at the first waypoint and ends at the last, at
     rest; start and goal of the scene do not matter, and a fruit that is its goal is an obstacle like the others.
 
@@ -71,7 +71,7 @@ def finish(
             None to shorten and smooth it. Where the path comes too close and is moved away, it is that from the moved
             one.
         progress: Called with the name of each stage as it begins.
-        cancel: A function or an event that says whether nobody wants the motion any more.
+        cancel: A function or an event that says whether the motion is cancelled.
 
     Returns:
         The motion as of a plan, for the scene with the path's ends as start and goal (`result.scene`). Its report has
@@ -119,19 +119,19 @@ def _finished(context: PlanningContext, path: GivenPath, keep_within_rad: float 
     return _result(path, clear, _smoothed(task, clear.waypoints))
 
 
-def _shown_clear(context: PlanningContext, path: GivenPath) -> _Clear:
+def _shown_clear(context: PlanningContext, path: GivenPath) -> _ClearPath:
     """The path, moved away from what it merely comes too close to.
 
     Raises:
         PathInContactError: It touches something, or could not be moved away.
-        CertificationError: It was not shown clear, though no contact was found.
+        CertificationError: It was not verified collision-free, though no contact was found.
     """
     world, field, points = context.world, context.field, path.points
     with context.stage("postprocess"):
         spare = float(field.along(points[[0, -1]]).min())
         margin = PATH_MARGIN * min(MARGIN, 0.5 * spare) if spare > 0.0 else PATH_MARGIN * MARGIN
         if spare > 0.0 and field.is_clear(points, margin):
-            return _Clear(points, ())
+            return _ClearPath(points, ())
         places = list(places_of(world, path, margin))
         touching = [place for place in places if place.touches]
         ends = [place for place in places if place.at_waypoint and place.number in (0, len(points) - 1)]
@@ -148,11 +148,11 @@ def _shown_clear(context: PlanningContext, path: GivenPath) -> _Clear:
         segments = tuple(int(path.numbers[number + 1]) - 1 for number in moved)
     if unmoved:
         raise CertificationError(
-            f"the path passes too near to be shown clear between waypoints {segments[0]} and {segments[0] + 1}, "
-            "and could not be moved away",
+            f"the path cannot be verified collision-free between waypoints {segments[0]} and {segments[0] + 1}, and "
+            "could not be moved away",
             segments=list(segments),
         )
-    return _Clear(clear, segments)
+    return _ClearPath(clear, segments)
 
 
 def _smoothed(task: PlanningTask, waypoints: FloatArray) -> Transit:
@@ -172,10 +172,10 @@ ROUNDING = 0.02
 
 
 def _kept(task: PlanningTask, waypoints: FloatArray, deviation_rad: float) -> Transit:
-    """The motion along the path with its corners rounded, as far as can be shown clear.
+    """The motion along the path with its corners rounded, as far as can be verified collision-free.
 
     Raises:
-        CertificationError: No rounding was shown clear, or the motion is not certified.
+        CertificationError: No rounding was verified collision-free, or the motion is not certified.
         TimingError: It cannot be timed.
     """
     margin = 0.5 * SMALLEST_FRACTION * task.margin()
@@ -191,7 +191,7 @@ def _kept(task: PlanningTask, waypoints: FloatArray, deviation_rad: float) -> Tr
     return Transit("transit", trajectory, certificate, task, waypoints, path, "given")
 
 
-def _result(path: GivenPath, clear: _Clear, motion: Transit) -> PlanResult:
+def _result(path: GivenPath, clear: _ClearPath, motion: Transit) -> PlanResult:
     """The result of a plan, with what became of the path in its report."""
     result = plan_result(Plan(motion))
     given: dict[str, Any] = {

@@ -54,7 +54,7 @@ def places_of(world: World, path: GivenPath, margin: float) -> Iterator[Place]:
     Args:
         world: Arm and obstacles.
         path: The path.
-        margin: Clearance beyond the one to keep with which motions are shown clear [m].
+        margin: Clearance beyond the one to keep with which motions are verified collision-free [m].
     """
     points = path.points
     low = np.flatnonzero(world.field.along(points).min(axis=1) < margin).tolist()

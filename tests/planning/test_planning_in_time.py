@@ -20,7 +20,9 @@ from hplan.planning.moving.obstacles_at import among_poses, without_moving
 from hplan.planning.moving.path_in_time import MovingField, PathInTime
 from hplan.planning.moving.schedule import CHANGES, LEVELS, STEP_S, USED, earliest_schedule, room_to_change
 from hplan.planning.options import PlanOptions
-from hplan.planning.plan import PlanResult, plan
+from hplan.planning.plan import PlanResult, _plans, plan
+from hplan.planning.report import StageClock
+from hplan.planning.task import PlanningCache, no_progress
 from hplan.robot.model import Robot
 from hplan.scene.model import Fruit, Goal, Scene
 from hplan.scene.obstacles import Box, Sphere
@@ -101,6 +103,18 @@ def test_it_goes_at_once_before_what_comes(robot):
     assert_sound(robot, scene, result)
     assert result.trajectory.duration < around.trajectory.duration - 0.1
     assert result.certificate.clear_until_s == math.inf
+
+
+def test_with_a_deadline_each_motion_past_what_moves_is_certified_and_quicker_than_the_one_before(robot):
+    """It waits for what goes first, and then goes around it, the base free to turn."""
+    goes = ball(robot, (0.0, (0.0, 0.0, 0.0)), (1.3, (0.0, 0.0, 0.0)), (2.0, (0.0, 3.0, 0.0)))
+    scene, options = task(START, GOAL, [goes]), PlanOptions(deadline_s=1e6)
+    found = list(_plans(PlanningCache(robot), scene, options, no_progress, StageClock(), None, None))
+    durations = [each.duration for each in found]
+    assert len(durations) > 1
+    assert durations == sorted(set(durations), reverse=True)
+    assert all(each.in_time is not None and each.in_time.certificate.verified for each in found)
+    assert durations[-1] <= plan(robot, scene).trajectory.duration + 1e-9
 
 
 def wall(gone_s: float) -> Box:

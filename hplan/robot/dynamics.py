@@ -25,8 +25,8 @@ from hplan.base.arrays import FloatArray, Record, readonly
 from hplan.base.kernels import kernel
 
 #: Pinocchio's joints of one axis, fixed in the joint's own frame.
-_TURNING = ("JointModelRX", "JointModelRY", "JointModelRZ", "JointModelRevoluteUnaligned")
-_SLIDING = ("JointModelPX", "JointModelPY", "JointModelPZ", "JointModelPrismaticUnaligned")
+TURNING = ("JointModelRX", "JointModelRY", "JointModelRZ", "JointModelRevoluteUnaligned")
+SLIDING = ("JointModelPX", "JointModelPY", "JointModelPZ", "JointModelPrismaticUnaligned")
 
 # Rows of a body. In its parent's frame a joint at q is turned by FIXED + cos(q) EVEN + sin(q) ODD and stands at
 # PLACE + q SHIFT.
@@ -44,7 +44,7 @@ _NUMBERS = 17  # mass, inertia of the rotor, parent's row (-1 for the base)
 
 def joints_that_slide(model: pin.Model) -> tuple[bool, ...]:
     """Of each joint of a model whether it slides: its values are metres, its force newtons."""
-    return tuple(joint.shortname() in _SLIDING for joint in model.joints.tolist()[1:])
+    return tuple(joint.shortname() in SLIDING for joint in model.joints.tolist()[1:])
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +68,7 @@ class InverseDynamics(Record):
     def of(cls, model: pin.Model) -> InverseDynamics:
         """The inverse dynamics of a model."""
         joints = model.joints.tolist()[1:]
-        if any(joint.shortname() not in _TURNING + _SLIDING for joint in joints):
+        if any(joint.shortname() not in TURNING + SLIDING for joint in joints):
             return cls(model, None, None)
         bodies = [_body(model, number, joint) for number, joint in enumerate(joints, start=1)]
         rows = readonly(np.array(bodies).reshape(-1, 18, 3))

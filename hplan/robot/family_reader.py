@@ -12,6 +12,7 @@ import pinocchio as pin
 from hplan.base import ties
 from hplan.base.arrays import FloatArray, readonly
 from hplan.errors import RobotFamilyError, RobotFileError
+from hplan.robot.dynamics import SLIDING, TURNING
 from hplan.robot.planar_family import PlanarArm, PlanarFamily
 from hplan.scene.solids import CUBE_CORNERS
 
@@ -23,11 +24,6 @@ AXIS_TOLERANCE = 1e-9
 
 #: Part of an interval that the golden section keeps.
 _GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
-
-_REVOLUTE = ("JointModelRX", "JointModelRY", "JointModelRZ", "JointModelRevoluteUnaligned")
-
-
-_PRISMATIC = ("JointModelPX", "JointModelPY", "JointModelPZ", "JointModelPrismaticUnaligned")
 
 
 def read_family(model: pin.Model, collision_model: pin.GeometryModel, tool_frame: str) -> PlanarFamily:
@@ -63,7 +59,7 @@ def check_joints(path: Path, model: pin.Model) -> None:
         raise RobotFileError(path, "it has no moving joint")
     for index in range(1, model.njoints):
         name, kind = model.names[index], model.joints[index].shortname()
-        if kind not in _REVOLUTE + _PRISMATIC:
+        if kind not in TURNING + SLIDING:
             advice = hold_advice(name) if model.joints[index].nq == 1 else "make it fixed where it stands"
             reason = f"it is a {kind}; only revolute and prismatic joints move; {advice}"
             raise RobotFileError(path, f"joint {name!r}: {reason}")
@@ -73,7 +69,7 @@ def check_joints(path: Path, model: pin.Model) -> None:
             raise RobotFileError(path, f"joint {name!r}: its axis has no direction")
         low, high = model.lowerPositionLimit[index - 1], model.upperPositionLimit[index - 1]
         if not low < high:
-            unit = "rad" if kind in _REVOLUTE else "m"
+            unit = "rad" if kind in TURNING else "m"
             reason = f"its lower limit {low:g} {unit} is not below its upper limit {high:g} {unit}"
             raise RobotFileError(path, f"joint {name!r}: {reason}")
 
@@ -125,7 +121,7 @@ class FamilyReader:
     def _check_joints(self, model: pin.Model) -> None:
         for index in range(1, model.njoints):
             name, kind = model.names[index], model.joints[index].shortname()
-            if kind not in _REVOLUTE:
+            if kind not in TURNING:
                 reason = f"it is a {kind}; the family's joints are revolute; {hold_advice(name)}"
                 raise self._fault(f"joint {name!r}", reason)
             if model.parents[index] != index - 1:

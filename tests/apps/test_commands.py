@@ -133,7 +133,7 @@ def test_help_loads_nothing_heavy(arguments: list[str]) -> None:
 # Terminals and signals
 
 
-@pytest.mark.parametrize("command", ["tour", "time"])
+@pytest.mark.parametrize("command", ["certify", "time"])
 def test_a_command_needs_no_terminal(command: str, folder: Path) -> None:
     """What it says goes nowhere; the status is that of the job."""
     for terminal in ("> /dev/full", ">&-"):

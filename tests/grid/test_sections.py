@@ -321,6 +321,14 @@ def test_interval_is_tight(kind):
     assert np.percentile(worst, 90) < (1e-4 if kind == "ball" else 4e-3)
 
 
+@pytest.mark.parametrize(("aside", "seen"), [(0.15, 1), (0.3, 0)])
+def test_what_is_far_from_a_yaw_axis_off_the_origin_is_seen(aside, seen):
+    """By 0.1 rad a hull at the origin moves 0.2 m sideways about an axis 2 m away."""
+    core = np.array([0.0, aside, 1.0]) + 0.02 * BOX_CORNERS
+    axis = (2.0, 0.0)
+    assert len(cut(Solid(core, 0.01), origin=(*axis, 0.6), half_angle=0.1, axis=axis)) == seen
+
+
 # Sections for an arm
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from hplan.base.arrays import BoolArray, FloatArray
 from hplan.base.deadline import is_up
-from hplan.base.kernels import any_int, kernel
+from hplan.base.kernels import kernel
 from hplan.collision import flat_bodies as flat
 from hplan.collision import obstacle_rows as row
 from hplan.collision.distances import point_segment
@@ -22,9 +22,6 @@ from hplan.collision.motion_cover import Moving, Part, body_keeps_margin, moving
 from hplan.collision.obstacle_rows import FieldArrays
 from hplan.collision.placed_bodies import ALONG, PLACED, START, place_bodies
 from hplan.collision.twists import motion_bends
-
-#: Most looks at the clearance along one motion.
-_MOST_LOOKS = any_int(1_000_000)
 
 #: Places of a motion that are checked before it is proved are about so far apart, as its farthest point goes [m].
 _APART = 0.4
@@ -125,22 +122,12 @@ def _march(run: Run, looks: int, stride: float) -> tuple[float, int]:
 
 
 @kernel
-def _straight(start: FloatArray, turns: FloatArray) -> FloatArray:
-    """(4, dof) control points of a straight motion."""
-    piece = np.empty((4, len(start)))
-    for c in range(4):
-        for i in range(len(start)):
-            piece[c, i] = start[i] + c * turns[i] / 3.0
-    return piece
-
-
-@kernel
 def body_shown_part(
-    start: FloatArray, turns: FloatArray, field: FieldArrays, margin: float, looks: int
+    piece: FloatArray, field: FieldArrays, margin: float, stride: float, looks: int
 ) -> tuple[float, int]:
-    """The part of a straight joint-space motion that a few looks at the clearance verify, and how many it took."""
-    run = _run(_straight(start, turns), field, margin)
-    shown, used = _march(run, looks, 0.0)
+    """As `hplan.collision.clearance_kernels.shown_part`."""
+    run = _run(piece, field, margin)
+    shown, used = _march(run, looks, stride)
     return shown, used
 
 
@@ -168,26 +155,6 @@ def body_segment_is_refused(start: FloatArray, end: FloatArray, field: FieldArra
         if farthest <= parts * _APART or is_up(field.until):
             return False
         parts *= 2
-
-
-@kernel
-def body_segment_is_clear(start: FloatArray, end: FloatArray, field: FieldArrays, margin: float) -> bool:
-    """As `hplan.collision.clearance_kernels.segment_is_clear`."""
-    if body_segment_is_refused(start, end, field, margin):
-        return False
-    turns = np.empty(len(start))
-    for i in range(len(start)):
-        turns[i] = end[i] - start[i]
-    shown, _ = body_shown_part(start, turns, field, margin, _MOST_LOOKS)
-    return shown == 1.0
-
-
-@kernel
-def body_piece_is_clear(piece: FloatArray, field: FieldArrays, margin: float, stride: float) -> bool:
-    """As `hplan.trajectory.spline.piece_is_clear`."""
-    run = _run(piece, field, margin)
-    shown, _ = _march(run, _MOST_LOOKS, stride)
-    return shown == 1.0
 
 
 @kernel

@@ -24,13 +24,16 @@ from hplan.base.deadline import is_up
 from hplan.base.kernels import any_int, inlined, kernel
 from hplan.collision import obstacle_rows as row
 from hplan.collision.body_kernels import body_clearances
-from hplan.collision.body_motions import body_bounds, body_segment_is_clear, body_segment_is_refused, mark_near_bodies
+from hplan.collision.body_motions import body_bounds, body_segment_is_refused, body_shown_part, mark_near_bodies
 from hplan.collision.distances import Vector, point_segment, segment_box, segment_hull, segment_segment
 from hplan.collision.motion_cover import body_keeps_margin
 from hplan.collision.obstacle_rows import OF_BODIES
 from hplan.collision.obstacle_rows import FieldArrays as FieldArrays
 
 _FIRST_ROW = any_int(0)
+
+#: Most evaluations of the clearance along one motion.
+_MOST_LOOKS = any_int(1_000_000)
 
 #: Numbers of a link of a planar arm; other arms have other rows (`hplan.collision.flat_bodies`).
 LINK = any_int(6)
@@ -294,6 +297,80 @@ def motion_bounds(turns: FloatArray, field: FieldArrays, result: FloatArray) -> 
 
 
 @kernel
+def piece_bounds(piece: FloatArray, chain: FloatArray, base: FloatArray, result: FloatArray) -> None:
+    """Largest speed of any axis point of each link while a piece's own parameter runs from 0 to 1 [m].
+
+    As `motion_bounds`, from the hull of the derivative: each absolute link angle turns no faster than
+    at the fastest of the derivative's three control points.
+    """
+    first = 1 if base[9] > 0.0 else 0
+    swing = 0.0
+    if first:
+        for c in range(3):
+            swing = max(swing, 3.0 * abs(piece[c + 1, 0] - piece[c, 0]))
+    turn0, turn1, turn2, bound = 0.0, 0.0, 0.0, 0.0
+    for k in range(chain.shape[0]):
+        turn0 += chain[k, 2] * (piece[1, first + k] - piece[0, first + k])
+        turn1 += chain[k, 2] * (piece[2, first + k] - piece[1, first + k])
+        turn2 += chain[k, 2] * (piece[3, first + k] - piece[2, first + k])
+        bound += 3.0 * chain[k, 0] * max(abs(turn0), abs(turn1), abs(turn2))
+        result[k] = bound + swing * chain[k, 5]
+
+
+@kernel
+def shown_part(piece: FloatArray, field: FieldArrays, margin: float, stride: float, looks: int) -> tuple[float, int]:
+    """How much of a motion is verified to keep a margin, from its begin on, by conservative advancement.
+
+    Args:
+        piece: (4, dof) Bezier points of the motion.
+        field: Arm and obstacles.
+        margin: Clearance asked for wherever it is evaluated [m].
+        stride: No step is shorter than that: above 0 no proof near contact, but cheap, for optimisers.
+        looks: Most evaluations of the clearance.
+
+    Returns:
+        The last place, from 0 to 1, with all before it verified, 0 without any; and how many evaluations it took.
+    """
+    if len(field) == OF_BODIES:
+        return body_shown_part(piece, field, margin, stride, looks)
+    links, dof = field.chain.shape[0], piece.shape[1]
+    bounds, clear, q = np.empty(links), np.empty(links), np.empty(dof)
+    piece_bounds(piece, field.chain, field.base, bounds)
+    shown, t = 0.0, 0.0
+    for used in range(looks):
+        u = 1.0 - t
+        w0, w1, w2, w3 = u * u * u, 3.0 * u * u * t, 3.0 * u * t * t, t * t * t
+        for i in range(dof):
+            q[i] = w0 * piece[0, i] + w1 * piece[1, i] + w2 * piece[2, i] + w3 * piece[3, i]
+        link_clearances(q, field, clear)
+        advance = proven_advance(clear, bounds, margin)
+        if advance < 0.0:
+            return shown, used + 1
+        shown = t
+        if t >= 1.0 or is_up(field.until):
+            return shown, used + 1
+        t = min(1.0, t + max(stride, advance))
+    return shown, looks
+
+
+@kernel
+def straight_piece(start: FloatArray, end: FloatArray) -> FloatArray:
+    """(4, dof) Bezier points of a straight motion at a steady rate."""
+    piece = np.empty((4, len(start)))
+    for i in range(len(start)):
+        third = (end[i] - start[i]) / 3.0
+        piece[0, i], piece[1, i], piece[2, i], piece[3, i] = start[i], start[i] + third, end[i] - third, end[i]
+    return piece
+
+
+@kernel
+def piece_is_clear(piece: FloatArray, field: FieldArrays, margin: float, stride: float) -> bool:
+    """True if a motion along a Bezier piece is verified to keep a margin (`shown_part`)."""
+    shown, _ = shown_part(piece, field, margin, stride, _MOST_LOOKS)
+    return shown == 1.0
+
+
+@kernel
 def path_is_clear(path: FloatArray, field: FieldArrays, margin: float) -> bool:
     """Conservative advancement along every segment of a polyline."""
     clear, i = True, 0
@@ -305,34 +382,21 @@ def path_is_clear(path: FloatArray, field: FieldArrays, margin: float) -> bool:
 
 @kernel
 def segment_is_refused(start: FloatArray, end: FloatArray, field: FieldArrays, margin: float) -> bool:
-    """True if a few looks show that a motion is not clear; none are taken at planar arms, whose proofs are quick."""
+    """True if a few places, which are checked first, show that a straight motion is not clear.
+
+    Most motions that are checked fail, and often in the middle, which is all that is looked at of planar arms.
+    """
     if len(field) == OF_BODIES:
         return body_segment_is_refused(start, end, field, margin)
-    return False
+    q = np.empty(len(start))
+    for i in range(len(start)):
+        q[i] = 0.5 * (start[i] + end[i])
+    return not keeps_margin(q, field, margin)
 
 
 @kernel
 def segment_is_clear(start: FloatArray, end: FloatArray, field: FieldArrays, margin: float) -> bool:
     """True if the straight joint-space motion is verified to keep `margin`, which is asked for at what is evaluated."""
-    if len(field) == OF_BODIES:
-        return body_segment_is_clear(start, end, field, margin)
-    links, dof = field.chain.shape[0], start.shape[0]
-    bounds, clear, q, turns = np.empty(links), np.empty(links), np.empty(dof), np.empty(dof)
-    for i in range(dof):
-        turns[i] = end[i] - start[i]
-    motion_bounds(turns, field, bounds)
-    # The middle first: where a motion fails it often fails there.
-    t, at_middle = 0.5, True
-    while True:
-        for i in range(dof):
-            q[i] = start[i] + t * turns[i]
-        link_clearances(q, field, clear)
-        advance = proven_advance(clear, bounds, margin)
-        if advance < 0.0:
-            return False
-        if t >= 1.0:
-            return True
-        if is_up(field.until):
-            return False
-        t = 0.0 if at_middle else min(1.0, t + advance)
-        at_middle = False
+    if segment_is_refused(start, end, field, margin):
+        return False
+    return piece_is_clear(straight_piece(start, end), field, margin, 0.0)

@@ -16,11 +16,11 @@ from hplan.base.kernels import any_int, inlined, kernel
 from hplan.base.polyline import stations
 from hplan.collision.body_kernels import FAR, body_slopes, least_body_clearance
 from hplan.collision.clearance_field import ClearanceField
-from hplan.collision.clearance_kernels import link_clearances, smallest
+from hplan.collision.clearance_kernels import link_clearances, piece_is_clear, smallest
 from hplan.collision.obstacle_rows import OF_BODIES, FieldArrays
 from hplan.optimization.options import JointArrays, PostprocessOptions
 from hplan.trajectory.cubics import bezier_piece
-from hplan.trajectory.spline import STRIDE, MovableSpline, SplinePath, piece_is_clear
+from hplan.trajectory.spline import STRIDE, MovableSpline, SplinePath
 
 #: Rounds of pushing.
 _ROUNDS = any_int(40)

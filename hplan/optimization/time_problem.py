@@ -10,7 +10,7 @@ import numpy as np
 from hplan.base.arrays import FloatArray, Record, frozen
 from hplan.base.deadline import check_deadline, until
 from hplan.collision.clearance_field import ClearanceField
-from hplan.collision.clearance_kernels import LINK
+from hplan.collision.clearance_kernels import LINK, piece_is_clear
 from hplan.optimization.first_order import MotionArrays, MotionLimits, first_order, least_pace
 from hplan.optimization.interior_point import ProgramRows, solve
 from hplan.optimization.options import PostprocessOptions
@@ -18,7 +18,7 @@ from hplan.optimization.timed_spline import RESTING, BoundaryState, TimedSpline
 from hplan.optimization.torque_rows import NEAR_LIMIT, TorqueUse, torque_rows, with_rows
 from hplan.robot.dynamics import InverseDynamics
 from hplan.robot.limits import Limits, rest_to_rest
-from hplan.trajectory.spline import FIRST, MovableSpline, piece_is_clear, pieces_are_clear
+from hplan.trajectory.spline import FIRST, MovableSpline, pieces_are_clear
 
 #: Fraction of the margin asked for wherever the proof of a step looks; the programs ask for all of it at their places.
 PROVED = 0.05

@@ -15,13 +15,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hplan.base.arrays import BoolArray, FloatArray, Record, frozen, readonly
-from hplan.base.deadline import check_deadline, is_up
+from hplan.base.deadline import check_deadline
 from hplan.base.kernels import any_int, kernel
 from hplan.base.polyline import curve_length, stations
-from hplan.collision.body_motions import body_piece_is_clear
 from hplan.collision.clearance_field import ClearanceField
-from hplan.collision.clearance_kernels import link_clearances, proven_advance
-from hplan.collision.obstacle_rows import OF_BODIES, FieldArrays
+from hplan.collision.clearance_kernels import piece_is_clear
+from hplan.collision.obstacle_rows import FieldArrays
 from hplan.errors import InputError
 from hplan.trajectory.cubics import bezier_piece, bezier_pieces, evaluate
 
@@ -121,55 +120,6 @@ class MovableSpline(NamedTuple):
 
     control: FloatArray
     knots: FloatArray
-
-
-@kernel
-def piece_bounds(piece: FloatArray, chain: FloatArray, base: FloatArray, result: FloatArray) -> None:
-    """Largest speed of any axis point of each link while a piece's own parameter runs from 0 to 1 [m].
-
-    As `clearance_kernels.motion_bounds`, from the hull of the derivative: each absolute link angle turns no faster than
-    at the fastest of the derivative's three control points.
-    """
-    first = 1 if base[9] > 0.0 else 0
-    swing = 0.0
-    if first:
-        for c in range(3):
-            swing = max(swing, 3.0 * abs(piece[c + 1, 0] - piece[c, 0]))
-    turn0, turn1, turn2, bound = 0.0, 0.0, 0.0, 0.0
-    for k in range(chain.shape[0]):
-        turn0 += chain[k, 2] * (piece[1, first + k] - piece[0, first + k])
-        turn1 += chain[k, 2] * (piece[2, first + k] - piece[1, first + k])
-        turn2 += chain[k, 2] * (piece[3, first + k] - piece[2, first + k])
-        bound += 3.0 * chain[k, 0] * max(abs(turn0), abs(turn1), abs(turn2))
-        result[k] = bound + swing * chain[k, 5]
-
-
-@kernel
-def piece_is_clear(piece: FloatArray, field: FieldArrays, margin: float, stride: float) -> bool:
-    """Conservative advancement along a Bezier piece; `margin` is asked for wherever it is evaluated.
-
-    With a `stride` above 0 no step is shorter than that: no proof then near contact, but cheap, for optimisers.
-    """
-    if len(field) == OF_BODIES:
-        return body_piece_is_clear(piece, field, margin, stride)
-    links, dof = field.chain.shape[0], piece.shape[1]
-    bounds, clear, q = np.empty(links), np.empty(links), np.empty(dof)
-    piece_bounds(piece, field.chain, field.base, bounds)
-    t = 0.0
-    while True:
-        u = 1.0 - t
-        w0, w1, w2, w3 = u * u * u, 3.0 * u * u * t, 3.0 * u * t * t, t * t * t
-        for i in range(dof):
-            q[i] = w0 * piece[0, i] + w1 * piece[1, i] + w2 * piece[2, i] + w3 * piece[3, i]
-        link_clearances(q, field, clear)
-        advance = proven_advance(clear, bounds, margin)
-        if advance < 0.0:
-            return False
-        if t >= 1.0:
-            return True
-        if is_up(field.until):
-            return False
-        t = min(1.0, t + max(stride, advance))
 
 
 @kernel

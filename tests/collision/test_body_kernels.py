@@ -14,7 +14,7 @@ from hplan.base.arrays import FloatArray
 from hplan.collision.body_kernels import FAR, body_slopes
 from hplan.collision.body_motions import body_bounds
 from hplan.collision.clearance_field import ClearanceField
-from hplan.collision.clearance_kernels import keeps_margin, segment_is_clear, segment_is_refused
+from hplan.collision.clearance_kernels import keeps_margin, piece_is_clear, segment_is_clear, segment_is_refused
 from hplan.collision.coal_shapes import beyond_geometry, solid_shape
 from hplan.collision.collision_bodies import GROUND, body_shapes, collision_bodies
 from hplan.collision.flat_bodies import AXIS, AXIS_RADIUS, BALL, BALL_RADIUS
@@ -23,7 +23,6 @@ from hplan.collision.touching_pairs import self_pairs
 from hplan.robot.model import Robot
 from hplan.scene.obstacles import Box, Capsule, Cylinder, Solid, Sphere
 from hplan.scene.solids import Cloud, hull_of
-from hplan.trajectory.spline import piece_is_clear
 
 SEEDS = st.integers(0, 2**32 - 1)
 

@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hplan.collision.clearance_field import ClearanceField
+from hplan.collision.clearance_kernels import piece_bounds, piece_is_clear
 from hplan.collision.coal_scene import CoalScene
 from hplan.scene.obstacles import Sphere
 from hplan.trajectory.spline import (
@@ -16,8 +17,6 @@ from hplan.trajectory.spline import (
     MovableSpline,
     SplinePath,
     first_contact,
-    piece_bounds,
-    piece_is_clear,
     pieces_are_clear,
 )
 

@@ -18,10 +18,9 @@ import numpy as np
 from hplan.base.arrays import FloatArray, IntArray, frozen
 from hplan.base.deadline import check_deadline, is_up
 from hplan.base.kernels import any_int, kernel
-from hplan.collision.body_motions import body_shown_part
 from hplan.collision.clearance_field import ClearanceField
-from hplan.collision.clearance_kernels import link_clearances, motion_bounds, proven_advance
-from hplan.collision.obstacle_rows import OF_BODIES, FieldArrays
+from hplan.collision.clearance_kernels import shown_part, straight_piece
+from hplan.collision.obstacle_rows import FieldArrays
 from hplan.planning.definition import Problem
 
 #: Samples drawn at a time, and nodes that a tree may have.
@@ -192,60 +191,21 @@ def _extend(tree: Tree, node: int, target: FloatArray, arm: Surroundings, looks:
         return -1
     dof = len(target)
     start = tree.points[node]
-    turns = np.empty(dof)
+    end = np.empty(dof)
     time = motion_time(start, target, arm.slowness)
     part = min(1.0, EDGE_S / time) if time > 0.0 else 1.0
     for i in range(dof):
-        turns[i] = part * (target[i] - start[i])
-    shown = _shown_part((start, turns, target), part == 1.0, arm.field, arm.margin, looks)
+        end[i] = target[i] if part == 1.0 else start[i] + part * (target[i] - start[i])
+    shown, used = shown_part(straight_piece(start, end), arm.field, arm.margin, 0.0, LOOKS)
+    looks[0] -= used
     if shown * part * time < LEAST_S and not (shown == 1.0 and part == 1.0):
         return -1
     new = int(tree.size[0])
     for i in range(dof):
-        tree.points[new, i] = target[i] if shown == 1.0 and part == 1.0 else start[i] + shown * turns[i]
+        tree.points[new, i] = end[i] if shown == 1.0 else start[i] + shown * (end[i] - start[i])
     tree.parents[new] = node
     tree.size[0] = new + 1
     return new
-
-
-@kernel
-def _shown_part(
-    edge: tuple[FloatArray, FloatArray, FloatArray], reaches: bool, field: FieldArrays, margin: float, looks: IntArray
-) -> float:
-    """The part of an edge that is shown clear.
-
-    Args:
-        edge: (dof,) where it begins, how far joints turn along it, and where it leads.
-        reaches: Whether it ends there.
-        field: Arm and obstacles.
-        margin: Clearance asked for wherever it is evaluated [m].
-        looks: Evaluations that are left.
-    """
-    start, turns, target = edge
-    if len(field) == OF_BODIES:
-        verified, used = body_shown_part(start, turns, field, margin, LOOKS)
-        looks[0] -= used
-        return verified
-    dof, links = len(start), field.chain.shape[0]
-    q, bounds, clear = np.empty(dof), np.empty(links), np.empty(links)
-    motion_bounds(turns, field, bounds)
-    shown, at = 0.0, 0.0
-    for _ in range(LOOKS):
-        for i in range(dof):
-            q[i] = start[i] + at * turns[i]
-        if at == 1.0 and reaches:
-            for i in range(dof):
-                q[i] = target[i]
-        looks[0] -= 1
-        link_clearances(q, field, clear)
-        advance = proven_advance(clear, bounds, margin)
-        if advance < 0.0:
-            break
-        shown = at
-        if at >= 1.0:
-            break
-        at = min(1.0, at + advance)
-    return shown
 
 
 @kernel

@@ -8,6 +8,9 @@ matter with them or with the disk, kernels are compiled, and a `KernelCacheWarni
 A kernel that is not tiny is compiled once, and called by its name: numba alone would put all that a kernel
 calls into it, and compile it again there, which takes most of the time. A name tells the code; those called are loaded
 before it.
+
+A wheel may bring kernels (`scripts/build_wheel.py`), compiled for most processors of the last ten years. They are
+looked for first, and used where the versions are those that they were made with and the processor can run them.
 """
 
 from __future__ import annotations
@@ -49,6 +52,15 @@ _MANNER = 1
 
 #: Kernels of no more instructions are put into those that call them.
 _TINY = 60
+
+#: Kernels that came with the package, and the file there that says what they were compiled for.
+_SHIPPED, _MADE_FOR = Path(__file__).parents[1] / "kernels", "made_for.txt"
+
+#: By architecture, the processor that they are compiled for, and what another one must have to run them.
+_PORTABLE = {
+    "x86_64": ("x86-64-v3", ("avx2", "bmi", "bmi2", "f16c", "fma", "lzcnt", "movbe")),
+    "aarch64": ("generic", ("neon",)),
+}
 
 #: Length of a checksum [bytes].
 _CHECKSUM = 32
@@ -195,7 +207,13 @@ class _DiskCache(NullCache):  # type: ignore[misc]
     def holds_any(self) -> bool:
         """True if there is anything for this processor."""
         key = self._key(())
-        return key is not None and any(_named(folder, key.for_any_types) for folder in self.folders())
+        return key is not None and any(_named(folder, each.for_any_types) for folder, each in self._places(key))
+
+    def _places(self, key: _Key) -> list[tuple[Path, _Key]]:
+        """Where to read, in turn, and by what key."""
+        own = [(folder, key) for folder in self.folders()]
+        machine = _shipped(self._compiled.targetctx.codegen().magic_tuple())
+        return own if machine is None else [(_SHIPPED, key._replace(machine=machine)), *own]
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """The code compiled for these types; None where there is none, or none that is whole."""
@@ -203,9 +221,9 @@ class _DiskCache(NullCache):  # type: ignore[misc]
         key = self._key(sig)
         if key is None:
             return None
-        for folder in self.folders():
+        for folder, each in self._places(key):
             try:
-                return self._loaded(_read(folder, key), sig, target_context)
+                return self._loaded(_read(folder, each), sig, target_context)
             except (FileNotFoundError, NotADirectoryError):
                 continue
             except Exception as error:  # whatever numba says of what it cannot take
@@ -313,6 +331,42 @@ def _machine(target: tuple[Any, ...]) -> str:
     """Digest of processor, versions and settings."""
     versions = (_MANNER, _TINY, sys.implementation.cache_tag, nb.__version__, llvmlite.__version__, np.__version__)
     return value_digest((target, versions, tuple(str(getattr(nb.config, name, None)) for name in _SETTINGS)))
+
+
+def made_for() -> str:
+    """What kernels are compiled for here, as a wheel that brings some says it."""
+    python = "CPython {}.{}".format(*sys.version_info)
+    numbers = f"{python}, numba {nb.__version__}, llvmlite {llvmlite.__version__}, NumPy {np.__version__}"
+    return f"{numbers}, {ll.get_default_triple()}, manner {_MANNER}"
+
+
+def portable_processor() -> dict[str, str]:
+    """Settings of numba's, as environment variables, with which it compiles for every processor that wheels are for.
+
+    Raises:
+        LookupError: There are no wheels with kernels for this architecture.
+    """
+    return {"NUMBA_CPU_NAME": _PORTABLE[ll.get_default_triple().partition("-")[0]][0], "NUMBA_CPU_FEATURES": ""}
+
+
+@lru_cache
+def _shipped(target: tuple[Any, ...]) -> str | None:
+    """Digest of what the kernels that came with the package are compiled for; None where they are of no use here."""
+    try:
+        brought = (_SHIPPED / _MADE_FOR).read_text(encoding="utf-8").strip()
+    except OSError:
+        return None
+    if nb.config.CPU_NAME is not None:  # for which processor is decided already
+        return None
+    triple = target[0]
+    processor, needed = _PORTABLE.get(triple.partition("-")[0], (None, ()))
+    features = ll.get_host_cpu_features()
+    lacking = [name for name in needed if not features.get(name)]
+    if brought != made_for() or lacking or processor is None:
+        here = f"this processor has no {', '.join(lacking)}" if brought == made_for() else f"here is {made_for()}"
+        _warn_once(f"kernels came with hplan for {brought}; {here}: they are compiled when first called", "shipped")
+        return None
+    return _machine((triple, processor, ""))
 
 
 def _named(folder: Path, beginning: str) -> list[str]:

@@ -190,7 +190,7 @@ class ClearanceField(Record):
         """
         check_deadline()
         result = np.empty(len(self.chain))
-        link_clearances(np.asarray(q, dtype=np.float64), self.arrays, result)
+        link_clearances(np.array(q, dtype=np.float64), self.arrays, result)
         return result
 
     def along(self, configurations: ArrayLike) -> FloatArray:

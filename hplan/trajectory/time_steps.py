@@ -89,7 +89,7 @@ def run_clock(clocks: Clocks, kept: Kept, period: float, final: int) -> tuple[in
             points[k, j] = clocks.points[k, j]
     found, work = np.empty((2, dof)), np.empty((4, dof))
     returns, back, farthest = 0, BACK, 2
-    i = 2
+    i = len(clocks.clock) - 1
     while i < rows - 1:
         done = tau[i - 2] >= end or (i >= final and tau[i] == tau[i - 2])
         if done:

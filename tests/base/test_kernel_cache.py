@@ -188,6 +188,47 @@ def test_no_damage_goes_unnoticed(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert cache.load_overload(types[0], context) is not None
 
 
+SHIPPED = """
+import pathlib
+from hplan.base import kernels as of_hplan
+of_hplan._SHIPPED = pathlib.Path("{}")
+"""
+
+#: Notes what is compiled.
+COUNTED = """
+from numba.core import event
+compiled = event.RecordingListener()
+event.register("numba:compile", compiled)
+"""
+
+
+def test_kernels_that_came_with_the_package(folder: Path, tmp_path: Path) -> None:
+    """Compiled for many processors, read where nothing can be written; those of other versions are not used."""
+    brought = tmp_path / "kernels"
+    brought.mkdir()
+    run(folder, USE, **kernels.portable_processor(), NUMBA_CACHE_DIR=str(tmp_path / "cache"))
+    for file in (tmp_path / "cache").rglob("*.nbc"):
+        shutil.copy2(file, brought)
+    made_for = brought / "made_for.txt"
+    made_for.write_text(kernels.made_for())
+    (folder / "__pycache__").touch()
+    count = COUNTED + USE + "print(len(compiled.buffer))"
+    assert run(folder, SHIPPED.format(brought) + count, **NOWHERE) == ("True False 4.0 6.0\n0", "")
+
+    older = (
+        "import llvmlite.binding as ll\n"
+        "one = type(ll.get_host_cpu_features())(sse2=True)\n"
+        "ll.get_host_cpu_features = lambda: one\n"
+    )
+    for before, named in ((older, "this processor has no avx2, bmi"), ("", "here is CPython")):
+        said, warned = run(folder, before + SHIPPED.format(brought) + count, **NOWHERE)
+        assert said.startswith("False False 4.0 6.0\n")
+        assert not said.endswith("\n0")
+        assert named in warned
+        assert "kernels came with hplan for CPython" in warned
+        made_for.write_text(kernels.made_for().replace("numba ", "numba 0."))
+
+
 READ = """
 from typing import NamedTuple
 

@@ -22,6 +22,7 @@ COMMANDS = {
     "execute": "run a trajectory on a simulated arm",
     "orchard": "make a scene: a row of fruit trees",
     "view": "show what a job left in its folder, or a trajectory",
+    "warmup": "compile whatever hplan may call, at once",
     "completion": "print a script that completes these words: hplan completion bash",
 }
 

@@ -17,7 +17,10 @@ from typing import NamedTuple
 import numpy as np
 
 from hplan.base.arrays import BoolArray, IntArray, WordArray
-from hplan.base.kernels import kernel
+from hplan.base.kernels import any_int, kernel
+
+#: The first cell or sample, and any move, for kernels.
+_FIRST, _ANY = any_int(0), any_int(-1)
 
 
 class Samples(NamedTuple):
@@ -50,7 +53,7 @@ def is_reachable(free: WordArray, samples: Samples) -> bool:
     states = np.zeros((moves, *free.shape), dtype=np.uint64)
     alive = np.zeros(moves, dtype=np.bool_)
     for move in range(moves):
-        alive[move] = _keep(states[move], free, samples, 0, move, True)
+        alive[move] = _keep(states[move], free, samples, _FIRST, move, True)
     for k in range(1, samples.first.shape[0]):
         if not alive.any():
             return False
@@ -69,18 +72,18 @@ def _advance(states: WordArray, alive: BoolArray, free: WordArray, samples: Samp
         if alive[move]:
             block = states[move]
             for x in range(first[k - 1, 1], last[k - 1, 1] + 1):
-                _spread(block[x], low_y, high_y, steps[2], 0, words)
+                _spread(block[x], low_y, high_y, steps[2], _FIRST, words)
             rows = block.reshape(nx, ny * words)
             _spread(rows, low_x, high_x, steps[1], low_y * words, (high_y + 1) * words)
             for x in range(low_x, high_x + 1):
                 for y in range(low_y, high_y + 1):
                     _shift(block[x, y], move - moves // 2)
-            alive[move] = _keep(block, free, samples, k, -1, False)
+            alive[move] = _keep(block, free, samples, k, _ANY, False)
     if k == first.shape[0] - 1:
         return
     for x in range(first[k, 1], last[k, 1] + 1):
         begin, end = (x * ny + first[k, 2]) * words, (x * ny + last[k, 2] + 1) * words
-        _spread(states.reshape(moves, nx * ny * words), 0, moves - 1, steps[0], begin, end)
+        _spread(states.reshape(moves, nx * ny * words), _FIRST, moves - 1, steps[0], begin, end)
     before = alive.copy()
     for move in range(moves):
         alive[move] = before[max(0, move - steps[0]) : move + steps[0] + 1].any()

@@ -1,0 +1,100 @@
+"""Build a wheel that brings its kernels compiled: for this Python, numba, NumPy and platform."""
+
+from __future__ import annotations
+
+import argparse
+import base64
+import csv
+import hashlib
+import io
+import os
+import shutil
+import subprocess
+import sys
+import sysconfig
+import tempfile
+import time
+import zipfile
+from collections.abc import Sequence
+from pathlib import Path
+
+from hplan.apps.cli.warmup import compile_all
+from hplan.base.kernels import made_for, portable_processor
+
+ROOT = Path(__file__).resolve().parents[1]
+
+_DESCRIPTION = """\
+The wheel is built from the sources, all that `hplan warmup` does is done with it, and the kernels compiled by that are
+added: for any processor with the instructions of x86-64-v3 (from 2013 on). Where another version of numba, NumPy or
+Python is installed beside it, or the processor is older, kernels are compiled as without.
+"""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line; returns the exit status."""
+    parser = argparse.ArgumentParser(description=_DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path, default=ROOT / "dist", metavar="DIR", help="folder (default: dist)")
+    parser.add_argument("--processes", type=int, default=os.cpu_count(), metavar="N", help="at a time (default: all)")
+    arguments = parser.parse_args(argv)
+    begin = time.perf_counter()
+    with tempfile.TemporaryDirectory() as name:
+        work = Path(name)
+        build = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(work)]
+        subprocess.run(build, cwd=ROOT, check=True, stdout=subprocess.DEVNULL)
+        pure, site = next(work.glob("*.whl")), work / "site"
+        with zipfile.ZipFile(pure) as archive:
+            archive.extractall(site)
+        count = add_kernels(site, work, arguments.processes)
+        arguments.out.mkdir(parents=True, exist_ok=True)
+        wheel = packed(site, pure.name, arguments.out)
+    size = wheel.stat().st_size / 1e6
+    print(f"{wheel}: {count} kernels, {size:.1f} MB, {time.perf_counter() - begin:.0f} s")
+    return 0
+
+
+def add_kernels(site: Path, work: Path, processes: int) -> int:
+    """Compile kernels of an unpacked wheel and put them into it; how many there are."""
+    cache = work / "cache"
+    # `-P` keeps the working directory out of the way, not the clone where it is installed from: so the path goes first.
+    environment = {**portable_processor(), "PYTHONPATH": str(site), "NUMBA_CACHE_DIR": str(cache)}
+    failed = compile_all(processes, lambda job, kernel: print(f"{job}: {kernel or 'done'}"), environment)
+    if failed:
+        raise SystemExit("\n".join(f"{job} failed: {message}" for job, message in failed.items()))
+    kernels = site / "hplan" / "kernels"
+    kernels.mkdir()
+    for file in cache.rglob("*.nbc"):
+        if (kernels / file.name).exists():
+            raise RuntimeError(f"two kernels are called {file.name}")
+        shutil.copyfile(file, kernels / file.name)
+    (kernels / "made_for.txt").write_text(made_for() + "\n", encoding="utf-8")
+    for each in site.rglob("__pycache__"):
+        shutil.rmtree(each)
+    return len(list(kernels.glob("*.nbc")))
+
+
+def packed(site: Path, pure: str, out: Path) -> Path:
+    """The wheel of a folder, named and marked as one for this Python and platform."""
+    python = f"cp{sys.version_info.major}{sys.version_info.minor}"
+    tag = f"{python}-{python}-{sysconfig.get_platform().replace('-', '_').replace('.', '_')}"
+    about = next(site.glob("*.dist-info"))
+    (about / "RECORD").unlink()
+    lines = (about / "WHEEL").read_text(encoding="utf-8").splitlines()
+    kept = [line for line in lines if line and not line.startswith(("Tag:", "Root-Is-Purelib:"))]
+    text = "\n".join([*kept, "Root-Is-Purelib: false", f"Tag: {tag}", ""])
+    (about / "WHEEL").write_text(text, encoding="utf-8")
+    wheel = out / pure.replace("py3-none-any", tag)
+    record = io.StringIO()
+    rows = csv.writer(record, lineterminator="\n")
+    with zipfile.ZipFile(wheel, "w", zipfile.ZIP_DEFLATED) as archive:
+        for file in sorted(path for path in site.rglob("*") if path.is_file()):
+            name, data = file.relative_to(site).as_posix(), file.read_bytes()
+            digest = base64.urlsafe_b64encode(hashlib.sha256(data).digest()).rstrip(b"=").decode()
+            rows.writerow((name, f"sha256={digest}", len(data)))
+            archive.writestr(zipfile.ZipInfo(name, (1980, 1, 1, 0, 0, 0)), data, zipfile.ZIP_DEFLATED)
+        rows.writerow((f"{about.name}/RECORD", "", ""))
+        archive.writestr(f"{about.name}/RECORD", record.getvalue())
+    return wheel
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -286,14 +286,7 @@ def motion_bounds(turns: FloatArray, field: FieldArrays, result: FloatArray) -> 
     if len(field) == OF_BODIES:
         body_bounds(turns, field.chain, field.base, result)
         return
-    chain, base = field.chain, field.base
-    first = 1 if base[9] > 0.0 else 0
-    swing = abs(turns[0]) if first else 0.0
-    absolute, bound = 0.0, 0.0
-    for k in range(chain.shape[0]):
-        absolute += chain[k, 2] * turns[first + k]
-        bound += chain[k, 0] * abs(absolute)
-        result[k] = bound + swing * chain[k, 5]
+    piece_bounds(straight_piece(np.zeros(len(turns)), turns), field.chain, field.base, result)
 
 
 @kernel

@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     from hplan.online.planner import Planner
     from hplan.planning.finishing.finish import finish
     from hplan.planning.options import PlanOptions
-    from hplan.planning.plan import PlanResult, plan
+    from hplan.planning.plan import plan
+    from hplan.planning.result import PlanResult
     from hplan.robot.model import Robot, load_robot
     from hplan.scene.file import load_scene, save_scene
     from hplan.scene.model import Scene

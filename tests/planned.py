@@ -11,7 +11,7 @@ import numpy as np
 from hplan.base.arrays import FloatArray
 from hplan.certificate.certificate import LIMIT_TOLERANCE
 from hplan.collision.coal_scene import CoalScene
-from hplan.planning.plan import PlanResult
+from hplan.planning.result import PlanResult
 from hplan.robot.model import Robot
 from hplan.scene.model import Fruit, Goal, Scene, Start
 from hplan.scene.obstacles import Box, Capsule, Sphere

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hplan.online.splice import SplicedResult
-from hplan.planning.plan import PlanResult
+from hplan.planning.result import PlanResult
 from hplan.trajectory.trajectory import cubic_pieces
 
 FIELDS = ("position", "velocity", "acceleration")

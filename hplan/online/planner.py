@@ -31,7 +31,8 @@ from hplan.online.scene_cloud import check_cloud_name, solids_named, with_cloud
 from hplan.online.splice import RunningMotion, SplicedResult
 from hplan.planning.motion import Transit
 from hplan.planning.options import PlanOptions
-from hplan.planning.plan import PlanResult, check_task, plan_with
+from hplan.planning.plan import check_task, plan_with
+from hplan.planning.result import PlanResult
 from hplan.planning.task import PlanningCache
 from hplan.robot.model import Robot
 from hplan.scene.limits import Vector

@@ -28,7 +28,8 @@ from hplan.certificate.task_check import SAME
 from hplan.errors import HplanError, InputError, NotOnMotionError, RunningMotionBlockedError, UnavoidableContactError
 from hplan.planning.moving.obstacles_at import without_moving
 from hplan.planning.options import PlanOptions
-from hplan.planning.plan import PlanResult, plan_with
+from hplan.planning.plan import plan_with
+from hplan.planning.result import PlanResult
 from hplan.planning.task import PlanningCache
 from hplan.scene.model import Scene, Start
 from hplan.trajectory.trajectory import SAME_TIME, Phase, Retimed, Trajectory, joined, stopped

@@ -2,143 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
-from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import TYPE_CHECKING
 
 from hplan.base.arguments import function, instance
-from hplan.base.arrays import FloatArray, Record
 from hplan.base.deadline import Cancel, TimeIsUpError, TimeLimit, check_deadline, time_limit
-from hplan.certificate.certificate import Certificate, GoalContact, certify, goal_contacts
+from hplan.certificate.certificate import GoalContact, certify, goal_contacts
 from hplan.certificate.digests import Digests
-from hplan.certificate.retimed_certificate import CertifiedMotion, certified_retiming
 from hplan.certificate.start_state import start_state
 from hplan.errors import CertificationError, HplanError, NoPathError, OptionError, TimingError
-from hplan.grid import SearchResult
-from hplan.grid.grid import Occupancy
-from hplan.planning.definition import Problem
-from hplan.planning.grasps import Grasp
 from hplan.planning.in_time import plans_in_time
 from hplan.planning.motion import Plan, Transit, last, motion_limits, seconds
 from hplan.planning.options import PlanOptions
 from hplan.planning.plans import plans
-from hplan.planning.report import StageClock, bounded_phases, deadline_report, plan_report
+from hplan.planning.report import deadline_report
+from hplan.planning.result import PlanResult, bounded_phases
+from hplan.planning.stages import StageClock
 from hplan.planning.task import LastWorld, PlanningCache, Progress, no_progress
 from hplan.robot.model import Robot
 from hplan.robot.tracking import largest_fraction, name_margin
 from hplan.scene.model import Scene
-from hplan.trajectory.spline import SplinePath
-from hplan.trajectory.time_scaling import Profile
-from hplan.trajectory.trajectory import Phase, Retimed, Trajectory, scaled, stopped
+from hplan.trajectory.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from hplan.planning.lower_bound.duration_bound import DurationBound
-
-
-@dataclass(frozen=True, eq=False)
-class PlanResult(Record):
-    """A plan.
-
-    Attributes:
-        motion: The transit, with all that it was made from.
-        trajectory: The timed motion, all phases.
-        certificate: What was shown of it.
-        phases: The parts of the trajectory.
-        grasp: Where the tool takes the fruit, or reaches the point; None where the goal is given by joints.
-        time_ms: How long each stage took, and all of them [ms].
-        bound: A lower bound of the durations of all transits between the same configurations, or of all motions to the
-            grasp where transit and approach are one; None where it was not asked for, or nothing was certified.
-        begins_s: When the trajectory begins, on the controller's clock (`hplan.Planner`); NaN where that was not told
-            [s]. All else counts from there: rows, phases, and the tracks of `scene`.
-        told: What the report says of plans with a deadline, past what moves, or along a path that was given.
-    """
-
-    motion: Transit
-    trajectory: Trajectory
-    certificate: Certificate
-    phases: tuple[Phase, ...]
-    grasp: Grasp | None
-    time_ms: Mapping[str, float]
-    bound: DurationBound | None = None
-    begins_s: float = 0.0
-    told: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-
-    @cached_property
-    def report(self) -> dict[str, Any]:
-        """The numbers of `report.json`."""
-        return plan_report(self)
-
-    @property
-    def problem(self) -> Problem:
-        """Start and goal of the transit, and the joints that may move."""
-        return self.motion.task.problem
-
-    @property
-    def occupancy(self) -> Occupancy | None:
-        """The C-space that was searched; None where nothing was searched."""
-        return None if self.motion.route is None else self.motion.route.occupancy
-
-    @property
-    def search(self) -> SearchResult | None:
-        """The search; None where nothing was searched."""
-        return None if self.motion.route is None else self.motion.route.search
-
-    @property
-    def grid_path(self) -> FloatArray:
-        """(m, dof) waypoints of the transit's path before it was smoothed."""
-        return self.motion.waypoints
-
-    @property
-    def path(self) -> SplinePath | None:
-        """The transit's smooth path; None for an empty motion."""
-        return self.motion.path
-
-    @property
-    def robot(self) -> Robot:
-        """The arm."""
-        return self.motion.task.robot
-
-    @property
-    def scene(self) -> Scene:
-        """Obstacles and task, as they were given."""
-        return self.motion.task.scene
-
-    @property
-    def picked(self) -> dict[str, float]:
-        """The fruit that is picked, if any, and when the tool is at it [s]."""
-        fruit = self.scene.goal.fruit
-        reached = [phase.end_s for phase in self.phases if phase.name != "retreat"]
-        return {} if fruit is None else {fruit: reached[-1]}
-
-    def stop_at(self, t: float) -> CertifiedMotion:
-        """The trajectory up to the first row at or after a time, and from there on the quickest stop on its path.
-
-        Args:
-            t: The time since the trajectory begins [s].
-
-        Raises:
-            OptionError: A time before the trajectory or after it.
-        """
-        return self._retimed(stopped(self.trajectory, t, self.robot))
-
-    def scaled(self, profile: Profile) -> CertifiedMotion:
-        """The trajectory at other speeds, on its path.
-
-        Args:
-            profile: Fraction of its own speed over time (`hplan.trajectory.trajectory.scaled`).
-
-        Raises:
-            OptionError: Factors that are none, beyond what limits allow, or with which the motion does not end.
-            TimingError: No motion within the limits was found.
-        """
-        return self._retimed(scaled(self.trajectory, profile, self.robot))
-
-    def _retimed(self, retimed: Retimed) -> CertifiedMotion:
-        task = self.motion.task
-        tracking, sigmas = task.options.certified_tracking, task.options.sigmas
-        found = certified_retiming(task.robot, task.scene, self.certificate, retimed, tracking=tracking, sigmas=sigmas)
-        return replace(found, begins_s=self.begins_s)
 
 
 def plan(

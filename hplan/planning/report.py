@@ -1,74 +1,26 @@
-"""Reports of plans and tours: stage times, certificates, failures, as the numbers of `report.json`."""
+"""Reports of plans and tours: certificates, deadlines, failures, as the numbers of `report.json`."""
 
 from __future__ import annotations
 
 import functools
 import json
 import math
-import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from hplan.base.files import write_text
-from hplan.base.polyline import path_length
-from hplan.certificate.certificate import REST
 from hplan.errors import HplanError
-from hplan.grid.result import Expansions
 
 if TYPE_CHECKING:
     from hplan.base.deadline import TimeLimit
     from hplan.certificate.certificate import Certificate
-    from hplan.planning.lower_bound.duration_bound import DurationBound
-    from hplan.planning.motion import Transit
     from hplan.planning.options import PlanOptions
-    from hplan.planning.plan import PlanResult
     from hplan.scene.model import Scene
     from hplan.trajectory.trajectory import Trajectory
 
-#: Stages of a plan, in order.
-STAGES = (
-    "grasps", "trees", "cspace", "layers", "sparse", "fallback", "postprocess", "timing", "certificate", "bound",
-    "export",
-)  # fmt: skip
-
 #: Packages whose versions a report names.
 _PACKAGES = ("hplan", "pin", "coal", "toppra", "numba", "numpy")
-
-
-class StageClock:
-    """Wall-clock time of each stage [s]; a stage entered again adds up."""
-
-    def __init__(self) -> None:
-        """Start the clock of the whole."""
-        self._begin = time.perf_counter()
-        self.seconds = dict.fromkeys(STAGES, 0.0)
-
-    @contextmanager
-    def stage(self, name: str) -> Iterator[None]:
-        """Time what runs inside as part of a stage."""
-        begin = time.perf_counter()
-        try:
-            yield
-        finally:
-            self.add(name, time.perf_counter() - begin)
-
-    def add(self, name: str, seconds: float) -> None:
-        """Add time that was measured elsewhere."""
-        self.seconds[name] += seconds
-
-    def told(self) -> list[str]:
-        """The stages that there were and how long each took, in words."""
-        return [f"{name} for {1e3 * seconds:.3g} ms" for name, seconds in self.seconds.items() if seconds > 0.0]
-
-    def as_ms(self) -> dict[str, float]:
-        """Times by stage and in all [ms]."""
-        table = {name: round(1e3 * seconds, 4) for name, seconds in self.seconds.items()}
-        return {**table, "total": round(1e3 * (time.perf_counter() - self._begin), 4)}
 
 
 @functools.cache
@@ -149,73 +101,6 @@ def curve_report(certificate: Certificate) -> dict[str, Any]:
             "nearest": curve.nearest.tolist(),
             "pairs": [list(pair) for pair in curve.pairs],
         }
-    }
-
-
-def bounded_phases(transit: Transit) -> int:
-    """How many phases of a plan a bound is of: up to rest, the transit, or approach too where that does not stop."""
-    return 1 if np.abs(transit.trajectory.velocity[-1]).max() <= REST else 2
-
-
-def plan_report(plan: PlanResult) -> dict[str, Any]:
-    """The report of a plan, in the shape of `report.json`."""
-    motion, grasp = plan.motion, plan.grasp
-    scene, options, route, path = motion.task.scene, motion.task.options, motion.route, motion.path
-    search = None if route is None else route.search
-    spent = Expansions() if search is None else search.expansions
-    phases = [vars(phase) for phase in plan.phases]
-    bounded = [phase.name for phase in plan.phases[: bounded_phases(motion)]]
-    return {
-        "status": "ok",
-        "scene": scene.name,
-        "robot": motion.task.robot.name,
-        "planner": {
-            "method": options.method if motion.origin in ("none", "search") else motion.origin,
-            "link_model": options.link_model,
-            "step_deg": options.step_deg if route is None else route.step_deg,
-            "cost_deg": 0.0 if search is None else math.degrees(search.cost),
-            "points": len(motion.waypoints) if search is None or search.path is None else len(search.path),
-            "fallback": "none" if search is None else search.fallback,
-            "expansions": {
-                "layers": spent.layers,
-                "sparse": spent.sparse,
-                "fallback": spent.fallback,
-                "total": spent.total,
-                "flooded_cells": spent.flooded,
-            },
-        },
-        "time_ms": dict(plan.time_ms),
-        "path": {
-            "length_deg_grid": math.degrees(path_length(motion.waypoints)),
-            "length_deg": 0.0 if path is None else math.degrees(path.length),
-        },
-        "phases": phases,
-        "grasp": None
-        if grasp is None
-        else {
-            "fruit": scene.goal.fruit,
-            "approach_deg": math.degrees(grasp.approach),
-            "standoff_m": grasp.distance,
-            "joints_rad": grasp.goal.tolist(),
-        },
-        **({"bound": _bound_report(plan.bound, bounded)} if options.bound else {}),
-        **plan.told,
-        **motion_report(plan.trajectory, plan.certificate, options, scene),
-    }
-
-
-def _bound_report(bound: DurationBound | None, phases: Sequence[str]) -> dict[str, Any] | None:
-    """What compares the durations of some phases with the bound of all; None where there is none."""
-    if bound is None:
-        return None
-    return {
-        "phases": list(phases),
-        "bound_s": bound.seconds,
-        "duration_s": bound.duration_s,
-        "gap": bound.gap,
-        "method": bound.method,
-        "joint": bound.joint,
-        "joints_s": bound.joints_s,
     }
 
 

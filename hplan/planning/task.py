@@ -23,7 +23,7 @@ from hplan.optimization.several_starts import StartsEffort
 from hplan.planning.definition import Problem, check_problem
 from hplan.planning.effort import Effort, GridAttempt, efforts_of
 from hplan.planning.options import PlanOptions
-from hplan.planning.report import StageClock
+from hplan.planning.stages import StageClock
 from hplan.planning.world import World
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene

@@ -20,8 +20,9 @@ from studies.harness import Row
 
 from hplan.errors import HplanError
 from hplan.planning.options import PlanOptions
-from hplan.planning.plan import PlanResult, plan
+from hplan.planning.plan import plan
 from hplan.planning.report import versions
+from hplan.planning.result import PlanResult
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 

@@ -24,7 +24,7 @@ from hplan.grid.occupancy import occupancy
 from hplan.planning.lower_bound.duration_bound import ENOUGH, DurationBound, duration_bound
 from hplan.planning.motion import motion_limits
 from hplan.planning.options import PlanOptions
-from hplan.planning.plan import PlanResult
+from hplan.planning.result import PlanResult
 from hplan.planning.task import PlanningCache
 from hplan.robot.model import Robot, load_robot
 from hplan.scene.model import Goal, Scene, Start

@@ -22,7 +22,8 @@ from hplan.certificate.certificate import certify
 from hplan.collision.coal_scene import CoalScene
 from hplan.errors import OptionError, OutputError
 from hplan.planning.options import PlanOptions
-from hplan.planning.plan import PlanResult, plan
+from hplan.planning.plan import plan
+from hplan.planning.result import PlanResult
 from hplan.robot.model import Robot
 from hplan.scene.model import Fruit, Goal, Scene, Start
 from hplan.scene.obstacles import Box, Capsule, Cylinder, Mesh, PointCloud, Sphere

@@ -15,7 +15,8 @@ from script_loader import load_script
 from hplan.apps.execution.plant import Plant
 from hplan.apps.execution.simulation import execute
 from hplan.planning.options import PlanOptions
-from hplan.planning.plan import PlanResult, plan
+from hplan.planning.plan import plan
+from hplan.planning.result import PlanResult
 from hplan.robot.model import Robot, load_robot
 from hplan.robot.tracking import TrackingModel
 from hplan.scene.file import load_scene, save_scene

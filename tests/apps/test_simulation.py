@@ -17,7 +17,8 @@ from hplan.apps.execution.recorded_motion import RecordedMotion, read_motion
 from hplan.apps.execution.simulation import HOLD, Execution, execute
 from hplan.collision.coal_scene import CoalScene
 from hplan.errors import ConfigurationInCollisionError, InputError, NoPathError
-from hplan.planning.plan import PlanResult, plan
+from hplan.planning.plan import plan
+from hplan.planning.result import PlanResult
 from hplan.robot.family.members import ArmSpec, write_robot
 from hplan.robot.model import Robot, load_robot
 from hplan.scene.model import Goal, Scene, Start

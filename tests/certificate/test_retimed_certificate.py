@@ -14,7 +14,8 @@ from hplan.certificate.certificate import certify
 from hplan.certificate.digests import trajectory_digest
 from hplan.certificate.retimed_certificate import certified_retiming
 from hplan.planning.options import PlanOptions
-from hplan.planning.plan import PlanResult, plan
+from hplan.planning.plan import plan
+from hplan.planning.result import PlanResult
 from hplan.robot.model import load_robot
 from hplan.robot.tracking import TrackingModel
 from hplan.scene.file import load_scene

@@ -15,8 +15,9 @@ from hplan.certificate.certificate import Certificate, certify
 from hplan.errors import HplanError, InputError
 from hplan.online.planner import Planner
 from hplan.online.splice import SplicedResult
-from hplan.planning.plan import PlanResult, plan
+from hplan.planning.plan import plan
 from hplan.planning.report import write_report
+from hplan.planning.result import PlanResult
 from hplan.robot.model import Robot
 from hplan.scene.file import load_scene, save_scene
 from hplan.scene.model import Fruit, Goal

@@ -15,7 +15,8 @@ from spliced import assert_goes_on
 from hplan.errors import InputError, NotOnMotionError, OptionError
 from hplan.online.planner import Planner
 from hplan.planning.options import PlanOptions
-from hplan.planning.plan import PlanResult, plan
+from hplan.planning.plan import plan
+from hplan.planning.result import PlanResult
 from hplan.robot.model import Robot
 from hplan.scene.model import Goal, Scene
 from hplan.scene.obstacles import Sphere

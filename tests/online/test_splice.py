@@ -14,7 +14,7 @@ from hplan.errors import InputError, NotInTimeError, RunningMotionBlockedError
 from hplan.online.planner import Planner
 from hplan.online.splice import SplicedResult
 from hplan.planning.options import PlanOptions
-from hplan.planning.plan import PlanResult
+from hplan.planning.result import PlanResult
 from hplan.robot.model import Robot
 from hplan.scene.model import Goal, Scene
 from hplan.scene.obstacles import Sphere

@@ -22,8 +22,9 @@ from hplan.online.splice import SplicedResult
 from hplan.planning.in_time import certified_in_time, stopping_first
 from hplan.planning.motion import Motion, Plan
 from hplan.planning.options import PlanOptions
-from hplan.planning.plan import PlanResult, plan
-from hplan.planning.report import StageClock
+from hplan.planning.plan import plan
+from hplan.planning.result import PlanResult
+from hplan.planning.stages import StageClock
 from hplan.planning.task import PlanningCache, no_progress
 from hplan.robot.model import Robot
 from hplan.scene.model import Goal, Scene, Start

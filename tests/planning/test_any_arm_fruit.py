@@ -18,7 +18,8 @@ from hplan.collision.collision_bodies import body_shapes
 from hplan.online.planner import Planner
 from hplan.planning.grasps import Target
 from hplan.planning.options import PlanOptions
-from hplan.planning.plan import PlanResult, plan
+from hplan.planning.plan import plan
+from hplan.planning.result import PlanResult
 from hplan.planning.tool_paths import tool_thickness
 from hplan.planning.world import World
 from hplan.robot.model import Robot, load_robot

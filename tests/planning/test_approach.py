@@ -14,7 +14,8 @@ from hplan.planning import plans as planning
 from hplan.planning.approach import LEADS, Approach, blended
 from hplan.planning.motion import seconds
 from hplan.planning.options import PlanOptions
-from hplan.planning.plan import PlanResult, plan
+from hplan.planning.plan import plan
+from hplan.planning.result import PlanResult
 from hplan.robot.model import Robot
 from hplan.scene.file import load_scene
 from hplan.scene.model import Scene

@@ -20,7 +20,8 @@ from hplan.errors import BoundError, HplanError
 from hplan.planning.lower_bound.duration_bound import DurationBound, duration_bound
 from hplan.planning.motion import motion_limits
 from hplan.planning.options import PlanOptions
-from hplan.planning.plan import PlanResult, plan
+from hplan.planning.plan import plan
+from hplan.planning.result import PlanResult
 from hplan.robot.limits import rest_to_rest
 from hplan.robot.model import Robot, load_robot
 from hplan.scene.model import Goal, Scene

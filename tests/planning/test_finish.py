@@ -16,7 +16,7 @@ from hplan.collision.coal_scene import CoalScene
 from hplan.errors import HplanError, InputError, MovingObstacleError, NotInTimeError, OptionError, PathInContactError
 from hplan.planning.finishing.finish import finish
 from hplan.planning.options import PlanOptions
-from hplan.planning.plan import PlanResult
+from hplan.planning.result import PlanResult
 from hplan.robot.model import Robot, load_robot
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Obstacle, Sphere

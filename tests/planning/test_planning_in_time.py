@@ -20,8 +20,9 @@ from hplan.planning.moving.obstacles_at import among_poses, without_moving
 from hplan.planning.moving.path_in_time import MovingField, PathInTime
 from hplan.planning.moving.schedule import CHANGES, LEVELS, STEP_S, USED, earliest_schedule, room_to_change
 from hplan.planning.options import PlanOptions
-from hplan.planning.plan import PlanResult, _plans, plan
-from hplan.planning.report import StageClock
+from hplan.planning.plan import _plans, plan
+from hplan.planning.result import PlanResult
+from hplan.planning.stages import StageClock
 from hplan.planning.task import PlanningCache, no_progress
 from hplan.robot.model import Robot
 from hplan.scene.model import Fruit, Goal, Scene

@@ -13,7 +13,8 @@ from hplan.certificate.certificate import LIMIT_TOLERANCE, certify
 from hplan.certificate.digests import scene_digest
 from hplan.errors import HplanError, InputError, OptionError, SceneError, StartStateError, UnavoidableContactError
 from hplan.planning.options import PlanOptions
-from hplan.planning.plan import PlanResult, plan
+from hplan.planning.plan import plan
+from hplan.planning.result import PlanResult
 from hplan.robot.model import load_robot
 from hplan.scene.file import dump_scene, parse_scene
 from hplan.scene.model import Goal, Scene, Start

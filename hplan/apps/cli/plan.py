@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from hplan.planning.options import PlanOptions
-    from hplan.planning.plan import PlanResult
+    from hplan.planning.result import PlanResult
     from hplan.robot.model import Robot
     from hplan.scene.model import Scene
 

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from hplan.base.arrays import FloatArray
-    from hplan.planning.plan import PlanResult
+    from hplan.planning.result import PlanResult
     from hplan.robot.limits import Limits
     from hplan.trajectory import Machine
     from hplan.trajectory.trajectory import Trajectory

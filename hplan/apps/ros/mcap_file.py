@@ -36,7 +36,7 @@ from hplan.apps.view.scenery import picks
 from hplan.base.arguments import between, file_path
 from hplan.base.arrays import FloatArray, IntArray
 from hplan.errors import OptionError
-from hplan.planning.plan import PlanResult
+from hplan.planning.result import PlanResult
 from hplan.tour.result import TourResult
 
 #: Types of the topics, and how many messages of each are kept for those who come later.

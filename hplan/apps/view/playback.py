@@ -15,7 +15,7 @@ from hplan.trajectory.trajectory import Phase, Trajectory
 if TYPE_CHECKING:
     from hplan.certificate.certificate import Certificate
     from hplan.certificate.clearance_curve import ClearanceCurve
-    from hplan.planning.plan import PlanResult
+    from hplan.planning.result import PlanResult
     from hplan.tour.result import TourResult
 
 

@@ -20,8 +20,9 @@ from hplan.planning.finishing.given_path import SAME, GivenPath, given_path, sce
 from hplan.planning.finishing.path_contact import places_of, refuse
 from hplan.planning.motion import Plan, Polyline, Transit, certified_trajectory, quickest
 from hplan.planning.options import PlanOptions
-from hplan.planning.plan import PlanResult, check_task, plan_result
-from hplan.planning.report import StageClock
+from hplan.planning.plan import check_task, plan_result
+from hplan.planning.result import PlanResult
+from hplan.planning.stages import StageClock
 from hplan.planning.task import MARGIN, PlanningCache, PlanningContext, PlanningTask, Progress, no_progress
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene

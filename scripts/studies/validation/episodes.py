@@ -40,7 +40,7 @@ from hplan.errors import HplanError, NotOnMotionError, RunningMotionBlockedError
 from hplan.online.frame import CloudOptions
 from hplan.online.planner import Planner
 from hplan.planning.options import PlanOptions
-from hplan.planning.plan import PlanResult
+from hplan.planning.result import PlanResult
 from hplan.scene.model import Goal
 from hplan.trajectory.trajectory import Trajectory, write_csv
 

@@ -46,7 +46,7 @@ from hplan.certificate.certificate import Certificate
 from hplan.errors import HplanError
 from hplan.online.planner import Planner
 from hplan.planning.options import PlanOptions
-from hplan.planning.plan import PlanResult
+from hplan.planning.result import PlanResult
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import PointCloud
 from hplan.scene.tracks import Track

@@ -1,0 +1,203 @@
+"""What a plan gives: the motion, its certificate and its report."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hplan.base.arrays import FloatArray, Record
+from hplan.base.polyline import path_length
+from hplan.certificate.certificate import REST, Certificate
+from hplan.certificate.retimed_certificate import CertifiedMotion, certified_retiming
+from hplan.grid import SearchResult
+from hplan.grid.grid import Occupancy
+from hplan.grid.result import Expansions
+from hplan.planning.definition import Problem
+from hplan.planning.grasps import Grasp
+from hplan.planning.motion import Transit
+from hplan.planning.report import motion_report
+from hplan.robot.model import Robot
+from hplan.scene.model import Scene
+from hplan.trajectory.spline import SplinePath
+from hplan.trajectory.time_scaling import Profile
+from hplan.trajectory.trajectory import Phase, Retimed, Trajectory, scaled, stopped
+
+if TYPE_CHECKING:
+    from hplan.planning.lower_bound.duration_bound import DurationBound
+
+
+@dataclass(frozen=True, eq=False)
+class PlanResult(Record):
+    """A plan.
+
+    Attributes:
+        motion: The transit, with all that it was made from.
+        trajectory: The timed motion, all phases.
+        certificate: What was shown of it.
+        phases: The parts of the trajectory.
+        grasp: Where the tool takes the fruit, or reaches the point; None where the goal is given by joints.
+        time_ms: How long each stage took, and all of them [ms].
+        bound: A lower bound of the durations of all transits between the same configurations, or of all motions to the
+            grasp where transit and approach are one; None where it was not asked for, or nothing was certified.
+        begins_s: When the trajectory begins, on the controller's clock (`hplan.Planner`); NaN where that was not told
+            [s]. All else counts from there: rows, phases, and the tracks of `scene`.
+        told: What the report says of plans with a deadline, past what moves, or along a path that was given.
+    """
+
+    motion: Transit
+    trajectory: Trajectory
+    certificate: Certificate
+    phases: tuple[Phase, ...]
+    grasp: Grasp | None
+    time_ms: Mapping[str, float]
+    bound: DurationBound | None = None
+    begins_s: float = 0.0
+    told: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+
+    @cached_property
+    def report(self) -> dict[str, Any]:
+        """The numbers of `report.json`."""
+        return plan_report(self)
+
+    @property
+    def problem(self) -> Problem:
+        """Start and goal of the transit, and the joints that may move."""
+        return self.motion.task.problem
+
+    @property
+    def occupancy(self) -> Occupancy | None:
+        """The C-space that was searched; None where nothing was searched."""
+        return None if self.motion.route is None else self.motion.route.occupancy
+
+    @property
+    def search(self) -> SearchResult | None:
+        """The search; None where nothing was searched."""
+        return None if self.motion.route is None else self.motion.route.search
+
+    @property
+    def grid_path(self) -> FloatArray:
+        """(m, dof) waypoints of the transit's path before it was smoothed."""
+        return self.motion.waypoints
+
+    @property
+    def path(self) -> SplinePath | None:
+        """The transit's smooth path; None for an empty motion."""
+        return self.motion.path
+
+    @property
+    def robot(self) -> Robot:
+        """The arm."""
+        return self.motion.task.robot
+
+    @property
+    def scene(self) -> Scene:
+        """Obstacles and task, as they were given."""
+        return self.motion.task.scene
+
+    @property
+    def picked(self) -> dict[str, float]:
+        """The fruit that is picked, if any, and when the tool is at it [s]."""
+        fruit = self.scene.goal.fruit
+        reached = [phase.end_s for phase in self.phases if phase.name != "retreat"]
+        return {} if fruit is None else {fruit: reached[-1]}
+
+    def stop_at(self, t: float) -> CertifiedMotion:
+        """The trajectory up to the first row at or after a time, and from there on the quickest stop on its path.
+
+        Args:
+            t: The time since the trajectory begins [s].
+
+        Raises:
+            OptionError: A time before the trajectory or after it.
+        """
+        return self._retimed(stopped(self.trajectory, t, self.robot))
+
+    def scaled(self, profile: Profile) -> CertifiedMotion:
+        """The trajectory at other speeds, on its path.
+
+        Args:
+            profile: Fraction of its own speed over time (`hplan.trajectory.trajectory.scaled`).
+
+        Raises:
+            OptionError: Factors that are none, beyond what limits allow, or with which the motion does not end.
+            TimingError: No motion within the limits was found.
+        """
+        return self._retimed(scaled(self.trajectory, profile, self.robot))
+
+    def _retimed(self, retimed: Retimed) -> CertifiedMotion:
+        task = self.motion.task
+        tracking, sigmas = task.options.certified_tracking, task.options.sigmas
+        found = certified_retiming(task.robot, task.scene, self.certificate, retimed, tracking=tracking, sigmas=sigmas)
+        return replace(found, begins_s=self.begins_s)
+
+
+def bounded_phases(transit: Transit) -> int:
+    """How many phases of a plan a bound is of: up to rest, the transit, or approach too where that does not stop."""
+    return 1 if np.abs(transit.trajectory.velocity[-1]).max() <= REST else 2
+
+
+def plan_report(plan: PlanResult) -> dict[str, Any]:
+    """The report of a plan, in the shape of `report.json`."""
+    motion, grasp = plan.motion, plan.grasp
+    scene, options, route, path = motion.task.scene, motion.task.options, motion.route, motion.path
+    search = None if route is None else route.search
+    spent = Expansions() if search is None else search.expansions
+    phases = [vars(phase) for phase in plan.phases]
+    bounded = [phase.name for phase in plan.phases[: bounded_phases(motion)]]
+    return {
+        "status": "ok",
+        "scene": scene.name,
+        "robot": motion.task.robot.name,
+        "planner": {
+            "method": options.method if motion.origin in ("none", "search") else motion.origin,
+            "link_model": options.link_model,
+            "step_deg": options.step_deg if route is None else route.step_deg,
+            "cost_deg": 0.0 if search is None else math.degrees(search.cost),
+            "points": len(motion.waypoints) if search is None or search.path is None else len(search.path),
+            "fallback": "none" if search is None else search.fallback,
+            "expansions": {
+                "layers": spent.layers,
+                "sparse": spent.sparse,
+                "fallback": spent.fallback,
+                "total": spent.total,
+                "flooded_cells": spent.flooded,
+            },
+        },
+        "time_ms": dict(plan.time_ms),
+        "path": {
+            "length_deg_grid": math.degrees(path_length(motion.waypoints)),
+            "length_deg": 0.0 if path is None else math.degrees(path.length),
+        },
+        "phases": phases,
+        "grasp": None
+        if grasp is None
+        else {
+            "fruit": scene.goal.fruit,
+            "approach_deg": math.degrees(grasp.approach),
+            "standoff_m": grasp.distance,
+            "joints_rad": grasp.goal.tolist(),
+        },
+        **({"bound": _bound_report(plan.bound, bounded)} if options.bound else {}),
+        **plan.told,
+        **motion_report(plan.trajectory, plan.certificate, options, scene),
+    }
+
+
+def _bound_report(bound: DurationBound | None, phases: Sequence[str]) -> dict[str, Any] | None:
+    """What compares the durations of some phases with the bound of all; None where there is none."""
+    if bound is None:
+        return None
+    return {
+        "phases": list(phases),
+        "bound_s": bound.seconds,
+        "duration_s": bound.duration_s,
+        "gap": bound.gap,
+        "method": bound.method,
+        "joint": bound.joint,
+        "joints_s": bound.joints_s,
+    }

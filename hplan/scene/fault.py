@@ -120,11 +120,10 @@ def plain_message(fault: Any, words: Mapping[str, str] = MappingProxyType({})) -
     return message if isinstance(value, dict) else f"{message} (got {_short(value)})"
 
 
-def _kinds() -> list[str]:
+def _kinds(base: type[BaseModel] = StrictModel) -> list[str]:
     """Kinds of obstacles, as files name them."""
-    from hplan.scene.obstacles import KINDS
-
-    return [kind.model_fields["kind"].default for kind in KINDS]
+    own = [str(base.model_fields["kind"].default)] if "kind" in base.model_fields else []
+    return sorted({*own, *(kind for below in base.__subclasses__() for kind in _kinds(below))})
 
 
 def _short(value: Any) -> str:

@@ -21,9 +21,9 @@ from hplan.base.data_files import robot_names
 from hplan.errors import MovingObstacleError, SceneError
 from hplan.scene.fault import StrictModel, fault
 from hplan.scene.limits import FARTHEST_M, MOST_OBSTACLES, Size, Vector
-from hplan.scene.obstacle_kind import Name, Sigma, SwayField, TrackField
+from hplan.scene.obstacle_kind import Name, Sigma, SwayField, TrackField, moved
 from hplan.scene.obstacles import AnyObstacle, Obstacle, Solid, Sphere
-from hplan.scene.solids import moved, quaternion_rotation
+from hplan.scene.solids import quaternion_rotation
 from hplan.scene.tracks import Movement
 
 FORMAT: Final = "hplan-scene/1"

@@ -8,23 +8,28 @@ pages and messages ask (`hull`, `surface`, `excess`) follows, unless the kind kn
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeAlias
 
+import numpy as np
 from pydantic import Field, PrivateAttr
 
-from hplan.base.arrays import FloatArray, IntArray
+from hplan.base.arrays import FloatArray, IntArray, frozen, readonly
 from hplan.scene.fault import StrictModel
-from hplan.scene.limits import FARTHEST_M, Angles
-from hplan.scene.solids import Hull, rpy_rotation, whole_hull
+from hplan.scene.limits import FARTHEST_M, MOST_POINTS, Angles
+from hplan.scene.solids import Cloud, Hull, hull_of, rpy_of, rpy_rotation, thickening, whole_hull
 from hplan.scene.tracks import Sway, Track
-
-if TYPE_CHECKING:
-    from hplan.scene.obstacles import Solid
 
 Name: TypeAlias = Annotated[str, Field(min_length=1)]
 Sigma: TypeAlias = Annotated[float, Field(ge=0.0, le=FARTHEST_M)]
+
+#: Balls of a cloud that sways grow by no more than this, unless there are too many [m].
+SWEPT_ERROR: Final = 1e-3
+
+#: Solids that sway are made once, as long as no more than so many are in use.
+_KEPT: Final = 4096
 
 #: How an obstacle moves. In dumps these keys are added where there are any: a still scene has the digest it had.
 TrackField: TypeAlias = Annotated[Track | None, Field(exclude=True)]
@@ -96,11 +101,11 @@ class Convex(Kind):
     @property
     def solids(self) -> tuple[Solid, ...]:
         """The obstacle itself, for it is convex, or what it sweeps as it sways."""
-        if self.sway is None:
-            return (self,)
-        from hplan.scene.solids import swept_convex
+        return (self,) if self.sway is None else (_swept_convex(self),)
 
-        return (swept_convex(self),)
+    def swept(self, reach: FloatArray) -> Solid:
+        """A solid that holds all that it sweeps when it is shifted by up to (3,) `reach` [m] to either side."""
+        return _swept_core(self, reach)
 
 
 @lru_cache(maxsize=4096)
@@ -128,8 +133,6 @@ class FromData(Turned):
         """What its solids sweep as it sways."""
         if self.sway is None:
             return solids
-        from hplan.scene.solids import swept
-
         return tuple(swept(solid, self.sway.reach) for solid in solids)
 
     def write(self, path: Path) -> Path:
@@ -141,3 +144,86 @@ class FromData(Turned):
         from hplan.scene.shape_data import write_shape
 
         return write_shape(self._data, path)
+
+
+#: A body that the planner keeps clear of: the hull of `core` grown by `rounding`; of a point set a ball about each
+#: core point; of a cylinder the hull holds it.
+Solid: TypeAlias = Convex | Hull | Cloud
+
+
+@lru_cache(maxsize=_KEPT)
+def _swept_convex(obstacle: Convex) -> Solid:
+    """What a convex obstacle that sways sweeps; a cylinder as the prism about it."""
+    return obstacle if obstacle.sway is None else obstacle.swept(obstacle.sway.reach)
+
+
+def swept(solid: Solid, reach: FloatArray) -> Solid:
+    """A solid that holds all that another sweeps when it is shifted by up to (3,) `reach` [m] to either side."""
+    if isinstance(solid, Cloud):
+        return _swept_cloud(solid, reach)
+    return solid.swept(reach) if isinstance(solid, Convex) else _swept_core(solid, reach)
+
+
+def _swept_core(solid: Convex | Hull, reach: FloatArray) -> Hull:
+    """The hull of what the core sweeps, grown as the core is."""
+    core = np.concatenate([solid.core - reach, solid.core + reach])
+    points = (core + thickening(core)[:, None]).reshape(-1, 3)
+    hull = hull_of(points, solid.name)
+    return replace(hull, rounding=hull.rounding + solid.rounding, sigma=solid.sigma)
+
+
+def _swept_cloud(cloud: Cloud, reach: FloatArray) -> Cloud:
+    radius, length = cloud.rounding, 2.0 * float(np.linalg.norm(reach))
+    # Balls at a distance of this along the segment, grown, cover the capsule between them.
+    spacing = 2.0 * math.sqrt((radius + SWEPT_ERROR) ** 2 - radius**2)
+    copies = min(max(2, math.ceil(length / spacing) + 1), max(2, MOST_POINTS // len(cloud.core)))
+    shifts = np.linspace(-1.0, 1.0, copies)[:, None] * reach
+    grown = math.hypot(radius, 0.5 * length / (copies - 1))
+    points = (cloud.core + shifts[:, None]).reshape(-1, 3)
+    return Cloud.of(cloud.name, points, grown, cloud.sigma)
+
+
+def posed(solid: Solid, rotation: FloatArray, shift: FloatArray) -> Solid:
+    """The solid with each of its points x at `rotation @ x + shift`.
+
+    Args:
+        solid: The solid.
+        rotation: (3, 3) rotation.
+        shift: (3,) shift [m].
+    """
+    if not isinstance(solid, Hull | Cloud):
+        return solid.model_copy(update=moved(solid, rotation, shift))
+    core = frozen(np.ascontiguousarray(solid.core @ rotation.T + shift))
+    if isinstance(solid, Cloud):
+        tree = solid.tree.copy()
+        tree[:, 3:6] = tree[:, 3:6] @ rotation.T + shift
+        return replace(solid, core=core, tree=frozen(tree))
+    return _posed_hull(solid, core, rotation, shift)
+
+
+def moved(item: Any, rotation: FloatArray, shift: FloatArray) -> dict[str, Any]:
+    """The keys of an obstacle, or a fruit, that are others where each of its points x is at `rotation @ x + shift`.
+
+    It stands still there.
+    """
+    found: dict[str, Any] = {"track": None}
+    for key in ("center", "start", "end", "position"):
+        if hasattr(item, key):
+            found[key] = tuple((rotation @ np.array(getattr(item, key)) + shift).tolist())
+    if hasattr(item, "rpy_deg"):
+        found["rpy_deg"] = rpy_of(rotation @ item.rotation)
+    if item.sway is not None:
+        turned = tuple((rotation @ item.sway.reach).tolist())
+        found["sway"] = item.sway.model_copy(update={"direction": turned})
+    return found
+
+
+def _posed_hull(hull: Hull, core: FloatArray, rotation: FloatArray, shift: FloatArray) -> Hull:
+    """The hull elsewhere, with its facets and edges, which take long to find."""
+    moved = replace(hull, core=core)
+    normals = hull.planes[:, :3] @ rotation.T
+    planes = np.column_stack([normals, (normals @ core.T).max(axis=1)])
+    ends = hull.edges[:, :3] @ rotation.T + shift
+    edges = readonly(np.column_stack([ends, hull.edges[:, 3:] @ rotation.T]))
+    vars(moved)["_facets"] = frozen(planes), edges
+    return moved

@@ -19,6 +19,7 @@ from hplan.errors import SceneError
 from hplan.scene.fault import fault, scene_error, validated
 from hplan.scene.limits import FARTHEST_M, MOST_SHAPE_BYTES, Angles, Size, Vector
 from hplan.scene.obstacle_kind import Convex, FromData, Name, Sigma, SwayField, TrackField, Turned
+from hplan.scene.obstacle_kind import Solid as Solid  # a name of this module too
 from hplan.scene.prism import prism, prism_excess
 from hplan.scene.solids import CUBE_CORNERS, Cloud, Hull
 
@@ -49,6 +50,11 @@ class Sphere(Convex):
     def rounding(self) -> float:
         """Radius about the core [m]."""
         return self.radius
+
+    def swept(self, reach: FloatArray) -> Solid:
+        """The capsule that it sweeps when it is shifted by up to (3,) `reach` [m] to either side."""
+        start, end = (self.core[0] - reach).tolist(), (self.core[0] + reach).tolist()
+        return Capsule(name=self.name, start=tuple(start), end=tuple(end), radius=self.radius, sigma=self.sigma)
 
 
 class Capsule(Convex):
@@ -302,7 +308,3 @@ def _shape_data(
 AnyObstacle: TypeAlias = Sphere | Capsule | Cylinder | Box | Mesh | PointCloud
 Obstacle: TypeAlias = Annotated[AnyObstacle, Field(discriminator="kind")]
 KINDS: tuple[type[AnyObstacle], ...] = get_args(AnyObstacle)
-
-#: A body that the planner keeps clear of: the hull of `core` grown by `rounding`; of a point set a ball about each
-#: core point; of a cylinder the hull holds it.
-Solid: TypeAlias = Convex | Hull | Cloud

@@ -10,8 +10,8 @@ import numpy as np
 
 from hplan.base.arrays import FloatArray
 from hplan.scene.model import Fruit, Scene
+from hplan.scene.obstacle_kind import moved
 from hplan.scene.obstacles import AnyObstacle, Sphere
-from hplan.scene.solids import moved
 
 #: Poses of one obstacle are so far apart, at most, unless there would be more of them than this [m].
 APART_M: Final = 0.03

@@ -19,8 +19,8 @@ from hplan.collision.clearance_kernels import motion_bounds
 from hplan.collision.moving_solids import largest_rates
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
+from hplan.scene.obstacle_kind import posed
 from hplan.scene.obstacles import Solid
-from hplan.scene.solids import posed
 from hplan.scene.tracks import Movement
 from hplan.trajectory.trajectory import Trajectory
 

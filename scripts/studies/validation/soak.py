@@ -81,7 +81,6 @@ class _Soak:
         self.driving = threading.Lock()
         self.base: Item | None = None
         self.until = time.monotonic() + seconds
-        self.share = MOST_SAMPLES / (seconds * (REPLAN_HZ + STOP_HZ))
         rng = np.random.default_rng(seed)
         ends = draw_ends(drawn, rng, 0.01)
         if ends is None:
@@ -101,7 +100,7 @@ class _Soak:
         self.frames: OrderedDict[str, int] = OrderedDict()
         self.planner = Planner(drawn.robot, world.scene(), PlanOptions(effort="quick", deadline_s=DEADLINE_S))
         self.frame_ms = array("f")  # on the wall, and of its thread's CPU, in turn
-        self.samples = 0
+        self.handed = 0
 
     def cloud(self, rng: np.random.Generator) -> FloatArray:
         """Branches about the arm, as points."""
@@ -151,7 +150,7 @@ class _Soak:
         with self.lock:
             cloud = -1 if seen is None else self.frames.get(seen)
         self.count("looked", kind)
-        if cloud is None or np.random.default_rng().random() > self.share:
+        if cloud is None:
             return
         known = [
             {**item.model_dump(by_alias=True, mode="json"), **self.data.get(item.name, {}), **_told(item.track)}
@@ -160,7 +159,11 @@ class _Soak:
         ]
         fruits = [{"kind": "sphere", **item.model_dump(mode="json")} for item in scene.fruits]
         with self.lock:
-            number, self.samples = self.samples, self.samples + 1
+            number, self.handed = self.handed, self.handed + 1
+        if number >= MOST_SAMPLES:  # each is as likely to be kept
+            number = int(np.random.default_rng().integers(number + 1))
+        if number >= MOST_SAMPLES:
+            return
         sample = pickle.dumps(
             ([*known, *fruits], kind, cloud, windows(certificate, fruits), begin_s, from_s, _told(scene.base_track))
         )
@@ -268,7 +271,7 @@ class _Soak:
 
     def judge(self, say: Callable[[str], None]) -> None:
         """Look at the samples."""
-        for number in range(self.samples):
+        for number in range(min(self.handed, MOST_SAMPLES)):
             sample = pickle.loads((self.folder / f"{number}.pickle").read_bytes())
             known, kind, cloud, allowed, begin_s, from_s, base = sample
             things = things_of(known)
@@ -314,7 +317,7 @@ def soak(seed: int, seconds: float, say: Callable[[str], None], told: Callable[[
                 told(run.tally)
         run.tally.measured = _measured(run, memory)
         run.judge(say)
-        run.tally.measured |= {"motions judged": run.samples}
+        run.tally.measured |= {"motions judged": min(run.handed, MOST_SAMPLES)}
         return run.tally
 
 

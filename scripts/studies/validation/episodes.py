@@ -175,13 +175,13 @@ class Episode:
                 return
             found = later
 
-    def retimed(self, running: PlanResult, now: float) -> None:
-        """Stops, and the whole motion slower."""
+    def retimed(self, running: PlanResult, now: float, *, changed: bool = False) -> None:
+        """Stops, and the whole motion slower: that in the world that it was planned in alone."""
         begins_s, duration = running.begins_s, running.trajectory.duration
         for _ in range(STOPS):
             t = float(self.rng.uniform(now, begins_s + duration))
             self.certified("stop", begins_s, now, functools.partial(self.planner.stop_at, t, now=now))
-        if now == begins_s:
+        if not changed:
             factor = float(self.rng.uniform(0.3, 1.0))
             self.certified("scaled", begins_s, now, lambda: running.scaled(factor))
 
@@ -200,7 +200,7 @@ class Episode:
         now = float(min(running.begins_s + self.rng.uniform(*PAUSE_S), end))
         q = running.trajectory.positions(np.array([now - running.begins_s]))[0]
         self.change(q, now)
-        self.retimed(running, now)
+        self.retimed(running, now, changed=True)
         self.elsewhere(q, now)
         try:
             found = self.planner.replan(at=min(now + AHEAD_S, end), now=now, measured=q, cancel=impatient())

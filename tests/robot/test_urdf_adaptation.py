@@ -403,11 +403,15 @@ def test_a_text_is_a_urdf(plain):
         assert robot_digest(robot) == robot_digest(plain)
 
 
+#: Where the upper arm's radius stands in the shipped URDF.
+LINE = SHIPPED[: SHIPPED.index('radius="0.05"')].count("\n") + 1
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
         (SHIPPED, "URDF text: it has no acceleration limits: write acceleration (and jerk) into every <limit>"),
-        (SHIPPED.replace('radius="0.05"', 'radius="0,05"'), "URDF text: line 190: link 'upper_arm'"),
+        (SHIPPED.replace('radius="0.05"', 'radius="0,05"'), f"URDF text: line {LINE}: link 'upper_arm'"),
     ],
 )
 def test_faults_of_a_text(text, message):

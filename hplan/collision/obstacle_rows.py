@@ -75,7 +75,7 @@ class FieldArrays(NamedTuple):
 
 
 class BodyFieldArrays(NamedTuple):
-    """The same of an arm that is not of the planar family: what a kernel is handed says of which kind the arm is.
+    """The arrays of an arm that is not of the planar family: what a kernel is handed says of which kind the arm is.
 
     A kernel that is compiled for one kind has nothing in it that `len(field) == OF_BODIES` keeps for the other one,
     where `field` is an argument of its own.

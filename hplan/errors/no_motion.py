@@ -108,7 +108,7 @@ class BlockedError(HplanError):
         more = f", and so do {refined} at finer approach angles" if refined else ""
         if best_clearance_m is not None and best_clearance_m > 0.0:
             more += (
-                f"; spare clearance {1e3 * best_clearance_m:.3g} mm at the best of them, too little to be shown clear: "
+                f"; spare clearance {1e3 * best_clearance_m:.3g} mm at the best of them, too little to be verified: "
                 f"{1e3 * needed_clearance_m:.3g} mm are needed"
             )
         super().__init__(

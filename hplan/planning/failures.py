@@ -74,11 +74,11 @@ class EnclosedError(NoPathError):
 
     @property
     def plain(self) -> NoPathError:
-        """The same without what bounds the region, and without the grid, which takes memory."""
+        """The failure without what bounds the region, and without the grid, which takes memory."""
         return NoPathError(self.message, reached_cells=self.reached_cells)
 
     def explained(self) -> NoPathError:
-        """The same with what bounds the region, which takes longer to find than whether another grid is open."""
+        """The failure with what bounds the region, which takes longer to find than whether another grid is open."""
         error = self.plain if self._region is None else self._bounded(self._region)
         if self._attempt.step_factor > 1.0:
             step_deg = self._task.step_deg(self._attempt)

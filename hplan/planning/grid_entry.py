@@ -1,4 +1,4 @@
-"""Start and goal joined to the grid: the free nodes nearby that a straight motion, shown clear, leads to."""
+"""Start and goal joined to the grid: the free nodes nearby that a motion verified collision-free leads to."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def grid_entry(task: PlanningTask, space: Occupancy, which: Literal["start", "go
         if nodes:
             return GridEntry(waypoints, nodes)
     raise CertificationError(
-        f"no motion from the {which} to a free node of the grid can be shown clear; a smaller step may help",
+        f"no motion from the {which} to a free node of the grid can be verified clear; a smaller step may help",
         which=which,
     )
 
@@ -62,7 +62,7 @@ def grid_entry(task: PlanningTask, space: Occupancy, which: Literal["start", "go
 def joined_nodes(
     occupancy: Occupancy, q: FloatArray, axes: IntArray, field: ClearanceField, margin: float
 ) -> Iterator[IntArray]:
-    """The free nodes that a straight motion shown clear leads to, the nearest first.
+    """The free nodes that a straight motion verified collision-free leads to, the nearest first.
 
     Args:
         occupancy: Which nodes are free.

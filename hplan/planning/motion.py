@@ -407,7 +407,7 @@ def certificate_of(
 
 
 def required(context: PlanningContext, certificate: Certificate) -> Certificate:
-    """The same certificate.
+    """The certificate as it is.
 
     Raises:
         CertificationError: The options ask for one, and something was not shown.

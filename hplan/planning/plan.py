@@ -50,7 +50,7 @@ def plan(
         scene: Obstacles and task.
         options: How to plan.
         progress: Called with the name of each stage as it begins.
-        cancel: A function or an event that says whether nobody wants the plan any more; another thread asks it about
+        cancel: A function or an event that says whether it is cancelled; another thread asks it about
             every millisecond.
 
     Raises:

@@ -93,7 +93,7 @@ class PlanningContext(Record):
         return {**super().__getstate__(), "progress": (no_progress, False)}
 
     def among(self, world: World) -> PlanningContext:
-        """The same in another world."""
+        """The task among other obstacles."""
         return replace(self, world=world)
 
     def task(self, start: ArrayLike, goal: ArrayLike) -> PlanningTask:

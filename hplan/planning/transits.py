@@ -32,7 +32,7 @@ from hplan.planning.task import COARSEST_DEG, MOST_CELLS, PlanningTask
 from hplan.robot.limits import least_duration as least_between
 from hplan.trajectory.retime import resting
 
-#: Nodes are not motions: where the grid path's motions cannot be shown clear, the search is repeated with obstacles
+#: Nodes are not motions: where the grid path's motions cannot be verified, the search is repeated with obstacles
 #: grown by these [m], and where that does not help either, on grids with these multiples of the step.
 GROWTH: Final = (0.0, 2e-3, 5e-3, 0.01, 0.02, 0.04)
 STEP_FACTORS: Final = (1.0, 0.5)

@@ -86,7 +86,7 @@ def ompl_path(
         planner: One of `PLANNERS`; RRTConnect stops at its first path, BITstar when time is up.
         seconds: CPU time to find it.
         resolution: Distance between configurations that are checked, as a fraction of the space's extent, as OMPL has
-            it; a path may then touch something in between. None to have each motion shown clear by hplan's kernel.
+            it; a path may then touch something in between. None to have each motion verified by hplan's kernel.
     """
     base, geometric, _ = ompl()
     robot, begin = world.robot, scene.start.configuration if start is None else start

@@ -1,4 +1,4 @@
-"""Bidirectional rapidly-exploring random trees (RRT-Connect), whose edges are shown clear over continuous time.
+"""Bidirectional rapidly-exploring random trees (RRT-Connect), its edges verified over continuous time.
 
 Two trees grow from start and goal (Kuffner and LaValle 2000, "RRT-Connect: an efficient approach to single-query path
 planning"). An edge goes as far as conservative advancement shows it clear, so it ends close to what stops it, and no
@@ -186,7 +186,7 @@ def _nearest(tree: Tree, target: FloatArray, arm: Surroundings) -> int:
 
 @kernel
 def _extend(tree: Tree, node: int, target: FloatArray, arm: Surroundings, looks: IntArray) -> int:
-    """Add a node on the way from a node to a target, as far as an edge goes and is shown clear; -1 without progress."""
+    """Add a node on the way from a node to a target, as far as an edge is verified; -1 without progress."""
     if tree.size[0] >= tree.points.shape[0]:
         return -1
     dof = len(target)

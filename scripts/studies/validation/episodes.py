@@ -336,6 +336,6 @@ def windows(certificate: Certificate, fruits: Sequence[dict[str, Any]]) -> list[
 
 
 def shifted(item: dict[str, Any], shift: FloatArray) -> dict[str, Any]:
-    """The same elsewhere."""
+    """An obstacle elsewhere."""
     keys = ("from", "to") if item["kind"] == "capsule" else ("center",) if "center" in item else ("position",)
     return {**item, **{key: (np.array(item[key]) + shift).tolist() for key in keys}}

@@ -20,10 +20,10 @@ from hplan.apps.view.page import MOST_VIOLATIONS, render_page
 from hplan.apps.view.playback import Playback
 from hplan.base.data_files import view_asset
 from hplan.collision.coal_scene import Contact
-from hplan.planning.plan import Phase, PlanResult
+from hplan.planning.result import PlanResult
 from hplan.robot.model import Robot
 from hplan.scene.file import load_scene
-from hplan.trajectory.trajectory import Trajectory
+from hplan.trajectory.trajectory import Phase, Trajectory
 
 QUANTITIES = ("position", "velocity", "acceleration", "torque")
 

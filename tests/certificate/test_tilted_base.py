@@ -29,7 +29,7 @@ def motion() -> Trajectory:
     way = END - BEGIN
     q, v = BEGIN + (3.0 * u**2 - 2.0 * u**3) * way, 6.0 * u * (1.0 - u) / DURATION * way
     a = (6.0 - 12.0 * u) / DURATION**2 * way
-    return Trajectory(ROBOT.joint_names, u[:, 0] * DURATION, q, v, a, ROBOT.dynamics.torques(q, v, a))
+    return Trajectory(ROBOT.joint_names, u[:, 0] * DURATION, q, v, a, ROBOT.dynamics.torques(q, v, a), ROBOT.slides)
 
 
 def scene(rpy_deg) -> Scene:

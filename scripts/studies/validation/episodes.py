@@ -290,7 +290,9 @@ class Episode:
         changes += ["fruit"] * (world.target is not None)
         what = changes[int(rng.integers(len(changes)))]
         if what == "add":
-            for item in free(self.drawn, world, [draw_item(self.drawn, world, rng, f"new {time_s:.6f}")], q, time_s):
+            for item in free(
+                self.drawn, world, [draw_item(self.drawn, world, rng, f"new {rng.integers(1 << 40)}")], q, time_s
+            ):
                 planner.add(obstacle(item))
                 self.world = replace(world, items=(*world.items, item))
         elif what == "remove":

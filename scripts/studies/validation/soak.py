@@ -339,7 +339,8 @@ def _digest(scene: Scene) -> str | None:
 
 def _measured(run: _Soak, memory: list[tuple[float, float]]) -> dict[str, Any]:
     """Frames and memory in numbers."""
-    frames = np.reshape(run.frame_ms or (math.nan, math.nan), (-1, 2))
+    # A copy: the thread of the camera goes on adding to it.
+    frames = np.reshape(run.frame_ms[:] or (math.nan, math.nan), (-1, 2))
     within: dict[str, Any] = {"within 60 ms [%]": round(100.0 * float((frames[:, 0] <= 60.0).mean()), 1)}
     for share in (50, 95, 99, 100):
         within[f"frame {share} % [ms], CPU"] = tuple(np.percentile(frames, share, axis=0).round(1).tolist())

@@ -239,9 +239,15 @@ class _DiskCache(NullCache):  # type: ignore[misc]
         by_name, calls = not _is_tiny(data), _calls(data)
         if by_name:
             data.library._shared_module = _stub(data.fndesc.llvm_cpython_wrapper_name)
-        kept = dumps((calls, by_name, data._reduce()))
+        kept: bytes | None = None
+        try:
+            kept = dumps((calls, by_name, data._reduce()))
+        except RuntimeError as error:  # numba has the function, but not its machine code
+            _warn_once(f"a compiled kernel cannot be kept: {error}", "unknown")
         if by_name:
             _call_by_name(data, _Called.of(self._compiled, sig))
+        if kept is None:
+            return
         # Constants that were changed since they were first read are in the code, or are not: nobody knows.
         if key != self._key(sig, afresh=True) or data.library.has_dynamic_globals:
             return

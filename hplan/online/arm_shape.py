@@ -1,6 +1,7 @@
 """The arm as solids that a camera sees, and how far it reaches.
 
-A planar arm is the capsules of its links and the hulls of turret and pedestal; any other robot is its collision bodies.
+A planar arm is its links, as capsules where they are, and the hulls of turret and pedestal; any other robot is its
+collision bodies.
 """
 
 from __future__ import annotations
@@ -19,20 +20,52 @@ from hplan.robot.base_shapes import TURRET, base_shapes
 from hplan.robot.model import Robot
 from hplan.scene.obstacles import Capsule, Solid
 
+#: Places and radii no farther apart than this are the same [m].
+SAME_M = 1e-6
+
 
 def arm_solids(robot: Robot, q: FloatArray) -> tuple[Solid, ...]:
-    """The arm at a (dof,) configuration: links as the planner's capsules, then turret and pedestal; or its bodies."""
+    """The arm at a (dof,) configuration: links of planar arms, then turret and pedestal; or its bodies.
+
+    A link that is a capsule is that; of others the planner's capsule would hold points that are not the arm's.
+    """
     if robot.planar is None:
         return _bodies(robot, q)
+    exact = robot.cached("links_that_are_capsules", lambda: _are_capsules(robot))
+    capsules = link_capsules(robot, q)
+    others = [] if all(exact) else _bodies(robot, q)
+    links: list[Solid] = []
+    for k, capsule in enumerate(capsules):
+        joint = robot.arm_slice.start + k
+        bodies = zip(collision_bodies(robot), others, strict=False)
+        links += [capsule] if exact[k] else [solid for body, solid in bodies if body.joint == joint]
+    return (*links, *_base_solids(robot, robot.yaw_of(q)))
+
+
+def link_capsules(robot: Robot, q: FloatArray) -> list[Capsule]:
+    """The planner's capsules of a planar arm's links, which hold all that moves with them."""
     origin, (forward, upward, normal) = robot.plane_at(robot.yaw_of(q))
     arm = robot.arm
     points = origin + arm.joint_points(q[robot.arm_slice]) @ np.stack([forward, upward])
-    links: list[Solid] = []
+    links = []
     for k, name in enumerate(arm.link_names):
         offset = arm.lateral[k] * normal
         ends = {"from": tuple((points[k] + offset).tolist()), "to": tuple((points[k + 1] + offset).tolist())}
         links.append(Capsule.model_validate({"name": name, **ends, "radius": float(arm.half_widths[k])}))
-    return (*links, *_base_solids(robot, robot.yaw_of(q)))
+    return links
+
+
+def _are_capsules(robot: Robot) -> tuple[bool, ...]:
+    """Of each link whether the capsule that holds it is its shape: it has balls of that size at both ends."""
+    q = np.zeros(robot.dof)
+    bodies, solids = collision_bodies(robot), _bodies(robot, q)
+    found = []
+    for k, capsule in enumerate(link_capsules(robot, q)):
+        own = [solid for body, solid in zip(bodies, solids, strict=True) if body.joint == robot.arm_slice.start + k]
+        balls = [solid.core[0] for solid in own if len(solid.core) == 1 and solid.rounding >= capsule.radius - SAME_M]
+        ends = [any(np.abs(ball - end).max() <= SAME_M for ball in balls) for end in capsule.core]
+        found.append(all(ends))
+    return tuple(found)
 
 
 def _bodies(robot: Robot, q: FloatArray) -> tuple[Solid, ...]:

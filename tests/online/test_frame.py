@@ -13,11 +13,12 @@ from hypothesis import strategies as st
 from hplan.collision.coal_cloud import distance_from
 from hplan.collision.obstacle_rows import solid_rows
 from hplan.errors import InputError, OptionError
-from hplan.online.arm_shape import arm_solids, reach_ball
+from hplan.online.arm_shape import arm_solids, link_capsules, reach_ball
 from hplan.online.body_distances import distances_from_bodies
 from hplan.online.frame import CloudOptions, Frame, SeenPoints, filter_frame
 from hplan.online.frame_kernels import Scratch
 from hplan.robot.base_shapes import base_shapes
+from hplan.robot.model import load_robot
 from hplan.scene.obstacles import Sphere
 from hplan.scene.solids import Cloud, rpy_rotation
 
@@ -133,8 +134,22 @@ def test_the_arm_is_in_its_reach_ball_and_its_capsules(robot):
 def test_links_are_where_their_bodies_are(name, tmp_path):
     robot = load_variant(name, tmp_path)
     for q in np.random.default_rng(3).uniform(robot.lower, robot.upper, (5, robot.dof)):
-        links = [solid.core for solid in arm_solids(robot, q)[: robot.arm.link_count]]
+        links = [capsule.core for capsule in link_capsules(robot, q)]
         np.testing.assert_allclose(links, link_axes(robot, q), atol=1e-9)
+
+
+def test_what_is_beside_a_link_is_no_part_of_the_arm_though_its_capsule_holds_it():
+    """The hand is thinner than the gripper, whose size its capsule has: what is beside it is an obstacle."""
+    robot = load_robot("orchard_harvester")
+    q = np.array([0.3, 0.4, 0.5, 0.6])
+    hand = link_capsules(robot, q)[-1]
+    along = hand.core[1] - hand.core[0]
+    beside = np.cross(along, [0.3, 0.5, 0.8])
+    point = hand.core[0] + 0.3 * along + 0.033 * beside / np.linalg.norm(beside)
+    assert hand.radius > 0.0345
+    options = CloudOptions(growth_m=1e-3, arm_padding_m=0.0)
+    found = filter_frame(robot, Frame.of(robot, point[None], radius=RADIUS, joints=q), options)
+    assert (found.report.of_arm, found.report.kept) == (0, 1)
 
 
 @pytest.mark.parametrize("count", [1, 6])

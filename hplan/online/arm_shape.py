@@ -7,6 +7,7 @@ collision bodies.
 from __future__ import annotations
 
 import math
+from collections.abc import Container
 from functools import partial
 
 import numpy as np
@@ -14,10 +15,11 @@ import pinocchio as pin
 
 from hplan.base.arrays import FloatArray, frozen
 from hplan.collision import reach
-from hplan.collision.collision_bodies import collision_bodies
+from hplan.collision.collision_bodies import GROUND, collision_bodies
 from hplan.collision.obstacle_rows import convex_solid
 from hplan.robot.base_shapes import TURRET, base_shapes
 from hplan.robot.model import Robot
+from hplan.scene.obstacle_kind import posed
 from hplan.scene.obstacles import Capsule, Solid
 
 #: Places and radii no farther apart than this are the same [m].
@@ -32,14 +34,9 @@ def arm_solids(robot: Robot, q: FloatArray) -> tuple[Solid, ...]:
     if robot.planar is None:
         return _bodies(robot, q)
     exact = robot.cached("links_that_are_capsules", lambda: _are_capsules(robot))
-    capsules = link_capsules(robot, q)
-    others = [] if all(exact) else _bodies(robot, q)
-    links: list[Solid] = []
-    for k, capsule in enumerate(capsules):
-        joint = robot.arm_slice.start + k
-        bodies = zip(collision_bodies(robot), others, strict=False)
-        links += [capsule] if exact[k] else [solid for body, solid in bodies if body.joint == joint]
-    return (*links, *_base_solids(robot, robot.yaw_of(q)))
+    capsules = [capsule for capsule, is_exact in zip(link_capsules(robot, q), exact, strict=True) if is_exact]
+    others = {robot.arm_slice.start + k for k, is_exact in enumerate(exact) if not is_exact}
+    return (*capsules, *(_bodies(robot, q, others) if others else ()), *_base_solids(robot, robot.yaw_of(q)))
 
 
 def link_capsules(robot: Robot, q: FloatArray) -> list[Capsule]:
@@ -56,45 +53,56 @@ def link_capsules(robot: Robot, q: FloatArray) -> list[Capsule]:
 
 
 def _are_capsules(robot: Robot) -> tuple[bool, ...]:
-    """Of each link whether the capsule that holds it is its shape: it has balls of that size at both ends."""
-    q = np.zeros(robot.dof)
-    bodies, solids = collision_bodies(robot), _bodies(robot, q)
-    found = []
-    for k, capsule in enumerate(link_capsules(robot, q)):
-        own = [solid for body, solid in zip(bodies, solids, strict=True) if body.joint == robot.arm_slice.start + k]
-        balls = [solid.core[0] for solid in own if len(solid.core) == 1 and solid.rounding >= capsule.radius - SAME_M]
+    """Of each link whether the capsule that holds it is its shape: balls of that size at both ends, a tube between."""
+    q, found = np.zeros(robot.dof), []
+    for joint, capsule in enumerate(link_capsules(robot, q), robot.arm_slice.start):
+        kinds = [body.kind for body in collision_bodies(robot) if body.joint == joint]
+        own = list(zip(kinds, _bodies(robot, q, {joint}), strict=True))
+        balls = [solid.core[0] for kind, solid in own if kind == "sphere" and solid.rounding >= capsule.radius - SAME_M]
         ends = [any(np.abs(ball - end).max() <= SAME_M for ball in balls) for end in capsule.core]
-        found.append(all(ends))
+        tubes = [_is_tube(solid.core, capsule) for kind, solid in own if kind == "cylinder"]
+        found.append(all(ends) and any(tubes))
     return tuple(found)
 
 
-def _bodies(robot: Robot, q: FloatArray) -> tuple[Solid, ...]:
-    """The collision bodies of a robot; what no joint moves is made once."""
+def _is_tube(core: FloatArray, capsule: Capsule) -> bool:
+    """Whether a cylinder, which the capsule holds, reaches from end to end of it and is as thick."""
+    start, end = capsule.core
+    length = float(np.linalg.norm(end - start))
+    along = (core - start) @ ((end - start) / length)
+    across = np.linalg.norm(core - start - along[:, None] * ((end - start) / length), axis=1)
+    is_foot, is_head = along <= SAME_M, along >= length - SAME_M
+    return bool(np.all(across >= capsule.radius) and is_foot.any() and is_head.any() and np.all(is_foot | is_head))
+
+
+def _bodies(robot: Robot, q: FloatArray, joints: Container[int] | None = None) -> tuple[Solid, ...]:
+    """The collision bodies of a robot, or those that some joints carry; each is made once and put where it is."""
     data = robot.model.createData()
     pin.forwardKinematics(robot.model, data, q)
     found = []
     for number, body in enumerate(collision_bodies(robot)):
-        if body.joint < 0:
-            make = partial(convex_solid, body.name, body.core, body.rounding)
-            found.append(robot.cached(("ground_solid", number), make))
-        else:
+        if joints is not None and body.joint not in joints:
+            continue
+        make = partial(convex_solid, body.name, body.core, body.rounding)
+        solid = robot.cached(("body_solid", number), make)
+        if body.joint != GROUND:
             place = data.oMi[body.joint + 1]
-            found.append(convex_solid(body.name, body.core @ place.rotation.T + place.translation, body.rounding))
+            solid = posed(solid, place.rotation, place.translation)
+        found.append(solid)
     return tuple(found)
 
 
 def _base_solids(robot: Robot, yaw: float) -> tuple[Solid, ...]:
-    """Turret and pedestal; what is the same at every yaw is made once."""
+    """Turret and pedestal; each is made once and put where it is."""
     cos, sin = math.cos(yaw), math.sin(yaw)
     turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
     found = []
     for shape in base_shapes(robot):
-        if shape.carrier != TURRET or shape.is_round:
-            make = partial(convex_solid, shape.name, shape.points, shape.rounding)
-            found.append(robot.cached(("base_solid", shape.number), make))
-        else:
-            points = shape.axis + (shape.points - shape.axis) @ turn.T
-            found.append(convex_solid(shape.name, points, shape.rounding))
+        make = partial(convex_solid, shape.name, shape.points, shape.rounding)
+        solid = robot.cached(("base_solid", shape.number), make)
+        if shape.carrier == TURRET and not shape.is_round:
+            solid = posed(solid, turn, shape.axis - turn @ shape.axis)
+        found.append(solid)
     return tuple(found)
 
 

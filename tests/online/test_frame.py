@@ -138,15 +138,26 @@ def test_links_are_where_their_bodies_are(name, tmp_path):
         np.testing.assert_allclose(links, link_axes(robot, q), atol=1e-9)
 
 
-def test_what_is_beside_a_link_is_no_part_of_the_arm_though_its_capsule_holds_it():
-    """The hand is thinner than the gripper, whose size its capsule has: what is beside it is an obstacle."""
-    robot = load_robot("orchard_harvester")
+def _with_thin_upper_arm(folder):
+    """The harvester, its upper arm a bar of 10 mm between two balls of 50."""
+    text = load_robot().urdf_path.read_text()
+    bar = '<cylinder radius="0.05" length="1"/>'
+    assert text.count(bar) == 1
+    (folder / "thin.urdf").write_text(text.replace(bar, bar.replace("0.05", "0.01")))
+    return load_robot(folder / "thin.urdf", limits="harvester")
+
+
+@pytest.mark.parametrize(("make", "link", "off_m"), [
+    (lambda folder: load_robot("orchard_harvester"), 2, 0.033), (_with_thin_upper_arm, 0, 0.03),
+], ids=["hand thinner than the gripper", "bar between balls"])  # fmt: skip
+def test_what_is_beside_a_link_is_no_part_of_the_arm_though_its_capsule_holds_it(make, link, off_m, tmp_path):
+    robot = make(tmp_path)
     q = np.array([0.3, 0.4, 0.5, 0.6])
-    hand = link_capsules(robot, q)[-1]
-    along = hand.core[1] - hand.core[0]
+    capsule = link_capsules(robot, q)[link]
+    along = capsule.core[1] - capsule.core[0]
     beside = np.cross(along, [0.3, 0.5, 0.8])
-    point = hand.core[0] + 0.3 * along + 0.033 * beside / np.linalg.norm(beside)
-    assert hand.radius > 0.0345
+    point = capsule.core[0] + 0.3 * along + off_m * beside / np.linalg.norm(beside)
+    assert capsule.radius > off_m + 1e-3
     options = CloudOptions(growth_m=1e-3, arm_padding_m=0.0)
     found = filter_frame(robot, Frame.of(robot, point[None], radius=RADIUS, joints=q), options)
     assert (found.report.of_arm, found.report.kept) == (0, 1)

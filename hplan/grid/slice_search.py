@@ -17,10 +17,10 @@ from hplan.base.kernels import kernel
 from hplan.grid.flood import bits_of, flood_slices
 from hplan.grid.grid import words_for
 from hplan.grid.jump_point_search import PlaneEnds, jump_slices
-from hplan.grid.lattice import Lattice
+from hplan.grid.lattice import Lattice, NodeSet
 
-#: Searches one slice, given as a grid of its own, from a node to a node: the (m, d) path or None, and expansions.
-SliceSearch: TypeAlias = Callable[[Lattice, WordArray, IntArray, IntArray], tuple[IntArray | None, int]]
+#: Searches one slice, given as a grid of its own, from a node to a node: the (m, d) path or None, cost and expansions.
+SliceSearch: TypeAlias = Callable[[Lattice, NodeSet, IntArray, IntArray], tuple[IntArray | None, float, int]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +87,8 @@ def search_slices(
     found: dict[int, IntArray] = {}
     expansions = 0
     for number in np.flatnonzero(bits_of(reached[goal_row] & mask)).tolist():
-        path, expanded = slice_search(flat, slice_words(lattice, reached, number), start[:-1], goal[:-1])
+        nodes = NodeSet.of(slice_words(lattice, reached, number))
+        path, _, expanded = slice_search(flat, nodes, start[:-1], goal[:-1])
         expansions += expanded
         if path is not None:
             found[number] = np.ravel_multi_index(tuple(path.T + 1), lattice.padded)

@@ -8,7 +8,7 @@ finds the path; if they are not, there is none.
 from __future__ import annotations
 
 import time
-from dataclasses import replace
+from functools import partial
 
 from numpy.typing import ArrayLike
 
@@ -20,7 +20,7 @@ from hplan.grid.grid import Occupancy, checked_node
 from hplan.grid.lattice import Lattice, NodeSet
 from hplan.grid.restoration import union_of
 from hplan.grid.result import Expansions, Fallback, SearchResult, StageTimes
-from hplan.grid.slice_search import SlicePaths, SliceSearch, search_slices
+from hplan.grid.slice_search import SlicePaths, search_slices
 
 
 def two_level_search(occupancy: Occupancy, start: ArrayLike, goal: ArrayLike, *, octile: bool = True) -> SearchResult:
@@ -42,19 +42,12 @@ def two_level_search(occupancy: Occupancy, start: ArrayLike, goal: ArrayLike, *,
         OptionError: `octile` is neither True nor False.
     """
     truth("octile", octile)
-    source, target = checked_node(occupancy, start, "start"), checked_node(occupancy, goal, "goal")
+    begin = time.perf_counter()
+    start, goal = checked_node(occupancy, start, "start"), checked_node(occupancy, goal, "goal")
     lattice = Lattice.of(occupancy.grid.shape, occupancy.grid.step)
-    begin = time.perf_counter()
-    found = _two_level(lattice, lattice.bordered(occupancy.free_words), source, target, octile=octile)
-    times = replace(found.times, layers=time.perf_counter() - begin - found.times.sparse - found.times.fallback)
-    return replace(found, path=None if found.path is None else frozen(found.path), times=times)
-
-
-def _two_level(lattice: Lattice, free: WordArray, start: IntArray, goal: IntArray, *, octile: bool) -> SearchResult:
-    """The search on bordered rows; start and goal are free nodes."""
-    begin = time.perf_counter()
+    free = lattice.bordered(occupancy.free_words)
     between = range(int(min(start[-1], goal[-1])), int(max(start[-1], goal[-1])) + 1)
-    slice_search = None if octile and len(lattice.shape) == 3 else _slice_search(octile=octile)
+    slice_search = None if octile and len(lattice.shape) == 3 else partial(astar, octile=octile)
     layers = search_slices(lattice, free, start, goal, between, slice_search)
     layers_done = time.perf_counter()
     path, cost, expanded, restored, size = _join(lattice, free, layers, start, goal, octile=octile)
@@ -75,17 +68,8 @@ def _two_level(lattice: Lattice, free: WordArray, start: IntArray, goal: IntArra
             path, cost, expanded = astar(lattice, NodeSet.of(reached), start, goal, octile=octile)
             counts = counts.with_fallback(expanded, 0)
     times = StageTimes(layers_done - begin, sparse_done - layers_done, time.perf_counter() - sparse_done)
+    path = None if path is None else frozen(path)
     return SearchResult(path, cost, counts, times, layers, restored, size, fallback)
-
-
-def _slice_search(*, octile: bool) -> SliceSearch:
-    """A* on one slice."""
-
-    def search(lattice: Lattice, free: WordArray, start: IntArray, goal: IntArray) -> tuple[IntArray | None, int]:
-        path, _, expansions = astar(lattice, NodeSet.of(free), start, goal, octile=octile)
-        return path, expansions
-
-    return search
 
 
 def _join(

@@ -12,7 +12,7 @@ from typing import Any, Literal, NamedTuple, Self, TypeAlias, TypeVar
 import numpy as np
 
 from hplan.base.arrays import FloatArray, Record, frozen
-from hplan.certificate.certificate import Certificate, Stretch, all_of, certify_among
+from hplan.certificate.certificate import Certificate, Stretch, all_of, certify_among, stretches
 from hplan.collision.reach import largest_sway
 from hplan.errors import CertificationError, TimingError
 from hplan.optimization.minimize_time import Effort, minimize_time
@@ -399,7 +399,7 @@ def certificate_of(
         return certify_among(
             context.robot,
             trajectory,
-            [(slice(0, max(1, trajectory.samples - 1)), context.world.checker)] if among is None else among,
+            stretches(context.world.checker, trajectory.time, ()) if among is None else among,
             clearance=context.scene.clearance,
             tracking=options.certified_tracking,
             rest_to_rest=rest_to_rest,

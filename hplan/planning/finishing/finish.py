@@ -162,9 +162,7 @@ def _smoothed(task: PlanningTask, waypoints: FloatArray) -> Transit:
         return quickest(task, [Polyline(waypoints, "given")], task.margin())
     except (CertificationError, TimingError):
         with suppress(CertificationError, TimingError):
-            # Largest distance from the polyline where corners are only rounded because nothing else can be certified
-            # [rad].
-            return _kept(task, waypoints, 0.02)
+            return _kept(task, waypoints, ROUNDING)
         raise
 
 

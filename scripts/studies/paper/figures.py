@@ -88,22 +88,24 @@ def half_angles(rho: ArrayLike, length: float, radius: float) -> FloatArray:
     return np.where(distance <= radius, math.pi, np.where(distance > length + radius, np.nan, result))
 
 
-def clearance_field(arm: PlanarArm, centre: FloatArray, radius: float, grid: Grid) -> FloatArray:
-    """(N1, N2, N3) distance of capsule links from a disc at the nodes of the joint grid, negative inside [m]."""
-    mesh = np.stack(np.meshgrid(*(grid.axis(k) for k in range(3)), indexing="ij"), axis=-1)
-    points = arm.joint_points(mesh.reshape(-1, 3))
-    field = np.full(len(points), np.inf)
-    for k in range(arm.link_count):
+def _clearance(evidence: Evidence, nodes: FloatArray, links: int) -> FloatArray:
+    """(n,) distance of the first capsule links from the disc at (n, 3) configurations, negative inside [m]."""
+    arm = evidence.robot.arm
+    points, clearance = arm.joint_points(nodes), np.full(len(nodes), np.inf)
+    for k in range(links):
         begin, along = points[:, k], points[:, k + 1] - points[:, k]
-        part = np.clip(((centre - begin) * along).sum(axis=1) / arm.lengths[k] ** 2, 0.0, 1.0)
-        distance = np.linalg.norm(centre - begin - part[:, None] * along, axis=1)
-        field = np.minimum(field, distance - arm.half_widths[k] - radius)
-    return field.reshape(grid.shape)
+        part = np.clip(((evidence.centre - begin) * along).sum(axis=1) / arm.lengths[k] ** 2, 0.0, 1.0)
+        distance = np.linalg.norm(evidence.centre - begin - part[:, None] * along, axis=1)
+        clearance = np.minimum(clearance, distance - arm.half_widths[k] - evidence.radius)
+    return clearance
 
 
 @functools.cache
 def _field(evidence: Evidence) -> FloatArray:
-    return clearance_field(evidence.robot.arm, evidence.centre, evidence.radius, evidence.occupancy.grid)
+    """(N1, N2, N3) distance of the links from the disc at the nodes of the joint grid, negative inside [m]."""
+    grid = evidence.occupancy.grid
+    mesh = np.stack(np.meshgrid(*(grid.axis(k) for k in range(3)), indexing="ij"), axis=-1)
+    return _clearance(evidence, mesh.reshape(-1, 3), evidence.robot.arm.link_count).reshape(grid.shape)
 
 
 def _length(grid: Grid, path: IntArray) -> str:
@@ -301,15 +303,10 @@ def two_links(evidence: Evidence) -> Figure:
 
 def _link_occupied(evidence: Evidence, links: int) -> BoolArray:
     """(N1, N2) mask of the nodes at which one of the first one or two links collides."""
-    arm, grid = evidence.robot.arm, evidence.occupancy.grid
+    grid = evidence.occupancy.grid
     mesh = np.stack(np.meshgrid(grid.axis(0), grid.axis(1), [0.0], indexing="ij"), axis=-1).reshape(-1, 3)
-    points, found = arm.joint_points(mesh), np.zeros(len(mesh), dtype=np.bool_)
-    for k in range(links):
-        begin, along = points[:, k], points[:, k + 1] - points[:, k]
-        part = np.clip(((evidence.centre - begin) * along).sum(axis=1) / arm.lengths[k] ** 2, 0.0, 1.0)
-        distance = np.linalg.norm(evidence.centre - begin - part[:, None] * along, axis=1)
-        found |= distance <= evidence.radius + arm.half_widths[k]
-    return found.reshape(grid.shape[:2])
+    occupied: BoolArray = _clearance(evidence, mesh, links) <= 0.0
+    return occupied.reshape(grid.shape[:2])
 
 
 @styled

@@ -24,7 +24,6 @@ class CsvFile:
     """A CSV, whose rows are read one after the other.
 
     Attributes:
-        path: The file.
         what: What it is, for messages: "motion".
         row_word: What one of its rows is, for messages: "row".
         first: Line of the header.
@@ -44,7 +43,6 @@ class CsvFile:
         """Read a file, with or without a byte order mark.
 
         Args:
-            path: The file.
             what: What it is, for messages.
             row_word: What one of its rows is, for messages.
             blank: True to leave out rows of nothing but blanks.

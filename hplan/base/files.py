@@ -32,7 +32,6 @@ class ByteBudget:
         """Read a file; of one that is too large, or a device without end, not more than is left.
 
         Args:
-            path: The file.
             is_input: False for what the command that runs may replace all the same.
 
         Raises:

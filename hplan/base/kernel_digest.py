@@ -141,7 +141,6 @@ class _Parts:
 
     Attributes:
         own: What was added, but for functions.
-        functions: Those.
     """
 
     def __init__(self) -> None:
@@ -214,8 +213,6 @@ class _Parts:
         quick. For others the instructions are read.
 
         Args:
-            code: The code.
-            scope: Names and values.
             by: Instructions that read them.
             above: Modules that this one is examined for.
 

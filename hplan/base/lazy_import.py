@@ -75,9 +75,7 @@ def extra(name: str, needs: str, **data: str) -> Iterator[None]:
     """Import what an extra brings inside the block; what is not installed is an error that says how to get it.
 
     Args:
-        name: Name of the extra.
         needs: What needs which module, for the error: `an MCAP file needs rosbags`.
-        data: Further facts of the error.
 
     Raises:
         InputError: Something imported in the block is not installed.

@@ -267,8 +267,6 @@ def base_violations(
     """Messages: what pedestal and turret stand in, or what comes into them while a motion runs.
 
     Args:
-        robot: The arm.
-        scene: Obstacles.
         checker: The arm among them, in the order of the scene.
         trajectory: The motion; the turret is taken as it stands where it begins.
         begin_s: When it begins, as the tracks of the scene count it [s].
@@ -287,9 +285,7 @@ def stretches(checker: CoalScene, clock: FloatArray, contacts: Iterable[FruitCon
     """The ranges of a motion before, within and after those in which the last link may touch fruits.
 
     Args:
-        checker: The arm among everything.
         clock: (n,) times of the motion's rows, as the windows count them.
-        contacts: The windows.
     """
     inside = [(pieces, each.fruit.name) for each in contacts if (pieces := each.pieces(clock)) is not None]
     ends = {end for pieces, _ in inside for end in (pieces.start, pieces.stop)}
@@ -316,7 +312,6 @@ def certify_among(
     """Certify a trajectory, or part of one, with given collision checkers.
 
     Args:
-        robot: The arm.
         trajectory: The timed motion; its joints are the robot's.
         among: The collision checker of each stretch; together the whole motion.
         clearance: Clearance to keep [m].

@@ -105,8 +105,6 @@ class ProvedStretch(NamedTuple):
     """A range of a motion's cubics, and what was shown there.
 
     Attributes:
-        part: The range.
-        checker: The arm among the obstacles there.
         deviations: (pieces, dof) largest deviation of each joint within each cubic, or (1, dof) for all [rad].
         proof: What was shown.
         clock: Times of its rows, as movements of obstacles count them [s]; None where nothing moves.
@@ -124,8 +122,6 @@ class ProvedMotion(Record):
     """A motion of which clearance was to be shown, for its curve.
 
     Attributes:
-        robot: The arm.
-        trajectory: The motion.
         stretches: What was shown, stretch by stretch.
         clearance: Clearance to keep [m].
     """

@@ -112,7 +112,6 @@ def prove_clearance(
 
     Args:
         bezier: (pieces, 4, dof) Bezier points of the motion's cubics.
-        checker: The arm among the obstacles.
         deviations: (pieces, dof) largest deviation of each joint within each cubic, or (1, dof) for all of them [rad].
         needed: Distance to be kept [m].
         clock: (pieces + 1,) times of the rows, as tracks count them [s]; needed where obstacles move.
@@ -157,7 +156,6 @@ class Advancement:
         mover_of: (pairs,) each pair's moving body.
         shown: Clearance shown of every pair so far, beyond the one needed [m].
         nearest: The smallest distance so far [m], the pair, and where.
-        checks: Configurations checked.
         bounded: How many pieces from the first on have a bounded travel.
     """
 
@@ -389,7 +387,6 @@ def place_after(travel: FloatArray, at: float, part: float) -> float:
     Args:
         travel: (rows + 1,) how far it has travelled at each row; linear within a row.
         at: The place from where it goes on.
-        part: How far it may go.
     """
     row = min(int(at), len(travel) - 2)
     limit = travel[row] + (at - row) * (travel[row + 1] - travel[row]) + part

@@ -91,7 +91,6 @@ def instant_at(robot: Robot, rows: FloatArray, point: ArrayLike) -> tuple[int, f
     """The row at which the tool is nearest to a point, and the distance [m].
 
     Args:
-        robot: The arm.
         rows: (n, dof) configurations.
         point: (3,) in `base_link` [m].
     """
@@ -104,7 +103,6 @@ def contact_window(robot: Robot, bezier: FloatArray, point: ArrayLike) -> slice 
     """The cubics of a motion within which the last link may touch the fruit at a point.
 
     Args:
-        robot: The arm.
         bezier: (pieces, 4, dof) Bezier points of the motion's cubics.
         point: (3,) the fruit's centre, in `base_link` [m].
 

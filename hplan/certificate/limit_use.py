@@ -36,8 +36,6 @@ def limit_use(robot: Robot, trajectory: Trajectory, bezier: FloatArray, duration
     and velocity are zero; torques as in `hplan.certificate.torque_bound`.
 
     Args:
-        robot: The arm.
-        trajectory: The motion.
         bezier: (pieces, 4, dof) its cubics.
         duration: (pieces,) their durations [s].
     """

@@ -136,7 +136,6 @@ def with_obstacles(
     """Moving bodies where obstacles move too: a body and what moves alike make another, which travels as far as both.
 
     Args:
-        checker: The arm among obstacles that move.
         mover_of: (pairs,) the moving body of each pair.
         moved: (movers, pieces) how far each travels in each piece [m].
         nearer: (movers, k) how much nearer tracking errors may bring its pairs [m].
@@ -165,7 +164,6 @@ def motion_of_movers(
     """The moving bodies of a checker's pairs along a motion, and what tracking errors do.
 
     Args:
-        checker: The arm among the obstacles.
         bezier: (pieces, 4, dof) Bezier points of the motion's cubics.
         deviations: (k, dof) largest deviations of the joints [rad, m].
 

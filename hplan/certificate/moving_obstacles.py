@@ -36,9 +36,7 @@ def moving_base_contacts(robot: Robot, moving: MovingSolids, yaw: float, begin_s
     while it turns they are moving bodies of the collision checker.
 
     Args:
-        robot: The arm.
         moving: The obstacles; those that stand still are not checked.
-        yaw: Yaw of the turret.
         begin_s: Time from which on [s].
         end_s: Time up to which [s].
     """
@@ -89,7 +87,6 @@ def clear_until(q: FloatArray, checker: CoalScene, deviations: FloatArray, neede
 
     Args:
         q: (dof,) configuration.
-        checker: The arm among the obstacles.
         deviations: (1, dof) largest deviation of each joint [rad].
         needed: Distance to be kept [m].
         from_s: Time from which on it rests [s].

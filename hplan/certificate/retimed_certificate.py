@@ -69,10 +69,7 @@ def certified_retiming(
     """A motion along another one's path with its certificate.
 
     Args:
-        robot: The arm.
         scene: What the other motion is certified among.
-        running: The certificate of the other one.
-        retimed: The motion.
         tracking: Deviation of the joints that is covered.
         sigmas: How many standard deviations of its place an obstacle is grown by.
         anew: Whether to show the clearance anew, even where that of the path suffices.
@@ -110,10 +107,8 @@ def certified_from(
     """What is shown of a motion along another one's path from a row on, by `certify`'s rule, at rest at its end or not.
 
     Args:
-        robot: The arm.
         among: Obstacles and the clearance to keep, and the arm among them.
         contacts: When the last link may touch fruits in the other motion; where it is there, it may here.
-        retimed: The motion.
         row: Where it begins.
         tracking: Deviation of the joints that is covered.
     """

@@ -28,8 +28,6 @@ def task_violations(robot: Robot, scene: Scene, bezier: FloatArray) -> Iterator[
     is asked for. Locked joints stand still.
 
     Args:
-        robot: The arm.
-        scene: The scene.
         bezier: (pieces, 4, dof) Bezier points of the motion's cubics.
 
     Raises:

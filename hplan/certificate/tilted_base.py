@@ -36,7 +36,6 @@ def use_on_track(use: LimitUse, robot: Robot, scene: Scene, begin_s: float, dura
 
     Args:
         use: That of an arm whose base stands upright.
-        robot: The arm.
         scene: The scene, with the base's track.
         begin_s: Time at which the motion begins, as the track counts it [s].
         duration: Duration of the motion [s].

@@ -63,7 +63,6 @@ def largest_torques(
     """Upper bounds of |torque| along a motion of cubic pieces.
 
     Args:
-        dynamics: The arm's inverse dynamics.
         bezier: (pieces, 4, dof) Bezier points [rad, m].
         duration: (pieces,) durations [s].
         limit: (dof,) torque limits, of joints that slide force limits, which say how close the bound has to be [N m,

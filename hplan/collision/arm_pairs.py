@@ -52,9 +52,6 @@ class ArmPair:
         mover: The link, or `TURRET`.
         other: The body from which the motion is seen: a link before it, `TURRET`, or `GROUND`, with `SHAPED` added
             where both are as the URDF has them; of a general (non-planar) arm, the number of the other body.
-        mover_name: Name of its body.
-        other_name: Name of the other body.
-        shapes: The two shapes.
     """
 
     mover: int
@@ -65,13 +62,7 @@ class ArmPair:
 
 
 def link_pairs(robot: Robot, contact: SelfContact, shapes: Sequence[Sequence[pin.GeometryObject]]) -> Iterator[ArmPair]:
-    """Links against one another and against pedestal and turret, where they can touch.
-
-    Args:
-        robot: The arm.
-        contact: The pairs that can touch.
-        shapes: Shapes of each link.
-    """
+    """Links against one another and against pedestal and turret, where they can touch."""
     names = robot.arm.link_names
     for i, j in contact.links:
         for pair in itertools.product(shapes[j], shapes[i]):
@@ -87,8 +78,6 @@ def fold_pairs(robot: Robot, contact: SelfContact, capsules: Sequence[pin.Geomet
     """Neighbours that can fold into one another: the part of one beyond the joint's own reach, and the whole other one.
 
     Args:
-        robot: The arm.
-        contact: The pairs that can touch.
         capsules: Capsule of each link, z from its joint to the next.
     """
     names = robot.arm.link_names
@@ -126,7 +115,6 @@ class ArmParts:
         links: The shapes of each link that moves, by its name.
         turret: By body, the shapes of the turret that are not round about the yaw axis, and the same in coal.
         tool_joint: The joint of the shapes that may touch a fruit which is picked, as Pinocchio counts them.
-        own: The pairs of its parts.
         held: Those of them, the last ones, that are asked as the URDF has them.
     """
 
@@ -143,7 +131,6 @@ def arm_parts(
     """The parts of an arm.
 
     Args:
-        robot: The arm.
         links: Shape of the links; of a general (non-planar) arm it is always the URDF's.
         deviation: How far joints may be beyond their limits [rad].
         clearance: Distance to be kept [m].
@@ -173,7 +160,6 @@ def shaped_pairs(robot: Robot, deviation: float) -> SelfPairs:
     (`hplan.robot.folding`).
 
     Args:
-        robot: The arm.
         deviation: How far joints may be beyond their limits [rad].
     """
     beyond = _rounded_up(deviation)

@@ -49,9 +49,7 @@ class BodyArrays(NamedTuple):
 
     Attributes:
         movers: As `hplan.collision.flat_bodies.FlatBodies`.
-        numbers: The same.
         solids: As `hplan.collision.clearance_field.ClearanceField`.
-        data: The same.
         placed: (bodies, 21) each body where it is.
         frames: (dof + 1, 12) frames of joints and base.
         work: (WORK + 6,) numbers, the last of them the direction in which what was found nearest to a body lies, and
@@ -190,7 +188,6 @@ def _row_clearance(arm: BodyArrays, place: tuple[int, int], away: Vector, least:
     """Clearance of a body from the solid of a row, or `least` where it is no less.
 
     Args:
-        arm: Where the arm is.
         place: Numbers of the body and of the row.
         away: A direction from the solid to the body.
         least: What is enough [m].

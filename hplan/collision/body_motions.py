@@ -39,7 +39,6 @@ class Run(NamedTuple):
 
     Attributes:
         piece: (4, dof) control points.
-        moving: The arm.
         q: (dof,) room for a configuration.
         rates: (dof,) and for the rates of its joints there.
         until: As in `hplan.collision.obstacle_rows.FieldArrays`.
@@ -94,7 +93,6 @@ def _march(run: Run, looks: int, stride: float) -> tuple[float, int]:
     """Show a motion clear, from its begin on.
 
     Args:
-        run: The motion.
         looks: How many are taken at most.
         stride: No step from look to look is shorter than that.
 

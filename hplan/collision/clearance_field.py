@@ -89,8 +89,6 @@ class ClearanceField(Record):
         """The field of a robot among obstacles.
 
         Args:
-            robot: The arm.
-            obstacles: What it keeps clear of.
             clearance: By how much each of them is grown [m], one number or one for each.
             own_clearance: Clearance that parts of the arm are to keep from one another [m]; None for the smallest of
                 the others.

@@ -280,7 +280,6 @@ def motion_bounds(turns: FloatArray, field: FieldArrays, result: FloatArray) -> 
 
     Args:
         turns: (dof,) joint displacements.
-        field: The arm.
         result: (links,) bounds, written [m].
     """
     if len(field) == OF_BODIES:
@@ -316,7 +315,6 @@ def shown_part(piece: FloatArray, field: FieldArrays, margin: float, stride: flo
 
     Args:
         piece: (4, dof) Bezier points of the motion.
-        field: Arm and obstacles.
         margin: Clearance asked for wherever it is evaluated [m].
         stride: No step is shorter than that: above 0 no proof near contact, but cheap, for optimisers.
         looks: Most evaluations of the clearance.

@@ -45,11 +45,6 @@ def distance_errors(
 ) -> FloatArray:
     """Upper bounds of the error by which distances are too large [m].
 
-    Args:
-        movers: Shapes of the arm.
-        solids: Obstacles.
-        pairs: Pairs of shapes of the arm.
-
     Returns:
         (movers * solids + pairs,) of each moving body with each obstacle, body by body, then of the pairs.
     """

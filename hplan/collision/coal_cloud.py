@@ -45,7 +45,6 @@ class BareShape(NamedTuple):
     """A shape without the radius that is swept about it: coal knows none where it is asked about triangles.
 
     Attributes:
-        geometry: The shape.
         box: Its `local_box`.
         radius: What was swept about it [m].
     """
@@ -103,12 +102,7 @@ class PointBlocks:
         return found
 
     def distance(self, shape: BareShape, placement: pin.SE3) -> float:
-        """Signed distance of a shape from the nearest point [m]; in contact that of one of those that it touches.
-
-        Args:
-            shape: The shape.
-            placement: Where it is.
-        """
+        """Signed distance of a shape from the nearest point [m]; in contact that of one of those that it touches."""
         rotation, translation = placement.rotation, placement.translation
         bounds = _lower_bounds(rotation, translation, shape.box, self.balls)
         place, result = coal.Transform3s(rotation, translation), coal.DistanceResult()

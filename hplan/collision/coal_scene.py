@@ -80,12 +80,8 @@ class CoalScene:
     Several threads may ask at once. A scene can be pickled; it is built anew from robot and obstacles.
 
     Attributes:
-        robot: The arm.
-        links: Shape of the links.
-        link_names: Names of the links.
         mover_names: The same, then names of the turret's bodies that have other shapes than round ones.
         obstacle_names: Names of the obstacles; from `own_first` on of the parts of the arm that another can touch.
-        own_first: How many obstacles there are.
         link_shapes: Shapes of the links, link by link.
         pairs: Mover, by its place in `mover_names`, and obstacle or part, in `obstacle_names`, of each pair.
         own_others: The body from which the motion of each of the last of `pairs` is seen: a link, `TURRET` or `GROUND`.
@@ -110,9 +106,6 @@ class CoalScene:
         """Build the geometry of a robot among obstacles.
 
         Args:
-            robot: The arm.
-            obstacles: Obstacles.
-            links: Shape of the links.
             growth: By how much obstacles are grown [m], one number or one for each.
             deviation: How far joints may be beyond their limits [rad].
             clearance: Distance to be kept [m]; parts of the arm that cannot come so near to each other are no pairs.
@@ -339,9 +332,6 @@ def base_contacts(
     arm it is what no joint moves.
 
     Args:
-        robot: The arm.
-        obstacles: Obstacles.
-        yaw: Yaw of the turret.
         margin: Distance up to which a pair counts as touching [m].
     """
     if not obstacles:

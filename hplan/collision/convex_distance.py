@@ -104,9 +104,7 @@ def core_distance(
         shape: Coordinates of points, one after the other.
         span: Which of them are of the first hull.
         pose: Where it is, in the frame of the other.
-        other: Coordinates of points.
         other_span: Which of them are of the other hull.
-        wanted: How exact it is to be.
         work: (WORK,) numbers. At `NEAREST` a direction from the other hull to the first to begin with, or zeros. Where
             no distance was enough, `work` then holds the nearest points.
     """

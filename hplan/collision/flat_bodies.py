@@ -52,7 +52,6 @@ class FlatBodies(Record):
         """The bodies of a robot.
 
         Args:
-            robot: The robot.
             own_clearance: Clearance that pairs are to keep [m].
             deviation: By how much every joint may be off [rad, m]: bodies are as much thicker as it may displace them.
         """

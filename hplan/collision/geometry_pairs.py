@@ -35,7 +35,6 @@ class _PartData:
     """Working data of queries of one geometry model.
 
     Attributes:
-        geometry: Pinocchio's data.
         current: Whether its shapes stand where the arm was last placed.
     """
 
@@ -53,8 +52,6 @@ class _QueryData(threading.local):
     """Working data of queries: every thread has its own, made when it first asks.
 
     Attributes:
-        arm: Where the joints are.
-        parts: The data of each geometry model.
         single: Arm and part where there is one model alone: looking up what belongs to a thread takes its time.
         elsewhere: Obstacles that are not where they were built, by model: their number in it, and where they are.
         clouds: Of clouds that are not, by number, the base as seen from them.
@@ -89,8 +86,6 @@ class GeometryPairs:
         """Build the geometry models.
 
         Args:
-            model: The arm.
-            movers: Shapes that meet every obstacle.
             obstacles: Fixed shapes, and clouds.
             chosen: Further pairs, of moving bodies or of shapes that meet no obstacle.
             balls: (obstacles, 4) centre and radius of a ball about each obstacle, for `lower_bounds`; None for none.

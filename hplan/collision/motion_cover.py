@@ -60,7 +60,6 @@ class Moving(NamedTuple):
     """An arm in motion.
 
     Attributes:
-        arm: Where it is.
         twists: (dof + 1, 6) angular velocity of what each joint carries, and the velocity of the point of it that is at
             the origin; of the base zeros.
         bends: (movers, 2) how fast points of each moving body move at most, and what their acceleration is at most.
@@ -88,7 +87,6 @@ def part_shown_clear(q: FloatArray, rates: FloatArray, moving: Moving, back: flo
     Args:
         q: (dof,) configuration.
         rates: (dof,) rates of the joints there.
-        moving: The arm.
         back: No more is asked for of the motion before.
         forward: The same after.
     """
@@ -145,7 +143,6 @@ class _Motion(NamedTuple):
         spin: Angular velocity.
         core: Radius of the ball without the body's rounding [m].
         speed: How fast points move now at most.
-        most: How fast they ever do.
         bend: What their acceleration is at most.
         margin: Clearance asked for [m].
     """

@@ -131,10 +131,7 @@ def rows_of(
     """Rows of obstacles, then of the parts of the arm that can touch it.
 
     Args:
-        robot: The arm.
-        obstacles: Obstacles.
         clearance: As for `hplan.collision.clearance_field.ClearanceField.of`.
-        own_clearance: The same.
         deviation: The same; only pairs of links grow here, as links do not know what they meet.
 
     Returns:
@@ -183,7 +180,6 @@ def core_rows(obstacles: Sequence[Solid], clearance: ArrayLike) -> tuple[FloatAr
     """As `rows_of`, for general (non-planar) arms: obstacles alone, with the corners of each.
 
     Args:
-        obstacles: Obstacles.
         clearance: By how much each of them is grown [m], one number or one for each.
     """
     stack = _Stack()

@@ -41,7 +41,6 @@ def reach(robot: Robot, beyond: float = 0.0) -> FloatArray:
     """Motion-bound coefficients: upper bounds of the distance of any point of each body from each joint's axis.
 
     Args:
-        robot: The robot.
         beyond: How far joints that slide may be beyond their limits [m].
 
     Returns:
@@ -63,7 +62,6 @@ def points_reach(
     """A row of `reach`, of points that a joint carries.
 
     Args:
-        robot: The robot.
         points: (n, 3) points in the joint's frame [m].
         joint: The joint; -1 for the ground.
         rounding: Radius about the points [m].
@@ -112,7 +110,6 @@ def largest_sway(robot: Robot, deviation: FloatArray) -> FloatArray:
     Of an arm of the planar family that of its links' axes (`PlanarFamily.sway`), of any other that of its bodies.
 
     Args:
-        robot: The robot.
         deviation: (..., dof) deviations [rad, m].
 
     Returns:

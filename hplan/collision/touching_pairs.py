@@ -71,7 +71,6 @@ def self_pairs(robot: Robot, beyond: float = BEYOND) -> SelfPairs:
     """The pairs of a robot's own bodies, found once.
 
     Args:
-        robot: The robot.
         beyond: How far joints may be beyond their limits [rad, m].
     """
     every = itertools.combinations(range(len(collision_bodies(robot))), 2)

@@ -27,7 +27,6 @@ def motion_bends(
         rates: (dof,) how fast joints move at most.
         changes: (dof,) how fast these rates change at most.
         movers: As `hplan.collision.flat_bodies.FlatBodies`.
-        numbers: The same.
         bends: (movers, 2) written.
     """
     at, first, dof = int(numbers[flat.REACHES]), int(numbers[flat.JOINTS]), len(rates)

@@ -80,7 +80,6 @@ def row_bounds(lattice: Lattice, nodes: NodeSet, goal_row: int) -> RowBounds:
     step along the last axis is made together with the longest, or the shortest, move between rows; A* uses the larger.
 
     Args:
-        lattice: Geometry of the grid.
         nodes: The nodes, the goal among them.
         goal_row: Bordered row of the goal.
     """
@@ -143,8 +142,6 @@ def astar(
     Deterministic: ties in f go to the node nearer the goal, then to the one found first.
 
     Args:
-        lattice: Geometry of the grid.
-        nodes: The nodes that the path may use.
         start: (d,) node index.
         goal: (d,) node index.
         octile: Bound the cost to go by the shortest path on the free grid, the tightest bound that knows no

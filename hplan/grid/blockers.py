@@ -17,9 +17,6 @@ def blockers(arm: PlanarArm, sections: ArmSections, grid: Grid, reached: BoolArr
     """Link and obstacle pairs that occupy the border of the reached region, largest part first.
 
     Args:
-        arm: The planar chain.
-        sections: Obstacles cut by the arm plane.
-        grid: Grid over the planar joints.
         reached: Mask of the grid's shape: the nodes connected to the start.
 
     Returns:

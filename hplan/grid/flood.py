@@ -29,7 +29,6 @@ def flood_slices(
     """Flood slices of the last axis, each on its own, from the start's row.
 
     Args:
-        lattice: Geometry of the grid.
         free: (rows, words) bits with border.
         start_row: Bordered row in which every slice starts.
         wanted: (words,) the slices to flood.
@@ -55,7 +54,6 @@ def flood_from(lattice: Lattice, free: WordArray, nodes: IntArray) -> tuple[Word
     """Flood the whole grid from free nodes, slices joined.
 
     Args:
-        lattice: Geometry of the grid.
         free: (rows, words) bits with border.
         nodes: (k, d) or (d,) node indices.
 

@@ -109,7 +109,6 @@ class Occupancy(Record):
     """Free nodes of a grid, packed into words.
 
     Attributes:
-        grid: The grid.
         free_words: (rows, words) uint64; bit `b` of word `w` of row `r` is set where the node with flat index
             `r` over all axes but the last and index `64 w + b` along the last is free. Bits past the end are 0.
     """

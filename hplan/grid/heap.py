@@ -77,9 +77,6 @@ def push(keys: FloatArray, nodes: Numbers, slot: Numbers, size: int, key: float,
         keys: (capacity,) keys in heap order.
         nodes: (capacity,) their nodes.
         slot: For each node its place in the heap, `NEW` or `TAKEN`.
-        size: Entries in the heap.
-        key: Key of the node.
-        node: The node.
 
     Returns:
         Entries in the heap afterwards.

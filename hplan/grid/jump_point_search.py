@@ -92,8 +92,6 @@ def jump_slices(
     Args:
         free: (rows, words) bits with border.
         feasible: (words,) slices that have a path.
-        first: First slice to search.
-        last: Last slice to search.
         ends: Rows in which every path starts and ends.
         steps: (2,) weights of a step along axes i and j.
         until: How long it may take (`hplan.base.deadline`).
@@ -239,9 +237,7 @@ def _search_slice(plane: _SliceBlock, number: int, bit: Any, work: _SearchArrays
 
     Args:
         plane: The block of slices that it is one of.
-        number: Slice to search.
         bit: Its bit in the words of the block, uint64.
-        work: Arrays to use.
 
     Returns:
         The number of expansions.

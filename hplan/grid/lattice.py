@@ -43,7 +43,6 @@ class Lattice(Record):
     """Geometry of a grid: bordered rows and the moves between them.
 
     Attributes:
-        shape: Nodes along each axis.
         step: (d,) weight of one step along each axis.
         padded: Rows along each axis but the last, with the border.
         row_offsets: (moves,) distance to each neighbouring row, the row itself among them.

@@ -97,11 +97,6 @@ def occupancy(arm: PlanarArm, sections: ArmSections, grid: Grid) -> Occupancy:
     For `n` joints of `N` nodes each: one interval a section for the first link, `N` for the second, `N**(n - 1)`
     for the last, whose rows are filled by interval.
 
-    Args:
-        arm: The planar chain.
-        sections: Obstacles cut by the arm plane.
-        grid: Grid over the planar joints.
-
     Raises:
         InputError: The grid or the sections are not those of an arm with this many links.
     """
@@ -187,9 +182,7 @@ def _polygon_interval(
         vertices: Points of all sections.
         first: The polygon's first vertex.
         last: The one after its last vertex.
-        radius: The polygon's rounding.
         pose: x, y, cos, sin.
-        length: Length of the link.
 
     Returns:
         0 (never), 1 (between the two angles, the second may pass pi) or 2 (always), and the angles.

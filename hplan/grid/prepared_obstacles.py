@@ -40,7 +40,6 @@ class PreparedObstacles(Record):
 
     Attributes:
         balls: Balls, each point of a cloud one.
-        hulls: Hulls of points.
         names: Names of the obstacles; balls and hulls know theirs by index.
         own_clearance: Clearance that parts of the arm are to keep from one another [m].
         deviation: By how much every joint may be off [rad]; sections grow by what each link may then sway.
@@ -66,7 +65,6 @@ def prepare_obstacles(
     """Make obstacles ready for cutting.
 
     Args:
-        obstacles: The obstacles.
         clearance: Distance to keep from every obstacle [m], one number or one for each.
         own_clearance: Distance that parts of the arm are to keep from one another [m]; None for the smallest of the
             others.

@@ -22,9 +22,7 @@ def union_of(
     """Join the slice paths, restore connectivity between them, and add start and goal.
 
     Args:
-        lattice: Geometry of the whole grid.
         free: (rows, words) bits with border.
-        layers: The slice paths.
         start: (d,) node index.
         goal: (d,) node index.
         beyond: True if the slices go beyond start and goal, so that either end of a path may be wanted on either side.

@@ -54,7 +54,6 @@ def _sweep(
 
     Args:
         points: Core points of a hull [m].
-        plane: The plane.
         lateral: How far off it the link moves [m].
         radius: Radius about the hull, the link's growth included [m].
         reach: Largest reach of a link [m].
@@ -190,9 +189,6 @@ def cut_balls(balls: Balls, plane: ArmPlane, links: LinkExtents, discs_only: boo
     """Sections of balls, link by link.
 
     Args:
-        balls: The balls.
-        plane: The plane that they are cut by.
-        links: The links that meet them.
         discs_only: Whether a disc must hold what is a stadium.
         error: How far a section may stand outside [m].
     """
@@ -277,9 +273,6 @@ def cut_hulls(hulls: Hulls, plane: ArmPlane, links: LinkExtents, error: float, b
     """Sections of grown hulls, link by link, behind those of the balls of each link.
 
     Args:
-        hulls: The hulls.
-        plane: The plane that they are cut by.
-        links: The links that meet them.
         error: How far a section may stand outside [m].
         balls: What `cut_balls` has made.
     """

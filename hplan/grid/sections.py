@@ -118,11 +118,8 @@ def sections_at(
     interval.
 
     Args:
-        robot: The arm.
-        obstacles: The obstacles.
         yaw: Yaw of the arm plane, the middle of the interval.
         half_angle: Half of the interval's width.
-        link_model: How links are modelled.
         within_reach: Leave out sections that the link cannot reach, whatever the joint angles.
 
     Raises:

@@ -28,12 +28,8 @@ class SlicePaths(Record):
     """The paths of neighbouring slices, each searched on its own.
 
     Attributes:
-        lattice: Geometry of the whole grid.
-        first: First of the searched slices.
         path_rows: (m,) bordered rows of all paths, slice after slice, each from the start's row to the goal's.
         begins: (searched slices + 1,) where each slice's path begins in `path_rows`; of length 0 where it has none.
-        expansions: Expansions in all slices.
-        flooded: Nodes reached by flooding.
     """
 
     lattice: Lattice
@@ -72,7 +68,6 @@ def search_slices(
     """Search each of `slices` from the start's row to the goal's.
 
     Args:
-        lattice: Geometry of the whole grid.
         free: (rows, words) bits with border.
         start: (d,) node index; its last entry does not matter.
         goal: (d,) node index; its last entry does not matter.

@@ -42,8 +42,6 @@ def yaw_axis(start: float, goal: float, step: float, lower: float, upper: float,
     """Equally spaced yaws that hold start and goal and go beyond them where the limits allow.
 
     Args:
-        start: Yaw of the start.
-        goal: Yaw of the goal.
         step: Largest spacing.
         lower: Lower limit of the yaw.
         upper: Upper limit of the yaw.
@@ -112,9 +110,6 @@ def turning_occupancy(
 
     Args:
         robot: The arm, with a yaw.
-        obstacles: The obstacles.
-        planar: Grid over the planar joints.
-        yaws: Yaws of the layers.
         layers: Layers that are already there; of this robot only.
 
     Raises:

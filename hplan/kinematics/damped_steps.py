@@ -90,7 +90,6 @@ def draw_back(
         goals: (k, dof) configurations.
         distances: (m,) how far the frame is drawn back, increasing from 0 [m].
         most: (m, dof) the most that each joint may change in the step up to each distance.
-        chain: The robot.
         rows: (k, m, dof) the configurations; those beyond `reached` are as the last one.
         reached: (k,) how many of the distances are reached.
     """

@@ -46,7 +46,6 @@ def inverse_kinematics(
     """Configurations with a frame at a pose, each within the joint limits and to 1e-6 m and 1e-6 rad at least.
 
     Args:
-        robot: The robot.
         pose: (4, 4) homogeneous matrix in `base_link` [m].
         start: (dof,) configuration from which the arm comes; None for the middle of the joint ranges. Joints that do
             not carry the frame keep its values.
@@ -115,7 +114,6 @@ def chain_of(robot: Robot, pose: FloatArray, turn: float, name: str | None = Non
     """The arrays of the kernels.
 
     Args:
-        robot: The robot.
         pose: (4, 4) homogeneous matrix in `base_link`.
         turn: What of its rotation counts: `KEPT`, `ABOUT_Z` or `ANY_TURN`.
         name: Name of the frame; None for the tool frame.

@@ -91,7 +91,6 @@ class FreeChain(Record):
         """The chain from the first free joint on.
 
         Args:
-            arm: The planar chain.
             free: Indices of the free joints, increasing, at most three.
             held: (n,) values of the joints; only those of joints that are held count.
         """

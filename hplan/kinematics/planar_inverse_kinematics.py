@@ -66,7 +66,6 @@ def reach(
     leave no joint to adjust, or no yaw, within 1e-6 m.
 
     Args:
-        robot: The arm.
         position: (3,) in `base_link` [m].
         approach_deg: Approach angle, or an interval (low, high) of it; None for all [deg].
         count: Number of samples of the continua in all.
@@ -109,7 +108,6 @@ class _ReachTask:
     """A position to reach, with some joints locked.
 
     Attributes:
-        robot: The arm.
         position: (3,) [m].
         window: Approach angles; None for all.
         start: (dof,) start configuration; None where none was given.

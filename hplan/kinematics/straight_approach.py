@@ -97,10 +97,8 @@ def standoffs(robot: Robot, candidates: ArrayLike, distance: float, *, locked: S
     """The beginnings of straight approaches to many goal configurations, and which of them are possible.
 
     Args:
-        robot: The arm.
         candidates: (k, dof) goal configurations.
         distance: Stand-off [m].
-        locked: Names of joints that stand still.
 
     Raises:
         InputError: Candidates of another shape, a joint that does not exist.
@@ -123,7 +121,6 @@ class Stretches:
     """Straight stretches back from k goals; distances from the goals are (k, m) arrays.
 
     Attributes:
-        robot: The arm.
         index: Indices of the three joints that move.
         signs: (3,) their senses.
         goal: (k, 3) their values at the goals.

@@ -55,10 +55,8 @@ def lines_back(
     """Straight lines of the tool back from (k, dof) goals.
 
     Args:
-        robot: The robot.
         goals: (k, dof) configurations within the limits.
         distance: How far back [m].
-        locked: Names of joints that stand still.
         keeps_turn: Whether the tool may not turn about the axis.
 
     Raises:
@@ -80,10 +78,8 @@ class StraightApproach(Record):
     """A straight path of the tool from the stand-off to the goal; its parameter is the distance, scaled to `length`.
 
     Attributes:
-        robot: The robot.
         goal: (dof,) configuration at the goal.
         standoff: Distance of the tool from its goal where the path begins [m].
-        locked: Names of joints that stand still.
     """
 
     robot: Robot

@@ -55,7 +55,6 @@ def tool_at_point(
     """Configurations with the tool frame at a position, to 1e-6 m at least.
 
     Args:
-        robot: The robot.
         position: (3,) in `base_link` [m].
         approach_deg: Approach angle, or an interval (low, high) of it; None for all [deg].
         count: How many directions are tried.
@@ -162,7 +161,6 @@ def _solved(robot: Robot, begin: FloatArray, chain: Chain, directions: FloatArra
     """(k, dof) configurations with the frame at the chain's place and its z axis along one of (n, 3) directions.
 
     Args:
-        robot: The robot.
         begin: (dof,) configuration from which the arm comes.
         chain: The robot as arrays, with the place.
         directions: (n, 3) unit vectors.

@@ -164,15 +164,9 @@ class Frame(Record):
         """Check what a frame is made of; arguments are the attributes.
 
         Args:
-            robot: The arm.
             points: (n, 3), or (rows, columns, 3); no points are allowed.
-            radius: The same.
             pose: Camera to `base_link`: a (4, 4) matrix, or six numbers, x, y, z [m] and roll, pitch, yaw about fixed
                 axes [deg]; None where the points are in `base_link`.
-            joints: The same.
-            keep_s: The same.
-            time_s: The same.
-            base_track: The same.
 
         Raises:
             InputError: Points, a pose or joints that are none; a pose that is no rigid motion.
@@ -262,9 +256,6 @@ def filter_frame(
     """Make a frame's points few, and leave out what is no obstacle.
 
     Args:
-        robot: The arm.
-        frame: The frame.
-        options: How.
         ignored: Solids whose points are left out.
         clearance_m: Clearance that the arm will keep: so much farther points matter [m].
         before: What the frames before it have seen; None for nothing.

@@ -278,9 +278,6 @@ def mark_isolated(voxels: Voxels, placement: Placement, least: int, distance: fl
     or in two that touch.
 
     Args:
-        voxels: The voxels.
-        placement: What is within reach.
-        least: So many points are not few.
         distance: A point with so many within this distance, itself among them, stays [m].
         isolated: (m,) written.
     """
@@ -341,9 +338,7 @@ def middles(
 
     Args:
         points: (n, 3) points in the camera's frame [m].
-        placement: Where the camera is.
         numbers: (n,) the voxel of each point; -1 for none.
-        voxels: The voxels.
         dropped: (m,) voxels that do not stay.
 
     Returns:

@@ -28,8 +28,6 @@ def solids_named(scene: Scene, names: Sequence[str], cloud: str, time_s: float |
     """The solids of fruits and obstacles of some names, where they are at a time as the base sees them.
 
     Args:
-        scene: The scene.
-        names: The names.
         cloud: The name that stands for the cloud itself, which none of them may be.
         time_s: The time, as the tracks of the scene count it [s]; None where none of them moves.
 

@@ -80,7 +80,6 @@ class RunningMotion:
     """A motion that runs, among obstacles as they are now.
 
     Attributes:
-        plan: What runs.
         row: The last row up to now.
         begins_s: When that row is, since the motion began [s].
     """
@@ -97,10 +96,7 @@ class RunningMotion:
         """Take it up now.
 
         Args:
-            plan: What runs.
-            cache: What earlier plans have left.
             scene: Obstacles and task as they are now; its tracks count on the controller's clock.
-            options: How to plan.
             now: The time on the controller's clock; None for when the motion began [s].
             measured: (dof,) where the arm is then; None where it is taken to be on the motion.
 

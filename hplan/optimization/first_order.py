@@ -139,8 +139,6 @@ def first_order(
     Args:
         motion: The motion; the outer three control points at each end move with the pace alone. Unknowns are the
             changes of the others in the movable joints, one control point after the other.
-        limits: What the motion has to keep.
-        field: Arm and obstacles.
         margin: Clearance asked for at `PLACES` of each piece, or a little more than there is if that is less [m].
         trust: Largest change of a control point in a joint [rad].
     """
@@ -296,8 +294,6 @@ def _places(
     Args:
         control: (n, dof) control points.
         knots: (n + 4,) knots.
-        limits: What the motion has to keep.
-        field: Arm and obstacles.
         matters: The margin, and the trust.
     """
     (margin, trust), movable = matters, limits.movable
@@ -369,12 +365,9 @@ def _add_clearances(
     """A row for each link that is near something, in multiples of `NEAR`; the number of rows so far is returned.
 
     Args:
-        rows: The program.
         row: Number of rows so far.
         places: Where clearance is kept, (n, dof) changes of the control points with the pace, and (n, dof) control
             points.
-        limits: What the motion has to keep.
-        field: Arm and obstacles.
         margin: Clearance asked for.
     """
     (q, weight, speed, clear, slopes), drift, control = places

@@ -85,10 +85,8 @@ def solve(rows: ProgramRows, count: int, band: int, accuracy: float, until: Floa
     """The solution of a program.
 
     Args:
-        rows: Its inequalities.
         count: Number of unknowns besides the pace.
         band: Largest difference between columns of a row.
-        accuracy: How near to the least pace.
         until: How long it may take (`hplan.base.deadline`).
 
     Returns:
@@ -206,12 +204,9 @@ def _direction(
     """Newton's direction towards residuals and complementarity zero, written into `step`.
 
     Args:
-        rows: The program.
         point: Where it begins.
         known: Residuals, products of slack and multiplier to be taken away, gradient; and room for a value of each row.
-        normal: The normal equations there.
         corner: What is left of their last equation when the others are solved.
-        step: The direction.
     """
     residual, product, gradient, move = known
     count, total = len(gradient) - 1, len(rows.upper)

@@ -107,7 +107,6 @@ def rough_motion(start: TimedMotion, problem: TimeProblem, effort: Effort) -> Ti
 
     Args:
         start: A clear motion from rest to rest, about within the limits.
-        problem: What is to be kept.
         effort: What may be spent.
     """
     return _of_level(start, _without_torque(problem), effort.levels[0])
@@ -120,7 +119,6 @@ def minimize_time(
 
     Args:
         start: A clear motion from rest to rest, about within the limits, between the same positions.
-        problem: What is to be kept.
         effort: What may be spent.
         rough: What `rough_motion` makes of the start, if that is known.
 
@@ -276,8 +274,6 @@ class _Step(NamedTuple):
     """A motion after a step.
 
     Attributes:
-        spline: The motion.
-        part: How much of the step was taken.
         pace: The pace that its program gives.
     """
 

@@ -28,7 +28,6 @@ class PostprocessOptions:
         upper: (dof,) joint limits.
         velocity: (dof,) velocity limits [rad/s].
         acceleration: (dof,) acceleration limits [rad/s^2].
-        movable: Joints that may move.
         margin: Clearance asked for wherever a motion is evaluated [m].
     """
 

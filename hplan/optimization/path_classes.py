@@ -27,7 +27,6 @@ def class_numbers(paths: FloatArray, field: ClearanceField) -> IntArray:
 
     Args:
         paths: (n, k, dof) corresponding points of the paths, between the same ends.
-        field: Arm and obstacles.
     """
     number = _class_numbers(np.array(paths), field.arrays)
     check_deadline()

@@ -37,8 +37,6 @@ def clear_spline(
 
     Args:
         path: (m, dof) waypoints, clear.
-        field: Arm and obstacles.
-        options: Joint limits and movable joints.
         count: Number of control points, >= 4.
         margin: Clearance asked for at the samples [m]; half of it wherever the proof evaluates it.
 

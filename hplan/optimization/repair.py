@@ -37,7 +37,6 @@ def repaired(
 
     Args:
         path: (m, dof) configurations.
-        field: Arm and obstacles.
         lower: (dof,) joint limits.
         upper: (dof,) joint limits; equal to `lower` for a joint that may not move.
         margin: Clearance asked for wherever a motion is evaluated [m].
@@ -68,7 +67,6 @@ def pushed_clear(
 
     Args:
         path: (m, dof) configurations; the first and the last stay.
-        field: Arm and obstacles.
         lower: (dof,) joint limits.
         upper: (dof,) joint limits; equal to `lower` for a joint that may not move.
         margin: Clearance asked for wherever a motion is evaluated [m].
@@ -102,7 +100,6 @@ def leave_contact(
 
     Args:
         q: (dof,) configuration.
-        field: Arm and obstacles.
         lower: (dof,) joint limits.
         upper: (dof,) joint limits; equal to `lower` for a joint that may not move.
         margin: Clearance asked for wherever a motion is evaluated [m].

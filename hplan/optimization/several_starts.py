@@ -53,7 +53,6 @@ class OptimizationStart(NamedTuple):
 
     Attributes:
         number: Of the path.
-        problem: What is to be kept.
         profile: About the fastest motion along a smooth path near it.
     """
 

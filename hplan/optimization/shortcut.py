@@ -37,7 +37,6 @@ def shorten(path: FloatArray, field: ClearanceField, *, margin: float, rounds: i
 
     Args:
         path: (m, dof) waypoints, verified collision-free.
-        field: Arm and obstacles.
         margin: Clearance asked of shortcuts wherever they are evaluated [m]; what stays of the path keeps its own.
         rounds: Number of shortcuts tried.
 

@@ -40,8 +40,6 @@ def clear_path(path: FloatArray, field: ClearanceField, options: PostprocessOpti
 
     Args:
         path: (m, dof) waypoints, m >= 2.
-        field: Arm and obstacles.
-        options: Limits and margin.
 
     Raises:
         InputError: The path ends where it begins.
@@ -103,7 +101,6 @@ def clear_start(
 
     Args:
         path: (m, dof) waypoints, clear, m >= 2.
-        field: Arm and obstacles.
         options: Limits, margin and effort.
         counts: Numbers of control points tried in turn.
     """

@@ -29,11 +29,9 @@ class TimeProblem(Record):
     """What a fastest motion has to keep.
 
     Attributes:
-        field: Arm and obstacles.
         near: What is near the motion to begin with.
         options: Joint limits, movable joints and margin.
         limits: Velocity, acceleration, torque and jerk limits.
-        dynamics: Torques of the arm's motions.
         rate_hz: Rows per second.
         ends: The states in which it begins and ends; None where both are at rest.
         sway: (links, dof) by how much tracking errors bring each link nearer to obstacles for a unit of each joint's
@@ -137,9 +135,7 @@ class TimeProblem(Record):
         """The step that is best to first order; None where none is found.
 
         Args:
-            spline: The motion.
             trust: Largest change [rad].
-            gap: How near to the best pace.
             least: Least pace; None where there is none.
 
         Returns:

@@ -49,8 +49,6 @@ class Approach:
 
     Attributes:
         context: The arm among its obstacles, and options.
-        target: What is grasped.
-        grasp: How.
     """
 
     context: PlanningContext
@@ -160,8 +158,6 @@ def blended(
     """The quickest motion without a stop at the stand-offs; None where the one with stops is as quick.
 
     Args:
-        task: What is asked of the transit.
-        transit: The transit from rest to rest.
         before: From where the arm retreats before it; None where the transit begins at rest.
         after: What it approaches after it; None where the transit ends at rest.
 

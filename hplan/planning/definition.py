@@ -47,7 +47,6 @@ def check_problem(world: World, start: ArrayLike, goal: ArrayLike, *, locked_joi
     """Check two configurations and locked joints against an arm and what it must keep clear of.
 
     Args:
-        world: Arm and obstacles.
         start: (dof,) configuration.
         goal: (dof,) configuration.
         locked_joints: Names of joints that keep their start value.

@@ -61,8 +61,6 @@ class EnclosedError(NoPathError):
         """Store what is known at once.
 
         Args:
-            task: The motion that was to be planned.
-            attempt: The grid.
             reached_cells: Number of the region's nodes; of several goals' regions that of all together.
             region: Where the end is enclosed; without it, it is not known what bounds it.
             open_ended: True if it ends at the edge of the yaws that were looked at, so that more might open it.
@@ -113,8 +111,6 @@ def open_ended(problem: Problem, grid: Grid, reached: WordArray) -> bool:
     """Return True if a region over yaws ends at the edge of the grid's yaws, and more yaws are within the limits.
 
     Args:
-        problem: The limits.
-        grid: Planar joints and yaw.
         reached: (rows, words) the region, without border.
     """
     ever = np.bitwise_or.reduce(reached)
@@ -136,7 +132,6 @@ def enclosed_goals(
 
     Args:
         tasks: One for each goal, from the same start among the same obstacles.
-        attempt: The grid.
         margins: For each goal the clearance asked of the motions that join it to the grid [m].
         explained: Whether the error of the first goal holds the region that shows it.
 

@@ -295,8 +295,6 @@ def _blocked(
     """The error that names what is in the way, the most frequent first.
 
     Args:
-        target: The point to reach.
-        ranges: Where joints are blocked.
         configurations: (n, dof) those that reach it.
         refined_to: How many more were tried, and the largest clearance of all [m].
     """

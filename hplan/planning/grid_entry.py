@@ -39,8 +39,6 @@ def grid_entry(task: PlanningTask, space: Occupancy, which: Literal["start", "go
     """The nodes that start or goal is joined to nearby; in a tight place those that a path out of it leads to.
 
     Args:
-        task: The motion to plan.
-        space: Which nodes are free.
         which: The end to join.
         margin: Clearance asked of the motions that join them, wherever they are evaluated [m].
 
@@ -65,10 +63,8 @@ def joined_nodes(
     """The free nodes that a straight motion verified collision-free leads to, the nearest first.
 
     Args:
-        occupancy: Which nodes are free.
         q: (dof,) configuration; joints that are no axis of the grid keep their values.
         axes: (d,) the joint behind each axis of the grid.
-        field: Arm and obstacles.
         margin: Clearance asked for wherever the motion is evaluated [m].
 
     Yields:

@@ -26,8 +26,6 @@ class Route(Record):
     """A path over the grid.
 
     Attributes:
-        occupancy: The C-space that was searched.
-        search: The search.
         path: (m, dof) configurations from start to goal.
         step_deg: Largest spacing of the grid [deg].
     """
@@ -43,7 +41,6 @@ def find_route(task: PlanningTask, attempt: GridAttempt, margin: float) -> Route
 
     Args:
         task: Arm, obstacles and what is asked.
-        attempt: Grid and growth.
         margin: Clearance asked of motions to the grid, wherever they are evaluated [m].
 
     Raises:

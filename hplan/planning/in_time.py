@@ -51,10 +51,7 @@ def plans_in_time(
     """Ever quicker certified plans among obstacles of which some move.
 
     Args:
-        robot: The arm.
         scene: The scene, and the task.
-        options: How to plan.
-        plans_of: Plans of another scene.
         stop: How a start in motion might be brought to rest, in addition to what is tried anyway; None for none.
 
     Raises:
@@ -103,10 +100,7 @@ def certified_in_time(
     """What is shown of a motion among what moves.
 
     Args:
-        robot: The arm.
         scene: The scene, whose clock is the motion's.
-        options: How to plan.
-        motion: The motion.
         direct: Whether a fruit may be touched all the time: there is no approach.
         check_ends: Whether it is a whole motion, not a stop, which need not get to the goal.
     """

@@ -47,8 +47,6 @@ class Motion(Record):
     """A certified motion: a phase of a plan or of a tour.
 
     Attributes:
-        name: The name of its phase.
-        trajectory: The timed motion.
         certificate: What was shown of it.
     """
 
@@ -72,10 +70,8 @@ class Transit(Motion):
     """A certified motion from configuration to configuration, with what it was made from.
 
     Attributes:
-        task: What was asked.
         waypoints: (m, dof) the polyline before post-processing.
         path: The smooth path; None for an empty motion. Of a motion optimised with its timing the parameter is time.
-        origin: Where the waypoints come from.
         route: The path over the grid; None where none was needed.
     """
 
@@ -94,9 +90,7 @@ class InTime(NamedTuple):
     """A plan as it is run past what moves.
 
     Attributes:
-        trajectory: The timed motion.
         certificate: What was shown of it.
-        phases: Its parts.
         report: What was done about what moves.
     """
 
@@ -144,7 +138,6 @@ class Polyline(NamedTuple):
 
     Attributes:
         waypoints: (m, dof) its waypoints.
-        origin: Where they come from.
         route: The path over a grid that it is; None for none.
     """
 
@@ -179,7 +172,6 @@ def quickest(
     Where none can be optimised with its timing, or that is not asked for, that along the first that leads to one.
 
     Args:
-        task: What is asked.
         polylines: Clear polylines between the same ends, at least one.
         margin: Clearance asked for beyond the one to keep [m].
         quicker_than_s: Longest duration of a motion that is of use [s].
@@ -283,8 +275,6 @@ def time_problem(
     """What the fastest motion near a given one has to keep.
 
     Args:
-        task: What is asked.
-        motion: The motion to begin with.
         ends: The states in which the fastest one begins and ends; None where both are at rest.
     """
     along = motion.position[np.linspace(0, motion.samples - 1, 33).astype(int)]
@@ -333,7 +323,6 @@ def certified_trajectory(
 
     Args:
         context: Arm, obstacles and options.
-        path: The path.
         among: The obstacles that a trajectory along it is certified among; those of the context where this is None.
         grid: Path parameters at which its speed is chosen, as `hplan.trajectory.retime.time_path` takes them.
 
@@ -367,7 +356,6 @@ def timed(
 
     Args:
         context: Arm, obstacles and options.
-        path: The path.
         limits: What it may use; those of the context where this is None.
         grid: Path parameters at which the speed is chosen; None for those that suit any path.
 
@@ -390,7 +378,6 @@ def certificate_of(
 
     Args:
         context: Arm, obstacles and options.
-        trajectory: The timed motion.
         among: The obstacles that it is certified among, stretch by stretch; those of the context where this is None.
         rest_to_rest: Whether it has to begin and end at rest.
     """

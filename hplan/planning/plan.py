@@ -99,9 +99,6 @@ def plan_with(
     The deadline counts from the beginning of the limit of time that this is called in, or else from this call.
 
     Args:
-        cache: What they have left.
-        scene: Obstacles and task.
-        options: How to plan.
         progress: Called with the name of each stage as it begins.
         before: An earlier motion, to be kept or repaired where that can be (`hplan.planning.transits.reused`).
         stop: How a start in motion might be brought to rest, in addition to what is tried anyway.

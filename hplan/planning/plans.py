@@ -159,7 +159,6 @@ def plans_to_grasps(
 
     Args:
         context: Arm, scene and options.
-        target: What is grasped.
         found: Its grasps, those that promise the shortest motions first.
         start: (dof,) configuration from which the arm comes.
         task_to: The motion to plan to a grasp, where it is not that to its stand-off among what the target has there;

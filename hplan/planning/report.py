@@ -61,9 +61,7 @@ def certificate_report(certificate: Certificate, options: PlanOptions, scene: Sc
     """A certificate, and what it is about, as `report.json` has it.
 
     Args:
-        certificate: The certificate.
         options: How it was asked for: tracking error and standard deviations.
-        scene: What it was asked for.
     """
     nearest, digests, until = certificate.nearest, certificate.digests, certificate.clear_until_s
     told = [{"fruit": at.fruit.name, "begin_s": at.begin_s, "end_s": at.end_s} for at in certificate.contacts]
@@ -108,7 +106,6 @@ def deadline_report(limit: TimeLimit, count: int, first_s: float, *, cut_short: 
     """The part of a plan's report that says what there was time for.
 
     Args:
-        limit: The deadline.
         count: How many motions were certified, each quicker than the one before.
         first_s: When there was the first one [s].
         cut_short: Whether the deadline came before all that the options ask for was done.

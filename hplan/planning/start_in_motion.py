@@ -42,7 +42,6 @@ def plans_in_motion(
 
     Args:
         context: Arm, obstacles and options.
-        state: How they begin.
         plans_from: Ever quicker plans that begin at rest at a configuration; raises where there is none.
         stop: A motion from the state to rest to be tried before others; None for none.
 
@@ -176,8 +175,6 @@ def stops(robot: Robot, state: BoundaryState, period: float, given: Trajectory |
     """Motions from a state to rest: the given one, each joint as quickly as it can, all joints at once; then slower.
 
     Args:
-        robot: The arm.
-        state: How they begin.
         period: Time between their rows [s].
         given: The one to be tried before others; None for none.
     """

@@ -57,11 +57,8 @@ class PlanningContext(Record):
 
     Attributes:
         world: The arm and what it must keep clear of.
-        scene: Where that comes from.
-        options: How to plan.
         effort: What may be spent on a motion.
         layers: Planar layers that are already there.
-        clock: Where time is noted.
         progress: Called with the name of each stage as it begins.
     """
 

@@ -59,7 +59,6 @@ def candidates_at(
     """Configurations with the tool at a position; of a planar arm all of them, up to about `count` samples.
 
     Args:
-        robot: The robot.
         position: (3,) in `base_link` [m].
         approach_deg: Approach angle, or an interval of it; None for all [deg].
         count: About how many configurations, or directions of the tool.
@@ -99,8 +98,6 @@ def finer_candidates(
     directions.
 
     Args:
-        robot: The robot.
-        evenly: Those found.
         within: Configurations at an approach angle, within an interval or at all of them, about so many.
         clearance: Clearance of a (dof,) configuration [m].
         enough: Clearance that is enough [m].
@@ -131,9 +128,7 @@ def straight_approaches(
     """Straight approaches to (k, dof) goals, by their length [m].
 
     Args:
-        robot: The robot.
         goals: (k, dof) configurations.
-        locked: Names of joints that stand still.
         keeps_turn: Whether the tool of a general (non-planar) arm may not turn about its axis.
     """
     if robot.planar is None:
@@ -182,7 +177,6 @@ def tool_thickness(robot: Robot, deviation: float) -> float:
     """How far a tool at a point stands out towards it or, of a planar arm, about it, with joints off by so much [m].
 
     Args:
-        robot: The robot.
         deviation: By how much every joint may be off [rad].
     """
     if robot.planar is not None:

@@ -34,8 +34,6 @@ class World(Record):
     """An arm among solids.
 
     Attributes:
-        robot: The arm.
-        solids: What it keeps clear of.
         clearance: Clearance to keep from all of them [m].
         deviation: By how much every joint may be off where the arm rests [rad].
         growth: (solids,) clearance to keep from each beyond that, for its uncertainty [m].
@@ -66,8 +64,6 @@ class World(Record):
         """Make solids ready.
 
         Args:
-            robot: The arm.
-            solids: What it keeps clear of.
             clearance: Clearance to keep [m].
             tracking_error: Deviation of any joint at rest that is to be allowed for [rad].
             sigmas: How many standard deviations of its place an obstacle grows by.
@@ -148,9 +144,6 @@ class World(Record):
 
         The ground may touch the pedestal.
 
-        Args:
-            yaw: Yaw of the turret.
-
         Raises:
             InputError: There is one; names it, the body and the depth.
         """
@@ -176,7 +169,6 @@ def check_clear(checker: CoalScene, q: FloatArray, clearance: float, which: str,
     """Distance of a configuration beyond the clearance to keep [m], inf without obstacles.
 
     Args:
-        checker: The arm among the obstacles.
         q: (dof,) configuration.
         clearance: Clearance to keep [m].
         which: Name of the configuration, for the error.
@@ -207,7 +199,6 @@ def without_inside(robot: Robot, scene: Scene) -> tuple[Scene, tuple[str, ...]]:
     clouds stay, of which only a part is inside. Where the goal is a fruit that is left out, the next one is the goal.
 
     Args:
-        robot: The arm.
         scene: The scene; the turret is taken as it stands at the start.
 
     Returns:

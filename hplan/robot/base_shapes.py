@@ -37,9 +37,7 @@ class BaseShape:
 
     Attributes:
         number: Its place among the geometry objects of `Robot.collision_model`.
-        name: Name of its body in the URDF.
         carrier: `TURRET` or `GROUND`.
-        geometry: The shape in coal.
         placement: Its place in `base_link` at yaw 0.
         points: (k, 3) points in `base_link` at yaw 0 whose hull, grown by `rounding`, holds it [m]; where it is round,
             the hull of all that they sweep about the yaw axis.
@@ -156,8 +154,6 @@ def ever(distance: Callable[[float], float], low: float, high: float, rate: floa
 
     Args:
         distance: The distance at a place [m].
-        low: First place.
-        high: Last place.
         rate: Its Lipschitz constant: |d(a) - d(b)| <= rate |a - b|.
         level: The level [m].
     """

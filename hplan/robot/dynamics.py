@@ -52,7 +52,6 @@ class InverseDynamics(Record):
     """Pinocchio's model, and its joints and bodies as one flat array.
 
     Attributes:
-        model: Pinocchio's model.
         bodies: (nv, 18, 3) each joint and its body; None where the model has joints other than of one fixed axis, for
             which Pinocchio is asked.
         sizes: (nv, 6) of each body the distance of its joint from its parent's (of one that slides, at 0) and of its

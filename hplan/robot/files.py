@@ -60,7 +60,6 @@ class RobotFiles:
     """Where the files of a robot are.
 
     Attributes:
-        urdf: The URDF.
         tool_frame: Frame at the end of the arm.
         srdf: The SRDF, if there is one.
         limits: The limits file, where it is not the one in the folder of the URDF.
@@ -122,7 +121,6 @@ def read_srdf(path: Path, links: Collection[str] | None = None) -> tuple[tuple[s
     Pairs that it leaves out because they were never seen to touch are not among them.
 
     Args:
-        path: The file.
         links: Names of the robot's links; None where it is not known whose file it is.
 
     Raises:
@@ -167,7 +165,6 @@ def build_models(
 
     Args:
         urdf_path: The file, in whose folder meshes are.
-        urdf: What it says.
         text: Its XML where that is not the file's.
 
     Raises:
@@ -230,8 +227,6 @@ def find_limits(
 
     Args:
         urdf_path: The URDF; the limits file is `NAME.limits.yaml` in its folder, of `NAME.urdf.xacro` too.
-        urdf: What it says.
-        joint_names: The joints that move.
         given: The limits file, where it is another one.
         held: Joints that the file may name too.
 
@@ -277,8 +272,6 @@ def read_limits(
     """Read acceleration [rad/s^2, m/s^2] and, where given, jerk limits [rad/s^3, m/s^3] in the order of `joint_names`.
 
     Args:
-        path: The file.
-        joint_names: The joints that move.
         slides: Of each of them whether it slides: its limits are in metres, and may stand in `acceleration_m_s2` and
             `jerk_m_s3`.
         others: Joints that the file may name too, in either.

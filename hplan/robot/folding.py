@@ -68,7 +68,6 @@ def folded_angles(arm: PlanarArm, fold: Fold, radius: float) -> list[tuple[float
 
     Args:
         arm: The planar chain; its limits are those that count.
-        fold: The neighbours.
         radius: Distance of their axes [m].
     """
     joint = fold.inner + 1

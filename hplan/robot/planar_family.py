@@ -74,7 +74,6 @@ class PlanarFamily(Record):
     Attributes:
         has_yaw: True where joint 0 turns the arm plane about the vertical.
         yaw_axis: (2,) where that vertical stands in `base_link` [m]; zeros without a yaw.
-        arm: The planar chain.
         plane_origin: (3,) shoulder position at yaw 0, in `base_link` [m].
         plane_axes: (2, 3) the plane's horizontal and upward unit vectors at yaw 0.
     """

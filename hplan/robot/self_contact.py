@@ -65,12 +65,10 @@ class BaseBody:
     """A convex shape of turret or pedestal that some link can touch.
 
     Attributes:
-        name: Name of its body in the URDF.
         shape: Its number among the geometry objects of `Robot.collision_model`.
         carrier: `TURRET` or `GROUND`.
         core: (k, 3) points in `base_link`, at yaw 0, whose hull, grown by `rounding`, holds it [m].
         rounding: Radius about the core [m].
-        links: The links that can touch it.
         is_round: Whether it is the same at every yaw.
     """
 
@@ -123,7 +121,6 @@ def self_contact(robot: Robot, *, deviation: float = 0.0, clearance: float = 0.0
     """The pairs of a robot that can touch, decided once.
 
     Args:
-        robot: The arm.
         deviation: How far any joint may be beyond its limits [rad]: the tracking error.
         clearance: Distance that parts have to keep [m]. Parts that are always nearer than that, as a low shoulder is to
             the pedestal, are asked only whether they can touch.
@@ -155,7 +152,6 @@ def pair_sway(robot: Robot, link: int, other: int, deviation: ArrayLike) -> Floa
     """Tracking-error displacement bound of a link as seen from another part, with joints off by `deviation` at most.
 
     Args:
-        robot: The arm.
         link: The link, or `TURRET` for the turret against what stands still.
         other: A link before it, `TURRET` or `GROUND`; with `SHAPED` added of the link's shapes, which turn as well.
         deviation: One number for all joints, or (..., dof) [rad].
@@ -186,7 +182,6 @@ def pair_rates(robot: Robot, link: int, other: int, rates: FloatArray) -> FloatA
     """Largest speeds of points of a link, seen from another part of the arm.
 
     Args:
-        robot: The arm.
         link: The link, or `TURRET` for the turret against what stands still.
         other: A link before it, `TURRET` or `GROUND`; with `SHAPED` added of the link's shapes, which turn as well.
         rates: (pieces, c, dof) joint rates of each piece of a motion; every rate within it lies in the hull of its c.

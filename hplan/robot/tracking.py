@@ -81,11 +81,8 @@ def name_margin(
     """Let an error say that what it refuses was refused for a tracking error, and the largest that would do.
 
     Args:
-        error: The error.
-        asked: The tracking error asked for.
         slides: Of each joint whether it slides.
         fraction: Fraction of it that would do; where none would, the error has another reason and is left as it is.
-        enough: The words for that.
     """
     if not fraction > 0.0:
         return

@@ -67,7 +67,6 @@ class AdaptedUrdf(Record):
     """A URDF after the pass.
 
     Attributes:
-        urdf: Its content.
         text: Its XML; None where that is the file's.
         continuous: Names of the joints that turn without end, and move.
         held: Where joints stand that were made fixed, by name [rad, m]; of joints of several coordinates, None.
@@ -85,7 +84,6 @@ def adapt_urdf(path: Path, root: ET.Element, choice: RobotChoice) -> AdaptedUrdf
     Args:
         path: The file, for messages and for what is looked for around it.
         root: Its root element; it is changed.
-        choice: What the caller says.
 
     Raises:
         RobotFileError: What `read_urdf` refuses; a mesh that is not found; a joint that mimics one that does not exist,

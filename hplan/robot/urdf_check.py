@@ -33,7 +33,6 @@ def check_models(path: Path, urdf: Urdf, model: pin.Model, collision_model: pin.
 
     Args:
         path: The file, for messages.
-        urdf: What it says.
         model: Pinocchio's kinematic model, not reduced.
         collision_model: Its collision model, if it is to be compared.
 

@@ -111,9 +111,7 @@ class Link:
 
     Attributes:
         element: Its `<link>`.
-        name: Its name.
         inertial: Mass and inertia, where the file gives them.
-        shapes: Collision geometry.
     """
 
     element: ET.Element
@@ -128,7 +126,6 @@ class Joint:
 
     Attributes:
         element: Its `<joint>`.
-        name: Its name.
         kind: `revolute`, `continuous`, `prismatic`, `fixed`, `floating` or `planar`.
         parent: Name of the link that carries it.
         child: Name of the link that it moves.
@@ -150,12 +147,7 @@ class Joint:
 
 @dataclass(frozen=True, eq=False)
 class Urdf:
-    """A robot as its file describes it.
-
-    Attributes:
-        links: Links by name.
-        joints: Joints by name.
-    """
+    """A robot as its file describes it."""
 
     links: Mapping[str, Link]
     joints: Mapping[str, Joint]
@@ -169,7 +161,6 @@ def read_urdf(path: Path, root: ET.Element, *, any_robot: bool = False) -> Urdf:
 
     Args:
         path: The file, for messages.
-        root: Its root element.
         any_robot: Whether it is a robot of others, for its joints and inertias alone: shapes are not read.
 
     Raises:

@@ -100,7 +100,6 @@ def box_centres(points: FloatArray, numbers: ShortArray, count: int) -> tuple[Fl
     Args:
         points: (n, 3) points.
         numbers: (n,) number of each.
-        count: How many numbers there are.
 
     Returns:
         (count, 3) middles, and the distance of the farthest point from its one.

@@ -134,7 +134,6 @@ class _ClippedPart:
         high: (3,) upper corner of the box [m].
         triangles: (n, 3, 3) the surface clipped by it [m].
         thickening: (k, 3) by what its points are shifted to make it a body; one row of zeros where it is one [m].
-        hull: The convex hull.
     """
 
     low: FloatArray

@@ -28,7 +28,6 @@ def corner_table(corners: FloatArray, first: int, table: int) -> FloatArray:
     Args:
         corners: (n, 3) corners.
         first: Place of their first coordinate among the numbers that kernels are given, x, y, z of each in turn.
-        table: Place of the table there.
 
     Returns:
         Numbers: for each octant (1 for x > 0, 2 for y > 0, 4 for z > 0, added) the place of a corner; for each corner,

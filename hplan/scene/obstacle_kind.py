@@ -187,7 +187,6 @@ def posed(solid: Solid, rotation: FloatArray, shift: FloatArray) -> Solid:
     """The solid with each of its points x at `rotation @ x + shift`.
 
     Args:
-        solid: The solid.
         rotation: (3, 3) rotation.
         shift: (3,) shift [m].
     """

@@ -152,10 +152,6 @@ class PointSet(_Cached):
 def read_surface(path: Path, budget: ByteBudget) -> Surface:
     """Read a mesh file.
 
-    Args:
-        path: The file.
-        budget: How large it may be.
-
     Raises:
         ValueError: It is too large, cannot be read, or its surface is not closed, flat or inside out.
     """
@@ -168,10 +164,6 @@ def read_surface(path: Path, budget: ByteBudget) -> Surface:
 
 def read_points(path: Path, budget: ByteBudget) -> PointSet:
     """Read a file of points; of a mesh, its vertices. Rows that are not finite are left out, as a camera writes them.
-
-    Args:
-        path: The file.
-        budget: How large it may be.
 
     Raises:
         ValueError: It cannot be read, is empty or too large, or none of its points is finite.

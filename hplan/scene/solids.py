@@ -193,7 +193,6 @@ def hull_of(points: FloatArray, name: str = "", *, most: int = HULL_VERTICES) ->
 
     Args:
         points: (n, 3) points that do not lie in one plane [m].
-        name: Name of the obstacle.
         most: Most vertices, 14 or more.
 
     Returns:
@@ -295,7 +294,6 @@ class Cloud(Record):
     """Many balls of one radius.
 
     Attributes:
-        name: Name of the obstacle.
         core: (n, 3) centres [m], in the order of the tree.
         rounding: Radius of every ball [m].
         tree: (nodes, 7) the tree, each node before its children: first centre and the one past the last; the number

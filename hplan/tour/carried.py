@@ -23,7 +23,6 @@ def carrying(robot: Robot, radius: float) -> Robot:
     carries it.
 
     Args:
-        robot: The arm.
         radius: Radius of the fruit [m].
     """
     if robot.planar is not None:

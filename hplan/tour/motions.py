@@ -63,7 +63,6 @@ class _Step(NamedTuple):
     Attributes:
         name: The name of its phase; that of its motions where it is empty.
         place: The place that it approaches and retreats from; None from stop to stop.
-        stops: The stops that it is between.
         loaded: Whether the arm carries something.
     """
 
@@ -90,7 +89,6 @@ class Motions:
             empty: The arm as it is, among the obstacles and all fruits that hang among them.
             loaded: The arm as it carries; None where nothing is carried.
             here: Where the tour begins.
-            home: Where it ends if it goes back.
             drop: The drop-off, and how to get there from `home`; None where nothing is carried.
             every: How many fruits are carried at most.
             back: True if the tour goes back.
@@ -121,7 +119,6 @@ class Motions:
         """Find grasps of a fruit: one that the hub is shown to lead to, and others by their bounds alone.
 
         Args:
-            fruit: The fruit.
             keep: Among how many grasps the best is sought at a time.
 
         Raises:
@@ -195,7 +192,6 @@ class Motions:
         """The legs of a tour: the fruit's name, how it is taken, the motions there and, if it is, to the drop-off.
 
         Args:
-            visits: The tour.
             back: True if a leg back follows, without a fruit.
             stops: True if the arm stops between legs.
         """
@@ -325,7 +321,6 @@ def drop_off(goal: Goal, empty: PlanningContext, loaded: PlanningContext, start:
 
     Args:
         goal: Joints, a position or a pose.
-        empty: The arm as it is.
         loaded: The arm as it carries.
         start: (dof,) configuration from which it comes.
 

@@ -122,7 +122,6 @@ def best(costs: Costs, before: IntArray | None = None, kicked: bool = True) -> V
     """The best tour: exact for few fruits, else a local optimum.
 
     Args:
-        costs: Costs from place to place.
         before: (n,) order of the fruits from which to go on.
         kicked: True if disturbed orders are tried, where the order is the one from before.
     """

@@ -45,12 +45,7 @@ class Leg(Record):
 
 @dataclass(frozen=True, eq=False)
 class Unreached:
-    """A fruit that is not picked.
-
-    Attributes:
-        fruit: Its name.
-        error: Why.
-    """
+    """A fruit that is not picked."""
 
     fruit: str
     error: HplanError

@@ -22,7 +22,6 @@ def braking(
     """The quickest stop of each joint; None where it takes too many rows.
 
     Args:
-        robot: The arm.
         position: (dof,) where it is.
         velocity: (dof,) [rad/s].
         acceleration: (dof,) [rad/s^2].

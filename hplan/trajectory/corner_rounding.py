@@ -88,7 +88,6 @@ def clear_rounding(path: FloatArray, field: ClearanceField, *, margin: float) ->
 
     Args:
         path: (m, dof) waypoints, m >= 2, clear at `margin`, no two neighbours equal.
-        field: Arm and obstacles.
         margin: Clearance the polyline has wherever it was evaluated [m]; half of it is asked of the spline.
 
     Raises:

@@ -61,7 +61,6 @@ class SpeedProfile:
     constant, on the path's tangent where that leads beyond its ends.
 
     Attributes:
-        path: The path.
         grid: (n,) path parameters.
         speed: (n,) ds/dt there.
         arrival: (n,) times.

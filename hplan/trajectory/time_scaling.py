@@ -56,8 +56,6 @@ def rescaled(
     """The motion at other speeds from a row on, its rows as dense as keeps it on the path.
 
     Args:
-        motion: The motion.
-        robot: The arm.
         row: Where the new timing begins.
         wanted: (n,) times since then -> (n,) speed factors.
         final_s: From this time after the row on the motion is at its end as soon as it is at rest.

@@ -71,8 +71,6 @@ def run_clock(clocks: Clocks, kept: Kept, period: float, final: int) -> tuple[in
     """Control points of the motion at other speeds.
 
     Args:
-        clocks: The motion and what is wanted.
-        kept: Limits.
         period: Time between rows [s].
         final: From this row on the motion ends once it is at rest.
 
@@ -137,7 +135,6 @@ def _towards(before: float, wanted: float, ahead: float, most: float) -> float:
 
     Args:
         before: The step before.
-        wanted: The one wanted.
         ahead: By how much the change may itself change from row to row.
         most: Largest change.
     """

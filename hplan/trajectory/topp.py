@@ -51,8 +51,6 @@ def fastest_speed(
     """Path speed ds/dt at the grid points of the fastest motion.
 
     Args:
-        path: The path.
-        dynamics: Torques of the robot's motions.
         limits: Velocity, acceleration and, where given, torque limits.
         grid: (n,) increasing path parameters.
         rates: (2,) path speeds at the ends.

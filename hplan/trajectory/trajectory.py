@@ -350,7 +350,6 @@ def check_units(slides: Mapping[str, bool], robot: Robot) -> None:
 
     Args:
         slides: Of each joint, by name, whether it is in metres; those of which that is not known are left out.
-        robot: The robot.
 
     Raises:
         InputError: There is one; names it and its columns.

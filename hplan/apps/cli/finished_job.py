@@ -23,7 +23,6 @@ class FinishedJob:
     """The report of a finished job, and where its motion is.
 
     Attributes:
-        path: The report's file.
         report: Its content; `certificate` and the digests in it are there.
         trajectory_paths: The files of its motion: one, or one for each leg of a tour.
     """

@@ -45,19 +45,13 @@ _STAGING = ".hplan-job-"
 
 
 class JobFolder:
-    """A folder, and the files in it that are a job's.
-
-    Attributes:
-        path: The folder.
-    """
+    """A folder, and the files in it that are a job's."""
 
     def __init__(self, path: Path, files: Sequence[str], report: str) -> None:
         """Change nothing yet.
 
         Args:
-            path: The folder.
             files: Names of a job's files, or patterns of them; first its trajectory.
-            report: Name of the report.
         """
         self.path = path
         self._files = (*files, report)
@@ -71,7 +65,6 @@ class JobFolder:
 
         Args:
             scene: Name of the scene, for the report of a failure.
-            robot: Name of the robot.
 
         Raises:
             OptionError: A file that the command has read would be replaced.

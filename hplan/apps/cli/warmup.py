@@ -122,7 +122,6 @@ def compile_all(
     """Do all jobs, each in a process.
 
     Args:
-        processes: How many at a time.
         told: Called, by one thread at a time, with a job and a kernel that it has compiled, or None when it is done.
         environment: Variables of theirs besides this process's.
 

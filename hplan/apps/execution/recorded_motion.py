@@ -42,7 +42,6 @@ class RecordedMotion(Record):
     """Positions and velocities over time, from wherever they come.
 
     Attributes:
-        joint_names: Names of the joints.
         time: (n,) strictly increasing [s].
         position: (n, joints).
         velocity: (n, joints) [rad/s].
@@ -62,7 +61,6 @@ class RecordedMotion(Record):
         A row's velocity is that of the parabola through it and its neighbours; the first and last rows are at rest.
 
         Args:
-            joint_names: Names of the joints.
             time: (n,) strictly increasing [s].
             position: (n, joints).
 

@@ -32,7 +32,6 @@ class Touch:
     Attributes:
         time_s: When they first did [s].
         link: The link, by its name in the URDF.
-        obstacle: The obstacle.
         depth_m: Largest depth to which one was pushed into the other [m].
     """
 
@@ -49,7 +48,6 @@ class SimulatedArm:
     itself or the ground. It stands at zero until it is placed.
 
     Attributes:
-        robot: The arm.
         plant: How the simulated machine differs from what its controller believes.
     """
 

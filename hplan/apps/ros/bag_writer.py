@@ -19,7 +19,6 @@ class Message(NamedTuple):
     """A message of a topic.
 
     Attributes:
-        topic: The topic.
         time_ns: When it is sent [ns].
         content: Its fields; those left out are zero or empty.
     """
@@ -46,7 +45,6 @@ def write_bag(path: Path, topics: Mapping[str, tuple[str, int]], messages: Itera
     """Write an MCAP file, whole or not at all.
 
     Args:
-        path: The file.
         topics: For each topic the type of its messages, and how many are kept for those who come later.
         messages: The messages, in the order of their times.
 

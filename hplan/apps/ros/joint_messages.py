@@ -67,7 +67,6 @@ def to_joint_state(
     """A row of the motion as a `sensor_msgs/msg/JointState`.
 
     Args:
-        trajectory: The motion.
         row: Which of its rows.
         prefix: Put before every joint's name.
         frame_id: Frame of the header.

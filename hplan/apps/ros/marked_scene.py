@@ -30,7 +30,6 @@ def scene_markers(scene: Scene, frame_id: str = "base_link") -> list[Marker]:
     gives the frame's place in the scene's over time.
 
     Args:
-        scene: The scene.
         frame_id: Frame of its coordinates.
 
     Raises:

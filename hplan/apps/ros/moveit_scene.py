@@ -42,7 +42,6 @@ def read_moveit_scene(
     it. Colours and subframes are left out.
 
     Args:
-        path: The file.
         position: Where the origin of MoveIt's planning frame is in `base_link` [m].
         rpy_deg: How that frame is turned: roll, pitch and yaw about fixed axes [deg].
         prefix: Put before every name.

@@ -27,7 +27,6 @@ def cspace_at_yaw(section: YawSection, title: str = "") -> Figure:
     region.
 
     Args:
-        section: Region and motion.
         title: Title; may be empty.
     """
     from matplotlib.colors import LinearSegmentedColormap, Normalize

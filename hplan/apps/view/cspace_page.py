@@ -38,10 +38,6 @@ _RINGS = 240
 def render_cspace_page(section: YawSection, title: str) -> str:
     """The page as HTML text: self-contained; the ball moves in real time, again and again.
 
-    Args:
-        section: Region and motion.
-        title: Title.
-
     Raises:
         HplanError: meshcat, which brings the viewer, is not installed.
     """

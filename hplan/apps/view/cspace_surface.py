@@ -98,7 +98,6 @@ def draw_cspace_obstacle(axes: Any, grid: Grid, field: FloatArray) -> FloatArray
 
     Args:
         axes: Matplotlib's `Axes3D`, in parallel projection, with its view set.
-        grid: Grid over three joints.
         field: (N1, N2, N3) values at its nodes, negative inside.
 
     Returns:

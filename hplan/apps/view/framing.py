@@ -72,7 +72,6 @@ def covered(points: FloatArray, before: FloatArray, widths: FloatArray, azimuth:
         before: (n, 3) points that may hide them [m].
         widths: (n,) radius of each [m].
         azimuth: Direction of the camera.
-        elevation: Its height.
     """
     if not len(before):
         return 0.0

@@ -38,9 +38,7 @@ def motion_data(robot: Robot, scene: Scene, playback: Playback) -> Json:
     """What the page's script shows of a motion, as JSON values.
 
     Args:
-        robot: The arm.
         scene: Its clearance is the one to keep.
-        playback: The motion.
     """
     trajectory, phases = playback.trajectory, _phases(playback)
     return {

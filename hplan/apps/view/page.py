@@ -35,11 +35,6 @@ MOST_VIOLATIONS = 6
 def render_page(robot: Robot, scene: Scene, playback: Playback) -> str:
     """The page as HTML text: self-contained, playing by itself in real time, again and again.
 
-    Args:
-        robot: The arm.
-        scene: Obstacles and fruits.
-        playback: The motion.
-
     Raises:
         InputError: The trajectory is of other joints than the robot's; `picked` names a fruit that the scene does not
             have, or a time outside the motion.
@@ -72,10 +67,6 @@ def document(
     """A page of meshcat's viewer as HTML text, self-contained.
 
     Args:
-        title: Title.
-        subtitle: A line below it.
-        entries: Words and colours of the legend.
-        commands: Commands to the viewer.
         panel: HTML below the picture; without it the picture fills the window.
 
     Raises:
@@ -132,11 +123,6 @@ def write_page(robot: Robot, scene: Scene, playback: Playback, path: Path | str)
 
 def serve(robot: Robot, scene: Scene, playback: Playback) -> LiveView:
     """Start a server of the same page; prints nothing and opens no browser.
-
-    Args:
-        robot: The arm.
-        scene: Obstacles and fruits.
-        playback: The motion.
 
     Returns:
         The running view; its `url` is for a browser on this machine, the only one that reaches it. The server ends

@@ -49,11 +49,6 @@ _RINGS, _RING_SPACING = 900, 0.02
 def stage(robot: Robot, scene: Scene, playback: Playback) -> list[Json]:
     """Everything on the page.
 
-    Args:
-        robot: The arm.
-        scene: Obstacles and fruits.
-        playback: The motion.
-
     Returns:
         Commands for meshcat's viewer, in the order in which they are to be handled.
 

@@ -33,8 +33,6 @@ class Look:
     """Look of obstacles of a kind.
 
     Attributes:
-        label: What the legend calls them.
-        color: Their colour.
         words: Words in the name of such an obstacle.
         opacity: 1 where nothing shows through.
     """
@@ -123,7 +121,6 @@ def moving_clips(scene: Scene, times: FloatArray, begin_s: float, end: float) ->
     """Animation of what has a track.
 
     Args:
-        scene: The scene.
         times: (k,) times of the motion at which poses are given; between them the viewer turns and shifts evenly [s].
         begin_s: Time at which the motion begins, as tracks count it [s].
         end: End of the animation; after the motion everything rests [s].
@@ -195,7 +192,6 @@ class Pick:
     """A fruit that is picked.
 
     Attributes:
-        fruit: The fruit.
         since: When the tool takes it [s].
         until: When it is put away [s]; inf where the tool keeps it.
     """
@@ -209,10 +205,6 @@ def picks(scene: Scene, playback: Playback) -> list[Pick]:
     """The picked fruits: the tool keeps each until it lets it go, or else until the retreat from it ends.
 
     It holds one at a time, and what it holds in the end it keeps.
-
-    Args:
-        scene: The scene.
-        playback: The motion.
 
     Raises:
         InputError: A fruit that the scene does not have; a time outside the motion.
@@ -259,7 +251,6 @@ def picked_clips(picks: Sequence[Pick], times: FloatArray, tool: FloatArray, end
     """Animation of picked fruits: their visibility over time, and their motion with the tool.
 
     Args:
-        picks: The picked fruits.
         times: (k,) times of the keyframes [s].
         tool: (k, 3) tool positions [m].
         end: End of the animation [s].

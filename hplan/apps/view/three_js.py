@@ -108,10 +108,7 @@ class Body:
         """Add a mesh.
 
         Args:
-            geometry: Shape.
-            surface: Material.
             placement: (4, 4) pose in the node's frame; None for the node's own.
-            name: Name in the viewer.
             kind: `Mesh`, `LineSegments`, `Points`, or `InstancedMesh` by `add_copies`.
             shadow: Throws a shadow.
             order: Smaller is drawn first, among see-through meshes.
@@ -136,10 +133,7 @@ class Body:
         """Add one shape in many places, drawn at one go.
 
         Args:
-            geometry: Shape.
-            surface: Material.
             placements: (n, 4, 4) poses in the node's frame; they may stretch the shape.
-            name: Name in the viewer.
         """
         self.add(geometry, surface, name=name, kind="InstancedMesh")
         columns_first = np.swapaxes(placements, 1, 2)
@@ -273,12 +267,9 @@ def add_capsules(
     """Add capsules: open cylinders and half-spheres, so that no inner wall shows through.
 
     Args:
-        body: Body they become a part of.
         starts: (n, 3) one end of each axis [m].
         ends: (n, 3) the other ends [m].
         radii: (n,) radii [m].
-        surface: Material.
-        name: Name in the viewer.
     """
     walls, caps = [], []
     for start, end, radius in zip(starts, ends, radii, strict=True):
@@ -348,11 +339,8 @@ def add_shape(
     """Add a shape that a URDF can hold, as Pinocchio's geometry models have it.
 
     Args:
-        body: Body it becomes a part of.
         shape: Box, sphere, cylinder, capsule or mesh; others are left out.
-        surface: Material.
         placement: (4, 4) pose in the node's frame.
-        name: Name in the viewer.
         shadow: Throws a shadow.
         order: Smaller is drawn first, among see-through meshes.
     """

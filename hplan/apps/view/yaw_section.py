@@ -37,8 +37,6 @@ class YawSection:
     """The C-space of the planar joints at one yaw, with a motion.
 
     Attributes:
-        yaw: The yaw.
-        grid: Grid over the three planar joints.
         field: (N1, N2, N3) clearance of the arm at its nodes [m], negative where it may not be.
         path: (m, 3) planar joints along the motion, evenly spaced, from the start to the goal.
         yaw_distance: (m,) distance of the motion's yaw from `yaw` there.

@@ -23,7 +23,6 @@ class GivenPath(Record):
     Attributes:
         points: (m, dof) waypoints, m >= 2.
         numbers: (m,) their numbers among those that were given, counted from 1; of repeated ones the first.
-        count: How many were given.
     """
 
     points: FloatArray
@@ -35,7 +34,6 @@ def given_path(robot: Robot, waypoints: ArrayLike) -> GivenPath:
     """Check waypoints; those that repeat the one before are left out.
 
     Args:
-        robot: The arm.
         waypoints: (n, dof) configurations, start to goal.
 
     Raises:
@@ -59,9 +57,7 @@ def scene_along(robot: Robot, scene: Scene, path: GivenPath) -> Scene:
     """The scene with the ends of a path as start and goal; the same scene where these are its own.
 
     Args:
-        robot: The arm.
         scene: What is around it; a fruit that is its goal is an obstacle as all others are.
-        path: The path.
 
     Raises:
         InputError: Joints that are locked move along the path, or the scene's start is in motion.

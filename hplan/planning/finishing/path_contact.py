@@ -52,8 +52,6 @@ def places_of(world: World, path: GivenPath, margin: float) -> Iterator[Place]:
     """The places of a path where it is in contact or too close, in order: waypoints, and motions between free ones.
 
     Args:
-        world: Arm and obstacles.
-        path: The path.
         margin: Clearance beyond the one to keep with which motions are verified collision-free [m].
     """
     points = path.points

@@ -70,7 +70,6 @@ def duration_bound(
     Args:
         world: The arm, and what it must keep clear of.
         problem: Start and goal, and the joints that may move.
-        limits: Limits of the motion.
         duration_s: Duration of a motion that solves the problem within the limits [s].
         enough: Where the bound is this part of the duration below it, it is not looked for a better one.
 
@@ -127,9 +126,7 @@ def _planar(
     """The longest duration that is excluded, and the joint whose speed was followed.
 
     Args:
-        world: The arm among obstacles.
         problem: Start and goal.
-        motions: Motions of all joints.
         durations: One that is excluded already, one that would do, that of a motion [s].
 
     Raises:

@@ -52,7 +52,6 @@ def free_cells(q: FloatArray, field: FieldArrays, cells: Cells) -> WordArray:
     Args:
         q: (dof,) a configuration; it is changed.
         field: Obstacles, and the links that count.
-        cells: The grid.
 
     Returns:
         (counts[1], counts[2], words) bit i of a row is cell i of the first axis.

@@ -109,7 +109,6 @@ class PlanarSearch(Record):
     """The search for the largest length at which no motion of three joints exists.
 
     Attributes:
-        grid: The grid.
         free: Its cells that are not in contact whole.
     """
 
@@ -130,11 +129,8 @@ class PlanarSearch(Record):
         """The search over a grid.
 
         Args:
-            robot: The arm.
-            obstacles: What it keeps clear of.
             q: (dof,) the start.
             joints: (3,) numbers of the joints of the grid's axes in a configuration.
-            grid: The grid.
         """
         planar = joints - robot.yaw_joints
         # Parts of a cell along each axis but the first that are examined one by one.

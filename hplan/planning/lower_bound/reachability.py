@@ -99,7 +99,6 @@ def _keep(block: WordArray, free: WordArray, samples: Samples, k: int, move: int
         block: (nx, ny, words) the states.
         free: Bits of cells not in contact whole.
         samples: Bounds.
-        k: The sample.
         move: Number of the move; -1 where the bounds for all moves hold.
         fill: Whether all states in the bounds that are free are set before.
     """

@@ -34,7 +34,6 @@ def among_poses(scene: Scene, from_s: float, to_s: float) -> Scene:
     """The scene with what moves at all places where it is within an interval of time, one close to the next.
 
     Args:
-        scene: The scene.
         from_s: Begin of the interval [s].
         to_s: End of it [s].
     """

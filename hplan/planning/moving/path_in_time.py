@@ -48,8 +48,6 @@ class MovingField:
         """Take what moves.
 
         Args:
-            robot: The arm.
-            scene: The scene.
             sigmas: How many standard deviations of its place an obstacle grows by.
             tracking_error: Deviation of any joint at rest that is to be allowed for [rad].
         """
@@ -87,9 +85,7 @@ class PathInTime:
         """Look at nothing yet.
 
         Args:
-            motion: The motion.
             field: What moves.
-            robot: The arm.
             step_s: Time between rows of cells [s].
             spare_s: How much earlier or later than meant the arm may be anywhere [s].
         """

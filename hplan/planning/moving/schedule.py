@@ -94,7 +94,6 @@ def room_to_change(motion: Trajectory, robot: Robot, stations: int) -> BoolArray
     """(stations, levels + 1, 2 changes + 1) where the speed may change by so many levels within a step.
 
     Args:
-        motion: The motion at full speed.
         robot: The arm, for its limits.
         stations: How many places evenly spaced in the motion's own time are looked at.
     """
@@ -174,7 +173,6 @@ def _advance(
     Args:
         cost: (places + 1, levels + 1) fewest changes of speed with which each state is reached.
         before: (stations + 1,) how many stations before each are not clear in this row.
-        after: The same in the next one.
         room: As `room_to_change`.
         station_of: (places + 1,) station of each place.
 

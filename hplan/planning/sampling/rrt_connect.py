@@ -75,7 +75,6 @@ class Surroundings(NamedTuple):
 
     Attributes:
         slowness: (dof,) times for a unit of each joint at its velocity limit [s/rad].
-        field: Arm and obstacles.
         margin: Clearance asked for wherever a motion is evaluated [m].
     """
 
@@ -92,10 +91,8 @@ def tree_path(
 
     Args:
         problem: Start, goal and joint limits.
-        field: Arm and obstacles.
         velocity: (dof,) velocity limits [rad/s]; distances are times at these.
         margin: Clearance asked for wherever a motion is evaluated [m].
-        effort: How far to go.
         goals: (k, dof) configurations of which one is to be reached, whichever comes first; None for the problem's.
 
     Returns:

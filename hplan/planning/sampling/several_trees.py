@@ -26,7 +26,6 @@ class TreesEffort:
     """Effort of several pairs of trees.
 
     Attributes:
-        pairs: How many grow.
         each: Evaluations of the clearance by each of them, at most.
     """
 
@@ -61,11 +60,8 @@ def promising_paths(
 
     Args:
         problem: Start, goal and joint limits.
-        field: Arm and obstacles.
         velocity: (dof,) velocity limits [rad/s].
         margin: Clearance asked for wherever a motion is evaluated [m].
-        effort: How far to go.
-        known: Paths that are known already.
         grown: How many of the pairs have grown already, and found these.
 
     Returns:

@@ -23,7 +23,6 @@ class _Round(NamedTuple):
     """A cylinder about a line along a coordinate axis, a capsule where it has caps; what one sees is what collides.
 
     Attributes:
-        name: Its name.
         axis: Number of the axis.
         ends: Where it begins and ends on the axis [m].
         radius: Radius [m].
@@ -65,11 +64,7 @@ class _Round(NamedTuple):
 
 
 def urdf_text(spec: ArmSpec) -> str:
-    """Text of the member's URDF, in chain order; the same spec gives the same text.
-
-    Args:
-        spec: The arm.
-    """
+    """Text of the member's URDF, in chain order; the same spec gives the same text."""
     root = ET.Element("robot", name=spec.name)
     words = f" {spec!r}, written by hplan.robot.family: do not edit, write it again "
     root.append(ET.Comment(words))
@@ -160,9 +155,6 @@ def _text(*values: float) -> str:
 
 def limits_text(spec: ArmSpec) -> str:
     """Text of the member's limits file: what URDF has no place for.
-
-    Args:
-        spec: The arm.
 
     Returns:
         The YAML document; the same spec gives the same text.

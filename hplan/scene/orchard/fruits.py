@@ -40,7 +40,6 @@ class Canopy:
     Attributes:
         wood: What fruit must not be in.
         radius: Radius of every fruit [m].
-        zone: Where their centres may be.
         centers: (3,) centres so far [m].
     """
 

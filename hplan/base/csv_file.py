@@ -15,8 +15,8 @@ from hplan.base.files import ByteBudget
 from hplan.errors import InputError
 
 #: Most bytes of a CSV file (some fifteen minutes of seven joints at 250 Hz), and most characters of a row.
-MOST_CSV_BYTES: Final = 128_000_000
-MOST_ROW: Final = 1_000_000
+_MOST_CSV_BYTES: Final = 128_000_000
+_MOST_ROW: Final = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class CsvFile:
         """
         path = file_path("path", path)
         try:
-            text = ByteBudget(MOST_CSV_BYTES).read(path).decode("utf-8-sig")
+            text = ByteBudget(_MOST_CSV_BYTES).read(path).decode("utf-8-sig")
         except OSError as error:
             raise InputError(f"{what} file {path}: {error.strerror}", path=str(path)) from error
         except ValueError as error:
@@ -126,8 +126,8 @@ def _rows(path: Path, what: str, text: str) -> Iterator[tuple[int, list[str]]]:
         nonlocal length
         for line in io.StringIO(text, newline=""):
             length += len(line)
-            if length > MOST_ROW:
-                raise csv.Error(f"the row has more than {MOST_ROW:,} characters")
+            if length > _MOST_ROW:
+                raise csv.Error(f"the row has more than {_MOST_ROW:,} characters")
             yield line
 
     reader = csv.reader(lines(), strict=True)

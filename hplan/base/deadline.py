@@ -32,7 +32,7 @@ from hplan.errors import HplanError, NotInTimeError, OptionError, PlanCancelledE
 Cancel: TypeAlias = Callable[[], object] | threading.Event
 
 #: How often cancellation is polled [s].
-POLL_S = 1e-3
+_POLL_S = 1e-3
 
 #: Later than any time on the clock, yet finite, so that kernels check for cancellation [s].
 _LATE = 1e300
@@ -187,7 +187,7 @@ def time_limit(deadline_s: float | None = None, cancel: Cancel | None = None) ->
 
     Args:
         deadline_s: How long there is; None for as long as it takes [s].
-        cancel: Says whether the call is cancelled; asked about every `POLL_S` by a thread of its own.
+        cancel: Says whether the call is cancelled; asked about every `_POLL_S` by a thread of its own.
 
     Raises:
         OptionError: `cancel` is neither a function nor an event.
@@ -238,7 +238,7 @@ def _ask(limit: TimeLimit, cancel: Cancel) -> None:
 
 def _watch(limit: TimeLimit, cancel: Cancel, done: threading.Event) -> None:
     """Ask again and again, until the limit is over."""
-    while not (limit.is_cancelled or done.wait(POLL_S)):
+    while not (limit.is_cancelled or done.wait(_POLL_S)):
         _ask(limit, cancel)
 
 

@@ -13,16 +13,16 @@ from numpy.typing import ArrayLike
 from hplan.base.arrays import FloatArray, IntArray
 
 #: Spacing of the raster: a power of two, far above rounding errors and far below what matters (1 nm, 1 nrad, 1 ns).
-RASTER = 2.0**-30
+_RASTER = 2.0**-30
 
 
 def on_raster(values: ArrayLike) -> FloatArray:
-    """The nearest multiples of `RASTER`; what is not finite stays as it is.
+    """The nearest multiples of `_RASTER`; what is not finite stays as it is.
 
     Args:
         values: (...) numbers below 2^22 or so in size; larger ones have no digits below the raster.
     """
-    rounded: FloatArray = np.rint(np.asarray(values, dtype=np.float64) / RASTER) * RASTER
+    rounded: FloatArray = np.rint(np.asarray(values, dtype=np.float64) / _RASTER) * _RASTER
     return rounded
 
 

@@ -71,7 +71,7 @@ REST = 1e-6
 
 #: When the last link may touch the fruit that is the goal: on a straight approach and back, or during the whole motion.
 GoalContact: TypeAlias = Literal["approach", "motion"]
-GOAL_CONTACTS: tuple[GoalContact, ...] = ("approach", "motion")
+_GOAL_CONTACTS: tuple[GoalContact, ...] = ("approach", "motion")
 
 #: A range of the motion's cubics, and the collision checker that holds there.
 Stretch: TypeAlias = tuple[slice, CoalScene]
@@ -196,7 +196,7 @@ def certify(
     truth("rest_to_rest", rest_to_rest)
     tracking = TrackingModel(tracking_error, tracking_delay_s)
     number("sigmas", sigmas, "a finite number >= 0", lambda value: value >= 0.0)
-    one_of("goal_contact", goal_contact, GOAL_CONTACTS)
+    one_of("goal_contact", goal_contact, _GOAL_CONTACTS)
     number("begin_s", begin_s, "a finite number of seconds")
     check_joints(trajectory, robot)
     if any(robot.slides) and not trajectory.slides:

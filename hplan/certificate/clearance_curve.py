@@ -35,13 +35,13 @@ from hplan.robot.model import Robot
 from hplan.trajectory.trajectory import Trajectory, cubic_pieces
 
 #: Travel between two stations: a part of the distance of the nearest pair, within bounds [m].
-STATION_FRACTION, STATION_M = 0.08, (1e-3, 0.05)
+_STATION_FRACTION, _STATION_M = 0.08, (1e-3, 0.05)
 
 #: Most stations of a stretch, about.
-STATIONS = 20_000
+_STATIONS = 20_000
 
 #: Stations of a curve that is to be shown: so many, or for each second, up to so many.
-SHOWN_STATIONS, SHOWN_PER_S, MOST_SHOWN = 300, 40.0, 1200
+_SHOWN_STATIONS, _SHOWN_PER_S, _MOST_SHOWN = 300, 40.0, 1200
 
 #: Stands for an infinite clearance where lines are drawn [m].
 _FAR_M = 1e12
@@ -69,8 +69,8 @@ class ClearanceCurve(Record):
     @property
     def shown(self) -> ClearanceCurve:
         """The curve with as many stations as can be seen, for reports and pages; nowhere higher."""
-        wanted = max(SHOWN_STATIONS, round(SHOWN_PER_S * float(self.time[-1])))
-        return self.thinned(min(wanted, MOST_SHOWN))
+        wanted = max(_SHOWN_STATIONS, round(_SHOWN_PER_S * float(self.time[-1])))
+        return self.thinned(min(wanted, _MOST_SHOWN))
 
     def thinned(self, count: int) -> ClearanceCurve:
         """The curve at so many evenly spaced times, where it has more stations; nowhere higher.
@@ -249,11 +249,11 @@ class _Stations:
         """Take what the moving bodies travel up to each row, (movers, rows + 1) [m]; it is bounded up to a row."""
         self._travel = np.append(0.0, np.cumsum(np.diff(travel, axis=1).max(axis=0)))
         self._bounded = bounded
-        self._least = max(STATION_M[0], float(self._travel[bounded]) / STATIONS)
+        self._least = max(_STATION_M[0], float(self._travel[bounded]) / _STATIONS)
 
     def after(self, place: float, nearest: float) -> float:
         """The station after a place at which the nearest pair is at a distance [m]."""
-        step = max(min(STATION_FRACTION * nearest, STATION_M[1]), self._least)
+        step = max(min(_STATION_FRACTION * nearest, _STATION_M[1]), self._least)
         following: float = place_after(self._travel, place, step)
         if following > self._bounded:  # from there on row by row
             following = max(float(self._bounded), np.floor(place) + 1.0)

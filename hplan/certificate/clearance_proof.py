@@ -61,14 +61,14 @@ MOST_TRAVEL = 0.99
 
 #: Of more pairs than this for each moving body lower bounds are computed before coal is asked; so many of the nearest
 #: are asked first where all are. A bound is enough where it leaves at least so much spare clearance [m].
-MANY, FIRST, FAR = 8, 16, 0.05
+_MANY, FIRST, FAR = 8, 16, 0.05
 
 #: Configurations at which the proof may evaluate distances: some, and for each piece of the motion. A motion of 1.8 s
 #: that comes to 1.5 mm of an obstacle takes 155. The deadline is checked after so many: a fraction of a millisecond.
-CHECKS, CHECKS_PER_PIECE, CHECKS_BETWEEN_LOOKS = 20_000, 50, 16
+CHECKS, CHECKS_PER_PIECE, _CHECKS_BETWEEN_LOOKS = 20_000, 50, 16
 
 #: Longest travel that is bounded [m]: beyond, its sum over the pieces would be good to less than a micrometre.
-LONGEST_TRAVEL = 1e5
+_LONGEST_TRAVEL = 1e5
 
 #: Why a proof ends: the clearance is shown, a pair is too near, or what it may take is used up.
 Outcome: TypeAlias = Literal["shown", "too near", "checks", "travel"]
@@ -127,7 +127,7 @@ def prove_clearance(
     # At the start all pairs at once; those that cannot come near in the whole motion are not asked again.
     going = search.begin()
     while going:
-        if search.checks % CHECKS_BETWEEN_LOOKS == 1:
+        if search.checks % _CHECKS_BETWEEN_LOOKS == 1:
             check_deadline()
         pairs, at, q = _first(search.pairs[1], bezier)
         if at == math.inf:
@@ -178,17 +178,17 @@ class Advancement:
             if len(deviations) > 1:
                 moved = moved + np.maximum(np.diff(sway, axis=1), 0.0)
             travel = np.column_stack([np.zeros(len(moved)), np.cumsum(moved, axis=1)])
-            within = (travel[:, 1:] <= LONGEST_TRAVEL).all(axis=0)
+            within = (travel[:, 1:] <= _LONGEST_TRAVEL).all(axis=0)
         self.bounded = int(within.sum())
         if self.bounded < len(bezier):
             # For the search of the rows alone: after such a piece every pair may be anywhere.
-            moved = np.where(moved <= LONGEST_TRAVEL, moved, LONGEST_TRAVEL)
+            moved = np.where(moved <= _LONGEST_TRAVEL, moved, _LONGEST_TRAVEL)
             travel[:, 1:] = np.cumsum(moved, axis=1)
         self.movers = np.stack([sway, travel])
         self._may_lack = needed - checker.kept(needed)
         self.pairs = np.stack([checker.kept(needed) + checker.distance_errors, np.full(len(checker.pairs), math.inf)])
         self.mover_of = mover_of
-        self._many = math.inf if checker.moving is not None else max(MANY * len(moved), 2 * FIRST)
+        self._many = math.inf if checker.moving is not None else max(_MANY * len(moved), 2 * FIRST)
         self._at, self.shown, self.checks = 0.0, math.inf, 1
         self.nearest = math.inf, 0, 0.0
 

@@ -14,10 +14,10 @@ from hplan.scene.model import Scene
 from hplan.trajectory.trajectory import Trajectory, cubic_pieces
 
 #: Fraction of a limit up to which a state keeps it, as for a motion.
-KEPT = 1.001
+_KEPT = 1.001
 
 #: Differences that count as none: of velocities [rad/s] and accelerations [rad/s^2].
-SAME_VELOCITY, SAME_ACCELERATION = 1e-6, 1e-3
+_SAME_VELOCITY, _SAME_ACCELERATION = 1e-6, 1e-3
 
 
 def start_state(robot: Robot, scene: Scene) -> BoundaryState | None:
@@ -41,7 +41,7 @@ def start_state(robot: Robot, scene: Scene) -> BoundaryState | None:
         values = np.array(start.rates.get(key, (0.0,) * robot.dof))
         if len(values) != robot.dof:
             raise InputError(f"start: expected {robot.dof} values of {key}, got {len(values)}", expected=robot.dof)
-        beyond = np.flatnonzero((np.abs(values) > KEPT * limit) | (locked & (values != 0.0)))
+        beyond = np.flatnonzero((np.abs(values) > _KEPT * limit) | (locked & (values != 0.0)))
         if len(beyond):
             joint = int(beyond[0])
             raise StartStateError(
@@ -72,8 +72,8 @@ def start_violations(robot: Robot, scene: Scene, trajectory: Trajectory) -> Iter
         bezier, duration = cubic_pieces(trajectory)
         pushes.append(6.0 * (bezier[0, 2] - 2.0 * bezier[0, 1] + bezier[0, 0]) / duration[0] ** 2)
     for what, found, asked, same in (
-        ("velocity", [trajectory.velocity[0]], state.velocity, SAME_VELOCITY),
-        ("acceleration", pushes, state.acceleration, SAME_ACCELERATION),
+        ("velocity", [trajectory.velocity[0]], state.velocity, _SAME_VELOCITY),
+        ("acceleration", pushes, state.acceleration, _SAME_ACCELERATION),
     ):
         off = np.abs(np.array(found) - asked).max(axis=0)
         joint = int(np.where(np.isnan(off), np.inf, off).argmax())

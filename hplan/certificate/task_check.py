@@ -16,7 +16,7 @@ from hplan.scene.model import Scene
 SAME = 1e-5
 
 #: Turn between the tool frame and a pose that it is to reach that counts as none [rad].
-TURNED = 1e-3
+_TURNED = 1e-3
 
 
 def task_violations(robot: Robot, scene: Scene, bezier: FloatArray) -> Iterator[str]:
@@ -78,7 +78,7 @@ def _beside(robot: Robot, pose: FloatArray, frame: str | None, q: FloatArray) ->
     away, turn = float(np.linalg.norm(off[:3, 3])), off[:3, :3]
     # Frames that are turned by an angle from one another differ by sqrt(8) sin(angle / 2).
     turned = 2.0 * float(np.arcsin(min(np.linalg.norm(turn) / np.sqrt(8.0), 1.0)))
-    if not (away <= THERE and turned <= TURNED):
+    if not (away <= THERE and turned <= _TURNED):
         off_by = f"{1e3 * away:.4g} mm and {turned:.4g} rad"
         yield f"the motion ends with {frame or robot.tool_frame!r} {off_by} from the pose of the goal"
 

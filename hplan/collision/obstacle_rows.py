@@ -39,7 +39,7 @@ _COLUMNS = 21
 #: Columns of one kind, from `SHAPE` on. Point: its place (3). Segment: its two ends (3 each). Box: its half sizes (3),
 #: then its axes (3 rows of 3). Hull: where its facets begin in the data, where its edges begin and end. Leaf: where its
 #: points begin and end there. Node: 1 where it is a tree's first, -1 where it is a group of solids.
-SHAPE, SECOND_END, AXES, FACETS, EDGES, EDGES_END, POINTS, POINTS_END, IS_ROOT = 6, 9, 9, 6, 7, 8, 6, 7, 8
+SHAPE, SECOND_END, AXES, _FACETS, _EDGES, _EDGES_END, POINTS, POINTS_END, IS_ROOT = 6, 9, 9, 6, 7, 8, 6, 7, 8
 
 #: For general (non-planar) arms, every kind that is one hull also has the place of its corners in the data. Two
 #: numbers stand before them: the place of their end, and that of their table (`hplan.scene.corner_table`) behind them,
@@ -52,7 +52,7 @@ FIRST_LINK, LAST_LINK, TURNS, INNER, OUTER, TOUCHING = 6, 7, 8, 6, 7, 8
 
 #: Balls and capsules. (Of hundreds of solids the very type is compared here: `isinstance` of pydantic's models takes
 #: ten times as long, and longer for several types.)
-ROUND = (Sphere, Capsule)
+_ROUND = (Sphere, Capsule)
 
 #: So many solids that are a row each are put into groups of neighbours, and these into larger ones, `_SIZE` at a time;
 #: not those whose balls are larger than so many times the median.
@@ -142,7 +142,7 @@ def rows_of(
     grown = np.broadcast_to(growth, (len(obstacles),)).tolist()
     own = own_clearance_of(clearance, own_clearance)
     contact = self_contact(robot, deviation=deviation, clearance=own)
-    for is_round, run in groupby(enumerate(obstacles), lambda numbered: type(numbered[1]) in ROUND):
+    for is_round, run in groupby(enumerate(obstacles), lambda numbered: type(numbered[1]) in _ROUND):
         check_deadline()
         if is_round:  # hundreds of them: all at once
             numbers, solids = zip(*run, strict=True)
@@ -295,8 +295,8 @@ def _rows(obstacle: Solid, clearance: float, offset: int) -> tuple[FloatArray, F
         flat = obstacle.hull
         edges = np.column_stack([flat.edges, 0.5 * np.linalg.norm(flat.edges[:, 3:], axis=1)])
         data = np.concatenate([flat.planes.ravel(), edges.ravel()])
-        first[KIND], first[FACETS], first[EDGES] = HULL, offset, offset + flat.planes.size
-        first[EDGES_END] = offset + len(data)
+        first[KIND], first[_FACETS], first[_EDGES] = HULL, offset, offset + flat.planes.size
+        first[_EDGES_END] = offset + len(data)
         low, high = flat.core.min(axis=0), flat.core.max(axis=0)
         centre = tuple((0.5 * (low + high)).tolist())
         reach = float(np.linalg.norm(flat.core - centre, axis=1).max())

@@ -4,7 +4,7 @@ Looked at are all pairs but
 
 - bodies that no joint, or the same one, carries: they do not move to each other;
 - bodies that lie to each other as one joint alone says, where that joint's whole range shows that they cannot touch, or
-  that they always do, or that they never come farther apart than `BEARING`: those are the two sides of the joint;
+  that they always do, or that they never come farther apart than `_BEARING`: those are the two sides of the joint;
 - bodies that touch at every one of `SAMPLES` random configurations, as where what lies between is short;
 - bodies of links that the robot's SRDF lets touch, for another reason than that they were never seen to.
 
@@ -31,7 +31,7 @@ from hplan.robot.base_shapes import always, coal_distance, ever
 from hplan.robot.model import Robot
 
 #: Sides of a joint may be this far apart, and are still its own; so are bodies with one link between them [m].
-BEARING: Final = 0.02
+_BEARING: Final = 0.02
 
 #: How far beyond the joint limits pairs are judged, as a tracking error may lead there [rad, m].
 BEYOND: Final = 0.1
@@ -52,7 +52,7 @@ class SelfPairs(Record):
             later in the URDF, is not always j.)
         allowed: Pairs (i, j), i < j, that are not checked, each with the reason.
         farthest: (checked,) how far apart each pair was seen [m], infinite from 0.25 m on. One that is never farther
-            apart than the clearance to keep, or than `BEARING`, is asked only whether it touches (`needed`).
+            apart than the clearance to keep, or than `_BEARING`, is asked only whether it touches (`needed`).
         reach: (checked, dof) by how much a joint's motion can bring the two nearer: `reach @ abs(dq)` bounds by how
             much their distance changes [m/rad, m/m].
     """
@@ -64,7 +64,7 @@ class SelfPairs(Record):
 
     def needed(self, clearance: float) -> FloatArray:
         """(checked,) distance that each pair is to keep where a clearance is asked for [m]."""
-        return np.where(self.farthest > max(clearance, BEARING), clearance, min(clearance, 0.0))
+        return np.where(self.farthest > max(clearance, _BEARING), clearance, min(clearance, 0.0))
 
 
 def self_pairs(robot: Robot, beyond: float = BEYOND) -> SelfPairs:
@@ -151,8 +151,8 @@ def _by_one_joint(robot: Robot, pair: tuple[int, int], joint: int, beyond: float
     name = robot.joint_names[joint]
     if decided(0.0):
         return f"they touch wherever joint {name!r} is"
-    if decided(BEARING):
-        return f"they are the two sides of joint {name!r}, never farther apart than {1e3 * BEARING:g} mm"
+    if decided(_BEARING):
+        return f"they are the two sides of joint {name!r}, never farther apart than {1e3 * _BEARING:g} mm"
     # Bodies apart by less than this count as touching: no proof shows so little [m].
     slack = 1e-4
     if not ever(distance, low, high, rate, slack):

@@ -45,7 +45,7 @@ LINK_MODELS: tuple[LinkModel, ...] = ("capsule", "paper", "rectangle")
 SECTION_ERROR = 1e-3
 
 #: Half of a yaw interval is at most this: beyond, its ends would bound nothing of use.
-MAX_HALF_ANGLE = 0.25 * math.pi
+_MAX_HALF_ANGLE = 0.25 * math.pi
 
 
 class SectionArrays(NamedTuple):
@@ -129,7 +129,7 @@ def sections_at(
     one_of("link_model", link_model, LINK_MODELS)
     if not math.isfinite(yaw):
         raise OptionError("yaw", yaw, "a finite angle")
-    largest = MAX_HALF_ANGLE if robot.has_yaw else 0.0
+    largest = _MAX_HALF_ANGLE if robot.has_yaw else 0.0
     if not 0.0 <= half_angle <= largest:
         reason = "" if robot.has_yaw else ", as this arm has no yaw"
         raise OptionError("half_angle", half_angle, f"an angle from 0 to {largest:.6g} rad{reason}")

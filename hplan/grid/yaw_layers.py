@@ -24,7 +24,7 @@ from hplan.grid.sections import ArmSections, sections_at
 from hplan.robot.model import Robot
 
 #: Largest C-space with a turning base [bytes], one bit a node: a search takes five times as much.
-MOST_BYTES = 150_000_000
+_MOST_BYTES = 150_000_000
 
 #: The deadline is checked where the number of a row has none of these bits.
 _OFTEN = 63
@@ -113,16 +113,16 @@ def turning_occupancy(
         layers: Layers that are already there; of this robot only.
 
     Raises:
-        OptionError: A grid that takes more than `MOST_BYTES`.
+        OptionError: A grid that takes more than `_MOST_BYTES`.
     """
     first, step, count = yaws
     size = 8 * planar.size * words_for(count)
-    if size > MOST_BYTES:
+    if size > _MOST_BYTES:
         raise OptionError(
             "step_deg",
             round(math.degrees(step), 6),
             f"a larger step: with the base turning, one bit for each of {planar.size} nodes and {count} yaws takes "
-            f"{size / 1e6:.0f} MB, more than {MOST_BYTES / 1e6:.0f} MB, and a search five times that",
+            f"{size / 1e6:.0f} MB, more than {_MOST_BYTES / 1e6:.0f} MB, and a search five times that",
         )
     grid = Grid(np.append(planar.lower, first), np.append(planar.step, step), (*planar.shape, count))
     words = np.empty((planar.size, words_for(count)), dtype=np.uint64)

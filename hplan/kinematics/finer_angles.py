@@ -12,16 +12,16 @@ from hplan.errors import UnreachableError
 from hplan.kinematics.approach_angles import Candidates
 
 #: Angles are refined by this factor at a time until they are this near to one another [rad].
-FACTOR, FINEST = 4, np.radians(0.05)
+_FACTOR, FINEST = 4, np.radians(0.05)
 
 #: So many angles are refined at a time, those with the largest clearance.
-BEST = 8
+_BEST = 8
 
 #: An angle is refined where the clearance that is missing may come within one spacing, at this rate [m / rad].
-RATE = 2.0
+_RATE = 2.0
 
 #: Continua of configurations that may have the same approach angle: two yaws, two sides of the elbow.
-CONTINUA = 4
+_CONTINUA = 4
 
 _TURN = 2.0 * np.pi
 
@@ -68,7 +68,7 @@ def refined(
         for angle in _worth_refining(angles, clearances, enough, spacing):
             interval = _clipped(angle, spacing, approach_deg if isinstance(approach_deg, tuple) else None)
             try:
-                found = within(interval, 2 * FACTOR * CONTINUA)
+                found = within(interval, 2 * _FACTOR * _CONTINUA)
             except UnreachableError:
                 continue  # only an end of a continuum, or a joint's limit, in between
             finer.append(found)
@@ -82,7 +82,7 @@ def refined(
             every, angles = np.concatenate([found.configurations for found in finer])[clear], angles[clear]
             _, first = np.unique(np.round(every, 7), axis=0, return_index=True)  # intervals may overlap
             return Refined(Candidates(every[first], angles[first]), tried, best)
-        spacing /= FACTOR
+        spacing /= _FACTOR
     return Refined(None, tried, best)
 
 
@@ -94,14 +94,14 @@ def _spacing(angles: FloatArray) -> float:
     gaps = np.diff(np.unique(np.round(angles, 9)))
     # Largest spacing that is begun with [rad].
     widest = np.radians(10.0)
-    return float(min(widest, CONTINUA * gaps.max(initial=0.0)))
+    return float(min(widest, _CONTINUA * gaps.max(initial=0.0)))
 
 
 def _worth_refining(angles: FloatArray, clearances: FloatArray, enough: float, spacing: float) -> list[float]:
     """The angles to refine: the best that are not within a spacing of a better one."""
     kept: list[float] = []
     for which in np.argsort(-np.round(clearances, 9), kind="stable").tolist():
-        if len(kept) == BEST or clearances[which] + RATE * spacing < enough:
+        if len(kept) == _BEST or clearances[which] + _RATE * spacing < enough:
             break
         away = (np.array(kept) - angles[which] + np.pi) % _TURN - np.pi
         if not (np.abs(away) < spacing).any():

@@ -24,13 +24,13 @@ from hplan.kinematics.damped_steps import ABOUT_Z, KEPT, Chain, solve_all
 from hplan.robot.model import Robot
 
 #: Starts, and the most that may be asked for.
-SEEDS, MOST_SEEDS = 64, 100_000
+_SEEDS, MOST_SEEDS = 64, 100_000
 
 #: Solutions that differ by less in every joint are one [rad, m].
 SAME = 1e-3
 
 #: How far the columns of a rotation may be from orthonormal.
-ROTATION = 1e-6
+_ROTATION = 1e-6
 
 
 def inverse_kinematics(
@@ -39,7 +39,7 @@ def inverse_kinematics(
     *,
     start: ArrayLike | None = None,
     frame: str | None = None,
-    seeds: int = SEEDS,
+    seeds: int = _SEEDS,
     free_turn: bool = False,
     locked: Sequence[str] = (),
 ) -> FloatArray:
@@ -104,7 +104,7 @@ def _checked_pose(pose: ArrayLike) -> FloatArray:
     turn = matrix[:3, :3]
     with np.errstate(over="ignore", invalid="ignore"):
         off = float(np.abs(turn.T @ turn - np.eye(3)).max())
-        right_handed = off <= ROTATION and float(np.linalg.det(turn)) > 0.0
+        right_handed = off <= _ROTATION and float(np.linalg.det(turn)) > 0.0
     if not right_handed or np.abs(matrix[3] - [0.0, 0.0, 0.0, 1.0]).max() > 0.0:
         raise InputError("pose: expected a (4, 4) homogeneous matrix of a rotation and a place", option="pose")
     return matrix

@@ -33,7 +33,7 @@ from hplan.robot.model import Robot
 from hplan.robot.planar_family import PlanarArm
 
 #: A point this far out of reach is reached by a straight or folded arm [m].
-REACH_TOLERANCE = 1e-10
+_REACH_TOLERANCE = 1e-10
 
 #: A joint this far beyond its limit is put on it [rad].
 ANGLE_TOLERANCE = 1e-10
@@ -316,7 +316,7 @@ def two_links(
     cos = np.where(np.abs(cos) >= 1.0 - _LAST_DIGITS * (square + squares) / product, np.copysign(1.0, cos), cos)
     bend = arccos(cos)
     half = arctan2(far * np.sin(bend), near + far * cos)
-    ok = (distance <= near + far + REACH_TOLERANCE) & (distance >= np.abs(near - far) - REACH_TOLERANCE)
+    ok = (distance <= near + far + _REACH_TOLERANCE) & (distance >= np.abs(near - far) - _REACH_TOLERANCE)
     return argument(points), half, bend, ok
 
 

@@ -31,7 +31,7 @@ from hplan.kinematics.planar_chain import ANGLE_TOLERANCE, MATCH_TOLERANCE, Free
 from hplan.robot.model import Robot
 
 #: Configurations between the ends of continua, where no number is given.
-COUNT = 32
+_COUNT = 32
 
 #: Yaws tried for a point on the yaw axis, where no start is given.
 AXIS_YAWS = 5
@@ -40,12 +40,12 @@ AXIS_YAWS = 5
 ROUNDING = 1e-8
 
 #: Values tried in turn of each joint beyond three, and how many combinations of them at most.
-GRID_VALUES, MOST_COMBINATIONS = (5, 9, 17, 33), 1500
+_GRID_VALUES, _MOST_COMBINATIONS = (5, 9, 17, 33), 1500
 
 _TURN = 2.0 * np.pi
 
 #: Where a joint may turn by many whole turns, values farther than this from its start are left out [rad].
-FARTHEST = 2.0 * _TURN
+_FARTHEST = 2.0 * _TURN
 
 
 def reach(
@@ -53,7 +53,7 @@ def reach(
     position: ArrayLike,
     *,
     approach_deg: float | tuple[float, float] | None = None,
-    count: int = COUNT,
+    count: int = _COUNT,
     start: ArrayLike | None = None,
     locked: Sequence[str] = (),
 ) -> Candidates:
@@ -223,8 +223,8 @@ class _ReachTask:
         if not gridded:
             return [rest[None]]
         grids: list[FloatArray] = []
-        for values in GRID_VALUES:
-            if values ** len(gridded) <= MOST_COMBINATIONS or not grids:
+        for values in _GRID_VALUES:
+            if values ** len(gridded) <= _MOST_COMBINATIONS or not grids:
                 axes = [np.linspace(arm.lower[j], arm.upper[j], values) for j in gridded]
                 combinations = np.array(list(itertools.product(*axes)))
                 base = np.tile(rest, (len(combinations), 1))
@@ -252,14 +252,14 @@ class _ReachTask:
         return q[other], direction[other]
 
     def _with_whole_turns(self, q: FloatArray, direction: FloatArray, joint: int) -> tuple[FloatArray, FloatArray]:
-        """Repeat solutions for every whole turn that a joint may make, `FARTHEST` from the start."""
+        """Repeat solutions for every whole turn that a joint may make, `_FARTHEST` from the start."""
         lower, upper = self.robot.lower[joint], self.robot.upper[joint]
         near = 0.5 * (lower + upper) if self.start is None else self.start[joint]
-        first = max(0, math.floor((near - FARTHEST - lower) / _TURN))
-        turns = np.arange(first, math.ceil((min(upper, near + FARTHEST) - lower + ANGLE_TOLERANCE) / _TURN))
+        first = max(0, math.floor((near - _FARTHEST - lower) / _TURN))
+        turns = np.arange(first, math.ceil((min(upper, near + _FARTHEST) - lower + ANGLE_TOLERANCE) / _TURN))
         turned = np.repeat(q, len(turns), axis=0)
         turned[:, joint] += _TURN * np.tile(turns, len(q))
-        kept = (turned[:, joint] <= upper + ANGLE_TOLERANCE) & (np.abs(turned[:, joint] - near) <= FARTHEST)
+        kept = (turned[:, joint] <= upper + ANGLE_TOLERANCE) & (np.abs(turned[:, joint] - near) <= _FARTHEST)
         turned[:, joint] = np.minimum(turned[:, joint], upper)
         return turned[kept], np.repeat(direction, len(turns))[kept]
 

@@ -29,10 +29,10 @@ if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
 
 #: Longest step of the tool, and the least number of steps; it is a multiple of this, so that quarters are whole steps.
-STEP_M, STEPS = 5e-3, 4
+STEP_M, _STEPS = 5e-3, 4
 
 #: The most that a joint may change for each metre of the tool: turning [rad/m], sliding [m/m].
-TURNING, SLIDING = 25.0, 10.0
+TURNING, _SLIDING = 25.0, 10.0
 
 
 class Lines(NamedTuple):
@@ -62,12 +62,12 @@ def lines_back(
     Raises:
         InputError: A joint that does not exist.
     """
-    count = STEPS * math.ceil(distance / (STEP_M * STEPS))
+    count = _STEPS * math.ceil(distance / (STEP_M * _STEPS))
     distances: FloatArray = distance * np.arange(count + 1) / count
     chain = chain_of(robot, np.eye(4), KEPT if keeps_turn else ABOUT_Z)
     chain.moves[robot.locked_mask(locked)] = 0.0
     slides = np.array([joint_axis(robot, joint)[1] for joint in range(robot.dof)])
-    most = np.diff(distances, prepend=0.0)[:, None] * np.where(slides, SLIDING, TURNING)
+    most = np.diff(distances, prepend=0.0)[:, None] * np.where(slides, _SLIDING, TURNING)
     rows, reached = np.empty((len(goals), count + 1, robot.dof)), np.zeros(len(goals), dtype=np.int64)
     draw_back(np.array(goals, dtype=np.float64), distances, most, chain, rows, reached)
     return Lines(distances, rows, reached)

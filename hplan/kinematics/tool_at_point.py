@@ -31,7 +31,7 @@ from hplan.kinematics.inverse_kinematics import MOST_SEEDS, chain_of, distinct, 
 from hplan.robot.model import Robot
 
 #: Directions that are tried, and from how many starts each.
-COUNT, STARTS = 64, 6
+_COUNT, _STARTS = 64, 6
 
 #: Angles at which the spread of directions is measured.
 _ANGLES = 721
@@ -48,7 +48,7 @@ def tool_at_point(
     position: ArrayLike,
     *,
     approach_deg: float | tuple[float, float] | None = None,
-    count: int = COUNT,
+    count: int = _COUNT,
     start: ArrayLike | None = None,
     locked: Sequence[str] = (),
 ) -> Candidates:
@@ -84,7 +84,7 @@ def tool_at_point(
         chain = chain_of(robot, pose, turn)
         chain.moves[keeps] = 0.0
         if turn == ANY_TURN or np.count_nonzero(chain.moves) >= directed:
-            found.append(_solved(robot, begin, chain, towards, directions if turn == ANY_TURN else STARTS))
+            found.append(_solved(robot, begin, chain, towards, directions if turn == ANY_TURN else _STARTS))
     solutions = distinct(robot, np.concatenate(found), begin, chain)
     approach = approach_angles(robot, solutions, place)
     if window is not None:

@@ -23,7 +23,7 @@ from hplan.scene.obstacle_kind import posed
 from hplan.scene.obstacles import Capsule, Solid
 
 #: Places and radii no farther apart than this are the same [m].
-SAME_M = 1e-6
+_SAME_M = 1e-6
 
 
 def arm_solids(robot: Robot, q: FloatArray) -> tuple[Solid, ...]:
@@ -58,8 +58,10 @@ def _are_capsules(robot: Robot) -> tuple[bool, ...]:
     for joint, capsule in enumerate(link_capsules(robot, q), robot.arm_slice.start):
         kinds = [body.kind for body in collision_bodies(robot) if body.joint == joint]
         own = list(zip(kinds, _bodies(robot, q, {joint}), strict=True))
-        balls = [solid.core[0] for kind, solid in own if kind == "sphere" and solid.rounding >= capsule.radius - SAME_M]
-        ends = [any(np.abs(ball - end).max() <= SAME_M for ball in balls) for end in capsule.core]
+        balls = [
+            solid.core[0] for kind, solid in own if kind == "sphere" and solid.rounding >= capsule.radius - _SAME_M
+        ]
+        ends = [any(np.abs(ball - end).max() <= _SAME_M for ball in balls) for end in capsule.core]
         tubes = [_is_tube(solid.core, capsule) for kind, solid in own if kind == "cylinder"]
         found.append(all(ends) and any(tubes))
     return tuple(found)
@@ -71,7 +73,7 @@ def _is_tube(core: FloatArray, capsule: Capsule) -> bool:
     length = float(np.linalg.norm(end - start))
     along = (core - start) @ ((end - start) / length)
     across = np.linalg.norm(core - start - along[:, None] * ((end - start) / length), axis=1)
-    is_foot, is_head = along <= SAME_M, along >= length - SAME_M
+    is_foot, is_head = along <= _SAME_M, along >= length - _SAME_M
     return bool(np.all(across >= capsule.radius) and is_foot.any() and is_head.any() and np.all(is_foot | is_head))
 
 

@@ -45,7 +45,7 @@ from hplan.scene.solids import rpy_rotation
 from hplan.scene.tracks import Track
 
 #: Most points of a frame.
-MOST_FRAME_POINTS: Final = 20_000_000
+_MOST_FRAME_POINTS: Final = 20_000_000
 
 #: By how much a rotation may fail to be one.
 _RIGID: Final = 1e-5
@@ -374,8 +374,8 @@ def _points(points: ArrayLike) -> Any:
         raise InputError(f"points: expected {expected}, got {array.dtype}", option="points")
     if array.ndim not in (2, 3) or array.shape[-1] != 3:
         raise InputError(f"points has shape {array.shape}, expected {expected}", option="points")
-    if array.size > 3 * MOST_FRAME_POINTS:
-        raise InputError(f"points: {array.size // 3:,} are more than {MOST_FRAME_POINTS:,}", option="points")
+    if array.size > 3 * _MOST_FRAME_POINTS:
+        raise InputError(f"points: {array.size // 3:,} are more than {_MOST_FRAME_POINTS:,}", option="points")
     kind = array.dtype if array.dtype in (np.float32, np.float64) else np.float64
     with np.errstate(over="ignore"):  # of longer floats
         found = np.ascontiguousarray(array.reshape(-1, 3), dtype=kind).view()

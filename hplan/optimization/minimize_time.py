@@ -27,26 +27,26 @@ from hplan.trajectory.cubics import accelerations, hermite_pieces
 from hplan.trajectory.retime import KEPT
 
 #: How near to the best pace steps come, and the last one.
-COARSE, EXACT = 1e-5, 1e-8
+_COARSE, EXACT = 1e-5, 1e-8
 
 #: Largest change of a control point in a joint where pieces come to meet at rows [rad]; and what a step that was not
 #: clear as a whole leaves of it for the next.
-SMALL_TRUST, SHRINK = 0.03, 0.5
+_SMALL_TRUST, _SHRINK = 0.03, 0.5
 
 #: Steps of which no more than this part is clear, or nothing, are stalled; after so many no more are tried.
-STALLED, STALLS = 1.0 / 8.0, 2
+_STALLED, _STALLS = 1.0 / 8.0, 2
 
 #: Longest motion that is looked at; longer ones begin on a path on which the arm has to stop [s].
 LONGEST_S = 600.0
 
 #: How often the rows of a motion are counted anew until they are enough.
-TRIES = 4
+_TRIES = 4
 
 #: A motion that sways into what is near is slowed down so much, so often at most, before the first step.
-SLOWER, SLOWED = 1.5, 9
+_SLOWER, _SLOWED = 1.5, 9
 
 #: Where an end is in motion, more than this much slower is no remedy for a step that passes limits: the next step is.
-REPAIRED = 1.02
+_REPAIRED = 1.02
 
 
 @dataclass(frozen=True)
@@ -154,7 +154,7 @@ def _between_rows(spline: TimedSpline | None, problem: TimeProblem) -> TimedSpli
     if spline is None:
         return None
     pace = 1.0 + KEPT
-    for _ in range(TRIES):
+    for _ in range(_TRIES):
         rows = math.ceil(pace * spline.duration * problem.rate_hz)
         slower = spline.at_pace(rows / problem.rate_hz / spline.duration)
         use = _use_between_rows(slower, problem)
@@ -187,13 +187,13 @@ def _of_level(start: TimedMotion, problem: TimeProblem, level: Level) -> TimedSp
     enough_s = _enough(spline, problem, level)
     best, trust, stalled = None, level.trust, 0
     for _ in range(level.steps):
-        step = _step(spline, problem, trust, COARSE)
+        step = _step(spline, problem, trust, _COARSE)
         if step is None or step.part < 1.0:
-            trust *= SHRINK
-        stalled += step is None or step.part <= STALLED
+            trust *= _SHRINK
+        stalled += step is None or step.part <= _STALLED
         if step is not None:
             pace = problem.pace(step.spline)
-            if spline.ends is not None and pace > REPAIRED:
+            if spline.ends is not None and pace > _REPAIRED:
                 spline = step.spline
                 continue
             # Faster than its program says it would sway into what is near.
@@ -203,7 +203,7 @@ def _of_level(start: TimedMotion, problem: TimeProblem, level: Level) -> TimedSp
                 best = spline = moved
             if moved.duration > (1.0 - level.gain * step.part) * before or moved.duration <= enough_s:
                 break
-        if stalled == STALLS:
+        if stalled == _STALLS:
             break
     return best
 
@@ -220,10 +220,10 @@ def _first(start: TimedMotion, problem: TimeProblem, breaks: FloatArray) -> Time
     """The spline to begin with: between states of motion one that leaves the start no farther than is clear."""
     if problem.ends is None or (isinstance(start, TimedSpline) and start.ends is not None):
         spline = TimedSpline.near(start.positions, breaks, problem.ends)
-        for _ in range(SLOWED if problem.sway is not None else 0):
+        for _ in range(_SLOWED if problem.sway is not None else 0):
             if problem.is_clear(spline):
                 break
-            spline = spline.at_pace(SLOWER)
+            spline = spline.at_pace(_SLOWER)
         return spline
     # Within these times, tried in turn, a motion is blended into the state of motion at its end: with more it leaves
     # its path for a longer distance, with less it is farther beyond the limits [s].
@@ -240,17 +240,17 @@ def _on_rows(spline: TimedSpline, problem: TimeProblem, level: Level) -> TimedSp
     pieces = level.pieces_of(spline.duration, problem.rate_hz)
     if pieces < 2 * RESTING:
         return None
-    rows, trust = math.ceil(spline.duration * problem.rate_hz - 1e-6), SMALL_TRUST
+    rows, trust = math.ceil(spline.duration * problem.rate_hz - 1e-6), _SMALL_TRUST
     found: TimedSpline | None = None
     most, failed = math.inf, 0
     enough_rows = math.ceil(_enough(spline, problem, level) * problem.rate_hz)
-    for _ in range(TRIES):
+    for _ in range(_TRIES):
         breaks = breaks_at_rows(rows, pieces, problem.rate_hz)
         slower = spline.at_pace(breaks[-1] / spline.duration)
         near = TimedSpline.near(slower.positions, breaks, problem.ends)
         step = _step(near, problem, trust, EXACT, on_rows=True)
         if step is None and problem.sway is not None and found is None:
-            rows = math.ceil(rows * REPAIRED)
+            rows = math.ceil(rows * _REPAIRED)
             continue
         if step is None:
             break
@@ -261,7 +261,7 @@ def _on_rows(spline: TimedSpline, problem: TimeProblem, level: Level) -> TimedSp
         elif pace > 1.0 + kept and level.enough > 0.0:
             failed = max(failed, rows)
         if step.part < 1.0:
-            trust *= SHRINK
+            trust *= _SHRINK
         if spline.ends is not None and pace > 1.0 + kept:
             pace = max(step.pace, 1.0 + KEPT)
         rows = math.ceil(rows * pace - 1e-6)

@@ -28,7 +28,7 @@ from hplan.trajectory.speed_profile import SpeedProfile
 NEAR = 0.4
 
 #: A rough motion comes out quicker by no more than about this part of a motion that is known, and of another one.
-LEFT_TO_GAIN, AMONG_ROUGH = 0.1, 0.05
+_LEFT_TO_GAIN, _AMONG_ROUGH = 0.1, 0.05
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ def fastest_motions(
     if len(several) > 1:
         chosen = [(start, rough_motion(start.profile, start.problem, effort.optimization)) for start in several]
         times = [math.inf if rough is None else rough.duration for _, rough in chosen]
-        enough = min(quicker_than_s / (1.0 - LEFT_TO_GAIN), min(times) / (1.0 - AMONG_ROUGH))
+        enough = min(quicker_than_s / (1.0 - _LEFT_TO_GAIN), min(times) / (1.0 - _AMONG_ROUGH))
         best = ties.argsort(times)[: effort.finished]
         chosen = [chosen[k] for k in best.tolist() if times[k] <= enough]
     found = [

@@ -17,13 +17,13 @@ from hplan.trajectory.corner_rounding import clear_rounding
 from hplan.trajectory.spline import SplinePath
 
 #: Numbers of control points of a spline for an optimiser to begin with, tried in turn: as few as will do.
-FAST_CONTROL_POINTS = (6, 8, 7, 9, 10, 12, 14, 17, 20, 25, 30, 44)
+_FAST_CONTROL_POINTS = (6, 8, 7, 9, 10, 12, 14, 17, 20, 25, 30, 44)
 
 #: Shortcuts tried before an optimiser begins: what is less taut has more room.
 START_SHORTCUTS = 25
 
 #: Ends nearer to each other than this are one [rad].
-NO_MOTION = 1e-9
+_NO_MOTION = 1e-9
 
 #: Obstacles farther than this from the grid path are left out while the spline is moved [m].
 NEAR = 0.3
@@ -70,7 +70,7 @@ def short_path(path: FloatArray, field: ClearanceField, options: PostprocessOpti
 
 def _smallest_margin(path: FloatArray, field: ClearanceField, options: PostprocessOptions) -> float:
     """The least clearance that a path may have, if its ends differ and it has that."""
-    if np.linalg.norm(path[-1] - path[0]) < NO_MOTION:
+    if np.linalg.norm(path[-1] - path[0]) < _NO_MOTION:
         raise InputError("the path ends where it begins; there is no motion to make")
     smallest = SMALLEST_FRACTION * options.margin
     if not field.is_clear(path, smallest):
@@ -95,7 +95,7 @@ def clear_start(
     path: FloatArray,
     field: ClearanceField,
     options: PostprocessOptions,
-    counts: Sequence[int] = FAST_CONTROL_POINTS,
+    counts: Sequence[int] = _FAST_CONTROL_POINTS,
 ) -> SplinePath | None:
     """A spline along a clear path for an optimiser to begin with, verified collision-free; None where none is found.
 
@@ -104,7 +104,7 @@ def clear_start(
         options: Limits, margin and effort.
         counts: Numbers of control points tried in turn.
     """
-    if np.linalg.norm(path[-1] - path[0]) < NO_MOTION or not field.is_clear(path, SMALLEST_FRACTION * options.margin):
+    if np.linalg.norm(path[-1] - path[0]) < _NO_MOTION or not field.is_clear(path, SMALLEST_FRACTION * options.margin):
         return None
     for margin in (options.margin, 0.25 * options.margin):
         taut = shorten(path, field, margin=margin, rounds=START_SHORTCUTS)

@@ -21,7 +21,7 @@ from hplan.robot.limits import Limits, rest_to_rest
 from hplan.trajectory.spline import FIRST, MovableSpline, pieces_are_clear
 
 #: Fraction of the margin asked for wherever the proof of a step looks; the programs ask for all of it at their places.
-PROVED = 0.05
+_PROVED = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +61,7 @@ class TimeProblem(Record):
         if self.sway is not None:
             return self._is_clear_swaying(spline, self.sway)
         moved, pieces = MovableSpline(np.array(spline.control), spline.knots), len(spline.control) - 3
-        clear = pieces_are_clear(moved, FIRST, pieces - 1, self.field.arrays, PROVED * self.options.margin, 0.0)
+        clear = pieces_are_clear(moved, FIRST, pieces - 1, self.field.arrays, _PROVED * self.options.margin, 0.0)
         check_deadline()
         return bool(clear)
 
@@ -70,7 +70,7 @@ class TimeProblem(Record):
         pieces, arrays = spline.path.pieces, self.field.arrays
         velocity = 3.0 * np.abs(np.diff(pieces, axis=1)) / np.diff(spline.path.breaks)[:, None, None]
         swayed = (velocity @ sway.T).max(axis=1)
-        margin = PROVED * self.options.margin
+        margin = _PROVED * self.options.margin
         for piece, grown in zip(np.array(pieces), swayed, strict=True):
             if arrays.chain.shape[1] == LINK:
                 chain = arrays.chain.copy()

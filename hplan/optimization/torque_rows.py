@@ -19,7 +19,7 @@ NEAR_LIMIT = 0.75
 ALLOWED = 0.995
 
 #: Times looked at in each piece.
-TIMES = 2
+_TIMES = 2
 
 #: Step of the differences, in rad, rad/s and rad/s^2.
 _DIFFERENCE = 1e-5
@@ -43,9 +43,9 @@ class TorqueUse:
 
     @classmethod
     def of(cls, spline: TimedSpline, dynamics: InverseDynamics, limit: FloatArray) -> TorqueUse:
-        """The torques at `TIMES` of each piece."""
+        """The torques at `_TIMES` of each piece."""
         breaks = spline.knots[3:-3]
-        inner = np.diff(breaks)[:, None] * (np.arange(TIMES) / TIMES)
+        inner = np.diff(breaks)[:, None] * (np.arange(_TIMES) / _TIMES)
         clock = (breaks[:-1, None] + inner).ravel()
         states = np.stack([spline.path.evaluate(clock, order) for order in range(3)])
         return cls(clock, states, dynamics.torques(*states) / limit, limit)

@@ -28,7 +28,7 @@ from hplan.planning.task import PlanningTask
 WIDTHS = (45.0, 360.0)
 
 #: So many reasons stand in the sentence; `data` has all of them.
-TOLD = 3
+_TOLD = 3
 
 
 class Region(NamedTuple):
@@ -249,8 +249,8 @@ class FailuresError(Exception):
         if all(isinstance(error, NoPathError | NotFoundError) for error in self.errors):
             missed = next(error for error in self.errors if isinstance(error, NotFoundError))
             return NotFoundError(missed.tried, goals=count, reasons=reasons)
-        text = "; ".join(f"{number} x {reason}" for reason, number in tally[:TOLD])
-        message = f"no certified motion to any of {count} {goals}: {text}{'; ...' if len(tally) > TOLD else ''}"
+        text = "; ".join(f"{number} x {reason}" for reason, number in tally[:_TOLD])
+        message = f"no certified motion to any of {count} {goals}: {text}{'; ...' if len(tally) > _TOLD else ''}"
         failed = next(error for error in self.errors if not isinstance(error, NoPathError))
         if isinstance(failed, TimingError) and not any(isinstance(error, CertificationError) for error in self.errors):
             return TimingError(message, joint=failed.joint, cause=failed.cause)

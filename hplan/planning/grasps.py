@@ -46,16 +46,16 @@ from hplan.scene.model import Fruit
 COUNT = 64
 
 #: Where so many grasps of a robot that is no planar arm have an approach, no shorter ones are looked for.
-ENOUGH = 8
+_ENOUGH = 8
 
 #: Stand-offs tried in turn, as fractions of the one asked for.
-FRACTIONS = (1.0, 0.5, 0.2)
+_FRACTIONS = (1.0, 0.5, 0.2)
 
 #: To how many grasps routes are searched where no straight motion leads to them.
 SEARCHED = 8
 
 #: What counts as the clearance of a configuration that no motion leads to, as a joint is blocked before [m].
-BEYOND = -1.0
+_BEYOND = -1.0
 
 #: Clearance that a grasp and its stand-off have beyond the one to keep, and half of it all along the approach [m].
 SPARE = 1e-3
@@ -224,7 +224,7 @@ def _clear_candidates(
 
     def clearance(q: FloatArray) -> float:
         check_deadline()
-        return world.field.clearance(q) if ranges.wall_before(q) is None else BEYOND
+        return world.field.clearance(q) if ranges.wall_before(q) is None else _BEYOND
 
     found = within(target.approach_deg, count)
     rooms = np.array([clearance(q) for q in found.configurations])
@@ -254,7 +254,7 @@ def _distances(standoff: float, least: float) -> list[float]:
     """Lengths of the approach to try, the one asked for first."""
     if standoff <= 0.0 and least <= 0.0:
         return []
-    shorter = {max(least, fraction * standoff) for fraction in FRACTIONS}
+    shorter = {max(least, fraction * standoff) for fraction in _FRACTIONS}
     return sorted(shorter, reverse=True)
 
 
@@ -267,7 +267,7 @@ def _clear_approaches(
     about that.
     """
     chosen: dict[int, tuple[float, FloatArray]] = {}
-    enough = math.inf if target.world.robot.planar is not None else ENOUGH
+    enough = math.inf if target.world.robot.planar is not None else _ENOUGH
     for length in lengths:
         if chosen and len(chosen) >= min(enough, len(along(length).polylines)):
             break

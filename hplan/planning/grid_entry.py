@@ -17,10 +17,10 @@ from hplan.optimization.repair import leave_contact
 from hplan.planning.task import PlanningTask
 
 #: A configuration this near to a node stands on it [steps].
-ON_NODE = 1e-6
+_ON_NODE = 1e-6
 
 #: How many nodes away a joint may be led, to either side.
-REACH = 2
+_REACH = 2
 
 
 class GridEntry(NamedTuple):
@@ -68,16 +68,16 @@ def joined_nodes(
         margin: Clearance asked for wherever the motion is evaluated [m].
 
     Yields:
-        (d,) node indices within `REACH` steps; only the configuration's own node where it stands on one.
+        (d,) node indices within `_REACH` steps; only the configuration's own node where it stands on one.
     """
     grid = occupancy.grid
     position = grid.position(q[axes])
     nearest = grid.nearest(q[axes])
-    if np.abs(position - nearest).max() <= ON_NODE:
+    if np.abs(position - nearest).max() <= _ON_NODE:
         if occupancy.is_free(nearest):
             yield nearest
         return
-    low, high = np.floor(position).astype(int) - REACH + 1, np.ceil(position).astype(int) + REACH - 1
+    low, high = np.floor(position).astype(int) - _REACH + 1, np.ceil(position).astype(int) + _REACH - 1
     ranges = [range(max(0, a), min(count - 1, b) + 1) for a, b, count in zip(low, high, grid.shape, strict=True)]
     nodes = np.array(list(itertools.product(*ranges)), dtype=np.int64)
     distances = np.sqrt((((nodes - position) * grid.step) ** 2).sum(axis=1))

@@ -18,7 +18,7 @@ from hplan.planning.grid_entry import GridEntry, grid_entry
 from hplan.planning.task import PlanningTask
 
 #: A node and a configuration that differ by less than this are one [rad].
-ON_NODE = 1e-9
+_ON_NODE = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,9 +71,9 @@ def _configurations(task: PlanningTask, grid: Grid, nodes: IntArray, start: Grid
     path = np.repeat(task.problem.start[None], len(nodes), axis=0)
     path[:, task.axes] = grid.coordinates(nodes)
     before, after = start.waypoints, goal.waypoints
-    if np.abs(path[0] - before[-1]).max() < ON_NODE:
+    if np.abs(path[0] - before[-1]).max() < _ON_NODE:
         path[0], before = before[-1], before[:-1]
-    if np.abs(path[-1] - after[-1]).max() < ON_NODE:
+    if np.abs(path[-1] - after[-1]).max() < _ON_NODE:
         path[-1], after = after[-1], after[:-1]
     return frozen(np.concatenate([before, path, after[::-1]]))
 

@@ -30,16 +30,16 @@ from hplan.scene.model import Scene, Start
 from hplan.trajectory.trajectory import Phase, Retimed, Trajectory, joined, scaled
 
 #: So much earlier or later than scheduled the arm may be anywhere [s], tried in turn until a motion is certified.
-SPARE_S: Final = (0.02, 0.06, 0.15)
+_SPARE_S: Final = (0.02, 0.06, 0.15)
 
 #: A path around what moves is looked for within so much of the time at which it is in the way [s].
-MEANWHILE_S: Final = 0.35
+_MEANWHILE_S: Final = 0.35
 
 #: Longest motion of the scene that is planned around as one [s].
-LONGEST_SWEPT_S: Final = 30.0
+_LONGEST_SWEPT_S: Final = 30.0
 
 #: A motion that takes no more than so many times as long as one to which nothing is in the way needs no alternative.
-CLOSE: Final = 1.02
+_CLOSE: Final = 1.02
 
 #: Ever quicker plans of a scene, whether anything moves in it or not.
 PlansOf: TypeAlias = Callable[[Scene], Iterator[Plan]]
@@ -159,17 +159,17 @@ class _Search:
         """Scenes in which nothing moves whose motions are looked at, and what they are, in words."""
         scene = self._scene
         yield "the path without what moves", without_moving(scene)
-        if self.first is None or self.best_s <= CLOSE * self.first[0].duration:
+        if self.first is None or self.best_s <= _CLOSE * self.first[0].duration:
             return
         duration = self.first[0].duration
         when = min(self.first[1].nearest_s or 0.0, duration)
-        end_s = min(duration + 0.5, LONGEST_SWEPT_S)
+        end_s = min(duration + 0.5, _LONGEST_SWEPT_S)
         yield "a path around all that it sweeps meanwhile", among_poses(scene, 0.0, end_s)
         yield (
             "a path around where it is when it is in the way",
-            among_poses(scene, max(0.0, when - MEANWHILE_S), when + MEANWHILE_S),
+            among_poses(scene, max(0.0, when - _MEANWHILE_S), when + _MEANWHILE_S),
         )
-        yield "a path around where it is at first", among_poses(scene, 0.0, min(when, MEANWHILE_S))
+        yield "a path around where it is at first", among_poses(scene, 0.0, min(when, _MEANWHILE_S))
         yield "a path around where it is in the end", among_poses(scene, scene.at_rest_s, scene.at_rest_s)
 
     def _past(self, path: str, still: Plan) -> Plan | None:
@@ -181,7 +181,7 @@ class _Search:
         report = {"path": path, "waits_s": 0.0, "slows_down": False, "at_full_speed_s": motion.duration}
         if certificate.verified:
             return _run(still, self._scene, InTime(motion, certificate, phases, report | _clear_until(certificate)))
-        for spare_s in SPARE_S:
+        for spare_s in _SPARE_S:
             cells = PathInTime(motion, self._field, self._robot, step_s=STEP_S, spare_s=spare_s)
             schedule = earliest_schedule(
                 cells,

@@ -31,8 +31,8 @@ from hplan.trajectory.trajectory import Phase, Trajectory, joined
 
 #: Where tracking errors grow with speed, motions make room for so many times as much, tried in turn until one is
 #: certified; a motion on a given path is run at these fractions of its own speed.
-SWAYS = (1.0, 1.6, 2.5)
-SPEEDS = (1.0, 0.7, 0.5, 0.35, 0.25, 0.17, 0.12, 0.08, 0.05, 0.03)
+_SWAYS = (1.0, 1.6, 2.5)
+_SPEEDS = (1.0, 0.7, 0.5, 0.35, 0.25, 0.17, 0.12, 0.08, 0.05, 0.03)
 
 #: Where a path comes from: there is none, as start and goal are the same; it is straight, found by trees or on a grid,
 #: that of an earlier motion, repaired, or as it was, or it was given.
@@ -297,7 +297,7 @@ def _optimized(
     limits, dynamics, sway, rate_hz = motion_limits(task), task.robot.dynamics, sway_of(task), task.options.rate_hz
     if sway is None and is_straight(paths[0], task.field, processing):
         return None
-    for room in [None] if sway is None else [times * sway for times in SWAYS]:
+    for room in [None] if sway is None else [times * sway for times in _SWAYS]:
         with task.stage("postprocess"):
             problem = TimeProblem(task.field, task.field, processing, limits, dynamics, rate_hz, sway=room)
             starts = optimization_starts(paths, problem)
@@ -331,7 +331,7 @@ def certified_trajectory(
         CertificationError: It is asked for, and something was not shown.
     """
     limits, largest = motion_limits(context), np.empty(0)
-    for speed in SPEEDS if context.options.tracking.delay_s > 0.0 else SPEEDS[:1]:
+    for speed in _SPEEDS if context.options.tracking.delay_s > 0.0 else _SPEEDS[:1]:
         if speed < 1.0:
             limits = replace(limits, velocity=np.minimum(limits.velocity, np.maximum(speed * largest, 1e-3)))
         trajectory = timed(context, path, limits, grid)

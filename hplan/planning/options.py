@@ -13,17 +13,17 @@ from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel
 
 Method = Literal["two-level", "dense"]
-METHODS: tuple[Method, ...] = ("two-level", "dense")
+_METHODS: tuple[Method, ...] = ("two-level", "dense")
 
 #: What is asked of a motion.
 Objective = Literal["duration", "length"]
-OBJECTIVES: tuple[Objective, ...] = ("duration", "length")
+_OBJECTIVES: tuple[Objective, ...] = ("duration", "length")
 
 #: Length of the straight approach to a fruit or a point, where none is asked for [m].
 STANDOFF = 0.1
 
 #: Finest joint grid that can be asked for [deg]: of a single joint that turns once, more nodes than any grid may have.
-FINEST_DEG: Final = 1e-7
+_FINEST_DEG: Final = 1e-7
 
 #: How much is spent on a faster motion.
 EffortName = Literal["quick", "default", "best"]
@@ -115,11 +115,11 @@ class PlanOptions:
 
 
 _CHECKS = {
-    "method": (one_of, METHODS),
-    "objective": (one_of, OBJECTIVES),
+    "method": (one_of, _METHODS),
+    "objective": (one_of, _OBJECTIVES),
     "effort": (one_of, EFFORT_NAMES),
     "link_model": (one_of, LINK_MODELS),
-    "step_deg": (number, f"a number of degrees >= {FINEST_DEG:g}", lambda step: step >= FINEST_DEG),
+    "step_deg": (number, f"a number of degrees >= {_FINEST_DEG:g}", lambda step: step >= _FINEST_DEG),
     "sigmas": (number, "a finite number >= 0", lambda value: value >= 0.0),
     **dict.fromkeys(("certify", "bound"), (truth,)),
 }

@@ -35,8 +35,8 @@ from hplan.planning.transits import reused, transits
 from hplan.trajectory.trajectory import Trajectory
 
 #: Configurations at a fruit among which grasps are chosen where a motion is wanted at once, and how many of them.
-FEW_GRASPS: Final = 24
-FIRST_GRASPS: Final = 3
+_FEW_GRASPS: Final = 24
+_FIRST_GRASPS: Final = 3
 
 
 def plans(
@@ -130,11 +130,11 @@ def _to_target(context: PlanningContext, target: Target, start: FloatArray) -> I
     """Ever quicker plans to a target; the last one goes without a stop before the approach where that is quicker."""
     at_once, locked = context.effort.at_once, context.scene.locked_joints
     with context.stage("grasps"):
-        count = FEW_GRASPS if at_once else COUNT
+        count = _FEW_GRASPS if at_once else COUNT
         found = grasps(target, start, standoff=context.options.standoff_m, locked=locked, count=count)
         if at_once:
             likely = promising(found, target, start)
-            found = (*likely[:FIRST_GRASPS], *likely[FIRST_GRASPS:][-1:])  # the last may be straight ahead
+            found = (*likely[:_FIRST_GRASPS], *likely[_FIRST_GRASPS:][-1:])  # the last may be straight ahead
     for approach, plan in plans_to_grasps(context, target, found, start):
         quickest = approach, plan
         yield plan

@@ -26,10 +26,10 @@ from hplan.trajectory.braking import braking
 from hplan.trajectory.trajectory import Trajectory, joined
 
 #: Parts of the acceleration limits with which stops are tried in turn.
-PUSHES: Final = (1.0, 0.7, 0.4, 0.2)
+_PUSHES: Final = (1.0, 0.7, 0.4, 0.2)
 
 #: A joint that is to stop with the slowest one gets so much more acceleration than its part [rad/s^2].
-TOGETHER: Final = 1e-3
+_TOGETHER: Final = 1e-3
 
 
 def plans_in_motion(
@@ -180,11 +180,11 @@ def stops(robot: Robot, state: BoundaryState, period: float, given: Trajectory |
     """
     if given is not None:
         yield given
-    for part in PUSHES:
+    for part in _PUSHES:
         push = part * robot.acceleration_limit
         with np.errstate(divide="ignore", invalid="ignore"):
             slowest = float(np.nan_to_num(np.abs(state.velocity) / push, posinf=0.0).max())
-        together = push if slowest == 0.0 else np.minimum(push, np.abs(state.velocity) / slowest + TOGETHER)
+        together = push if slowest == 0.0 else np.minimum(push, np.abs(state.velocity) / slowest + _TOGETHER)
         for pushes in (push, together):
             found = braking(robot, state.position, state.velocity, state.acceleration, period, pushes)
             if found is not None:

@@ -34,14 +34,14 @@ MARGIN = 2e-3
 
 #: Multiples of the step that are tried where a grid has too many nodes, as long as the step is no larger than the
 #: coarsest [deg]; the one that is asked for may be.
-STEP_FACTORS = (0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0, 48.0, 64.0)
+_STEP_FACTORS = (0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0, 48.0, 64.0)
 COARSEST_DEG = 8.0
 
 #: Most nodes of a grid.
 MOST_CELLS = 1e8
 
 #: A row of yaws takes as much memory as one of so many nodes, however few there are.
-LEAST_ROW = 32
+_LEAST_ROW = 32
 
 #: Called with the name of each stage as it begins.
 Progress = Callable[[str], None]
@@ -149,14 +149,14 @@ class PlanningTask(PlanningContext):
             beyond = math.radians(attempt.yaw_range_deg)
             low = max(problem.lower[0], min(problem.start[0], problem.goal[0]) - beyond)
             high = min(problem.upper[0], max(problem.start[0], problem.goal[0]) + beyond)
-            count *= max(1.0 + (high - low) / step, LEAST_ROW)
+            count *= max(1.0 + (high - low) / step, _LEAST_ROW)
         return float(count)
 
     def fitting(self, attempt: GridAttempt, most_cells: float | None = None) -> GridAttempt | None:
         """The attempt with a step as much larger as keeps the grid within a number of nodes; None without any."""
         most_cells = MOST_CELLS if most_cells is None else most_cells
         coarsest = max(attempt.step_factor, COARSEST_DEG / self.options.step_deg)
-        factors = (factor for factor in STEP_FACTORS if attempt.step_factor <= factor <= coarsest)
+        factors = (factor for factor in _STEP_FACTORS if attempt.step_factor <= factor <= coarsest)
         larger = (replace(attempt, step_factor=factor) for factor in factors)
         return next((coarser for coarser in larger if self.cells(coarser) <= most_cells), None)
 

@@ -26,10 +26,10 @@ from hplan.kinematics.tool_at_point import approach_angles, tool_at_point
 from hplan.robot.model import Robot
 
 #: Where an approach is checked, as fractions of its length: whole steps of `hplan.kinematics.straight_line`.
-LOOKS = (0.25, 0.5, 0.75, 1.0)
+_LOOKS = (0.25, 0.5, 0.75, 1.0)
 
 #: Where no configuration is clear, so many directions are tried.
-MORE = 256
+_MORE = 256
 
 #: A straight approach.
 ToolPath: TypeAlias = ApproachPath | StraightLine
@@ -106,7 +106,7 @@ def finer_candidates(
     if robot.planar is not None:
         return refined(evenly, within, clearance, enough, approach_deg)
     try:
-        more = within(approach_deg, MORE)
+        more = within(approach_deg, _MORE)
     except UnreachableError:
         more = evenly
     rooms = np.array([clearance(q) for q in more.configurations])
@@ -136,13 +136,13 @@ def straight_approaches(
         def drawn_back(length: float) -> Approaches:
             lines = lines_back(robot, goals, length, locked=locked, keeps_turn=keeps_turn)
             steps = len(lines.distances) - 1
-            return Approaches(lines.reached > steps, lines.rows[:, [0, *(round(look * steps) for look in LOOKS)]])
+            return Approaches(lines.reached > steps, lines.rows[:, [0, *(round(look * steps) for look in _LOOKS)]])
 
         return drawn_back
     back = Stretches.back_from(robot, goals, locked)
 
     def stretched(length: float) -> Approaches:
-        looks = np.broadcast_to(length * np.array(LOOKS), (len(goals), len(LOOKS)))
+        looks = np.broadcast_to(length * np.array(_LOOKS), (len(goals), len(_LOOKS)))
         approached = np.concatenate([goals[:, None], back.configurations(goals, looks)], axis=1)
         return Approaches(back.largest(length) >= length, approached)
 

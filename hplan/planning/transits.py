@@ -34,27 +34,27 @@ from hplan.trajectory.retime import resting
 
 #: Nodes are not motions: where the grid path's motions cannot be verified, the search is repeated with obstacles
 #: grown by these [m], and where that does not help either, on grids with these multiples of the step.
-GROWTH: Final = (0.0, 2e-3, 5e-3, 0.01, 0.02, 0.04)
-STEP_FACTORS: Final = (1.0, 0.5)
+_GROWTH: Final = (0.0, 2e-3, 5e-3, 0.01, 0.02, 0.04)
+_STEP_FACTORS: Final = (1.0, 0.5)
 
 #: A planar grid with more nodes is searched only after trees; a coarse one with more than the other is left out.
-LARGE_PLANAR: Final = 2e6
-MOST_COARSE: Final = 5e6
+_LARGE_PLANAR: Final = 2e6
+_MOST_COARSE: Final = 5e6
 
 #: To so many goals trees look for a path one by one, before they do to all at once.
-ONE_BY_ONE: Final = 2
+_ONE_BY_ONE: Final = 2
 
 #: A route is searched to a goal that promises to be reached in less than this fraction of a straight motion's time.
 WORTHWHILE: Final = 0.7
 
 #: Evaluations of the pairs of trees that look for the first motion of all, and how many of these where the base is
 #: locked: grids find narrow passages there.
-FIRST_TREES: Final = (3_000, 3_000, 3_000, 3_000, 12_000, 12_000, 12_000, 12_000)
-PLANAR_TREES: Final = 2
+_FIRST_TREES: Final = (3_000, 3_000, 3_000, 3_000, 12_000, 12_000, 12_000, 12_000)
+_PLANAR_TREES: Final = 2
 
 #: Effort of trees before goals are refused, with so many seeds.
-LONG_TREES: Final = 120_000
-LONG_SEEDS: Final = 2
+_LONG_TREES: Final = 120_000
+_LONG_SEEDS: Final = 2
 
 #: The number of a goal, and a motion there.
 Found: TypeAlias = tuple[int, Transit]
@@ -150,7 +150,7 @@ def _stages(tasks: Sequence[PlanningTask]) -> Sequence[_Stage]:
         return (_at_once,)
     if first.problem.turns:
         stages: Sequence[_Stage] = (_along_straight, _by_trees, _by_long_trees)
-    elif first.cells(GridAttempt()) > LARGE_PLANAR:
+    elif first.cells(GridAttempt()) > _LARGE_PLANAR:
         # Trees take a fraction of the time, and their paths are shorter than those that a flood of the grid finds.
         stages = (_by_trees, _by_long_trees, _on_grids)
     else:
@@ -178,7 +178,7 @@ def _at_once(tasks: Sequence[PlanningTask]) -> Iterator[Found]:
 
 def _first_paths(tasks: Sequence[PlanningTask]) -> Iterator[tuple[int, Polyline]]:
     yield from enumerate(map(_straight, tasks))
-    for seed, evaluations in enumerate(FIRST_TREES if tasks[0].problem.turns else FIRST_TREES[:PLANAR_TREES]):
+    for seed, evaluations in enumerate(_FIRST_TREES if tasks[0].problem.turns else _FIRST_TREES[:_PLANAR_TREES]):
         reached = _tree_to_any(tasks, TreeEffort(evaluations, seed))
         if reached is not None:
             yield reached
@@ -208,7 +208,7 @@ def _along_straight(tasks: Sequence[PlanningTask]) -> Iterator[Found]:
 def _by_trees(tasks: Sequence[PlanningTask]) -> Iterator[Found]:
     """Motions along sampled paths to the first goal that has any, or to several that may be reached sooner."""
     compared, best_s = tasks[0].effort.compared, math.inf
-    for number, task in enumerate(tasks[: max(ONE_BY_ONE, compared)]):
+    for number, task in enumerate(tasks[: max(_ONE_BY_ONE, compared)]):
         if math.isfinite(best_s) and (compared == 1 or least_duration(task) >= best_s):
             continue
         for motion in _near_trees(task):
@@ -261,7 +261,7 @@ def _coarse_grids(task: PlanningTask) -> list[Polyline]:
     """The shortest path on each of some planar grids that has one."""
     found: list[Polyline] = []
     for attempt in task.effort.grids if _may_sample(task) and not task.problem.turns else ():
-        if task.cells(attempt) <= MOST_COARSE:
+        if task.cells(attempt) <= _MOST_COARSE:
             with suppress(NoPathError):
                 grown = replace(attempt, growth_m=task.grown(attempt.growth_m))
                 found.append(Polyline(find_route(task, grown, 0.1 * task.margin()).path, "search"))
@@ -279,8 +279,8 @@ def _by_long_trees(tasks: Sequence[PlanningTask]) -> Iterator[Found]:
         return
     found: dict[int, list[FloatArray]] = {}
     at_once = tasks[0].robot.planar is None  # another path takes as long again
-    for seed in range(LONG_SEEDS + at_once):
-        reached = _tree_to_any(tasks, TreeEffort(LONG_TREES, seed))
+    for seed in range(_LONG_SEEDS + at_once):
+        reached = _tree_to_any(tasks, TreeEffort(_LONG_TREES, seed))
         if reached is None:
             continue
         number, polyline = reached
@@ -333,10 +333,10 @@ def _on_grids(tasks: Sequence[PlanningTask]) -> Iterator[Found]:
 
 def _on_a_grid(task: PlanningTask) -> Transit:
     """The motion on the first grid that leads to one, finer ones and larger obstacles in turn."""
-    fitting = [task.fitting(GridAttempt(factor)) for factor in STEP_FACTORS]
+    fitting = [task.fitting(GridAttempt(factor)) for factor in _STEP_FACTORS]
     failure: CertificationError | None = None
     for step_factor in dict.fromkeys(attempt.step_factor for attempt in fitting if attempt is not None):
-        for growth_m in sorted({task.grown(growth_m) for growth_m in GROWTH}):
+        for growth_m in sorted({task.grown(growth_m) for growth_m in _GROWTH}):
             attempt = GridAttempt(step_factor, growth_m=growth_m)
             margin = task.margin(growth_m)
             try:

@@ -17,10 +17,10 @@ from hplan.robot.planar_family import PlanarArm, PlanarFamily
 from hplan.scene.solids import CUBE_CORNERS
 
 #: Lengths below this are zero, offsets below this are on the plane [m].
-GEOMETRY_TOLERANCE = 1e-6
+_GEOMETRY_TOLERANCE = 1e-6
 
 #: Axes this near to a direction have it [rad]: over ten metres 10 nm, of which no bound needs to take account.
-AXIS_TOLERANCE = 1e-9
+_AXIS_TOLERANCE = 1e-9
 
 #: Part of an interval that the golden section keeps.
 _GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
@@ -139,24 +139,24 @@ class FamilyReader:
         if len(axes) == 1:
             return False
         between = _angle_between(axes[0], axes[1])
-        if between <= AXIS_TOLERANCE:
+        if between <= _AXIS_TOLERANCE:
             return False
         name = model.names[1]
         tilt = _angle_between(axes[0], np.array([0.0, 0.0, 1.0]))
-        if tilt > AXIS_TOLERANCE:
+        if tilt > _AXIS_TOLERANCE:
             reason = "it is not parallel to the next joint and not vertical either"
             raise self._fault(f"joint {name!r}", reason + _nearly(min(between, tilt)))
         if axes[0, 2] < 0.0:
             raise self._fault(f"joint {name!r}", "the yaw axis points down; turn it to +z")
         lean = abs(math.atan2(axes[1, 2], math.hypot(axes[1, 0], axes[1, 1])))
-        if lean > AXIS_TOLERANCE:
+        if lean > _AXIS_TOLERANCE:
             raise self._fault(f"joint {model.names[2]!r}", "it is not perpendicular to the yaw axis" + _nearly(lean))
         return True
 
     def _read_plane(self, model: pin.Model, axes: FloatArray, points: FloatArray, first: int) -> None:
         for offset, axis in enumerate(axes):
             angle = _angle_between(axis, axes[0])
-            if angle > AXIS_TOLERANCE:
+            if angle > _AXIS_TOLERANCE:
                 raise self._fault(
                     f"joint {model.names[first + 1 + offset]!r}",
                     f"it is not parallel to joint {model.names[first + 1]!r}{_nearly(angle)}; "
@@ -167,18 +167,18 @@ class FamilyReader:
         up = up / np.linalg.norm(up) if np.linalg.norm(up) > 1e-6 else np.array([0.0, 1.0, 0.0])
         forward = np.cross(up, normal)
         reach = float(forward @ (points[-1] - points[0]))
-        lead = reach if abs(reach) > GEOMETRY_TOLERANCE else float(forward[ties.argmax(np.abs(forward))])
+        lead = reach if abs(reach) > _GEOMETRY_TOLERANCE else float(forward[ties.argmax(np.abs(forward))])
         if lead < 0.0:
             forward = -forward
         normal = np.cross(forward, up)
         aside = (points - points[-1]) @ normal
-        aside[np.abs(aside) <= GEOMETRY_TOLERANCE] = 0.0
+        aside[np.abs(aside) <= _GEOMETRY_TOLERANCE] = 0.0
         points = points - aside[:, None] * normal
         steps = np.diff(points, axis=0) @ np.stack([forward, up], axis=1)
         lengths = np.linalg.norm(steps, axis=1)
         self.link_names = tuple(self._link_name(model, index) for index in range(first + 1, model.njoints))
         for name, length in zip(self.link_names, lengths, strict=True):
-            if length < GEOMETRY_TOLERANCE:
+            if length < _GEOMETRY_TOLERANCE:
                 raise self._fault(f"link {name!r}", "it has no length")
         absolute = np.array([math.atan2(y, x) for x, y in steps.tolist()])
         relative = np.diff(absolute, prepend=0.0)
@@ -233,7 +233,7 @@ def _nearly(angle: float) -> str:
     if angle > 0.01:
         return ""
     return (
-        f", by {angle:.3g} rad, of which {AXIS_TOLERANCE:g} is taken: write angles in full, a right one as "
+        f", by {angle:.3g} rad, of which {_AXIS_TOLERANCE:g} is taken: write angles in full, a right one as "
         "1.5707963267948966, or turn the <axis> instead of the <origin>"
     )
 
@@ -275,14 +275,14 @@ def _thinnest(outlines: Sequence[tuple[FloatArray, FloatArray, float]]) -> float
         return max(float(np.hypot(aside - at, away).max()) + rounding for aside, away, rounding in outlines)
 
     low, high = (float(end([end(aside) for aside, _, _ in outlines])) for end in (np.min, np.max))
-    while high - low > 1e-3 * GEOMETRY_TOLERANCE:
+    while high - low > 1e-3 * _GEOMETRY_TOLERANCE:
         left, right = high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)
         if radius(left) <= radius(right):
             high = right
         else:
             low = left
     found = round(0.5 * (low + high), 6)
-    return found if radius(found) < radius(0.0) - GEOMETRY_TOLERANCE else 0.0
+    return found if radius(found) < radius(0.0) - _GEOMETRY_TOLERANCE else 0.0
 
 
 def outline(shape: pin.GeometryObject, *, rim_from_outside: bool) -> tuple[FloatArray, float]:

@@ -54,7 +54,7 @@ from hplan.robot.planar_family import PlanarArm
 SHAPED: Final = -1000
 
 #: Parts are taken to be able to touch if they come this near [m]: positions are kept to 1e-6 rad, distances to 1e-5 m.
-SLACK: Final = 1e-4
+_SLACK: Final = 1e-4
 
 #: Corners of the polygon that stands for a circle, drawn around it.
 _CORNERS: Final = 32
@@ -136,7 +136,7 @@ def _decided(robot: Robot, deviation: float, clearance: float) -> SelfContact:
     return SelfContact(
         links=_link_pairs(arm, clearance),
         bodies=tuple(_bodies(robot, arm, deviation, clearance)),
-        folds=folds(arm, clearance, SLACK),
+        folds=folds(arm, clearance, _SLACK),
         turret=tuple(_turret_pairs(robot, deviation, clearance)),
     )
 
@@ -229,7 +229,7 @@ def _link_pairs(arm: PlanarArm, clearance: float) -> tuple[tuple[int, int], ...]
         for j in range(i + 2, arm.link_count):
             radius, aside = float(arm.half_widths[i] + arm.half_widths[j]), float(arm.lateral[j] - arm.lateral[i])
             held = held_apart(arm, i, j)
-            reach = radius_in_plane(radius + SLACK + (clearance if held > clearance else 0.0), aside)
+            reach = radius_in_plane(radius + _SLACK + (clearance if held > clearance else 0.0), aside)
             if held > 0.0 and reach > 0.0 and _can_touch(part_of_arm(arm, i + 1, j), before, reach):
                 pairs.append((i, j))
     return tuple(pairs)
@@ -251,7 +251,7 @@ def _bodies(robot: Robot, arm: PlanarArm, deviation: float, clearance: float) ->
             held = partial(is_held, robot, shape, deviation, link)
             if held(0.0):
                 continue  # it carries the shoulder, or the links between are too short to leave it
-            reach = SLACK + (0.0 if clearance > 0.0 and held(clearance) else clearance)
+            reach = _SLACK + (0.0 if clearance > 0.0 and held(clearance) else clearance)
             lateral = float(arm.lateral[link])
             off_plane = max(float(aside.min()) - lateral, lateral - float(aside.max()), 0.0)
             if off_plane <= radius + reach and _can_touch(part_of_arm(arm, 0, link), shadow, radius + reach):
@@ -321,7 +321,7 @@ def _turret_pairs(robot: Robot, deviation: float, clearance: float) -> list[tupl
             if always(distance, low, high, rate, 0.0):
                 continue
             held = clearance > 0.0 and always(distance, low, high, rate, clearance)
-            if ever(distance, low, high, rate, SLACK + (0.0 if held else clearance)):
+            if ever(distance, low, high, rate, _SLACK + (0.0 if held else clearance)):
                 found.append((shape, other))
     return found
 

@@ -24,7 +24,7 @@ from hplan.base.units import joint_unit
 from hplan.errors import HplanError
 
 #: How exactly the largest tracking error is found that would do, as a fraction of the one asked for.
-FRACTION_ERROR = 1e-3
+_FRACTION_ERROR = 1e-3
 
 
 @dataclass(frozen=True)
@@ -103,12 +103,12 @@ def largest_fraction(would_do: Callable[[float], bool]) -> float:
         would_do: True for a fraction that would do.
 
     Returns:
-        A fraction that does, less than `FRACTION_ERROR` below the largest; 0 where none does.
+        A fraction that does, less than `_FRACTION_ERROR` below the largest; 0 where none does.
     """
     if not would_do(0.0):
         return 0.0
     low, high = 0.0, 1.0
-    while high - low > FRACTION_ERROR:
+    while high - low > _FRACTION_ERROR:
         middle = 0.5 * (low + high)
         low, high = (middle, high) if would_do(middle) else (low, middle)
     return low

@@ -30,13 +30,13 @@ from hplan.robot.urdf_xml import URDF_TEXT, line_of
 from hplan.scene.limits import FARTHEST_M
 
 #: Frame in which scenes are.
-BASE_LINK: Final = "base_link"
+_BASE_LINK: Final = "base_link"
 
 #: A continuous joint turns by this, a whole turn, to either side [rad].
 CONTINUOUS_RANGE: Final = 2.0 * math.pi
 
 #: A limit of a revolute joint beyond this is none: exporters write 1e16 where a joint turns without end [rad].
-ENDLESS: Final = 1e3
+_ENDLESS: Final = 1e3
 
 #: The vertical of `base_link` and that of what carries it may differ by this [rad].
 _TILT: Final = 1e-9
@@ -121,7 +121,7 @@ class _Adaptation:
         if not self._is_tree() or all(joint.kind == "fixed" for joint in self._urdf.joints.values()):
             return False  # what is wrong is said by Pinocchio and by who reads its model
         tip = self._tip()
-        mount = self._up_from(BASE_LINK) if BASE_LINK in self._urdf.links else []
+        mount = self._up_from(_BASE_LINK) if _BASE_LINK in self._urdf.links else []
         changed = self._make_root(mount)
         above = {joint.name for joint in mount}
         chain = [joint for joint in self._up_from(tip)[::-1] if joint.name not in above]
@@ -191,7 +191,7 @@ class _Adaptation:
         for joint in mount:
             if joint.kind != "fixed" and joint.name not in self._hold:
                 reason = (
-                    f"it is {joint.kind} and carries {BASE_LINK!r}, in which scenes are; only fixed joints may; "
+                    f"it is {joint.kind} and carries {_BASE_LINK!r}, in which scenes are; only fixed joints may; "
                     f"{hold_advice(joint.name)}"
                 )
                 raise self._fault(joint, ": " + reason)
@@ -202,8 +202,8 @@ class _Adaptation:
         if math.hypot(tilt[0, 2], tilt[1, 2]) > _TILT or tilt[2, 2] < 0.0:
             angle = math.degrees(math.atan2(math.hypot(tilt[0, 2], tilt[1, 2]), tilt[2, 2]))
             reason = (
-                f"it tilts {BASE_LINK!r} by {angle:.4g} deg, and gravity would pull along another axis than -z; mount "
-                f'{BASE_LINK!r} upright (rpy="0 0 YAW"), or give the upright link that name'
+                f"it tilts {_BASE_LINK!r} by {angle:.4g} deg, and gravity would pull along another axis than -z; mount "
+                f'{_BASE_LINK!r} upright (rpy="0 0 YAW"), or give the upright link that name'
             )
             raise self._fault(mount[0], ": " + reason)
         for joint in mount:
@@ -279,15 +279,17 @@ class _Adaptation:
                 )
             return False
         endless = {
-            "lower": joint.kind == "continuous" or ends["lower"] < -ENDLESS,
-            "upper": joint.kind == "continuous" or ends["upper"] > ENDLESS,
+            "lower": joint.kind == "continuous" or ends["lower"] < -_ENDLESS,
+            "upper": joint.kind == "continuous" or ends["upper"] > _ENDLESS,
         }
         for key, side in (("lower", -1.0), ("upper", 1.0)):
             if endless[key]:
                 ends[key] = side * CONTINUOUS_RANGE
                 limit.set(key, repr(ends[key]))
-        if any(endless.values()) and not -ENDLESS <= ends["lower"] < ends["upper"] <= ENDLESS:
-            advice = f"a limit beyond {ENDLESS:g} rad is none, and the joint turns by a whole turn at most to that side"
+        if any(endless.values()) and not -_ENDLESS <= ends["lower"] < ends["upper"] <= _ENDLESS:
+            advice = (
+                f"a limit beyond {_ENDLESS:g} rad is none, and the joint turns by a whole turn at most to that side"
+            )
             raise self._fault(joint, f": {range_} rad; {advice}: write both as few turns from 0 as they are")
         if all(endless.values()):
             joint.element.set("type", "revolute")

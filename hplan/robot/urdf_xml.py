@@ -14,7 +14,7 @@ from hplan.base.lazy_import import extra
 from hplan.errors import RobotFileError
 
 #: Most bytes of a URDF.
-MOST_BYTES: Final = 16_000_000
+_MOST_BYTES: Final = 16_000_000
 
 #: Encodings that all readers of URDF understand alike: they take the bytes for UTF-8, whatever is declared.
 _ENCODINGS: Final = ("utf-8", "us-ascii", "ascii")
@@ -43,8 +43,8 @@ def read_urdf_xml(path: Path, text: str | None = None, package_dirs: Sequence[Pa
         InputError: It is xacro, which `xacrodoc` is missing for.
     """
     content = _content(path, package_dirs) if text is None else text.lstrip().encode("utf-8", "surrogatepass")
-    if len(content) > MOST_BYTES:
-        raise RobotFileError(path, f"it has more than {MOST_BYTES:,} bytes")
+    if len(content) > _MOST_BYTES:
+        raise RobotFileError(path, f"it has more than {_MOST_BYTES:,} bytes")
     root = _parsed(path, content)
     if root.tag != "robot":
         raise RobotFileError(path, f"the root element is <{root.tag}>, expected <robot>")
@@ -58,7 +58,7 @@ def is_urdf_text(source: object) -> bool:
 
 def _content(path: Path, package_dirs: Sequence[Path]) -> bytes:
     try:
-        content = ByteBudget(MOST_BYTES).read(path)
+        content = ByteBudget(_MOST_BYTES).read(path)
     except OSError as error:
         reason = error.strerror or str(error)
         if isinstance(error, FileNotFoundError) and str(path) == path.name and not path.suffix:

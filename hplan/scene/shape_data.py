@@ -23,8 +23,8 @@ from hplan.scene.convex_decomposition import Pieces, convex_pieces
 from hplan.scene.limits import FARTHEST_M, MOST_POINTS, MOST_TRIANGLES
 
 #: Files that hold a surface, and files that hold points.
-MESH_FORMATS: Final = (".stl", ".ply", ".obj", ".off")
-POINT_FORMATS: Final = (".ply", ".xyz")
+_MESH_FORMATS: Final = (".stl", ".ply", ".obj", ".off")
+_POINT_FORMATS: Final = (".ply", ".xyz")
 
 _T = TypeVar("_T")
 
@@ -155,7 +155,7 @@ def read_surface(path: Path, budget: ByteBudget) -> Surface:
     Raises:
         ValueError: It is too large, cannot be read, or its surface is not closed, flat or inside out.
     """
-    loaded = _load(path, budget, MESH_FORMATS, "mesh")
+    loaded = _load(path, budget, _MESH_FORMATS, "mesh")
     faces = getattr(loaded, "faces", None)
     if faces is None or len(faces) == 0:
         raise ValueError("the mesh is empty: it has no triangles")
@@ -168,7 +168,7 @@ def read_points(path: Path, budget: ByteBudget) -> PointSet:
     Raises:
         ValueError: It cannot be read, is empty or too large, or none of its points is finite.
     """
-    loaded = _load(path, budget, POINT_FORMATS, "point")
+    loaded = _load(path, budget, _POINT_FORMATS, "point")
     vertices = getattr(loaded, "vertices", None)
     points = np.zeros((0, 3)) if vertices is None else np.asarray(vertices, dtype=np.float64)
     finite = np.isfinite(points).all(axis=-1)

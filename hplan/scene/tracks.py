@@ -35,7 +35,7 @@ from hplan.scene.solids import rpy_rotation
 Time: TypeAlias = Annotated[float, Field(ge=-LONGEST_S, le=LONGEST_S)]
 
 #: Between two poses an obstacle turns by the smaller angle; of a larger turn the sense would not be clear [deg].
-LARGEST_TURN_DEG: Final = 179.0
+_LARGEST_TURN_DEG: Final = 179.0
 
 
 class Track(StrictModel):
@@ -69,7 +69,7 @@ class Track(StrictModel):
             given, missing = ("about", "rpy_deg") if self.rpy_deg is None else ("rpy_deg", "about")
             raise fault(f"this key is missing: {missing}, for {given} is given", given)
         for number, turn in enumerate(rotation_vectors(self.rotations), start=1):
-            if not np.linalg.norm(turn) <= math.radians(LARGEST_TURN_DEG):
+            if not np.linalg.norm(turn) <= math.radians(_LARGEST_TURN_DEG):
                 raise fault("it turns by 180 degrees between two times: give one between", "rpy_deg", number)
         return self
 

@@ -11,8 +11,8 @@ from hplan.base.arrays import BoolArray, FloatArray
 from hplan.scene.solids import Hull
 
 #: How far pieces may stand out: this [m], or this fraction of the mesh's longest side where that is more.
-TOLERANCE: Final = 5e-3
-RELATIVE_TOLERANCE: Final = 0.02
+_TOLERANCE: Final = 5e-3
+_RELATIVE_TOLERANCE: Final = 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +37,7 @@ class SolidVoxels:
         from scipy import ndimage
 
         low, high = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
-        tolerance = max(TOLERANCE, RELATIVE_TOLERANCE * float((high - low).max()))
+        tolerance = max(_TOLERANCE, _RELATIVE_TOLERANCE * float((high - low).max()))
         edge = 0.5 * tolerance
         origin = low - 0.5 * edge
         shape = tuple((np.ceil((high - low) / edge) + 2).astype(int).tolist())

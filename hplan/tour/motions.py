@@ -54,7 +54,7 @@ LegMotions: TypeAlias = tuple[str | None, Grasp | None, list[Motion]]
 _Blended: TypeAlias = tuple[Motion | None, Motion, Motion | None]
 
 #: Other grasps are tried so many times, as long as the tour becomes shorter by this fraction.
-WIDENINGS, LEAST_GAIN = 8, 5e-3
+WIDENINGS, _LEAST_GAIN = 8, 5e-3
 
 
 class _Step(NamedTuple):
@@ -162,7 +162,7 @@ class Motions:
             steps = [step for leg in self._steps(visits) for step in leg if step.place is None]
             if [step for step in steps if self._moves.made_quicker(*step.stops, step.loaded)]:
                 continue
-            if widened == WIDENINGS or visits.cost > (1.0 - LEAST_GAIN) * cost or not self._widened(visits):
+            if widened == WIDENINGS or visits.cost > (1.0 - _LEAST_GAIN) * cost or not self._widened(visits):
                 return visits
             widened, cost = widened + 1, visits.cost
 

@@ -45,7 +45,7 @@ NO_MOTION = (
 )
 
 #: A motion whose straight one is blocked is reckoned with so many times its least duration until trees look for it.
-BLOCKED: Final = 1.5
+_BLOCKED: Final = 1.5
 
 #: By less than this a joined motion is not quicker than another [s]; motions last whole periods.
 _GAIN_S: Final = 1e-6
@@ -223,7 +223,7 @@ class Moves:
                 if (a, b, also) in self._found:
                     seconds[i, j] = seconds[j, i] = joins.seconds[joins.numbers[a], joins.numbers[b]]
                 else:
-                    seconds[i, j] = seconds[j, i] = BLOCKED * least[i, j]
+                    seconds[i, j] = seconds[j, i] = _BLOCKED * least[i, j]
         return seconds
 
     def _least(self, stops: IntArray | Sequence[int]) -> FloatArray:

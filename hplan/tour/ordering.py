@@ -28,13 +28,13 @@ from hplan.base.arrays import BoolArray, FloatArray, IntArray, frozen
 from hplan.base.kernels import kernel
 
 #: Up to so many fruits, and so many numbers in its table, the order is exact.
-EXACT, MOST_STATES = 11, 4_000_000
+EXACT, _MOST_STATES = 11, 4_000_000
 
 #: How many fruits are moved together at most.
 SEGMENT = 3
 
 #: How often the search is begun anew from a disturbed order, before it ends.
-KICKS = 30
+_KICKS = 30
 
 #: Relative gain from which on a change counts.
 _GAIN = 1e-12
@@ -126,7 +126,7 @@ def best(costs: Costs, before: IntArray | None = None, kicked: bool = True) -> V
         kicked: True if disturbed orders are tried, where the order is the one from before.
     """
     n, m = costs.fruits, len(costs.first)
-    if n <= 2 or (n <= EXACT and (m * max(1, min(costs.capacity, n))) << n <= MOST_STATES):
+    if n <= 2 or (n <= EXACT and (m * max(1, min(costs.capacity, n))) << n <= _MOST_STATES):
         return along(costs, _exact(costs))
     orders = [costs.fruit_of[nearest(costs).places]]
     if before is not None:
@@ -136,7 +136,7 @@ def best(costs: Costs, before: IntArray | None = None, kicked: bool = True) -> V
     if before is None or not kicked or not np.array_equal(order, orders[0]):
         return along(costs, order)  # there is time for kicks once nothing else moves
     random = np.random.default_rng(0)
-    for _ in range(KICKS):
+    for _ in range(_KICKS):
         cuts = np.sort(random.choice(np.arange(1, n), size=3, replace=False))
         a, b, c, d = np.split(order, cuts)
         other_cost, other = _improved(np.concatenate([a, c, b, d]), costs)

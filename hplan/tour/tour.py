@@ -38,7 +38,7 @@ from hplan.trajectory.retime import resting
 from hplan.trajectory.trajectory import joined
 
 Order = Literal["best", "nearest", "given"]
-ORDERS: tuple[Order, ...] = ("best", "nearest", "given")
+_ORDERS: tuple[Order, ...] = ("best", "nearest", "given")
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,13 @@ class TourOptions:
             keep_checked(self, {"every": (whole, 1)})
         keep_checked(
             self,
-            {"order": (one_of, ORDERS), "grasps": (whole, 1), "back": (truth,), "stops": (truth,), "compare": (truth,)},
+            {
+                "order": (one_of, _ORDERS),
+                "grasps": (whole, 1),
+                "back": (truth,),
+                "stops": (truth,),
+                "compare": (truth,),
+            },
         )
 
 
@@ -215,7 +221,7 @@ class _TourPlanner:
         self.progress("order")
         found: dict[str, Visits] = {}
         if motions.fruits:
-            orders = sorted(ORDERS, key=lambda order: order != self.tour.order)
+            orders = sorted(_ORDERS, key=lambda order: order != self.tour.order)
             found = {order: _visits(motions, order) for order in (orders if self.tour.compare else orders[:1])}
         totals = {order: self._duration(motions, visits) for order, visits in found.items()}
         if self.tour.order == "best" and found:
@@ -226,7 +232,7 @@ class _TourPlanner:
         if motions.fruits and not math.isfinite(visits.cost):
             cut_off = CertificationError("no certified motions join the places from which it could be picked to others")
             unreached += [Unreached(name, cut_off) for name in motions.fruits]
-        return _Stage(motions, visits, {order: totals[order] for order in ORDERS if order in totals}, unreached)
+        return _Stage(motions, visits, {order: totals[order] for order in _ORDERS if order in totals}, unreached)
 
     def _result(self, stages: Sequence[_Stage], unreached: Sequence[Unreached]) -> TourResult:
         """The tour and its report."""

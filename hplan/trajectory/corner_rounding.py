@@ -37,7 +37,7 @@ from hplan.trajectory.spline import SplinePath, first_contact
 LEAST_DEVIATION = 1e-4
 
 #: Largest deviation: farther than any joint is asked to move [rad].
-MOST_DEVIATION = 1e6
+_MOST_DEVIATION = 1e6
 
 #: Distance up to which waypoints are the same [rad].
 SAME = 1e-9
@@ -69,8 +69,8 @@ def rounded_path(waypoints: ArrayLike, deviation_rad: float) -> SplinePath:
         OptionError: The deviation is too small or not finite.
     """
     points = as_waypoints(waypoints)
-    expected = f"a number of radians >= {LEAST_DEVIATION:g} and <= {MOST_DEVIATION:g}"
-    number("deviation_rad", deviation_rad, expected, lambda given: LEAST_DEVIATION <= given <= MOST_DEVIATION)
+    expected = f"a number of radians >= {LEAST_DEVIATION:g} and <= {_MOST_DEVIATION:g}"
+    number("deviation_rad", deviation_rad, expected, lambda given: LEAST_DEVIATION <= given <= _MOST_DEVIATION)
     points = _thinned(points, THINNING * deviation_rad - SAME)
     if len(points) < 2:
         return SplinePath(readonly(np.repeat(points, 4, axis=0)), readonly([0.0] * 4 + [1.0] * 4))

@@ -58,10 +58,10 @@ KEPT = 2e-4
 TORQUE_PERIOD_S = 0.01
 
 #: Numbers of control points to average that are tried one by one; of larger ones each is tried that is so much larger.
-ONE_BY_ONE, GROWTH = 128, 1.02
+_ONE_BY_ONE, _GROWTH = 128, 1.02
 
 #: How often the motion may be slowed down.
-MOST_SLOWINGS = 20
+_MOST_SLOWINGS = 20
 
 
 def time_path(
@@ -208,7 +208,7 @@ def _windows(end: int) -> Iterator[int]:
     window = 1
     while window < end:
         yield window
-        window = max(window + 1, int(window * GROWTH)) if window >= ONE_BY_ONE else window + 1
+        window = max(window + 1, int(window * _GROWTH)) if window >= _ONE_BY_ONE else window + 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,7 +226,7 @@ def _sample(
 ) -> tuple[Trajectory, float]:
     """The trajectory, slowed down where torque, which is no linear function of the motion, passes its limit."""
     factor = 1.0
-    for _ in range(MOST_SLOWINGS):
+    for _ in range(_MOST_SLOWINGS):
         check_deadline()
         rows = _rows(profile, limits, period, window, factor)
         torque = dynamics.torques(rows.position, rows.velocity, rows.acceleration)
@@ -297,7 +297,7 @@ def _rows(profile: SpeedProfile, limits: Limits, period: float, window: int, fac
     Between grid points the velocity and acceleration limits are passed by a little, which slows the motion down.
     """
     moving_end = profile.speed[-1] > 0.0
-    for _ in range(MOST_SLOWINGS):
+    for _ in range(_MOST_SLOWINGS):
         duration = profile.arrival[-1] * factor
         if moving_end:
             factor *= max(1.0, np.ceil(duration / period - 1e-9)) * period / duration

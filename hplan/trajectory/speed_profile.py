@@ -25,9 +25,9 @@ NO_MOTION = 1e-7
 #: Most rows of a motion: as many take 0.2 GB.
 MOST_ROWS = 400_000
 
-#: Where rows pass a limit by more than `LITTLE`, intervals of the grid about them are split into `SPLIT`, so often at
+#: Where rows pass a limit by more than `LITTLE`, intervals of the grid about them are split into `_SPLIT`, so often at
 #: most, unless they are shorter than this fraction of the path.
-LITTLE, SPLIT, MOST_REFINEMENTS, SHORTEST_INTERVAL = 0.01, 4, 6, 1e-7
+LITTLE, _SPLIT, _MOST_REFINEMENTS, _SHORTEST_INTERVAL = 0.01, 4, 6, 1e-7
 
 
 def parameter_grid(path: GeometricPath, points: int, leads: tuple[float, float]) -> FloatArray:
@@ -120,7 +120,7 @@ def refined(profile: SpeedProfile, dynamics: InverseDynamics, limits: Limits, pe
     toppra keeps the limits at the grid points. Where the path bends sharply between two of them, rows in between may
     pass a limit many times over; slowing the whole motion down for these few would be the wrong remedy.
     """
-    for _ in range(MOST_REFINEMENTS):
+    for _ in range(_MOST_REFINEMENTS):
         over = _rows_over(profile, dynamics, limits, period)
         if len(over) == 0 or len(profile.grid) > MOST_POINTS:
             return profile
@@ -130,10 +130,10 @@ def refined(profile: SpeedProfile, dynamics: InverseDynamics, limits: Limits, pe
         split = np.zeros(len(profile.grid) - 1, dtype=np.bool_)
         for low, high in zip(np.maximum(first, 0).tolist(), last.tolist(), strict=True):
             split[low:high] = True
-        at = np.flatnonzero(split & (np.diff(profile.grid) > SHORTEST_INTERVAL * profile.grid[-1]))
+        at = np.flatnonzero(split & (np.diff(profile.grid) > _SHORTEST_INTERVAL * profile.grid[-1]))
         if len(at) == 0:
             return profile
-        inner = profile.grid[at, None] + np.diff(profile.grid)[at, None] * (np.arange(1, SPLIT) / SPLIT)
+        inner = profile.grid[at, None] + np.diff(profile.grid)[at, None] * (np.arange(1, _SPLIT) / _SPLIT)
         grid = np.union1d(profile.grid, inner)
         profile = SpeedProfile.along(profile.path, dynamics, limits, grid, np.zeros(2))
     return profile

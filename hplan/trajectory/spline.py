@@ -31,7 +31,7 @@ STRIDE = 1.0 / 16.0
 FIRST = any_int(0)
 
 #: Panels of a piece, each with Gauss-Legendre quadrature, for its length: a path may have cusps.
-PANELS = 6
+_PANELS = 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,8 +94,8 @@ class SplinePath(Record):
 
     @cached_property
     def length(self) -> float:
-        """Joint-space length, by Gauss-Legendre quadrature on `PANELS` panels of each piece."""
-        starts = np.arange(PANELS) / PANELS
+        """Joint-space length, by Gauss-Legendre quadrature on `_PANELS` panels of each piece."""
+        starts = np.arange(_PANELS) / _PANELS
         inner = self.breaks[:-1, None] + starts * np.diff(self.breaks)[:, None]
         panels = np.append(inner.ravel(), self.breaks[-1])
         return curve_length(lambda s: np.linalg.norm(self.evaluate(s, 1), axis=-1), panels)

@@ -37,17 +37,17 @@ from hplan.trajectory.time_steps import FADED, Clocks, Kept, run_clock
 Profile: TypeAlias = "float | Sequence[tuple[float, float]] | FloatArray | Callable[[float], float]"
 
 #: How far the arm may leave the path [m], and how often rows may be made twice as dense for it.
-OFF_PATH, DENSER = 1e-4, 8
+OFF_PATH, _DENSER = 1e-4, 8
 
 #: By so little a joint that comes to its limit may pass it [rad].
 AT_LIMIT = 2e-7
 
 #: By so much of a limit rows may pass it where the motion itself does not, and at most unless it does: of velocity,
 #: acceleration and torque; and of jerk.
-SPARE, MOST_SPARE, SPARE_JERK = 7e-4, 9.5e-4, 0.03
+SPARE, _MOST_SPARE, _SPARE_JERK = 7e-4, 9.5e-4, 0.03
 
 #: Longest motion that a profile may lead to [s].
-LONGEST_S = 3600.0
+_LONGEST_S = 3600.0
 
 
 def rescaled(
@@ -69,7 +69,7 @@ def rescaled(
     """
     rest = motion.since(row)
     period = float(rest.time[1])
-    for halving in range(DENSER):
+    for halving in range(_DENSER):
         found = _with_period(rest, robot, period * 0.5**halving, wanted, final_s)
         if found is None:
             continue
@@ -90,10 +90,10 @@ def _with_period(
     limits = _kept(rest, robot, period)
     rows = int((2.0 if final_s == 0.0 else 4.0) * rest.duration / period) + 64
     while True:
-        if rows > MOST_ROWS or rows * period > LONGEST_S:
+        if rows > MOST_ROWS or rows * period > _LONGEST_S:
             raise OptionError(
                 "profile", "a function", f"factors with which a motion of {rest.duration:.4g} s at full speed ends "
-                f"within {LONGEST_S:g} s and {MOST_ROWS:,} rows; after {0.5 * rows * period:.4g} s this one has not",
+                f"within {_LONGEST_S:g} s and {MOST_ROWS:,} rows; after {0.5 * rows * period:.4g} s this one has not",
             )  # fmt: skip
         factors = wanted(np.arange(rows, dtype=np.float64) * period)
         begin = _Begin.of(rest, period, float(factors[0]) if rest.is_at_rest(0) else 1.0)
@@ -157,7 +157,7 @@ def _kept(rest: Rows, robot: Robot, period: float) -> Kept:
         own = (np.abs(bent[:, 1] - bent[:, 0]) / duration[:, None]).max(axis=0)
         # A jump of the acceleration so small is none [rad/s^2].
         smooth = 1e-4
-        jerk = np.maximum(robot.jerk_limit, own + np.where(jumps > smooth, jumps, 0.0) / period) * (1.0 + SPARE_JERK)
+        jerk = np.maximum(robot.jerk_limit, own + np.where(jumps > smooth, jumps, 0.0) / period) * (1.0 + _SPARE_JERK)
     dynamics = robot.dynamics
     bodies = np.zeros((0, 1, 1)) if dynamics.bodies is None else dynamics.bodies
     steps = np.stack([velocity * period, acceleration * period**2, jerk * period**3])
@@ -165,11 +165,11 @@ def _kept(rest: Rows, robot: Robot, period: float) -> Kept:
 
 
 def _allowed(limit: FloatArray, own: FloatArray) -> FloatArray:
-    """(dof,) what may be used of limits: a little more than the motion itself uses, if that stays within `MOST_SPARE`.
+    """(dof,) what may be used of limits: a little more than the motion itself uses, if that stays within `_MOST_SPARE`.
 
     So a stop of a motion that is a stop already keeps its limits too.
     """
-    most = np.maximum(own, limit * (1.0 + MOST_SPARE))
+    most = np.maximum(own, limit * (1.0 + _MOST_SPARE))
     return np.maximum(limit * (1.0 + SPARE), np.minimum(own * (1.0 + SPARE), most))
 
 

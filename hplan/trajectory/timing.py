@@ -32,8 +32,8 @@ from hplan.trajectory.trajectory import Trajectory
 #: Deviation from the polyline at its corners, where none is given [rad].
 DEVIATION = math.radians(1.0)
 
-#: Grid points for half of a rounded corner: the fewest and the most; many corners have to share `MOST_POINTS`.
-CORNER_POINTS, MOST_POINTS = (10, 100), 60_000
+#: Grid points for half of a rounded corner: the fewest and the most; many corners have to share `_MOST_POINTS`.
+_CORNER_POINTS, _MOST_POINTS = (10, 100), 60_000
 
 #: Use of a limit from which on a joint counts as the one that holds the motion back.
 AT_LIMIT = 0.99
@@ -142,8 +142,8 @@ def corner_grid(path: SplinePath) -> FloatArray:
     """
     breaks = instance("path", path, SplinePath, "rounded_path").breaks
     corners = (len(breaks) - 2) // 3
-    each = MOST_POINTS // (3 * max(corners, 1))
-    even = np.linspace(0.0, 1.0, int(np.clip(each, *CORNER_POINTS)) + 1)
+    each = _MOST_POINTS // (3 * max(corners, 1))
+    even = np.linspace(0.0, 1.0, int(np.clip(each, *_CORNER_POINTS)) + 1)
     # Between corners, and from and to rest, dense at the ends; with no corner as many as for any path.
     # Grid points between two corners.
     straight_points = (10, 60)

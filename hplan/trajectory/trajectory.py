@@ -26,7 +26,7 @@ from hplan.trajectory.time_scaling import Profile, check_factors, rescaled, spee
 SAME_TIME = 1e-9
 
 #: Differences of a controller's times are no finer than this where it counts seconds since 1970 [s].
-CLOCK_STEP = 1e-6
+_CLOCK_STEP = 1e-6
 
 
 @dataclass(frozen=True)
@@ -164,7 +164,7 @@ class Trajectory(Record):
         """Position, velocity and acceleration that a controller is to follow at a time, each (dof,).
 
         On the cubics of `cubic_pieces`; before the motion and after it, at rest where it begins and where it ends. A
-        time that rounding has put less than `CLOCK_STEP` before the motion is its begin, which may be in motion.
+        time that rounding has put less than `_CLOCK_STEP` before the motion is its begin, which may be in motion.
 
         Args:
             t: The time [s].
@@ -173,7 +173,7 @@ class Trajectory(Record):
             OptionError: No finite number.
         """
         number("t", t, "a time in seconds")
-        if -CLOCK_STEP < t < 0.0:
+        if -_CLOCK_STEP < t < 0.0:
             t = 0.0
         if not 0.0 <= t < self.duration:
             still = np.zeros(len(self.joint_names))

@@ -24,10 +24,10 @@ if TYPE_CHECKING:
 FAILED = 5
 
 #: Exit status after an interrupt, as shells give it.
-INTERRUPTED = 130
+_INTERRUPTED = 130
 
 #: Signals that end a command, as an interrupt does, so that nothing half-written is left.
-ENDING = (signal.SIGTERM, signal.SIGHUP)
+_ENDING = (signal.SIGTERM, signal.SIGHUP)
 
 
 class _Ended(BaseException):
@@ -86,7 +86,7 @@ def run_command(command: Callable[[Console, Console], int]) -> int:
         command: Takes the consoles for results and for errors; returns the exit status.
 
     Returns:
-        The exit status: the command's, the error's, `INTERRUPTED`, or 128 and the number of the signal that ended it.
+        The exit status: the command's, the error's, `_INTERRUPTED`, or 128 and the number of the signal that ended it.
         A terminal that cannot be written to changes nothing of it.
     """
     _open_what_is_closed()
@@ -102,7 +102,7 @@ def run_command(command: Callable[[Console, Console], int]) -> int:
         return error.exit_status
     except KeyboardInterrupt:
         errors.print("interrupted")
-        return INTERRUPTED
+        return _INTERRUPTED
     except _Ended as ended:
         errors.print(f"ended by {signal.Signals(ended.number).name}")
         return 128 + ended.number
@@ -128,7 +128,7 @@ def _open_what_is_closed() -> None:
 
 @contextmanager
 def _ending_by_signal() -> Iterator[None]:
-    """Inside, the signals of `ENDING` end the block by an exception, unless someone has other plans for them."""
+    """Inside, the signals of `_ENDING` end the block by an exception, unless someone has other plans for them."""
 
     def end(number: int, _: object) -> None:
         raise _Ended(number)
@@ -136,7 +136,7 @@ def _ending_by_signal() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    mine = [number for number in ENDING if signal.getsignal(number) is signal.SIG_DFL]
+    mine = [number for number in _ENDING if signal.getsignal(number) is signal.SIG_DFL]
     for number in mine:
         signal.signal(number, end)
     try:

@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 OUT = Path("timed.csv")
 
 #: Options, with their defaults, that take a scene, and such that do not.
-WITH_SCENE: dict[str, object] = {
+_WITH_SCENE: dict[str, object] = {
     "keep_path": False,
     "effort": "default",
     "sigmas": 3.0,
@@ -55,7 +55,7 @@ WITH_SCENE: dict[str, object] = {
     "srdf": None,
     "package_dir": [],
 }
-WITHOUT_SCENE: dict[str, object] = {"acceleration": None, "no_torque": False, "joints": None}
+_WITHOUT_SCENE: dict[str, object] = {"acceleration": None, "no_torque": False, "joints": None}
 
 _DESCRIPTION = """\
 Time the fastest motion through waypoints, from rest to rest, under the URDF's velocity and torque limits and given
@@ -136,7 +136,7 @@ def _check_options(arguments: argparse.Namespace) -> None:
         OptionError: There is one.
     """
     with_scene = arguments.scene is not None
-    out_of_place = WITHOUT_SCENE if with_scene else WITH_SCENE
+    out_of_place = _WITHOUT_SCENE if with_scene else _WITH_SCENE
     how = "left out with --scene: limits are the robot's, or of --limits" if with_scene else "left out, or --scene"
     for name, default in out_of_place.items():
         value = getattr(arguments, name)

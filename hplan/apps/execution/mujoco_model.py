@@ -17,7 +17,7 @@ from hplan.scene.obstacles import Box, Capsule, Cylinder, Solid, Sphere
 from hplan.scene.solids import Cloud
 
 #: Most balls of a cloud that MuJoCo is given.
-MOST_BALLS = 2_000
+_MOST_BALLS = 2_000
 
 
 def import_mujoco() -> ModuleType:
@@ -36,7 +36,7 @@ def mujoco_model(mujoco: ModuleType, robot: Robot, scene: Scene, *, timestep_s: 
     """The arm with motors among the obstacles, and the obstacle's name for each geometry that is one.
 
     Raises:
-        InputError: A cloud of more than `MOST_BALLS` balls.
+        InputError: A cloud of more than `_MOST_BALLS` balls.
         RobotFileError: MuJoCo refuses the URDF.
     """
     try:
@@ -81,7 +81,7 @@ def _shapes(mujoco: ModuleType, spec: Any, obstacle: Solid, number: int) -> list
     """Arguments of MuJoCo's geometries for an obstacle.
 
     Raises:
-        InputError: A cloud of more than `MOST_BALLS` balls.
+        InputError: A cloud of more than `_MOST_BALLS` balls.
     """
     kinds = mujoco.mjtGeom
     if isinstance(obstacle, Sphere):
@@ -102,10 +102,10 @@ def _shapes(mujoco: ModuleType, spec: Any, obstacle: Solid, number: int) -> list
             kind, size = kinds.mjGEOM_CYLINDER, [obstacle.radius, 0.5 * obstacle.length, 0.0]
         return [{"type": kind, "pos": obstacle.center, "quat": [turn.w, turn.x, turn.y, turn.z], "size": size}]
     if isinstance(obstacle, Cloud):
-        if len(obstacle.core) > MOST_BALLS:
+        if len(obstacle.core) > _MOST_BALLS:
             raise InputError(
                 f"obstacle {obstacle.name!r} has {len(obstacle.core)} balls, too many for MuJoCo; thin its points to "
-                f"at most {MOST_BALLS} to execute the motion",
+                f"at most {_MOST_BALLS} to execute the motion",
                 obstacle=obstacle.name,
                 balls=len(obstacle.core),
             )

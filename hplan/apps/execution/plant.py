@@ -9,7 +9,7 @@ import numpy as np
 from hplan.errors import OptionError
 
 #: Natural frequency of the position loop [rad/s].
-BANDWIDTH = 40.0
+_BANDWIDTH = 40.0
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class Plant:
 
     mass_factor: float = 1.0
     command_delay_s: float = 0.0
-    bandwidth: float = BANDWIDTH
+    bandwidth: float = _BANDWIDTH
     decoupled: bool = False
 
     def __post_init__(self) -> None:

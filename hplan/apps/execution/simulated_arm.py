@@ -22,7 +22,7 @@ from hplan.scene.model import Scene
 CONTROL_PERIOD = 1e-3
 
 #: Steps of the simulation for each of the controller's.
-SUBSTEPS = 4
+_SUBSTEPS = 4
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ class SimulatedArm:
         self.robot, self.plant = instance("robot", robot, Robot, "load_robot"), Plant() if plant is None else plant
         self._mujoco = import_mujoco()
         instance("scene", scene, Scene, "load_scene")
-        self._model, self._obstacle_of = mujoco_model(self._mujoco, robot, scene, timestep_s=CONTROL_PERIOD / SUBSTEPS)
+        self._model, self._obstacle_of = mujoco_model(self._mujoco, robot, scene, timestep_s=CONTROL_PERIOD / _SUBSTEPS)
         self._model.body_mass[:] *= self.plant.mass_factor
         self._model.body_inertia[:] *= self.plant.mass_factor
         self._data = self._mujoco.MjData(self._model)
@@ -144,7 +144,7 @@ class SimulatedArm:
         """Go on for one control period with (dof,) torques, as far as the motors give them [N m]."""
         limit = self.robot.torque_limit
         self._data.ctrl[self._motors] = np.clip(torque, -limit, limit)
-        for _ in range(SUBSTEPS):
+        for _ in range(_SUBSTEPS):
             self._mujoco.mj_step(self._model, self._data)
             self._note_contacts()
 

@@ -45,7 +45,7 @@ from hplan.trajectory.trajectory import check_units, cubic_states
 HOLD = 0.25
 
 #: Error of each joint that turns [rad], and of each that slides [m], up to which a configuration counts as reached.
-GOAL_TOLERANCE, GOAL_TOLERANCE_M = math.radians(0.5), 0.005
+_GOAL_TOLERANCE, _GOAL_TOLERANCE_M = math.radians(0.5), 0.005
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +64,7 @@ class Execution(Record):
         max_tracking_error_rad: (dof,) largest deviation from the reference, the hold included.
         final_error_rad: (dof,) largest deviation from the goal between the last row and the end of the hold. The goal
             is the scene's where it gives joints, else the last row.
-        ended_at_goal: Whether that is at most `GOAL_TOLERANCE`, or `GOAL_TOLERANCE_M`, for every joint.
+        ended_at_goal: Whether that is at most `_GOAL_TOLERANCE`, or `_GOAL_TOLERANCE_M`, for every joint.
         needed_torque_nm: (dof,) largest torque that the motion itself needs, by inverse dynamics [N m].
         peak_torque_nm: (dof,) largest torque that the controller asked for [N m]; far more where the arm was held up.
         torque_limit_nm: (dof,) the most that the motors give [N m].
@@ -222,7 +222,7 @@ def _executed(
         start_error_rad=tuple(np.abs(q_ref[0] - (math.nan if start is None else start)).tolist()),
         max_tracking_error_rad=tuple(error.tolist()),
         final_error_rad=tuple(final.tolist()),
-        ended_at_goal=bool((final <= np.where(robot.slides, GOAL_TOLERANCE_M, GOAL_TOLERANCE)).all()),
+        ended_at_goal=bool((final <= np.where(robot.slides, _GOAL_TOLERANCE_M, _GOAL_TOLERANCE)).all()),
         needed_torque_nm=tuple(np.abs(feed).max(axis=0).tolist()),
         peak_torque_nm=tuple(np.abs(torque).max(axis=0).tolist()),
         torque_limit_nm=tuple(limit.tolist()),

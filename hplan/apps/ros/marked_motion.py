@@ -24,7 +24,7 @@ from hplan.scene.solids import Cloud
 from hplan.trajectory.trajectory import Trajectory
 
 #: Namespace of the markers of motion and certificate.
-CERTIFICATE: Final = "certificate"
+_CERTIFICATE: Final = "certificate"
 
 #: Numbers of its markers.
 _PATH, _WORDS, _NEAREST = 0, 1, 2
@@ -40,7 +40,7 @@ def path_marker(robot: Robot, positions: FloatArray, frame_id: str) -> Marker:
     line = mark.points(robot.tool_positions(positions))
     if len(line) == 1:
         line *= 2
-    return mark.head(frame_id=frame_id, ns=CERTIFICATE, number=_PATH) | {
+    return mark.head(frame_id=frame_id, ns=_CERTIFICATE, number=_PATH) | {
         "type": mark.LINE_STRIP,
         "pose": mark.pose(),
         "scale": xyz((_LINE_M, 0.0, 0.0)),
@@ -52,7 +52,7 @@ def path_marker(robot: Robot, positions: FloatArray, frame_id: str) -> Marker:
 def words_marker(robot: Robot, positions: FloatArray, certificate: Certificate, frame_id: str) -> Marker:
     """What the certificate says, above the base and all places of the tool in (n, dof) configurations."""
     place = [0.0, 0.0, float(robot.tool_positions(positions)[:, 2].max()) + 2.0 * _TEXT_M]
-    return mark.head(frame_id=frame_id, ns=CERTIFICATE, number=_WORDS) | {
+    return mark.head(frame_id=frame_id, ns=_CERTIFICATE, number=_WORDS) | {
         "type": mark.TEXT,
         "pose": mark.pose(place),
         "scale": xyz((0.0, 0.0, _TEXT_M)),
@@ -107,7 +107,7 @@ class NearestPairs:
             q: (dof,) configuration.
             moved: How obstacles that move stand then to where the scene lists them.
         """
-        head = mark.head(frame_id=self._frame_id, ns=CERTIFICATE, number=_NEAREST)
+        head = mark.head(frame_id=self._frame_id, ns=_CERTIFICATE, number=_NEAREST)
         link, name = self._pair(time_s)
         shapes = self._solids.get(name, [])
         if link not in self._links or not shapes:

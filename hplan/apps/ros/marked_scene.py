@@ -20,7 +20,7 @@ from hplan.scene.model import Fruit, Scene
 from hplan.scene.obstacles import Box, Capsule, Cylinder, Obstacle, PointCloud, Sphere
 
 #: Namespaces of markers.
-OBSTACLES, FRUITS = "obstacles", "fruits"
+_OBSTACLES, FRUITS = "obstacles", "fruits"
 
 
 def scene_markers(scene: Scene, frame_id: str = "base_link") -> list[Marker]:
@@ -41,7 +41,7 @@ def scene_markers(scene: Scene, frame_id: str = "base_link") -> list[Marker]:
     for obstacle in scene.obstacles:
         look = look_of(obstacle.name)
         for marker in _parts(obstacle):
-            head = mark.head(frame_id=frame_of(scene, obstacle, frame_id), ns=OBSTACLES, number=len(markers))
+            head = mark.head(frame_id=frame_of(scene, obstacle, frame_id), ns=_OBSTACLES, number=len(markers))
             markers.append(head | marker | {"color": mark.color(look.color, look.opacity)})
     goal = scene.goal.fruit
     hanging = [(fruit, frame_of(scene, fruit, frame_id)) for fruit in scene.fruits]

@@ -15,7 +15,7 @@ from hplan.base.arrays import FloatArray
 Marker: TypeAlias = dict[str, Any]
 
 #: Kinds of markers, and what is done with one.
-CUBE, SPHERE, CYLINDER, LINE_STRIP, LINE_LIST, SPHERE_LIST, TEXT, TRIANGLES = 1, 2, 3, 4, 5, 7, 9, 11
+CUBE, _SPHERE, CYLINDER, LINE_STRIP, LINE_LIST, SPHERE_LIST, TEXT, TRIANGLES = 1, 2, 3, 4, 5, 7, 9, 11
 ADD, DELETE = 0, 2
 
 
@@ -48,4 +48,4 @@ def points(places: ArrayLike) -> list[dict[str, float]]:
 
 def ball(center: Sequence[float] | FloatArray, radius: float) -> Marker:
     """A ball."""
-    return {"type": SPHERE, "pose": pose(center), "scale": xyz((2.0 * radius,) * 3)}
+    return {"type": _SPHERE, "pose": pose(center), "scale": xyz((2.0 * radius,) * 3)}

@@ -18,7 +18,7 @@ from hplan.scene.solids import hull_of
 
 #: What becomes of a mesh that is not closed: it is refused, or its convex hull is taken.
 OpenMeshes: TypeAlias = Literal["refuse", "hull"]
-OPEN_MESHES: tuple[OpenMeshes, ...] = ("refuse", "hull")
+_OPEN_MESHES: tuple[OpenMeshes, ...] = ("refuse", "hull")
 
 #: How many numbers give the size of each shape, in the order of a scene file of MoveIt's.
 SIZES: Final = {"sphere": 1, "box": 3, "cylinder": 2, "cone": 2}
@@ -41,11 +41,11 @@ def planning_frame(position: Sequence[float], rpy_deg: Sequence[float], prefix: 
         Where the frame is.
 
     Raises:
-        OptionError: Not three numbers each, no text, or no word of `OPEN_MESHES`.
+        OptionError: Not three numbers each, no text, or no word of `_OPEN_MESHES`.
     """
     if not isinstance(prefix, str):
         raise OptionError("prefix", prefix, "text")
-    one_of("open_meshes", open_meshes, OPEN_MESHES)
+    one_of("open_meshes", open_meshes, _OPEN_MESHES)
     places = []
     for option, values, most in (("position", position, FARTHEST_M), ("rpy_deg", rpy_deg, 360.0)):
         places.append(list_between(option, values, -most, most))

@@ -22,8 +22,8 @@ from hplan.apps.view.yaw_section import YawSection
 from hplan.base.arrays import FloatArray
 from hplan.base.files import write_text
 
-REGION_COLOR = 0xE07B39
-MOTION_COLOR = 0x22303C
+_REGION_COLOR = 0xE07B39
+_MOTION_COLOR = 0x22303C
 _FAR = np.array([0.72, 0.79, 0.85])
 _NEAR = np.array([0.133, 0.188, 0.235])
 _BOX_COLOR = np.array([0.40, 0.46, 0.52, 0.8])
@@ -43,7 +43,7 @@ def render_cspace_page(section: YawSection, title: str) -> str:
     """
     words = f"C-space at yaw {math.degrees(section.yaw):.1f}°"
     far = math.degrees(float(section.yaw_distance.max()))
-    entries = [("Forbidden", REGION_COLOR), ("Motion", MOTION_COLOR)]
+    entries = [("Forbidden", _REGION_COLOR), ("Motion", _MOTION_COLOR)]
     if far > 0.5:
         entries.append((f"Motion at a yaw {far:.0f}° apart", three.color_of(_FAR)))
     entries += [("Start", START_COLOR), ("Goal", GOAL_COLOR)]
@@ -79,7 +79,7 @@ def _commands(section: YawSection) -> list[Json]:
     if len(faces):
         body = Body()
         # From inside the region, where only a motion at another yaw can be, its wall is not seen.
-        look = three.material(REGION_COLOR, opacity=0.88, roughness=0.8)
+        look = three.material(_REGION_COLOR, opacity=0.88, roughness=0.8)
         body.add(three.surface(_place(section, vertices), faces), look, name="forbidden", shadow=False)
         commands.append(set_object(f"{ROOT}/forbidden", body))
     ball, path = Body(), f"{ROOT}/arm"

@@ -22,7 +22,7 @@ _P = ParamSpec("_P")
 _R = TypeVar("_R")
 
 #: Resolution of the PNGs [dots per inch].
-DPI = 160
+_DPI = 160
 
 # Okabe and Ito's colours, told apart by colour-blind eyes, and tints of them.
 INK = "#22303C"
@@ -37,7 +37,7 @@ GOAL = "#AA4488"
 LINKS = ("#34495E", "#5D7F9E", "#9DBBD3")
 
 #: One look for all figures.
-STYLE: dict[str, Any] = {
+_STYLE: dict[str, Any] = {
     "font.family": "DejaVu Sans",
     "font.size": 9.0,
     "mathtext.fontset": "dejavusans",
@@ -88,7 +88,7 @@ def styled(draw: Callable[_P, _R]) -> Callable[_P, _R]:
         require_matplotlib()
         from matplotlib import rc_context
 
-        style: Any = STYLE
+        style: Any = _STYLE
         with rc_context(style):
             return draw(*args, **kwargs)
 
@@ -117,7 +117,7 @@ def new_figure(width: float, height: float, title: str, *, placed: bool = False)
 
 
 @styled
-def png_bytes(figure: Figure, dpi: int = DPI) -> bytes:
+def png_bytes(figure: Figure, dpi: int = _DPI) -> bytes:
     """A figure as PNG; the same figure gives the same bytes."""
     from PIL import Image  # comes with matplotlib
 

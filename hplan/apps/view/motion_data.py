@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 STRETCHES = 600
 
 #: Shares that are larger, or of no limit at all, are drawn here.
-LARGEST_SHARE = 9.99
+_LARGEST_SHARE = 9.99
 
 #: Times that are nearer than this are one [s].
 _SAME_S = 1e-6
@@ -120,7 +120,7 @@ def _shares(values: FloatArray, limit: FloatArray) -> FloatArray:
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
         shares = values / limit
     shares = np.where(np.abs(values) <= 1e-9, 0.0, shares)
-    kept: FloatArray = np.clip(np.nan_to_num(shares, nan=0.0), -LARGEST_SHARE, LARGEST_SHARE)
+    kept: FloatArray = np.clip(np.nan_to_num(shares, nan=0.0), -_LARGEST_SHARE, _LARGEST_SHARE)
     return kept
 
 

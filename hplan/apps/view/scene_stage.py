@@ -30,7 +30,7 @@ from hplan.trajectory.trajectory import Trajectory
 
 #: Most keyframes for each second of motion, and most of a whole motion: pages of long tours stay small.
 FRAME_RATE_HZ = 60.0
-MOST_FRAMES = 2400
+_MOST_FRAMES = 2400
 #: Rest at the goal before the motion starts again [s].
 REST_S = 1.0
 
@@ -85,8 +85,8 @@ def stage(robot: Robot, scene: Scene, playback: Playback) -> list[Json]:
 
 
 def keyframe_times(trajectory: Trajectory) -> FloatArray:
-    """Times of the keyframes, (k,) from 0 to the end, at most `FRAME_RATE_HZ` of them a second and `MOST_FRAMES`."""
-    steps = min(trajectory.samples - 1, int(np.ceil(trajectory.duration * FRAME_RATE_HZ)), MOST_FRAMES)
+    """Times of the keyframes, (k,) from 0 to the end, at most `FRAME_RATE_HZ` of them a second and `_MOST_FRAMES`."""
+    steps = min(trajectory.samples - 1, int(np.ceil(trajectory.duration * FRAME_RATE_HZ)), _MOST_FRAMES)
     if steps == trajectory.samples - 1:
         return trajectory.time
     times: FloatArray = np.linspace(0.0, trajectory.duration, steps + 1)

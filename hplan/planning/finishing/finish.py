@@ -30,7 +30,7 @@ from hplan.trajectory.corner_rounding import LEAST_DEVIATION, rounded_path
 from hplan.trajectory.timing import corner_grid
 
 #: Fraction of the margin that the path itself is to have; smoothing asks for the whole where it can be had.
-PATH_MARGIN = 0.1
+_PATH_MARGIN = 0.1
 
 
 class _ClearPath(NamedTuple):
@@ -130,7 +130,7 @@ def _shown_clear(context: PlanningContext, path: GivenPath) -> _ClearPath:
     world, field, points = context.world, context.field, path.points
     with context.stage("postprocess"):
         spare = float(field.along(points[[0, -1]]).min())
-        margin = PATH_MARGIN * min(MARGIN, 0.5 * spare) if spare > 0.0 else PATH_MARGIN * MARGIN
+        margin = _PATH_MARGIN * min(MARGIN, 0.5 * spare) if spare > 0.0 else _PATH_MARGIN * MARGIN
         if spare > 0.0 and field.is_clear(points, margin):
             return _ClearPath(points, ())
         places = list(places_of(world, path, margin))

@@ -24,7 +24,7 @@ from hplan.planning.world import World
 STEP_M, MOST_STEPS = 2e-3, 4000
 
 #: Of the configurations with the least clearance along a motion, so many valleys and so many others are put to coal.
-VALLEYS, SPREAD = 12, 48
+_VALLEYS, _SPREAD = 12, 48
 
 
 class Place(NamedTuple):
@@ -152,7 +152,7 @@ def _candidates(clearances: FloatArray) -> IntArray:
     """Of the configurations along a motion those that coal is to look at: the lowest valleys, and some of the rest."""
     padded = np.concatenate([[math.inf], clearances, [math.inf]])
     valleys = np.flatnonzero((clearances <= padded[:-2]) & (clearances <= padded[2:]))
-    lowest = valleys[np.argsort(clearances[valleys], kind="stable")[:VALLEYS]]
+    lowest = valleys[np.argsort(clearances[valleys], kind="stable")[:_VALLEYS]]
     low = np.flatnonzero(clearances <= 0.0)
-    spread = low[np.unique(np.linspace(0, len(low) - 1, min(SPREAD, len(low))).astype(np.int64))] if len(low) else low
+    spread = low[np.unique(np.linspace(0, len(low) - 1, min(_SPREAD, len(low))).astype(np.int64))] if len(low) else low
     return np.unique(np.concatenate([lowest, spread]))

@@ -28,7 +28,7 @@ from hplan.robot.limits import Limits
 EACH_JOINT, ONE_JOINT = (24, 48), (66, 76)
 
 #: The part of the duration that the search distinguishes, and the gap below which no finer grid is searched.
-STEP, ENOUGH = 0.002, 0.01
+_STEP, ENOUGH = 0.002, 0.01
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ def duration_bound(
         raise _contradiction(duration_s, robot.joint_names[slowest])
     by_joints = DurationBound(least, least, duration_s, "joints", robot.joint_names[slowest])
     is_planar = not problem.turns and robot.arm.link_count >= 3 and len(world.solids) > 0
-    near = duration_s * (1.0 - max(enough, STEP))
+    near = duration_s * (1.0 - max(enough, _STEP))
     if not is_planar or least >= near:
         return by_joints
     found, joint = _planar(world, problem, motions, (least, near, duration_s))
@@ -177,7 +177,7 @@ def _longest(search: PlanarSearch, excluded: float, possible: float) -> float:
 
     The first that is tried is a step longer than what is excluded already: often no grid excludes more.
     """
-    step = STEP * possible
+    step = _STEP * possible
     middle = excluded + step
     while possible - excluded > step:
         if search.is_possible(middle):

@@ -15,7 +15,7 @@ from hplan.scene.obstacles import AnyObstacle, Sphere
 
 #: Poses of one obstacle are so far apart, at most, unless there would be more of them than this [m].
 APART_M: Final = 0.03
-MOST_POSES: Final = 24
+_MOST_POSES: Final = 24
 
 
 def without_moving(scene: Scene) -> Scene:
@@ -42,7 +42,7 @@ def among_poses(scene: Scene, from_s: float, to_s: float) -> Scene:
     fruits = tuple(fruit for fruit in scene.fruits if fruit.name in moving)
     obstacles: list[AnyObstacle] = [item for item in scene.obstacles if item.name not in moving]
     items = [*(item for item in scene.obstacles if item.name in moving), *(_ball(fruit) for fruit in fruits)]
-    clock = np.linspace(from_s, to_s, MOST_POSES)
+    clock = np.linspace(from_s, to_s, _MOST_POSES)
     poses = scene.poses_at(clock)
     for item in items:
         rotations, shifts = poses[item.name]

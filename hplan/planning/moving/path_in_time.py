@@ -1,9 +1,9 @@
 """When it is clear where on a motion's path: cells of path and time, by the compiled distances.
 
-A cell is a part of the motion that takes `STATION_S` at full speed, at a time give or take half a step and what is
+A cell is a part of the motion that takes `_STATION_S` at full speed, at a time give or take half a step and what is
 kept for a timing that is off. It counts as clear where the arm in its middle is farther from everything that moves than
 arm and obstacles travel within the cell; its time is halved until that is decided, or obstacles travel less than
-`RESOLUTION_M`, and then its part of the motion is looked at in `PARTS`. What stands still is not looked at.
+`_RESOLUTION_M`, and then its part of the motion is looked at in `_PARTS`. What stands still is not looked at.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ from hplan.scene.tracks import Movement
 from hplan.trajectory.trajectory import Trajectory
 
 #: Time that a motion takes from station to station at full speed [s].
-STATION_S: Final = 0.00625
+_STATION_S: Final = 0.00625
 
 #: Clearance asked for beyond the one to keep [m]: less than that with which paths are planned.
-MARGIN_M: Final = 2e-4
+_MARGIN_M: Final = 2e-4
 
 #: Obstacles that travel no farther than this to either side of a time are not looked at more often [m].
-RESOLUTION_M: Final = 8e-3
+_RESOLUTION_M: Final = 8e-3
 
 #: Parts of a cell that is looked at closely.
-PARTS: Final = 8
+_PARTS: Final = 8
 
 
 class MovingField:
@@ -89,7 +89,7 @@ class PathInTime:
             step_s: Time between rows of cells [s].
             spare_s: How much earlier or later than meant the arm may be anywhere [s].
         """
-        count = max(1, math.ceil(motion.duration / STATION_S))
+        count = max(1, math.ceil(motion.duration / _STATION_S))
         self.configurations = np.ascontiguousarray(motion.positions(np.linspace(0.0, motion.duration, count + 1)))
         self._motion, self._spacing_s = motion, motion.duration / count
         self.step_s, self.at_rest_s = step_s, field.at_rest_s
@@ -117,20 +117,20 @@ class PathInTime:
         travel = 0.5 * self._field.travel(begin_s, end_s)
         middle_s = 0.5 * (begin_s + end_s)
         field = self._field.at(middle_s)
-        spare = field.along(self.configurations[stations]) - MARGIN_M
+        spare = field.along(self.configurations[stations]) - _MARGIN_M
         clear: BoolArray = np.all(spare - self._travel[stations] > travel, axis=1)
         undecided = np.flatnonzero(~clear & np.all(spare > 0.0, axis=1))
         if len(undecided) == 0:
             return clear
         rest = stations[undecided]
-        if travel > RESOLUTION_M:
+        if travel > _RESOLUTION_M:
             first = self._clear(rest, begin_s, middle_s)
             first[first] = self._clear(rest[first], middle_s, end_s)
             clear[undecided] = first
             return clear
-        parts = (np.arange(PARTS) + 0.5) / PARTS - 0.5
+        parts = (np.arange(_PARTS) + 0.5) / _PARTS - 0.5
         places = np.clip(rest[:, None] + parts, 0.0, len(self.configurations) - 1.0) * self._spacing_s
-        spare = field.along(self._motion.positions(places.ravel())) - MARGIN_M
-        spare -= np.repeat(self._travel[rest], PARTS, axis=0) / PARTS
+        spare = field.along(self._motion.positions(places.ravel())) - _MARGIN_M
+        spare -= np.repeat(self._travel[rest], _PARTS, axis=0) / _PARTS
         clear[undecided] = np.all(spare.reshape(len(rest), -1) > travel, axis=1)
         return clear

@@ -36,7 +36,7 @@ CHANGES: Final = 2
 USED: Final = 0.98
 
 #: Longest time that is looked through [s], and longest motion [s].
-LONGEST_S: Final = 120.0
+_LONGEST_S: Final = 120.0
 
 _NONE: Final = 1 << 30
 
@@ -144,7 +144,7 @@ def earliest_schedule(
     # From rest the motion may wait; in motion it goes on as it is.
     cost[0, 0 if at_rest else LEVELS] = 0
     came: list[NDArray[np.int8]] = []
-    rows = math.ceil(min(at_rest_s + 2.0 * duration_s + 2.0, quicker_than_s, LONGEST_S) / STEP_S) + 1
+    rows = math.ceil(min(at_rest_s + 2.0 * duration_s + 2.0, quicker_than_s, _LONGEST_S) / STEP_S) + 1
     before = _blocked(cells.clear(0))
     for row in range(1, rows):
         check_deadline()

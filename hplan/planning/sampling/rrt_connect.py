@@ -24,7 +24,7 @@ from hplan.collision.obstacle_rows import FieldArrays
 from hplan.planning.definition import Problem
 
 #: Samples drawn at a time, and nodes that a tree may have.
-CHUNK, MOST_NODES = 500, 20_000
+_CHUNK, _MOST_NODES = 500, 20_000
 
 #: Longest edge, in time at the velocity limits [s].
 EDGE_S = 0.25
@@ -37,10 +37,10 @@ LOOKS = any_int(64)
 
 #: Samples are drawn from the box of start and goal, this much larger on all sides [rad], and about either of them
 #: within 1 rad, half of that, and so on.
-ASIDE, SCALES = 0.6, 7
+_ASIDE, _SCALES = 0.6, 7
 
 #: No target is farther beyond start and goals than this in any joint [rad, m].
-FAR = 4.0 * np.pi
+_FAR = 4.0 * np.pi
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,7 @@ def tree_path(
     generator = np.random.Generator(np.random.PCG64(effort.seed))
     looks = np.array([effort.evaluations], dtype=np.int64)
     path = None
-    while path is None and looks[0] > 0 and max(first.size[0], second.size[0]) < MOST_NODES - CHUNK:
+    while path is None and looks[0] > 0 and max(first.size[0], second.size[0]) < _MOST_NODES - _CHUNK:
         joined = _grow(_samples(generator, problem, ends), first, second, arm, looks)
         check_deadline()
         if joined[0] >= 0:
@@ -114,16 +114,16 @@ def tree_path(
 
 
 def _samples(generator: np.random.Generator, problem: Problem, goals: FloatArray) -> FloatArray:
-    """(CHUNK, dof) targets in turn: anywhere; in the box of start and goals; about start, or a goal, at all scales."""
+    """(_CHUNK, dof) targets in turn: anywhere; in the box of start and goals; about start, or a goal, at all scales."""
     first, last = np.minimum(problem.start, goals.min(axis=0)), np.maximum(problem.start, goals.max(axis=0))
-    lower, upper = np.maximum(problem.lower, first - FAR), np.minimum(problem.upper, last + FAR)
-    samples: FloatArray = generator.random((CHUNK, len(lower)))
-    low, high = np.maximum(first - ASIDE, lower), np.minimum(last + ASIDE, upper)
+    lower, upper = np.maximum(problem.lower, first - _FAR), np.minimum(problem.upper, last + _FAR)
+    samples: FloatArray = generator.random((_CHUNK, len(lower)))
+    low, high = np.maximum(first - _ASIDE, lower), np.minimum(last + _ASIDE, upper)
     samples[::3] = lower + samples[::3] * (upper - lower)
     samples[1::3] = low + samples[1::3] * (high - low)
     chosen = goals[generator.integers(0, len(goals), len(samples[2::3]))]
     about = np.where(generator.random((len(chosen), 1)) < 0.5, problem.start, chosen)
-    scale = np.ldexp(1.0, -generator.integers(0, SCALES, (len(chosen), 1)))
+    scale = np.ldexp(1.0, -generator.integers(0, _SCALES, (len(chosen), 1)))
     samples[2::3] = np.clip(about + scale * (2.0 * samples[2::3] - 1.0), lower, upper)
     return samples
 
@@ -131,7 +131,7 @@ def _samples(generator: np.random.Generator, problem: Problem, goals: FloatArray
 def _tree(roots: FloatArray) -> Tree:
     """A tree of roots alone, each its own parent."""
     count, dof = roots.shape
-    tree = Tree(np.empty((MOST_NODES, dof)), np.zeros(MOST_NODES, dtype=np.int64), np.array([count], dtype=np.int64))
+    tree = Tree(np.empty((_MOST_NODES, dof)), np.zeros(_MOST_NODES, dtype=np.int64), np.array([count], dtype=np.int64))
     tree.points[:count], tree.parents[:count] = roots, np.arange(count)
     return tree
 

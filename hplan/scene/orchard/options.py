@@ -13,7 +13,7 @@ from hplan.errors import OptionError
 
 #: How the trees are trained: branches all around a leader, or arms along the wires.
 Form: TypeAlias = Literal["spindle", "trellis"]
-FORMS: tuple[Form, ...] = get_args(Form)
+_FORMS: tuple[Form, ...] = get_args(Form)
 
 #: Where the harvester waits: upper arm upright, forearm level and to the rear, hand down. Nothing of the arm is more
 #: than 5 cm in front of the base's axis then, whatever the row's distance, and a turn of the base sweeps a radius of
@@ -195,7 +195,7 @@ def _check_names(robot: str | None, goal: str | None) -> None:
 #: Check of each option, and the least and greatest value; measures in metres.
 _CHECKS = {
     "name": (text,),
-    "form": (one_of, FORMS),
+    "form": (one_of, _FORMS),
     "seed": (whole, 0),
     "trees": (whole, 1, 100),
     "branches": (whole, 0, 200),

@@ -39,6 +39,9 @@ _Own = tuple[bytes, tuple[Any, ...]]
 #: Of functions seen before: their constants were frozen then.
 _SEEN: dict[Any, _Own] = {}
 
+#: Digests of what they and all that they refer to are.
+_DIGESTS: dict[Any, str] = {}
+
 
 class UnknownDependencyError(Exception):
     """A kernel reads something of which nobody can say whether it is still the same."""
@@ -54,7 +57,11 @@ def code_digest(kernel: Any, *, afresh: bool = False) -> str:
     Raises:
         UnknownDependencyError: It reads what is neither a number, a text, an array, a tuple, a function nor a class.
     """
-    return _digest([kernel], {} if afresh else _SEEN)
+    if afresh:
+        return _digest([kernel], {})
+    if kernel not in _DIGESTS:
+        _DIGESTS[kernel] = _digest([kernel], _SEEN)
+    return _DIGESTS[kernel]
 
 
 def kernels_below(kernel: Any) -> list[Any]:
@@ -70,6 +77,7 @@ def kernels_below(kernel: Any) -> list[Any]:
 def forget() -> None:
     """Look at everything again, for whoever asks next."""
     _SEEN.clear()
+    _DIGESTS.clear()
 
 
 def value_digest(value: Any) -> str:

@@ -35,6 +35,7 @@ import numba as nb
 import numpy as np
 from numba.core.caching import NullCache, _CacheLocator
 from numba.core.compiler import Compiler, CompileResult
+from numba.core.runtime import _nrt_python
 from numba.core.serialize import dumps
 from numba.misc.appdirs import AppDirs
 
@@ -212,12 +213,12 @@ class _DiskCache(NullCache):  # type: ignore[misc]
     def _places(self, key: _Key) -> list[tuple[Path, _Key]]:
         """Where to read, in turn, and by what key."""
         own = [(folder, key) for folder in self.folders()]
-        machine = _shipped(self._compiled.targetctx.codegen().magic_tuple())
+        machine = _shipped(_target(self._compiled.targetctx.codegen()))
         return own if machine is None else [(_SHIPPED, key._replace(machine=machine)), *own]
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """The code compiled for these types; None where there is none, or none that is whole."""
-        target_context.refresh()
+        _name_memory_functions()
         key = self._key(sig)
         if key is None:
             return None
@@ -238,10 +239,10 @@ class _DiskCache(NullCache):  # type: ignore[misc]
             return
         by_name, calls = not _is_tiny(data), _calls(data)
         if by_name:
-            data.library._shared_module = _stub(data.fndesc.llvm_cpython_wrapper_name)
+            data.library._shared_module = _NOTHING
         kept: bytes | None = None
         try:
-            kept = dumps((calls, by_name, data._reduce()))
+            kept = dumps((calls, by_name, _reduced(data)))
         except RuntimeError as error:  # numba has the function, but not its machine code
             _warn_once(f"a compiled kernel cannot be kept: {error}", "unknown")
         if by_name:
@@ -276,6 +277,8 @@ class _DiskCache(NullCache):  # type: ignore[misc]
         """What was kept, and what it calls."""
         calls, by_name, reduced = pickle.loads(kept)
         libraries = self._libraries_of(calls)
+        entry = reduced[1].llvm_cpython_wrapper_name  # looked for where the bitcode says that there is one
+        target_context.codegen()._engine._defined_symbols.add(entry)
         loaded = CompileResult._rebuild(target_context, *reduced)
         loaded.library._linking_libraries += libraries  # they are there as long as what calls them
         if by_name:
@@ -299,13 +302,20 @@ class _DiskCache(NullCache):  # type: ignore[misc]
     def _key(self, types: Any, *, afresh: bool = False) -> _Key | None:
         function = self._compiled.py_func
         name = f"{Path(function.__code__.co_filename).stem}.{function.__qualname__}"[:150]
-        machine = _machine(self._compiled.targetctx.codegen().magic_tuple())
+        machine = _machine(_target(self._compiled.targetctx.codegen()))
         try:
             code = code_digest(self._compiled, afresh=afresh)
             return _Key(re.sub(r"[^\w.]", "_", name), code, machine, value_digest(tuple(types)))
         except UnknownDependencyError as error:
             _warn_once(f"a compiled kernel cannot be kept: {error}", "unknown")
             return None
+
+
+@lru_cache
+def _name_memory_functions() -> None:
+    """Let machine code find what allocates arrays. All else that numba would refresh now is for compiling."""
+    for name, address in _nrt_python.c_helpers.items():
+        ll.add_symbol(name if name.startswith("_") else f"NRT_{name}", address)
 
 
 def _is_tiny(data: Any) -> bool:
@@ -321,15 +331,27 @@ def _calls(data: Any) -> list[_Called]:
     return [_CALLED[each.name] for each in functions if each.is_declaration and each.name in _CALLED]
 
 
+def _reduced(data: Any) -> tuple[Any, ...]:
+    """What numba keeps of a compiled function, without what would only have modules of numba's imported.
+
+    Environments hold constants that machine code reads; those of numba's own functions seldom hold any, and making one
+    imports its module, `numba.np.arraymath` with all of scipy.linalg.
+    """
+    *whole, environments = data._reduce()
+    needed = (each for each in environments if each.consts or not each.globals["__name__"].startswith("numba."))
+    return (*whole, tuple(needed))
+
+
 def _call_by_name(data: Any, called: _Called) -> None:
     """Have a compiled function called by name."""
     data.library._shared_module = _NOTHING
     _CALLED[data.fndesc.mangled_name] = called
 
 
-def _stub(symbol: str) -> Any:
-    """What tells numba, when it loads a function from disk, that there is its entry from Python."""
-    return ll.parse_assembly(f'define void @"{symbol}"() {{ unreachable }}')
+@lru_cache
+def _target(codegen: Any) -> tuple[Any, ...]:
+    """What numba compiles for: triple, processor, features."""
+    return tuple(codegen.magic_tuple())
 
 
 @lru_cache

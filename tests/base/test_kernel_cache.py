@@ -75,6 +75,18 @@ def test_kept_from_the_first_run_on(folder: Path) -> None:
     assert run(folder) == ("True True 4.0 6.0", "")
 
 
+def test_what_only_compiling_needs_is_not_loaded_again(folder: Path) -> None:
+    """Not numba's own functions, with all of scipy.linalg: neither for a call nor for an error."""
+    (folder / "total.py").write_text(
+        "import numpy as np\nfrom hplan.base.kernels import kernel\n\n@kernel\ndef total(n):\n"
+        "    if n < 0: raise ValueError('n')\n    return np.ones(n), np.ones(n).sum(), np.any(np.ones(n) > 2)\n"
+    )
+    use = "import sys, total; a, b, c = total.total(3); print(a.tolist(), b, c, 'scipy.linalg' in sys.modules)\n"
+    use += "try: total.total(-1)\nexcept ValueError as error: print(error)"
+    assert run(folder, use) == ("[1.0, 1.0, 1.0] 3.0 False True\nn", "")
+    assert run(folder, use) == ("[1.0, 1.0, 1.0] 3.0 False False\nn", "")
+
+
 def test_a_copy_that_keeps_times_is_no_first_run(folder: Path, tmp_path: Path) -> None:
     """The sources' change times, of now, are later than all times in the copy."""
     for file in folder.rglob("*"):

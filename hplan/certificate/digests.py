@@ -24,7 +24,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from hplan.base.arrays import FloatArray
-from hplan.robot.model import Robot
+from hplan.robot.model import Robot, made_once
 from hplan.scene.model import Scene
 from hplan.scene.obstacle_kind import FromData
 from hplan.scene.tracks import Sway, Track
@@ -89,12 +89,9 @@ def _moving(scene: Scene) -> Iterator[tuple[str, str, Track | Sway]]:
         yield "", "base_track", scene.base_track
 
 
+@made_once
 def robot_digest(robot: Robot) -> str:
     """The digest of a robot as it was read; made once."""
-    return robot.cached("digest", lambda: _robot_digest(robot))
-
-
-def _robot_digest(robot: Robot) -> str:
     found, model = _Digest("hplan-robot/1" if robot.planar is not None else "hplan-robot/2"), robot.model
     family: tuple[FloatArray, ...] = ()
     if robot.planar is None:

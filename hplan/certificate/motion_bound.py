@@ -38,7 +38,7 @@ from hplan.collision.reach import carriers, reach
 from hplan.collision.touching_pairs import SelfPairs
 from hplan.collision.vectors import cross, dot, sub
 from hplan.robot.base_shapes import GROUND, TURRET
-from hplan.robot.model import Robot
+from hplan.robot.model import Robot, made_once
 from hplan.robot.self_contact import pair_rates, pair_sway
 from hplan.robot.tracking import TrackingModel
 from hplan.scene.limits import FARTHEST_M
@@ -265,12 +265,9 @@ class _MovingBodies(Record):
         return counted
 
 
+@made_once
 def _moving_bodies(robot: Robot, pairs: SelfPairs) -> _MovingBodies:
     """The moving bodies of a robot with these pairs of its own; found once."""
-    return robot.cached(("moving bodies", pairs), lambda: _found_moving_bodies(robot, pairs))
-
-
-def _found_moving_bodies(robot: Robot, pairs: SelfPairs) -> _MovingBodies:
     bodies = collision_bodies(robot)
     alone = [(body, -1) for body in itertools.chain(*moving_bodies(robot).values())]
     both = np.array([*alone, *pairs.checked], dtype=np.int64).reshape(-1, 2)

@@ -23,7 +23,7 @@ import numpy as np
 from hplan.base.arrays import FloatArray, frozen
 from hplan.certificate.limit_use import LimitUse, fraction_of
 from hplan.collision.reach import points_reach
-from hplan.robot.model import Robot
+from hplan.robot.model import Robot, made_once
 from hplan.scene.model import Scene
 from hplan.scene.tracks import Poses
 
@@ -68,15 +68,11 @@ def largest_tilt(base: Poses, begin_s: float, end_s: float) -> float:
     return math.acos(min(max(lowest, -1.0), 1.0))
 
 
+@made_once
 def first_moments(robot: Robot) -> FloatArray:
     """(dof,) sums of the masses that each joint carries times their distance from its axis, or of the masses alone."""
-
-    def sums() -> FloatArray:
-        inertias = robot.model.inertias.tolist()[1:]
-        rows = [
-            inertia.mass * points_reach(robot, np.array(inertia.lever)[None], joint)
-            for joint, inertia in enumerate(inertias)
-        ]
-        return frozen(np.sum(rows, axis=0))
-
-    return robot.cached("first moments", sums)
+    rows = [
+        inertia.mass * points_reach(robot, np.array(inertia.lever)[None], joint)
+        for joint, inertia in enumerate(robot.model.inertias.tolist()[1:])
+    ]
+    return frozen(np.sum(rows, axis=0))

@@ -36,7 +36,7 @@ from hplan.robot.base_shapes import (
     filled_shape,
     turning_shapes,
 )
-from hplan.robot.model import Robot
+from hplan.robot.model import Robot, made_once
 from hplan.robot.self_contact import SHAPED, SelfContact, held_apart, is_held, self_contact
 from hplan.scene.obstacles import Solid
 
@@ -232,17 +232,16 @@ def _rounded_up(deviation: float) -> float:
     return BEYOND * max(1, math.ceil(deviation / BEYOND - 1e-9))
 
 
+@made_once
 def body_pairs(robot: Robot, pairs: SelfPairs) -> tuple[ArmPair, ...]:
     """Pairs of a robot's bodies, in their order; the one that more joints carry is the moving body. Made once."""
-    return robot.cached(("body_pairs", pairs), lambda: tuple(_body_pairs(robot, pairs)))
-
-
-def _body_pairs(robot: Robot, pairs: SelfPairs) -> Iterator[ArmPair]:
     bodies, shapes, links = collision_bodies(robot), body_shapes(robot), list(moving_bodies(robot))
+    found = []
     for pair in pairs.checked:
         still, moved = sorted(pair, key=lambda body: len(carriers(robot, bodies[body].joint)))
         names = bodies[moved].name, bodies[still].name
-        yield ArmPair(links.index(names[0]), still, *names, (shapes[moved], shapes[still]))
+        found.append(ArmPair(links.index(names[0]), still, *names, (shapes[moved], shapes[still])))
+    return tuple(found)
 
 
 def below(robot: Robot, shape: BaseShape, obstacles: Sequence[Solid]) -> BoolArray:

@@ -13,7 +13,7 @@ import pinocchio as pin
 from hplan.base.arrays import FloatArray, IntArray
 from hplan.base.deadline import check_deadline
 from hplan.robot.base_shapes import filled
-from hplan.robot.model import Robot
+from hplan.robot.model import Robot, made_once
 from hplan.scene.convex_shape import convex_shape
 from hplan.scene.obstacle_kind import Convex
 from hplan.scene.obstacles import Box, Capsule, Cylinder, Solid, Sphere
@@ -30,12 +30,9 @@ _UNTURNED = np.eye(3)
 _AT_ORIGIN = pin.SE3.Identity()
 
 
+@made_once
 def link_shapes(robot: Robot, links: LinkShapes) -> list[pin.GeometryObject]:
     """Each link's capsule or beam, in the frame of its joint; made once for each robot."""
-    return robot.cached(("link_shapes", links), lambda: _link_shapes(robot, links))
-
-
-def _link_shapes(robot: Robot, links: LinkShapes) -> list[pin.GeometryObject]:
     model, arm = robot.model, robot.arm
     data = model.createData()
     neutral = np.zeros(model.nq)

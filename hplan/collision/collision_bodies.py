@@ -11,7 +11,6 @@ vertices), `CollisionBody.growth` says by how much at most.
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -96,23 +95,18 @@ def reuse_bodies(robot: Robot, before: Robot) -> None:
         robot: The robot, of which no bodies were made yet.
         before: One with the same links and joints, and with the first of its shapes.
     """
-    known, first = _made(before), len(before.collision_model.geometryObjects)
-
-    def make() -> list[tuple[CollisionBody, pin.GeometryObject]]:
-        more = list(enumerate(robot.collision_model.geometryObjects))[first:]
-        found = (_bodies(robot, number, shape) for number, shape in more)
-        return [*known, *itertools.chain.from_iterable(found)]
-
-    robot.cached("collision_bodies", make)
+    first = len(before.collision_model.geometryObjects)
+    robot.cached("collision_bodies", lambda: [*_made(before), *_bodies_from(robot, first)])
 
 
 def _made(robot: Robot) -> list[tuple[CollisionBody, pin.GeometryObject]]:
-    def make() -> list[tuple[CollisionBody, pin.GeometryObject]]:
-        objects = robot.collision_model.geometryObjects
-        found = (_bodies(robot, number, shape) for number, shape in enumerate(objects))
-        return list(itertools.chain.from_iterable(found))
+    return robot.cached("collision_bodies", lambda: list(_bodies_from(robot, 0)))
 
-    return robot.cached("collision_bodies", make)
+
+def _bodies_from(robot: Robot, first: int) -> Iterator[tuple[CollisionBody, pin.GeometryObject]]:
+    """The bodies of a robot's shapes from a number on."""
+    for number, shape in list(enumerate(robot.collision_model.geometryObjects))[first:]:
+        yield from _bodies(robot, number, shape)
 
 
 class _Solid(NamedTuple):

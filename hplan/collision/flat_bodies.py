@@ -10,7 +10,7 @@ from hplan.base.arrays import FloatArray, Record, frozen
 from hplan.collision.collision_bodies import GROUND, collision_bodies
 from hplan.collision.reach import carriers, joint_axis, reach
 from hplan.collision.touching_pairs import self_pairs
-from hplan.robot.model import Robot
+from hplan.robot.model import Robot, made_once
 from hplan.scene.corner_table import corner_table
 
 #: Columns of a body: its joint (`dof` for the ground), first and last place of its points among the numbers (last is
@@ -95,9 +95,10 @@ class FlatBodies(Record):
         return cls(frozen(rows), frozen(np.concatenate([head, joints.ravel(), reaches.ravel(), *points])))
 
 
+@made_once
 def joint_numbers(robot: Robot) -> FloatArray:
     """(dof, JOINT_SIZE) numbers of the joints; found once."""
-    return robot.cached("joint numbers", lambda: frozen(np.array([_of_joint(robot, j) for j in range(robot.dof)])))
+    return frozen(np.array([_of_joint(robot, j) for j in range(robot.dof)]))
 
 
 def _of_joint(robot: Robot, joint: int) -> FloatArray:

@@ -28,7 +28,7 @@ import pinocchio as pin
 from hplan.base.arrays import FloatArray, frozen
 from hplan.base.planar_geometry import convex_hull
 from hplan.collision.collision_bodies import collision_bodies
-from hplan.robot.model import Robot
+from hplan.robot.model import Robot, made_once
 
 #: Corners of the polygon about a ring.
 _CORNERS: Final = 32
@@ -37,6 +37,7 @@ _CORNERS: Final = 32
 _ROUND_OFF: Final = 1e-12
 
 
+@made_once
 def reach(robot: Robot, beyond: float = 0.0) -> FloatArray:
     """Motion-bound coefficients: upper bounds of the distance of any point of each body from each joint's axis.
 
@@ -47,11 +48,6 @@ def reach(robot: Robot, beyond: float = 0.0) -> FloatArray:
         (bodies, dof) bounds [m]; 0 where the joint does not move the body, 1 for a joint that slides, so that
         `reach @ abs(dq)` bounds how far any point of each body moves. Bodies are in the order of `collision_bodies`.
     """
-    return robot.cached(("reach", beyond), lambda: _reach(robot, beyond))
-
-
-def _reach(robot: Robot, beyond: float) -> FloatArray:
-    """`reach`, computed."""
     rows = [points_reach(robot, body.core, body.joint, body.rounding, beyond) for body in collision_bodies(robot)]
     return frozen(np.array(rows).reshape(-1, robot.dof))
 
@@ -70,12 +66,9 @@ def points_reach(
     return _carried(robot, points, joint, rounding, beyond)[0]
 
 
+@made_once
 def reach_ball(robot: Robot) -> FloatArray:
     """(4,) centre, in `base_link`, and radius of a ball that holds all bodies at all configurations [m]."""
-    return robot.cached("ball of all bodies", lambda: _reach_ball(robot))
-
-
-def _reach_ball(robot: Robot) -> FloatArray:
     bodies = collision_bodies(robot)
     held = [_carried(robot, body.core, body.joint, body.rounding, 0.0)[1] for body in bodies]
     # Distances from where the first joint is are kept as it turns.

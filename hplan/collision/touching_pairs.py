@@ -28,7 +28,7 @@ from hplan.base.arrays import BoolArray, FloatArray, Record, frozen
 from hplan.collision.collision_bodies import body_shapes, collision_bodies
 from hplan.collision.reach import carriers, joint_axis, reach
 from hplan.robot.base_shapes import always, coal_distance, ever
-from hplan.robot.model import Robot
+from hplan.robot.model import Robot, made_once
 
 #: Sides of a joint may be this far apart, and are still its own; so are bodies with one link between them [m].
 _BEARING: Final = 0.02
@@ -67,6 +67,7 @@ class SelfPairs(Record):
         return np.where(self.farthest > max(clearance, _BEARING), clearance, min(clearance, 0.0))
 
 
+@made_once
 def self_pairs(robot: Robot, beyond: float = BEYOND) -> SelfPairs:
     """The pairs of a robot's own bodies, found once.
 
@@ -74,7 +75,7 @@ def self_pairs(robot: Robot, beyond: float = BEYOND) -> SelfPairs:
         beyond: How far joints may be beyond their limits [rad, m].
     """
     every = itertools.combinations(range(len(collision_bodies(robot))), 2)
-    return robot.cached(("self_pairs", beyond), lambda: pairs_among(robot, every, beyond))
+    return pairs_among(robot, every, beyond)
 
 
 def pairs_among(robot: Robot, chosen: Iterable[tuple[int, int]], beyond: float) -> SelfPairs:

@@ -18,7 +18,7 @@ from hplan.collision import reach
 from hplan.collision.collision_bodies import GROUND, collision_bodies
 from hplan.collision.obstacle_rows import convex_solid
 from hplan.robot.base_shapes import TURRET, base_shapes
-from hplan.robot.model import Robot
+from hplan.robot.model import Robot, made_once
 from hplan.scene.obstacle_kind import posed
 from hplan.scene.obstacles import Capsule, Solid
 
@@ -33,7 +33,7 @@ def arm_solids(robot: Robot, q: FloatArray) -> tuple[Solid, ...]:
     """
     if robot.planar is None:
         return _bodies(robot, q)
-    exact = robot.cached("links_that_are_capsules", lambda: _are_capsules(robot))
+    exact = _are_capsules(robot)
     capsules = [capsule for capsule, is_exact in zip(link_capsules(robot, q), exact, strict=True) if is_exact]
     others = {robot.arm_slice.start + k for k, is_exact in enumerate(exact) if not is_exact}
     return (*capsules, *(_bodies(robot, q, others) if others else ()), *_base_solids(robot, robot.yaw_of(q)))
@@ -52,6 +52,7 @@ def link_capsules(robot: Robot, q: FloatArray) -> list[Capsule]:
     return links
 
 
+@made_once
 def _are_capsules(robot: Robot) -> tuple[bool, ...]:
     """Of each link whether the capsule that holds it is its shape: balls of that size at both ends, a tube between."""
     q, found = np.zeros(robot.dof), []
@@ -108,12 +109,9 @@ def _base_solids(robot: Robot, yaw: float) -> tuple[Solid, ...]:
     return tuple(found)
 
 
+@made_once
 def reach_ball(robot: Robot) -> FloatArray:
     """(4,) centre and radius of a ball that holds arm, turret and pedestal at all configurations [m]."""
-    return robot.cached("reach_ball", lambda: _reach_ball(robot))
-
-
-def _reach_ball(robot: Robot) -> FloatArray:
     if robot.planar is None:
         return reach.reach_ball(robot)
     arm = robot.arm

@@ -20,7 +20,7 @@ import pinocchio as pin
 
 from hplan.base.arrays import FloatArray, frozen
 from hplan.robot.family_reader import outline
-from hplan.robot.model import Robot
+from hplan.robot.model import Robot, made_once
 from hplan.scene.convex_shape import convex_hull_shape
 
 #: Bodies that a link can touch and that are no links: those that turn with the arm plane, and those that stand still.
@@ -90,14 +90,11 @@ class BaseShape:
 _SPECK = 1e-3
 
 
+@made_once
 def base_shapes(robot: Robot) -> tuple[BaseShape, ...]:
     """The shapes of pedestal and turret, in the order of the URDF; the turret of an arm without yaw stands still."""
-
-    def shapes() -> tuple[BaseShape, ...]:
-        objects = enumerate(robot.collision_model.geometryObjects)
-        return tuple(_base_shape(robot, number) for number, shape in objects if shape.parentJoint <= robot.yaw_joints)
-
-    return robot.cached("base_shapes", shapes)
+    objects = enumerate(robot.collision_model.geometryObjects)
+    return tuple(_base_shape(robot, number) for number, shape in objects if shape.parentJoint <= robot.yaw_joints)
 
 
 def turning_shapes(robot: Robot) -> tuple[BaseShape, ...]:
@@ -117,12 +114,9 @@ def base_joints(robot: Robot) -> int:
     return 0 if robot.planar is None else robot.planar.yaw_joints
 
 
+@made_once
 def base_radius(robot: Robot) -> float:
     """Radius of a ball about `base_link`'s origin that holds pedestal and turret, whatever the yaw [m]."""
-    return robot.cached("base_radius", lambda: _base_radius(robot))
-
-
-def _base_radius(robot: Robot) -> float:
     radius, joints = 0.0, base_joints(robot)
     axis = np.zeros(3) if robot.planar is None else np.append(robot.planar.yaw_axis, 0.0)
     for shape in robot.collision_model.geometryObjects:
@@ -136,9 +130,10 @@ def _base_radius(robot: Robot) -> float:
     return radius
 
 
+@made_once
 def filled_shape(robot: Robot, number: int) -> coal.CollisionGeometry:
     """`filled`, of the shape of a number in `Robot.collision_model`; made once."""
-    return robot.cached(("filled", number), lambda: filled(robot.collision_model.geometryObjects[number]))
+    return filled(robot.collision_model.geometryObjects[number])
 
 
 def filled(shape: pin.GeometryObject) -> coal.CollisionGeometry:

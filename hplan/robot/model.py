@@ -10,9 +10,9 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar, overload
+from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, TypeVar, overload
 
 import numpy as np
 import pinocchio as pin
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from hplan.scene.model import JointValues, Start
 
 _T = TypeVar("_T")
+_P = ParamSpec("_P")
 
 
 @dataclass(frozen=True, eq=False)
@@ -290,6 +291,18 @@ class Robot(PlanarNames, Record):
                 unit = self.units[self.joint_names.index(joint)].position
                 raise JointLimitError(which, joint, float(value), float(lower), float(upper), unit)
         return readonly(np.clip(values, self.lower, self.upper))
+
+
+def made_once(make: Callable[Concatenate[Robot, _P], _T]) -> Callable[Concatenate[Robot, _P], _T]:
+    """A function of a robot, and of arguments that can be keys, that is called once for each of them."""
+    defaults = getattr(make, "__defaults__", None) or ()
+
+    @wraps(make)
+    def known(robot: Robot, /, *given: _P.args, **named: _P.kwargs) -> _T:
+        key = (make, *given, *defaults[len(given) :], *named.items())
+        return robot.cached(key, lambda: make(robot, *given, **named))
+
+    return known
 
 
 def load_robot(

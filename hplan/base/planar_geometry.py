@@ -57,11 +57,17 @@ def polygon_distances(starts: FloatArray, ends: FloatArray, polygon: FloatArray)
 
 def _point_distances(offsets: FloatArray, along: FloatArray) -> FloatArray:
     """Distances of points, by their offsets from the beginnings of segments, from these."""
-    square = (along**2).sum(axis=-1)
-    t = np.clip((offsets * along).sum(axis=-1) / np.where(square > 0.0, square, 1.0), 0.0, 1.0)
+    square = _dot(along, along)
+    t = np.clip(_dot(offsets, along) / np.where(square > 0.0, square, 1.0), 0.0, 1.0)
     rest = offsets - t[..., None] * along
-    distances: FloatArray = np.sqrt((rest**2).sum(axis=-1))
+    distances: FloatArray = np.sqrt(_dot(rest, rest))
     return distances
+
+
+def _dot(u: FloatArray, v: FloatArray) -> FloatArray:
+    # Not a sum over the last axis, which takes NumPy several times as long for two numbers.
+    product: FloatArray = u[..., 0] * v[..., 0] + u[..., 1] * v[..., 1]
+    return product
 
 
 def _cross(u: FloatArray, v: FloatArray) -> FloatArray:

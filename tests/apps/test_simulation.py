@@ -192,7 +192,7 @@ def test_ending_elsewhere_or_moving(robot: Robot, scene: Scene) -> None:
         Capsule(name="it", start=(1.9, 0.0, 0.6), end=(1.9, 0.0, 0.6), radius=0.05),
         Box(name="it", center=(1.9, 0.0, 0.6), size=(0.1, 0.4, 0.02), rpy_deg=(20.0, 40.0, 70.0)),
         Cylinder(name="it", center=(1.9, 0.0, 0.6), length=0.3, radius=0.08, rpy_deg=(20.0, 40.0, 70.0)),
-        Mesh.of("it", *torus(0.2, 0.03, 12), position=(1.9, 0.0, 0.6), rpy_deg=(90.0, 0.0, 20.0)),
+        Mesh.of("it", *torus(0.2, 0.03, 8), position=(1.9, 0.0, 0.6), rpy_deg=(90.0, 0.0, 20.0)),
         PointCloud.of("it", np.random.default_rng(0).uniform(-0.1, 0.1, (40, 3)), 0.02, position=(1.9, 0.0, 0.6)),
     ],
 )

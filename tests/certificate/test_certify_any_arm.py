@@ -121,7 +121,7 @@ def least_distances(robot: Robot, obstacles, bezier: np.ndarray, looks: int) -> 
 def test_verified_motions_are_clear_at_close_times(load, name):
     """Some random motions are verified, some meet something; the shown clearance is below what brute force finds."""
     robot, rng = load(name), np.random.default_rng(8)
-    ends = free_configurations(robot, 8, seed=9)
+    ends = free_configurations(robot, 6, seed=9)
     outcomes = set()
     for start, end in itertools.pairwise(ends):
         trajectory = motion_between(robot, start, end)
@@ -145,7 +145,7 @@ def test_verified_motions_are_clear_at_close_times(load, name):
 def test_grazing_motions_are_never_verified(load, name):
     """A ball stands so that the arm comes 0.1 to 5 mm nearer than the clearance, between rows."""
     robot, rng = load(name), np.random.default_rng(10)
-    ends = free_configurations(robot, 7, seed=11)
+    ends = free_configurations(robot, 5, seed=11)
     refused = 0
     for start, end in itertools.pairwise(ends):
         trajectory = motion_between(robot, start, end, samples=12)
@@ -170,7 +170,7 @@ def test_grazing_motions_are_never_verified(load, name):
             certificate = certify(robot, scene, trajectory)
             assert any("comes to" in line for line in certificate.violations)
             refused += 1
-    assert refused >= 6
+    assert refused >= 4
 
 
 @pytest.mark.parametrize("name", ARMS)

@@ -165,7 +165,7 @@ def test_a_motion_backwards_has_the_curve_backwards(picked: Any) -> None:
     )
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(3))
 def test_where_obstacles_move_it_is_nowhere_above_their_distances_at_that_time(robot: Robot, seed: int) -> None:
     random = np.random.default_rng(300 + seed)
     motion, scene = random_motion(robot, random, 1.5), random_scene(random)
@@ -173,7 +173,7 @@ def test_where_obstacles_move_it_is_nowhere_above_their_distances_at_that_time(r
     track = Track(times_s=(0.2, 0.9, 1.8), shifts_m=tuple(map(tuple, random.uniform(-0.5, 0.5, (3, 3)))), **turns)
     items = [item.model_copy(update={"track": track}) if k % 2 else item for k, item in enumerate(scene.obstacles)]
     _, curve = certified(robot, scene.with_obstacles(items), motion, begin_s=0.1)
-    clock = np.linspace(0.0, 1.5, 301)
+    clock = np.linspace(0.0, 1.5, 101)
     bound = np.interp(clock, curve.time, curve.clearance_m)
     moved = scene.with_obstacles(items)
     for at, q, certain in zip(clock, on_cubics(motion, clock), bound, strict=True):

@@ -487,7 +487,7 @@ def test_certified_motions_of_random_arms_touch_nothing(tmp_path):
     rng = np.random.default_rng(8)
     verified = {"any": 0, "turret": 0}
     refused = 0
-    for robot in _fitted_arms(tmp_path, rng, 16):
+    for robot in _fitted_arms(tmp_path, rng, 10):
         bodies = Bodies(robot)
         obstacles = [
             Sphere(name=f"o{i}", center=tuple(rng.uniform([-0.9, -0.9, 0.0], [0.9, 0.9, 1.2])), radius=0.05)
@@ -506,8 +506,8 @@ def test_certified_motions_of_random_arms_touch_nothing(tmp_path):
                 verified["turret"] += turret_radius(robot) > 0.0
             else:
                 refused += 1
-    assert verified["turret"] > 8
-    assert refused > 8
+    assert verified["turret"] > 5
+    assert refused > 5
 
 
 # Tools

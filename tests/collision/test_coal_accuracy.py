@@ -44,7 +44,7 @@ def test_nearly_parallel_capsules(first, second):
     rng, worst, radius = np.random.default_rng(3), 0.0, 0.01
     obstacle = Capsule(name="c", start=(0.0, 0.0, 0.0), end=(0.0, 0.0, second), radius=radius)
     allowed = distance_errors([capsule_object(radius, first)], [obstacle], [])[0]
-    for _ in range(4000):
+    for _ in range(1500):
         angle = 10.0 ** rng.uniform(-8.5, -6.5) / (first * second) * rng.choice([-1.0, 1.0])
         along, aside = np.eye(3)[:2]
         other = along * np.cos(angle) + aside * np.sin(angle)

@@ -6,9 +6,9 @@ from studies.paper.random_scenes import compare
 
 
 def test_two_level_agrees_with_dense_on_random_scenes() -> None:
-    outcome = compare(150, seed=7)
+    outcome = compare(80, seed=7)
     assert outcome.disagree == 0
-    assert 90 < outcome.with_path < 150
+    assert 45 < outcome.with_path < 80
     assert outcome.fallbacks["none"] > 0.9 * outcome.with_path
     assert outcome.ratio_median < 1.001
     assert outcome.ratio_worst < 1.6

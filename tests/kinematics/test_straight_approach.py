@@ -73,7 +73,7 @@ def test_straight_with_the_last_link_at_its_angle(variants, name):
 
 
 @pytest.mark.parametrize("name", LONG)
-@settings(max_examples=6, suppress_health_check=list(HealthCheck))
+@settings(max_examples=3, suppress_health_check=list(HealthCheck))
 @given(seed=st.integers(0, 2**32 - 1))
 def test_largest_standoff_against_dense_sampling(variants, name, seed):
     """Within the largest stand-off nothing is passed; just beyond it something is."""

@@ -49,14 +49,15 @@ def least_distance(robot: Robot, track: Track, motion: Trajectory, begins_s: flo
     """Of listed points from the capsules of the links, every 0.5 ms, in plain NumPy [m]."""
     clock, least = np.append(np.arange(0.0, motion.duration, 5e-4), motion.duration), np.inf
     turns, shifts = base_poses(track, begins_s + clock)
-    for q, turn, shift in zip(motion.positions(clock), turns, shifts, strict=True):
-        origin, axes = robot.plane_at(robot.yaw_of(q))
-        joints = origin + robot.arm.joint_points(q[robot.arm_slice]) @ axes[:2]
-        beside, seen = robot.arm.lateral[:, None] * axes[2], (points - shift) @ turn
-        for start, end, half in zip(joints[:-1] + beside, joints[1:] + beside, robot.arm.half_widths, strict=True):
-            along = np.clip((seen - start) @ (end - start) / ((end - start) @ (end - start)), 0.0, 1.0)
-            away = np.linalg.norm(seen - start - along[:, None] * (end - start), axis=1)
-            least = min(least, float(away.min()) - half)
+    q = motion.positions(clock)
+    origins, axes = map(np.array, zip(*(robot.plane_at(robot.yaw_of(each)) for each in q), strict=True))
+    joints = origins[:, None] + robot.arm.joint_points(q[:, robot.arm_slice]) @ axes[:, :2]
+    seen = (points - shifts[:, None]) @ turns
+    for link, half in enumerate(robot.arm.half_widths):
+        beside = robot.arm.lateral[link] * axes[:, 2]
+        start, way = (joints[:, link] + beside)[:, None], (joints[:, link + 1] - joints[:, link])[:, None]
+        along = np.clip(((seen - start) * way).sum(axis=2) / (way**2).sum(axis=2), 0.0, 1.0)[..., None]
+        least = min(least, float(np.linalg.norm(seen - start - along * way, axis=2).min()) - half)
     return least
 
 
@@ -101,12 +102,11 @@ def test_points_that_come_into_reach_are_kept(robot: Robot) -> None:
     assert least_distance(robot, fast, result.trajectory, 0.0, points) > 0.01
 
 
-@pytest.mark.parametrize("first", range(0, 24, 8))
-def test_random_motions_past_clouds_on_a_base_that_moves(robot: Robot, first: int) -> None:
+def test_random_motions_past_clouds_on_a_base_that_moves(robot: Robot) -> None:
     """What is certified keeps from every point as it was seen, at a random time, by a random camera, by NumPy alone."""
     free = plan(robot, a_scene(None), QUICK).trajectory
-    near = [past_a_cloud(robot, free, seed) for seed in range(first, first + 8)]
-    assert sum(distance < 0.2 for distance in near) >= 3, near
+    near = [past_a_cloud(robot, free, seed) for seed in range(12)]
+    assert sum(distance < 0.2 for distance in near) >= 5, near
 
 
 def past_a_cloud(robot: Robot, free: Trajectory, seed: int) -> float:

@@ -171,20 +171,21 @@ BLOCKED = {
 }
 
 
-@pytest.mark.parametrize("method", ["two-level", "dense"])
 @pytest.mark.parametrize("kind", BLOCKED)
-def test_no_path_names_what_blocks(robot: Robot, kind: str, method: Any) -> None:
+def test_no_path_names_what_blocks(robot: Robot, kind: str) -> None:
     scene = task(BLOCKED[kind])
     assert not joined(robot, scene, 3.0)
-    with pytest.raises(NoPathError) as error:
-        plan(robot, scene, PlanOptions(step_deg=3.0, method=method))
-    names = {obstacle.name for obstacle in scene.obstacles}
-    first = error.value.blockers[0]
-    assert 0 < error.value.reached_cells < 31**3
-    assert {blocker["obstacle"] for blocker in error.value.blockers} <= names
-    assert (first["link"], first["slices_deg"]) == ("upper_arm", [0.0, 90.0])
-    for word in (repr(first["obstacle"]), "'upper_arm'", "wrist from 0 to 90 deg"):
-        assert word in str(error.value)
+    methods: tuple[Any, ...] = ("two-level", "dense")
+    for method in methods:
+        with pytest.raises(NoPathError) as error:
+            plan(robot, scene, PlanOptions(step_deg=3.0, method=method))
+        names = {obstacle.name for obstacle in scene.obstacles}
+        first = error.value.blockers[0]
+        assert 0 < error.value.reached_cells < 31**3
+        assert {blocker["obstacle"] for blocker in error.value.blockers} <= names
+        assert (first["link"], first["slices_deg"]) == ("upper_arm", [0.0, 90.0])
+        for word in (repr(first["obstacle"]), "'upper_arm'", "wrist from 0 to 90 deg"):
+            assert word in str(error.value)
 
 
 def test_brute_force_agrees_where_there_is_a_path(robot: Robot, scene: Scene) -> None:
@@ -205,7 +206,7 @@ def clutter(seed: int, robot: Robot) -> Scene:
     return task(discs)
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", range(10))
 def test_random_scene_gives_a_certified_motion_or_no_path(robot: Robot, seed: int) -> None:
     scene = clutter(seed, robot)
     options = PlanOptions(step_deg=2.5)  # start and goal are nodes

@@ -76,7 +76,7 @@ class Truth:
     """Coal, asked without hplan: capsule links, and what carries the arm as the URDF gives it."""
 
     def __init__(self, robot: Robot) -> None:
-        self.robot = robot
+        self.robot, self.data = robot, robot.model.createData()
         self.links = [
             coal.Capsule(float(w), float(length))
             for w, length in zip(robot.arm.half_widths, robot.arm.lengths, strict=True)
@@ -87,7 +87,7 @@ class Truth:
 
     def distances(self, q):
         """By (link, other): a link's number, or that of a shape of the base as a text; what joins them left out."""
-        robot, data = self.robot, self.robot.model.createData()
+        robot, data = self.robot, self.data
         pin.forwardKinematics(robot.model, data, np.asarray(q, dtype=float))
         axes = link_axes(robot, q)
         placed = []
@@ -156,7 +156,7 @@ def test_harvester_cannot_touch_itself(robot, scene):
 def test_pairs_are_those_that_sampling_finds(tmp_path):
     rng = np.random.default_rng(0)
     seen, apart = 0, 0
-    for robot in random_arms(rng, tmp_path, 25):
+    for robot in random_arms(rng, tmp_path, 12):
         truth, known = Truth(robot), named_pairs(robot)
         least = {}
         for q in rng.uniform(robot.lower, robot.upper, (300, robot.dof)):
@@ -167,8 +167,8 @@ def test_pairs_are_those_that_sampling_finds(tmp_path):
         assert all(least[pair] < 0.3 for pair in known)  # 300 looks come near at least
         seen += len(touching)
         apart += len(least) - len(known)
-    assert seen > 30
-    assert apart > 10
+    assert seen > 15
+    assert apart > 5
 
 
 def test_limits_decide(tmp_path):
@@ -236,40 +236,44 @@ def test_distances_from_polygons():
 # C-space
 
 
-@pytest.mark.parametrize("clearance", [0.0, 0.02])
-def test_cspace_against_coal(tmp_path, clearance):
+def test_cspace_against_coal(tmp_path):
     rng = np.random.default_rng(5)
     contacts = 0
     for robot in random_arms(rng, tmp_path, 8):
         step = math.radians({2: 6.0, 3: 15.0, 4: 16.0}[robot.arm.link_count])
         grid = joint_grid(robot.arm, step)
-        ours = occupancy(robot.arm, arm_sections(robot, [], clearance=clearance), grid).occupied.ravel()
-        truth, yaw = Truth(robot), rng.uniform(-3.0, 3.0)
-        nodes = grid.coordinates(np.stack(np.unravel_index(np.arange(grid.size), grid.shape), axis=-1))
-        known = named_pairs(robot)
-        some = rng.permutation(grid.size)[:6000]
-        for node, occupied in zip(nodes[some], ours[some], strict=True):
+        ours = {
+            clearance: occupancy(robot.arm, arm_sections(robot, [], clearance=clearance), grid).occupied.ravel()
+            for clearance in (0.0, 0.02)
+        }
+        truth, yaw, known = Truth(robot), rng.uniform(-3.0, 3.0), named_pairs(robot)
+        some = rng.permutation(grid.size)[:2000]
+        for number, node in zip(some, nodes_of(grid)[some], strict=True):
             found = truth.distances([yaw, *node] if robot.has_yaw else node)
-            distance = min((d for pair, d in found.items() if pair in known), default=np.inf) - clearance
-            if distance < -TOUCH:
-                assert occupied
-                contacts += 1
-            elif distance > STANDS_OUT:
-                assert not occupied
-    assert contacts > 100
+            distance = min((d for pair, d in found.items() if pair in known), default=np.inf)
+            for clearance, occupied in ours.items():
+                if distance - clearance < -TOUCH:
+                    assert occupied[number]
+                    contacts += 1
+                elif distance - clearance > STANDS_OUT:
+                    assert not occupied[number]
+    assert contacts > 200
+
+
+def nodes_of(grid):
+    return grid.coordinates(np.stack(np.unravel_index(np.arange(grid.size), grid.shape), axis=-1))
 
 
 def test_links_in_the_cspace_are_exact(wide):
-    # Pairs of links alone, by every node's distance.
+    # Pairs of links alone, by the distance at nodes.
     grid = joint_grid(wide.arm, math.radians(12.0))
     sections = arm_sections(wide, [])
     hand = only(sections, 2, sections.obstacle_names.index("upper_arm"))
     ours = occupancy(wide.arm, hand, grid).occupied
-    nodes = grid.coordinates(np.stack(np.unravel_index(np.arange(grid.size), grid.shape), axis=-1))
-    truth = Truth(wide)
-    theirs = np.array([truth.distances([0.0, *node])[2, 0] for node in nodes]).reshape(grid.shape)
+    some, truth = np.random.default_rng(0).permutation(grid.size)[:4000], Truth(wide)
+    theirs = np.array([truth.distances([0.0, *node])[2, 0] for node in nodes_of(grid)[some]])
     clear_cut = np.abs(theirs) > TOUCH
-    np.testing.assert_array_equal(ours[clear_cut], (theirs < 0.0)[clear_cut])
+    np.testing.assert_array_equal(ours.ravel()[some][clear_cut], (theirs < 0.0)[clear_cut])
     assert 0 < ours.sum() < ours.size
     # They lie to each other as the joints between them say, whatever the first.
     assert (ours == ours[:1]).all()
@@ -305,7 +309,7 @@ def test_four_links_in_the_cspace_are_exact(tmp_path, lengths):
     assert pairs == {(2, 0), (3, 0), (3, 1)}
     empty = replace(sections, own_pairs=sections.own_pairs[:0], own_radii=sections.own_radii[:0])
     alone = occupancy(arm, empty, grid).occupied  # the base
-    points = arm.joint_points(grid.coordinates(np.stack(np.unravel_index(np.arange(grid.size), grid.shape), axis=-1)))
+    points = arm.joint_points(nodes_of(grid))
     for number, (link, other) in enumerate(sections.own_pairs[:, :2].tolist()):
         one = replace(
             sections,
@@ -501,7 +505,7 @@ def test_certificates_are_as_dense_sampling_says(tmp_path):
             trajectory = quintic(robot, start, end)
             least = min(
                 distance
-                for q in trajectory.position[::4]
+                for q in trajectory.position[::8]
                 for pair, distance in truth.distances(q).items()
                 if pair in known
             )

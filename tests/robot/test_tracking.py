@@ -138,7 +138,7 @@ def test_jerks_on_the_spot_count_by_their_speed(robot: Robot, scene: Scene) -> N
     """Jerky motions with hardly any travel, their sway rising and falling from row to row, a ball a little farther."""
     rng = np.random.default_rng(5)
     closest, refused, touching = math.inf, 0, 0
-    for _ in range(400):
+    for _ in range(150):
         still = rng.random(12) < 0.6
         speed = np.where(still, 0.0, rng.uniform(-0.4, 0.4, 12))
         place = np.cumsum(np.where(rng.random(12) < 0.7, 0.0, rng.uniform(-5e-4, 2e-4, 12)))
@@ -156,8 +156,8 @@ def test_jerks_on_the_spot_count_by_their_speed(robot: Robot, scene: Scene) -> N
             closest = min(closest, nearest)
         else:
             refused += 1
-    assert touching > 100
-    assert refused < 300
+    assert touching > 40
+    assert refused < 115
     assert closest < 2e-3
 
 

@@ -88,7 +88,7 @@ def test_what_is_convex_is_one_piece():
     assert pieces.excess == pieces.hulls[0].rounding < 0.01
 
 
-@settings(max_examples=8)
+@settings(max_examples=5)
 @given(st.integers(0, 10_000))
 def test_random_heaps_of_blocks(seed):
     """Solids with tunnels and hollows, blocks that touch at an edge or a corner only, and parts that are apart."""
@@ -119,7 +119,7 @@ def sheet(rng: np.random.Generator, thickness: float) -> tuple[np.ndarray, np.nd
     return turned(vertices) if rng.random() < 0.4 else vertices, faces
 
 
-@settings(max_examples=12)
+@settings(max_examples=8)
 @given(st.integers(0, 10_000))
 def test_sheets_among_solids_are_held(seed):
     """All points of all triangles, of panels and leaves too, beside, through and on solids."""

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from shapes import crate, torus
+from shapes import blocks, crate, torus
 
 from hplan.errors import SceneError
 from hplan.scene.file import dump_scene, load_scene, parse_scene, save_scene
@@ -48,7 +48,6 @@ def test_formats(kind, tmp_path):
     assert (vertices.shape, faces.shape) == (expected.shape, (288, 3))
     order, theirs = np.lexsort(vertices.round(5).T), np.lexsort(expected.round(5).T)
     np.testing.assert_allclose(vertices[order], expected[theirs], atol=1e-6)
-    assert {solid.name for solid in mesh.solids} == {"ring"}
 
 
 def test_placement():
@@ -71,15 +70,18 @@ def test_pieces_are_cut_once(monkeypatch):
 
     cut = shape_data.convex_pieces
     monkeypatch.setattr(shape_data, "convex_pieces", lambda *given: (calls.append(1), cut(*given))[1])
-    mesh = Mesh.of("crate", *crate())
+    block = np.ones((2, 2, 1), dtype=bool)
+    block[1, 1] = False
+    mesh = Mesh.of("crate", *blocks(block, *(np.array(x) for x in ([0.0, 0.1, 0.5], [0.0, 0.1, 0.4], [0.0, 0.3]))))
     scene = a_scene(mesh)
+    assert {solid.name for solid in scene.solids} == {"crate"}
     assert scene.solids[0] is scene.solids[0] is scene.with_obstacles([mesh]).solids[0]
     moved = mesh.model_copy(update={"position": (1.0, 0.0, 0.0), "name": "other"})
     assert moved.solids[0].name == "other"
     np.testing.assert_allclose(moved.solids[0].core, mesh.solids[0].core + np.array([1, 0, 0]))
     assert len(calls) == 1
     larger = mesh.model_copy(update={"scale": 2.0})
-    np.testing.assert_allclose(np.vstack([s.core for s in larger.solids]).max(axis=0), [0.5, 0.4, 0.6])
+    np.testing.assert_allclose(np.vstack([s.core for s in larger.solids]).max(axis=0), [1.0, 0.8, 0.6])
     assert len(calls) == 2
 
 

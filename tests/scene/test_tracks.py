@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import cache
 
 import numpy as np
 import pytest
@@ -38,6 +39,7 @@ def a_scene(*obstacles, **more) -> Scene:
     return Scene(name="t", start=start, goal=goal, obstacles=obstacles, **more)
 
 
+@cache  # a mesh is cut for a second
 def all_kinds(track: Track | None = TURNING, sway: Sway | None = SWAY) -> Scene:
     how = {"track": track, "sway": sway}
     return a_scene(
@@ -233,7 +235,7 @@ def test_no_point_is_faster_than_the_bound(own, base):
     assert (moved <= np.diff(travel) + 1e-9).all()
 
 
-@settings(max_examples=12)  # a second each: what is meshed is meshed anew
+@settings(max_examples=25)
 @given(st.floats(-50.0, 50.0), st.lists(st.floats(-60.0, 60.0), min_size=1, max_size=4))
 def test_a_scene_by_another_clock_is_where_it_was(zero, clock):
     """Before, within and after the tracks, of either sign."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,8 @@ import pytest
 from script_loader import load_script
 from studies.paper import measure
 from studies.paper.measure import PAPER_DENSE, PAPER_TWO_LEVEL
+
+from hplan.apps.view import figure_style
 
 script = load_script("reproduce_paper")
 
@@ -41,6 +44,7 @@ def measured() -> Any:
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch, measured: Any) -> None:
     monkeypatch.setattr(measure, "measure", lambda *_, **__: measured)
+    monkeypatch.setattr(figure_style, "png_bytes", functools.partial(figure_style.png_bytes, dpi=20))
 
 
 def test_searches_give_the_papers_cost(measured: Any) -> None:

@@ -47,12 +47,13 @@ def look(robot: Robot, *kinds: Kind, scenes: int = 2, configurations: int = 3_00
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_nothing_is_missed_and_little_lost(robot: Robot, kind: Kind) -> None:
-    result = validate_kinds(robot, [kind], scenes=4, configurations=2_000, seed=1)
+    configurations = 512 if kind == "points" else 2_000  # coal takes its time over clouds
+    result = validate_kinds(robot, [kind], scenes=4, configurations=configurations, seed=1)
     fixed, turning = result.results
     assert result.ok
     assert (fixed.kind, turning.kind, fixed.layers, turning.layers) == (kind, kind, False, True)
-    assert fixed.configurations == fixed.nodes == 8_000
-    assert turning.configurations == 5 * turning.nodes >= 8_000
+    assert fixed.configurations == fixed.nodes == 4 * configurations
+    assert turning.configurations == 5 * turning.nodes >= 4 * configurations
     for row in (fixed, turning):
         assert row.ok
         assert row.scenes == 4
@@ -75,8 +76,9 @@ def test_nothing_in_contact_is_free(robot: Robot, kind: Kind) -> None:
         checker = _CoalWithShapes(robot, made.scene)
         bodies = prepare_obstacles(made.scene.solids, clearance=made.scene.clearance)
         field = ClearanceField.of(robot, made.scene.solids, clearance=made.scene.clearance)
-        ends = rng.uniform(robot.lower, robot.upper, (2, 300, robot.dof))
-        ends[:, :, 0] = rng.uniform(*made.sector, 300)
+        count = 60 if kind == "points" else 300
+        ends = rng.uniform(robot.lower, robot.upper, (2, count, robot.dof))
+        ends[:, :, 0] = rng.uniform(*made.sector, count)
         hit = np.array([checker.collides(q, -tolerance) for q in ends])
         free = np.where(hit[0, :, None], ends[1], ends[0])[hit[0] != hit[1]]
         touching = np.where(hit[0, :, None], ends[0], ends[1])[hit[0] != hit[1]]
@@ -131,6 +133,3 @@ def test_a_blind_cspace_is_caught(robot: Robot, monkeypatch: pytest.MonkeyPatch,
     assert content["ok"] is False
     assert content["results"][0]["missed"] == result.results[0].missed
     assert len(content["results"][0]["examples"][0]["joints_rad"]) == 4
-
-
-# Input

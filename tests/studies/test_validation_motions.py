@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import studies.validation.episodes as episodes
 import studies.validation.grazing as grazing
 from script_loader import load_script
 from studies.validation.arms import DrawnArm, draw_arm, named_arm
@@ -33,6 +34,15 @@ ITEMS: list[dict[str, Any]] = [
      "faces": np.vstack([FACES[:-2], [[1, 5, 8], [5, 7, 8], [7, 3, 8], [3, 1, 8]]])},
     {"kind": "points", "points": 0.02 * CORNERS, "radius": 0.02},
 ]  # fmt: skip
+
+
+@pytest.fixture(autouse=True)
+def short(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Few worlds, in which motions are found however long kernels take."""
+    monkeypatch.setattr(episodes, "WORLDS", 2)
+    monkeypatch.setattr(episodes, "patience_s", 60.0)
+    for module in (episodes, grazing):
+        monkeypatch.setattr(module, "warm_up", lambda: None)
 
 
 @pytest.fixture(scope="module")
@@ -140,7 +150,7 @@ def test_a_wrong_certificate_is_counted(monkeypatch: pytest.MonkeyPatch, verifie
 @pytest.mark.parametrize("what", ["motions", "grazing", "soak"])
 def test_command(tmp_path: Path, what: str, capsys: pytest.CaptureFixture[str]) -> None:
     script = load_script("validate_motions")
-    arguments = [what, "--cases", "1", "--first", str(CASE), "--minutes", "0.05", "--out", str(tmp_path)]
+    arguments = [what, "--cases", "1", "--first", str(CASE), "--minutes", "0.02", "--out", str(tmp_path)]
     assert script.main(arguments) == 0, capsys.readouterr().out
     assert json.loads((tmp_path / f"validation-{what}.json").read_text())["ok"]
     assert "at fault: 0" in capsys.readouterr().out

@@ -246,7 +246,7 @@ class _Stations:
     """Where to look next."""
 
     def __init__(self, travel: FloatArray, bounded: int) -> None:
-        """Take what the moving bodies travel up to each row, (movers, rows + 1) [m]; it is bounded up to a row."""
+        """Take what the moving bodies travel up to each row, (bodies, rows + 1) [m]; it is bounded up to a row."""
         self._travel = np.append(0.0, np.cumsum(np.diff(travel, axis=1).max(axis=0)))
         self._bounded = bounded
         self._least = max(_STATION_M[0], float(self._travel[bounded]) / _STATIONS)
@@ -300,7 +300,7 @@ def _looks(search: Advancement, bezier: FloatArray, checker: CoalScene) -> Itera
 
 
 def _at(values: FloatArray, place: float) -> FloatArray:
-    """(movers,) values at a place of what is linear between its values at the rows, (movers, rows + 1)."""
+    """(bodies,) values at a place of what is linear between its values at the rows, (bodies, rows + 1)."""
     row = min(int(place), values.shape[1] - 2)
     result: FloatArray = values[:, row] + (place - row) * (values[:, row + 1] - values[:, row])
     return result

@@ -148,7 +148,7 @@ class Advancement:
     """State of the advancement along a motion, pair by pair.
 
     Attributes:
-        movers: (2, movers, rows + 1) at each row, how much nearer each moving body may be than in the motion, and how
+        movers: (2, bodies, rows + 1) at each row, how much nearer each moving body may be than in the motion, and how
             far it has travelled [m].
         pairs: (2, pairs) for each pair the distance to be kept, coal's error with it [m], and the place where it is to
             be asked again, infinite where that is after the end. (Arrays, for a named tuple of them costs a call of a

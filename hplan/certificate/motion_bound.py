@@ -84,13 +84,13 @@ def largest_pair_sway(robot: Robot, deviation: FloatArray) -> float:
 
 
 def sways(robot: Robot, others: Sequence[tuple[int, int]], deviations: FloatArray) -> FloatArray:
-    """(movers, k) tracking-error displacement bounds of the moving bodies [m]: of the links, then of the others."""
+    """(bodies, k) tracking-error displacement bounds of the moving bodies [m]: of the links, then of the others."""
     found = [pair_sway(robot, part, other, deviations) for part, other in others]
     return np.column_stack([robot.sway(deviations), *found]).T
 
 
 def off_axis(checker: CoalScene, others: Sequence[tuple[int, int]], turns: FloatArray) -> FloatArray:
-    """(movers, k) how much farther than its axis a link that is no capsule moves as joints turn by (k, dof) [m].
+    """(bodies, k) how much farther than its axis a link that is no capsule moves as joints turn by (k, dof) [m].
 
     A ball about a point of the axis moves as that point does; what is at most r from the axis by r times the link's
     turn more, which is at most the sum of the turns of the joints before it. Seen from another link, that one's own
@@ -124,7 +124,7 @@ def movers(checker: CoalScene) -> tuple[IntArray, list[tuple[int, int]]]:
 
 
 def at_rows(sway: FloatArray, pieces: int) -> FloatArray:
-    """(movers, pieces + 1) the larger displacement bound of the two pieces at each row, from those of the pieces."""
+    """(bodies, pieces + 1) the larger displacement bound of the two pieces at each row, from those of the pieces."""
     if sway.shape[1] == 1:
         return np.repeat(sway, pieces + 1, axis=1)
     return np.maximum(np.column_stack([sway[:, :1], sway]), np.column_stack([sway, sway[:, -1:]]))
@@ -137,8 +137,8 @@ def with_obstacles(
 
     Args:
         mover_of: (pairs,) the moving body of each pair.
-        moved: (movers, pieces) how far each travels in each piece [m].
-        nearer: (movers, k) how much nearer tracking errors may bring its pairs [m].
+        moved: (bodies, pieces) how far each travels in each piece [m].
+        nearer: (bodies, k) how much nearer tracking errors may bring its pairs [m].
         clock: (pieces + 1,) times of the rows [s].
 
     Returns:
@@ -168,7 +168,7 @@ def motion_of_movers(
         deviations: (k, dof) largest deviations of the joints [rad, m].
 
     Returns:
-        (pairs,) the moving body of each pair; (movers, pieces) how far each travels in each piece; (movers, k) by how
+        (pairs,) the moving body of each pair; (bodies, pieces) how far each travels in each piece; (bodies, k) by how
         much deviations may bring its pairs nearer [m].
     """
     robot = checker.robot
@@ -229,9 +229,9 @@ class _MovingBodies(Record):
 
     Attributes:
         alone: How many are one body; in the order in which checkers have them.
-        first: (movers,) the body; of a pair one of the two.
-        second: (movers,) the other body of a pair; -1 where there is none.
-        counts: (movers, dof) 1 for the joints that move the first and not the second, or the other way; else 0.
+        first: (bodies,) the body; of a pair one of the two.
+        second: (bodies,) the other body of a pair; -1 where there is none.
+        counts: (bodies, dof) 1 for the joints that move the first and not the second, or the other way; else 0.
     """
 
     alone: int
@@ -245,7 +245,7 @@ class _MovingBodies(Record):
         return np.concatenate([among, np.arange(self.alone, len(self.first))])
 
     def travels(self, robot: Robot, bezier: FloatArray, deviations: FloatArray) -> FloatArray:
-        """(movers, pieces) how far each travels in each of (pieces, 4, dof) cubics at most [m]."""
+        """(bodies, pieces) how far each travels in each of (pieces, 4, dof) cubics at most [m]."""
         rates = 3.0 * np.abs(np.diff(bezier, axis=1)).max(axis=1)
         middles = 0.125 * (bezier[:, 0] + bezier[:, 3]) + 0.375 * (bezier[:, 1] + bezier[:, 2])
         bodies, bounds = FlatBodies.of(robot), reach(robot, _beyond(robot, deviations))
@@ -254,12 +254,12 @@ class _MovingBodies(Record):
         return travels
 
     def sways(self, robot: Robot, deviations: FloatArray) -> FloatArray:
-        """(movers, k) how far (k, dof) deviations displace each at most [m]."""
+        """(bodies, k) how far (k, dof) deviations displace each at most [m]."""
         sways: FloatArray = self._counted(reach(robot, _beyond(robot, deviations))) @ deviations.T
         return sways
 
     def _counted(self, by_body: FloatArray) -> FloatArray:
-        """(..., movers, dof) what joints do to the moving bodies, from (..., bodies, dof) what they do to bodies."""
+        """(..., moving bodies, dof) what joints do to those, from (..., bodies, dof) what they do to bodies."""
         second = np.where((self.second >= 0)[:, None], by_body[..., self.second, :], 0.0)
         counted: FloatArray = np.where(self.counts > 0.0, by_body[..., self.first, :] + second, 0.0)
         return counted

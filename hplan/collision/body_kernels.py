@@ -284,7 +284,7 @@ def body_clearances(q: FloatArray, field: FieldArrays, result: FloatArray) -> No
 def body_slopes(
     q: FloatArray, field: FieldArrays, joints: IntArray, enough: float, clear: FloatArray, gradient: FloatArray
 ) -> None:
-    """Write the (movers,) clearances, `enough` where there is more, and their (movers, k) gradients by k joints.
+    """Write the (bodies,) clearances, `enough` where there is more, and their (bodies, k) gradients by k joints.
 
     A gradient is the velocity of the nearest points along the line between them; zeros where there is enough.
     """

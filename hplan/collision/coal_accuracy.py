@@ -46,7 +46,7 @@ def distance_errors(
     """Upper bounds of the error by which distances are too large [m].
 
     Returns:
-        (movers * solids + pairs,) of each moving body with each obstacle, body by body, then of the pairs.
+        (bodies * solids + pairs,) of each moving body with each obstacle, body by body, then of the pairs.
     """
     curved = np.array([type(solid) is Cylinder for solid in solids], dtype=np.bool_)
     round_movers = np.array([isinstance(shape.geometry, coal.Cylinder) for shape in movers], dtype=np.bool_)

@@ -80,10 +80,10 @@ class CoalScene:
     Several threads may ask at once. A scene can be pickled; it is built anew from robot and obstacles.
 
     Attributes:
-        mover_names: The same, then names of the turret's bodies that have other shapes than round ones.
+        mover_names: Names of the links, then names of the turret's bodies that have other shapes than round ones.
         obstacle_names: Names of the obstacles; from `own_first` on of the parts of the arm that another can touch.
         link_shapes: Shapes of the links, link by link.
-        pairs: Mover, by its place in `mover_names`, and obstacle or part, in `obstacle_names`, of each pair.
+        pairs: Moving body, by its place in `mover_names`, and obstacle or part, in `obstacle_names`, of each pair.
         own_others: The body from which the motion of each of the last of `pairs` is seen: a link, `TURRET` or `GROUND`.
         deviation: How far joints may be beyond their limits [rad]; parts of the arm that touch up to there are pairs.
         clearance: Distance that parts of the arm are to keep from each other [m]; those that come nearer are pairs.
@@ -218,7 +218,7 @@ class CoalScene:
         return np.append(np.full(len(self.pairs) - len(held), clearance), held) if len(held) else clearance
 
     def distances(self, q: ArrayLike, time_s: float | None = None) -> FloatArray:
-        """Signed distances at one configuration, (dof,) -> (movers, obstacle names) [m]; negative is the depth.
+        """Signed distances at one configuration, (dof,) -> (bodies, obstacle names) [m]; negative is the depth.
 
         Infinite where a link, or the turret, cannot touch that part of the arm or obstacle. As the other methods it
         takes a time where obstacles move, and only there.

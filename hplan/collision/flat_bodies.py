@@ -40,7 +40,7 @@ class FlatBodies(Record):
     Attributes:
         movers: (bodies + pairs, COLUMNS) each body in the order of `collision_bodies`, then each pair of its own that
             is checked.
-        numbers: Flat: the head, the joints, the reaches ((movers, dof), row by row), the points of all bodies, each
+        numbers: Flat: the head, the joints, the reaches ((bodies, dof), row by row), the points of all bodies, each
             with its table.
     """
 

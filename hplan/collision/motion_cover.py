@@ -62,7 +62,7 @@ class Moving(NamedTuple):
     Attributes:
         twists: (dof + 1, 6) angular velocity of what each joint carries, and the velocity of the point of it that is at
             the origin; of the base zeros.
-        bends: (movers, 2) how fast points of each moving body move at most, and what their acceleration is at most.
+        bends: (bodies, 2) how fast points of each moving body move at most, and what their acceleration is at most.
         margin: Clearance asked for [m].
     """
 

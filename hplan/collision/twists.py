@@ -27,7 +27,7 @@ def motion_bends(
         rates: (dof,) how fast joints move at most.
         changes: (dof,) how fast these rates change at most.
         movers: As `hplan.collision.flat_bodies.FlatBodies`.
-        bends: (movers, 2) written.
+        bends: (bodies, 2) written.
     """
     at, first, dof = int(numbers[flat.REACHES]), int(numbers[flat.JOINTS]), len(rates)
     for k in range(movers.shape[0]):

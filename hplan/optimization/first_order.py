@@ -1,7 +1,7 @@
 r"""Limits and clearance to first order about a timed spline, as rows of a linear program.
 
-Unknown are the changes of the inner control points, :math:`\Delta c`, and the pace :math:`s` by which all times are
-multiplied. Velocity, acceleration and jerk of a spline are linear in its control points, and over :math:`s`,
+Unknown are the changes of the inner control points, :math:`\Delta c`, and the time scale :math:`s` by which all times
+are multiplied. Velocity, acceleration and jerk of a spline are linear in its control points, and over :math:`s`,
 :math:`s^2` and :math:`s^3` in time:
 
 .. math:: |V(c)| \le \bar v s, \quad |A(c)| \le \bar a s^2, \quad |J(c)| \le \bar\jmath s^3.
@@ -49,7 +49,8 @@ class MotionArrays(NamedTuple):
     Attributes:
         control: (n, dof) control points.
         knots: (n + 4,) clamped knots [s].
-        drift: (n, dof) changes of the control points with the pace, which leave the states at both ends as they are.
+        drift: (n, dof) changes of the control points with the time scale, which leave the states at both ends as they
+            are.
     """
 
     control: FloatArray
@@ -113,10 +114,10 @@ def basis(knots: FloatArray, piece: int, t: float, weight: FloatArray) -> None:
 
 
 @kernel
-def least_pace(control: FloatArray, knots: FloatArray, limits: MotionLimits) -> float:
+def least_time_scale(control: FloatArray, knots: FloatArray, limits: MotionLimits) -> float:
     """By what all times have to be multiplied for the limits of velocity, acceleration and jerk to be just kept."""
     n = control.shape[0]
-    pace, weight = 0.0, np.empty(4)
+    time_scale, weight = 0.0, np.empty(4)
     for order in range(1, 4):
         use = 0.0
         for k in range(n - order):
@@ -126,8 +127,8 @@ def least_pace(control: FloatArray, knots: FloatArray, limits: MotionLimits) -> 
                 for c in range(order + 1):
                     value += weight[c] * control[k + c, j]
                 use = max(use, abs(value) / limits.rates[order - 1, j])
-        pace = max(pace, use ** (1.0 / order))
-    return pace
+        time_scale = max(time_scale, use ** (1.0 / order))
+    return time_scale
 
 
 @kernel
@@ -137,7 +138,7 @@ def first_order(
     """The program of a step from a motion.
 
     Args:
-        motion: The motion; the outer three control points at each end move with the pace alone. Unknowns are the
+        motion: The motion; the outer three control points at each end move with the time scale alone. Unknowns are the
             changes of the others in the movable joints, one control point after the other.
         margin: Clearance asked for at `PLACES` of each piece, or a little more than there is if that is less [m].
         trust: Largest change of a control point in a joint [rad].
@@ -169,13 +170,13 @@ def first_order(
     used = rows.starts[row]
     return ProgramRows(
         rows.starts[: row + 1], rows.columns[:used], rows.entries[:used],
-        rows.pace[:row], rows.upper[:row], rows.lower[:both],
+        rows.time_scale[:row], rows.upper[:row], rows.lower[:both],
     )  # fmt: skip
 
 
 @inlined
 def _drift_of(drift: FloatArray, weight: FloatArray, first: int, order: int, joint: int) -> float:
-    """By how much a control point of a derivative changes with the pace."""
+    """By how much a control point of a derivative changes with the time scale."""
     change = 0.0
     for c in range(order + 1):
         change += weight[c] * drift[first + c, joint]
@@ -186,7 +187,7 @@ def _drift_of(drift: FloatArray, weight: FloatArray, first: int, order: int, joi
 def _add_kinematics(rows: ProgramRows, motion: MotionArrays, limits: MotionLimits) -> int:
     """Velocity, acceleration and jerk, divided by their limits; the number of rows is returned.
 
-    Without those that change with the pace beyond the limits themselves.
+    Without those that change with the time scale beyond the limits themselves.
     """
     control, knots, drift = motion
     n, movable = control.shape[0], limits.movable
@@ -205,7 +206,7 @@ def _add_kinematics(rows: ProgramRows, motion: MotionArrays, limits: MotionLimit
                         rows.columns[entry] = (k + c - 3) * joints + m
                         rows.entries[entry] = weight[c] / limit
                         entry += 1
-                rows.pace[row] = -float(order)
+                rows.time_scale[row] = -float(order)
                 rows.upper[row], rows.lower[row] = 1.0 - order - value / limit, 1.0 - order + value / limit
                 row += 1
                 rows.starts[row] = entry
@@ -214,9 +215,9 @@ def _add_kinematics(rows: ProgramRows, motion: MotionArrays, limits: MotionLimit
 
 @kernel
 def _add_drifting(rows: ProgramRows, row: int, motion: MotionArrays, limits: MotionLimits) -> int:
-    """Both sides of the kinematic rows that change with the pace, as rows of one side; the number so far is returned.
+    """Both sides of kinematic rows that change with the time scale, as rows of one side; returns the number so far.
 
-    The state at an end stays what it is at any pace: the pieces there change with it.
+    The state at an end stays what it is at any time scale: the pieces there change with it.
     """
     control, knots, drift = motion
     n, movable = control.shape[0], limits.movable
@@ -240,7 +241,7 @@ def _add_drifting(rows: ProgramRows, row: int, motion: MotionArrays, limits: Mot
                             rows.columns[entry] = (k + c - 3) * joints + m
                             rows.entries[entry] = side * weight[c] / limit
                             entry += 1
-                    rows.pace[row] = side * change - order
+                    rows.time_scale[row] = side * change - order
                     rows.upper[row] = 1.0 - order + side * (change - value)
                     row += 1
                     rows.starts[row] = entry
@@ -366,8 +367,8 @@ def _add_clearances(
 
     Args:
         row: Number of rows so far.
-        places: Where clearance is kept, (n, dof) changes of the control points with the pace, and (n, dof) control
-            points.
+        places: Where clearance is kept, (n, dof) changes of the control points with the time scale, and (n, dof)
+            control points.
         margin: Clearance asked for.
     """
     (q, weight, speed, clear, slopes), drift, control = places
@@ -408,14 +409,14 @@ def _add_clearances(
             distance = clear[place, link]
             if not distance < NEAR:
                 continue
-            free, pace = 0.0, 0.0
+            free, time_scale = 0.0, 0.0
             if sways:  # slower motions sway less
                 for m in range(joints):
-                    pace -= limits.sway[link, limits.movable[m]] * abs(velocity[m]) / NEAR
+                    time_scale -= limits.sway[link, limits.movable[m]] * abs(velocity[m]) / NEAR
             for c in range(4):
                 k = place // PLACES + c - 3
                 for m in range(joints):
-                    pace -= weight[place, c] * gradient[link, m] * drift[k + 3, limits.movable[m]] / NEAR
+                    time_scale -= weight[place, c] * gradient[link, m] * drift[k + 3, limits.movable[m]] / NEAR
                 if 0 <= k < inner:
                     free += weight[place, c]
                     for m in range(joints):
@@ -426,10 +427,10 @@ def _add_clearances(
                             rows.entries[entry] += speed[place, c] * sway / NEAR
                         entry += 1
             if entry > rows.starts[row]:
-                rows.pace[row] = pace
+                rows.time_scale[row] = time_scale
                 # By how much a step has to add to a clearance that is less than the margin, where all control points
                 # may move [m].
-                rows.upper[row] = (distance - min(margin, distance + free * 5e-4)) / NEAR + pace
+                rows.upper[row] = (distance - min(margin, distance + free * 5e-4)) / NEAR + time_scale
                 row += 1
                 rows.starts[row] = entry
     return row

@@ -1,14 +1,14 @@
 r"""A linear program over a spline's control points and one more unknown, by an interior-point method.
 
-With :math:`y` the changes of the control points and :math:`s` the pace,
+With :math:`y` the changes of the control points and :math:`s` the time scale,
 
 .. math:: \min_{y, s} \; s + \tfrac \varepsilon 2 |y|^2 \quad \text{with} \quad
     g_r y + p_r s \le u_r \;\; \text{for all rows}, \quad -g_r y + p_r s \le l_r \;\; \text{for the first of them}.
 
 A row touches the control points of one piece, so that with the joints of a control point side by side the normal
-equations are banded, but for the row and column of the pace. They are factored in time linear in the number of pieces;
-general sparse solvers take several times as long (piqp 2.5, Clarabel 15, HiGHS 40 times). The method is Mehrotra's
-predictor and corrector (SIAM J. Optim. 2, 1992).
+equations are banded, but for the row and column of the time scale. They are factored in time linear in the number of
+pieces; general sparse solvers take several times as long (piqp 2.5, Clarabel 15, HiGHS 40 times). The method is
+Mehrotra's predictor and corrector (SIAM J. Optim. 2, 1992).
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class ProgramRows(NamedTuple):
         starts: (rows + 1,) where the entries of each row begin.
         columns: (entries,) the unknowns, ascending within a row and within `band` of each other.
         entries: (entries,) their coefficients g.
-        pace: (rows,) coefficients p of the pace.
+        time_scale: (rows,) coefficients p of the time scale.
         upper: (rows,) right-hand sides u.
         lower: (two_sided,) right-hand sides l.
     """
@@ -47,7 +47,7 @@ class ProgramRows(NamedTuple):
     starts: ShortArray
     columns: ShortArray
     entries: FloatArray
-    pace: FloatArray
+    time_scale: FloatArray
     upper: FloatArray
     lower: FloatArray
 
@@ -56,7 +56,7 @@ class _Point(NamedTuple):
     """An iterate or a direction: unknowns, and slacks and multipliers of the upper sides, then of the lower ones.
 
     Attributes:
-        x: (count + 1,) unknowns, the pace last.
+        x: (count + 1,) unknowns, the time scale last.
         slack: (sides,) slacks.
         dual: (sides,) multipliers.
     """
@@ -71,7 +71,7 @@ class _Normal(NamedTuple):
 
     Attributes:
         factor: (count, band + 1) Cholesky's factor of the band.
-        border: (count,) column of the pace.
+        border: (count,) column of the time scale.
         solved: (count,) the band's solution for that column.
     """
 
@@ -85,12 +85,12 @@ def solve(rows: ProgramRows, count: int, band: int, accuracy: float, until: Floa
     """The solution of a program.
 
     Args:
-        count: Number of unknowns besides the pace.
+        count: Number of unknowns besides the time scale.
         band: Largest difference between columns of a row.
         until: How long it may take (`hplan.base.deadline`).
 
     Returns:
-        Whether it was found, and (count + 1,) the unknowns, the pace last.
+        Whether it was found, and (count + 1,) the unknowns, the time scale last.
     """
     sides = len(rows.upper) + len(rows.lower)
     point = _Point(np.zeros(count + 1), np.empty(sides), np.empty(sides))
@@ -143,14 +143,14 @@ def solve(rows: ProgramRows, count: int, band: int, accuracy: float, until: Floa
 
 @kernel
 def _begin(rows: ProgramRows, point: _Point, value: FloatArray, residual: FloatArray) -> None:
-    """No change, at a pace that the sides with a pace allow, and multipliers whose gradient is that of the pace."""
+    """No change, at a time scale that the sides with one allow, and multipliers whose gradient is that of it."""
     x, slack, dual = point
     total, last = len(rows.upper), len(x) - 1
     for r in range(total):
-        if rows.pace[r] < 0.0:
-            x[last] = max(x[last], -rows.upper[r] / -rows.pace[r])
+        if rows.time_scale[r] < 0.0:
+            x[last] = max(x[last], -rows.upper[r] / -rows.time_scale[r])
             if r < len(rows.lower):
-                x[last] = max(x[last], -rows.lower[r] / -rows.pace[r])
+                x[last] = max(x[last], -rows.lower[r] / -rows.time_scale[r])
     slack[:] = 0.0
     _residuals(rows, point, value, residual)
     slope = 0.0
@@ -158,7 +158,7 @@ def _begin(rows: ProgramRows, point: _Point, value: FloatArray, residual: FloatA
         # Slacks begin with at least this.
         slack[side] = max(0.1, -residual[side])
         dual[side] = 1.0 / slack[side]
-        slope += max(0.0, -rows.pace[side if side < total else side - total]) * dual[side]
+        slope += max(0.0, -rows.time_scale[side if side < total else side - total]) * dual[side]
     for side in range(len(slack)):
         dual[side] /= max(slope, 1.0)
 
@@ -166,14 +166,14 @@ def _begin(rows: ProgramRows, point: _Point, value: FloatArray, residual: FloatA
 @kernel
 def _residuals(rows: ProgramRows, point: _Point, value: FloatArray, residual: FloatArray) -> float:
     """By what each side, with its slack, is off its right-hand side; the largest is returned."""
-    total, pace = len(rows.upper), point.x[-1]
+    total, time_scale = len(rows.upper), point.x[-1]
     _products(rows, point.x, value)
     worst = 0.0
     for r in range(total):
-        residual[r] = value[r] + rows.pace[r] * pace + point.slack[r] - rows.upper[r]
+        residual[r] = value[r] + rows.time_scale[r] * time_scale + point.slack[r] - rows.upper[r]
         worst = max(worst, abs(residual[r]))
     for r in range(len(rows.lower)):
-        residual[total + r] = rows.pace[r] * pace - value[r] + point.slack[total + r] - rows.lower[r]
+        residual[total + r] = rows.time_scale[r] * time_scale - value[r] + point.slack[total + r] - rows.lower[r]
         worst = max(worst, abs(residual[total + r]))
     return worst
 
@@ -226,9 +226,9 @@ def _direction(
         step.x[i] -= normal.solved[i] * last
     _products(rows, step.x, move)
     for r in range(total):
-        step.slack[r] = -residual[r] - move[r] - rows.pace[r] * last
+        step.slack[r] = -residual[r] - move[r] - rows.time_scale[r] * last
     for r in range(len(rows.lower)):
-        step.slack[total + r] = -residual[total + r] + move[r] - rows.pace[r] * last
+        step.slack[total + r] = -residual[total + r] + move[r] - rows.time_scale[r] * last
     for side in range(len(residual)):
         step.dual[side] = -(product[side] + point.dual[side] * step.slack[side]) / point.slack[side]
 
@@ -245,7 +245,7 @@ def _longest(values: FloatArray, step: FloatArray) -> float:
 
 @kernel
 def _products(rows: ProgramRows, x: FloatArray, value: FloatArray) -> None:
-    """Each row's sum over the unknowns but the pace."""
+    """Each row's sum over the unknowns but the time scale."""
     starts, columns, entries = rows.starts, rows.columns, rows.entries
     for r in range(len(value)):
         total = 0.0
@@ -257,7 +257,7 @@ def _products(rows: ProgramRows, x: FloatArray, value: FloatArray) -> None:
 @kernel
 def _add_transposed(rows: ProgramRows, weights: FloatArray, result: FloatArray) -> None:
     """Add the rows, each with the weights of its two sides."""
-    starts, columns, entries, pace = rows.starts, rows.columns, rows.entries, rows.pace
+    starts, columns, entries, time_scale = rows.starts, rows.columns, rows.entries, rows.time_scale
     total, both, last = len(rows.upper), len(rows.lower), len(result) - 1
     for r in range(total):
         above, below = weights[r], 0.0
@@ -265,7 +265,7 @@ def _add_transposed(rows: ProgramRows, weights: FloatArray, result: FloatArray) 
             below = weights[total + r]
         for e in range(starts[r], starts[r + 1]):
             result[columns[e]] += (above - below) * entries[e]
-        result[last] += (above + below) * pace[r]
+        result[last] += (above + below) * time_scale[r]
 
 
 @kernel
@@ -276,7 +276,7 @@ def _normal_equations(
 
     Row j of `factor` is column j of the lower triangle, from the diagonal downward.
     """
-    starts, columns, entries, pace = rows.starts, rows.columns, rows.entries, rows.pace
+    starts, columns, entries, time_scale = rows.starts, rows.columns, rows.entries, rows.time_scale
     total, both = len(rows.upper), len(rows.lower)
     factor[:] = 0.0
     border[:] = 0.0
@@ -288,11 +288,11 @@ def _normal_equations(
         if r < both:
             below = dual[total + r] / slack[total + r]
         first, end = starts[r], starts[r + 1]
-        corner += (above + below) * pace[r] * pace[r]
+        corner += (above + below) * time_scale[r] * time_scale[r]
         for e in range(first, end):
             j = columns[e]
             weight = (above + below) * entries[e]
-            border[j] += (above - below) * pace[r] * entries[e]
+            border[j] += (above - below) * time_scale[r] * entries[e]
             for f in range(e, end):
                 factor[j, columns[f] - j] += weight * entries[f]
     return corner

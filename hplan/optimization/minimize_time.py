@@ -26,7 +26,7 @@ from hplan.optimization.torque_rows import ALLOWED, TorqueUse
 from hplan.trajectory.cubics import accelerations, hermite_pieces
 from hplan.trajectory.retime import KEPT
 
-#: How near to the best pace steps come, and the last one.
+#: How near to the best time scale steps come, and the last one.
 _COARSE, EXACT = 1e-5, 1e-8
 
 #: Largest change of a control point in a joint where pieces come to meet at rows [rad]; and what a step that was not
@@ -153,14 +153,14 @@ def _between_rows(spline: TimedSpline | None, problem: TimeProblem) -> TimedSpli
     """The motion in a whole number of rows, wherever its pieces meet; None where that passes limits."""
     if spline is None:
         return None
-    pace = 1.0 + KEPT
+    time_scale = 1.0 + KEPT
     for _ in range(_TRIES):
-        rows = math.ceil(pace * spline.duration * problem.rate_hz)
-        slower = spline.at_pace(rows / problem.rate_hz / spline.duration)
+        rows = math.ceil(time_scale * spline.duration * problem.rate_hz)
+        slower = spline.at_time_scale(rows / problem.rate_hz / spline.duration)
         use = _use_between_rows(slower, problem)
         if use <= 1.0 + KEPT:
             return slower if problem.keeps_torque(slower) else None
-        pace *= use
+        time_scale *= use
     return None
 
 
@@ -192,12 +192,12 @@ def _of_level(start: TimedMotion, problem: TimeProblem, level: Level) -> TimedSp
             trust *= _SHRINK
         stalled += step is None or step.part <= _STALLED
         if step is not None:
-            pace = problem.pace(step.spline)
-            if spline.ends is not None and pace > _REPAIRED:
+            time_scale = problem.time_scale(step.spline)
+            if spline.ends is not None and time_scale > _REPAIRED:
                 spline = step.spline
                 continue
             # Faster than its program says it would sway into what is near.
-            moved = step.spline.at_pace(pace if problem.sway is None else max(pace, 1.0))
+            moved = step.spline.at_time_scale(time_scale if problem.sway is None else max(time_scale, 1.0))
             before = math.inf if best is None else best.duration
             if moved.duration < before:
                 best = spline = moved
@@ -223,7 +223,7 @@ def _first(start: TimedMotion, problem: TimeProblem, breaks: FloatArray) -> Time
         for _ in range(_SLOWED if problem.sway is not None else 0):
             if problem.is_clear(spline):
                 break
-            spline = spline.at_pace(_SLOWER)
+            spline = spline.at_time_scale(_SLOWER)
         return spline
     # Within these times, tried in turn, a motion is blended into the state of motion at its end: with more it leaves
     # its path for a longer distance, with less it is farther beyond the limits [s].
@@ -246,7 +246,7 @@ def _on_rows(spline: TimedSpline, problem: TimeProblem, level: Level) -> TimedSp
     enough_rows = math.ceil(_enough(spline, problem, level) * problem.rate_hz)
     for _ in range(_TRIES):
         breaks = breaks_at_rows(rows, pieces, problem.rate_hz)
-        slower = spline.at_pace(breaks[-1] / spline.duration)
+        slower = spline.at_time_scale(breaks[-1] / spline.duration)
         near = TimedSpline.near(slower.positions, breaks, problem.ends)
         step = _step(near, problem, trust, EXACT, on_rows=True)
         if step is None and problem.sway is not None and found is None:
@@ -254,17 +254,17 @@ def _on_rows(spline: TimedSpline, problem: TimeProblem, level: Level) -> TimedSp
             continue
         if step is None:
             break
-        spline, pace = step.spline, problem.pace(step.spline)
+        spline, time_scale = step.spline, problem.time_scale(step.spline)
         kept = 1e-6 if spline.ends is None else KEPT
-        if pace <= 1.0 + kept and problem.keeps_torque(spline):
+        if time_scale <= 1.0 + kept and problem.keeps_torque(spline):
             found, most = spline, rows
-        elif pace > 1.0 + kept and level.enough > 0.0:
+        elif time_scale > 1.0 + kept and level.enough > 0.0:
             failed = max(failed, rows)
         if step.part < 1.0:
             trust *= _SHRINK
-        if spline.ends is not None and pace > 1.0 + kept:
-            pace = max(step.pace, 1.0 + KEPT)
-        rows = math.ceil(rows * pace - 1e-6)
+        if spline.ends is not None and time_scale > 1.0 + kept:
+            time_scale = max(step.time_scale, 1.0 + KEPT)
+        rows = math.ceil(rows * time_scale - 1e-6)
         if rows >= most or rows <= failed or most <= enough_rows:
             break
     return found
@@ -274,12 +274,12 @@ class _Step(NamedTuple):
     """A motion after a step.
 
     Attributes:
-        pace: The pace that its program gives.
+        time_scale: The time scale that its program gives.
     """
 
     spline: TimedSpline
     part: float
-    pace: float
+    time_scale: float
 
 
 def _step(
@@ -287,28 +287,30 @@ def _step(
 ) -> _Step | None:
     """The best step, or as much of it as is clear; None where there is none.
 
-    The pace is left as it was, unless an end is in motion, which changes the pieces there with the pace, or tracking
-    errors grow with speed.
+    The time scale is left as it was, unless an end is in motion, which changes the pieces there with the time scale, or
+    tracking errors grow with speed.
     """
     free = spline.ends is None and problem.sway is None
-    # Least pace of a step where an end is in motion, or tracking errors grow with speed: neither is linear in the
-    # pace.
+    # Least time scale of a step where an end is in motion, or tracking errors grow with speed: neither is linear in the
+    # time scale.
     least = None if free else 1.0 if on_rows else 0.75
     found = problem.step(spline, trust, gap, least=least)
     if found is None:
         return None
     change = np.zeros_like(spline.control)
-    change[RESTING:-RESTING, problem.options.movable], pace = found
+    change[RESTING:-RESTING, problem.options.movable], time_scale = found
     # A step is halved so often at most until it is clear.
     parts = (0.5**halving for halving in range(5 + 1))
     tried = (
-        _Step(_taken(spline, part * change, 1.0 if on_rows or free else 1.0 + part * (pace - 1.0)), part, pace)
+        _Step(
+            _taken(spline, part * change, 1.0 if on_rows or free else 1.0 + part * (time_scale - 1.0)), part, time_scale
+        )
         for part in parts
     )
     return next((step for step in tried if problem.is_clear(step.spline)), None)
 
 
-def _taken(spline: TimedSpline, change: FloatArray, pace: float) -> TimedSpline:
-    """The motion after a change of its control points and of its pace."""
+def _taken(spline: TimedSpline, change: FloatArray, time_scale: float) -> TimedSpline:
+    """The motion after a change of its control points and of its time scale."""
     moved = TimedSpline(frozen(spline.control + change), spline.knots, spline.ends)
-    return moved if pace == 1.0 else moved.at_pace(pace)
+    return moved if time_scale == 1.0 else moved.at_time_scale(time_scale)

@@ -11,7 +11,7 @@ from hplan.base.arrays import FloatArray, Record, frozen
 from hplan.base.deadline import check_deadline, until
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.clearance_kernels import LINK, piece_is_clear
-from hplan.optimization.first_order import MotionArrays, MotionLimits, first_order, least_pace
+from hplan.optimization.first_order import MotionArrays, MotionLimits, first_order, least_time_scale
 from hplan.optimization.interior_point import ProgramRows, solve
 from hplan.optimization.options import PostprocessOptions
 from hplan.optimization.timed_spline import RESTING, BoundaryState, TimedSpline
@@ -84,21 +84,21 @@ class TimeProblem(Record):
                 return False
         return True
 
-    def pace(self, spline: TimedSpline) -> float:
+    def time_scale(self, spline: TimedSpline) -> float:
         """By what the motion's times have to be multiplied to keep velocity, acceleration and jerk."""
-        pace = float(least_pace(np.array(spline.control), spline.knots, self.arrays))
+        time_scale = float(least_time_scale(np.array(spline.control), spline.knots, self.arrays))
         if spline.ends is None:
-            return pace
-        # The states at the ends stay as they are: with the pace the pieces there change their shape. That may take more
-        # pace than it gives, so that only what has to be slower is slowed down.
-        total, more = 1.0, pace
-        # How often the pace of a motion is looked at anew whose ends do not slow down with it.
+            return time_scale
+        # The states at the ends stay as they are: with the time scale the pieces there change their shape. That may
+        # take more time scale than it gives, so that only what has to be slower is slowed down.
+        total, more = 1.0, time_scale
+        # How often the time scale of a motion is looked at anew whose ends do not slow down with it.
         for _ in range(4):
             if more <= 1.0:
                 break
             total *= more
-            slower = spline.at_pace(total)
-            more = float(least_pace(np.array(slower.control), slower.knots, self.arrays))
+            slower = spline.at_time_scale(total)
+            more = float(least_time_scale(np.array(slower.control), slower.knots, self.arrays))
         return total * max(1.0, more)
 
     def least_duration(self, turn: FloatArray, pieces: int) -> float:
@@ -136,10 +136,10 @@ class TimeProblem(Record):
 
         Args:
             trust: Largest change [rad].
-            least: Least pace; None where there is none.
+            least: Least time scale; None where there is none.
 
         Returns:
-            (inner, movable) changes of the inner control points, and the pace.
+            (inner, movable) changes of the inner control points, and the time scale.
         """
         arrays, options = self.arrays, self.options
         motion = MotionArrays(np.array(spline.control), spline.knots, spline.drift)
@@ -157,8 +157,8 @@ class TimeProblem(Record):
         return (unknowns[:-1].reshape(inner, joints), float(unknowns[-1])) if found else None
 
 
-def _at_least(pace: float) -> ProgramRows:
-    """The row of a program that asks for a pace."""
+def _at_least(time_scale: float) -> ProgramRows:
+    """The row of a program that asks for a time scale."""
     nothing = np.zeros(0, dtype=np.int32)
     alone = np.array([-1.0])
-    return ProgramRows(np.zeros(2, dtype=np.int32), nothing, np.empty(0), alone, pace * alone, np.empty(0))
+    return ProgramRows(np.zeros(2, dtype=np.int32), nothing, np.empty(0), alone, time_scale * alone, np.empty(0))

@@ -62,7 +62,7 @@ class BoundaryState(Record):
         return np.stack([self.position, near, far])
 
     def drifts(self, widths: FloatArray) -> FloatArray:
-        """(`RESTING`, dof) derivatives of the outer control points by the pace, at pace 1."""
+        """(`RESTING`, dof) derivatives of the outer control points by the time scale, at time scale 1."""
         first, second = widths.tolist()
         near = (first / 3.0) * self.velocity
         far = near + ((first + second) / 3.0) * (self.velocity + first * self.acceleration)
@@ -137,7 +137,7 @@ class TimedSpline(Record):
 
     @property
     def drift(self) -> FloatArray:
-        """(n, dof) derivatives of the control points by the pace: with it, the states at the ends stay as they are."""
+        """(n, dof) derivatives of the control points by the time scale: the states at the ends stay as they are."""
         drift = np.zeros_like(self.control)
         if self.ends is not None:
             first, last = self._widths
@@ -158,9 +158,9 @@ class TimedSpline(Record):
         """(k, dof) configurations at times."""
         return self.path.evaluate(clock)
 
-    def at_pace(self, pace: float) -> TimedSpline:
+    def at_time_scale(self, time_scale: float) -> TimedSpline:
         """The motion with all times multiplied by a number; its ends keep their states."""
-        return TimedSpline(self.control, frozen(self.knots * pace)).between(self.ends)
+        return TimedSpline(self.control, frozen(self.knots * time_scale)).between(self.ends)
 
     def trajectory(self, dynamics: InverseDynamics, rate_hz: float) -> Trajectory:
         """Rows of the motion.

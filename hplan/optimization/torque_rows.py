@@ -78,15 +78,15 @@ def torque_rows(found: TorqueUse, spline: TimedSpline, dynamics: InverseDynamics
     basis = _bases(BSpline(spline.knots, np.eye(len(spline.control)), 3), found.clock[times])
     blocks = sum(picked[order].T[:, None, :] * basis[order][:, RESTING:-RESTING, None] for order in range(3))
     drift = spline.drift[:, movable]
-    # Slower by the pace s, velocity is over s and acceleration over s^2.
+    # Slower by the time scale s, velocity is over s and acceleration over s^2.
     speeds, pushes = (np.einsum("mr,rm->r", picked[order], found.states[order][times][:, movable]) for order in (1, 2))
-    by_pace = -speeds - 2.0 * pushes
+    by_time_scale = -speeds - 2.0 * pushes
     if drift.any():
-        by_pace += sum(np.einsum("mr,rm->r", picked[order], basis[order] @ drift) for order in range(3))
+        by_time_scale += sum(np.einsum("mr,rm->r", picked[order], basis[order] @ drift) for order in range(3))
     use = np.abs(found.use[times, joints])
     matrix = sparse.csr_matrix(np.reshape(blocks, (len(times), size)))
-    bound = np.maximum(ALLOWED, use) - use + by_pace
-    return ProgramRows(matrix.indptr, matrix.indices, matrix.data, by_pace, bound, np.empty(0))
+    bound = np.maximum(ALLOWED, use) - use + by_time_scale
+    return ProgramRows(matrix.indptr, matrix.indices, matrix.data, by_time_scale, bound, np.empty(0))
 
 
 def _bases(unit: object, clock: FloatArray) -> list[FloatArray]:
@@ -100,7 +100,7 @@ def with_rows(rows: ProgramRows, more: ProgramRows) -> ProgramRows:
         np.concatenate([rows.starts, rows.starts[-1] + more.starts[1:]]),
         np.concatenate([rows.columns, more.columns]),
         np.concatenate([rows.entries, more.entries]),
-        np.concatenate([rows.pace, more.pace]),
+        np.concatenate([rows.time_scale, more.time_scale]),
         np.concatenate([rows.upper, more.upper]),
         rows.lower,
     )

@@ -48,18 +48,20 @@ def states_of(spline):
 
 @settings(max_examples=60, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.floats(0.2, 5.0))
-def test_a_spline_has_the_states_of_its_ends_at_any_pace(seed, pace):
+def test_a_spline_has_the_states_of_its_ends_at_any_time_scale(seed, time_scale):
     spline = random_spline(seed)
     wanted = [[end.position, end.velocity, end.acceleration] for end in spline.ends]
-    for motion in (spline, spline.at_pace(pace), spline.at_pace(pace).at_pace(0.7)):
+    for motion in (spline, spline.at_time_scale(time_scale), spline.at_time_scale(time_scale).at_time_scale(0.7)):
         np.testing.assert_allclose(states_of(motion), wanted, rtol=0, atol=1e-9)
 
 
 @settings(max_examples=30, deadline=None)
 @given(st.integers(0, 2**32 - 1))
-def test_drift_is_the_change_of_the_control_points_with_the_pace(seed):
+def test_drift_is_the_change_of_the_control_points_with_the_time_scale(seed):
     spline = random_spline(seed)
-    change = (np.array(spline.at_pace(1.0 + STEP).control) - spline.at_pace(1.0 - STEP).control) / (2.0 * STEP)
+    change = (np.array(spline.at_time_scale(1.0 + STEP).control) - spline.at_time_scale(1.0 - STEP).control) / (
+        2.0 * STEP
+    )
     np.testing.assert_allclose(spline.drift, change, rtol=0, atol=1e-9)
 
 
@@ -72,31 +74,31 @@ def test_rest_is_the_state_without_motion():
     assert BoundaryState.at_rest(spline.control[0]).is_rest
 
 
-def moved(spline, unknowns, pace):
+def moved(spline, unknowns, time_scale):
     control = np.array(spline.control)
     control[3:-3, MOVABLE] += unknowns.reshape(-1, len(MOVABLE))
-    return TimedSpline(control, spline.knots, spline.ends).at_pace(pace)
+    return TimedSpline(control, spline.knots, spline.ends).at_time_scale(time_scale)
 
 
-def values_of(rows, unknowns, pace):
+def values_of(rows, unknowns, time_scale):
     """What each side of a program is over its right-hand side."""
     value = np.zeros(len(rows.upper))
     for row, (start, end) in enumerate(zip(rows.starts[:-1], rows.starts[1:], strict=True)):
         value[row] = rows.entries[start:end] @ unknowns[rows.columns[start:end]]
     both = len(rows.lower)
-    above = value + rows.pace * pace - rows.upper
-    below = rows.pace[:both] * pace - value[:both] - rows.lower
+    above = value + rows.time_scale * time_scale - rows.upper
+    below = rows.time_scale[:both] * time_scale - value[:both] - rows.lower
     return above, below
 
 
-def kinematic_sides(spline, limits, pace):
-    """|V|, |A| and |J| of all control points that rest would not fix, over the limits' powers of the pace."""
+def kinematic_sides(spline, limits, time_scale):
+    """|V|, |A| and |J| of all control points that rest would not fix, over the limits' powers of the time scale."""
     sides = []
     for order in (1, 2, 3):
         curve, count = BSpline(spline.knots, spline.control, 3).derivative(order), len(spline.control) - order
-        values = curve.c[:count] * pace**order / limits.rates[order - 1]
+        values = curve.c[:count] * time_scale**order / limits.rates[order - 1]
         values = values[max(0, 3 - order) : min(count, len(spline.control) - 3)][:, limits.movable]
-        sides += [values - pace**order, -values - pace**order]
+        sides += [values - time_scale**order, -values - time_scale**order]
     return np.concatenate([side.ravel() for side in sides])
 
 
@@ -106,31 +108,34 @@ def limits(robot):
     return MotionLimits(np.array(robot.lower), np.array(robot.upper), rates, MOVABLE, np.empty((0, 4)))
 
 
-def test_the_program_is_the_limits_to_first_order_in_step_and_pace(robot, limits):
+def test_the_program_is_the_limits_to_first_order_in_step_and_time_scale(robot, limits):
     spline, trust = random_spline(3), 1e9
     far = ClearanceField.of(robot, [Sphere(name="far", center=(9.0, 9.0, 9.0), radius=0.1).solids[0]])
     motion = MotionArrays(np.array(spline.control), spline.knots, spline.drift)
     rows = first_order(motion, limits, far.arrays, 2e-3, trust)
     kinematic = np.concatenate(
-        [rows.pace[: len(rows.lower)] != 0.0, np.ones(len(rows.pace) - len(rows.lower), dtype=bool)]
+        [rows.time_scale[: len(rows.lower)] != 0.0, np.ones(len(rows.time_scale) - len(rows.lower), dtype=bool)]
     )
     count = (PIECES - 3) * 2
-    unknowns, pace = np.random.default_rng(4).uniform(-STEP, STEP, count), 1.0 + STEP
+    unknowns, time_scale = np.random.default_rng(4).uniform(-STEP, STEP, count), 1.0 + STEP
 
     def sides(of, at):
         above, below = values_of(rows, of, at)
         return np.concatenate([above[kinematic], below[kinematic[: len(below)]]])
 
-    here, there = kinematic_sides(spline, limits, 1.0), kinematic_sides(moved(spline, unknowns, pace), limits, pace)
+    here, there = (
+        kinematic_sides(spline, limits, 1.0),
+        kinematic_sides(moved(spline, unknowns, time_scale), limits, time_scale),
+    )
     assert len(sides(np.zeros(count), 1.0)) == len(here) == 2 * (3 * (PIECES + 3) - 12) * 2
     # In whatever order: each value, and its change.
     order, other = np.argsort(here), np.argsort(sides(np.zeros(count), 1.0))
     np.testing.assert_allclose(sides(np.zeros(count), 1.0)[other], here[order], atol=1e-9)
-    change = (sides(unknowns, pace) - sides(np.zeros(count), 1.0))[other]
+    change = (sides(unknowns, time_scale) - sides(np.zeros(count), 1.0))[other]
     np.testing.assert_allclose(change, (there - here)[order], rtol=0, atol=1e-8)
 
 
-def test_clearances_follow_the_pace_where_an_end_is_in_motion(robot, limits):
+def test_clearances_follow_the_time_scale_where_an_end_is_in_motion(robot, limits):
     spline = random_spline(3)
     at = robot.tool_positions(np.array(spline.control[:1]))[0]
     field = ClearanceField.of(robot, [Sphere(name="ball", center=tuple(at + 0.1), radius=0.1).solids[0]])
@@ -138,11 +143,11 @@ def test_clearances_follow_the_pace_where_an_end_is_in_motion(robot, limits):
         MotionArrays(np.array(spline.control), spline.knots, spline.drift), limits, field.arrays, 2e-3, 0.1
     )
     count = (PIECES - 3) * 2
-    unknowns, pace = np.random.default_rng(5).uniform(-1e-5, 1e-5, count), 1.0 + 1e-4
+    unknowns, time_scale = np.random.default_rng(5).uniform(-1e-5, 1e-5, count), 1.0 + 1e-4
     near = clearances(spline, field) < NEAR
-    change = (clearances(moved(spline, unknowns, pace), field) - clearances(spline, field))[near]
+    change = (clearances(moved(spline, unknowns, time_scale), field) - clearances(spline, field))[near]
     assert near[:3].any()
-    program = values_of(rows, unknowns, pace)[0] - values_of(rows, 0.0 * unknowns, 1.0)[0]
+    program = values_of(rows, unknowns, time_scale)[0] - values_of(rows, 0.0 * unknowns, 1.0)[0]
     expected = -program[-np.count_nonzero(near) :] * NEAR
     np.testing.assert_allclose(change, expected, rtol=0, atol=1e-7)
 
@@ -153,17 +158,17 @@ def clearances(spline, field):
     return field.along(BSpline(spline.knots, spline.control, 3)(clock)).ravel()
 
 
-def test_torque_rows_follow_the_pace_where_an_end_is_in_motion(robot, limits):
+def test_torque_rows_follow_the_time_scale_where_an_end_is_in_motion(robot, limits):
     spline = random_spline(1, speed=0.5)
     limit = np.abs(TorqueUse.of(spline, robot.dynamics, np.ones(4)).use).max(axis=0) + 1e-6
     use = TorqueUse.of(spline, robot.dynamics, limit)
     rows = torque_rows(use, spline, robot.dynamics, limits)
     count = (PIECES - 3) * 2
-    unknowns, pace = np.random.default_rng(1).uniform(-1e-5, 1e-5, count), 1.0 + 1e-5
-    after = TorqueUse.of(moved(spline, unknowns, pace), robot.dynamics, limit)
+    unknowns, time_scale = np.random.default_rng(1).uniform(-1e-5, 1e-5, count), 1.0 + 1e-5
+    after = TorqueUse.of(moved(spline, unknowns, time_scale), robot.dynamics, limit)
     times, joints = np.nonzero(np.abs(use.use) > 0.75)
     actual = np.sign(use.use[times, joints]) * (after.use - use.use)[times, joints]
-    program = values_of(rows, unknowns, pace)[0] - values_of(rows, 0.0 * unknowns, 1.0)[0]
+    program = values_of(rows, unknowns, time_scale)[0] - values_of(rows, 0.0 * unknowns, 1.0)[0]
     np.testing.assert_allclose(program, actual, rtol=0, atol=5e-7)
     assert (times < 4).any() or (times > 2 * PIECES - 4).any()
 

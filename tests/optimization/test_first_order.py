@@ -7,7 +7,15 @@ import pytest
 from scipy.interpolate import BSpline
 
 from hplan.collision.clearance_field import ClearanceField
-from hplan.optimization.first_order import NEAR, PLACES, MotionArrays, MotionLimits, basis, first_order, least_pace
+from hplan.optimization.first_order import (
+    NEAR,
+    PLACES,
+    MotionArrays,
+    MotionLimits,
+    basis,
+    first_order,
+    least_time_scale,
+)
 from hplan.scene.obstacles import Sphere
 
 PIECES, MARGIN, TRUST = 12, 2e-3, 0.1
@@ -38,7 +46,7 @@ def dense(rows, count):
     matrix = np.zeros((len(rows.upper), count + 1))
     for row, (start, end) in enumerate(zip(rows.starts[:-1], rows.starts[1:], strict=True)):
         np.add.at(matrix[row], rows.columns[start:end], rows.entries[start:end])
-    matrix[:, -1] = rows.pace
+    matrix[:, -1] = rows.time_scale
     return matrix
 
 
@@ -63,12 +71,12 @@ def test_basis_is_that_of_the_b_spline(motion):
             np.testing.assert_allclose(weight, expected[piece : piece + 4], atol=1e-13)
 
 
-def test_least_pace_holds_for_every_time(motion, limits):
+def test_least_time_scale_holds_for_every_time(motion, limits):
     control, knots = motion
-    pace = least_pace(control, knots, limits)
+    time_scale = least_time_scale(control, knots, limits)
     clock = np.linspace(0.0, knots[-1], 4001)[:-1]
     spline = BSpline(knots, control, 3)
-    uses = [np.abs(spline(clock, nu=order) / pace**order)[:, limits.movable] for order in (1, 2, 3)]
+    uses = [np.abs(spline(clock, nu=order) / time_scale**order)[:, limits.movable] for order in (1, 2, 3)]
     largest = [use.max(axis=0) / limits.rates[order][limits.movable] for order, use in enumerate(uses)]
     assert np.max(largest) <= 1.0 + 1e-9
     # Acceleration and jerk are exact; velocity is in the hull of its control points.
@@ -84,22 +92,24 @@ def test_a_motion_that_keeps_the_program_keeps_the_limits(motion, limits, robot)
     both = len(rows.lower)
     for _ in range(200):
         unknowns = rng.uniform(-TRUST, TRUST, count)
-        # The least pace at which the program's limits are kept.
+        # The least time scale at which the program's limits are kept.
         value = matrix[:both, :-1] @ unknowns
         with np.errstate(divide="ignore", invalid="ignore"):
-            needed = np.maximum(value - rows.upper[:both], -value - rows.lower) / -rows.pace[:both]
-        pace = needed[rows.pace[:both] < 0.0].max()
-        if pace > 0.0:
-            assert least_pace(moved(control, unknowns, limits.movable), knots, limits) <= pace * (1.0 + 1e-9)
+            needed = np.maximum(value - rows.upper[:both], -value - rows.lower) / -rows.time_scale[:both]
+        time_scale = needed[rows.time_scale[:both] < 0.0].max()
+        if time_scale > 0.0:
+            assert least_time_scale(moved(control, unknowns, limits.movable), knots, limits) <= time_scale * (
+                1.0 + 1e-9
+            )
 
 
 def test_without_a_step_the_rows_are_the_limits_themselves(motion, limits, robot):
     control, knots = motion
     rows = first_order(at_rest(control, knots), limits, field_of(robot).arrays, MARGIN, TRUST)
-    kinematic = np.count_nonzero(rows.pace)
+    kinematic = np.count_nonzero(rows.time_scale)
     use = (np.abs(rows.lower - rows.upper[: len(rows.lower)]) / 2.0)[:kinematic]
-    order = -rows.pace[:kinematic]
-    assert max(use ** (1.0 / order)) == pytest.approx(least_pace(control, knots, limits))
+    order = -rows.time_scale[:kinematic]
+    assert max(use ** (1.0 / order)) == pytest.approx(least_time_scale(control, knots, limits))
 
 
 def test_clearances_follow_the_field(motion, limits, robot):
@@ -129,7 +139,7 @@ def test_clearances_follow_the_field(motion, limits, robot):
     np.testing.assert_allclose((clearance - bounds * NEAR)[clearance > 2.0 * MARGIN], MARGIN, atol=1e-12)
 
 
-def test_clearances_less_what_tracking_errors_take_follow_step_and_pace(motion, limits, robot):
+def test_clearances_less_what_tracking_errors_take_follow_step_and_time_scale(motion, limits, robot):
     """Errors that grow with speed bring links nearer; a slower motion leaves more room."""
     control, knots = motion
     field, count, by = field_of(robot), (PIECES - 3) * 2, 1e-4
@@ -139,10 +149,10 @@ def test_clearances_less_what_tracking_errors_take_follow_step_and_pace(motion, 
     rows = first_order(at_rest(control, knots), swaying, field.arrays, MARGIN, TRUST)
     matrix, both = dense(rows, count), len(rows.lower)
 
-    def left(values, pace):
+    def left(values, time_scale):
         spline, breaks = BSpline(knots, values, 3), knots[3:-3]
         clock = (breaks[:-1, None] + np.diff(breaks)[:, None] * np.arange(PLACES) / PLACES).ravel()
-        return (field.along(spline(clock)) - np.abs(spline(clock, 1)) @ swaying.sway.T / pace).ravel()
+        return (field.along(spline(clock)) - np.abs(spline(clock, 1)) @ swaying.sway.T / time_scale).ravel()
 
     here = left(control, 1.0)
     touched = np.flatnonzero(here < NEAR)
@@ -158,6 +168,6 @@ def test_control_points_outside_the_joint_limits_come_back(motion, limits, robot
     control, knots = motion
     control[6, 1] = limits.upper[1] + 0.01
     rows = first_order(at_rest(control, knots), limits, field_of(robot).arrays, MARGIN, TRUST)
-    kinematic = np.count_nonzero(rows.pace)
+    kinematic = np.count_nonzero(rows.time_scale)
     bound = rows.upper[kinematic + (6 - 3) * 2]
     assert bound == pytest.approx(-0.01 / TRUST)

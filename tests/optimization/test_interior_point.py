@@ -15,14 +15,14 @@ ACCURACY = 1e-8
 
 
 def drawn(seed: int, count: int, band: int, one_sided: int) -> tuple[ProgramRows, np.ndarray, np.ndarray]:
-    """A program with a solution, its rows as a dense matrix with the pace last, and the right-hand sides."""
+    """A program with a solution, its rows as a dense matrix with the time scale last, and the right-hand sides."""
     rng = np.random.default_rng(seed)
     both = 3 * count
     first = np.minimum(np.tile(np.arange(count), 4)[: both + one_sided], max(0, count - band - 1))
     width = min(band + 1, count)
     entries = rng.normal(size=(both + one_sided, width))
     entries[rng.random(entries.shape) < 0.3] = 0.0
-    pace = np.concatenate([-rng.integers(1, 4, both).astype(float), np.zeros(one_sided)])
+    time_scale = np.concatenate([-rng.integers(1, 4, both).astype(float), np.zeros(one_sided)])
     upper = rng.uniform(-0.5, 0.5, both + one_sided)
     upper[both:] = rng.uniform(0.05, 0.5, one_sided)
     lower = rng.uniform(-0.5, 0.5, both)
@@ -33,14 +33,14 @@ def drawn(seed: int, count: int, band: int, one_sided: int) -> tuple[ProgramRows
                         both * width + count + np.arange(1, one_sided + 1) * width]).astype(np.int32),
         np.concatenate([columns[:both].ravel(), np.arange(count), columns[both:].ravel()]).astype(np.int32),
         np.concatenate([entries[:both].ravel(), np.full(count, 1.0), entries[both:].ravel()]),
-        np.concatenate([pace[:both], np.zeros(count), pace[both:]]),
+        np.concatenate([time_scale[:both], np.zeros(count), time_scale[both:]]),
         np.concatenate([upper[:both], np.ones(count), upper[both:]]),
         np.concatenate([lower, np.ones(count)]),
     )  # fmt: skip
     dense = np.zeros((len(rows.upper), count + 1))
     for row, (start, end) in enumerate(zip(rows.starts[:-1], rows.starts[1:], strict=True)):
         np.add.at(dense[row], rows.columns[start:end], rows.entries[start:end])
-    dense[:, -1] = rows.pace
+    dense[:, -1] = rows.time_scale
     opposite = -dense[: len(rows.lower)]
     opposite[:, -1] *= -1.0
     return rows, np.vstack([dense, opposite]), np.concatenate([rows.upper, rows.lower])
@@ -48,7 +48,7 @@ def drawn(seed: int, count: int, band: int, one_sided: int) -> tuple[ProgramRows
 
 @settings(max_examples=60, deadline=None)
 @given(st.integers(0, 10**6), st.integers(1, 25), st.integers(0, 11), st.integers(0, 30))
-def test_the_pace_is_the_least_that_highs_finds(seed, count, band, one_sided):
+def test_the_time_scale_is_the_least_that_highs_finds(seed, count, band, one_sided):
     rows, matrix, right = drawn(seed, count, band, min(one_sided, count))
     found, x = solve(rows, count, band, ACCURACY, NEVER)
     cost = np.append(np.zeros(count), 1.0)

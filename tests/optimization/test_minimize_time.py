@@ -70,15 +70,15 @@ def test_torque_rows_follow_the_torques(robot):
     limits = MotionLimits(np.array(robot.lower), np.array(robot.upper), np.ones((3, 4)), movable, np.empty((0, 4)))
     rows = torque_rows(use, spline, robot.dynamics, limits)
     rng = np.random.default_rng(1)
-    change, pace = rng.uniform(-1e-5, 1e-5, (len(spline.control) - 6, 3)), 1.0 + 1e-5
+    change, time_scale = rng.uniform(-1e-5, 1e-5, (len(spline.control) - 6, 3)), 1.0 + 1e-5
     control = np.array(spline.control)
     control[3:-3, movable] += change
-    after = TorqueUse.of(TimedSpline(control, spline.knots).at_pace(pace), robot.dynamics, limit)
+    after = TorqueUse.of(TimedSpline(control, spline.knots).at_time_scale(time_scale), robot.dynamics, limit)
     times, joints = np.nonzero(np.abs(use.use) > 0.75)
     sign = np.sign(use.use[times, joints])
     actual = sign * (after.use - use.use)[times, joints]
     matrix = np.zeros((len(rows.upper), change.size))
     for row, (start, end) in enumerate(zip(rows.starts[:-1], rows.starts[1:], strict=True)):
         matrix[row, rows.columns[start:end]] = rows.entries[start:end]
-    np.testing.assert_allclose(matrix @ change.ravel() + rows.pace * (pace - 1.0), actual, atol=2e-7)
+    np.testing.assert_allclose(matrix @ change.ravel() + rows.time_scale * (time_scale - 1.0), actual, atol=2e-7)
     assert len(rows.upper) > 5

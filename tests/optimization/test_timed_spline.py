@@ -48,8 +48,8 @@ def test_rows_are_the_motion(robot):
     np.testing.assert_allclose(middle, spline.path.evaluate(rows.time[:-1] + 0.5 * durations), atol=1e-13)
 
 
-def test_pace_stretches_time_alone():
+def test_time_scale_stretches_time_alone():
     spline = TimedSpline.near(swing, even_breaks(1.0, 20))
-    slower = spline.at_pace(1.5)
+    slower = spline.at_time_scale(1.5)
     assert slower.duration == 1.5
     np.testing.assert_allclose(slower.path.evaluate(0.9), spline.path.evaluate(0.6), atol=1e-12)

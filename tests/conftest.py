@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 import os
+import time
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -18,6 +20,46 @@ from hplan.trajectory.machine import read_machine
 # The same examples in every run, and no limit on the time of one: the first compiles kernels.
 settings.register_profile("hplan", derandomize=True, deadline=None)
 settings.load_profile("hplan")
+
+#: Functions of tests whose cases take longer than this in all, kernels being compiled [s of CPU]; a line names each.
+SLOW_S, SLOW = 0.25, Path(__file__).with_name("slow_tests.txt")
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--note-slow", action="store_true", help=f"write {SLOW.name} anew, of the tests that run (-n 0)")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    if config.getoption("--note-slow"):
+        config.pluginmanager.register(NoteSlow())
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """All tests are quick but those listed."""
+    slow = set(SLOW.read_text(encoding="utf-8").split())
+    for item in items:
+        if item.nodeid.partition("[")[0] not in slow:
+            item.add_marker("quick")
+
+
+class NoteSlow:
+    """Writes down which tests are slow."""
+
+    def __init__(self) -> None:
+        self.spent: Counter[str] = Counter()
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_protocol(self, item: pytest.Item) -> Iterator[None]:
+        begin = time.process_time() + sum(os.times()[2:4])
+        done = yield
+        self.spent[item.nodeid.partition("[")[0]] += time.process_time() + sum(os.times()[2:4]) - begin
+        return done
+
+    def pytest_sessionfinish(self) -> None:
+        before = set(SLOW.read_text(encoding="utf-8").split()) - set(self.spent)
+        now = {name for name, seconds in self.spent.items() if seconds > SLOW_S}
+        SLOW.write_text("".join(f"{name}\n" for name in sorted(before | now)), encoding="utf-8")
 
 
 def pytest_sessionstart() -> None:

@@ -1,8 +1,9 @@
-"""The rooms of the package: what they may import, and how large they are."""
+"""The rooms of the package: what they may import, and that quick tests are in each."""
 
 from __future__ import annotations
 
 import ast
+import re
 from collections.abc import Iterator
 from itertools import chain
 from pathlib import Path
@@ -96,3 +97,14 @@ def test_files_of_tests_have_different_names() -> None:
     """Pytest imports them by name alone: the second of a name is an error, and its tests do not run."""
     names = [path.name for path in Path(__file__).parent.rglob("*.py") if path.name != "__init__.py"]
     assert sorted(names) == sorted(set(names))
+
+
+def test_quick_tests_are_in_every_room() -> None:
+    tests, slow = Path(__file__).parent, (Path(__file__).parent / "slow_tests.txt").read_text().split()
+    for room in {*ROOMS, "studies"} - {"errors"}:
+        functions = [
+            f"{path.relative_to(tests.parent).as_posix()}::{name}"
+            for path in (tests / room).glob("test_*.py")
+            for name in re.findall(r"^def (test_\w+)", path.read_text(encoding="utf-8"), re.MULTILINE)
+        ]
+        assert len(set(functions) - set(slow)) > 0.3 * len(functions) > 0.0, room

@@ -6,6 +6,7 @@ import importlib
 import math
 import warnings
 from collections.abc import Callable, Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -94,6 +95,7 @@ def a_planner() -> hplan.Planner:
     return hplan.Planner(hplan.load_robot(), a_scene(obstacles=obstacles))
 
 
+@cache
 def a_running_planner() -> hplan.Planner:
     planner = hplan.Planner(hplan.load_robot(), a_scene(), hplan.PlanOptions(effort="quick"))
     planner.plan()
@@ -277,12 +279,17 @@ CASES: dict[str, Case] = {
         {"start": ("start", 1.0, GOAL.model_copy(update={"joints_deg": None})), "goal": ("goal", 1.0, (0.0,) * 4)},
     ),
     "Planner.replan": (
-        a_running_planner().replan,
+        lambda **given: a_running_planner().replan(**given),
         {"at": 0.1},
         "",
         {"at": (*NO_NUMBER[1:], -1.0, 99.0), "now": (*NO_NUMBER[1:], -1.0, 0.2), "cancel": (1.0, "stop")},
     ),
-    "Planner.stop_at": (a_running_planner().stop_at, {"t": 0.1}, "t:size", {"now": (*NO_NUMBER[1:], -1.0, 99.0)}),
+    "Planner.stop_at": (
+        lambda **given: a_running_planner().stop_at(**given),
+        {"t": 0.1},
+        "t:size",
+        {"now": (*NO_NUMBER[1:], -1.0, 99.0)},
+    ),
     "Trajectory.stop_at": (a_trajectory().stop_at, {"t": 0.5, "robot": hplan.load_robot()}, "t:size robot:object", {}),
     "Trajectory.scaled": (
         a_trajectory().scaled,

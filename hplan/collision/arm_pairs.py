@@ -116,6 +116,8 @@ class ArmParts:
         turret: By body, the shapes of the turret that are not round about the yaw axis, and the same in coal.
         tool_joint: The joint of the shapes that may touch a fruit which is picked, as Pinocchio counts them.
         held: Those of them, the last ones, that are asked as the URDF has them.
+        shaped: Shape of the links.
+        own_bodies: All pairs of a general (non-planar) arm; None of a planar one.
     """
 
     links: dict[str, list[pin.GeometryObject]]
@@ -123,6 +125,8 @@ class ArmParts:
     tool_joint: int
     own: Sequence[ArmPair]
     held: SelfPairs
+    shaped: LinkShapes
+    own_bodies: SelfPairs | None = None
 
 
 def arm_parts(
@@ -139,7 +143,7 @@ def arm_parts(
     if robot.planar is None:
         shapes, held = body_shapes(robot), own_pairs(robot, deviation)
         by_link = {name: [shapes[body] for body in bodies] for name, bodies in moving_bodies(robot).items()}
-        return ArmParts(by_link, {}, robot.tool_joint, body_pairs(robot, held), held)
+        return ArmParts(by_link, {}, robot.tool_joint, body_pairs(robot, held), held, "urdf", held)
     of_links = urdf_shapes(robot) if links == "urdf" else [[shape] for shape in link_shapes(robot, links)]
     contact = self_contact(robot, deviation=deviation, clearance=clearance)
     own = list(link_pairs(robot, contact, of_links))
@@ -149,7 +153,7 @@ def arm_parts(
         own += [*fold_pairs(robot, contact, link_shapes(robot, "capsule")), *turret_pairs(robot, contact)]
         own += _as_shaped(robot, held)
     by_link = dict(zip(robot.arm.link_names, of_links, strict=True))
-    return ArmParts(by_link, turret, robot.dof, own, held)
+    return ArmParts(by_link, turret, robot.dof, own, held, links)
 
 
 def shaped_pairs(robot: Robot, deviation: float) -> SelfPairs:

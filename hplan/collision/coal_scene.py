@@ -118,7 +118,7 @@ class CoalScene:
         """
         if links not in LINK_SHAPES:
             raise OptionError("links", links, f"one of {', '.join(LINK_SHAPES)}")
-        self.robot, self.links = robot, links if robot.planar is not None else "urdf"
+        self.robot = robot
         self._built: dict[str, Any] = {
             "robot": robot,
             "obstacles": tuple(obstacles),
@@ -132,8 +132,8 @@ class CoalScene:
         self.moving = MovingSolids.of(obstacles, movements)
         self._touched: tuple[str, ...] = ()
         self.deviation, self.clearance = float(deviation), float(clearance)
-        parts = arm_parts(robot, self.links, self.deviation, self.clearance, single_joint_pairs=single_joint_pairs)
-        self._held, self.own_bodies = parts.held, parts.held if robot.planar is None else None
+        parts = arm_parts(robot, links, self.deviation, self.clearance, single_joint_pairs=single_joint_pairs)
+        self.links, self._held, self.own_bodies = parts.shaped, parts.held, parts.own_bodies
         self.link_names = tuple(parts.links)
         self.mover_names = (*self.link_names, *parts.turret)
         movers = [*parts.links.values(), *(placed for _, placed in parts.turret.values())]

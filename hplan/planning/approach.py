@@ -24,7 +24,7 @@ from hplan.planning.motion import (
     timed,
 )
 from hplan.planning.task import PlanningContext, PlanningTask
-from hplan.planning.tool_paths import largest_standoff, tool_path
+from hplan.planning.tool_paths import Tool, tool_of
 from hplan.robot.model import Robot
 from hplan.trajectory.trajectory import Trajectory
 
@@ -76,6 +76,10 @@ class Approach:
         return Motion("approach", *certified_trajectory(self.touching, path, self._contact_stretches))
 
     @property
+    def _tool(self) -> Tool:
+        return tool_of(self.context.robot, self.context.scene.locked_joints, self.grasp.keeps_turn)
+
+    @property
     def motions(self) -> tuple[Motion, ...]:
         """The approach from rest and, from a fruit, the retreat; errors as `from_rest`."""
         there = self.from_rest
@@ -86,13 +90,13 @@ class Approach:
     @cached_property
     def farthest(self) -> float:
         """From where the tool can come straight and clear, at most `LEADS` beyond the stand-off [m]."""
-        grasp, context, locked = self.grasp, self.context, self.context.scene.locked_joints
+        grasp, tool = self.grasp, self._tool
         longest = (1.0 + LEADS[-1]) * grasp.distance
-        possible = largest_standoff(context.robot, grasp.goal, longest, locked, grasp.keeps_turn)
+        possible = tool.largest_standoff(grasp.goal, longest)
         if possible <= grasp.distance:
             return grasp.distance
         check_deadline()
-        path = tool_path(context.robot, grasp.goal, possible, locked, grasp.keeps_turn)
+        path = tool.path(grasp.goal, possible)
         away = np.linspace(grasp.distance, possible, 16)
         field = self.target.transit_world(grasp).field
         touching = np.flatnonzero(field.along(path.evaluate((1.0 - away / possible) * path.end)).min(axis=1) < 0.0)
@@ -124,7 +128,7 @@ class Approach:
         grasp, robot = self.grasp, self.context.robot
         if longer < grasp.distance + 1e-3:
             return None
-        path = tool_path(robot, grasp.goal, longer, self.context.scene.locked_joints, grasp.keeps_turn)
+        path = self._tool.path(grasp.goal, longer)
         try:
             whole = timed(self.touching, path)
         except TimingError:

@@ -24,18 +24,7 @@ from hplan.collision.coal_scene import Contact
 from hplan.errors import BlockedError
 from hplan.kinematics.approach_angles import Candidates
 from hplan.planning.joint_ranges import LEAST_MARGIN, JointRanges, joint_ranges
-from hplan.planning.tool_paths import (
-    Approaches,
-    ToolPath,
-    candidates_at,
-    candidates_at_pose,
-    finer_candidates,
-    may_be_straight,
-    soonest,
-    straight_approaches,
-    tool_path,
-    tool_thickness,
-)
+from hplan.planning.tool_paths import Approaches, ToolPath, tool_of
 from hplan.planning.world import World
 from hplan.robot.limits import least_duration
 from hplan.robot.model import Robot
@@ -44,9 +33,6 @@ from hplan.scene.model import Fruit
 
 #: Configurations that are looked at, about.
 COUNT = 64
-
-#: Where so many grasps of a robot that is no planar arm have an approach, no shorter ones are looked for.
-_ENOUGH = 8
 
 #: Stand-offs tried in turn, as fractions of the one asked for.
 _FRACTIONS = (1.0, 0.5, 0.2)
@@ -89,7 +75,9 @@ class Grasp(Record):
 
     def path(self, robot: Robot, locked: tuple[str, ...] = ()) -> ToolPath | None:
         """The approach, or None where there is none."""
-        return tool_path(robot, self.goal, self.distance, locked, self.keeps_turn) if self.distance > 0.0 else None
+        if self.distance <= 0.0:
+            return None
+        return tool_of(robot, locked, self.keeps_turn).path(self.goal, self.distance)
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +109,7 @@ class Target(Record):
     @classmethod
     def of_fruit(cls, world: World, fruit: Fruit, approach_deg: float | tuple[float, float] | None) -> Target:
         """The center of a fruit, one of a world's solids; the tool is clear of it where the approach begins."""
-        least = fruit.radius + tool_thickness(world.robot, world.deviation) + world.clearance + 2.0 * SPARE
+        least = fruit.radius + tool_of(world.robot).thickness(world.deviation) + world.clearance + 2.0 * SPARE
         touching = world.touching(fruit.name)
         return cls(f"fruit {fruit.name!r}", fruit.center, world, touching, approach_deg, fruit, least)
 
@@ -148,16 +136,17 @@ def grasps(
         BlockedError: Obstacles are in the way of all that do, or block a joint on every path there; names them.
         ConfigurationInCollisionError: The start touches something that blocks a joint.
         InputError: A position or an approach that is none.
-        OptionError: As `hplan.planning.tool_paths.candidates_at`.
+        OptionError: As `hplan.planning.tool_paths.Tool.at`.
     """
     ranges = joint_ranges(target.world.checker, start, LEAST_MARGIN)
     if ranges.walls:
         target.world.check_clear(start, "start")
     found, room = _clear_candidates(target, ranges, start, locked, count)
-    found = soonest(target.world.robot, found, count)
+    tool = tool_of(target.world.robot, locked, target.pose is not None)
+    found = tool.soonest(found, count)
     goals = frozen(found.configurations)
-    lengths = _distances(standoff, target.least_standoff) if may_be_straight(target.world.robot, locked) else []
-    approaches = cache(lambda: straight_approaches(target.world.robot, goals, locked, target.pose is not None))
+    lengths = _distances(standoff, target.least_standoff) if tool.may_be_straight else []
+    approaches = cache(lambda: tool.approaches(goals))
 
     @cache
     def along(length: float) -> Approaches:
@@ -213,14 +202,12 @@ def _clear_candidates(
         UnreachableError: No configuration reaches the point.
         BlockedError: None of those that do is clear.
     """
-    world = target.world_touching
+    world, tool = target.world_touching, tool_of(target.world.robot, locked)
 
     def within(approach_deg: float | tuple[float, float] | None, count: int) -> Candidates:
         if target.pose is not None:
-            return candidates_at_pose(world.robot, target.pose, target.frame, start, locked)
-        return candidates_at(
-            world.robot, target.position, approach_deg=approach_deg, count=count, start=start, locked=locked
-        )
+            return tool.at_pose(target.pose, target.frame, start)
+        return tool.at(target.position, approach_deg=approach_deg, count=count, start=start)
 
     def clearance(q: FloatArray) -> float:
         check_deadline()
@@ -236,7 +223,7 @@ def _clear_candidates(
         clear = rooms > room
         if clear.any():
             return Candidates(found.configurations[clear], found.approach[clear]), room
-        finer = finer_candidates(world.robot, found, within, clearance, room, target.approach_deg)
+        finer = tool.finer(found, within, clearance, room, target.approach_deg)
         tried += finer.tried
         if finer.candidates is not None:
             return finer.candidates, room
@@ -267,7 +254,7 @@ def _clear_approaches(
     about that.
     """
     chosen: dict[int, tuple[float, FloatArray]] = {}
-    enough = math.inf if target.world.robot.planar is not None else _ENOUGH
+    enough = tool_of(target.world.robot).enough
     for length in lengths:
         if chosen and len(chosen) >= min(enough, len(along(length).polylines)):
             break

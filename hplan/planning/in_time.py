@@ -10,16 +10,16 @@ goes at once, before the obstacle comes. A start in motion is brought to rest fi
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
-from typing import Final, TypeAlias
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 
 from hplan.certificate.certificate import Certificate, certify
 from hplan.certificate.start_state import start_state
 from hplan.errors import HplanError, MovingObstacleError, ObstacleInTimeError, TimingError
-from hplan.planning.motion import InTime, Motion, Plan, last
+from hplan.planning.motion import Motion, Plan, last
 from hplan.planning.moving.obstacles_at import among_poses, without_moving
 from hplan.planning.moving.path_in_time import MovingField, PathInTime
 from hplan.planning.moving.schedule import STEP_S, earliest_schedule, room_to_change
@@ -88,9 +88,8 @@ def stopping_first(robot: Robot, scene: Scene, options: PlanOptions, plans_of: P
     phases = (replace(first, start_s=0.0), *others)
     trajectory = joined([stop.trajectory, trajectory])
     certificate = certified_in_time(robot, scene, options, trajectory, direct=len(phases) == 1)
-    report = {} if plan.in_time is None else plan.in_time.report
-    run = InTime(trajectory, certificate, phases, report | {"stops_until_s": stop_s} | _clear_until(certificate))
-    return _run(plan, scene, run) if certificate.verified else None
+    told = {**plan.told, "stops_until_s": stop_s}
+    return _run(plan, scene, (phases, trajectory, certificate), told) if certificate.verified else None
 
 
 def certified_in_time(
@@ -180,7 +179,7 @@ class _Search:
             self.first = still, certificate
         report = {"path": path, "waits_s": 0.0, "slows_down": False, "at_full_speed_s": motion.duration}
         if certificate.verified:
-            return _run(still, self._scene, InTime(motion, certificate, phases, report | _clear_until(certificate)))
+            return _run(still, self._scene, (phases, motion, certificate), report)
         for spare_s in _SPARE_S:
             cells = PathInTime(motion, self._field, self._robot, step_s=STEP_S, spare_s=spare_s)
             schedule = earliest_schedule(
@@ -202,8 +201,7 @@ class _Search:
             if certificate.verified:
                 report |= {"waits_s": schedule.waiting_s, "slows_down": schedule.slows_down}
                 phases = tuple(_later(phase, retimed) for phase in phases)
-                run = InTime(retimed.trajectory, certificate, phases, report | _clear_until(certificate))
-                return _run(still, self._scene, run)
+                return _run(still, self._scene, (phases, retimed.trajectory, certificate), report)
             self.tried.append(f"{path}: {certificate.violations[0]}")
         return None
 
@@ -211,14 +209,12 @@ class _Search:
         return certified_in_time(self._robot, self._scene, self._options, motion, direct=not still.others)
 
 
-def _clear_until(certificate: Certificate) -> dict[str, float | None]:
-    return {"clear_until_s": certificate.clear_until_s}
-
-
-def _run(plan: Plan, scene: Scene, run: InTime) -> Plan:
+def _run(
+    plan: Plan, scene: Scene, run: tuple[tuple[Phase, ...], Trajectory, Certificate], told: Mapping[str, Any]
+) -> Plan:
     """A plan as it is run in a scene in which something moves."""
-    task = replace(plan.transit.task, scene=scene)
-    return replace(plan, transit=replace(plan.transit, task=task), in_time=run)
+    transit = replace(plan.transit, task=replace(plan.transit.task, scene=scene))
+    return replace(plan, transit=transit, run=run, told={**told, "clear_until_s": run[2].clear_until_s})
 
 
 def _later(phase: Phase, retimed: Retimed) -> Phase:

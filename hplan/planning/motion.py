@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import Any, Literal, NamedTuple, Self, TypeAlias, TypeVar
@@ -40,6 +40,7 @@ Origin: TypeAlias = Literal["none", "direct", "trees", "search", "mended", "kept
 
 
 _T = TypeVar("_T")
+_Whole: TypeAlias = tuple[tuple[Phase, ...], Trajectory, Certificate]
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,20 +87,6 @@ class Transit(Motion):
         return replace(self, trajectory=trajectory, certificate=certificate, path=path)
 
 
-class InTime(NamedTuple):
-    """A plan as it is run past what moves.
-
-    Attributes:
-        certificate: What was shown of it.
-        report: What was done about what moves.
-    """
-
-    trajectory: Trajectory
-    certificate: Certificate
-    phases: tuple[Phase, ...]
-    report: dict[str, Any]
-
-
 @dataclass(frozen=True, eq=False)
 class Plan(Record):
     """Certified motions, one after the other.
@@ -108,13 +95,15 @@ class Plan(Record):
         transit: The first one.
         others: Those after it: the approach to a grasp and, from a fruit, the retreat.
         grasp: Where the transit leads to; None for joints.
-        in_time: How it is run past what moves; None where nothing does.
+        run: What of it is run past what moves, as `whole`; None where nothing moves.
+        told: What was done about what moves, for the report.
     """
 
     transit: Transit
     others: tuple[Motion, ...] = ()
     grasp: Grasp | None = None
-    in_time: InTime | None = None
+    run: _Whole | None = None
+    told: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def motions(self) -> tuple[Motion, ...]:
@@ -124,13 +113,12 @@ class Plan(Record):
     @property
     def duration(self) -> float:
         """How long all take together [s]."""
-        return seconds(self.motions) if self.in_time is None else self.in_time.trajectory.duration
+        return seconds(self.motions) if self.run is None else self.run[1].duration
 
     @cached_property
-    def whole(self) -> tuple[tuple[Phase, ...], Trajectory, Certificate]:
+    def whole(self) -> _Whole:
         """Phases, trajectory and certificate of all."""
-        run = self.in_time
-        return in_sequence(self.motions) if run is None else (run.phases, run.trajectory, run.certificate)
+        return in_sequence(self.motions) if self.run is None else self.run
 
 
 class Polyline(NamedTuple):
@@ -157,7 +145,7 @@ def seconds(motions: Sequence[Motion]) -> float:
     return sum(motion.trajectory.duration for motion in motions)
 
 
-def in_sequence(motions: Sequence[Motion], begin_s: float = 0.0) -> tuple[tuple[Phase, ...], Trajectory, Certificate]:
+def in_sequence(motions: Sequence[Motion], begin_s: float = 0.0) -> _Whole:
     """The phases, the trajectory and the certificate of motions one after the other, from a time on."""
     ends = np.cumsum([begin_s, *(motion.trajectory.duration for motion in motions)]).tolist()
     phases = tuple(Phase(motion.name, *span) for motion, span in zip(motions, pairwise(ends), strict=True))

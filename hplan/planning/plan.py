@@ -194,7 +194,7 @@ def plan_result(plan: Plan) -> PlanResult:
     phases, trajectory, certificate = plan.whole
     task = plan.transit.task
     fruit = task.scene.goal_fruit
-    if plan.in_time is None:
+    if plan.run is None:
         if fruit is not None:
             # Without an approach the last link may touch the fruit all the time.
             goal_contact: GoalContact = "approach" if plan.others else "motion"
@@ -209,7 +209,7 @@ def plan_result(plan: Plan) -> PlanResult:
         grasp=plan.grasp,
         bound=_bound(plan) if task.options.bound else None,
         time_ms=task.clock.as_ms(),
-        told={} if plan.in_time is None else {"in_time": plan.in_time.report},
+        told={} if plan.run is None else {"in_time": plan.told},
     )
 
 

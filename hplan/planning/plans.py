@@ -186,7 +186,7 @@ def plans_to_grasps(
                     raise
                 failures[number] = error.with_traceback(None)
         ordered += batch
-        if not is_likely and context.robot.planar is not None and context.effort.exhaustive:
+        if not is_likely and context.effort.floods:
             shown = zip(list(tasks), without_path(list(tasks.values())), strict=True)
             failures |= {number: error for number, error in shown if error is not None}
         while left := [number for number in tasks if number not in failures]:

@@ -362,7 +362,7 @@ def _other_paths(task: PlanningTask) -> list[Polyline]:
 def _why_none(tasks: Sequence[PlanningTask]) -> Iterator[HplanError]:
     """For each goal the error that says that no path leads there, or what was tried."""
     first = tasks[0]
-    if not first.effort.exhaustive or first.robot.planar is None:
+    if not first.effort.floods:
         yield from (NotFoundError([_trees_tried(task)]) for task in tasks)
         return
     coarse = first.fitting(GridAttempt(yaw_range_deg=WIDTHS[-1]))

@@ -153,8 +153,7 @@ class World(Record):
         contacts = base_contacts(self.robot, close, yaw, margin=-BASE_DEPTH)
         if contacts:
             worst = contacts[ties.argmin([contact.distance_m for contact in contacts])]
-            turning = () if self.robot.planar is None else turning_shapes(self.robot)
-            turns = any(shape.name == worst.link for shape in turning)
+            turns = any(shape.name == worst.link for shape in turning_shapes(self.robot))
             raise InputError(
                 f"obstacle {worst.obstacle!r} is {-1e3 * worst.distance_m:.3g} mm deep in the robot's {worst.link!r}, "
                 + (f"at a yaw of {math.degrees(yaw):.4g} deg" if turns else "which does not move")

@@ -99,9 +99,8 @@ def base_shapes(robot: Robot) -> tuple[BaseShape, ...]:
 
 def turning_shapes(robot: Robot) -> tuple[BaseShape, ...]:
     """The shapes that stand elsewhere at every yaw: of the turret, and not round about the yaw axis; of others none."""
-    if robot.planar is None:
-        return ()
-    return tuple(shape for shape in base_shapes(robot) if shape.carrier == TURRET and not shape.is_round)
+    shapes = base_shapes(robot) if base_joints(robot) else ()
+    return tuple(shape for shape in shapes if shape.carrier == TURRET and not shape.is_round)
 
 
 def turret_radius(robot: Robot) -> float:
@@ -118,7 +117,7 @@ def base_joints(robot: Robot) -> int:
 def base_radius(robot: Robot) -> float:
     """Radius of a ball about `base_link`'s origin that holds pedestal and turret, whatever the yaw [m]."""
     radius, joints = 0.0, base_joints(robot)
-    axis = np.zeros(3) if robot.planar is None else np.append(robot.planar.yaw_axis, 0.0)
+    axis = np.append(robot.yaw_axis, 0.0) if joints else np.zeros(3)
     for shape in robot.collision_model.geometryObjects:
         if shape.parentJoint <= joints:
             shape.geometry.computeLocalAABB()

@@ -167,7 +167,7 @@ class Moves:
             if not task.problem.turns or task.problem.is_empty:
                 self._plan(key, _transit(task))
             elif key in self._blocked or straight_is_clear(task):
-                effort = replace(task.effort, trees=replace(task.effort.trees, pairs=1), exhaustive=False)
+                effort = replace(task.effort, trees=replace(task.effort.trees, pairs=1), exhaustive=False, floods=False)
                 self._plan(key, _transit(replace(task, effort=effort), at_once=True))
             else:
                 self._blocked.add(key)

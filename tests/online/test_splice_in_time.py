@@ -241,9 +241,9 @@ def test_after_a_stop_what_moves_is_where_it_is_then(robot, monkeypatch):
     certified = certified_in_time(robot, scene, options, stop, check_ends=False)
     found = stopping_first(robot, scene, options, plans_of, Motion("stop", stop, certified))
     assert found is not None
-    assert found.in_time is not None
-    assert found.in_time.certificate.verified
-    assert found.in_time.report["stops_until_s"] == stop.duration > 0.1
+    assert found.run is not None
+    assert found.run[2].verified
+    assert found.told["stops_until_s"] == stop.duration > 0.1
     for one, other in zip(seen[0].poses_at([0.5])["ball"], scene.poses_at([stop.duration + 0.5])["ball"], strict=True):
         np.testing.assert_allclose(one, other, atol=1e-12)
 

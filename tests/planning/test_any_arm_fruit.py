@@ -20,7 +20,7 @@ from hplan.planning.grasps import Target
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
 from hplan.planning.result import PlanResult
-from hplan.planning.tool_paths import tool_thickness
+from hplan.planning.tool_paths import tool_of
 from hplan.planning.world import World
 from hplan.robot.model import Robot, load_robot
 from hplan.scene.model import Fruit, Goal, Scene, Start
@@ -128,7 +128,7 @@ def test_where_no_approach_is_clear_the_motion_itself_leads_to_the_fruit(picker:
     found = plan(picker, scene_of(picker, Goal(fruit="apple 0")), PlanOptions(effort="quick", standoff=0.0))
     assert found.certificate.verified
     assert found.grasp is not None
-    least = 0.035 + tool_thickness(picker, 0.0)
+    least = 0.035 + tool_of(picker).thickness(0.0)
     assert least < found.grasp.distance < least + 3e-3
 
 
@@ -158,7 +158,7 @@ def test_the_same_plan_every_time_and_one_before_a_deadline(picker: Robot) -> No
 
 
 def test_how_far_a_tool_stands_out(picker: Robot) -> None:
-    assert tool_thickness(picker, 0.0) == pytest.approx(0.0, abs=1e-9)
+    assert tool_of(picker).thickness(0.0) == pytest.approx(0.0, abs=1e-9)
     world = World.of(picker, [])
     wide = Target.of_fruit(world, FRUITS[0], None).least_standoff
     assert wide == pytest.approx(0.035 + 2e-3)
@@ -168,8 +168,8 @@ def test_how_far_a_tool_stands_out(picker: Robot) -> None:
     name = '<link name="picker">'
     longer = text.replace(name, name + box.replace("</link>", ""))
     robot = load_robot(longer, limits=picker.urdf_path.with_suffix(".limits.yaml"))
-    assert tool_thickness(robot, 0.0) == pytest.approx(0.02, abs=1e-9)
-    assert tool_thickness(robot, 0.01) > 0.02
+    assert tool_of(robot).thickness(0.0) == pytest.approx(0.02, abs=1e-9)
+    assert tool_of(robot).thickness(0.01) > 0.02
 
 
 @pytest.mark.parametrize("frame", [None, "wrist_2_link"])

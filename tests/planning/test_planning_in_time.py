@@ -114,7 +114,7 @@ def test_with_a_deadline_each_motion_past_what_moves_is_certified_and_quicker_th
     durations = [each.duration for each in found]
     assert len(durations) > 1
     assert durations == sorted(set(durations), reverse=True)
-    assert all(each.in_time is not None and each.in_time.certificate.verified for each in found)
+    assert all(each.run is not None and each.whole[2].verified for each in found)
     assert durations[-1] <= plan(robot, scene).trajectory.duration + 1e-9
 
 

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from hplan.certificate.certificate import Certificate, certify
     from hplan.errors import HplanError
     from hplan.online.planner import Planner
+    from hplan.online.warm_up import warm_up
     from hplan.planning.finishing.finish import finish
     from hplan.planning.options import PlanOptions
     from hplan.planning.plan import plan
@@ -47,6 +48,7 @@ __all__ = [
     "plan_tour",
     "read_csv",
     "save_scene",
+    "warm_up",
     "write_csv",
 ]
 

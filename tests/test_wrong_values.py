@@ -249,6 +249,7 @@ CASES: dict[str, Case] = {
         "robot:object scene:object",
         {"options": NO_OBJECT[1:], "tour": NO_OBJECT[1:], "fruits": ("apple", 1, [1])},
     ),
+    "warm_up": (hplan.warm_up, {"robot": None}, "robot:object", {}),
     "Planner": (hplan.Planner, {"robot": None, "scene": None}, "robot:object scene:object", {"options": NO_OBJECT[1:]}),
     "Planner.add": (a_planner().add, {"obstacle": Sphere(**BALL)}, "obstacle:object", {}),
     "Planner.remove": (a_planner().remove, {"name": "ball"}, "name:name", {}),

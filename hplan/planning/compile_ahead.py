@@ -9,7 +9,6 @@ or where kernels cannot be kept on disk, a plan compiles all of them itself.
 from __future__ import annotations
 
 import contextlib
-import gc
 import os
 import subprocess
 from collections.abc import Callable, Iterator
@@ -26,9 +25,6 @@ PATIENCE_S = 120.0
 
 #: Elbow and wrist while the shoulder turns, on a path that avoids the ball of the reference scene [deg].
 _FOLDED_DEG = (80.0, 80.0)
-
-#: A shipped scene, and one of its fruits that only trees find a path to.
-_CROWDED, _BEHIND = "dense-canopy", "fruit 11"
 
 
 def is_first_run() -> bool:
@@ -87,23 +83,6 @@ def compile_from_postprocessing_on() -> None:
     task = PlanningCache(load_robot()).context(scene, PlanOptions()).task(start, goal)
     motion = quickest(task, [Polyline(waypoints, "search")], MARGIN)
     timed(task, SplinePath.through(motion.trajectory.position[:: motion.trajectory.samples // 8]))
-
-
-def load_kernels() -> None:
-    """Load what plans call from disk, by one that needs most of it: where the time of the next plan is limited.
-
-    What is alive then is left out of all later collections of garbage, which take a millisecond instead of a tenth of a
-    second; of a program's own objects too, so it is called early.
-    """
-    from hplan.planning.plan import plan
-    from hplan.robot.model import load_robot
-    from hplan.scene.file import load_scene
-    from hplan.scene.model import Goal
-
-    scene = load_scene(_CROWDED)
-    plan(load_robot(), scene.model_copy(update={"goal": Goal(fruit=_BEHIND)}))
-    gc.collect()
-    gc.freeze()
 
 
 if __name__ == "__main__":

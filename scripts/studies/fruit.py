@@ -18,7 +18,7 @@ from studies.trees import measured_orchards, motions_in
 from hplan.apps.execution.plant import Plant
 from hplan.apps.execution.simulation import execute
 from hplan.base.data_files import scenes_dir
-from hplan.planning.compile_ahead import load_kernels
+from hplan.online.warm_up import warm_up
 from hplan.planning.options import PlanOptions
 from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel
@@ -120,13 +120,13 @@ def _return_problems(asked: Asked) -> Iterable[tuple[float, int, FruitProblem, R
     return [(ms, number, found[number % len(found)], robot) for ms in deadlines for number in asked.numbers]
 
 
-_load_once = functools.cache(load_kernels)
+_load_once = functools.cache(warm_up)
 
 
 def _return_row(asked: Asked, problem: tuple[float, int, FruitProblem, Robot]) -> Row:
     """A call with a deadline, and by how much it is late."""
     ms, number, (name, _, scene), robot = problem
-    _load_once()  # what a short deadline never gets to is not loaded by the calls before
+    _load_once(robot)  # what a short deadline never gets to is not loaded by the calls before
     rng = np.random.default_rng([asked.seed, number])
     start = robot.joints_of(scene.start, "start") + rng.uniform(-SHIFTED, SHIFTED, robot.dof)
     start = np.clip(start, robot.lower, robot.upper)

@@ -201,7 +201,8 @@ def _planned(
     robot: Robot, scene: Scene, options: PlanOptions, progress: Callable[[str], None], first_run: bool
 ) -> PlanResult:
     """Plan; on a first run another process compiles what comes last meanwhile."""
-    from hplan.planning.compile_ahead import compiling_ahead, load_kernels
+    from hplan.online.warm_up import warm_up
+    from hplan.planning.compile_ahead import compiling_ahead
     from hplan.planning.plan import plan
 
     with compiling_ahead(first_run) as wait:
@@ -212,7 +213,7 @@ def _planned(
                 wait()
 
         if options.deadline_s is not None:
-            load_kernels()
+            warm_up(robot)
         return plan(robot, scene, options, progress=stage)
 
 

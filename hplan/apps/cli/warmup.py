@@ -13,8 +13,10 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+import hplan
 from hplan.apps.cli.options import command_parser
 from hplan.apps.cli.terminal import FAILED, progress_line
 from hplan.base.child_process import import_environment, python_module
@@ -34,43 +36,70 @@ exit status:
   5  part of it failed; its kernels are compiled when they are called
 """
 
-#: What is done, each by a process of its own in a folder of its own: programs, in whose words `main` is the command
-#: line. The first two compile most of what the others need, and go before them.
-JOBS = {
-    "certified motion": "from hplan.planning.compile_ahead import compile_from_postprocessing_on as work; work()",
-    "plan": "main(['plan', '--out', 'a']); main(['certify', 'a'])",
-    "fruit": "main(['plan', 'dense-canopy'])",
-    "orchard": "main(['plan', 'orchard-row']); main(['plan', 'orchard-arm-row'])",
-    "tour": "main(['tour', 'tour'])",
-    "bound": "main(['plan', '--bound'])",
-    "dense search": "main(['plan', '--method', 'dense', '--objective', 'length'])",
-    "controller": """
-import hplan, numpy as np
-robot, scene = hplan.load_robot(), hplan.load_scene()
-planner = hplan.Planner(robot, scene)
-motion = planner.plan(begins_s=0.0)
-points = np.random.default_rng(1).normal((0.9, 0.5, 1.4), 0.03, (5000, 3))
-pose = (0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
-seen = {"joints": scene.start.configuration, "pose": pose, "radius": 0.005, "keep_s": 1.0}
-for time_s in (0.0, 0.05):
-    planner.set_cloud("seen", points, time_s=time_s, **seen)
-motion = planner.replan(at=0.3, now=0.1)
-planner.stop_at(0.5, now=0.4)
-""",
-    "any arm": """
-import hplan
-from hplan.scene import Box, Goal, Scene, Start
-boards = (Box(name="lower", center=(0.7, 0.0, 0.05), size=(0.3, 1.2, 0.02)),
-          Box(name="upper", center=(0.75, 0.0, 0.62), size=(0.3, 1.2, 0.02)))
-start, goal = (0.0, -0.3, 0.0, -1.9, 0.0, 1.6, 0.785), (0.5, 0.55, 0.0, -1.75, 0.0, 2.3, 0.785)
-scene = Scene(name="shelf", start=Start(joints_rad=start), goal=Goal(joints_rad=goal), obstacles=boards)
-try:
-    robot = hplan.load_robot("panda", hold={"panda_finger_joint1": 0.04})
-except hplan.errors.HplanError:
-    pass  # the extra robots is not installed
-else:
-    hplan.plan(robot, scene)
-""",
+
+def _command(*words: str) -> None:
+    from hplan.apps.cli.main import main
+
+    if status := main(words):
+        raise SystemExit(f"exit status {status}")
+
+
+def _certified_motion() -> None:
+    from hplan.planning.compile_ahead import compile_from_postprocessing_on
+
+    compile_from_postprocessing_on()
+
+
+def _plan_and_certify() -> None:
+    _command("plan", "--out", "a")
+    _command("certify", "a")
+
+
+def _fruit() -> None:
+    _command("plan", "dense-canopy")
+
+
+def _orchards() -> None:
+    _command("plan", "orchard-row")
+    _command("plan", "orchard-arm-row")
+
+
+def _tour() -> None:
+    _command("tour", "tour")
+
+
+def _bound() -> None:
+    _command("plan", "--bound")
+
+
+def _dense_search() -> None:
+    _command("plan", "--method", "dense", "--objective", "length")
+
+
+def _controller() -> None:
+    hplan.warm_up(hplan.load_robot())
+
+
+def _any_arm() -> None:
+    """The default arm with its wrist turned: no planar arm, and nothing but its own file is needed."""
+    from hplan.base.data_files import urdf_dir
+
+    first, _, last = (urdf_dir() / "harvester.urdf").read_text(encoding="utf-8").rpartition('xyz="0 -1 0"')
+    hplan.warm_up(hplan.load_robot(f'{first}xyz="1 0 0"{last}', limits="harvester"))
+
+
+#: What is done, each by a process of its own in a folder of its own. The first two compile most of what the others
+#: need, and go before them.
+JOBS: dict[str, Callable[[], None]] = {
+    "certified motion": _certified_motion,
+    "plan": _plan_and_certify,
+    "fruit": _fruit,
+    "orchard": _orchards,
+    "tour": _tour,
+    "bound": _bound,
+    "dense search": _dense_search,
+    "controller": _controller,
+    "any arm": _any_arm,
 }
 
 #: Jobs that go before the others.
@@ -131,18 +160,15 @@ def compile_all(
     failed, lock = dict[str, str](), threading.Lock()
 
     def do(job: str) -> None:
-        command = python_module("hplan.apps.cli.warmup")
+        function = JOBS[job]
+        command = python_module("hplan.apps.cli.warmup", function.__module__, function.__qualname__)
         with tempfile.TemporaryDirectory() as folder, tempfile.TemporaryFile("w+") as said:
             process = subprocess.Popen(
-                command, cwd=folder, env={**import_environment(), **environment}, stdin=subprocess.PIPE,
+                command, cwd=folder, env={**import_environment(), **environment}, stdin=subprocess.DEVNULL,
                 stdout=subprocess.PIPE, stderr=said, text=True,
             )  # fmt: skip
             with process:
-                assert process.stdin is not None
-                assert process.stdout is not None
-                process.stdin.write(JOBS[job])
-                process.stdin.close()
-                for line in process.stdout:
+                for line in process.stdout or ():
                     if line.startswith(_COMPILED):
                         with lock:
                             told(job, line.removeprefix(_COMPILED).strip())
@@ -159,11 +185,9 @@ def compile_all(
     return failed
 
 
-def _do(program: str) -> None:
+def _do(module: str, function: str) -> None:
     """Do a job in this process, and say what was compiled."""
     from numba.core import event
-
-    from hplan.apps.cli.main import main
 
     class Compiled(event.Listener):  # type: ignore[misc]
         def on_start(self, event: Any) -> None:
@@ -176,12 +200,9 @@ def _do(program: str) -> None:
                 print(f"{_COMPILED}{name}", file=sys.__stdout__, flush=True)
 
     event.register("numba:compile", Compiled())
-    statuses: list[int] = []
     with contextlib.redirect_stdout(io.StringIO()):
-        exec(program, {"main": lambda words: statuses.append(main(words))})
-    if any(statuses):
-        raise SystemExit(f"exit status {max(statuses)}")
+        getattr(import_module(module), function)()
 
 
 if __name__ == "__main__":
-    _do(sys.stdin.read())
+    _do(*sys.argv[1:])

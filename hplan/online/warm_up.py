@@ -1,0 +1,137 @@
+"""A program made ready: what plans, clouds, splices and stops of a robot call is loaded before the first deadline."""
+
+from __future__ import annotations
+
+import gc
+import warnings
+from collections.abc import Iterator
+from contextlib import suppress
+from typing import Any, Final
+
+import numpy as np
+import pinocchio as pin
+
+from hplan.base.arguments import instance
+from hplan.base.arrays import FloatArray
+from hplan.collision.clearance_field import ClearanceField
+from hplan.errors import HplanError
+from hplan.online.planner import Planner
+from hplan.planning.options import PlanOptions
+from hplan.robot.model import Robot
+from hplan.scene.model import Fruit, Goal, Scene, Start
+from hplan.scene.obstacles import Sphere
+from hplan.scene.tracks import Track
+
+#: So many pairs of configurations are drawn, and so many tried, until there is a motion from one to the other.
+_DRAWN, _PAIRS = 200, 16
+
+#: By so much each joint is moved at most [rad, m].
+_STEP: Final = 0.6
+
+#: Radius of fruit, and of the balls that are in the way, where there is room [m].
+_RADIUS: Final = 0.03
+
+#: So many balls stand out of the way, so many times as far from the base as the tool, spread by so much [m].
+_MANY, _FAR, _SPREAD = 60, 1.5, 0.1
+
+
+class NotReadyWarning(UserWarning):
+    """Kernels could not be loaded ahead: the first plan loads what it calls."""
+
+
+def warm_up(robot: Robot) -> None:
+    """Load what plans, clouds, splices and stops of a robot call, so that the first deadline holds.
+
+    A small scene is made of the robot itself. In it motions are planned past balls that stand or move, to joints, a
+    fruit and a pose; a camera sees something, a running motion is replaced and stopped. Kernels that are not on disk
+    are compiled, which takes a minute (`hplan warmup` does it ahead); else it takes one to three seconds.
+
+    What is alive then is left out of all later collections of garbage, which take a millisecond instead of a tenth of a
+    second: of a program's own objects too. So it is called early, after imports.
+
+    Args:
+        robot: The robot that will be planned for: what is worked out once for a robot is kept with this one.
+
+    Warns:
+        NotReadyWarning: None of some motions near the middle of the joint limits can be planned.
+
+    Raises:
+        OptionError: It is none.
+    """
+    instance("robot", robot, Robot, "load_robot")
+    if not any(_is_done(robot, *pair, blocked) for blocked in (True, False) for pair in _pairs(robot)):
+        warnings.warn(f"no motion of {robot.name!r} was found to make ready with", NotReadyWarning, stacklevel=2)
+    gc.collect()
+    gc.freeze()
+
+
+def _pairs(robot: Robot) -> list[tuple[FloatArray, FloatArray]]:
+    """Neighbouring configurations in which the arm does not touch itself, drawn, always alike.
+
+    A planar arm moves in one plane, so that its base may be locked too.
+    """
+    low, high = np.maximum(robot.lower, -np.pi), np.minimum(robot.upper, np.pi)
+    begins = low + np.random.default_rng(0).uniform(0.05, 0.95, (_DRAWN, robot.dof)) * (high - low)
+    begins[0] = 0.5 * (low + high)
+    goals = begins + np.clip(np.roll(begins, -1, axis=0) - begins, -_STEP, _STEP)
+    if robot.planar is not None and robot.has_yaw:
+        goals[:, 0] = begins[:, 0]
+    field = ClearanceField.of(robot, ())
+    clear = np.minimum(field.along(begins).min(axis=1), field.along(goals).min(axis=1)) > 0.0
+    return list(zip(begins[clear], goals[clear], strict=True))[:_PAIRS]
+
+
+def _is_done(robot: Robot, start: FloatArray, goal: FloatArray, blocked: bool) -> bool:
+    """Plan from one configuration to another, and what comes after; False where there is no motion to be had.
+
+    Args:
+        blocked: Whether that motion is past a ball between them.
+    """
+    rng = np.random.default_rng(0)
+    begin, middle, end = robot.tool_positions([start, 0.5 * (start + goal), goal])
+    radius = min(_RADIUS, 0.3 * float(min(np.linalg.norm(middle - begin), np.linalg.norm(middle - end))))
+    if radius <= 0.0:
+        return False
+    scene = Scene(
+        name="warm-up",
+        start=Start(joints_rad=tuple(start.tolist())),
+        goal=Goal(joints_rad=tuple(goal.tolist())),
+        obstacles=tuple(
+            Sphere(name=f"ball {number}", center=tuple(center.tolist()), radius=radius)
+            for number, center in enumerate([middle, *(_FAR * middle + rng.normal(0.0, _SPREAD, (_MANY, 3)))])
+        ),
+    )
+    planner = Planner(robot, scene if blocked else scene.with_obstacles(()))
+    try:
+        trajectory = planner.plan(begins_s=0.0).trajectory
+    except HplanError:
+        return False
+    for changes, options in _other_tasks(robot, scene, Fruit(name="fruit", center=tuple(end.tolist()), radius=radius)):
+        with suppress(HplanError):  # whatever was called until then is loaded
+            Planner(robot, scene.model_copy(update=changes), options).plan()
+    seconds = trajectory.duration
+    points = rng.normal(robot.tool_positions(trajectory.state_at(0.7 * seconds)[0]), radius, (2000, 3))
+    with suppress(HplanError):
+        for time_s in (0.0, 0.1 * seconds):
+            joints = trajectory.state_at(time_s)[0]
+            planner.set_cloud("seen", points, radius=0.3 * radius, joints=joints, keep_s=seconds, time_s=time_s)
+        planner.replan(at=0.3 * seconds, now=0.1 * seconds)
+    with suppress(HplanError):
+        planner.stop_at(0.4 * seconds, now=0.2 * seconds)
+    return True
+
+
+def _other_tasks(robot: Robot, scene: Scene, fruit: Fruit) -> Iterator[tuple[dict[str, Any], PlanOptions]]:
+    """What else may be asked for: changes of the scene, and options."""
+    usual = PlanOptions(deadline_s=10.0)
+    ball, *others = scene.obstacles
+    track = Track(times_s=(0.0, 1.0), shifts_m=((0.0, 0.0, fruit.radius), (0.0, 0.0, 0.0)))
+    yield {"obstacles": ()}, usual
+    yield {"obstacles": (ball.model_copy(update={"track": track}), *others)}, usual
+    yield {"fruits": (fruit,), "goal": Goal(fruit=fruit.name)}, usual
+    yield {}, PlanOptions(tracking_error=1e-4, tracking_delay_s=1e-4, effort="best")
+    if robot.planar is None:
+        pose = pin.SE3ToXYZQUAT(pin.SE3(robot.tool_poses(scene.goal.configuration))).tolist()
+        yield {"goal": Goal(position=tuple(pose[:3]), quaternion_xyzw=tuple(pose[3:]))}, usual
+    elif robot.has_yaw:
+        yield {"locked_joints": robot.joint_names[:1]}, usual

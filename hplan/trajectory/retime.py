@@ -24,9 +24,8 @@ linear function of the motion) is taken back by slowing down.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import cache
 
 import numpy as np
 import pinocchio as pin
@@ -70,80 +69,44 @@ def time_path(
     limits: Limits,
     *,
     rate_hz: float = 250.0,
-    grid_points: int = GRID_POINTS,
     grid: FloatArray | None = None,
-    end_speeds: tuple[float, float] = (0.0, 0.0),
 ) -> Trajectory:
-    """The fastest motion along a path.
+    """The fastest motion along a path, from rest to rest.
 
     Args:
         path: The path; its parameter should run about as the joint-space length.
         model: Pinocchio's model, for torques, or what was made from it; its joints are the path's.
         limits: Velocity, acceleration and, where given, torque and jerk limits.
         rate_hz: Rows per second.
-        grid_points: Number of points at which the path speed is chosen, in addition to the ends of the path's pieces.
-        grid: (n,) increasing path parameters from 0 to the end to choose it at instead, for a motion from rest to rest.
-        end_speeds: Joint-space speeds along the path at its start and its end [rad/s]; 0 is at rest. A motion that
-            does not end at rest is slowed down by less than one period in all, and the speeds with it, to end on a row.
-            Where the motion as a whole is slowed down to keep a limit, so are they, and the first and the last row are
-            off the path's ends by a part of one period's motion (2 % of it at 25 Hz).
+        grid: (n,) increasing path parameters from 0 to the end at which the path speed is chosen; None for those that
+            suit any path.
 
     Raises:
         TimingError: No motion within the limits exists; names the joint and the cause.
-        OptionError: A rate that is not between 1 and 100000, a speed that is negative, more than `MOST_ROWS` rows.
+        OptionError: A rate that is not between 1 and 100000, more than `MOST_ROWS` rows.
     """
     check_rate(rate_hz)
-    if grid_points < 10:
-        raise OptionError("grid_points", grid_points, "at least 10")
-    for speed in end_speeds:
-        if not (np.isfinite(speed) and speed >= 0.0):
-            raise OptionError("end_speeds", speed, "a finite speed along the path >= 0")
-    if grid is not None and any(end_speeds):
-        raise OptionError("grid", "given", "none where the ends of the motion are not at rest")
     dynamics = model if isinstance(model, InverseDynamics) else InverseDynamics.of(model)
     names = tuple(dynamics.model.names)[1:]
-    whole = parameter_grid(path, grid_points, (0.0, 0.0)) if grid is None else grid
+    whole = parameter_grid(path, GRID_POINTS) if grid is None else grid
     fine = path.evaluate(whole)
     if np.ptp(fine, axis=0).max() < NO_MOTION:
         return resting(dynamics.model, path.evaluate(0.0))
     _check_limits(path, dynamics, limits, whole, names)
-    ends = np.array([0.0, path.breaks[-1]])
-    # Path speeds ds/dt at the ends; the parameter need not run exactly as the length.
-    runs = np.linalg.norm(path.evaluate(ends, 1), axis=1)
+    runs = np.linalg.norm(path.evaluate(np.array([0.0, path.breaks[-1]]), 1), axis=1)
     for where, run in zip(("begin", "end"), runs, strict=True):
         if not run > 0.0:
             message = f"the path's parameter stands still at its {where}; it should run about as the joint-space length"
             raise TimingError(message, cause="parameter")
-    rates = np.array(end_speeds) / runs
-
+    check_deadline()
+    profile = SpeedProfile.along(path, dynamics, limits, whole)
+    # With fewer points than this for each row, what passes a limit between them slows the whole motion down;
+    # longer motions get more points, up to a number that takes a tenth of a second.
+    wanted = int(0.8 * profile.arrival[-1] * rate_hz)
+    if grid is None and wanted > len(whole):
+        profile = SpeedProfile.along(path, dynamics, limits, parameter_grid(path, min(wanted, MOST_POINTS)))
     period = 1.0 / rate_hz
-
-    @cache
-    def profile_for(window: int) -> SpeedProfile:
-        """Profile with constant speed at both ends for as long as the rows' averages reach; from rest all are one."""
-        check_deadline()
-        if window > 1 and not rates.any():
-            return profile_for(1)
-        leads = rates * (0.5 * (window + 1) / rate_hz)
-        if leads.sum() >= 0.5 * path.breaks[-1]:
-            raise TimingError("the path is too short for its start and end speeds", cause="speed at the ends")
-        ends = (float(leads[0]), float(leads[1]))
-        between = parameter_grid(path, grid_points, ends) if rates.any() else whole
-        found = SpeedProfile.along(path, dynamics, limits, between, rates)
-        # With fewer points than this for each row, what passes a limit between them slows the whole motion down;
-        # longer motions get more points, up to a number that takes a tenth of a second.
-        wanted = int(0.8 * found.arrival[-1] * rate_hz)
-        if grid is None and wanted > len(between):
-            found = SpeedProfile.along(
-                path, dynamics, limits, parameter_grid(path, min(wanted, MOST_POINTS), ends), rates
-            )
-        return found
-
-    window = _smoothing_window(profile_for, limits, period)
-    profile = profile_for(window)
-    if rates.any():
-        return _sample(profile, dynamics, names, limits, period, window)[0]
-    return _sample_refined(profile, dynamics, names, limits, period, window)
+    return _sample_refined(profile, dynamics, names, limits, period, _smoothing_window(profile, limits, period))
 
 
 def resting(model: pin.Model, q: FloatArray) -> Trajectory:
@@ -185,12 +148,11 @@ def _check_limits(
         )
 
 
-def _smoothing_window(profile_for: Callable[[int], SpeedProfile], limits: Limits, period: float) -> int:
+def _smoothing_window(profile: SpeedProfile, limits: Limits, period: float) -> int:
     """The fewest control points to average that keep the jerk limits; 2 a / (m h) <= jerk always suffices."""
     if limits.jerk is None:
         return 1
     jerk = limits.jerk
-    profile = profile_for(1)
     moves = np.ptp(profile.path.evaluate(profile.grid), axis=0) > NO_MOTION
     # The mean of m control points changes its acceleration by the difference of two raw ones m rows apart, over m.
     raw = _rows(profile, replace(limits, jerk=None), period, 1).acceleration[:, moves]
@@ -263,8 +225,7 @@ def _sample_refined(
         coarse = error
     finer = refined(profile, dynamics, limits, period)
     if finer is not profile:
-        window = _smoothing_window(lambda _: finer, limits, period)
-        return _sample(finer, dynamics, names, limits, period, window)[0]
+        return _sample(finer, dynamics, names, limits, period, _smoothing_window(finer, limits, period))[0]
     if isinstance(coarse, HplanError):
         raise coarse
     return coarse
@@ -296,12 +257,8 @@ def _rows(profile: SpeedProfile, limits: Limits, period: float, window: int, fac
 
     Between grid points the velocity and acceleration limits are passed by a little, which slows the motion down.
     """
-    moving_end = profile.speed[-1] > 0.0
     for _ in range(_MOST_SLOWINGS):
         duration = profile.arrival[-1] * factor
-        if moving_end:
-            factor *= max(1.0, np.ceil(duration / period - 1e-9)) * period / duration
-            duration = profile.arrival[-1] * factor
         rows = duration / period + window
         if not rows <= MOST_ROWS:
             raise OptionError(
@@ -341,9 +298,8 @@ def _make_exact(
     still = np.ptp(control, axis=0) <= 1e-12
     position[:, still] = profile.ends[0, still]
     for end in (0, -1):
-        if profile.speed[end] == 0.0:
-            position[end] = profile.ends[end]
-            velocity[end] = acceleration[end] = 0.0
+        position[end] = profile.ends[end]
+        velocity[end] = acceleration[end] = 0.0
 
 
 def _largest_use(values: FloatArray, limit: FloatArray, joints: BoolArray) -> float:

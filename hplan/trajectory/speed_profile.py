@@ -30,15 +30,15 @@ MOST_ROWS = 400_000
 LITTLE, _SPLIT, _MOST_REFINEMENTS, _SHORTEST_INTERVAL = 0.01, 4, 6, 1e-7
 
 
-def parameter_grid(path: GeometricPath, points: int, leads: tuple[float, float]) -> FloatArray:
+def parameter_grid(path: GeometricPath, points: int) -> FloatArray:
     """Path parameters, denser towards the ends, together with the ends of the pieces.
 
     From rest the parameter grows with the square of time; cosine spacing makes the first intervals as short in time
     as the others.
     """
-    first, last = leads[0], float(path.breaks[-1]) - leads[1]
-    inner = path.breaks[(path.breaks > first) & (path.breaks < last)]
-    spaced = first + 0.5 * (last - first) * (1.0 - np.cos(np.linspace(0.0, np.pi, points)))
+    last = float(path.breaks[-1])
+    inner = path.breaks[(path.breaks > 0.0) & (path.breaks < last)]
+    spaced = 0.5 * last * (1.0 - np.cos(np.linspace(0.0, np.pi, points)))
     if len(inner) == 0:
         return spaced
     # Spaced points that stand close to a piece's end give way to it, so that few intervals become very short.
@@ -57,8 +57,7 @@ def parameter_grid(path: GeometricPath, points: int, leads: tuple[float, float])
 class SpeedProfile:
     """The fastest motion along a path, in continuous time.
 
-    The path speed is linear in time between grid points. Before the first grid point and after the last one it is
-    constant, on the path's tangent where that leads beyond its ends.
+    The path speed is linear in time between grid points; before the first and after the last the arm rests.
 
     Attributes:
         grid: (n,) path parameters.
@@ -72,13 +71,11 @@ class SpeedProfile:
     arrival: FloatArray
 
     @classmethod
-    def along(
-        cls, path: GeometricPath, dynamics: InverseDynamics, limits: Limits, grid: FloatArray, rates: FloatArray
-    ) -> SpeedProfile:
-        """By toppra, with path speeds `rates` at the ends of the grid."""
+    def along(cls, path: GeometricPath, dynamics: InverseDynamics, limits: Limits, grid: FloatArray) -> SpeedProfile:
+        """By toppra, from rest to rest."""
         from hplan.trajectory.topp import fastest_speed
 
-        return cls.of(path, grid, fastest_speed(path, dynamics, limits, grid, rates))
+        return cls.of(path, grid, fastest_speed(path, dynamics, limits, grid))
 
     @classmethod
     def of(cls, path: GeometricPath, grid: FloatArray, speed: FloatArray) -> SpeedProfile:
@@ -100,13 +97,7 @@ class SpeedProfile:
         durations = self.arrival[interval + 1] - self.arrival[interval]
         acceleration = (self.speed[interval + 1] - self.speed[interval]) / durations
         parameter = self.grid[interval] + since * (self.speed[interval] + 0.5 * acceleration * since)
-        parameter += np.where(clock < 0.0, self.speed[0], self.speed[-1]) * (clock - time)
-        q = np.array(self.path.evaluate(parameter))
-        end = float(self.path.breaks[-1])
-        for outside, s in ((parameter < 0.0, 0.0), (parameter > end, end)):
-            if outside.any():
-                q[outside] += (parameter[outside] - s)[:, None] * self.path.evaluate(s, 1)
-        return q
+        return np.array(self.path.evaluate(parameter))
 
     @cached_property
     def ends(self) -> FloatArray:
@@ -135,7 +126,7 @@ def refined(profile: SpeedProfile, dynamics: InverseDynamics, limits: Limits, pe
             return profile
         inner = profile.grid[at, None] + np.diff(profile.grid)[at, None] * (np.arange(1, _SPLIT) / _SPLIT)
         grid = np.union1d(profile.grid, inner)
-        profile = SpeedProfile.along(profile.path, dynamics, limits, grid, np.zeros(2))
+        profile = SpeedProfile.along(profile.path, dynamics, limits, grid)
     return profile
 
 

@@ -45,15 +45,12 @@ _TINY = 1e-9
 _BOUND, _KEPT, _PARALLEL, _LEAN, _DROP, _NEAR, _TRIES = 1e8, 1e-10, 1e-8, 1e-9, 1e-8, 1e-5, 10
 
 
-def fastest_speed(
-    path: GeometricPath, dynamics: InverseDynamics, limits: Limits, grid: FloatArray, rates: FloatArray
-) -> FloatArray:
-    """Path speed ds/dt at the grid points of the fastest motion.
+def fastest_speed(path: GeometricPath, dynamics: InverseDynamics, limits: Limits, grid: FloatArray) -> FloatArray:
+    """Path speed ds/dt at the grid points of the fastest motion from rest to rest.
 
     Args:
         limits: Velocity, acceleration and, where given, torque limits.
         grid: (n,) increasing path parameters.
-        rates: (2,) path speeds at the ends.
 
     Raises:
         TimingError: There is no motion within the limits; `cause` is toppra's code.
@@ -64,7 +61,7 @@ def fastest_speed(
     scale = 10.0 / np.sqrt(max(float(limits.acceleration.max()), _TINY) * span) if span < 0.01 else 1.0
     scaled = scale * grid
     rows = half_planes(PathView(path, len(limits.velocity), scale), dynamics, limits, scaled)
-    speed, _, _ = passes(rows, np.diff(scaled), scale * rates)
+    speed, _, _ = passes(rows, np.diff(scaled), np.zeros(2))
     return np.maximum(speed, 0.0) / scale
 
 

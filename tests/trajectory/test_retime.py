@@ -21,6 +21,7 @@ from hplan.robot.limits import Limits
 from hplan.robot.model import Robot
 from hplan.trajectory import rounded_path
 from hplan.trajectory.retime import GRID_POINTS, time_path
+from hplan.trajectory.speed_profile import parameter_grid
 from hplan.trajectory.spline import SplinePath
 
 RATE = 250.0
@@ -93,17 +94,16 @@ def jerk_uses(trajectory, limits):
     return (np.abs(np.diff(trajectory.acceleration, axis=0)) / step / limits.jerk).max(axis=1)
 
 
-def assert_sound(trajectory, model, limits, *, rate=RATE, path=None, jerk=True, rest=(True, True)):
+def assert_sound(trajectory, model, limits, *, rate=RATE, path=None, jerk=True):
     """Uniform time, rest, exact ends, columns that belong together, limits at rows and between."""
     steps = np.diff(trajectory.time)
     assert trajectory.time[0] == 0.0
     assert (steps > 0.0).all()
     np.testing.assert_allclose(trajectory.time, np.arange(trajectory.samples) / rate, rtol=1e-12)
-    for row, rests, s in ((0, rest[0], 0.0), (-1, rest[1], None)):
-        if rests:
-            assert not trajectory.velocity[row].any()
-            assert not trajectory.acceleration[row].any()
-        if rests and path is not None:
+    for row, s in ((0, 0.0), (-1, None)):
+        assert not trajectory.velocity[row].any()
+        assert not trajectory.acceleration[row].any()
+        if path is not None:
             np.testing.assert_array_equal(trajectory.position[row], path.evaluate(path.breaks[-1] if s is None else s))
     torque = inverse_dynamics(model, trajectory.position, trajectory.velocity, trajectory.acceleration)
     np.testing.assert_allclose(trajectory.torque, torque, atol=1e-9)
@@ -226,8 +226,9 @@ def test_rows_are_near_the_path(robot, limits):
 @pytest.mark.parametrize("seed", [2, 7])
 def test_little_is_lost_with_few_points(robot, smooth_limits, seed):
     """What passes a limit between two of few points is remedied there: it does not slow the whole motion."""
+    path = curve(seed, robot)
     few, many = (
-        time_path(curve(seed, robot), robot.model, smooth_limits, grid_points=points) for points in (GRID_POINTS, 3200)
+        time_path(path, robot.model, smooth_limits, grid=parameter_grid(path, points)) for points in (GRID_POINTS, 3200)
     )
     assert few.duration <= 1.015 * many.duration
     assert np.median(row_uses(few, smooth_limits)) >= 0.9
@@ -268,51 +269,6 @@ def test_share_of_the_speed(robot, limits, smooth_limits):
     assert free.scaled(0.3).torque is None
 
 
-# From and to a given speed
-
-
-MOVING_ENDS = [(None, GRID_POINTS, 1e-5), (7, 3200, 1e-4)]
-
-
-@pytest.mark.parametrize("speed", [0.05, 0.3])
-@pytest.mark.parametrize("with_jerk", [False, True])
-@pytest.mark.parametrize(("seed", "points", "near"), MOVING_ENDS)
-def test_from_a_given_speed(robot, limits, smooth_limits, seed, points, near, with_jerk, speed):
-    """Rows are averages: where the path curves, a moving end is off it by a little."""
-    kept, path = limits if with_jerk else smooth_limits, curve(seed, robot) if seed else straight(START, GOAL)
-    trajectory = time_path(path, robot.model, kept, end_speeds=(speed, 0.0), grid_points=points)
-    assert_sound(trajectory, robot.model, kept, path=path, rest=(False, True), jerk=False)
-    np.testing.assert_allclose(trajectory.position[0], path.evaluate(0.0), rtol=0, atol=near)
-    assert np.linalg.norm(trajectory.velocity[0]) == pytest.approx(speed, rel=0.01)
-    along = path.evaluate(0.0, 1)
-    assert trajectory.velocity[0] @ along == pytest.approx(speed * np.linalg.norm(along), rel=0.011)
-
-
-@pytest.mark.parametrize(
-    ("rate", "speeds", "off"),
-    [
-        (RATE, (0.05, 0.05), 1e-5),
-        (RATE, (0.5, 0.2), 1e-5),
-        (25.0, (0.3, 0.3), 0.02 * 0.3 / 25.0),  # as the text of `time_path` says
-    ],
-)
-def test_from_and_to_given_speeds(robot, limits, rate, speeds, off):
-    path = straight(START, GOAL)
-    trajectory = time_path(path, robot.model, limits, rate_hz=rate, end_speeds=speeds)
-    ends = np.linalg.norm(trajectory.velocity[[0, -1]], axis=1)
-    assert (ends <= np.array(speeds) * (1 + 1e-6)).all()
-    assert (ends >= np.array(speeds) * (1 - 2.0 / rate)).all()
-    np.testing.assert_allclose(trajectory.position[[0, -1]], path.evaluate([0.0, path.end]), rtol=0, atol=off)
-
-
-@pytest.mark.parametrize("end", [0, 1])
-def test_speed_that_no_motion_can_have(robot, limits, end):
-    with pytest.raises(TimingError):
-        time_path(straight(START, GOAL), robot.model, limits, end_speeds=at_one_end(50.0, end))
-    with pytest.raises(TimingError, match="too short"):
-        time_path(straight(START, START + 1e-3), robot.model, limits, end_speeds=at_one_end(1.0, end))
-
-
 @pytest.mark.parametrize(("where", "share"), [("begin", (0.0, 0.0, 0.0, 1.0)), ("end", (0.0, 3.0, -3.0, 1.0))])
 def test_a_path_whose_parameter_stands_still_is_refused(robot, limits, where, share):
     """As that of an optimised motion, which begins and ends at rest."""
@@ -326,10 +282,6 @@ def test_a_path_whose_parameter_stands_still_is_refused(robot, limits, where, sh
 
     with pytest.raises(TimingError, match=f"stands still at its {where}"):
         time_path(Path(), robot.model, limits)
-
-
-def at_one_end(speed, end):
-    return (speed, 0.0) if end == 0 else (0.0, speed)
 
 
 # What cannot be timed

@@ -120,7 +120,7 @@ def test_speeds_use_a_limit_and_pass_none(dynamics, limits, seed, span):
     """At the middles of the grid's intervals, whatever the length of the path."""
     path = spline(np.random.default_rng(seed), span, None)
     grid = cosine(path.end, 300)
-    speed = fastest_speed(path, dynamics, limits, grid, np.zeros(2))
+    speed = fastest_speed(path, dynamics, limits, grid)
     push = 0.5 * np.diff(speed**2) / np.diff(grid)
     square, middle = 0.5 * (speed[1:] ** 2 + speed[:-1] ** 2), 0.5 * (grid[1:] + grid[:-1])
     first, second = path.evaluate(middle, 1), path.evaluate(middle, 2)

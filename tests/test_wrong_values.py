@@ -73,6 +73,7 @@ NO_MATRIX: tuple[Any, ...] = (None, "12", 1.0, [], [[]], [1.0, 2.0], [[1.0], [1.
     [[INF] * 4], [[None] * 4], [[1j] * 4], np.zeros((2, 3, 4)), {}, object(), np.array([[object()]]))  # fmt: skip
 NO_OBJECT: tuple[Any, ...] = (None, "scene", 1.0, [], {}, object(), Path("scene.yaml"))
 
+ROBOT = hplan.load_robot()
 START, GOAL = Start(joints_deg=(0.0,) * 4), Goal(joints_deg=(0.0, 45.0, 60.0, 70.0))
 
 
@@ -92,19 +93,19 @@ def a_planner() -> hplan.Planner:
         Sphere(name="ball", center=(1.0, 0.0, 1.9), radius=0.1),
         Sphere(name="b", center=(3.0, 0, 0), radius=1.0),
     )
-    return hplan.Planner(hplan.load_robot(), a_scene(obstacles=obstacles))
+    return hplan.Planner(ROBOT, a_scene(obstacles=obstacles))
 
 
 @cache
 def a_running_planner() -> hplan.Planner:
-    planner = hplan.Planner(hplan.load_robot(), a_scene(), hplan.PlanOptions(effort="quick"))
+    planner = hplan.Planner(ROBOT, a_scene(), hplan.PlanOptions(effort="quick"))
     planner.plan()
     return planner
 
 
 def a_trajectory(**changes: Any) -> hplan.Trajectory:
     rows = np.zeros((2, 4))
-    fields = {"joint_names": hplan.load_robot().joint_names, "time": [0.0, 1.0],
+    fields = {"joint_names": ROBOT.joint_names, "time": [0.0, 1.0],
         "position": rows, "velocity": rows, "acceleration": rows, "torque": rows}  # fmt: skip
     return hplan.Trajectory(**{**fields, **changes})
 
@@ -239,7 +240,7 @@ CASES: dict[str, Case] = {
     ),
     "finish": (
         lambda **given: hplan.finish(**given),
-        {"robot": hplan.load_robot(), "scene": a_scene(), "waypoints": ([0.0] * 4, [0.1] * 4)},
+        {"robot": ROBOT, "scene": a_scene(), "waypoints": ([0.0] * 4, [0.1] * 4)},
         "robot:object scene:object waypoints:matrix",
         {"options": NO_OBJECT[1:], "keep_within_rad": (*NO_POSITIVE[1:], 1e-5)},
     ),
@@ -291,10 +292,10 @@ CASES: dict[str, Case] = {
         "t:size",
         {"now": (*NO_NUMBER[1:], -1.0, 99.0)},
     ),
-    "Trajectory.stop_at": (a_trajectory().stop_at, {"t": 0.5, "robot": hplan.load_robot()}, "t:size robot:object", {}),
+    "Trajectory.stop_at": (a_trajectory().stop_at, {"t": 0.5, "robot": ROBOT}, "t:size robot:object", {}),
     "Trajectory.scaled": (
         a_trajectory().scaled,
-        {"profile": 0.5, "robot": hplan.load_robot()},
+        {"profile": 0.5, "robot": ROBOT},
         "profile:positive robot:object",
         {},
     ),
@@ -325,7 +326,7 @@ CASES: dict[str, Case] = {
     ),
     "write_text": (write_text, {"path": "a", "text": ""}, "path:path", {"text": ("\ud800", None, b"")}),
     "Robot.check_configuration": (
-        hplan.load_robot().check_configuration,
+        ROBOT.check_configuration,
         {"q": [0.0] * 4, "which": "start"},
         "",
         {"q": (None, "0000", 1.0)},
@@ -419,29 +420,29 @@ CASES: dict[str, Case] = {
     ),
     "limits_of": (
         limits_of,
-        {"model": hplan.load_robot().model, "acceleration": 1.0},
+        {"model": ROBOT.model, "acceleration": 1.0},
         "model:object",
         {"acceleration": (None, "a", NAN), "jerk": ("a", NAN, -1.0), "torque": (None, "no")},
     ),
     "limit_shares": (
         limit_shares,
-        {"trajectory": a_trajectory(), "limits": limits_of(hplan.load_robot().model, 1.0)},
+        {"trajectory": a_trajectory(), "limits": limits_of(ROBOT.model, 1.0)},
         "trajectory:object limits:object",
         {},
     ),
     "time_waypoints": (
         time_waypoints,
         {
-            "model": hplan.load_robot().model,
+            "model": ROBOT.model,
             "waypoints": [[0.0] * 4, [0.1] * 4],
-            "limits": limits_of(hplan.load_robot().model, 1.0),
+            "limits": limits_of(ROBOT.model, 1.0),
         },
         "model:object waypoints:matrix limits:object deviation_rad:positive rate_hz:positive speed:positive",
         {},
     ),
     "read_machine": (
         read_machine,
-        {"path": str(hplan.load_robot().urdf_path)},
+        {"path": str(ROBOT.urdf_path)},
         "path:file",
         {"joints": ("wrist", 1, [1]), "hold": (1, "wrist", {"wrist": "a"})},
     ),
@@ -459,10 +460,10 @@ CASES: dict[str, Case] = {
         "",
         {"clock": (*NO_MATRIX[:3], [NAN], [[0.0]])},
     ),
-    "Robot.tool_positions": (hplan.load_robot().tool_positions, {"q": [0.0] * 4}, "", {"q": (None, "1234", 1.0)}),
-    "Robot.yaw_of": (hplan.load_robot().yaw_of, {"q": [0.0] * 4}, "", {"q": (None, "0000", 1.0)}),
-    "Robot.plane_at": (hplan.load_robot().plane_at, {"yaw": 0.0}, "yaw:number", {}),
-    "Robot.sway": (hplan.load_robot().sway, {"deviation": 0.1}, "", {"deviation": (None, "0.1", NAN)}),
+    "Robot.tool_positions": (ROBOT.tool_positions, {"q": [0.0] * 4}, "", {"q": (None, "1234", 1.0)}),
+    "Robot.yaw_of": (ROBOT.yaw_of, {"q": [0.0] * 4}, "", {"q": (None, "0000", 1.0)}),
+    "Robot.plane_at": (ROBOT.plane_at, {"yaw": 0.0}, "yaw:number", {}),
+    "Robot.sway": (ROBOT.sway, {"deviation": 0.1}, "", {"deviation": (None, "0.1", NAN)}),
     "plan progress": (hplan.plan, {"robot": None, "scene": None}, "", {"progress": (None, 5, "print")}),
     "Playback.of": (Playback.of, {"result": None}, "result:object", {}),
     "Playback": (
@@ -525,7 +526,7 @@ def test_a_wrong_value_is_an_error_of_our_own(
     tree.write_text("kind,x1,y1,z1,x2,y2,z2,radius\ntrunk,0,0,0,0,0,1,0.05\nbranch,0,0,1,0.5,0,1.5,0.02\n")
     objects = {
         "paths": [tree],
-        "robot": hplan.load_robot(),
+        "robot": ROBOT,
         "scene": a_scene(),
         "trajectory": a_trajectory(),
         "motion": a_trajectory(),
@@ -561,7 +562,7 @@ def test_csv_readers_take_plain_decimal_numbers_only(text: str, tmp_path: Path) 
     readers: list[tuple[str, Callable[[], object]]] = [
         (whole, lambda: hplan.read_csv(path)),
         (whole, lambda: read_motion(path)),
-        (whole, lambda: read_waypoints(path, hplan.load_robot().joint_names)),
+        (whole, lambda: read_waypoints(path, ROBOT.joint_names)),
         (tree, lambda: import_capsules(path)),
     ]
     for content, read in readers:

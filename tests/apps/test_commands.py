@@ -7,6 +7,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -133,20 +134,18 @@ def test_help_loads_nothing_heavy(arguments: list[str]) -> None:
 # Terminals and signals
 
 
-@pytest.mark.parametrize("command", ["certify", "time"])
-def test_a_command_needs_no_terminal(command: str, folder: Path) -> None:
+@pytest.mark.parametrize(
+    ("command", "terminal", "said"),
+    [
+        ("certify", "> /dev/full", "cannot write to standard output: No space left on device\n"),
+        ("time", ">&-", ""),
+    ],
+)
+def test_a_command_needs_no_terminal(command: str, terminal: str, said: str, folder: Path) -> None:
     """What it says goes nowhere; the status is that of the job."""
-    for terminal in ("> /dev/full", ">&-"):
-        line = f'set -o pipefail; "$0" -m hplan.apps.cli "$@" {terminal}'
-        done = subprocess.run(
-            ["bash", "-c", line, sys.executable, *GOOD[command]],
-            cwd=folder,
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-        full = "cannot write to standard output: No space left on device\n" if "full" in terminal else ""
-        assert (done.returncode, done.stderr) == (0, full)
+    line = ["bash", "-c", f'"$0" -m hplan.apps.cli "$@" {terminal}', sys.executable, *GOOD[command]]
+    done = subprocess.run(line, cwd=folder, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, said)
 
 
 @pytest.mark.parametrize("command", [name for name in GOOD if name not in ("completion", "execute", "certify")])
@@ -171,27 +170,30 @@ def test_something_missing_is_one_line(
     ("command", "number"), [("plan", signal.SIGINT), *((command, signal.SIGTERM) for command in INSIDE)]
 )
 def test_a_signal_ends_a_command_and_leaves_nothing(
-    command: str, number: signal.Signals, folder: Path, tmp_path: Path
+    command: str,
+    number: signal.Signals,
+    folder: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
+    """In this process; in one of its own in `test_job_folder`."""
     work = shutil.copytree(
         folder, tmp_path / "work", ignore=shutil.ignore_patterns("new", "timed.csv", "out", "orchard.yaml")
     )
     before = {path: path.read_bytes() for path in work.rglob("*") if path.is_file()}
-    module, function = INSIDE[command]
-    code = (
-        "import os, signal, sys, time\n"
-        # Started in the background, or under nohup, a process is told to ignore them.
-        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
-        "signal.signal(signal.SIGTERM, signal.SIG_DFL)\n"
-        f"import {module} as module\n"
-        f"module.{function} = lambda *_, **__: (os.kill(os.getpid(), {int(number)}), time.sleep(60))\n"
-        "from hplan.apps.cli.main import main\nsys.exit(main(sys.argv[1:]))"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code, *GOOD[command]], cwd=work, capture_output=True, text=True, check=False
-    )
-    said = "interrupted\n" if number == signal.SIGINT else "ended by SIGTERM\n"
-    assert (done.returncode, done.stdout, done.stderr) == (128 + number, "", said)
+    monkeypatch.chdir(work)
+    monkeypatch.setattr(".".join(INSIDE[command]), lambda *_, **__: (signal.raise_signal(number), time.sleep(60)))
+    # Started in the background, or under nohup, a process is told to ignore them.
+    kept = {each: signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)}
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    try:
+        assert main(GOOD[command]) == 128 + number
+    finally:
+        for each, handler in kept.items():
+            signal.signal(each, handler)
+    assert capsys.readouterr() == ("", "interrupted\n" if number == signal.SIGINT else "ended by SIGTERM\n")
     assert {path: path.read_bytes() for path in work.rglob("*") if path.is_file()} == before
 
 

@@ -71,7 +71,7 @@ def drawn(random: np.random.Generator, count: int) -> tuple[BoolArray, Samples]:
 @pytest.mark.parametrize("count", [7, 64, 140])
 def test_as_by_sets_of_states(count: int) -> None:
     random, found = np.random.default_rng(count), []
-    for _ in range(60 if count < 64 else 15):
+    for _ in range(60 if count < 64 else 8):
         free, samples = drawn(random, count)
         found.append(is_reachable(packed(free), samples))
         assert found[-1] == plain(free, samples)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
@@ -125,14 +125,27 @@ def assert_sound(robot: Robot, scene: Scene, result: TourResult) -> None:
         for leg in result.legs
         if leg.grasp is not None
     )
+    checker_at = checkers(robot, scene, result)
     for row in range(0, motion.samples, 3):
-        here = [ball for ball in scene.solids_with_goal if result.picked.get(ball.name, math.inf) > motion.time[row]]
-        checker = CoalScene(robot, here)
+        checker = checker_at(motion.time[row])
         distances = checker.distances(motion.position[row])
         for column, name in enumerate(checker.obstacle_names):
             begin, end = contact.get(name, (math.inf, -math.inf))
             touching = begin - 1e-9 <= motion.time[row] <= end
             assert distances[: -1 if touching else None, column].min() > 0.0, (name, motion.time[row])
+
+
+def checkers(robot: Robot, scene: Scene, result: TourResult) -> Callable[[float], CoalScene]:
+    """What is still there at a time, in coal."""
+    made: dict[int, CoalScene] = {}
+
+    def at(time: float) -> CoalScene:
+        here = [solid for solid in scene.solids_with_goal if result.picked.get(solid.name, math.inf) > time]
+        if len(here) not in made:  # fruits go one by one
+            made[len(here)] = CoalScene(robot, here)
+        return made[len(here)]
+
+    return at
 
 
 def test_order_is_best_and_certified(robot: Robot, scene: Scene, tour: TourResult) -> None:
@@ -149,11 +162,10 @@ def test_order_is_best_and_certified(robot: Robot, scene: Scene, tour: TourResul
 
 
 def test_no_other_order_is_faster(robot: Robot, scene: Scene, tour: TourResult) -> None:
-    for order in itertools.permutations("abcd"):
-        if order[0] in "ab" and order[1] in "cd":  # some of them are enough
-            other = plan_tour(robot, scene, OPTIONS, fruits=order, tour=TourOptions(order="given"))
-            assert other.order == order
-            assert other.duration >= tour.duration - 1e-9
+    for order in (tour.order[::-1], (*tour.order[1:], tour.order[0]), (*tour.order[2:], *tour.order[:2])):
+        other = plan_tour(robot, scene, OPTIONS, fruits=order, tour=TourOptions(order="given"))
+        assert other.order == order
+        assert other.duration >= tour.duration - 1e-9
 
 
 def test_costs_are_on_a_raster(robot: Robot, scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -204,11 +216,11 @@ def test_what_is_carried_is_clear_as_well(robot: Robot, scene: Scene, carried: T
     thick = carrying(robot, 0.04)
     np.testing.assert_allclose(thick.arm.half_widths, [0.05, 0.04, 0.04], rtol=0, atol=1e-12)
     motion, contact = carried.trajectory, times_of_contact(carried)
+    checker_at = checkers(thick, scene, carried)
     for name in carried.order:
         inside = (motion.time >= carried.picked[name]) & (motion.time <= carried.dropped[name])
         for row in np.flatnonzero(inside)[::4]:
-            solids = [s for s in scene.solids_with_goal if carried.picked.get(s.name, math.inf) > motion.time[row]]
-            checker = CoalScene(thick, solids)
+            checker = checker_at(motion.time[row])
             distances = checker.distances(motion.position[row])
             for column, other in enumerate(checker.obstacle_names):
                 begin, end = contact.get(other, (math.inf, -math.inf))

@@ -40,19 +40,15 @@ class Hulls(NamedTuple):
 
 
 class ArmPlane(NamedTuple):
-    """The arm plane over an interval of yaw.
+    """The arm plane.
 
     Attributes:
-        origin: (3,) a point of the plane in the middle of the interval [m].
-        axes: (3, 3) rows: its horizontal and upward axis and its normal there.
-        half_angle: Half of the interval, less than a right angle; above 0 the plane must be vertical.
-        yaw_axis: (2,) where the vertical stands about which it turns [m].
+        origin: (3,) a point of the plane [m].
+        axes: (3, 3) rows: its horizontal and upward axis and its normal.
     """
 
     origin: FloatArray
     axes: FloatArray
-    half_angle: float
-    yaw_axis: FloatArray
 
 
 class LinkExtents(NamedTuple):

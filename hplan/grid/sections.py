@@ -10,8 +10,7 @@ points grown by a radius.
 - Core of two points equally far from the plane (capsule along it): a stadium, exact.
 - Any other core: a rounded polygon around :math:`S` that stands out by `SECTION_ERROR` at most.
 
-`hplan.grid.hull_section` says how that is found. Over an interval of yaw the section is a bound on the union, as
-`hplan.grid.section_kernels` shows.
+`hplan.grid.hull_section` says how that is found.
 
 Where the arm can touch itself (`hplan.robot.self_contact`), turret and pedestal are more obstacles to the links that
 can touch them. What turns with the arm plane, or is round about the yaw axis, is cut the same at every yaw. Links
@@ -43,9 +42,6 @@ LINK_MODELS: tuple[LinkModel, ...] = ("capsule", "paper", "rectangle")
 
 #: No point of a section without a closed form is farther than this outside the true one [m].
 SECTION_ERROR = 1e-3
-
-#: Half of a yaw interval is at most this: beyond, its ends would bound nothing of use.
-_MAX_HALF_ANGLE = 0.25 * math.pi
 
 
 class SectionArrays(NamedTuple):
@@ -107,37 +103,25 @@ def sections_at(
     obstacles: PreparedObstacles,
     yaw: float = 0.0,
     *,
-    half_angle: float = 0.0,
     link_model: LinkModel = "capsule",
     within_reach: bool = True,
 ) -> ArmSections:
-    """Cut prepared obstacles, and what the arm can touch of itself, by the arm plane over an interval of yaw.
-
-    With an interval a section holds the union of the sections at all its yaws, in the plane coordinates of each. A
-    configuration in which a link meets an obstacle, capsules as links, is therefore occupied at every yaw of the
-    interval.
+    """Cut prepared obstacles, and what the arm can touch of itself, by the arm plane at a yaw.
 
     Args:
-        yaw: Yaw of the arm plane, the middle of the interval.
-        half_angle: Half of the interval's width.
+        yaw: Yaw of the arm plane.
         within_reach: Leave out sections that the link cannot reach, whatever the joint angles.
 
     Raises:
-        OptionError: Unknown link model, `rectangle` with an obstacle that is no ball, a yaw that is not finite, or a
-            half angle that is negative, too large, or above 0 for an arm without yaw.
+        OptionError: Unknown link model, `rectangle` with an obstacle that is no ball, a yaw that is not finite.
     """
     one_of("link_model", link_model, LINK_MODELS)
     if not math.isfinite(yaw):
         raise OptionError("yaw", yaw, "a finite angle")
-    largest = _MAX_HALF_ANGLE if robot.has_yaw else 0.0
-    if not 0.0 <= half_angle <= largest:
-        reason = "" if robot.has_yaw else ", as this arm has no yaw"
-        raise OptionError("half_angle", half_angle, f"an angle from 0 to {largest:.6g} rad{reason}")
     hulls = obstacles.hulls.owners
     if link_model == "rectangle" and len(hulls):
         raise balls_only(obstacles.names[int(hulls[0])])
-    half_angle = float(half_angle)
-    sections = _cut(robot, obstacles, yaw, half_angle, link_model, within_reach=within_reach)
+    sections = _cut(robot, obstacles, yaw, link_model, within_reach=within_reach)
     if obstacles.touched >= 0:
         links = sections.links
         may_touch = (sections.obstacle_of == obstacles.touched) & (links == robot.arm.link_count - 1)
@@ -148,7 +132,7 @@ def sections_at(
         others = tuple(body for body in contact.bodies if not body.follows_arm_plane)
         sections = _joined(sections, _constant_sections(robot, same, obstacles))
         if others:
-            sections = _joined(sections, _base_sections(robot, others, obstacles, yaw, half_angle))
+            sections = _joined(sections, _base_sections(robot, others, obstacles, yaw))
     if contact.bodies or contact.links:
         sections = _with_own_pairs(sections, robot, contact, obstacles)
     return sections
@@ -163,7 +147,6 @@ def _cut(
     robot: Robot,
     obstacles: PreparedObstacles,
     yaw: float,
-    half_angle: float,
     link_model: LinkModel,
     *,
     within_reach: bool,
@@ -180,8 +163,8 @@ def _cut(
         lateral=np.array(robot.arm.lateral),
     )
     origin, axes = (np.ascontiguousarray(array) for array in robot.plane_at(yaw))
-    plane = ArmPlane(origin, axes, half_angle, np.array(robot.yaw_axis))
-    cut = cut_balls(obstacles.balls, plane, links, rectangle, SECTION_ERROR)
+    plane = ArmPlane(origin, axes)
+    cut = cut_balls(obstacles.balls, plane, links)
     if len(obstacles.hulls.owners):
         # Left out where there is none: this kernel takes longest to compile.
         cut = cut_hulls(obstacles.hulls, plane, links, SECTION_ERROR, cut)
@@ -234,16 +217,14 @@ def _constant_sections(robot: Robot, parts: Sequence[BaseBody], obstacles: Prepa
     known, kept = _BASE.get(robot, {}), (obstacles.own_clearance, obstacles.deviation)
     if kept not in known:
         # A table of one, replaced and never changed: another thread may hold the one before.
-        known = _BASE[robot] = {kept: _base_sections(robot, parts, obstacles, 0.0, 0.0)}
+        known = _BASE[robot] = {kept: _base_sections(robot, parts, obstacles, 0.0)}
     return known[kept]
 
 
-def _base_sections(
-    robot: Robot, parts: Sequence[BaseBody], obstacles: PreparedObstacles, yaw: float, half_angle: float
-) -> ArmSections:
+def _base_sections(robot: Robot, parts: Sequence[BaseBody], obstacles: PreparedObstacles, yaw: float) -> ArmSections:
     """Sections of parts of turret and pedestal, to each link that can touch them."""
     grown = prepare_obstacles(parts, clearance=obstacles.own_clearance, deviation=obstacles.deviation)
-    cut = _cut(robot, grown, yaw, half_angle, "capsule", within_reach=True)
+    cut = _cut(robot, grown, yaw, "capsule", within_reach=True)
     links = cut.links
     wanted = [link in parts[body].links for link, body in zip(links, cut.obstacle_of, strict=True)]
     return _picked(cut, np.flatnonzero(wanted), links)

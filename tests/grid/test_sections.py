@@ -36,14 +36,12 @@ class Solid:
     name: str = "solid"
 
 
-def cut(
-    obstacle, *, origin=(0.0, 0.0, 0.0), axes=UPRIGHT, half_angle=0.0, reach=math.inf, axis=(0.0, 0.0), lateral=0.0
-):
+def cut(obstacle, *, axes=UPRIGHT):
     """Sections of one obstacle with a plane, for a link of no width."""
     prepared, none = prepare_obstacles([obstacle]), np.zeros(1)
-    plane = ArmPlane(np.array(origin, dtype=float), axes, half_angle, np.array(axis))
-    links = LinkExtents(none, none, np.array([reach]), np.array([lateral]))
-    sections = cut_balls(prepared.balls, plane, links, False, SECTION_ERROR)
+    plane = ArmPlane(np.zeros(3), axes)
+    links = LinkExtents(none, none, np.array([math.inf]), none)
+    sections = cut_balls(prepared.balls, plane, links)
     if len(prepared.hulls.owners):
         sections = cut_hulls(prepared.hulls, plane, links, SECTION_ERROR, sections)
     link_start, vertex_start, vertices, discs, _ = sections
@@ -188,13 +186,12 @@ def test_plane_that_just_touches(core, side):
     assert np.ptp(near.vertices, axis=0).max() <= spread + 2e-3
 
 
-@pytest.mark.parametrize("half_angle", [0.0, 0.01])
 @pytest.mark.parametrize("size", [1e-9, 1e-4, 1e3, 1e6])
-def test_any_size_ends(size, half_angle):
+def test_any_size_ends(size):
     core = size * np.array([[-1.0, 0.3, -1.0], [1.0, 0.1, 1.0], [0.2, -0.7, 0.4], [0.3, 0.2, -0.5]])
     for count in (1, 2, 4):
         solid = Solid(core[-count:] - core[-1] * [0.0, 1.0, 0.0], 0.1 * size)
-        (section,) = cut(solid, half_angle=half_angle)
+        (section,) = cut(solid)
         assert np.isfinite(section.vertices).all()
         assert len(section.vertices) <= 256
 
@@ -208,125 +205,6 @@ def test_many_core_points():
     directions = unit(np.linspace(0.0, 7.0, 99))
     stands_out = support_of(section, directions) - supports(points, 0.05, directions)
     assert 0.0 <= stands_out.min() <= stands_out.max() <= SECTION_ERROR
-
-
-# An interval of yaw, against bodies that are turned point by point
-
-
-def turned(points, angle):
-    c, s = math.cos(angle), math.sin(angle)
-    return points @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
-
-
-def random_core(kind, rng, size, place):
-    if kind == "ball":
-        return place[None]
-    if kind == "capsule":
-        return place + size * rng.normal(size=(2, 3)) * rng.choice([1.0, 0.1], 3)
-    if kind == "box":
-        return place + (BOX_CORNERS * size * rng.uniform(0.1, 2.0, 3)) @ np.linalg.qr(rng.normal(size=(3, 3)))[0]
-    return place + size * rng.normal(size=(rng.integers(3, 20), 3))
-
-
-def inside_of_a_body(core, radius, rng, count=100):
-    """Core points: the corners, points between any two, and means of all."""
-    pairs = core[rng.integers(len(core), size=(count, 2))]
-    shares = rng.uniform(size=(count, 1))
-    weights = rng.dirichlet(np.full(len(core), 0.3), count)
-    return np.vstack([core, shares * pairs[:, 0] + (1.0 - shares) * pairs[:, 1], weights @ core])
-
-
-def check_interval(core, radius, origin, half_angle, reach, rng):
-    """All discs that a turned body shows lie in the section, as far as the arm reaches."""
-    sections = cut(Solid(core, radius), origin=origin, half_angle=half_angle, reach=reach)
-    seen = 0
-    for angle in (-half_angle, half_angle, 0.0, *rng.uniform(-half_angle, half_angle, 3)):
-        inner = (turned(inside_of_a_body(core, radius, rng), -angle) - origin) @ UPRIGHT.T
-        shown = inner[np.abs(inner[:, 2]) <= radius]
-        rims = np.sqrt(radius**2 - shown[:, 2] ** 2)[:, None, None] * unit(np.linspace(0.0, 6.0, 12))
-        points = (shown[:, None, :2] + rims).reshape(-1, 2)
-        points = points[np.linalg.norm(points, axis=1) <= reach]
-        seen += len(points)
-        if len(points):
-            assert len(sections) == 1
-            # Of what turned the last bits are lost, the more of them the farther away.
-            assert beyond(sections[0], points).max() <= 1e-15 * np.abs(core).max()
-    return seen
-
-
-PLACES = {
-    "before the arm": [1.3, 0.0, 1.0],
-    "beside the plane": [1.3, 0.06, 1.0],
-    "behind the base": [-1.2, 0.02, 0.7],
-    "on the axis": [0.0, 0.0, 0.8],
-    "round the axis": [0.05, -0.03, 0.4],
-    "far away": [30.0, 0.1, 2.0],
-}
-
-
-@settings(max_examples=100)
-@given(
-    st.integers(0, 2**32 - 1),
-    st.sampled_from(["ball", "capsule", "box", "hull"]),
-    st.sampled_from(list(PLACES)),
-    st.sampled_from([1e-4, 0.02, 0.3, 3.0, 100.0]),
-    st.sampled_from([1e-6, 0.02, 0.1, 1.5]),
-    st.sampled_from([1e-9, 0.005, 0.0175, 0.05, 0.5]),
-    st.sampled_from([(0.0, 0.0, 0.6), (0.25, 0.0, 0.5), (-0.12, 0.16, 0.5), (0.1, 1e-7, 0.4)]),
-    st.sampled_from([2.2, math.inf]),
-)
-def test_interval_holds_all_that_turns_through_the_plane(seed, kind, place, size, radius, half_angle, origin, reach):
-    rng = np.random.default_rng(seed)
-    core = random_core(kind, rng, size, np.array(PLACES[place]) + rng.normal(size=3) * rng.choice([0.0, 0.02]))
-    check_interval(core, radius, np.array(origin), half_angle, reach, rng)
-
-
-@pytest.mark.parametrize("kind", ["ball", "capsule", "box", "hull"])
-@pytest.mark.parametrize("origin", [(0.0, 0.0, 0.6), (-0.12, 0.16, 0.5), (0.1, -0.4, 0.5)])
-def test_small_body_that_only_an_end_of_the_interval_meets(kind, origin):
-    """Also where the plane passes beside the axis."""
-    rng = np.random.default_rng(2)
-    for radius in (0.01, 0.1):
-        for end in (-1.0, 1.0):
-            in_plane = np.add(origin, [1.4, end * 0.8 * radius, 0.3])
-            core = turned(random_core(kind, rng, 1e-3, np.zeros(3)) + in_plane, end * 0.2)
-            assert check_interval(core, radius, np.array(origin), 0.2, math.inf, rng) > 100
-
-
-def test_core_that_touches_the_axis():
-    rng = np.random.default_rng(0)
-    for core in ([[0, 0, 0], [0, 0, 2]], [[0, 0, 1], [1, 0, 1]], [[-1, 0, 1], [1, 0, 1]], [[0, -1, 1], [0, 1, 1]]):
-        check_interval(np.array(core, dtype=float), 0.03, np.array([0.0, 0.0, 0.6]), 0.03, math.inf, rng)
-
-
-@pytest.mark.parametrize("kind", ["ball", "capsule", "box"])
-def test_interval_is_tight(kind):
-    """Over a degree each way nothing stands farther than 4 mm outside the hull of the sections at 41 yaws."""
-    rng = np.random.default_rng(11)
-    origin, half_angle, directions = np.array([0.0, 0.0, 0.6]), math.radians(1.0), unit(np.linspace(0.0, 6.3, 91))
-    worst = []
-    for _ in range(60):
-        place = np.array([rng.uniform(0.7, 2.0), rng.uniform(-0.05, 0.05), rng.uniform(0.2, 2.0)])
-        core, radius = random_core(kind, rng, rng.choice([0.1, 0.5]), place), rng.choice([0.03, 0.08])
-        union = np.full(len(directions), -np.inf)
-        for angle in np.linspace(-half_angle, half_angle, 41):
-            local = (turned(core, -angle) - origin) @ UPRIGHT.T
-            if local[:, 2].min() <= radius and local[:, 2].max() >= -radius:
-                union = np.maximum(union, supports(local, radius, directions))
-        sections = cut(Solid(core, radius), origin=origin, half_angle=half_angle)
-        if sections and np.isfinite(union).all() and len(sections[0].vertices):
-            worst.append((support_of(sections[0], directions) - union).max())
-    assert len(worst) > 20
-    assert np.median(worst) < 1.2e-3
-    assert np.percentile(worst, 90) < (1e-4 if kind == "ball" else 4e-3)
-
-
-@pytest.mark.parametrize(("aside", "seen"), [(0.15, 1), (0.3, 0)])
-def test_what_is_far_from_a_yaw_axis_off_the_origin_is_seen(aside, seen):
-    """By 0.1 rad a hull at the origin moves 0.2 m sideways about an axis 2 m away."""
-    core = np.array([0.0, aside, 1.0]) + 0.02 * BOX_CORNERS
-    axis = (2.0, 0.0)
-    assert len(cut(Solid(core, 0.01), origin=(*axis, 0.6), half_angle=0.1, axis=axis)) == seen
 
 
 # Sections for an arm
@@ -415,16 +293,15 @@ def test_rectangle_takes_a_ball_beside_its_flank_as_nearer(robot):
 
 
 @pytest.mark.parametrize("name", [name for name in VARIANTS if VARIANTS[name][0]])
-def test_coal_finds_no_collision_outside_the_sections_of_an_interval(name, tmp_path):
+def test_coal_finds_no_collision_outside_the_sections(name, tmp_path):
     robot = load_variant(name, tmp_path)
     rng = np.random.default_rng(13)
     collisions = clear = 0
     for _ in range(12):
-        yaw, half_angle = rng.uniform(-2.5, 2.5), rng.choice([0.004, 0.02, 0.1])
-        obstacles = random_obstacles(rng)
-        sections = sections_at(robot, prepare_obstacles(obstacles, clearance=0.01), yaw, half_angle=half_angle)
+        yaw, obstacles = rng.uniform(-2.5, 2.5), random_obstacles(rng)
+        sections = sections_at(robot, prepare_obstacles(obstacles, clearance=0.01), yaw)
         q = rng.uniform(robot.lower, robot.upper, (300, robot.dof))
-        q[:, 0] = yaw + half_angle * rng.choice([-1.0, 1.0, *rng.uniform(-1.0, 1.0, 3)], len(q))
+        q[:, 0] = yaw
         theirs = CoalScene(robot, obstacles).in_collision(q, margin=0.01 - 1e-9)
         ours = met(robot, sections, q)
         assert not (theirs & ~ours).any()
@@ -443,20 +320,6 @@ def met(robot, sections, q):
             vertices = sections.vertices[sections.vertex_start[s] : sections.vertex_start[s + 1]]
             found |= segment_polygon(points[:, k], points[:, k + 1], vertices) <= sections.radii[s]
     return found
-
-
-@pytest.mark.parametrize("link_model", LINK_MODELS)
-def test_interval_holds_the_occupancy_at_each_yaw(robot, link_model):
-    rng = np.random.default_rng(17)
-    grid = joint_grid(robot.arm, math.radians(6.0))
-    balls = [random_solid("sphere", rng) for _ in range(4)]
-    bodies, half_angle = prepare_obstacles(balls), 0.03
-    whole = occupancy(robot.arm, sections_at(robot, bodies, 0.1, half_angle=half_angle, link_model=link_model), grid)
-    union = np.zeros(grid.shape, dtype=bool)
-    for yaw in np.linspace(0.1 - half_angle, 0.1 + half_angle, 9):
-        union |= occupancy(robot.arm, sections_at(robot, bodies, yaw, link_model=link_model), grid).occupied
-    assert not (union & ~whole.occupied).any()
-    assert 0 < union.sum() <= whole.occupied.sum() <= 1.03 * union.sum()
 
 
 def test_out_of_reach_changes_nothing_but_the_number_of_sections(robot):
@@ -482,19 +345,16 @@ def same(first, second, *but):
             np.testing.assert_array_equal(getattr(first, field.name), getattr(second, field.name), field.name)
 
 
-@pytest.mark.parametrize("half_angle", [0.0, 0.02])
 @pytest.mark.parametrize("link_model", LINK_MODELS)
-def test_loose_points_are_balls(robot, half_angle, link_model):
+def test_loose_points_are_balls(robot, link_model):
     rng = np.random.default_rng(23)
     points = rng.uniform([-2.0, -0.2, 0.0], [2.0, 0.2, 2.0], (500, 3))
     post = Solid(np.array([[1.0, 0.0, 1.0]]), 0.2)
     solids = [Solid(points, 0.02, is_point_set=True, name="cloud"), post]
     prepared = prepare_obstacles(solids, clearance=[0.01, 0.0])
-    cloud = sections_at(robot, prepared, 0.1, half_angle=half_angle, link_model=link_model)
+    cloud = sections_at(robot, prepared, 0.1, link_model=link_model)
     balls = [Solid(point[None], 0.03) for point in points]
-    one_by_one = sections_at(
-        robot, prepare_obstacles([*balls, post]), 0.1, half_angle=half_angle, link_model=link_model
-    )
+    one_by_one = sections_at(robot, prepare_obstacles([*balls, post]), 0.1, link_model=link_model)
     same(cloud, one_by_one, "obstacle_of", "obstacle_names")
     assert len(cloud.radii) > 30
     assert cloud.obstacle_of.tolist() == (one_by_one.obstacle_of == len(points)).astype(int).tolist()
@@ -534,10 +394,3 @@ def test_obstacle_that_is_none(robot, solid):
     with pytest.raises(InputError, match="obstacle 'solid': expected finite core points") as caught:
         arm_sections(robot, [ball, solid])
     assert caught.value.data["name"] == "solid"
-
-
-def test_interval_needs_a_yaw(tmp_path):
-    robot = load_variant("no yaw", tmp_path)
-    assert sections_at(robot, prepare_obstacles([])).radii.size == 0
-    with pytest.raises(OptionError, match="this arm has no yaw"):
-        sections_at(robot, prepare_obstacles([]), half_angle=0.1)

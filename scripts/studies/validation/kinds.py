@@ -3,16 +3,13 @@ r"""The C-space compared with coal on random scenes of every kind of obstacle, w
 Of each scene `configurations` nodes are looked at, on small planar grids with random offsets at many yaws, so that
 nearly every node stands at no round number. Three sides answer for each:
 
-- the *intervals* of `hplan.grid.occupancy` on the sections of `hplan.grid.sections`, at that yaw or over an
-  interval that holds it;
+- the *intervals* of `hplan.grid.occupancy` on the sections of `hplan.grid.sections`, at that yaw;
 - the *distances* of `hplan.collision.clearance_field`, by their sign;
 - *coal* on capsule links placed by Pinocchio, which shares no formula with the other two. It is asked about the solids
   that keep the arm away, about the triangles of meshes as they were given, and all points of clouds.
 
 Configurations that coal forbids the intervals must forbid: others are *missed*, and one is too many. Those that coal
-has free by more than `SPARE` they should leave free: others are *lost*, and at one yaw may be `MOST_LOST`. Over an
-interval of yaw a node counts as free where all yaws looked at are, the ends among them; how much is lost there is told
-and not limited, as an arm that turns by an angle sweeps what no single yaw shows.
+has free by more than `SPARE` they should leave free: others are *lost*, and may be `MOST_LOST`.
 """
 
 from __future__ import annotations
@@ -47,7 +44,7 @@ from hplan.scene.solids import Cloud
 #: Free by more than this, a configuration should be free for the planner [m].
 SPARE: Final = 2e-3
 
-#: Fraction of such configurations that may be forbidden at one yaw.
+#: Fraction of such configurations that may be forbidden.
 MOST_LOST: Final = 0.01
 
 #: Scenes of each kind, and configurations of each scene.
@@ -55,12 +52,6 @@ SCENES, CONFIGURATIONS = 200, 20_000
 
 #: Nodes of a planar grid, about; a scene has as many grids, each at its yaw, as its configurations take.
 NODES: Final = 1_000
-
-#: Yaws looked at in an interval, two of them its ends.
-YAWS_WITHIN: Final = 5
-
-#: Half of an interval of yaw is between these.
-HALF_ANGLES: Final = (math.radians(0.2), math.radians(4.0))
 
 #: coal takes points for tiny triangles: of clouds a distance may be this much too small [m].
 _CLOUD_TOLERANCE: Final = 5e-7
@@ -92,7 +83,6 @@ class KindResult:
 
     Attributes:
         kind: What the scenes hold.
-        layers: Whether sections were over intervals of yaw.
         scenes: Number of scenes.
         configurations: Configurations of all scenes.
         colliding: Those that coal has in collision.
@@ -100,8 +90,7 @@ class KindResult:
         in_contact: Not among the missed: free for the intervals or the distances, in contact for coal up to
             rounding.
         differing: Configurations that the distances decide otherwise than coal.
-        nodes: Nodes that were decided: the configurations, of intervals of yaw the nodes of the planar grids.
-        spare: Nodes that coal has free by more than `SPARE`.
+        spare: Those that coal has free by more than `SPARE`.
         lost: Those of them that the intervals forbid.
         widest_gap_m: Largest distance beyond the clearance at a node that is forbidden and free for coal [m].
         seconds: Time of all scenes [s].
@@ -109,14 +98,12 @@ class KindResult:
     """
 
     kind: Kind
-    layers: bool
     scenes: int
     configurations: int
     colliding: int
     missed: int
     in_contact: int
     differing: int
-    nodes: int
     spare: int
     lost: int
     widest_gap_m: float
@@ -130,8 +117,8 @@ class KindResult:
 
     @property
     def ok(self) -> bool:
-        """True if nothing was missed, distances agree, and at one yaw no more was lost than may be."""
-        return self.missed == self.differing == 0 and (self.layers or self.lost_share <= MOST_LOST)
+        """True if nothing was missed, distances agree, and no more was lost than may be."""
+        return self.missed == self.differing == 0 and self.lost_share <= MOST_LOST
 
 
 @dataclass(frozen=True)
@@ -143,7 +130,7 @@ class KindsValidation:
         seed: Seed of the scenes.
         scenes: Scenes of each kind.
         configurations: Configurations of each scene that were asked for.
-        results: One for each kind, then one for each kind over intervals of yaw.
+        results: One for each kind.
         total_s: Time of it all [s].
     """
 
@@ -174,10 +161,10 @@ def validate_kinds(
     seed: int = 0,
     told: Callable[[KindResult], None] = lambda _: None,
 ) -> KindsValidation:
-    """Compare the C-space with coal on random scenes of each kind: at single yaws, then over intervals of yaw.
+    """Compare the C-space with coal on random scenes of each kind.
 
     Args:
-        robot: The arm; without yaw there are no intervals.
+        robot: The arm.
         kinds: Kinds of obstacles.
         scenes: Scenes of each kind.
         configurations: Configurations of each scene; as many or a few more are looked at.
@@ -195,13 +182,12 @@ def validate_kinds(
         if value < least:
             raise OptionError(name, value, f"a whole number >= {least}")
     results = []
-    for layers in (False, True) if robot.has_yaw else (False,):
-        for kind in kinds:
-            tally = _KindCounts(robot, kind, layers)
-            for number in range(scenes):
-                tally.add(number, random_scene(robot, kind, number, seed=seed), configurations, seed)
-            results.append(tally.result())
-            told(results[-1])
+    for kind in kinds:
+        tally = _KindCounts(robot, kind)
+        for number in range(scenes):
+            tally.add(number, random_scene(robot, kind, number, seed=seed), configurations, seed)
+        results.append(tally.result())
+        told(results[-1])
     return KindsValidation(
         robot=robot.name,
         seed=seed,
@@ -219,8 +205,8 @@ _COUNTS: Final = tuple(field.name for field in fields(KindResult) if field.type 
 class _KindCounts:
     """The counts of one kind, scene by scene."""
 
-    def __init__(self, robot: Robot, kind: Kind, layers: bool) -> None:
-        self._robot, self._kind, self._layers = robot, kind, layers
+    def __init__(self, robot: Robot, kind: Kind) -> None:
+        self._robot, self._kind = robot, kind
         self._tolerance = _CLOUD_TOLERANCE if kind == "points" else CONTACT_TOLERANCE
         self._begin = time.perf_counter()
         self._counts = dict.fromkeys(_COUNTS, 0)
@@ -230,36 +216,26 @@ class _KindCounts:
     def add(self, number: int, made: RandomScene, configurations: int, seed: int) -> None:
         """Look at one scene."""
         robot, clearance = self._robot, made.scene.clearance
-        rng = np.random.default_rng([seed, number, KINDS.index(self._kind), int(self._layers)])
+        rng = np.random.default_rng([seed, number, KINDS.index(self._kind), 0])
         bodies = prepare_obstacles(made.scene.solids, clearance=clearance)
-        looks = _intervals if self._layers else _single_yaws
-        # (nodes, yaws looked at, dof), and (nodes,) whether the node is forbidden
-        q, forbidden = looks(robot, bodies, made.sector, configurations, rng)
-        every = q.reshape(-1, robot.dof)
+        every, forbidden = _at_random_yaws(robot, bodies, made.sector, configurations, rng)
         checker = _CoalWithShapes(robot, made.scene)
         colliding = checker.collides(every, 0.0)
         # A free configuration may still be nearer than `SPARE`.
         spare_clear = ~colliding
         spare_clear[spare_clear] = ~checker.collides(every[spare_clear], SPARE)
-        ours = np.repeat(forbidden, q.shape[1])
         counts = self._counts
         counts["scenes"] += 1
         counts["configurations"] += len(every)
-        counts["nodes"] += len(q)
         counts["colliding"] += int(colliding.sum())
-        counts["missed"] += self._sort(number, "intervals", checker, every[colliding & ~ours], free=True)
-        spare_node, free_node = (mask.reshape(q.shape[:2]).all(axis=1) for mask in (spare_clear, ~colliding))
-        counts["spare"] += int(spare_node.sum())
-        counts["lost"] += int((forbidden & spare_node).sum())
+        counts["missed"] += self._sort(number, "intervals", checker, every[colliding & ~forbidden], free=True)
+        counts["spare"] += int(spare_clear.sum())
+        counts["lost"] += int((forbidden & spare_clear).sum())
         field = ClearanceField.of(robot, made.scene.solids, clearance=clearance)
-        if self._layers:
-            for node in np.flatnonzero(forbidden & free_node):
-                self._widest = max(self._widest, min(field.clearance(configuration) for configuration in q[node]))
-            return
         clear = np.array([field.clearance(configuration) for configuration in every])
         counts["differing"] += self._sort(number, "distances", checker, every[colliding & (clear > 0.0)], free=True)
         counts["differing"] += self._sort(number, "contact", checker, every[~colliding & ~(clear > 0.0)], free=False)
-        self._widest = max(self._widest, float(clear[forbidden & free_node].max(initial=0.0)))
+        self._widest = max(self._widest, float(clear[forbidden & ~colliding].max(initial=0.0)))
 
     def _sort(self, number: int, side: str, checker: _CoalWithShapes, q: FloatArray, *, free: bool) -> int:
         """How many configurations are decided otherwise than by coal, not those in contact up to rounding."""
@@ -276,7 +252,6 @@ class _KindCounts:
         """The result."""
         return KindResult(
             kind=self._kind,
-            layers=self._layers,
             **self._counts,
             widest_gap_m=self._widest,
             seconds=time.perf_counter() - self._begin,
@@ -284,30 +259,16 @@ class _KindCounts:
         )
 
 
-def _single_yaws(
+def _at_random_yaws(
     robot: Robot, bodies: PreparedObstacles, sector: tuple[float, float], configurations: int, rng: np.random.Generator
 ) -> tuple[FloatArray, BoolArray]:
-    """Grids at some yaws: (nodes, 1, dof) configurations and (nodes,) whether each is forbidden."""
+    """Grids at some yaws: (nodes, dof) configurations and (nodes,) whether each is forbidden."""
     q, forbidden = [], []
     for grid in _random_grids(robot, configurations, rng):
         yaw = float(rng.uniform(*sector))
         forbidden.append(occupancy(robot.arm, sections_at(robot, bodies, yaw), grid).occupied.ravel())
-        q.append(_at_yaws(robot, grid, np.array([yaw])))
-    return np.concatenate(q), np.concatenate(forbidden)
-
-
-def _intervals(
-    robot: Robot, bodies: PreparedObstacles, sector: tuple[float, float], configurations: int, rng: np.random.Generator
-) -> tuple[FloatArray, BoolArray]:
-    """Grids at some intervals of yaw: (nodes, yaws, dof) configurations and (nodes,) whether each is forbidden."""
-    q, forbidden = [], []
-    for grid in _random_grids(robot, math.ceil(configurations / YAWS_WITHIN), rng):
-        half_angle = math.exp(rng.uniform(*np.log(HALF_ANGLES)))
-        middle = float(rng.uniform(*sector))
-        yaws = middle + half_angle * np.concatenate([[-1.0, 1.0], rng.uniform(-1.0, 1.0, YAWS_WITHIN - 2)])
-        sections = sections_at(robot, bodies, middle, half_angle=half_angle)
-        forbidden.append(occupancy(robot.arm, sections, grid).occupied.ravel())
-        q.append(_at_yaws(robot, grid, yaws))
+        planar = grid.coordinates(np.stack(np.unravel_index(np.arange(grid.size), grid.shape), axis=-1))
+        q.append(np.column_stack([np.full(len(planar), yaw), planar]) if robot.has_yaw else planar)
     return np.concatenate(q), np.concatenate(forbidden)
 
 
@@ -318,16 +279,6 @@ def _random_grids(robot: Robot, nodes: int, rng: np.random.Generator) -> Iterato
     step = (robot.arm.upper - robot.arm.lower) / count
     for _ in range(math.ceil(nodes / count**links)):
         yield Grid(robot.arm.lower + rng.random(links) * step, step, (count,) * links)
-
-
-def _at_yaws(robot: Robot, grid: Grid, yaws: FloatArray) -> FloatArray:
-    """(nodes, yaws, dof) configurations of all nodes of a grid."""
-    planar = grid.coordinates(np.stack(np.unravel_index(np.arange(grid.size), grid.shape), axis=-1))
-    planar = np.repeat(planar[:, None], len(yaws), axis=1)
-    if not robot.has_yaw:
-        return planar
-    turned = np.broadcast_to(yaws[:, None], (grid.size, len(yaws), 1))
-    return np.concatenate([turned, planar], axis=2)
 
 
 class _CoalWithShapes:

@@ -9,9 +9,12 @@ import coal
 import numpy as np
 import pinocchio as pin
 
+from hplan.collision.coal_shapes import solid_shape
 from hplan.robot.model import Robot, load_robot
 from hplan.robot.self_contact import SelfContact
+from hplan.scene.model import Scene
 from hplan.scene.obstacles import Box, Capsule, Sphere
+from hplan.trajectory.trajectory import Trajectory
 
 UP = "0 -1 0"  # a positive angle lifts the arm
 DOWN = "0 1 0"
@@ -160,3 +163,26 @@ def coal_distances(robot: Robot, q: np.ndarray, obstacles: Sequence[Sphere | Cap
         for s, (solid, at) in enumerate(solids):
             table[k, s] = coal.distance(capsule, place, solid, at, coal.DistanceRequest(), coal.DistanceResult())
     return table
+
+
+def least_by_coal(
+    robot: Robot, scene: Scene, trajectory: Trajectory, step_s: float = 2e-3, begin_s: float = 0.0
+) -> float:
+    """Smallest distance of a link from an obstacle at times, each obstacle put where it is then."""
+    clock = np.append(np.arange(0.0, trajectory.duration, step_s), trajectory.duration)
+    poses, least = scene.poses_at(begin_s + clock), np.inf
+    solids = [(obstacle.name, solid_shape(obstacle)) for obstacle in scene.obstacles]
+    for number, q in enumerate(trajectory.positions(clock)):
+        links = [
+            upright_capsule(*axis, half) for axis, half in zip(link_axes(robot, q), robot.arm.half_widths, strict=True)
+        ]
+        for name, solid in solids:
+            there = solid.placement
+            if name in poses:
+                rotations, shifts = poses[name]
+                there = pin.SE3(rotations[number], shifts[number]) * there
+            place = coal.Transform3s(there.rotation, there.translation)
+            for link, at in links:
+                found = coal.distance(link, at, solid.geometry, place, coal.DistanceRequest(), coal.DistanceResult())
+                least = min(least, found)
+    return float(least)

@@ -5,24 +5,20 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-import coal
 import numpy as np
-import pinocchio as pin
 import pytest
-from arm_variants import axis_points, coal_distances, link_axes, upright_capsule
+from arm_variants import axis_points, coal_distances, least_by_coal
 from fitted_arms import quintic, scene_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hplan.certificate.certificate import certify
 from hplan.collision.coal_scene import CoalScene
-from hplan.collision.coal_shapes import solid_shape
 from hplan.errors import MovingObstacleError, OptionError
 from hplan.robot.model import Robot
-from hplan.scene.model import Fruit, Goal, Scene
+from hplan.scene.model import Fruit, Goal
 from hplan.scene.obstacles import Box, Capsule, Mesh, PointCloud, Sphere
 from hplan.scene.tracks import Sway, Track
-from hplan.trajectory.trajectory import Trajectory
 
 REST = (0.0, 45.0, 45.0, 45.0)
 AWAY = (60.0, 30.0, 50.0, 40.0)
@@ -36,24 +32,6 @@ def track(*points: tuple[float, tuple[float, float, float]], **more) -> Track:
 def shown(certificate) -> bool:
     """Whether the clearance is, whatever is said of limits."""
     return not any("comes to" in violation or "comes into" in violation for violation in certificate.violations)
-
-
-def least_by_coal(robot: Robot, scene: Scene, trajectory: Trajectory, step_s: float, begin_s: float = 0.0) -> float:
-    """Smallest distance of a link from an obstacle at times, each obstacle put where it is then."""
-    clock = np.arange(0.0, trajectory.duration, step_s)
-    (obstacle,) = scene.obstacles
-    solid = solid_shape(obstacle)
-    poses = scene.poses_at(begin_s + clock)[obstacle.name]
-    least = math.inf
-    for q, rotation, shift in zip(trajectory.positions(clock), *poses, strict=True):
-        there = pin.SE3(rotation, shift) * solid.placement
-        place = coal.Transform3s(there.rotation, there.translation)
-        for axis, half_width in zip(link_axes(robot, q), robot.arm.half_widths, strict=True):
-            link, at = upright_capsule(*axis, half_width)
-            least = min(
-                least, coal.distance(link, at, solid.geometry, place, coal.DistanceRequest(), coal.DistanceResult())
-            )
-    return least
 
 
 def tip(robot: Robot, q_deg) -> np.ndarray:

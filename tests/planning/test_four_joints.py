@@ -24,7 +24,7 @@ from planned import (
 )
 
 from hplan.collision.coal_scene import CoalScene
-from hplan.errors import BlockedError, ConfigurationInCollisionError, InputError, NoPathError, UnreachableError
+from hplan.errors import BlockedError, ConfigurationInCollisionError, NoPathError, UnreachableError
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
 from hplan.planning.transits import least_duration
@@ -89,18 +89,6 @@ def test_base_moves_whenever_that_is_better(robot: Robot, turned_deg: float) -> 
     assert free.trajectory.duration < 1.3
 
 
-def test_locked_base_gives_the_planar_problem(robot: Robot, scene: Scene) -> None:
-    result = plan(robot, scene)
-    assert result.occupancy is not None
-    assert result.search is not None
-    assert result.occupancy.grid.shape == (91, 91, 91)
-    assert math.degrees(result.search.cost) == pytest.approx(145.2149523784, abs=1e-9)
-    assert (result.trajectory.position[:, 0] == 0.0).all()
-    elsewhere = task((20.0, 0.0, 0.0, 0.0), (30.0, 45.0, 60.0, 70.0), locked_joints=("base_yaw",))
-    with pytest.raises(InputError, match="joint 'base_yaw' is locked"):
-        plan(robot, elsewhere)
-
-
 def test_a_locked_joint_in_the_plane(robot: Robot) -> None:
     scene = task(
         (0.0, 30.0, 20.0, 20.0), (60.0, 60.0, 20.0, 50.0), [post("post", 30.0, 1.2, 0.0, 2.0)], locked_joints=("elbow",)
@@ -155,14 +143,6 @@ def test_yaw_does_not_pass_its_limits(robot: Robot) -> None:
     result = plan(robot, scene)
     assert_sound(robot, scene, result)
     assert np.ptp(result.trajectory.position[:, 0]) == pytest.approx(math.radians(340.0))
-
-
-def test_start_equal_to_goal(robot: Robot) -> None:
-    scene = task(START, START, [post("post", 30.0, 1.2, 0.0, 2.0)])
-    result = plan(robot, scene)
-    assert result.trajectory.samples == 1
-    assert planner_of(result)[0] == "two-level"
-    assert_sound(robot, scene, result)
 
 
 def test_tracking_error_and_clearance(robot: Robot) -> None:

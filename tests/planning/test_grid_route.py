@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from planned import assert_clear, frame_about_upper_arm, random_scene, task
+from planned import assert_clear, random_scene, task
 
 import hplan.planning.failures
-from hplan.errors import HplanError, NoPathError, OptionError
+from hplan.errors import HplanError, OptionError
 from hplan.grid import reachable
 from hplan.grid.grid import Occupancy
 from hplan.grid.yaw_layers import turning_occupancy, yaw_axis
@@ -86,20 +86,6 @@ def test_beyond_start_and_goal(robot: Robot, monkeypatch: pytest.MonkeyPatch) ->
     assert shown_enclosed(one, GridAttempt(1.0, yaw_range_deg=20.0)) is None
     monkeypatch.setattr(hplan.planning.failures, "WIDTHS", (0.0, 20.0))
     assert without_path([one]) == [None]
-
-
-def test_enclosed_whatever_the_yaw(robot: Robot) -> None:
-    scene = task((0.0, 70.0, 20.0, 20.0), (60.0, 20.0, 20.0, 20.0), frame_about_upper_arm(60.0, 20.0))
-    error = shown_enclosed(posed(robot, scene), GridAttempt(3.0, yaw_range_deg=360.0))
-    assert error is not None
-    assert not error.open_ended
-    whole = error.explained()
-    assert isinstance(whole, NoPathError)
-    assert error.blockers == ()
-    assert {wall["obstacle"] for wall in whole.blockers} <= {f"bar {i}" for i in range(4)}
-    assert whole.blockers
-    assert whole.message.startswith(error.message)
-    assert "is not among them" in whole.message
 
 
 def test_a_region_is_flooded_once(robot: Robot, scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,15 +5,12 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-import coal
 import numpy as np
-import pinocchio as pin
 import pytest
-from arm_variants import link_axes, upright_capsule
+from arm_variants import least_by_coal
 from planned import task
 
 from hplan.certificate.certificate import LIMIT_TOLERANCE
-from hplan.collision.coal_shapes import solid_shape
 from hplan.errors import ConfigurationInCollisionError, MovingObstacleError, ObstacleInTimeError
 from hplan.planning.in_time import _later
 from hplan.planning.moving.obstacles_at import among_poses, without_moving
@@ -45,33 +42,11 @@ def ball(robot: Robot, *points: tuple[float, tuple[float, float, float]], radius
     return Sphere(name="ball", center=center, radius=radius, track=Track(times_s=times, shifts_m=shifts))
 
 
-def least_by_coal(robot: Robot, scene: Scene, result: PlanResult, step_s: float = 2e-3) -> float:
-    """Smallest distance of a link from an obstacle at times, each obstacle put where it is then."""
-    clock = np.arange(0.0, result.trajectory.duration + step_s, step_s)
-    poses = scene.poses_at(clock)
-    least = math.inf
-    for number, q in enumerate(result.trajectory.positions(clock)):
-        links = [
-            upright_capsule(*axis, half) for axis, half in zip(link_axes(robot, q), robot.arm.half_widths, strict=True)
-        ]
-        for obstacle in scene.obstacles:
-            shape = solid_shape(obstacle)
-            there = shape.placement
-            if obstacle.name in poses:
-                rotations, shifts = poses[obstacle.name]
-                there = pin.SE3(rotations[number], shifts[number]) * there
-            place = coal.Transform3s(there.rotation, there.translation)
-            for link, at in links:
-                found = coal.distance(link, at, shape.geometry, place, coal.DistanceRequest(), coal.DistanceResult())
-                least = min(least, found)
-    return least
-
-
 def assert_sound(robot: Robot, scene: Scene, result: PlanResult) -> None:
     motion = result.trajectory
     assert result.certificate.verified
     assert result.report["certificate"]["verified"]
-    assert least_by_coal(robot, scene, result) > 0.0
+    assert least_by_coal(robot, scene, result.trajectory) > 0.0
     for values, limit in (
         (motion.velocity, robot.velocity_limit),
         (motion.acceleration, robot.acceleration_limit),
@@ -183,7 +158,9 @@ def test_the_base_creeps_along_the_row(robot):
     # The same scene with the post moved the other way.
     back = Track(times_s=(0.0, 10.0), shifts_m=((0.0, 0.0, 0.0), (0.0, -2.0, 0.0)))
     other = task(START, GOAL, [post.model_copy(update={"track": back})], **PLANAR)
-    assert least_by_coal(robot, other, result) == pytest.approx(least_by_coal(robot, scene, result), abs=1e-9)
+    assert least_by_coal(robot, other, result.trajectory) == pytest.approx(
+        least_by_coal(robot, scene, result.trajectory), abs=1e-9
+    )
 
 
 def test_a_fruit_is_picked_while_something_passes(robot):

@@ -87,14 +87,6 @@ def test_a_pose_out_of_reach(arm: Robot) -> None:
         plan(arm, scene_of({"position": (9.0, 0.0, 0.0), "quaternion_xyzw": (0.0, 0.0, 0.0, 1.0)}), QUICK)
 
 
-@pytest.mark.parametrize("deadline_s", [5.0])
-def test_with_a_deadline(arm: Robot, deadline_s: float) -> None:
-    scene = scene_of(pose_at(arm, END), POST)
-    found = plan(arm, scene, PlanOptions(effort="quick", deadline_s=deadline_s))
-    assert found.certificate.verified
-    assert reached(arm, scene, found.trajectory.position[-1])
-
-
 @pytest.mark.parametrize("name", ["seven", "panda", "ur5"])
 def test_other_arms(name: str, tmp_path_factory: pytest.TempPathFactory) -> None:
     robot = loaded_arm(name, tmp_path_factory)

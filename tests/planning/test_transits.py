@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from planned import at, between_rows, frame_about_upper_arm, post, task
+from planned import at, between_rows, post, task
 from test_grid_route import ABOVE, BAR, BELOW, posed
 
 from hplan.certificate.certificate import certify
@@ -67,30 +67,6 @@ def test_a_nearer_goal_around_something_beats_a_far_straight_one(robot: Robot) -
     assert number == 0
     assert_motion(robot, near, motion)
     assert motion.trajectory.duration < one_transit([posed(robot, far, OPTIONS)])[1].trajectory.duration
-
-
-@pytest.mark.parametrize("locked", [(), ("base_yaw",)])
-def test_goal_that_is_the_start(robot: Robot, locked: tuple[str, ...]) -> None:
-    scene = task(BELOW, BELOW, BAR, locked_joints=locked)
-    number, motion = one_transit([posed(robot, scene)])
-    assert (number, motion.origin) == (0, "none")
-    assert motion.path is None
-    assert motion.route is None
-    assert motion.trajectory.samples == 1
-
-
-def test_no_path_to_any_goal(robot: Robot) -> None:
-    """The error is that of the first."""
-    bars = frame_about_upper_arm(60.0, 20.0)
-    inside = [task((0.0, 70.0, 20.0, 20.0), (60.0, 20.0, wrist, 20.0), bars) for wrist in (20.0, 40.0)]
-    tasks = [posed(robot, scene, PlanOptions(step_deg=3.0)) for scene in inside]
-    with pytest.raises(NoPathError) as caught:
-        one_transit(tasks)
-    assert caught.value.blockers
-    outside = task((0.0, 70.0, 20.0, 20.0), (100.0, 20.0, 20.0, 20.0), bars)
-    number, motion = one_transit([*tasks, posed(robot, outside, PlanOptions(step_deg=3.0))])
-    assert number == 2
-    assert_motion(robot, outside, motion)
 
 
 def test_locked_base_tries_the_goals_in_turn(robot: Robot) -> None:
@@ -191,10 +167,3 @@ def test_what_cannot_be_repaired(robot: Robot) -> None:
     wall = [post(f"p{i}", 30.0, 0.5 + 0.2 * i, 0.0, 3.0, 0.12) for i in range(8)]
     assert after(robot, before, scene.with_obstacles(wall)) is None
     assert plan(robot, scene.with_obstacles(wall[:3]), OPTIONS).certificate.verified
-
-
-def test_stages_are_announced_in_order(robot: Robot) -> None:
-    seen: list[str] = []
-    found = replace(posed(robot, task(BELOW, ABOVE, BAR), OPTIONS), progress=seen.append)
-    one_transit([found])
-    assert seen == ["trees", "postprocess", "timing", "certificate"]

@@ -11,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from arm_variants import OFFSETS, coal_distances, link_axes, load_variant, random_obstacles
+from fitted_arms import quintic, scene_of
 from studies.planar_cspace import arm_sections, joint_grid
 
 from hplan.base.planar_geometry import polygon_distances
@@ -29,9 +30,7 @@ from hplan.robot.family.members import write_robot
 from hplan.robot.family.spec import ArmSpec
 from hplan.robot.model import Robot, load_robot
 from hplan.robot.self_contact import GROUND, TURRET, pair_rates, pair_sway, self_contact
-from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Sphere
-from hplan.trajectory.trajectory import Trajectory
 
 #: A section of what carries the arm stands out by no more than this [m].
 STANDS_OUT = 2.5e-3
@@ -463,31 +462,6 @@ def from_link(arm, q, other, link):
 # Certificate
 
 
-def quintic(robot, start, end, duration=6.0, count=401):
-    t = np.linspace(0.0, 1.0, count)[:, None]
-    s, ds, dds = 10 * t**3 - 15 * t**4 + 6 * t**5, 30 * t**2 * (1 - t) ** 2, 60 * t * (1 - t) * (1 - 2 * t)
-    turn = np.asarray(end) - np.asarray(start)
-    return Trajectory(
-        joint_names=robot.joint_names,
-        time=duration * t[:, 0],
-        position=start + s * turn,
-        velocity=ds / duration * turn,
-        acceleration=dds / duration**2 * turn,
-        torque=np.zeros((count, robot.dof)),
-    )
-
-
-def bare(scene_clearance=0.0, obstacles=(), start=None, goal=None, **more):
-    return Scene(
-        name="bare",
-        start=Start(joints_deg=start or (0.0,) * 4),
-        goal=Goal(joints_deg=goal or (0.0,) * 4),
-        obstacles=tuple(obstacles),
-        clearance=scene_clearance,
-        **more,
-    )
-
-
 def clearance_is_shown(certificate):
     return not any("comes to" in violation for violation in certificate.violations)
 
@@ -499,10 +473,10 @@ def test_certificates_are_as_dense_sampling_says(tmp_path):
         truth, known = Truth(robot), named_pairs(robot)
         if not known:
             continue
-        scene = bare()
+        scene = scene_of((0.0,) * 4)
         for start in rng.uniform(robot.lower, robot.upper, (5, robot.dof)):
             end = rng.uniform(robot.lower, robot.upper)
-            trajectory = quintic(robot, start, end)
+            trajectory = quintic(robot, np.degrees(start), np.degrees(end), count=401)
             least = min(
                 distance
                 for q in trajectory.position[::8]
@@ -522,8 +496,8 @@ def test_certificates_are_as_dense_sampling_says(tmp_path):
 
 
 def test_a_fold_is_refused_and_named(wide):
-    start, end = np.zeros(4), np.radians([0.0, 60.0, 150.0, 120.0])
-    certificate = certify(wide, bare(), quintic(wide, start, end), check_ends=False)
+    rest = (0.0,) * 4
+    certificate = certify(wide, scene_of(rest), quintic(wide, rest, (0.0, 60.0, 150.0, 120.0)), check_ends=False)
     assert not certificate.verified
     (violation,) = [violation for violation in certificate.violations if "comes to" in violation]
     assert "link 'hand' comes to" in violation
@@ -534,9 +508,8 @@ def test_a_fold_is_refused_and_named(wide):
     spare = Truth(wide).clearance(nearly)
     assert 0.02 < spare < 0.2
     for clearance, tracking_error, expected in ((0.0, 0.0, True), (spare + 1e-3, 0.0, False), (0.0, 0.2, False)):
-        certificate = certify(
-            wide, bare(clearance), quintic(wide, start, nearly), tracking_error=tracking_error, check_ends=False
-        )
+        scene, motion = scene_of(rest, clearance=clearance), quintic(wide, rest, np.degrees(nearly))
+        certificate = certify(wide, scene, motion, tracking_error=tracking_error, check_ends=False)
         assert clearance_is_shown(certificate) == expected
 
 
@@ -544,7 +517,7 @@ def test_a_fold_is_refused_and_named(wide):
 
 
 def test_folded_start_is_refused_by_name(wide):
-    scene = bare(start=(0.0, 20.0, 150.0, 120.0), locked_joints=("base_yaw",))
+    scene = scene_of((0.0, 20.0, 150.0, 120.0), (0.0,) * 4, locked_joints=("base_yaw",))
     with pytest.raises(ConfigurationInCollisionError, match="mm deep in link 'upper_arm'") as caught:
         plan(wide, scene)
     assert caught.value.link == "hand"
@@ -565,6 +538,6 @@ def test_an_arm_goes_around_itself(tmp_path, start, goal, locked):
     robot = arm_of(tmp_path, [-60, -160, -160], [150, 160, 160], lengths=(0.7, 0.6, 0.5))
     truth = Truth(robot)
     assert min(truth.clearance(q) for q in np.linspace(np.radians(start), np.radians(goal), 100)) < -0.01
-    result = plan(robot, bare(start=start, goal=goal, locked_joints=locked), PlanOptions(step_deg=5.0))
+    result = plan(robot, scene_of(start, goal, locked_joints=locked), PlanOptions(step_deg=5.0))
     assert result.certificate.verified
     assert min(truth.clearance(q) for q in result.trajectory.position[::5]) >= result.certificate.min_clearance_m > 0.0

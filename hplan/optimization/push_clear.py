@@ -12,7 +12,7 @@ import numpy as np
 
 from hplan.base.arrays import FloatArray, IntArray, frozen
 from hplan.base.deadline import check_deadline, is_up
-from hplan.base.kernels import any_int, inlined, kernel
+from hplan.base.kernels import inlined, kernel
 from hplan.base.polyline import stations
 from hplan.collision.body_kernels import FAR, body_slopes, least_body_clearance
 from hplan.collision.clearance_field import ClearanceField
@@ -23,7 +23,7 @@ from hplan.trajectory.cubics import bezier_piece
 from hplan.trajectory.spline import STRIDE, MovableSpline, SplinePath
 
 #: Rounds of pushing.
-_ROUNDS = any_int(40)
+_ROUNDS = 40
 
 #: Pushing is given up after so many rounds in which what is missing in clearance, over all pieces, did not shrink to
 #: this part of the least before.
@@ -48,7 +48,7 @@ def clear_spline(
     control = np.column_stack([np.interp(even, station, path[:, joint]) for joint in range(path.shape[1])])
     control[0], control[-1] = path[0], path[-1]
     moved = MovableSpline(control, SplinePath.through(control).knots)
-    pushed = push_out(moved, 0, count - 4, field.arrays, options.joints, margin, _ROUNDS)
+    pushed = push_out(moved, field.arrays, options.joints, margin)
     check_deadline()
     spline = SplinePath(frozen(control), moved.knots)
     return spline if pushed and spline.is_clear(field, 0.5 * margin) else None
@@ -116,24 +116,16 @@ def _worst_of_bodies(
 
 
 @kernel
-def push_out(
-    spline: MovableSpline,
-    first_piece: int,
-    last_piece: int,
-    field: FieldArrays,
-    joints: JointArrays,
-    margin: float,
-    rounds: int,
-) -> bool:
-    """Move control points along the gradient of the clearance until the pieces named seem clear."""
+def push_out(spline: MovableSpline, field: FieldArrays, joints: JointArrays, margin: float) -> bool:
+    """Move control points along the gradient of the clearance until all pieces seem clear."""
     control, knots = spline
     count, dof = control.shape
     lower, upper, movable = joints.lower, joints.upper, joints.movable
     piece, gradient, weight = np.empty((4, dof)), np.empty(dof), np.empty(4)
     lowest, since = math.inf, 0
-    for _ in range(rounds):
+    for _ in range(_ROUNDS):
         contact, missing = False, 0.0
-        for i in range(first_piece, last_piece + 1):
+        for i in range(count - 3):
             bezier_piece(control, knots, i + 3, piece)
             if piece_is_clear(piece, field, margin, STRIDE):
                 continue

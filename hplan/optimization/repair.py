@@ -31,7 +31,6 @@ def repaired(
     lower: FloatArray,
     upper: FloatArray,
     margin: float,
-    known: dict[bytes, FloatArray | None] | None = None,
 ) -> tuple[FloatArray, list[int]]:
     """A polyline whose motions are verified collision-free, as far as they can be repaired.
 
@@ -40,18 +39,13 @@ def repaired(
         lower: (dof,) joint limits.
         upper: (dof,) joint limits; equal to `lower` for a joint that may not move.
         margin: Clearance asked for wherever a motion is evaluated [m].
-        known: Results of earlier calls with the same field, limits and margin; added to.
 
     Returns:
         The polyline, and the motions of the one given, by number, that could not be repaired.
     """
-    known = {} if known is None else known
     pieces, contacts = [path[:1]], []
     for i in range(len(path) - 1):
-        key = path[i : i + 2].tobytes()
-        if key not in known:
-            known[key] = _between(path[i], path[i + 1], field, lower, upper, margin)
-        inner = known[key]
+        inner = _between(path[i], path[i + 1], field, lower, upper, margin)
         if inner is None:
             contacts.append(i)
         else:

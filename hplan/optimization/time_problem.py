@@ -18,7 +18,7 @@ from hplan.optimization.timed_spline import RESTING, BoundaryState, TimedSpline
 from hplan.optimization.torque_rows import NEAR_LIMIT, TorqueUse, torque_rows, with_rows
 from hplan.robot.dynamics import InverseDynamics
 from hplan.robot.limits import Limits, rest_to_rest
-from hplan.trajectory.spline import FIRST, MovableSpline, pieces_are_clear
+from hplan.trajectory.spline import MovableSpline, pieces_are_clear
 
 #: Fraction of the margin asked for wherever the proof of a step looks; the programs ask for all of it at their places.
 _PROVED = 0.05
@@ -60,8 +60,8 @@ class TimeProblem(Record):
         """True if the whole motion is verified collision-free, with tracking errors that grow with its speed."""
         if self.sway is not None:
             return self._is_clear_swaying(spline, self.sway)
-        moved, pieces = MovableSpline(np.array(spline.control), spline.knots), len(spline.control) - 3
-        clear = pieces_are_clear(moved, FIRST, pieces - 1, self.field.arrays, _PROVED * self.options.margin, 0.0)
+        moved = MovableSpline(np.array(spline.control), spline.knots)
+        clear = pieces_are_clear(moved, self.field.arrays, _PROVED * self.options.margin)
         check_deadline()
         return bool(clear)
 

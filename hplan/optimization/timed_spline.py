@@ -42,11 +42,6 @@ class BoundaryState(Record):
         """The state at a row of a motion."""
         return cls(trajectory.position[row], trajectory.velocity[row], trajectory.acceleration[row])
 
-    @property
-    def is_rest(self) -> bool:
-        """True without velocity and acceleration."""
-        return not (self.velocity.any() or self.acceleration.any())
-
     def controls(self, widths: FloatArray) -> FloatArray:
         r"""(`RESTING`, dof) outer control points of a spline that begins in this state.
 

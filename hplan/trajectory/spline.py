@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from hplan.base.arrays import BoolArray, FloatArray, Record, frozen, readonly
 from hplan.base.deadline import check_deadline
-from hplan.base.kernels import any_int, kernel
+from hplan.base.kernels import kernel
 from hplan.base.polyline import curve_length, stations
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.clearance_kernels import piece_is_clear
@@ -26,9 +26,6 @@ from hplan.trajectory.cubics import bezier_piece, bezier_pieces, evaluate
 
 #: Longest step along a piece with which an optimiser looks for contact before the proof.
 STRIDE = 1.0 / 16.0
-
-#: The first piece, for kernels.
-FIRST = any_int(0)
 
 #: Panels of a piece, each with Gauss-Legendre quadrature, for its length: a path may have cusps.
 _PANELS = 6
@@ -123,14 +120,12 @@ class MovableSpline(NamedTuple):
 
 
 @kernel
-def pieces_are_clear(
-    spline: MovableSpline, low: int, high: int, field: FieldArrays, margin: float, stride: float
-) -> bool:
-    """True if pieces low to high are clear in the sense of `piece_is_clear`."""
+def pieces_are_clear(spline: MovableSpline, field: FieldArrays, margin: float) -> bool:
+    """True if all pieces are clear in the sense of `piece_is_clear`."""
     control, knots = spline
     piece = np.empty((4, control.shape[1]))
-    for i in range(low, high + 1):
-        bezier_piece(control, knots, i + 3, piece)
-        if not piece_is_clear(piece, field, margin, stride):
+    for i in range(3, control.shape[0]):
+        bezier_piece(control, knots, i, piece)
+        if not piece_is_clear(piece, field, margin, 0.0):
             return False
     return True

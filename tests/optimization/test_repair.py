@@ -68,7 +68,7 @@ def test_no_way_out_is_needed_where_there_is_room(robot) -> None:
     assert list(leave_contact(np.full(4, 0.5), field, robot.lower, robot.upper, MARGIN)) == []
 
 
-def test_a_motion_through_a_ball_is_mended_and_remembered(robot) -> None:
+def test_a_motion_through_a_ball_is_mended(robot) -> None:
     """Straight on it is in contact; joint by joint, or pushed aside, it is not."""
     first, last = np.array([-0.15, 0.3, 0.3, 0.3]), np.array([0.15, 0.32, 0.3, 0.3])
     middle = 0.5 * (first + last)
@@ -76,16 +76,12 @@ def test_a_motion_through_a_ball_is_mended_and_remembered(robot) -> None:
     ball = [Sphere(name="ball", center=tuple(np.add(tip, (0.0, 0.0, 0.05))), radius=0.03)]
     field = ClearanceField.of(robot, ball)
     assert not field.is_clear(np.stack([first, last]), MARGIN)
-    known: dict[bytes, np.ndarray | None] = {}
-    path, contacts = repaired(np.stack([first, last]), field, robot.lower, robot.upper, MARGIN, known)
+    path, contacts = repaired(np.stack([first, last]), field, robot.lower, robot.upper, MARGIN)
     assert contacts == []
     np.testing.assert_array_equal(path[[0, -1]], [first, last])
     assert len(path) > 2
     assert_clear(robot, ball, path)
-    assert len(known) == 1
     nothing = ClearanceField.of(robot, [])
-    again, _ = repaired(np.stack([first, last]), nothing, robot.lower, robot.upper, MARGIN, known)
-    np.testing.assert_array_equal(again, path)
     plain, _ = repaired(np.stack([first, last]), nothing, robot.lower, robot.upper, MARGIN)
     np.testing.assert_array_equal(plain, [first, last])
 
@@ -205,22 +201,6 @@ def test_motions_that_cannot_be_mended_are_named() -> None:
     found, contacts = mend(path, [wall])
     assert contacts == [1]
     assert_repaired(ROBOT, [wall], path, found, contacts)
-
-
-def test_same_answer_whatever_is_known() -> None:
-    """What earlier calls found out changes nothing."""
-    solids = [Sphere(name="ball", center=(1.7, 0.0, 0.54), radius=0.05)]
-    path = np.array([[-0.2, 0.0, 0.0, 0.0], [0.2, 0.0, 0.0, 0.0], [0.3, 0.2, 0.0, 0.0]])
-    field = ClearanceField.of(ROBOT, solids)
-    known: dict[bytes, Any] = {}
-    results = [
-        repaired(path, field, ROBOT.lower, ROBOT.upper, FAR),
-        repaired(path, field, ROBOT.lower, ROBOT.upper, FAR, known),
-        repaired(path, field, ROBOT.lower, ROBOT.upper, FAR, known),
-    ]
-    for found, contacts in results:
-        assert found.tobytes() == results[0][0].tobytes()
-        assert contacts == results[0][1]
 
 
 joints = st.tuples(st.floats(-1.0, 1.0), *[st.floats(0.0, 1.5)] * 3)

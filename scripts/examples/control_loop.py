@@ -170,7 +170,7 @@ class ControlLoop:
             return
         now = min(self.machine.time_s, self.ends_s)
         try:
-            result = self.planner.replan(at=min(now + AHEAD_S, self.ends_s), now=now)
+            result = self.planner.replan(at=min(now + AHEAD_S, self.ends_s), now=now, measured=self.machine.position)
         except HplanError:
             self.stop()
         else:
@@ -202,10 +202,11 @@ class ControlLoop:
                 self.log.left.append(self.todo.pop(0))
 
     def stop(self) -> None:
-        """Stop on the path, and wait."""
-        if self.running is not None:
+        """Stop on the path, and wait; what is coming to rest already goes on to do so."""
+        if isinstance(self.running, hplan.PlanResult):
             now = min(self.machine.time_s, self.ends_s)
-            self.running, self.log.stops = self.planner.stop_at(now, now=now), self.log.stops + 1
+            self.running = self.planner.stop_at(now, now=now, measured=self.machine.position)
+            self.log.stops += 1
         self.fruit, self.waits_until_s, self.has_looked = "", self.machine.time_s + STAYS_S, False
 
     def end(self, trajectory: Trajectory) -> None:

@@ -36,6 +36,7 @@ from hplan.scene.orchard import (
     fruit_at_tips,
     generate,
     import_capsules,
+    import_tree,
     measured_orchard,
 )
 from hplan.scene.tracks import Sway, Track
@@ -349,9 +350,9 @@ CASES: dict[str, Case] = {
     "MeasuredOptions": (
         MeasuredOptions,
         {},
-        "fruits:whole name:name distance:number spacing:number height:number yaw_deg:number fruit_radius:length "
-        "fruit_zone:object seed:whole clearance:number",
-        {"goal": (1, "")},
+        "name:name distance:number spacing:number height:number yaw_deg:number seed:whole clearance:number "
+        "wood_yields:size yields_below:size fruit_yields:size",
+        {"goal": (1, ""), "fruits": NO_WHOLE[1:], "fruit_radius": NO_LENGTH[1:], "fruit_zone": NO_OBJECT[1:]},
     ),
     "measured_orchard": (
         measured_orchard,
@@ -365,6 +366,7 @@ CASES: dict[str, Case] = {
         "path:file position:vector yaw_deg:number",
         {"prefix": (None, 1)},
     ),
+    "import_tree": (import_tree, {"path": "p.csv"}, "path:file position:vector yaw_deg:number", {"prefix": (None, 1)}),
     "fruit_at_tips": (
         fruit_at_tips,
         {"capsules": [Capsule(**ROD)], "count": 1},

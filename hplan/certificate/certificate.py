@@ -52,6 +52,7 @@ from hplan.certificate.goal_contact import FruitContact, contact_window
 from hplan.certificate.limit_use import LimitUse, limit_use
 from hplan.certificate.motion_bound import fastest, largest_deviations
 from hplan.certificate.moving_obstacles import checker_in_time, clear_until, moving_base_contacts
+from hplan.certificate.pushes import Push
 from hplan.certificate.start_state import start_violations
 from hplan.certificate.task_check import task_violations
 from hplan.certificate.tilted_base import use_on_track
@@ -85,7 +86,8 @@ class Certificate:
         verified: True if everything asked for was shown.
         min_clearance_m: Distance that every link is shown to keep at all times from every obstacle, and from every
             part of the arm that it can touch [m]; inf where there is none. Where the clearance is not shown, the
-            smallest distance found, negative in contact.
+            smallest distance found, negative in contact. What gives way counts as if the clearance to keep were left
+            where it is pushed as deep as it may be (`pushes` says how deep it is).
         nearest: Link and obstacle, or part of the arm, at the smallest distance that was evaluated.
         limit_use: Upper bound of the use of each limit.
         checks: Number of configurations at which distances were evaluated.
@@ -126,6 +128,14 @@ class Certificate:
         need not look how far.
         """
         return None if self.subject is None else self.subject.curve
+
+    @property
+    def pushes(self) -> tuple[Push, ...] | None:
+        """What gives way, which link pushes it, how deep at most and when; computed when it is first asked for.
+
+        Empty where nothing is touched; None where the certificate was made by hand, or by that of the motion's path.
+        """
+        return None if self.subject is None else self.subject.pushes
 
     @property
     def reversed(self) -> Certificate:

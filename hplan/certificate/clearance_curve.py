@@ -30,6 +30,7 @@ from hplan.base import ties
 from hplan.base.arguments import whole
 from hplan.base.arrays import FloatArray, IntArray, Record, frozen
 from hplan.certificate.clearance_proof import Advancement, Proof, place_after, point_at
+from hplan.certificate.pushes import Push, joined, pushes_along
 from hplan.collision.coal_scene import CoalScene
 from hplan.robot.model import Robot
 from hplan.trajectory.trajectory import Trajectory, cubic_pieces
@@ -143,6 +144,18 @@ class ProvedMotion(Record):
             found.append(replace(curve, time=clock))
         return _one_after_the_other(found)
 
+    @cached_property
+    def pushes(self) -> tuple[Push, ...]:
+        """What gives way in it."""
+        bezier, _ = cubic_pieces(self.trajectory)
+        found = list[Push]()
+        for stretch in self.stretches:
+            part, time = stretch.part, self.trajectory.time[stretch.part.start : stretch.part.stop + 1]
+            found += pushes_along(
+                bezier[part], time, stretch.checker, stretch.deviations, self.clearance, stretch.clock
+            )
+        return joined(found)
+
 
 @dataclass(frozen=True, eq=False)
 class Subject(Record):
@@ -168,6 +181,18 @@ class Subject(Record):
             found.append(replace(curve, time=begin + curve.time))
             begin += motion.trajectory.duration
         return _one_after_the_other(found)
+
+    @cached_property
+    def pushes(self) -> tuple[Push, ...]:
+        """What gives way, by the time of all motions."""
+        found, begin = list[Push](), 0.0
+        for motion, backwards in self.motions:
+            duration = motion.trajectory.duration
+            for push in motion.pushes:
+                span = (duration - push.end_s, duration - push.begin_s) if backwards else (push.begin_s, push.end_s)
+                found.append(replace(push, begin_s=begin + span[0], end_s=begin + span[1]))
+            begin += duration
+        return joined(found)
 
 
 def joined_subjects(parts: Iterable[Subject | None]) -> Subject | None:
@@ -216,7 +241,8 @@ def _curve_over_places(bezier: FloatArray, stretch: ProvedStretch, clearance: fl
     if not checker.pairs:
         nothing = np.full(2, np.inf)
         return ClearanceCurve(np.array([0.0, float(len(bezier))]), nothing, nothing, np.full(2, -1), ())
-    looks = list(_looks(Advancement(bezier, checker, deviations, clearance, stretch.clock), bezier, checker))
+    search = Advancement(bezier, checker, deviations, clearance, stretch.clock)
+    looks = list(_looks(search, bezier, checker, checker.counted(clearance)))
     places, nearest = np.array([look.place for look in looks]), np.array([look.nearest for look in looks])
     bounds = _lower_of_both(np.array([look.bound_m for look in looks[1:]]))
     if proof.shown:
@@ -260,7 +286,7 @@ class _Stations:
         return max(min(following, len(self._travel) - 1.0), math.nextafter(place, math.inf))
 
 
-def _looks(search: Advancement, bezier: FloatArray, checker: CoalScene) -> Iterator[_Look]:
+def _looks(search: Advancement, bezier: FloatArray, checker: CoalScene, counted: FloatArray) -> Iterator[_Look]:
     """Go through a stretch from station to station.
 
     Of each pair a lower bound of its distance is kept: coal's last one, less what its moving body has travelled since.
@@ -275,14 +301,14 @@ def _looks(search: Advancement, bezier: FloatArray, checker: CoalScene) -> Itera
     far_error = 1e-3
     while True:
         search.place(point_at(bezier, place), place)
-        nearest = float(checker.distances_of(np.array([pair]))[0])
+        nearest = float(checker.distances_of(np.array([pair]))[0] + counted[pair])
         now, sways = _at(travel, place), _at(sway, place)
         forward = lower - (now - travelled)[mover_of]
         # All that may be nearer than this one before the next station; there may be such that bring that nearer.
         ahead = _at(travel, stations.after(place, nearest))
         asked = np.flatnonzero(forward - (ahead - now)[mover_of] < nearest)
         if len(asked):
-            distances = checker.distances_of(asked)
+            distances = checker.distances_of(asked) + counted[asked]
             pair = int(asked[ties.argmin(distances)])
             nearest = float(distances.min())
             least = distances * (1.0 - far_error * np.sign(distances)) - errors[asked]

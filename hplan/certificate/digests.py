@@ -69,6 +69,11 @@ def scene_digest(scene: Scene) -> str:
         found.add_text(obstacle.data_digest)
     for name, key, value in _moving(scene):
         found.add_text(name, key, value.model_dump_json())
+    for item in (*scene.obstacles, *scene.fruits):
+        if item.yields:
+            found.add_text(item.name, "yields", repr(item.yields))
+    if scene.yield_links is not None:
+        found.add_text("yield_links", *scene.yield_links)
     if scene.goal.quaternion_xyzw is not None:
         found.add_text("goal", scene.goal.frame or "")
         found.add_exactly(np.array(scene.goal.quaternion_xyzw))

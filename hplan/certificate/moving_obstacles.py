@@ -26,7 +26,8 @@ def checker_in_time(robot: Robot, scene: Scene, sigmas: float) -> CoalScene:
     """The arm among all solids of a scene, fruit too, each grown for its uncertainty; over time where some move."""
     solids = scene.listed_solids
     growth = np.array([sigmas * solid.sigma for solid in solids])
-    return CoalScene(robot, solids, growth=growth, movements=scene.movements if scene.moves else ())
+    movements = scene.movements if scene.moves else ()
+    return CoalScene(robot, solids, growth=growth, movements=movements, yield_links=scene.yield_links)
 
 
 def moving_base_contacts(robot: Robot, moving: MovingSolids, yaw: float, begin_s: float, end_s: float) -> Iterator[str]:

@@ -27,6 +27,7 @@ from hplan.collision.clearance_kernels import (
 )
 from hplan.collision.flat_bodies import BODIES, DOF, FlatBodies
 from hplan.collision.obstacle_rows import (
+    EVERYBODYS,
     FIRST_LINK,
     KIND,
     LAST_LINK,
@@ -46,6 +47,12 @@ from hplan.scene.obstacles import Solid
 _NEAR_STEP = 0.05
 
 
+def _of_owners(solids: BoolArray, owner: IntArray, *, arm: bool) -> BoolArray:
+    """(rows,) what is so of each row's owner: of solids, of the arm; of what is everybody's always."""
+    rows: BoolArray = np.concatenate([solids, [True, arm]])[owner]
+    return rows
+
+
 @dataclass(frozen=True, eq=False)
 class ClearanceField(Record):
     """Arm and obstacles as flat arrays, ready for the kernels.
@@ -59,7 +66,7 @@ class ClearanceField(Record):
         solids: (rows, 21) balls, capsules, boxes, hulls and nodes of clouds, grown by the clearance to keep; columns as
             in `hplan.collision.obstacle_rows`.
         data: Facets and edges of hulls, and points of clouds, one after the other; rows say where.
-        owner: (rows,) index of the solid behind each row, -1 for parts of the arm.
+        owner: (rows,) index of the solid behind each row; `ARM` or `EVERYBODYS` (`hplan.collision.obstacle_rows`).
     """
 
     chain: FloatArray
@@ -85,6 +92,7 @@ class ClearanceField(Record):
         clearance: ArrayLike = 0.0,
         own_clearance: float | None = None,
         deviation: float = 0.0,
+        links: BoolArray | None = None,
     ) -> ClearanceField:
         """The field of a robot among obstacles.
 
@@ -93,17 +101,19 @@ class ClearanceField(Record):
             own_clearance: Clearance that parts of the arm are to keep from one another [m]; None for the smallest of
                 the others.
             deviation: By how much every joint may be off [rad]; each link is as much thicker as it may then sway.
+            links: (obstacles, links) which links keep clear of each; of a robot that is no planar arm (obstacles, dof),
+                what which joints carry. None for all of all.
         """
         if robot.planar is None:
             flat = FlatBodies.of(robot, own_clearance_of(clearance, own_clearance), deviation)
-            solids, data, owner = core_rows(obstacles, clearance)
+            solids, data, owner = core_rows(obstacles, clearance, links)
             return cls(flat.movers, flat.numbers, readonly(solids), readonly(data), readonly(owner, np.int64))
         arm = robot.arm
         widths = arm.half_widths + robot.sway(deviation)
         shoulder = robot.plane_origin - np.append(robot.yaw_axis, 0.0)
         base = [*shoulder, *robot.plane_axes[0], *robot.plane_axes[1], float(robot.has_yaw), *robot.yaw_axis]
         chain = [arm.lengths, widths, arm.signs, arm.offsets, arm.lateral, robot.yaw_radius]
-        solids, data, owner = rows_of(robot, obstacles, clearance, own_clearance, deviation)
+        solids, data, owner = rows_of(robot, obstacles, clearance, own_clearance, deviation, links)
         return cls(
             chain=readonly(np.column_stack(chain)),
             base=readonly(base),
@@ -119,7 +129,7 @@ class ClearanceField(Record):
             kept: (solids,) which of them.
             arm: False leaves the arm itself out.
         """
-        found = self._of_rows(np.append(kept, arm)[self.owner])
+        found = self._of_rows(_of_owners(kept, self.owner, arm=arm))
         if arm or self.chain.shape[1] == LINK:
             return found
         # Of general (non-planar) arms their own pairs count as moving bodies, after the bodies.
@@ -135,7 +145,7 @@ class ClearanceField(Record):
         last_link = (len(self.chain) if self.chain.shape[1] == LINK else int(self.base[DOF])) - 2
         if last_link < 0:
             return self.only(~touched)
-        rows = np.append(touched, False)[self.owner]
+        rows = _of_owners(touched, self.owner, arm=False) & (self.owner != EVERYBODYS)
         first = rows & (np.concatenate([[-2], self.owner[:-1]]) != self.owner)  # a link range comes before it
         before = np.concatenate([[0], np.cumsum(first)])
         solids = np.insert(self.solids, np.flatnonzero(first), 0.0, axis=0)

@@ -34,6 +34,9 @@ _BLOCK: Final = 64
 _SPECK: Final = 1e-7
 _CORNERS: Final = _SPECK * np.array([[1.0, 0.0, 0.5], [-0.5, 0.75, -0.25], [-0.5, -0.75, -0.25]])
 
+#: Radius of a capsule that stands for its axis [m].
+_THIN: Final = 1e-6
+
 #: The blocks of clouds that are in use.
 _KNOWN: WeakKeyDictionary[Cloud, PointBlocks] = WeakKeyDictionary()
 
@@ -47,11 +50,14 @@ class BareShape(NamedTuple):
     Attributes:
         box: Its `local_box`.
         radius: What was swept about it [m].
+        thin: Of a capsule one with hardly any radius: of a shape that is in contact coal says of one point how deep it
+            is, and not of the deepest. None of other shapes.
     """
 
     geometry: coal.CollisionGeometry
     box: FloatArray
     radius: float
+    thin: BareShape | None = None
 
     @classmethod
     def of(cls, shape: coal.CollisionGeometry) -> BareShape:
@@ -60,7 +66,11 @@ class BareShape(NamedTuple):
         if radius > 0.0:
             shape = shape.clone()
             shape.setSweptSphereRadius(0.0)
-        return cls(shape, local_box(shape), radius)
+        thin = None
+        if isinstance(shape, coal.Capsule) and shape.radius > _THIN:
+            needle = coal.Capsule(_THIN, 2.0 * shape.halfLength)
+            thin = cls(needle, local_box(needle), radius + shape.radius - _THIN)
+        return cls(shape, local_box(shape), radius, thin)
 
 
 class PointBlocks:
@@ -102,7 +112,10 @@ class PointBlocks:
         return found
 
     def distance(self, shape: BareShape, placement: pin.SE3) -> float:
-        """Signed distance of a shape from the nearest point [m]; in contact that of one of those that it touches."""
+        """Signed distance of a shape from the nearest point [m]; in contact that of one of those that it touches.
+
+        Of a capsule it is the nearest, as long as that is not on its axis.
+        """
         rotation, translation = placement.rotation, placement.translation
         bounds = _lower_bounds(rotation, translation, shape.box, self.balls)
         place, result = coal.Transform3s(rotation, translation), coal.DistanceResult()
@@ -110,6 +123,8 @@ class PointBlocks:
         while True:
             block = int(bounds.argmin())
             if bounds[block] >= least or least <= 0.0:
+                if least <= 0.0 and shape.thin is not None:
+                    return self.distance(shape.thin, placement)
                 return least - shape.radius
             bounds[block] = math.inf
             # coal goes on from the least distance in its result, and passes over what is farther.

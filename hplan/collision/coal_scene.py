@@ -20,6 +20,7 @@ from hplan.collision.coal_accuracy import distance_errors
 from hplan.collision.coal_cloud import distance_from, obstacle_shapes
 from hplan.collision.coal_shapes import LINK_SHAPES, LinkShapes, beyond_geometry, bounding_balls
 from hplan.collision.geometry_pairs import GeometryPairs
+from hplan.collision.giving_way import pushing_links, yielded
 from hplan.collision.moving_solids import MovingSolids
 from hplan.errors import MovingObstacleError, OptionError
 from hplan.robot.base_shapes import TURRET, base_joints
@@ -72,8 +73,9 @@ class CoalScene:
     those of `hplan.collision.touching_pairs`; `links` is `urdf` then.
 
     A cloud is its points in trees of bounding volumes, asked with its radius taken off the distance. Wherever a
-    link does not reach the points themselves the distance is right, and at most 2e-7 m too small; where it does,
-    the depth is at least the radius, and may be less than the true one.
+    link does not reach the points themselves the distance is right, and at most 2e-7 m too small; where it does, so
+    is the depth of capsules whose axes do not, and that of others is at least the radius, and may be less than the true
+    one.
 
     Obstacles that move are where their movement has them at the time that is asked for; `in_collision` takes none.
 
@@ -102,6 +104,7 @@ class CoalScene:
         clearance: float = 0.0,
         single_joint_pairs: bool = True,
         movements: Sequence[Movement | None] = (),
+        yield_links: Sequence[str] | None = None,
     ) -> None:
         """Build the geometry of a robot among obstacles.
 
@@ -112,9 +115,10 @@ class CoalScene:
             single_joint_pairs: Whether pairs that depend on one joint alone, turret and folded neighbours, are among
                 the pairs: the C-space does not hold them, ranges of joints are narrowed instead.
             movements: How each obstacle moves, None for one that stands still; empty where all do.
+            yield_links: Names of the links that may push what gives way; None for those of the last two joints.
 
         Raises:
-            OptionError: Unknown link shape.
+            OptionError: Unknown link shape, or no link of that name.
         """
         if links not in LINK_SHAPES:
             raise OptionError("links", links, f"one of {', '.join(LINK_SHAPES)}")
@@ -128,6 +132,7 @@ class CoalScene:
             "clearance": clearance,
             "single_joint_pairs": single_joint_pairs,
             "movements": tuple(movements),
+            "yield_links": None if yield_links is None else tuple(yield_links),
         }
         self.moving = MovingSolids.of(obstacles, movements)
         self._touched: tuple[str, ...] = ()
@@ -163,6 +168,7 @@ class CoalScene:
             turns = pair.mover == TURRET
             mover = self.mover_names.index(pair.mover_name, len(parts.links)) if turns else pair.mover
             self.pairs.append((mover, self.own_first + own_names.index(pair.other_name)))
+        self._yielded = self._depths(yielded(robot, obstacles, yield_links), yield_links)
         # Parts of the arm do not grow.
         self._taken_off: FloatArray = np.append(self._beyond, np.zeros(len(parts.own)))
         solids, balls = obstacle_shapes(obstacles), bounding_balls(obstacles)
@@ -209,13 +215,40 @@ class CoalScene:
         other._taken_off[: self._beyond.size] = other._beyond.ravel()
         return other
 
+    def _depths(self, yielded: FloatArray | None, yield_links: Sequence[str] | None) -> FloatArray | None:
+        """(pairs,) how deep the two may be in one another, 0 where they must not touch [m]; None where none may."""
+        if yielded is None:
+            return None
+        names = pushing_links(self.robot, yield_links)
+        pushes = [self.mover_names[mover] in names for mover, _ in self.pairs]
+        others = np.array([other for _, other in self.pairs])
+        found: FloatArray = np.where(pushes, np.append(yielded, np.zeros(others.max() + 1))[others], 0.0)
+        found[self._beyond.size :] = 0.0
+        return found
+
+    @property
+    def pushed(self) -> IntArray:
+        """Numbers of the `pairs` of which one gives way to the other."""
+        return np.flatnonzero(self._yielded) if self._yielded is not None else np.zeros(0, dtype=np.int64)
+
     def kept(self, clearance: float) -> float | FloatArray:
         """The distance that each of `pairs` is to keep where a clearance is asked for, for all or (pairs,) [m].
 
-        Bodies as the URDF has them may be nearer to each other where they can never be as far apart.
+        Bodies as the URDF has them may be nearer to each other where they can never be as far apart. What gives way
+        may be pushed: it is negative then, whatever the clearance.
         """
         held = self._held.needed(clearance)
-        return np.append(np.full(len(self.pairs) - len(held), clearance), held) if len(held) else clearance
+        if self._yielded is None and not len(held):
+            return clearance
+        found = np.full(len(self.pairs), clearance)
+        found[len(found) - len(held) :] = held
+        return found if self._yielded is None else np.where(self._yielded > 0.0, -self._yielded, found)
+
+    def counted(self, clearance: float) -> FloatArray:
+        """(pairs,) to be added to distances, so that what gives way is as near as what it is to keep says [m]."""
+        if self._yielded is None:
+            return np.zeros(len(self.pairs))
+        return np.where(self._yielded > 0.0, clearance + self._yielded, 0.0)
 
     def distances(self, q: ArrayLike, time_s: float | None = None) -> FloatArray:
         """Signed distances at one configuration, (dof,) -> (bodies, obstacle names) [m]; negative is the depth.
@@ -287,11 +320,11 @@ class CoalScene:
 
     def nearest(self, q: ArrayLike, time_s: float | None = None) -> Contact | None:
         """The link and obstacle, or part of the arm, nearest to each other, or None where there is nothing to meet."""
-        distances = self.distances(q, time_s)
+        distances = self.pair_distances(q, time_s)
         if distances.size == 0:
             return None
-        link, obstacle = np.unravel_index(ties.argmin(distances), distances.shape)
-        return self.contact(int(link), int(obstacle), float(distances.min()))
+        pair = ties.argmin(distances + self.counted(0.0))
+        return self.contact(*self.pairs[pair], float(distances[pair]))
 
     def in_collision(self, configurations: ArrayLike, *, margin: float = 0.0) -> BoolArray:
         """True where (n, dof) configurations touch an obstacle or the arm itself, in one compiled call.
@@ -309,7 +342,10 @@ class CoalScene:
         q = np.asarray(configurations, dtype=np.float64)
         if not self.obstacle_names:
             return np.zeros(len(q), dtype=np.bool_)
-        margins = (self.kept(margin) if margin > 0.0 else margin) + self._taken_off
+        kept = self.kept(margin) if margin > 0.0 else margin
+        if self._yielded is not None:
+            kept = np.where(self._yielded > 0.0, -self._yielded, kept)
+        margins = kept + self._taken_off
         # Of trees coal knows no negative margin.
         margins[self._taken_off > 0.0] = np.maximum(0.0, margins[self._taken_off > 0.0])
         return self._geometry.in_collision(q, margins)

@@ -36,6 +36,9 @@ POINT, SEGMENT, BOX, HULL, NODE, LEAF, LINK_RANGE, PAIR = 0.0, 1.0, 2.0, 3.0, 4.
 KIND, RADIUS, CENTRE, BOUND, NEXT = 0, 1, 2, 5, 20
 _COLUMNS = 21
 
+#: Owner of rows of the arm itself, and of what says for which links the rows below it are.
+ARM, EVERYBODYS = -1, -2
+
 #: Columns of one kind, from `SHAPE` on. Point: its place (3). Segment: its two ends (3 each). Box: its half sizes (3),
 #: then its axes (3 rows of 3). Hull: where its facets begin in the data, where its edges begin and end. Leaf: where its
 #: points begin and end there. Node: 1 where it is a tree's first, -1 where it is a group of solids.
@@ -127,12 +130,14 @@ def rows_of(
     clearance: ArrayLike,
     own_clearance: float | None,
     deviation: float = 0.0,
+    links: BoolArray | None = None,
 ) -> tuple[FloatArray, FloatArray, IntArray]:
     """Rows of obstacles, then of the parts of the arm that can touch it.
 
     Args:
         clearance: As for `hplan.collision.clearance_field.ClearanceField.of`.
         deviation: The same; only pairs of links grow here, as links do not know what they meet.
+        links: The same.
 
     Returns:
         `solids`, `data` and `owner` of `hplan.collision.clearance_field.ClearanceField`.
@@ -142,17 +147,21 @@ def rows_of(
     grown = np.broadcast_to(growth, (len(obstacles),)).tolist()
     own = own_clearance_of(clearance, own_clearance)
     contact = self_contact(robot, deviation=deviation, clearance=own)
-    for is_round, run in groupby(enumerate(obstacles), lambda numbered: type(numbered[1]) in _ROUND):
+    concerned = _concerned(len(obstacles), links)
+    kinds = zip(enumerate(obstacles), concerned, strict=True)
+    for (is_round, _), run in groupby(kinds, lambda numbered: (type(numbered[0][1]) in _ROUND, numbered[1])):
         check_deadline()
+        of_run = [numbered for numbered, _ in run]
+        which = None if links is None else links[of_run[0][0]]
         if is_round:  # hundreds of them: all at once
-            numbers, solids = zip(*run, strict=True)
+            numbers, solids = zip(*of_run, strict=True)
             rows = _round_rows(cast(Sequence[Sphere | Capsule], solids), grown[numbers[0] : numbers[-1] + 1])
             check_deadline()
-            stack.add(*grouped(rows, np.array(numbers)))
+            stack.add(*_for_links(*grouped(rows, np.array(numbers)), which))
             continue
-        for index, solid in run:
+        for index, solid in of_run:
             rows, more = _rows(solid, grown[index], stack.numbers)
-            stack.add(rows, index, more)
+            stack.add(*_for_links(rows, np.full(len(rows), index), which), more)
     for body in contact.bodies:
         rows, more = _base_rows(body, own, stack.numbers, robot.yaw_axis)
         stack.add(rows, -1, more)
@@ -176,11 +185,14 @@ def own_clearance_of(clearance: ArrayLike, own_clearance: float | None) -> float
     return float(growth.min()) if own_clearance is None and growth.size else own_clearance or 0.0
 
 
-def core_rows(obstacles: Sequence[Solid], clearance: ArrayLike) -> tuple[FloatArray, FloatArray, IntArray]:
+def core_rows(
+    obstacles: Sequence[Solid], clearance: ArrayLike, links: BoolArray | None = None
+) -> tuple[FloatArray, FloatArray, IntArray]:
     """As `rows_of`, for general (non-planar) arms: obstacles alone, with the corners of each.
 
     Args:
         clearance: By how much each of them is grown [m], one number or one for each.
+        links: (obstacles, joints) whose bodies keep clear of each; None for all of all.
     """
     stack = _Stack()
     grown = np.broadcast_to(np.asarray(clearance, dtype=np.float64), (len(obstacles),)).tolist()
@@ -192,7 +204,8 @@ def core_rows(obstacles: Sequence[Solid], clearance: ArrayLike) -> tuple[FloatAr
             table = corner_table(solid.core, first, end)
             more = np.concatenate([[end, end if len(table) else 0], solid.core.ravel(), table])
             rows[0, CORNERS] = first
-        stack.add(rows, index, more)
+        which = None if links is None else links[index]
+        stack.add(*_for_links(rows, np.full(len(rows), index), which), more)
     return stack.arrays
 
 
@@ -313,14 +326,36 @@ def _base_rows(body: BaseBody, clearance: float, offset: int, axis: FloatArray) 
         # About the axis: within the centre's distance from it, and the ball's radius.
         solid[:, BOUND] += np.hypot(solid[:, CENTRE] - axis[0], solid[:, CENTRE + 1] - axis[1])
         solid[:, CENTRE : CENTRE + 2] = axis
-    links, blocks = np.array(body.links), list[FloatArray]()
-    for run in np.split(links, np.flatnonzero(np.diff(links) > 1) + 1):
-        rows = np.concatenate([solid[:1], solid])
-        rows[0, KIND], rows[0, FIRST_LINK], rows[0, LAST_LINK] = LINK_RANGE, run[0], run[-1]
-        rows[0, TURNS] = float(turns)
-        rows[:, NEXT] = 2 * (len(blocks) + 1)
-        blocks.append(rows)
-    return np.concatenate(blocks), data
+    rows, _ = _below_ranges(solid, np.full(len(solid), -1), np.array(body.links))
+    rows[rows[:, KIND] == LINK_RANGE, TURNS] = float(turns)
+    return rows, data
+
+
+def _concerned(count: int, links: BoolArray | None) -> list[bytes]:
+    """Of each of some obstacles, which links keep clear of it, as a word."""
+    return [b""] * count if links is None else [row.tobytes() for row in links]
+
+
+def _for_links(rows: FloatArray, owner: IntArray, links: BoolArray | None) -> tuple[FloatArray, IntArray]:
+    """Rows, and whose they are, below ranges of the (links,) that keep clear of them; None for all."""
+    if links is None or links.all():
+        return rows, owner
+    return _below_ranges(rows, owner, np.flatnonzero(links))
+
+
+def _below_ranges(rows: FloatArray, owner: IntArray, links: IntArray) -> tuple[FloatArray, IntArray]:
+    """Rows, and whose they are, once below each range of links, of some; the ranges are `EVERYBODYS`."""
+    blocks, owners, count = [rows[:0]], [owner[:0]], 0
+    for run in np.split(links, np.flatnonzero(np.diff(links) > 1) + 1) if len(links) else []:
+        block = np.concatenate([np.zeros((1, _COLUMNS)), rows])
+        block[0, KIND], block[0, FIRST_LINK], block[0, LAST_LINK] = LINK_RANGE, run[0], run[-1]
+        block[0, CENTRE : BOUND + 1] = _around(rows[:, CENTRE : BOUND + 1], np.zeros(1, dtype=np.int64))[0]
+        block[0, NEXT] = len(rows)
+        block[:, NEXT] += count + 1
+        count += len(block)
+        blocks.append(block)
+        owners += [np.array([EVERYBODYS]), owner]
+    return np.concatenate(blocks), np.concatenate(owners)
 
 
 @lru_cache(maxsize=64)

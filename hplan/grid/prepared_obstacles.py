@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hplan.base.arrays import FloatArray, IntArray, Record, frozen
+from hplan.base.arrays import BoolArray, FloatArray, IntArray, Record, frozen
 from hplan.errors import InputError, OptionError
 from hplan.grid.cutting_arrays import Balls, Hulls
 
@@ -43,7 +43,7 @@ class PreparedObstacles(Record):
         names: Names of the obstacles; balls and hulls know theirs by index.
         own_clearance: Clearance that parts of the arm are to keep from one another [m].
         deviation: By how much every joint may be off [rad]; sections grow by what each link may then sway.
-        touched: Index into `names` of the obstacle that the last link may touch; -1 where there is none.
+        links: (obstacles, links) which links keep clear of each; None for all of all.
     """
 
     balls: Balls
@@ -51,7 +51,7 @@ class PreparedObstacles(Record):
     names: tuple[str, ...]
     own_clearance: float
     deviation: float = 0.0
-    touched: int = -1
+    links: BoolArray | None = None
 
 
 def prepare_obstacles(
@@ -60,23 +60,24 @@ def prepare_obstacles(
     clearance: ArrayLike = 0.0,
     own_clearance: float | None = None,
     deviation: float = 0.0,
-    touched: int = -1,
+    links: BoolArray | None = None,
 ) -> PreparedObstacles:
     """Make obstacles ready for cutting.
 
     Args:
-        clearance: Distance to keep from every obstacle [m], one number or one for each.
+        clearance: Distance to keep from every obstacle [m], one number or one for each; below 0 for one that gives way,
+            where `links` are given.
         own_clearance: Distance that parts of the arm are to keep from one another [m]; None for the smallest of the
             others.
         deviation: By how much every joint may be off [rad].
-        touched: Number of the obstacle that the last link may touch; -1 where there is none.
+        links: (obstacles, links) which links keep clear of each; None for all of all.
 
     Raises:
         OptionError: A clearance that is negative or no number, or not one for each obstacle.
         InputError: An obstacle without core points, or with a point or radius that is not finite.
     """
     margins = np.asarray(clearance, dtype=np.float64)
-    if not (np.isfinite(margins) & (margins >= 0.0)).all():
+    if not (np.isfinite(margins) & ((margins >= 0.0) | (links is not None))).all():
         raise OptionError("clearance", clearance, "a finite number of metres >= 0")
     if margins.shape not in ((), (len(obstacles),)):
         raise OptionError("clearance", clearance, f"one number, or one for each of {len(obstacles)} obstacles")
@@ -107,7 +108,7 @@ def prepare_obstacles(
         names=tuple(obstacle.name for obstacle in obstacles),
         own_clearance=least if own_clearance is None else float(own_clearance),
         deviation=deviation,
-        touched=touched,
+        links=links,
     )
 
 

@@ -122,10 +122,9 @@ def sections_at(
     if link_model == "rectangle" and len(hulls):
         raise balls_only(obstacles.names[int(hulls[0])])
     sections = _cut(robot, obstacles, yaw, link_model, within_reach=within_reach)
-    if obstacles.touched >= 0:
+    if obstacles.links is not None:
         links = sections.links
-        may_touch = (sections.obstacle_of == obstacles.touched) & (links == robot.arm.link_count - 1)
-        sections = _picked(sections, np.flatnonzero(~may_touch), links)
+        sections = _picked(sections, np.flatnonzero(obstacles.links[sections.obstacle_of, links]), links)
     contact = self_contact(robot, deviation=obstacles.deviation, clearance=obstacles.own_clearance)
     if contact.bodies:
         same = tuple(body for body in contact.bodies if body.follows_arm_plane)

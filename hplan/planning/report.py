@@ -77,12 +77,22 @@ def certificate_report(certificate: Certificate, options: PlanOptions, scene: Sc
         "goal_contact": certificate.goal_contact,
         "contact_s": None if certificate.contact_s is None else list(certificate.contact_s),
         **({} if only_goal else {"contacts": told}),
+        **pushes_report(certificate, scene),
         "limit_use": vars(certificate.limit_use),
         "violations": list(certificate.violations),
         "digests": None if digests is None else vars(digests),
         **({} if certificate.nearest_s is None else {"nearest_s": certificate.nearest_s}),
         **({} if until is None else {"clear_until_s": until if math.isfinite(until) else None}),
     }
+
+
+def pushes_report(certificate: Certificate, scene: Scene) -> dict[str, Any]:
+    """What gives way in a motion; nothing where nothing of the scene does, null where it is not known."""
+    if not any(item.yields for item in (*scene.obstacles, *scene.fruits)):
+        return {}
+    found = certificate.pushes
+    links = {} if scene.yield_links is None else {"yield_links": list(scene.yield_links)}
+    return {**links, "pushes": None if found is None else [vars(push) for push in found]}
 
 
 def curve_report(certificate: Certificate) -> dict[str, Any]:

@@ -202,7 +202,7 @@ class LastWorld:
 
     def __init__(self) -> None:
         """Begin with none."""
-        self._kept: tuple[tuple[tuple[Solid, ...], float, float, float], World] | None = None
+        self._kept: tuple[tuple[tuple[Solid, ...], float, float, float, tuple[str, ...] | None], World] | None = None
 
     @classmethod
     def of(cls, robot: Robot) -> LastWorld:
@@ -215,10 +215,13 @@ class LastWorld:
         tracking_error = options.tracking.still_rad
         solids, clearance, sigmas = scene.solids_with_goal, scene.clearance, options.sigmas
         check_deadline()
-        asked = solids, clearance, tracking_error, sigmas
+        asked = solids, clearance, tracking_error, sigmas, scene.yield_links
         kept = self._kept
         if kept is None or kept[0] != asked:
-            world = World.of(robot, solids, clearance=clearance, tracking_error=tracking_error, sigmas=sigmas)
+            world = World.of(
+                robot, solids, clearance=clearance, tracking_error=tracking_error, sigmas=sigmas,
+                yield_links=scene.yield_links,
+            )  # fmt: skip
             self._kept = kept = asked, world
         return kept[1]
 

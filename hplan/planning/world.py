@@ -20,6 +20,7 @@ from hplan.base.deadline import check_deadline
 from hplan.certificate.motion_bound import pair_sways
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.coal_scene import CoalScene, base_contacts
+from hplan.collision.giving_way import LinkedSolids
 from hplan.errors import ConfigurationInCollisionError, InputError
 from hplan.grid.prepared_obstacles import PreparedObstacles, prepare_obstacles
 from hplan.robot.base_shapes import BASE_DEPTH, base_radius, turning_shapes
@@ -39,6 +40,7 @@ class World(Record):
         growth: (solids,) clearance to keep from each beyond that, for its uncertainty [m].
         field: Distances between arm and solids, less the clearance to keep and what the deviation may take.
         checker: The solids in coal, each grown by its own growth.
+        linked: The solids, and which links keep clear of them and by how much, as `field` has them.
         touched: Name of the solids that the last link may touch; None for none.
     """
 
@@ -49,6 +51,7 @@ class World(Record):
     growth: FloatArray
     field: ClearanceField
     checker: CoalScene
+    linked: LinkedSolids
     touched: str | None = None
 
     @classmethod
@@ -60,6 +63,7 @@ class World(Record):
         clearance: float = 0.0,
         tracking_error: float = 0.0,
         sigmas: float = 0.0,
+        yield_links: Sequence[str] | None = None,
     ) -> World:
         """Make solids ready.
 
@@ -67,29 +71,40 @@ class World(Record):
             clearance: Clearance to keep [m].
             tracking_error: Deviation of any joint at rest that is to be allowed for [rad].
             sigmas: How many standard deviations of its place an obstacle grows by.
+            yield_links: Names of the links that may push what gives way; None for those of the last two joints.
+
+        Raises:
+            OptionError: A name of no link.
         """
         growth = frozen(np.array([sigmas * solid.sigma for solid in solids], dtype=np.float64))
-        field = ClearanceField.of(
-            robot, solids, clearance=clearance + growth, own_clearance=clearance, deviation=tracking_error
-        )
+        linked = LinkedSolids.of(robot, solids, clearance + growth, yield_links, growth)
+        field = linked.field(robot, own_clearance=clearance, deviation=tracking_error)
         check_deadline()
-        checker = CoalScene(robot, solids, growth=growth, deviation=tracking_error, clearance=clearance)
-        return cls(robot, tuple(solids), clearance, tracking_error, growth, field, checker)
+        checker = CoalScene(
+            robot, solids, growth=growth, deviation=tracking_error, clearance=clearance, yield_links=yield_links
+        )
+        return cls(robot, tuple(solids), clearance, tracking_error, growth, field, checker, linked)
 
     def touching(self, name: str) -> World:
         """The world where the last link may touch the solid of a name."""
-        touched = np.array([solid.name == name for solid in self.solids], dtype=np.bool_)
-        return replace(self, field=self.field.sparing(touched), checker=self.checker.touching(name), touched=name)
+        field = self.field.sparing(self.linked.named(name))
+        return replace(self, field=field, checker=self.checker.touching(name), touched=name)
 
     def bodies(self, more: float = 0.0) -> PreparedObstacles:
         """The solids made ready for cutting, grown by the clearance to keep and `more` [m]."""
-        names = [solid.name for solid in self.solids]
+        linked = self.linked
+        links = linked.links
+        if self.touched is not None:
+            touched = linked.named(self.touched)
+            everything = np.ones((len(touched), self.robot.arm.link_count), dtype=np.bool_)
+            links = everything if links is None else links.copy()
+            links[touched, -1] = False
         return prepare_obstacles(
-            self.solids,
-            clearance=self.clearance + self.growth + more,
+            linked.solids,
+            clearance=linked.growth + more,
             own_clearance=self.clearance + more,
             deviation=self.deviation,
-            touched=names.index(self.touched) if self.touched in names else -1,
+            links=links,
         )
 
     def check_clear(self, q: FloatArray, which: str) -> float:
@@ -126,15 +141,10 @@ class World(Record):
         """
 
         def is_clear(fraction: float) -> bool:
-            smaller = ClearanceField.of(
-                self.robot,
-                self.solids,
-                clearance=self.clearance + self.growth,
-                own_clearance=self.clearance,
-                deviation=fraction * self.deviation,
-            )
+            deviation = fraction * self.deviation
+            smaller = self.linked.field(self.robot, own_clearance=self.clearance, deviation=deviation)
             if self.touched is not None:
-                smaller = smaller.sparing(np.array([solid.name == self.touched for solid in self.solids]))
+                smaller = smaller.sparing(self.linked.named(self.touched))
             return bool((smaller.along(configurations).min(axis=1) > wanted).any())
 
         return largest_fraction(is_clear)
@@ -149,7 +159,7 @@ class World(Record):
         """
         rows = self.field.solids
         in_reach = np.linalg.norm(rows[:, 2:5], axis=1) <= rows[:, 5] + base_radius(self.robot)
-        close = [self.solids[i] for i in np.unique(self.field.owner[in_reach]).tolist() if i >= 0]
+        close = [self.linked.solids[i] for i in np.unique(self.field.owner[in_reach]).tolist() if i >= 0]
         contacts = base_contacts(self.robot, close, yaw, margin=-BASE_DEPTH)
         if contacts:
             worst = contacts[ties.argmin([contact.distance_m for contact in contacts])]

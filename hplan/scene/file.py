@@ -111,7 +111,11 @@ def dump_scene(scene: Scene) -> str:
         if item["sigma"] == 0.0:
             del item["sigma"]
         item |= _dumped(listed, ("track", "sway"))
+        if listed.yields:
+            item["yields"] = listed.yields
     content |= _dumped(scene, ("base_track",))
+    if scene.yield_links is not None:
+        content["yield_links"] = list(scene.yield_links)
     return write_yaml(content)
 
 

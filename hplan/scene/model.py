@@ -21,7 +21,7 @@ from hplan.base.data_files import robot_names
 from hplan.errors import MovingObstacleError, SceneError
 from hplan.scene.fault import StrictModel, fault
 from hplan.scene.limits import FARTHEST_M, MOST_OBSTACLES, Size, Vector
-from hplan.scene.obstacle_kind import Name, Sigma, SwayField, TrackField, moved
+from hplan.scene.obstacle_kind import Name, Sigma, SwayField, TrackField, YieldsField, moved
 from hplan.scene.obstacles import AnyObstacle, Obstacle, Solid, Sphere
 from hplan.scene.solids import quaternion_rotation
 from hplan.scene.tracks import Movement
@@ -41,6 +41,7 @@ class Fruit(StrictModel):
     sigma: Sigma = 0.0
     track: TrackField = None
     sway: SwayField = None
+    yields: YieldsField = 0.0
 
 
 class JointValues(StrictModel):
@@ -178,7 +179,8 @@ class Scene(StrictModel):
         start: Configuration at which the motion begins, and how it moves there.
         goal: Configuration, tool position, fruit or pose to reach.
         locked_joints: Joints that keep their start value.
-        clearance: Distance kept from every obstacle [m].
+        clearance: Distance kept from every obstacle, but for those that may be pushed (`yields`) by links that may [m].
+        yield_links: Names of the links that may push what gives way; None for those of the last two joints.
         obstacles: What must not be touched.
         fruits: Fruit; obstacles too, except the one reached for.
         base_track: How the base moves, of a platform that creeps along the row; None for one that stands still.
@@ -195,6 +197,7 @@ class Scene(StrictModel):
     obstacles: Annotated[tuple[Obstacle, ...], Field(max_length=MOST_OBSTACLES)] = ()
     fruits: Annotated[tuple[Fruit, ...], Field(max_length=MOST_OBSTACLES)] = ()
     base_track: TrackField = None
+    yield_links: Annotated[tuple[Name, ...] | None, Field(exclude=True)] = None
 
     @field_validator("robot")
     @classmethod
@@ -256,7 +259,7 @@ class Scene(StrictModel):
     def listed_solids(self) -> tuple[Solid, ...]:
         """As `solids_with_goal`, each where it is listed, whether it moves from there or not (`movements`)."""
         balls = (
-            Sphere(name=f.name, center=f.center, radius=f.radius, sigma=f.sigma, sway=f.sway).solids[0]
+            Sphere(name=f.name, center=f.center, radius=f.radius, sigma=f.sigma, sway=f.sway, yields=f.yields).solids[0]
             for f in self.fruits
         )
         return (*(solid for obstacle in self.obstacles for solid in obstacle.solids), *balls)

@@ -35,6 +35,9 @@ _KEPT: Final = 4096
 TrackField: TypeAlias = Annotated[Track | None, Field(exclude=True)]
 SwayField: TypeAlias = Annotated[Sway | None, Field(exclude=True)]
 
+#: How deep an obstacle may be pushed [m]; in dumps where it may.
+YieldsField: TypeAlias = Annotated[float, Field(ge=0.0, le=FARTHEST_M, exclude=True)]
+
 
 class Kind(StrictModel):
     """Base of all obstacles.
@@ -44,6 +47,7 @@ class Kind(StrictModel):
         sigma: Standard deviation of its position [m].
         track: How it moves; None for an obstacle that stands still.
         sway: How far it may swing out of its place; None for not at all.
+        yields: How deep the links that may push may be in it [m]; 0 for what must not be touched.
     """
 
     if TYPE_CHECKING:  # fields of all kinds, where they stand in the order of the file's keys
@@ -51,6 +55,7 @@ class Kind(StrictModel):
         sigma: Sigma
         track: TrackField
         sway: SwayField
+        yields: YieldsField
 
 
 class Turned(Kind):
@@ -169,7 +174,7 @@ def _swept_core(solid: Convex | Hull, reach: FloatArray) -> Hull:
     core = np.concatenate([solid.core - reach, solid.core + reach])
     points = (core + thickening(core)[:, None]).reshape(-1, 3)
     hull = hull_of(points, solid.name)
-    return replace(hull, rounding=hull.rounding + solid.rounding, sigma=solid.sigma)
+    return replace(hull, rounding=hull.rounding + solid.rounding, sigma=solid.sigma, yields=solid.yields)
 
 
 def _swept_cloud(cloud: Cloud, reach: FloatArray) -> Cloud:
@@ -180,7 +185,7 @@ def _swept_cloud(cloud: Cloud, reach: FloatArray) -> Cloud:
     shifts = np.linspace(-1.0, 1.0, copies)[:, None] * reach
     grown = math.hypot(radius, 0.5 * length / (copies - 1))
     points = (cloud.core + shifts[:, None]).reshape(-1, 3)
-    return Cloud.of(cloud.name, points, grown, cloud.sigma)
+    return replace(Cloud.of(cloud.name, points, grown, cloud.sigma), yields=cloud.yields)
 
 
 def posed(solid: Solid, rotation: FloatArray, shift: FloatArray) -> Solid:

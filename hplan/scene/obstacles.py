@@ -6,6 +6,7 @@ Positions are in `base_link`, z up, in metres. The classes are the scene file's 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, TypeVar, get_args
 
@@ -18,7 +19,7 @@ from hplan.base.files import ByteBudget
 from hplan.errors import SceneError
 from hplan.scene.fault import fault, scene_error, validated
 from hplan.scene.limits import FARTHEST_M, MOST_SHAPE_BYTES, Angles, Size, Vector
-from hplan.scene.obstacle_kind import Convex, FromData, Name, Sigma, SwayField, TrackField, Turned
+from hplan.scene.obstacle_kind import Convex, FromData, Name, Sigma, SwayField, TrackField, Turned, YieldsField
 from hplan.scene.obstacle_kind import Solid as Solid  # a name of this module too
 from hplan.scene.prism import prism, prism_excess
 from hplan.scene.solids import CUBE_CORNERS, Cloud, Hull
@@ -40,6 +41,7 @@ class Sphere(Convex):
     sigma: Sigma = 0.0
     track: TrackField = None
     sway: SwayField = None
+    yields: YieldsField = 0.0
 
     @property
     def core(self) -> FloatArray:
@@ -54,7 +56,8 @@ class Sphere(Convex):
     def swept(self, reach: FloatArray) -> Solid:
         """The capsule that it sweeps when it is shifted by up to (3,) `reach` [m] to either side."""
         start, end = (self.core[0] - reach).tolist(), (self.core[0] + reach).tolist()
-        return Capsule(name=self.name, start=tuple(start), end=tuple(end), radius=self.radius, sigma=self.sigma)
+        kept = {"radius": self.radius, "sigma": self.sigma, "yields": self.yields}
+        return Capsule(name=self.name, start=tuple(start), end=tuple(end), **kept)
 
 
 class Capsule(Convex):
@@ -68,6 +71,7 @@ class Capsule(Convex):
     sigma: Sigma = 0.0
     track: TrackField = None
     sway: SwayField = None
+    yields: YieldsField = 0.0
 
     @property
     def core(self) -> FloatArray:
@@ -95,6 +99,7 @@ class Cylinder(Turned, Convex):
     sigma: Sigma = 0.0
     track: TrackField = None
     sway: SwayField = None
+    yields: YieldsField = 0.0
 
     @property
     def hull(self) -> Hull:
@@ -123,6 +128,7 @@ class Box(Turned, Convex):
     sigma: Sigma = 0.0
     track: TrackField = None
     sway: SwayField = None
+    yields: YieldsField = 0.0
 
     @property
     def core(self) -> FloatArray:
@@ -146,6 +152,7 @@ class Mesh(FromData):
     sigma: Sigma = 0.0
     track: TrackField = None
     sway: SwayField = None
+    yields: YieldsField = 0.0
 
     @classmethod
     def of(cls, name: str, vertices: ArrayLike, faces: ArrayLike, **placement: Any) -> Mesh:
@@ -155,7 +162,7 @@ class Mesh(FromData):
             name: Name of the obstacle.
             vertices: Vertices [m] (before `scale`).
             faces: Rows of the triangles' vertices.
-            placement: `position`, `rpy_deg`, `scale`, `sigma`.
+            placement: `position`, `rpy_deg`, `scale`, `sigma`, `yields`.
 
         Raises:
             SceneError: The mesh is empty, not finite, open, flat or inside out.
@@ -193,14 +200,14 @@ class Mesh(FromData):
     @property
     def solids(self) -> tuple[Solid, ...]:
         """Convex pieces whose union holds the mesh."""
-        key = (self.name, self.scale, self.position, self.rpy_deg, self.sigma, self.sway)
+        key = (self.name, self.scale, self.position, self.rpy_deg, self.sigma, self.sway, self.yields)
         hulls: tuple[Solid, ...] = self._data.cached(key, self._hulls)
         return hulls
 
     def _hulls(self) -> tuple[Solid, ...]:
         placement = (self.name, self.rotation, np.array(self.position), self.sigma)
-        hulls = tuple(hull.moved(*placement) for hull in self._data.pieces(self.scale).hulls)
-        return self._swept(hulls)
+        hulls = (hull.moved(*placement) for hull in self._data.pieces(self.scale).hulls)
+        return self._swept(tuple(replace(hull, yields=self.yields) for hull in hulls))
 
 
 class PointCloud(FromData):
@@ -215,6 +222,7 @@ class PointCloud(FromData):
     sigma: Sigma = 0.0
     track: TrackField = None
     sway: SwayField = None
+    yields: YieldsField = 0.0
 
     @classmethod
     def of(cls, name: str, points: ArrayLike, radius: float, **placement: Any) -> PointCloud:
@@ -224,7 +232,7 @@ class PointCloud(FromData):
             name: Name of the obstacle.
             points: Centres of the balls [m].
             radius: Radius of every ball [m].
-            placement: `position`, `rpy_deg`, `sigma`.
+            placement: `position`, `rpy_deg`, `sigma`, `yields`.
 
         Raises:
             SceneError: The cloud is empty, too large or not finite.
@@ -267,14 +275,14 @@ class PointCloud(FromData):
     @property
     def solids(self) -> tuple[Solid, ...]:
         """One cloud of balls."""
-        key = (self.name, self.radius, self.position, self.rpy_deg, self.sigma, self.sway)
+        key = (self.name, self.radius, self.position, self.rpy_deg, self.sigma, self.sway, self.yields)
         cloud: Solid = self._data.cached(key, self._cloud)
         return (cloud,)
 
     def _cloud(self) -> Solid:
         make = Cloud.of if self._data.may_merge else Cloud.unmerged
         cloud = make(self.name, self.points, self.radius, self.sigma)
-        return self._swept((cloud,))[0]
+        return self._swept((replace(cloud, yields=self.yields),))[0]
 
 
 def _made_of(cls: type[_Data], name: str, make: Callable[[], Surface | PointSet], fields: dict[str, Any]) -> _Data:

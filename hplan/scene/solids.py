@@ -106,6 +106,7 @@ class Hull(Record):
         faces: (m, 3) triangles of vertices, counter-clockwise as seen from outside.
         rounding: Radius about the core [m].
         sigma: Standard deviation of its position [m].
+        yields: How deep it may be pushed [m].
     """
 
     name: str
@@ -113,6 +114,7 @@ class Hull(Record):
     faces: IntArray
     rounding: float = 0.0
     sigma: float = 0.0
+    yields: float = 0.0
 
     @property
     def is_point_set(self) -> Literal[False]:
@@ -299,6 +301,7 @@ class Cloud(Record):
         tree: (nodes, 7) the tree, each node before its children: first centre and the one past the last; the number
             of the next node that is no descendant; then centre and radius of a ball about its centres [m].
         sigma: Standard deviation of its position [m].
+        yields: How deep it may be pushed [m].
     """
 
     name: str
@@ -306,6 +309,7 @@ class Cloud(Record):
     rounding: float
     tree: FloatArray
     sigma: float = 0.0
+    yields: float = 0.0
 
     @property
     def is_point_set(self) -> Literal[True]:

@@ -163,7 +163,7 @@ def test_the_last_link_alone_may_touch(robot: Robot) -> None:
         assert 3 in all_
         assert mine == [number for number in all_ if number != 3 or link < 2]
     # What it was made from is as it was.
-    assert world.bodies().touched == -1
+    assert world.bodies().links is None
     assert world.checker.distances(np.zeros(4))[-1, 3] < np.inf
 
 

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hplan.errors import InputError
-from hplan.scene.orchard import import_capsules
+from hplan.errors import InputError, OptionError
+from hplan.scene.orchard import MeasuredOptions, import_capsules, import_tree, measured_orchard
 
 HEADER = "kind,x1,y1,z1,x2,y2,z2,radius\n"
 TREE = HEADER + "trunk,0,0,0,0,0,1.2,0.02\nbranch,0,0,0.5,0.3,0,0.6,0.005\ntrunk,0,0,1.2,0.1,0,2,0.01\n"
@@ -95,3 +95,27 @@ def test_measured_trees():
         assert len(capsules) == len(path.read_text().splitlines()) - 1
         assert {capsule.name.split()[0] for capsule in capsules} == {"trunk", "branch"}
         assert capsules[0].start == (1.4, 0.0, 0.0)
+
+
+def test_fruit_that_hung_on_a_tree_is_read_with_it(write):
+    text = TREE + "fruit,0.2,0,1.2,0.2,0,1.2,0.035\nfruit,0,0.3,1.4,0,0.3,1.4,0.03\n"
+    wood, fruits = import_tree(write(text), position=(1.0, 0.0, 0.0), yaw_deg=90.0, prefix="tree 1 ")
+    assert wood == import_capsules(write(TREE), position=(1.0, 0.0, 0.0), yaw_deg=90.0, prefix="tree 1 ")
+    assert [fruit.name for fruit in fruits] == ["tree 1 fruit 1", "tree 1 fruit 2"]
+    np.testing.assert_allclose([fruit.center for fruit in fruits], [(1.0, 0.2, 1.2), (0.7, 0.0, 1.4)], atol=1e-12)
+    with pytest.raises(InputError, match="not in the same place"):
+        import_tree(write(TREE + "fruit,0,0,1,0,0,1.1,0.03\n"))
+
+
+def test_the_trees_own_fruit_is_taken_the_nearest_first_and_gives_way_where_that_is_asked_for(write):
+    path = write(TREE + "fruit,0.2,0,1.2,0.2,0,1.2,0.035\nfruit,-0.3,0.1,1.4,-0.3,0.1,1.4,0.03\n")
+    options = MeasuredOptions(wood_yields=0.02, yields_below=0.02, fruit_yields=0.01)
+    scene = measured_orchard([path], options)
+    assert [(fruit.name, fruit.radius, fruit.yields) for fruit in scene.fruits] == [
+        ("fruit 2", 0.03, 0.01), ("fruit 1", 0.035, 0.01),
+    ]  # fmt: skip
+    assert {piece.yields for piece in scene.obstacles if piece.radius >= 0.02} == {0.0}
+    assert {piece.yields for piece in scene.obstacles if piece.radius < 0.02} == {0.02}
+    assert [fruit.name for fruit in measured_orchard([path], MeasuredOptions(fruits=1)).fruits] == ["fruit 2"]
+    with pytest.raises(OptionError, match="fruit of their own"):
+        measured_orchard([path], MeasuredOptions(fruit_radius=0.03))

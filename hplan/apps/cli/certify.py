@@ -132,6 +132,7 @@ def _fill_in(arguments: argparse.Namespace, job: FinishedJob | None) -> None:
         "tracking_delay": 1e3 * settings["tracking_delay_s"],
         "sigmas": settings["sigmas"],
         "goal_contact": "motion" if settings.get("goal_contact") == "motion" else "approach",
+        "yield_links": settings.get("yield_links"),
     }
     for name, value in defaults.items():
         if getattr(arguments, name) is None:
@@ -168,6 +169,10 @@ def _show(console: Console, report: dict[str, Any], error: str) -> None:
         windows = [(f"fruit, {rule}", *proof["contact_s"])]
     for what, begin, end in windows:
         table.add_row("contact", f"last link and {what}: {begin:.3f} to {end:.3f} s")
+    for push in proof.get("pushes") or ():
+        span = f"{push['begin_s']:.3f} to {push['end_s']:.3f} s"
+        what = f"{escape(push['link'])} {escape(push['obstacle'])!r}, {1e3 * push['depth_m']:.1f} mm at most"
+        table.add_row("pushed", f"by {what}: {span}")
     for what in report["differs"]:
         table.add_row("differs", f"[bold red]the {what} is not the one of {REPORT}[/]")
     for what, digest in proof["digests"].items():

@@ -44,9 +44,11 @@ def add_scene(parser: argparse.ArgumentParser, default: str = "the paper's refer
 
 
 def add_drop_inside(parser: argparse.ArgumentParser) -> None:
-    """Add the option `--drop-inside`."""
+    """Add the options `--drop-inside` and `--yield-links`."""
     parser.add_argument("--drop-inside", action="store_true", help="leave out obstacles and fruits that stand in "
         "pedestal or turret, and say which; they are in no proof")  # fmt: skip
+    parser.add_argument("--yield-links", nargs="+", metavar="LINK", help="links that may push what gives way (default: "
+        "the scene's, else those of the last two joints)")  # fmt: skip
 
 
 def add_deadline(parser: argparse.ArgumentParser) -> None:
@@ -61,7 +63,9 @@ def add_deadline(parser: argparse.ArgumentParser) -> None:
 
 
 def scene_among(arguments: argparse.Namespace, robot: Robot, scene: Scene, errors: Console) -> tuple[Scene, list[str]]:
-    """The scene as `--drop-inside` wants it, and the names of what is left out, which the console prints."""
+    """The scene as `--yield-links` and `--drop-inside` want it, and what is left out, which the console prints."""
+    if arguments.yield_links is not None:
+        scene = scene.model_copy(update={"yield_links": tuple(arguments.yield_links)})
     if not arguments.drop_inside:
         return scene, []
     from hplan.planning.world import without_inside

@@ -25,7 +25,8 @@ Fruit is counted from the base outwards; the first is the goal.
 _EPILOG = """\
 TREE.csv: a header, then a line for each straight piece of wood, in metres, z
 up, the trunk's base at the origin: kind,x1,y1,z1,x2,y2,z2,radius. Pieces are
-called by their kind (trunk, branch) and number. Fruit hangs at branch tips.
+called by their kind (trunk, branch) and number. Rows of the kind fruit, with
+their centre twice, are fruit; on trees that have none it hangs at branch tips.
 
 exit status:
   0  done
@@ -33,7 +34,10 @@ exit status:
 """
 
 #: Options of both kinds of rows by their names here, those of grown ones, and those of measured ones.
-_COMMON = ("robot", "seed", "distance", "spacing", "clearance", "fruits", "fruit_radius", "goal")
+_COMMON = (
+    *("robot", "seed", "distance", "spacing", "clearance", "fruits", "fruit_radius", "goal"),
+    *("wood_yields", "yields_below", "fruit_yields"),
+)
 _GROWN = ("form", "trees", "branches", "shoots", "tree_height", "branch_length", "vehicle", "ground")
 _MEASURED = ("turn", "height")
 
@@ -54,10 +58,14 @@ def parser(prog: str) -> argparse.ArgumentParser:
     add("--distance", type=float, metavar="M", help="from the base's axis to the row (default: 1.4)")
     add("--spacing", type=float, metavar="M", help="from tree to tree (default: 1.1)")
     add("--clearance", type=float, metavar="M", help="distance that a motion keeps (default: 0)")
-    add("--fruits", type=int, metavar="N", help="fruits in all (default: 24; on measured trees 20)")
+    add("--fruits", type=int, metavar="N", help="fruits in all (default: 24; on measured trees their own, or 20)")
     add("--fruit-radius", type=float, metavar="M", help="default: 0.04")
     add("--fruit-heights", type=float, nargs=2, metavar=("LOW", "HIGH"), help="heights of the fruit [m]")
     add("--fruit-reach", type=float, metavar="M", help="greatest distance of a fruit from the base's axis")
+    yields = "how deep the arm's last links may push"
+    add("--yield", dest="wood_yields", type=float, metavar="M", help=f"{yields} thin wood (default: 0)")
+    add("--yield-below", dest="yields_below", type=float, metavar="M", help="radius of thin wood (default: 0.008)")
+    add("--yield-fruit", dest="fruit_yields", type=float, metavar="M", help=f"{yields} fruit (default: 0)")
     add("--goal", metavar="NAME", help="fruit to reach for (default: the first)")
     add("--start", type=float, nargs="+", metavar="DEG", help="joints at the start (default: the harvester, tucked)")
     add("--quiet", action="store_true", help="no summary")
@@ -91,7 +99,7 @@ def run(arguments: argparse.Namespace, console: Console, _: Console) -> int:
 
 def _made(arguments: argparse.Namespace) -> Scene:
     """The scene that is asked for."""
-    from hplan.scene.orchard import SHIPPED, MeasuredOptions, OrchardOptions, generate, measured_orchard
+    from hplan.scene.orchard import SHIPPED, FruitZone, MeasuredOptions, OrchardOptions, generate, measured_orchard
     from hplan.scene.orchard.options import REACHED
 
     start = {} if arguments.start is None else {"start_deg": arguments.start}
@@ -105,7 +113,8 @@ def _made(arguments: argparse.Namespace) -> Scene:
     if arguments.files:
         _refuse(arguments, "--import", _GROWN)
         wanted |= {"yaw_deg": arguments.turn, "height": arguments.height}
-        wanted["fruit_zone"] = _zone(arguments, MeasuredOptions.fruit_zone)
+        if arguments.fruit_heights is not None or arguments.fruit_reach is not None:
+            wanted["fruit_zone"] = _zone(arguments, FruitZone())
         return measured_orchard(arguments.files, MeasuredOptions(**_given(wanted)), **start)
     _refuse(arguments, None, _MEASURED)
     wanted |= {option: getattr(arguments, option) for option in _GROWN}

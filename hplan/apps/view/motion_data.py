@@ -170,6 +170,12 @@ def certificate_words(certificate: Certificate | None) -> tuple[str, str, list[s
     else:
         errors = nearest is not None and clearance < 1e3 * nearest.distance_m - 0.01
         words = f"smallest clearance found {clearance:.2f} mm{', tracking errors taken off' if errors else ''}"
+    if certificate.pushes:
+        deepest = max(certificate.pushes, key=lambda push: push.depth_m)
+        names = len({push.obstacle for push in certificate.pushes})
+        words += (
+            f"; {names} pushed, {deepest.obstacle} by {deepest.link} deepest: {1e3 * deepest.depth_m:.2f} mm at most"
+        )
     return (
         "ok" if certificate.verified else "bad",
         f"{words}; nearest: {pair}" if pair else words,

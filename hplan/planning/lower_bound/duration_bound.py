@@ -7,7 +7,7 @@ followed, at last on finer ones with the joint that excluded most. `docs/method.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -162,14 +162,12 @@ def _planar(
 
 def _obstacles(world: World) -> ClearanceField:
     """Obstacles with the clearance to keep, without tracking errors and the arm itself; none is too large."""
-    excess = np.array([solid.excess for solid in world.solids])
-    field = ClearanceField.of(
-        world.robot, world.solids, clearance=world.clearance + world.growth - excess, own_clearance=world.clearance
-    )
-    names = np.array([solid.name for solid in world.solids])
+    linked = world.linked
+    excess = np.array([solid.excess for solid in linked.solids])
+    field = replace(linked, growth=linked.growth - excess).field(world.robot, own_clearance=world.clearance)
     if world.touched is not None:
-        field = field.sparing(names == world.touched)
-    return field.only(np.ones(len(names), dtype=np.bool_), arm=False)
+        field = field.sparing(linked.named(world.touched))
+    return field.only(np.ones(len(linked.solids), dtype=np.bool_), arm=False)
 
 
 def _longest(search: PlanarSearch, excluded: float, possible: float) -> float:

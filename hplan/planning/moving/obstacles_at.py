@@ -69,7 +69,7 @@ def _apart(steps: FloatArray) -> Iterator[int]:
 
 def _ball(fruit: Fruit) -> Sphere:
     """A fruit as an obstacle."""
-    keys = ("name", "center", "radius", "sigma", "track", "sway")
+    keys = ("name", "center", "radius", "sigma", "track", "sway", "yields")
     return Sphere(**{key: getattr(fruit, key) for key in keys})
 
 

@@ -16,6 +16,7 @@ import numpy as np
 from hplan.base.arrays import BoolArray, IntArray
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.clearance_kernels import motion_bounds
+from hplan.collision.giving_way import LinkedSolids
 from hplan.collision.moving_solids import largest_rates
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
@@ -54,7 +55,7 @@ class MovingField:
         listed = zip(scene.listed_solids, scene.movements, strict=True)
         self._moving: list[tuple[Solid, Movement]] = [(solid, how) for solid, how in listed if how is not None]
         self._robot, self._deviation = robot, tracking_error
-        self._growth = scene.clearance + np.array([sigmas * solid.sigma for solid, _ in self._moving])
+        self._sigmas, self._clearance, self._yield_links = sigmas, scene.clearance, scene.yield_links
         self._rates = [(how.breaks, how.rates(solid.core, solid.rounding)) for solid, how in self._moving]
         self.at_rest_s = scene.at_rest_s
 
@@ -63,8 +64,10 @@ class MovingField:
         clock = np.array([time_s])
         poses = {id(how): tuple(part[0] for part in how.at(clock)) for _, how in self._moving}
         solids = [posed(solid, *poses[id(how)]) for solid, how in self._moving]
-        field = ClearanceField.of(self._robot, solids, clearance=self._growth, deviation=self._deviation)
-        return field.only(np.ones(len(solids), dtype=np.bool_), arm=False)
+        growth = np.array([self._sigmas * solid.sigma for solid in solids])
+        linked = LinkedSolids.of(self._robot, solids, self._clearance + growth, self._yield_links, growth)
+        field = linked.field(self._robot, deviation=self._deviation)
+        return field.only(np.ones(len(linked.solids), dtype=np.bool_), arm=False)
 
     def travel(self, from_s: float, to_s: float) -> float:
         """How far any point of what moves travels at most within an interval of time [m]."""

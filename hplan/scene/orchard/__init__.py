@@ -1,6 +1,6 @@
 """Orchards to plan in: rows of trees grown from a seed, trees read from measurements, fruit on either."""
 
-from hplan.scene.orchard.capsule_file import import_capsules
+from hplan.scene.orchard.capsule_file import import_capsules, import_tree
 from hplan.scene.orchard.fruits import fruit_at_tips
 from hplan.scene.orchard.generator import generate, measured_orchard
 from hplan.scene.orchard.options import TUCKED_DEG, FruitZone, MeasuredOptions, OrchardOptions
@@ -15,5 +15,6 @@ __all__ = [
     "fruit_at_tips",
     "generate",
     "import_capsules",
+    "import_tree",
     "measured_orchard",
 ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,11 +13,14 @@ from hplan.base.arguments import instance, list_between, list_of
 from hplan.errors import OptionError
 from hplan.scene.model import Fruit, Goal, Scene, Start
 from hplan.scene.obstacles import Box, Capsule
-from hplan.scene.orchard.capsule_file import import_capsules
+from hplan.scene.orchard.capsule_file import import_tree
 from hplan.scene.orchard.fruits import fruit_at_tips, hang_fruits
-from hplan.scene.orchard.options import TUCKED_DEG, MeasuredOptions, OrchardOptions
+from hplan.scene.orchard.options import TUCKED_DEG, FruitZone, MeasuredOptions, OrchardOptions
 from hplan.scene.orchard.pieces import DECIMALS, capsule, rounded
 from hplan.scene.orchard.wood import Limb, grow_tree
+
+#: How much fruit is put on measured trees that have none, and its radius [m].
+_PUT, _PUT_RADIUS = 20, 0.04
 
 #: Radius of a post, and its height above the trees' and the topmost wire [m].
 _POST_RADIUS, _POST_EXCESS = 0.04, 0.1
@@ -59,7 +63,9 @@ def measured_orchard(
     *,
     start_deg: Sequence[float] = TUCKED_DEG,
 ) -> Scene:
-    """A row of measured trees, a file each (see `import_capsules`), with fruit at the tips of their branches.
+    """A row of measured trees, a file each (see `import_tree`), with their fruit, or with fruit at branch tips.
+
+    Wood and fruit keep their names wherever the row stands.
 
     Args:
         paths: The files; several trees are called `tree 1 ...`, `tree 2 ...`.
@@ -75,14 +81,34 @@ def measured_orchard(
     if not paths:
         raise OptionError("paths", [], "at least one file")
     options = MeasuredOptions() if options is None else instance("options", options, MeasuredOptions)
-    wood: list[Capsule] = []
+    wood, hung = list[Capsule](), list[Fruit]()
     for number, (path, y) in enumerate(zip(paths, _places_in_row(len(paths), options.spacing), strict=True), start=1):
         prefix = f"tree {number} " if len(paths) > 1 else ""
         position = options.distance, y, options.height
-        tree = import_capsules(path, position=position, yaw_deg=options.yaw_deg, prefix=prefix)
+        tree, own = import_tree(path, position=position, yaw_deg=options.yaw_deg, prefix=prefix)
         wood += [capsule(piece.name, rounded(piece.start), rounded(piece.end), piece.radius) for piece in tree]
-    fruits = fruit_at_tips(wood, options.fruits, options.fruit_radius, options.seed, zone=options.fruit_zone)
+        hung += [fruit.model_copy(update={"center": rounded(fruit.center)}) for fruit in own]
+    if hung:
+        fruits = _nearest(hung, options)
+    else:
+        count = _PUT if options.fruits is None else options.fruits
+        radius = _PUT_RADIUS if options.fruit_radius is None else options.fruit_radius
+        fruits = fruit_at_tips(wood, count, radius, options.seed, zone=options.fruit_zone or FruitZone())
     return _scene(options, wood, fruits, start_deg)
+
+
+def _nearest(fruits: Sequence[Fruit], options: MeasuredOptions) -> tuple[Fruit, ...]:
+    """Those of a tree's own fruits that are wanted, the nearest to the base's axis first.
+
+    Raises:
+        OptionError: A radius is given, which they have.
+    """
+    if options.fruit_radius is not None:
+        raise OptionError("fruit_radius", options.fruit_radius, "none: the trees have fruit of their own")
+    zone = options.fruit_zone
+    found = [fruit for fruit in fruits if zone is None or zone.holds(*fruit.center)]
+    found.sort(key=lambda fruit: (math.hypot(*fruit.center[:2]), fruit.center[2]))
+    return tuple(found[: options.fruits])
 
 
 def _places_in_row(count: int, spacing: float) -> list[float]:
@@ -127,6 +153,14 @@ def _scene(
 ) -> Scene:
     """The scene, with a goal that exists."""
     start = list_between("start_deg", start_deg, -36000.0, 36000.0)
+    obstacles = [
+        piece.model_copy(update={"yields": options.wood_yields})
+        if options.wood_yields and isinstance(piece, Capsule) and piece.radius < options.yields_below
+        else piece
+        for piece in obstacles
+    ]
+    if options.fruit_yields:
+        fruits = tuple(fruit.model_copy(update={"yields": options.fruit_yields}) for fruit in fruits)
     names = [fruit.name for fruit in fruits]
     if not names:
         raise OptionError("fruits", 0, "at least one, to be the goal")

@@ -91,6 +91,9 @@ class OrchardOptions:
         ground: True if the ground is an obstacle.
         vehicle: True if the body of a vehicle, behind the arm, is one.
         clearance: Distance that a motion is to keep from everything [m].
+        wood_yields: How deep thin wood may be pushed [m].
+        yields_below: Radius below which wood is thin [m].
+        fruit_yields: How deep fruit may be pushed [m].
     """
 
     name: str = "orchard"
@@ -118,6 +121,9 @@ class OrchardOptions:
     ground: bool = False
     vehicle: bool = False
     clearance: float = 0.0
+    wood_yields: float = 0.0
+    yields_below: float = 0.008
+    fruit_yields: float = 0.0
 
     def __post_init__(self) -> None:
         """Check every value.
@@ -155,11 +161,14 @@ class MeasuredOptions:
         distance: Distance of the row from the base's axis [m].
         height: Height of the trees' feet above that of the base [m].
         yaw_deg: Turn of every tree about its own trunk [deg].
-        fruits: Number of fruits on all trees together.
-        fruit_radius: Radius of a fruit [m].
-        fruit_zone: Where their centres may be.
+        fruits: Number of fruits on all trees together; None for all that the files have, or 20.
+        fruit_radius: Radius of a fruit [m]; None for the files', or 0.04.
+        fruit_zone: Where their centres may be; None for anywhere, or where fruit is put that no file has.
         goal: Name of the fruit to reach for; None for the first.
         clearance: Distance that a motion is to keep from everything [m].
+        wood_yields: How deep thin wood may be pushed [m].
+        yields_below: Radius below which wood is thin [m].
+        fruit_yields: How deep fruit may be pushed [m].
     """
 
     name: str = "measured"
@@ -169,11 +178,14 @@ class MeasuredOptions:
     distance: float = 1.4
     height: float = 0.0
     yaw_deg: float = 0.0
-    fruits: int = 20
-    fruit_radius: float = 0.04
-    fruit_zone: FruitZone = FruitZone()
+    fruits: int | None = None
+    fruit_radius: float | None = None
+    fruit_zone: FruitZone | None = None
     goal: str | None = None
     clearance: float = 0.0
+    wood_yields: float = 0.0
+    yields_below: float = 0.008
+    fruit_yields: float = 0.0
 
     def __post_init__(self) -> None:
         """Check every value.
@@ -182,6 +194,7 @@ class MeasuredOptions:
             OptionError: A value is of the wrong kind or out of its range.
         """
         keep_checked(self, _MEASURED_CHECKS)
+        keep_checked(self, {key: check for key, check in _FRUIT_CHECKS.items() if getattr(self, key) is not None})
         _check_names(self.robot, self.goal)
 
 
@@ -211,6 +224,9 @@ _CHECKS = {
     "fruit_radius": (between, 0.005, 0.2),
     "stem": (between, 0.0, 0.2),
     "clearance": (between, 0.0, 1.0),
+    "wood_yields": (between, 0.0, 1.0),
+    "yields_below": (between, 0.0, 10.0),
+    "fruit_yields": (between, 0.0, 1.0),
     "posts": (truth,),
     "ground": (truth,),
     "vehicle": (truth,),
@@ -224,8 +240,13 @@ _MEASURED_CHECKS = {
     "distance": (between, -FARTHEST, FARTHEST),
     "height": (between, -FARTHEST, FARTHEST),
     "yaw_deg": (between, -FARTHEST, FARTHEST),
+    "clearance": (between, 0.0, 1.0),
+    "wood_yields": (between, 0.0, 1.0),
+    "yields_below": (between, 0.0, 10.0),
+    "fruit_yields": (between, 0.0, 1.0),
+}
+_FRUIT_CHECKS = {
     "fruits": (whole, 0, 10_000),
     "fruit_radius": (between, 1e-3, 1.0),
     "fruit_zone": (instance, FruitZone),
-    "clearance": (between, 0.0, 1.0),
 }

@@ -1,0 +1,147 @@
+"""What gives way, and to which links: solids that some links of an arm may push, so deep and no deeper.
+
+To the links that may push it a solid is as much smaller as it yields; to all others it is what it is. The depth is how
+deep the two shapes are in one another: the least shift that takes them apart. Beyond a link's half-width, where its
+axis would be in the solid, that says nothing more, so no solid yields more than the half-width of the thinnest link; to
+general (non-planar) arms no more than the radii by which body and solid are round.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hplan.base.arrays import BoolArray, FloatArray, Record, frozen
+from hplan.collision.arm_pairs import moving_bodies
+from hplan.collision.clearance_field import ClearanceField
+from hplan.collision.collision_bodies import collision_bodies
+from hplan.collision.reach import carriers
+from hplan.errors import OptionError
+from hplan.robot.model import Robot
+from hplan.scene.obstacles import Solid
+
+
+@dataclass(frozen=True, eq=False)
+class LinkedSolids(Record):
+    """Solids, and which links have to keep clear of each; one that gives way is there a second time, smaller.
+
+    Attributes:
+        solids: The solids that do not give way, those that do, and these again.
+        growth: (n,) by how much each is grown [m]; negative where it gives way.
+        links: (n, links) which links of a planar arm, or what which joints of another one carry, keep clear of each;
+            None for all of all.
+    """
+
+    solids: tuple[Solid, ...]
+    growth: FloatArray
+    links: BoolArray | None = None
+
+    @classmethod
+    def of(
+        cls,
+        robot: Robot,
+        solids: Sequence[Solid],
+        growth: ArrayLike,
+        yield_links: Sequence[str] | None,
+        beyond: ArrayLike = 0.0,
+    ) -> LinkedSolids:
+        """Take solids, those that give way twice.
+
+        Args:
+            robot: The arm.
+            solids: The solids.
+            growth: By how much they are grown [m], one number or one for each.
+            yield_links: Names of the links that may push; None for those of the last two joints.
+            beyond: By how much those are grown that are pushed, before they yield [m], one number or one for each.
+
+        Raises:
+            OptionError: A name of no link.
+        """
+        grown = np.broadcast_to(np.asarray(growth, dtype=np.float64), (len(solids),))
+        depth = yielded(robot, solids, yield_links)
+        if depth is None:
+            return cls(tuple(solids), frozen(grown.copy()))
+        pushing = _pushing(robot, pushing_links(robot, yield_links))
+        firm, soft = np.flatnonzero(depth == 0.0), np.flatnonzero(depth)
+        smaller = np.broadcast_to(np.asarray(beyond, dtype=np.float64), (len(solids),)) - depth
+        order = np.concatenate([firm, soft, soft])
+        of_each = (np.ones_like(pushing), ~pushing, pushing)
+        links = np.repeat(of_each, [len(firm), len(soft), len(soft)], axis=0)
+        growths = np.concatenate([grown[firm], grown[soft], smaller[soft]])
+        return cls(tuple(solids[number] for number in order.tolist()), frozen(growths), frozen(links))
+
+    def field(self, robot: Robot, *, own_clearance: float | None = None, deviation: float = 0.0) -> ClearanceField:
+        """The arm among them (`ClearanceField.of`)."""
+        return ClearanceField.of(
+            robot,
+            self.solids,
+            clearance=self.growth,
+            own_clearance=own_clearance,
+            deviation=deviation,
+            links=self.links,
+        )  # fmt: skip
+
+    def named(self, name: str) -> BoolArray:
+        """(n,) which of them have a name."""
+        return np.array([solid.name == name for solid in self.solids], dtype=np.bool_)
+
+
+def pushing_links(robot: Robot, names: Sequence[str] | None) -> tuple[str, ...]:
+    """The links that may push what gives way.
+
+    Args:
+        robot: The arm.
+        names: Their names; None for those of the last two joints.
+
+    Raises:
+        OptionError: A name of no link that moves.
+    """
+    known = _links(robot)
+    if names is None:
+        last = sorted(set(known.values()))[-2:]
+        if robot.planar is None:
+            last = list(carriers(robot, robot.tool_joint - 1))[:2]
+        return tuple(name for name, joint in known.items() if joint in last)
+    for name in names:
+        if name not in known:
+            raise OptionError("yield_links", name, f"links that move: {', '.join(known)}")
+    return tuple(names)
+
+
+def yielded(robot: Robot, solids: Sequence[Solid], yield_links: Sequence[str] | None) -> FloatArray | None:
+    """(solids,) how deep each may be pushed by the links that may [m]; None where none may.
+
+    Raises:
+        OptionError: A name of no link.
+    """
+    depth = np.array([solid.yields for solid in solids], dtype=np.float64)
+    if not depth.any():
+        return None
+    if robot.planar is not None:
+        most: ArrayLike = float(robot.arm.half_widths.min())
+    else:
+        names = pushing_links(robot, yield_links)
+        thin = min((body.rounding for body in collision_bodies(robot) if body.name in names), default=0.0)
+        most = thin + np.array([solid.rounding for solid in solids])
+    found: FloatArray = np.minimum(depth, most)
+    return found
+
+
+def _links(robot: Robot) -> dict[str, int]:
+    """The links that move, and the place of each among links of a planar arm, or joints of another."""
+    if robot.planar is not None:
+        return {name: number for number, name in enumerate(robot.arm.link_names)}
+    bodies = collision_bodies(robot)
+    return {name: bodies[numbers[0]].joint for name, numbers in moving_bodies(robot).items()}
+
+
+def _pushing(robot: Robot, names: Sequence[str]) -> BoolArray:
+    """(links,) of a planar arm which may push; of another one, (dof,) which joints carry nothing that may not."""
+    known = _links(robot)
+    found = np.zeros(robot.arm.link_count if robot.planar is not None else robot.dof, dtype=np.bool_)
+    found[[known[name] for name in names]] = True
+    found[[joint for name, joint in known.items() if name not in names]] = False
+    return found

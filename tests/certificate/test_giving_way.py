@@ -1,0 +1,185 @@
+"""What gives way: pushed by the links that may, so deep and no deeper, and told; all else as rigid as ever."""
+
+import itertools
+
+import numpy as np
+import pytest
+from arm_variants import link_axes
+from segments import segment_distances
+
+from hplan.certificate.certificate import certify
+from hplan.certificate.digests import scene_digest
+from hplan.collision.giving_way import pushing_links, yielded
+from hplan.errors import BlockedError, OptionError
+from hplan.grid.sections import sections_at
+from hplan.planning.options import PlanOptions
+from hplan.planning.plan import plan
+from hplan.planning.world import World
+from hplan.robot.model import load_robot
+from hplan.scene.file import dump_scene, parse_scene
+from hplan.scene.model import Goal
+from hplan.scene.obstacles import Box, Capsule, PointCloud, Sphere
+from hplan.scene.orchard import OrchardOptions, generate
+from hplan.scene.orchard.options import REACHED
+
+YIELDS = 0.02
+
+
+def orchard(seed, **options):
+    """Grown trees before the orchard arm, whose thin wood and fruit give way."""
+    given = {"wood_yields": YIELDS, "yields_below": 0.012, "fruit_yields": YIELDS} | options
+    zone = REACHED["orchard_harvester"]
+    grown = OrchardOptions(robot="orchard_harvester", seed=seed, fruits=40, distance=1.2, fruit_zone=zone, **given)
+    return generate(grown, start_deg=(0.0, 90.0, 90.0, 90.0))
+
+
+def depths(arm, scene, result, step_s=2e-3):
+    """Times, and by link and obstacle how deep they are in one another there [m]: plain distances of segments."""
+    motion = result.trajectory
+    clock = np.append(np.arange(0.0, motion.duration, step_s), motion.duration)
+    axes = np.array([link_axes(arm, q) for q in motion.positions(clock)])
+    solids = [(o.name, o.core[0], o.core[-1], o.radius) for o in scene.obstacles]
+    solids += [(f.name, np.array(f.center), np.array(f.center), f.radius) for f in scene.fruits]
+    found = {}
+    for (name, start, end, radius), k in itertools.product(solids, range(arm.arm.link_count)):
+        at = np.arange(0, len(clock), 25)
+        if segment_distances(axes[at, k, 0], axes[at, k, 1], start, end).min() > 0.3:
+            continue
+        apart = segment_distances(axes[:, k, 0], axes[:, k, 1], start, end)
+        depth = radius + arm.arm.half_widths[k] - apart
+        for window in result.certificate.contacts:
+            if window.fruit.name == name and k == 2:
+                depth[(clock >= window.begin_s) & (clock <= window.end_s)] = -np.inf
+        found[arm.arm.link_names[k], name] = depth
+    return clock, found
+
+
+@pytest.fixture(scope="module")
+def arm():
+    return load_robot("orchard_harvester")
+
+
+@pytest.fixture(scope="module")
+def motions(arm):
+    """Scenes with plans of which some push, and how deep (`depths`)."""
+    found = []
+    for seed, fruit in itertools.product((1, 2), range(0, 40, 6)):
+        scene = orchard(seed)
+        scene = scene.model_copy(update={"goal": Goal(fruit=scene.fruits[fruit].name)})
+        try:
+            result = plan(arm, scene, PlanOptions(effort="quick"))
+        except BlockedError:
+            continue
+        found.append((scene, result, *depths(arm, scene, result)))
+    return found
+
+
+def test_field_and_coal_agree_on_what_is_left_to_each_link():
+    rng, robot = np.random.default_rng(5), load_robot()
+    solids = [Box(name="box", center=(0.9, 0.4, 1.2), size=(0.2, 0.2, 0.2), yields=0.01)]
+    solids += PointCloud.of("cloud", rng.normal((1.0, -0.5, 1.2), 0.1, (300, 3)), 0.01, yields=0.015).solids
+    for number in range(60):
+        middle, half = rng.uniform([0.3, -1.0, 0.2], [1.6, 1.0, 2.0]), rng.normal(size=3)
+        half *= 0.2 / np.linalg.norm(half)
+        ends = {"from": tuple(middle - half), "to": tuple(middle + half)}
+        kinds = {"radius": rng.uniform(0.003, 0.012), "yields": rng.choice([0.0, YIELDS])}
+        solids.append(Capsule.model_validate({"name": f"twig {number}", **ends, **kinds}))
+    world = World.of(robot, solids, clearance=0.005)
+    for q in rng.uniform(robot.lower, robot.upper, (300, robot.dof)):
+        left = world.checker.pair_distances(q) - world.checker.kept(0.005)
+        by_link = left[: 3 * len(solids)].reshape(3, -1).min(axis=1)
+        field = world.field.link_clearances(q)
+        near = (by_link > -0.02) & (field > -0.02)
+        np.testing.assert_allclose(field[near], by_link[near], atol=1e-6)
+        assert ((by_link <= 1e-6) == (field <= 1e-6)).all()
+
+
+def test_pushed_no_deeper_than_allowed_by_the_links_that_may_and_all_of_it_told(motions):
+    yields = {item.name: item.yields for scene, *_ in motions for item in (*scene.obstacles, *scene.fruits)}
+    assert len(motions) > 5
+    pushing = 0
+    for _, result, clock, found in motions:
+        certificate = result.certificate
+        assert certificate.verified
+        for (link, name), depth in found.items():
+            allowed = yields[name] if link in ("forearm", "hand") else 0.0
+            assert depth.max() <= allowed + 1e-6, (link, name)
+            told = [push for push in certificate.pushes if (push.link, push.obstacle) == (link, name)]
+            deep = depth > 1e-6
+            pushing += bool(deep.any())
+            for push in told:
+                deep &= ~((clock >= push.begin_s - 1e-9) & (clock <= push.end_s + 1e-9))
+                assert push.depth_m <= allowed
+            assert not deep.any(), (link, name)
+            assert max((push.depth_m for push in told), default=0.0) >= depth.max() - 1e-6
+    assert pushing > 10
+
+
+def test_what_is_pushed_deeper_than_allowed_is_not_verified(arm, motions):
+    """The bound of what is pushed deepest, just above the true depth and just below it."""
+    outcomes = []
+    for scene, result, _, found in motions:
+        (_, name), depth = max(found.items(), key=lambda item: item[1].max())
+        for beyond in (2e-5, -2e-5):
+            less = [
+                tuple(
+                    item.model_copy(update={"yields": float(depth.max()) + beyond}) if item.name == name else item
+                    for item in items
+                )
+                for items in (scene.obstacles, scene.fruits)
+            ]
+            other = scene.model_copy(update={"obstacles": less[0], "fruits": less[1]})
+            if depth.max() < 1e-3:
+                continue
+            contact = "approach" if len(result.phases) > 1 else "motion"
+            outcomes.append((beyond > 0.0, certify(arm, other, result.trajectory, goal_contact=contact).verified))
+    assert len(outcomes) > 8
+    assert not any(verified for may, verified in outcomes if not may)
+    assert sum(verified for may, verified in outcomes if may) >= len(outcomes) // 4
+
+
+def test_other_links_may_push_only_where_they_are_named(arm, motions):
+    refused = 0
+    for scene, result, *_ in motions:
+        if any(push.link == "forearm" for push in result.certificate.pushes):
+            rigid = scene.model_copy(update={"yield_links": ("hand",)})
+            refused += not certify(arm, rigid, result.trajectory).verified
+            assert scene_digest(rigid) != scene_digest(scene)
+    assert refused
+    with pytest.raises(OptionError, match=r"'gripper'.*upper_arm, forearm, hand"):
+        plan(arm, scene.model_copy(update={"yield_links": ("gripper",)}))
+
+
+def test_the_last_two_joints_links_push_and_no_deeper_than_they_are_thick():
+    planar, general = load_robot(), load_robot("ur5")
+    assert pushing_links(planar, None) == ("forearm", "hand")
+    assert pushing_links(general, None) == ("wrist_2_link", "wrist_3_link", "ee_link")
+    ball = Sphere(name="ball", center=(1.0, 0.0, 1.0), radius=0.004, yields=0.5)
+    assert yielded(planar, [ball], None) == planar.arm.half_widths.min()
+    assert yielded(general, [ball], None) == 0.004
+
+
+def test_sections_of_what_gives_way_are_smaller_to_the_links_that_push():
+    robot, scene = load_robot(), orchard(1)
+    soft = World.of(robot, scene.solids_with_goal)
+    firm = World.of(robot, [solid.model_copy(update={"yields": 0.0}) for solid in scene.solids_with_goal])
+    cuts = [sections_at(robot, world.bodies()) for world in (soft, firm)]
+    radii = [
+        [
+            {cut.obstacle_names[o]: r for o, r in zip(cut.obstacle_of[at], cut.radii[at], strict=True)}
+            for at in (cut.links == link for link in range(3))
+        ]
+        for cut in cuts
+    ]
+    assert radii[0][0] == radii[1][0]
+    for small, large in zip(radii[0][1:], radii[1][1:], strict=True):
+        assert set(small) < set(large)
+        assert all(small[name] <= large[name] for name in small)
+
+
+def test_scenes_keep_what_gives_way_and_others_are_what_they_were():
+    scene = orchard(3).model_copy(update={"yield_links": ("hand",)})
+    assert parse_scene(dump_scene(scene)) == scene
+    rigid = orchard(3, wood_yields=0.0, fruit_yields=0.0)
+    assert "yield" not in dump_scene(rigid)
+    assert scene_digest(rigid) != scene_digest(scene)

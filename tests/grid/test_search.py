@@ -1,0 +1,410 @@
+"""All searches against Dijkstra's algorithm and the plain two levels, on random masks."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from reference import assert_path, component, make_occupancy, neighbours, path_cost, shortest, slice_paths, union_mask
+from studies.paper.random_scenes import compare, disc_occupancy
+
+from hplan.base.arrays import BoolArray, FloatArray, IntArray
+from hplan.grid import Fallback, SearchResult, dense_search, reachable, slices_with_path, two_level_search
+from hplan.grid.astar import _bound, row_bounds
+from hplan.grid.grid import Grid, Occupancy
+from hplan.grid.lattice import Lattice, NodeSet
+from hplan.grid.sections import LinkModel
+
+STEPS = [1.0, 1.0, 0.3, 2.5, 0.01]
+
+
+def check(free: BoolArray, start: IntArray, goal: IntArray, step: FloatArray, *, octile: bool) -> None:
+    """Everything that must hold of the searches on one mask."""
+    space = make_occupancy(free, step)
+    best, _ = shortest(free, start, goal, step)
+    dense = dense_search(space, start, goal, octile=octile)
+    two_level = two_level_search(space, start, goal, octile=octile)
+    assert (dense.path is None) == (best == math.inf)
+    assert (two_level.path is None) == (best == math.inf)
+    if dense.path is not None and two_level.path is not None:
+        assert dense.cost == pytest.approx(best, abs=1e-9)
+        assert two_level.cost >= best - 1e-9
+        for result in (dense, two_level):
+            assert_path(free, result.path, start, goal)
+            assert path_cost(result.path, step) == pytest.approx(result.cost, abs=1e-9)
+
+    # Each slice: a path exactly where there is one, and a shortest.
+    expected = slice_paths(free, start, goal, step)
+    own = {number: path for number, path in two_level.slice_paths.items() if number in expected}
+    assert own.keys() == expected.keys()
+    for number, path in two_level.slice_paths.items():
+        ends = [[*start[:-1], number], [*goal[:-1], number]]
+        assert_path(free, path, *ends)
+    for number, path in own.items():
+        cost, least = path_cost(path, step), path_cost(expected[number], step)
+        assert cost == pytest.approx(least, abs=1e-9)
+    assert two_level.layers is not None
+    searched = range(two_level.layers.first, two_level.layers.first + len(two_level.layers.begins) - 1)
+    connected = slices_with_path(space, start, goal)
+    for number in range(free.shape[-1]):
+        here = free[(*start[:-1], number)] and component(free[..., number], start[:-1])[tuple(goal[:-1])]
+        assert connected[number] == here
+        assert two_level.layers.feasible[number] == (here and number in searched)
+
+    # The sparse graph is the plain one, and its search is exact.
+    union = union_mask(free, own, start, goal)
+    on_union, _ = shortest(union, start, goal, step)
+    assert (two_level.fallback == "none") == (on_union < math.inf)
+    if two_level.fallback == "none":
+        assert two_level.cost == pytest.approx(on_union, abs=1e-9)
+        assert two_level.sparse_nodes == union.sum()
+
+
+def random_case(
+    rng: np.random.Generator, shape: tuple[int, ...], density: float
+) -> tuple[BoolArray, IntArray, IntArray, FloatArray]:
+    """Free mask, two free nodes, steps."""
+    free = rng.random(shape) >= density
+    start, goal = (np.array([rng.integers(count) for count in shape]) for _ in range(2))
+    free[tuple(start)] = free[tuple(goal)] = True
+    return free, start, goal, rng.choice(STEPS, len(shape))
+
+
+@settings(max_examples=150, suppress_health_check=[HealthCheck.too_slow])
+@given(
+    shape=st.one_of(
+        st.tuples(st.integers(1, 14), st.integers(1, 14)),
+        st.tuples(st.integers(1, 7), st.integers(1, 7), st.integers(1, 7)),
+        st.tuples(*[st.integers(1, 4)] * 4),
+    ),
+    density=st.sampled_from([0.0, 0.1, 0.3, 0.5, 0.6]),
+    octile=st.booleans(),
+    seed=st.integers(0, 2**32 - 1),
+)
+def test_small_masks(shape: tuple[int, ...], density: float, octile: bool, seed: int) -> None:
+    check(*random_case(np.random.default_rng(seed), shape, density), octile=octile)
+
+
+@pytest.mark.parametrize("length", [62, 63, 64, 65, 130])
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_word_boundaries(axis: int, length: int) -> None:
+    rng = np.random.default_rng([axis, length])
+    shape = [4, 4, 4]
+    shape[axis] = length
+    for density in (0.2, 0.45):
+        free, start, goal, step = random_case(rng, tuple(shape), density)
+        start[axis], goal[axis] = rng.permutation([int(rng.integers(3)), length - 1 - int(rng.integers(3))])
+        free[tuple(start)] = free[tuple(goal)] = True
+        check(free, start, goal, step, octile=True)
+
+
+@pytest.mark.parametrize("shape", [(64, 65), (130, 3), (3, 130), (1, 70), (70, 1)])
+def test_word_boundaries_in_the_plane(shape: tuple[int, ...]) -> None:
+    rng = np.random.default_rng(shape)
+    for octile in (True, False):
+        check(*random_case(rng, shape, 0.3), octile=octile)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_rooms_and_discs(seed: int) -> None:
+    """Larger planes with walls, holes and round obstacles, where scans are long and corners many."""
+    rng = np.random.default_rng(seed)
+    shape = (int(rng.integers(20, 70)), int(rng.integers(20, 70)), 3)
+    free = np.ones(shape, dtype=bool)
+    i, j = np.indices(shape[:2])
+    for number in range(shape[2]):
+        for _ in range(int(rng.integers(2, 12))):
+            if rng.random() < 0.5:
+                along = int(rng.integers(2))
+                place = int(rng.integers(shape[along]))
+                wall = (i, j)[along] == place
+                wall &= np.abs((j, i)[along] - int(rng.integers(shape[1 - along]))) > int(rng.integers(3))
+                free[wall, number] = False
+            else:
+                centre, radius = rng.uniform(0, shape[:2]), rng.uniform(1, 12)
+                free[(i - centre[0]) ** 2 + (j - centre[1]) ** 2 < radius**2, number] = False
+    nodes = np.argwhere(free)
+    start, goal = nodes[rng.integers(len(nodes), size=2)]
+    start[2], goal[2] = 0, 2
+    free[tuple(start)] = free[tuple(goal)] = True
+    check(free, start, goal, rng.choice(STEPS, 3), octile=True)
+
+
+@pytest.mark.parametrize("shape", [(30, 40), (7, 9, 70), (9, 66, 5), (4, 3, 5, 6)])
+@pytest.mark.parametrize("density", [0.0, 0.4, 0.7])
+def test_reachable_is_the_component(shape: tuple[int, ...], density: float) -> None:
+    free, start, _, step = random_case(np.random.default_rng(len(shape)), shape, density)
+    assert np.array_equal(reachable(make_occupancy(free, step), start), component(free, start))
+
+
+# Slices without a path, where each kind of restoration is needed: built on purpose, in both directions
+
+
+SHAPE = (7, 6, 10)
+STEP = np.array([1.0, 0.7, 1.3])
+
+
+def walled(*walls: tuple[int, range]) -> BoolArray:
+    """Free mask with a wall across axis 0 at the given places in the given slices."""
+    free = np.ones(SHAPE, dtype=bool)
+    for place, slices in walls:
+        free[place, :, list(slices)] = False
+    return free
+
+
+def search(free: BoolArray, start: list[int], goal: list[int], *, octile: bool) -> SearchResult:
+    result = two_level_search(make_occupancy(free, STEP), start, goal, octile=octile)
+    best, _ = shortest(free, np.array(start), np.array(goal), STEP)
+    if result.path is None:
+        assert best == math.inf
+    else:
+        assert_path(free, result.path, np.array(start), np.array(goal))
+        assert result.cost >= best - 1e-9
+        if result.fallback == "dense":
+            assert result.cost == pytest.approx(best, abs=1e-9)
+    return result
+
+
+@pytest.mark.parametrize("octile", [True, False])
+@pytest.mark.parametrize("swap", [False, True])
+@pytest.mark.parametrize(
+    ("free", "restored", "fallback"),
+    [
+        (walled((3, range(3))), (0, 1, 2), "none"),
+        (walled((3, range(7, 10))), (7, 8, 9), "none"),
+        (walled((3, range(3)), (4, range(8, 10))), (0, 1, 2, 8, 9), "none"),
+        (walled((3, range(3, 7))), (3, 4, 5, 6), "none"),
+        (walled((3, range(2, 4)), (2, range(6, 7))), (2, 3, 6), "none"),
+        (walled((2, range(5)), (4, range(5, 10))), (), "dense"),
+    ],
+    ids=["start", "goal", "both", "middle", "two gaps", "no feasible slice"],
+)
+def test_gap(free: BoolArray, restored: tuple[int, ...], fallback: Fallback, swap: bool, octile: bool) -> None:
+    ends = [[0, 0, 0], [6, 5, 9]]
+    start, goal = ends[::-1] if swap else ends
+    result = search(free, start, goal, octile=octile)
+    assert result.path is not None
+    assert result.fallback == fallback
+    assert result.restored_slices == restored
+    assert set(result.slice_paths) == set(range(10)) - set(restored) - (
+        set(range(10)) if fallback == "dense" else set()
+    )
+
+
+@pytest.mark.parametrize("octile", [True, False])
+@pytest.mark.parametrize("swap", [False, True])
+@pytest.mark.parametrize("open_slices", [range(7, 10), range(1)])
+def test_path_beyond_start_and_goal(open_slices: range, swap: bool, octile: bool) -> None:
+    free = walled((3, range(10)))
+    free[3, :, list(open_slices)] = True
+    ends = [[0, 0, 2], [6, 5, 4]]
+    start, goal = ends[::-1] if swap else ends
+    result = search(free, start, goal, octile=octile)
+    assert result.path is not None
+    assert result.fallback == "all_slices"
+    assert sorted(result.slice_paths) == list(open_slices)
+    assert result.expansions.layers == 0
+    assert result.expansions.fallback > 0
+    assert result.times.fallback > 0.0
+
+
+@pytest.mark.parametrize("octile", [True, False])
+def test_no_path_at_all(octile: bool) -> None:
+    free = walled((3, range(10)))
+    result = search(free, [0, 0, 0], [6, 5, 9], octile=octile)
+    assert result.path is None
+    assert result.cost == math.inf
+    assert result.feasible_slices is not None
+    assert not result.feasible_slices.any()
+    assert result.slice_paths == {}
+    assert result.fallback == "dense"
+    reached = reachable(make_occupancy(free, STEP), [0, 0, 0])
+    assert np.array_equal(reached, component(free, np.array([0, 0, 0])))
+    assert reached.sum() == 3 * 6 * 10
+
+
+def test_paths_exist_in_some_slices_but_do_not_join() -> None:
+    # Slice 5 is shut off from the slices of start and goal but for one hole far from any slice path.
+    free = np.ones(SHAPE, dtype=bool)
+    free[3, :, :4] = False
+    free[:, :, 4] = False
+    free[2, 5, 4] = True
+    free[3, :, 6:] = False
+    free[:, :, 7] = False
+    free[4, 0, 7] = True
+    result = search(free, [0, 0, 0], [6, 1, 9], octile=True)
+    assert result.path is not None
+    assert result.slice_paths.keys() == {5}
+    assert result.fallback == "dense"
+
+
+# The bounds: admissible, consistent, and the octile one exact where no obstacle is
+
+
+SPACES = [
+    ((6, 7), [1.0, 1.0]),
+    ((6, 7), [0.4, 1.7]),
+    ((5, 4, 6), [1.0, 1.0, 1.0]),
+    ((5, 4, 6), [2.0, 0.3, 1.1]),
+    ((3, 4, 3, 4), [1.0, 0.5, 2.0, 0.8]),
+]
+
+
+def octile(lattice: Lattice, node: tuple[int, ...], goal: tuple[int, ...]) -> float:
+    here, target = lattice.node(np.array(node)), lattice.node(np.array(goal))
+    return float(_bound(lattice.row_coordinates, lattice.step, *here, target, True))
+
+
+@pytest.mark.parametrize(("shape", "step"), SPACES)
+def test_octile_bound_is_exact_on_an_empty_grid(shape: tuple[int, ...], step: list[float]) -> None:
+    free = np.ones(shape, dtype=bool)
+    lattice = Lattice.of(shape, np.array(step))
+    goal = tuple(count // 3 for count in shape)
+    for node in itertools.islice(np.ndindex(shape), 0, None, 3):
+        cost, _ = shortest(free, np.array(node), np.array(goal), np.array(step))
+        assert octile(lattice, node, goal) == pytest.approx(cost, abs=1e-12)
+
+
+@pytest.mark.parametrize(("shape", "step"), SPACES)
+def test_octile_bound_is_consistent(shape: tuple[int, ...], step: list[float]) -> None:
+    free = np.ones(shape, dtype=bool)
+    lattice = Lattice.of(shape, np.array(step))
+    goal = tuple(count - 1 for count in shape)
+    assert octile(lattice, goal, goal) == 0.0
+    for node in np.ndindex(shape):
+        for other, move in neighbours(free, node):
+            cost = float(np.linalg.norm(np.array(move) * step))
+            assert octile(lattice, node, goal) <= cost + octile(lattice, other, goal) + 1e-12
+
+
+def _row_bound(values: FloatArray, weights: FloatArray, row: int, togo: int) -> float:
+    return float((values[row] + weights * togo).max())
+
+
+@pytest.mark.parametrize(("shape", "step"), SPACES)
+@pytest.mark.parametrize("density", [0.0, 0.4, 0.7])
+def test_row_bounds_are_consistent(shape: tuple[int, ...], step: list[float], density: float) -> None:
+    free = np.random.default_rng(len(shape)).random(shape) >= density
+    goal = tuple(count // 2 for count in shape)
+    free[goal] = True
+    lattice = Lattice.of(shape, np.array(step))
+    words = lattice.bordered(make_occupancy(free, np.array(step)).free_words)
+    bounds = row_bounds(lattice, NodeSet.of(words), lattice.row_of(np.array(goal)))
+
+    def bound(node: tuple[int, ...]) -> float:
+        row = lattice.row_of(np.array(node))
+        return _row_bound(bounds.values, bounds.weights, row, abs(node[-1] - goal[-1]))
+
+    assert bound(goal) == 0.0
+    for node in map(tuple, np.argwhere(free).tolist()):
+        for other, move in neighbours(free, node):
+            cost = float(np.linalg.norm(np.array(move) * step))
+            assert bound(node) <= cost + bound(other) + 1e-12
+    # Zero at the goal and consistent, hence admissible; and it knows of walls.
+    if density == 0.0:
+        assert bounds.settled == 2 * np.prod(shape[:-1])
+
+
+# Values of the reference scene and of the paper's demonstration, and what every result must keep
+
+
+START, GOAL = [0, 0, 0], [45, 60, 70]
+DISC = np.array([[1.0, 1.3, 0.15]])
+
+
+@pytest.fixture(scope="module")
+def table_1() -> Occupancy:
+    return disc_occupancy(DISC)
+
+
+@pytest.fixture(scope="module")
+def demonstration() -> Occupancy:
+    """The paper's workspace: a ball in the middle of 21 layers."""
+    grid = Grid.over([0, 0, 5], [60, 60, 25], 1.0)
+    mesh = np.stack(np.meshgrid(*(grid.axis(k) for k in range(3)), indexing="ij"), axis=-1)
+    return Occupancy.from_mask(grid, np.linalg.norm(mesh - [30, 30, 15], axis=-1) <= 7.5)
+
+
+@pytest.mark.parametrize(
+    ("model", "cost", "first"),
+    [("capsule", 145.2149523784, 45), ("paper", 145.2149523784, 45), ("rectangle", 143.558098, 40)],
+)
+def test_reference_scene(model: LinkModel, cost: float, first: int) -> None:
+    scene = disc_occupancy(DISC, model)
+    free = ~scene.occupied
+    for octile in (True, False):
+        result = two_level_search(scene, START, GOAL, octile=octile)
+        assert result.path is not None
+        assert result.feasible_slices is not None
+        assert np.degrees(result.cost) == pytest.approx(cost, abs=1e-6)
+        assert len(result.path) == 107
+        assert_path(free, result.path, START, GOAL)
+        assert np.flatnonzero(result.feasible_slices).tolist() == list(range(first, 71))
+        assert np.flatnonzero(slices_with_path(scene, START, GOAL)).tolist() == list(range(first, 91))
+        assert sorted(result.slice_paths) == list(range(first, 71))
+        assert result.restored_slices == tuple(range(first))
+        assert result.fallback == "none"
+
+
+def test_dense_costs_what_two_level_does(table_1: Occupancy) -> None:
+    for octile in (True, False):
+        result = dense_search(table_1, START, GOAL, octile=octile)
+        assert np.degrees(result.cost) == pytest.approx(145.2149523784, abs=1e-9)
+        assert result.path is not None
+        assert_path(~table_1.occupied, result.path, START, GOAL)
+        assert 140_000 < result.expansions.total < 154_700
+
+
+def test_paper_settings_keep_their_counts(table_1: Occupancy) -> None:
+    expansions = two_level_search(table_1, START, GOAL, octile=False).expansions
+    assert expansions.layers == pytest.approx(52_948, rel=0.01)
+    assert expansions.sparse == pytest.approx(5_412, rel=0.02)
+    assert expansions.fallback == 0
+
+
+def test_fewer_expansions_by_default(table_1: Occupancy) -> None:
+    result = two_level_search(table_1, START, GOAL)
+    assert 26 <= result.expansions.layers < 1_000
+    assert 1_000 < result.expansions.sparse < 5_000
+    assert result.expansions.total == result.expansions.layers + result.expansions.sparse
+    assert result.sparse_nodes < 7_000
+
+
+def test_workspace_demonstration(demonstration: Occupancy) -> None:
+    start, goal = demonstration.grid.nearest([5, 10, 5]), demonstration.grid.nearest([55, 50, 25])
+    dense = dense_search(demonstration, start, goal)
+    for octile in (True, False):
+        result = two_level_search(demonstration, start, goal, octile=octile)
+        assert result.path is not None
+        assert_path(~demonstration.occupied, result.path, start, goal)
+        assert len(result.slice_paths) == 21
+        assert result.fallback == "none"
+        assert dense.cost - 1e-9 <= result.cost <= 1.05 * dense.cost
+
+
+@pytest.mark.parametrize("shape", [(4, 5), (4, 5, 6), (3, 4, 3, 5)])
+@pytest.mark.parametrize("octile", [True, False])
+def test_start_is_the_goal(shape: tuple[int, ...], octile: bool) -> None:
+    space = make_occupancy(np.ones(shape, dtype=bool), np.ones(len(shape)))
+    node = [1] * len(shape)
+    for search in (two_level_search, dense_search):
+        result = search(space, node, node, octile=octile)
+        assert result.path is not None
+        assert result.path.tolist() == [node]
+        assert result.cost == 0.0
+
+
+# The arm among random discs: the two levels say "no path" exactly when the dense search does
+
+
+def test_two_level_agrees_with_dense_on_random_scenes() -> None:
+    outcome = compare(80, seed=7)
+    assert outcome.disagree == 0
+    assert 45 < outcome.with_path < 80
+    assert outcome.fallbacks["none"] > 0.9 * outcome.with_path
+    assert outcome.ratio_median < 1.001
+    assert outcome.ratio_worst < 1.6

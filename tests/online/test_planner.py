@@ -28,7 +28,7 @@ from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
 from hplan.planning.result import PlanResult
 from hplan.robot.model import Robot
-from hplan.scene.model import Fruit, Goal, Scene, Start
+from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Box, Mesh, PointCloud, Sphere
 
 START, GOAL = (0.0, 30.0, 20.0, 20.0), (60.0, 30.0, 20.0, 20.0)
@@ -328,13 +328,8 @@ def test_unknown_names(robot: Robot) -> None:
         ({"centre": (0.0, 0.0, 1.0)}, "a sphere has no 'centre'; it has"),
         ({"rpy_deg": (0.0, 0.0, 1.0)}, "a sphere has no 'rpy_deg'"),
         ({"radius": 0.0}, r"radius: .*greater than 0 \(got 0.0\)"),
-        ({"radius": -1.0}, "radius"),
-        ({"radius": math.nan}, "radius"),
-        ({"radius": "1"}, "radius"),
         ({"sigma": -0.1}, "sigma"),
-        ({"center": (0.0, 0.0)}, "center"),
         ({"center": (0.0, 0.0, math.inf)}, r"center\[2\]"),
-        ({"kind": "box"}, "kind"),
     ],
 )
 def test_values_that_cannot_be(robot: Robot, changes: dict[str, Any], message: str) -> None:
@@ -345,14 +340,6 @@ def test_values_that_cannot_be(robot: Robot, changes: dict[str, Any], message: s
     assert planner.scene is before
 
 
-@pytest.mark.parametrize(
-    "item", [None, "post", {"kind": "sphere"}, Fruit(name="f", center=(1.0, 0.0, 2.0), radius=0.1)]
-)
-def test_only_obstacles_can_be_added(robot: Robot, item: Any) -> None:
-    with pytest.raises(InputError, match="expected one of Sphere, Capsule, Cylinder, Box, Mesh, PointCloud, got"):
-        planner_for(robot).add(item)
-
-
 def test_aim_at_what_is_not_there(robot: Robot) -> None:
     planner = planner_for(robot, fruits=(fruit("apple", 0, 1.0, 2.0),))
     before = planner.scene
@@ -360,8 +347,6 @@ def test_aim_at_what_is_not_there(robot: Robot) -> None:
         planner.aim(goal=Goal(fruit="plum"))
     assert caught.value.where == "goal.fruit"
     assert len(caught.value.message) < 100
-    with pytest.raises(InputError, match=r"goal: .*Goal"):
-        planner.aim(goal="apple")  # type: ignore[arg-type]
     assert planner.scene is before
     planner.aim(goal=Goal(joints_deg=(0.0, 0.0)))
     with pytest.raises(InputError, match="goal: expected 4 joint values"):

@@ -11,6 +11,8 @@ taken the first i fruits, the last of them at v and carrying l since the drop-of
 
 The order itself is exact for few fruits (the same over all subsets), else a local optimum: no reversal of a stretch
 and no move of up to three fruits, turned round or not, makes the tour shorter; kicks from a fixed seed look further.
+Where no more than one fruit is carried, the least costs along all stretches of the order are kept, from each place at
+one end to each at the other, so that a change is judged by the few stretches that it is made of.
 Costs may be infinite, and need not be symmetric.
 """
 
@@ -25,7 +27,7 @@ import numpy as np
 
 from hplan.base import ties
 from hplan.base.arrays import BoolArray, FloatArray, IntArray, frozen
-from hplan.base.kernels import kernel
+from hplan.base.kernels import inlined, kernel
 
 #: Up to so many fruits, and so many numbers in its table, the order is exact.
 EXACT, _MOST_STATES = 11, 4_000_000
@@ -216,8 +218,15 @@ def _along(order: IntArray, costs: Costs) -> tuple[float, IntArray, BoolArray]:
 def _improved(order: IntArray, costs: Costs) -> tuple[float, IntArray]:
     """The order that no reversal of a stretch and no move of a short one improves."""
     n = len(order)
-    table = np.empty((len(costs.first), max(1, min(costs.capacity, n))))
-    cost = _cost(order, costs, table)
+    loads, most = max(1, min(costs.capacity, n)), 1
+    for f in range(n):
+        most = max(most, costs.begin[f + 1] - costs.begin[f])
+    table, stretches = np.empty((len(costs.first), loads)), np.empty((2, n, n, most, most))
+    cost, by_stretches = _cost(order, costs, table), loads == 1
+    # Costs of reaching each fruit's places along the order, and of going on from them to its end; of a trial.
+    reached, onward, here = np.empty((n, most)), np.empty((n, most)), np.empty((2, most))
+    if by_stretches:
+        _fill_stretches(order, costs, stretches, reached, onward)
     other = np.empty_like(order)
     better = True
     while better:
@@ -230,29 +239,143 @@ def _improved(order: IntArray, costs: Costs) -> tuple[float, IntArray]:
                 continue
             for i in range(n):
                 for j in range(n):
-                    if kind == 0:
-                        if j <= i:
+                    if (kind == 0 and j <= i) or (kind > 0 and (i + size > n or j + size > n or i == j)):
+                        continue
+                    if by_stretches:
+                        trial = _trial(order, costs, (kind, i, j), stretches, reached, onward, here)
+                        if not trial < cost * (1.0 - _GAIN):
                             continue
-                        for k in range(n):
-                            other[k] = order[i + j - k] if i <= k <= j else order[k]
-                    else:
-                        if i + size > n or j + size > n or i == j:
+                    _change(order, (kind, i, j), other)
+                    if not by_stretches:
+                        trial = _cost(other, costs, table)
+                        if not trial < cost * (1.0 - _GAIN):
                             continue
-                        # The stretch from i on is taken out and stands from j on afterwards.
-                        source = 0
-                        for k in range(n):
-                            if j <= k < j + size:
-                                other[k] = order[i + (j + size - 1 - k if turned else k - j)]
-                            else:
-                                if source == i:
-                                    source += size
-                                other[k] = order[source]
-                                source += 1
-                    trial = _cost(other, costs, table)
-                    if trial < cost * (1.0 - _GAIN):
-                        order, other = other, order
-                        cost, better = trial, True
+                    order, other = other, order
+                    cost, better = trial, True
+                    if by_stretches:
+                        _fill_stretches(order, costs, stretches, reached, onward)
     return cost, order
+
+
+@kernel
+def _change(order: IntArray, change: tuple[int, int, int], other: IntArray) -> None:
+    """Write an order with a stretch from i to j reversed, or some fruits from i on moved to stand from j on."""
+    kind, i, j = change
+    size, turned, source = (kind - 1) % SEGMENT + 1, kind > SEGMENT, 0
+    for k in range(len(order)):
+        if kind == 0:
+            other[k] = order[i + j - k] if i <= k <= j else order[k]
+        elif j <= k < j + size:
+            other[k] = order[i + (j + size - 1 - k if turned else k - j)]
+        else:
+            if source == i:
+                source += size
+            other[k] = order[source]
+            source += 1
+
+
+@inlined
+def _step(costs: Costs, v: int, w: int) -> float:
+    """Cost from place to place where no more than one fruit is carried."""
+    step: float = costs.onward[v, w] if costs.capacity == 0 else costs.drop[v] + costs.away[w]
+    return step
+
+
+@kernel
+def _fill_stretches(
+    order: IntArray, costs: Costs, stretches: FloatArray, reached: FloatArray, onward: FloatArray
+) -> None:
+    """Write what it costs to go along the order: to each place, from it to the end, and along each stretch.
+
+    Args:
+        order: The fruits.
+        costs: Of tours that carry no more than one fruit.
+        stretches: (2, n, n, places, places) from a place of the fruit at i to one of that at j >= i, and back.
+        reached: (n, places) from the start.
+        onward: (n, places) to the end.
+    """
+    n, begin = len(order), costs.begin
+    for i in range(n):
+        f, g = order[i], order[i - 1]
+        for w in range(begin[f], begin[f + 1]):
+            least = costs.first[w]
+            if i > 0:
+                least = math.inf
+                for v in range(begin[g], begin[g + 1]):
+                    least = min(least, reached[i - 1, v - begin[g]] + _step(costs, v, w))
+            reached[i, w - begin[f]] = least
+    for i in range(n - 1, -1, -1):
+        f = order[i]
+        for v in range(begin[f], begin[f + 1]):
+            least = costs.last[v]
+            if i < n - 1:
+                least, g = math.inf, order[i + 1]
+                for w in range(begin[g], begin[g + 1]):
+                    least = min(least, _step(costs, v, w) + onward[i + 1, w - begin[g]])
+            onward[i, v - begin[f]] = least
+    for i in range(n):
+        places = begin[order[i] + 1] - begin[order[i]]
+        for a in range(places):
+            for b in range(places):
+                stretches[0, i, i, a, b] = stretches[1, i, i, a, b] = 0.0 if a == b else math.inf
+        for j in range(i + 1, n):
+            f, g = order[j], order[j - 1]
+            for a in range(places):
+                for w in range(begin[f], begin[f + 1]):
+                    there, back = math.inf, math.inf
+                    for v in range(begin[g], begin[g + 1]):
+                        there = min(there, stretches[0, i, j - 1, a, v - begin[g]] + _step(costs, v, w))
+                        back = min(back, _step(costs, w, v) + stretches[1, i, j - 1, v - begin[g], a])
+                    stretches[0, i, j, a, w - begin[f]] = there
+                    stretches[1, i, j, w - begin[f], a] = back
+
+
+@kernel
+def _trial(
+    order: IntArray, costs: Costs, change: tuple[int, int, int],
+    stretches: FloatArray, reached: FloatArray, onward: FloatArray, here: FloatArray,
+) -> float:  # fmt: skip
+    """The cost of the order that a change gives, by its stretches (`_fill_stretches`)."""
+    kind, i, j = change
+    size, n, begin = (kind - 1) % SEGMENT + 1, len(order), costs.begin
+    before, after = min(i, j) - 1, (j if kind == 0 else max(i, j) + size - 1) + 1
+    at, now = before, 0
+    if before >= 0:
+        for a in range(begin[order[before] + 1] - begin[order[before]]):
+            here[now, a] = reached[before, a]
+    for part in range(1 if kind == 0 else 2):
+        # A stretch from low to high, there (0) or back (1): the one that is changed, or those that it passes.
+        if kind == 0:
+            low, high, back = i, j, 1
+        elif (part == 0) == (j < i):
+            low, high, back = i, i + size - 1, 1 if kind > SEGMENT else 0
+        elif j < i:
+            low, high, back = j, i - 1, 0
+        else:
+            low, high, back = i + size, j + size - 1, 0
+        enters, leaves = (high, low) if back == 1 else (low, high)
+        f, g = order[enters], order[leaves]
+        for b in range(begin[g + 1] - begin[g]):
+            here[1 - now, b] = math.inf
+        for a in range(begin[f + 1] - begin[f]):
+            least = costs.first[begin[f] + a]
+            if at >= 0:
+                least = math.inf
+                for c in range(begin[order[at] + 1] - begin[order[at]]):
+                    least = min(least, here[now, c] + _step(costs, begin[order[at]] + c, begin[f] + a))
+            for b in range(begin[g + 1] - begin[g]):
+                here[1 - now, b] = min(here[1 - now, b], least + stretches[back, low, high, a, b])
+        at, now = leaves, 1 - now
+    whole: float = math.inf
+    f = order[at]
+    for a in range(begin[f + 1] - begin[f]):
+        if after == n:
+            whole = min(whole, here[now, a] + costs.last[begin[f] + a])
+        else:
+            g = order[after]
+            for c in range(begin[g + 1] - begin[g]):
+                whole = min(whole, here[now, a] + _step(costs, begin[f] + a, begin[g] + c) + onward[after, c])
+    return whole
 
 
 @kernel

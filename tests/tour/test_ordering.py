@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hplan.tour import ordering
-from hplan.tour.ordering import Costs, Visits, along, best, nearest
+from hplan.tour.ordering import SEGMENT, Costs, Visits, along, best, nearest
 
 
 def random_costs(seed: int, n: int, *, capacity: int, absent: float = 0.0, round_numbers: bool = False) -> Costs:
@@ -89,6 +89,24 @@ def test_local_search_comes_near_the_optimum(monkeypatch: pytest.MonkeyPatch, se
     assert exact.cost <= again.cost * (1 + 1e-12)
     assert again.cost <= first.cost <= along(costs, costs.fruit_of[nearest(costs).places]).cost
     assert again.cost <= 1.1 * exact.cost
+
+
+@pytest.mark.parametrize("capacity", [0, 1])
+def test_every_change_costs_what_the_changed_order_does(capacity: int) -> None:
+    for seed, n in itertools.product(range(3), (3, 4, 7)):
+        costs = random_costs(seed, n, capacity=capacity, absent=0.2)
+        order, places = np.random.default_rng(seed).permutation(n), int(np.diff(costs.begin).max())
+        stretches, reached, onward = np.empty((2, n, n, places, places)), np.empty((n, places)), np.empty((n, places))
+        ordering._fill_stretches(order, costs, stretches, reached, onward)
+        table, here, other = np.empty((len(costs.first), 1)), np.empty((2, places)), order.copy()
+        for kind, i, j in itertools.product(range(2 * SEGMENT + 1), range(n), range(n)):
+            size = (kind - 1) % SEGMENT + 1
+            if (j <= i) if kind == 0 else (i == j or max(i, j) + size > n):
+                continue
+            ordering._change(order, (kind, i, j), other)
+            assert sorted(other) == list(range(n))
+            trial = ordering._trial(order, costs, (kind, i, j), stretches, reached, onward, here)
+            assert trial == pytest.approx(ordering._cost(other, costs, table), rel=1e-12)
 
 
 @pytest.mark.parametrize("n", [12, 25])

@@ -18,7 +18,7 @@ import zipfile
 from collections.abc import Sequence
 from pathlib import Path
 
-from hplan.apps.cli.warmup import compile_all
+from hplan.apps.cli.warmup import KERNELS, compile_all
 from hplan.base.kernels import made_for, portable_processor
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -69,7 +69,10 @@ def add_kernels(site: Path, work: Path, processes: int) -> int:
     (kernels / "made_for.txt").write_text(made_for() + "\n", encoding="utf-8")
     for each in site.rglob("__pycache__"):
         shutil.rmtree(each)
-    return len(list(kernels.glob("*.nbc")))
+    count = len(list(kernels.glob("*.nbc")))
+    if abs(count - KERNELS) > 0.1 * KERNELS:
+        raise SystemExit(f"{count} kernels; hplan/apps/cli/warmup.py tells of {KERNELS}")
+    return count
 
 
 def packed(site: Path, pure: str, out: Path) -> Path:

@@ -41,6 +41,7 @@ from numba.misc.appdirs import AppDirs
 
 from hplan.base import forking  # noqa: F401  # a fork waits for what compiles
 from hplan.base.kernel_digest import UnknownDependencyError, code_digest, forget, kernels_below, value_digest
+from hplan.base.kernel_turns import LISTENERS, end_turn, wait_for_turn
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -65,6 +66,9 @@ _PORTABLE = {
 
 #: Length of a checksum [bytes].
 _CHECKSUM = 32
+
+#: Kernels that were called so far, once for each combination of types: loaded or compiled.
+_ASKED: list[Any] = []
 
 #: Warnings given already.
 _GIVEN: set[str] = set()
@@ -219,9 +223,26 @@ class _DiskCache(NullCache):  # type: ignore[misc]
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """The code compiled for these types; None where there is none, or none that is whole."""
         _name_memory_functions()
+        _ASKED.append(self._compiled)
         key = self._key(sig)
-        if key is None:
-            return None
+        found = None if key is None else self._kept(key, sig, target_context)
+        if found is None and key is not None and self._may_keep(wait_for_turn, key):
+            found = self._kept(key, sig, target_context)
+        if found is None:
+            function = self._compiled.py_func
+            for told in LISTENERS:
+                told(f"{function.__module__.removeprefix('hplan.')}.{function.__name__}", len(_ASKED))
+        return found
+
+    def _may_keep(self, action: Callable[[Path, str], bool | None], key: _Key) -> bool:
+        """What is done with the file in the first folder that takes files; False where none does."""
+        for folder in self.folders():
+            with suppress(OSError):
+                return bool(action(folder, key.file_name))
+        return False
+
+    def _kept(self, key: _Key, sig: Any, target_context: Any) -> Any:
+        """What is on disk; None where nothing is, or nothing that is whole."""
         for folder, each in self._places(key):
             try:
                 return self._loaded(_read(folder, each), sig, target_context)
@@ -237,6 +258,12 @@ class _DiskCache(NullCache):  # type: ignore[misc]
         key = self._key(sig)
         if key is None:
             return
+        try:
+            self._keep(key, sig, data)
+        finally:
+            self._may_keep(end_turn, key)
+
+    def _keep(self, key: _Key, sig: Any, data: Any) -> None:
         by_name, calls = not _is_tiny(data), _calls(data)
         if by_name:
             data.library._shared_module = _NOTHING

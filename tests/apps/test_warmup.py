@@ -1,16 +1,22 @@
-"""The command `hplan warmup`: what it compiles is kept, what fails is told, in lines of 80 columns."""
+"""The command `hplan warmup`, and how commands tell what they compile: what fails too, in lines of 80 columns."""
 
 from __future__ import annotations
 
+import io
+import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
 import pytest
+from rich.console import Console
 
-from hplan.apps.cli import warmup
+from hplan.apps.cli import plan, warmup
 from hplan.apps.cli.main import main
+from hplan.apps.cli.terminal import progress_line
 from hplan.base.elementary import arccos, arctan2
+from hplan.base.kernel_turns import LISTENERS
 
 
 def angles() -> None:
@@ -56,3 +62,27 @@ def test_jobs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capfd: pytest.Cap
     assert main(["warmup", "--quiet"]) == 0
     assert capfd.readouterr() == ("", "")
     assert main(["warmup", "--processes", "0"]) == 2
+
+
+@pytest.mark.parametrize("terminal", [True, False])
+def test_a_command_tells_what_it_compiles(terminal: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("hplan.apps.cli.terminal._EVERY_S", 0.0 if terminal else -1.0)
+    console = Console(file=io.StringIO(), force_terminal=terminal, width=80)
+    with progress_line(console, quiet=False, kernels=90) as show:
+        show("looking for a path " * 9)
+        for told in LISTENERS:
+            told("grid.astar._astar", 87)
+        time.sleep(0.3)
+    said = console.file.getvalue()  # type: ignore[attr-defined]
+    assert not LISTENERS
+    if terminal:
+        assert "compiling: kernel 87 of about 90, 0 s; looking" in said
+    else:
+        assert said == "compiling, as on every first run: kernel 87 of about 90, 0 s\n"
+
+
+def test_about_as_many_kernels_are_called_as_is_told(tmp_path: Path) -> None:
+    code = "from hplan.apps.cli.main import main; main(['plan', '--quiet']); from hplan.base import kernels as k; "
+    command = [sys.executable, "-c", code + "print(len(k._ASKED))"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=900, check=True)
+    assert int(done.stdout) == pytest.approx(plan.KERNELS, rel=0.1)

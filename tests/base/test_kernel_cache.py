@@ -7,6 +7,7 @@ import os
 import shutil
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -142,6 +143,14 @@ def test_a_kernel_that_is_not_tiny_is_compiled_once(folder: Path) -> None:
     said, warned = run(folder, values)
     assert (said, warned.count("KernelCacheWarning")) == (answer[0], 1)
     assert caller.stat().st_ino == kept
+
+
+def test_processes_do_not_compile_the_same(folder: Path) -> None:
+    (folder / "long.py").write_text(LONG)
+    code = "from hplan.base.kernel_turns import LISTENERS; LISTENERS.append(lambda *told: print(*told)); import long; "
+    with ThreadPoolExecutor(2) as pool:
+        said = list(pool.map(lambda _: run(folder, code + "long.twice(2.0)")[0].split("\n"), range(2)))
+    assert sorted(line for lines in said for line in lines if line) == ["long.long 2", "long.twice 1"]
 
 
 def test_nowhere_to_keep_them(folder: Path) -> None:

@@ -70,6 +70,9 @@ exit status:
 hplan --help lists the other commands.
 """
 
+#: So many kernels are called for the reference scene, about; less for most others.
+KERNELS = 90
+
 STAGE_WORDS = {
     "grasps": "finding grasps",
     "trees": "looking for a quick path",
@@ -138,7 +141,7 @@ def parser(prog: str) -> argparse.ArgumentParser:
 
 def _made(arguments: argparse.Namespace, folder: JobFolder, errors: Console) -> tuple[Robot, Scene, PlanResult]:
     """Load, plan and write."""
-    with progress_line(errors, quiet=arguments.quiet) as show:
+    with progress_line(errors, quiet=arguments.quiet, kernels=KERNELS) as show:
         show("reading robot and scene")
         with loading():
             import math
@@ -146,7 +149,6 @@ def _made(arguments: argparse.Namespace, folder: JobFolder, errors: Console) -> 
             from hplan.apps.view.page import write_page
             from hplan.apps.view.playback import Playback
             from hplan.apps.view.yaw_section import check_yaw
-            from hplan.planning.compile_ahead import is_first_run
             from hplan.planning.plan import with_export_time
             from hplan.planning.report import curve_report, write_report
             from hplan.scene.file import load_scene
@@ -172,14 +174,12 @@ def _made(arguments: argparse.Namespace, folder: JobFolder, errors: Console) -> 
         if wants_cspace:
             check_yaw(robot, yaw)
         scene, left_out = scene_among(arguments, robot, given, errors)
-        first_run = is_first_run()
-        note = " (compiling, as on every first run)" if first_run else ""
 
         def progress(stage: str) -> None:
-            show(STAGE_WORDS.get(stage, stage) + note)
+            show(STAGE_WORDS.get(stage, stage))
 
         with folder.job(scene.name, robot.name):
-            result = _planned(robot, scene, options, progress, first_run)
+            result = _planned(robot, scene, options, progress)
             progress("export")
             begin = time.perf_counter()
             with folder.filling() as staging:
@@ -197,15 +197,13 @@ def _made(arguments: argparse.Namespace, folder: JobFolder, errors: Console) -> 
     return robot, scene, result
 
 
-def _planned(
-    robot: Robot, scene: Scene, options: PlanOptions, progress: Callable[[str], None], first_run: bool
-) -> PlanResult:
+def _planned(robot: Robot, scene: Scene, options: PlanOptions, progress: Callable[[str], None]) -> PlanResult:
     """Plan; on a first run another process compiles what comes last meanwhile."""
     from hplan.online.warm_up import warm_up
-    from hplan.planning.compile_ahead import compiling_ahead
+    from hplan.planning.compile_ahead import compiling_ahead, is_first_run
     from hplan.planning.plan import plan
 
-    with compiling_ahead(first_run) as wait:
+    with compiling_ahead(is_first_run()) as wait:
 
         def stage(name: str) -> None:
             progress(name)

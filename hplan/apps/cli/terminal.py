@@ -8,12 +8,14 @@ import os
 import signal
 import sys
 import threading
+import time
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from hplan.base.files import protecting_inputs
+from hplan.base.kernel_turns import LISTENERS
 from hplan.errors import HplanError
 
 if TYPE_CHECKING:
@@ -25,6 +27,9 @@ FAILED = 5
 
 #: Exit status after an interrupt, as shells give it.
 _INTERRUPTED = 130
+
+#: Without a terminal there is a line of progress every so often [s]; on one, it has so many characters at most.
+_EVERY_S, _WIDTH = 10.0, 76
 
 #: Signals that end a command, as an interrupt does, so that nothing half-written is left.
 _ENDING = (signal.SIGTERM, signal.SIGHUP)
@@ -187,13 +192,43 @@ def show_error(console: Console, error: HplanError) -> None:
 
 
 @contextmanager
-def progress_line(console: Console, *, quiet: bool) -> Iterator[Callable[[str], None]]:
-    """A status line on the terminal, set by what this gives; nothing where there is no terminal, or none wanted."""
-    if quiet or not console.is_terminal:
+def progress_line(console: Console, *, quiet: bool, kernels: int | None = None) -> Iterator[Callable[[str], None]]:
+    """A status line on the terminal, set by what this gives; none where none is wanted.
+
+    While kernels are compiled it tells how many of about how many; where there is no terminal, by a line now and then.
+
+    Args:
+        kernels: How many are called, about; None where that is not known.
+    """
+    if quiet:
         yield lambda _: None
         return
-    with console.status("starting") as status:
-        yield status.update
+    begin = told_s = time.monotonic()
+    stage, of = "starting", "" if kernels is None else f" of about {kernels}"
+    status = console.status(stage) if console.is_terminal else None
+
+    def show(words: str) -> None:
+        nonlocal stage
+        stage = words
+        if status is not None:
+            status.update(words[:_WIDTH])
+
+    def compiling(_: str, number: int) -> None:
+        nonlocal told_s
+        seconds = time.monotonic() - begin
+        words = f"kernel {number}{of}, {seconds:.0f} s"
+        if status is not None:
+            status.update(f"compiling: {words}; {stage}"[:_WIDTH])
+        elif time.monotonic() - told_s > _EVERY_S:
+            told_s = time.monotonic()
+            console.print(f"compiling, as on every first run: {words}")
+
+    LISTENERS.append(compiling)
+    try:
+        with contextlib.nullcontext() if status is None else status:
+            yield show
+    finally:
+        LISTENERS.remove(compiling)
 
 
 def facts_table(indent: int = 2) -> Table:

@@ -56,6 +56,9 @@ exit status:
   6  no motion to the drop-off was found
 """
 
+#: So many kernels are called, about.
+KERNELS = 80
+
 
 def parser(prog: str) -> argparse.ArgumentParser:
     """The parser of the command's arguments."""
@@ -98,7 +101,7 @@ def parser(prog: str) -> argparse.ArgumentParser:
 def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int:
     """Plan, write, show what came of it; returns the exit status."""
     folder = JobFolder(arguments.out, (TOUR, "tour-[0-9]*-*.csv", PAGE, MCAP), TOUR_REPORT)
-    with progress_line(errors, quiet=arguments.quiet) as progress:
+    with progress_line(errors, quiet=arguments.quiet, kernels=KERNELS) as progress:
         result, files = _made(arguments, folder, errors, progress)
     if not arguments.quiet:
         _show(console, result, folder.path, files)

@@ -14,12 +14,13 @@ import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import hplan
 from hplan.apps.cli.options import command_parser
 from hplan.apps.cli.terminal import FAILED, progress_line
 from hplan.base.child_process import import_environment, python_module
+from hplan.base.kernel_turns import LISTENERS
 from hplan.errors import OptionError
 
 if TYPE_CHECKING:
@@ -102,6 +103,9 @@ JOBS: dict[str, Callable[[], None]] = {
     "any arm": _any_arm,
 }
 
+#: So many kernels are compiled, about: `scripts/build_wheel.py` holds that.
+KERNELS = 230
+
 #: Jobs that go before the others.
 _FIRST = 2
 
@@ -133,7 +137,7 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int
             nonlocal count
             count += kernel is not None
             seconds = time.perf_counter() - begin
-            show(f"kernel {count}, {seconds:.0f} s: {kernel or job}"[:76])
+            show(f"kernel {count} of about {KERNELS}, {seconds:.0f} s: {kernel or job}")
             if kernel is None and not arguments.quiet and not errors.is_terminal:
                 errors.print(f"{job}: done, {count} kernels, {seconds:.0f} s")
 
@@ -187,19 +191,7 @@ def compile_all(
 
 def _do(module: str, function: str) -> None:
     """Do a job in this process, and say what was compiled."""
-    from numba.core import event
-
-    class Compiled(event.Listener):  # type: ignore[misc]
-        def on_start(self, event: Any) -> None:
-            """Nothing is to be said."""
-
-        def on_end(self, event: Any) -> None:
-            function = event.data["dispatcher"].py_func
-            if function.__module__.startswith("hplan."):
-                name = f"{function.__module__.removeprefix('hplan.')}.{function.__name__}"
-                print(f"{_COMPILED}{name}", file=sys.__stdout__, flush=True)
-
-    event.register("numba:compile", Compiled())
+    LISTENERS.append(lambda kernel, _: print(f"{_COMPILED}{kernel}", file=sys.__stdout__, flush=True))
     with contextlib.redirect_stdout(io.StringIO()):
         getattr(import_module(module), function)()
 

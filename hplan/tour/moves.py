@@ -124,6 +124,7 @@ class Moves:
         self._thorough: set[_Key] = set()
         self._blocked: set[_Key] = set()
         self._joined: dict[bool, _Joins] = {}
+        self._last_least = np.zeros(0, dtype=np.int64), np.zeros((0, 0))
         robot = empty.robot
         limits = Limits(robot.velocity_limit, robot.acceleration_limit, jerk=robot.jerk_limit)
         limits = limits.scaled(empty.options.speed)
@@ -211,7 +212,9 @@ class Moves:
 
     def seconds(self, stops: IntArray, loaded: bool) -> FloatArray:
         """(k, k) durations between k stops: true ones where motions were planned, else what none can undercut [s]."""
-        least, joins = self._least(stops), self._joins(loaded)
+        if not np.array_equal(self._last_least[0], stops):
+            self._last_least = stops, self._least(stops)
+        least, joins = self._last_least[1], self._joins(loaded)
         seconds = least.copy()
         places: dict[int, list[int]] = {}
         for place, stop in enumerate(stops.tolist()):

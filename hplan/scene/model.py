@@ -23,7 +23,7 @@ from hplan.scene.fault import StrictModel, fault
 from hplan.scene.limits import FARTHEST_M, MOST_OBSTACLES, Size, Vector
 from hplan.scene.obstacle_kind import Name, Sigma, SwayField, TrackField, YieldsField, moved
 from hplan.scene.obstacles import AnyObstacle, Obstacle, Solid, Sphere
-from hplan.scene.solids import quaternion_rotation
+from hplan.scene.solids import quaternion_rotation, rpy_rotation
 from hplan.scene.tracks import Movement
 
 FORMAT: Final = "hplan-scene/1"
@@ -338,6 +338,69 @@ class Scene(StrictModel):
         base_track = None if self.base_track is None else self.base_track.since(time_s)
         return self.model_copy(update=items | {"base_track": base_track})
 
+    def shifted(self, shift: ArrayLike, yaw_deg: float = 0.0) -> Scene:
+        """The scene as a base sees it that stands elsewhere: all of it turned about the base's z axis, then shifted.
+
+        Obstacles, fruits and a goal that is a place keep their names; start and goals given by joints stay as they are.
+
+        Args:
+            shift: (3,) shift [m].
+            yaw_deg: Turn before that [deg].
+
+        Raises:
+            InputError: A shift that is none.
+            OptionError: A turn that is not finite.
+            MovingObstacleError: Something moves.
+        """
+        by = numbers("shift", shift, (3,))
+        number("yaw_deg", yaw_deg, "a finite number of degrees")
+        if self.moves:
+            raise MovingObstacleError(self.first_moving)
+        turn = rpy_rotation(0.0, 0.0, math.radians(yaw_deg))
+        goal = self.goal
+        if goal.position is not None:
+            place: dict[str, Any] = {"position": tuple((turn @ np.array(goal.position) + by).tolist())}
+            if goal.quaternion_xyzw is not None:
+                x, y, z, w = goal.quaternion_xyzw
+                cos, sin = math.cos(0.5 * math.radians(yaw_deg)), math.sin(0.5 * math.radians(yaw_deg))
+                place["quaternion_xyzw"] = cos * x - sin * y, cos * y + sin * x, cos * z + sin * w, cos * w - sin * z
+            goal = goal.model_copy(update=place)
+        found: dict[str, Any] = {
+            key: tuple(item.model_copy(update=moved(item, turn, by)) for item in getattr(self, key))
+            for key in ("obstacles", "fruits")
+        }
+        return self.model_copy(update={**found, "goal": goal})
+
+    def cropped(self, reach: float, centre: ArrayLike = (0.0, 0.0, 0.0)) -> Scene:
+        """The scene without what is farther from a point than a reach; what moves stays, and so does the goal's fruit.
+
+        An obstacle counts as near as a ball about it is. What is certified among the rest says nothing of what is left
+        out: take a reach that the arm does not have.
+
+        Args:
+            reach: Distance up to which obstacles and fruits are kept [m].
+            centre: (3,) the point [m].
+
+        Raises:
+            InputError: A point that is none.
+            OptionError: A reach that is negative or not finite.
+        """
+        point = numbers("centre", centre, (3,))
+        number("reach", reach, "a finite number of metres >= 0", lambda value: value >= 0.0)
+        obstacles = tuple(
+            item
+            for item in self.obstacles
+            if item.track is not None or any(_apart(solid, point) <= reach for solid in item.solids)
+        )
+        fruits = tuple(
+            fruit
+            for fruit in self.fruits
+            if fruit.track is not None
+            or fruit.name == self.goal.fruit
+            or math.dist(fruit.center, point) - fruit.radius <= reach
+        )
+        return self.model_copy(update={"obstacles": obstacles, "fruits": fruits})
+
     def with_obstacles(self, obstacles: Sequence[AnyObstacle]) -> Scene:
         """The scene's task among other obstacles.
 
@@ -348,3 +411,10 @@ class Scene(StrictModel):
         return Scene.model_validate(
             {**{key: getattr(self, key) for key in type(self).model_fields}, "obstacles": obstacles}
         )
+
+
+def _apart(solid: Solid, point: FloatArray) -> float:
+    """How far a point is from a ball about a solid [m]."""
+    middle = 0.5 * (solid.core.min(axis=0) + solid.core.max(axis=0))
+    size = float(np.linalg.norm(solid.core - middle, axis=1).max()) + solid.rounding
+    return float(np.linalg.norm(middle - point)) - size

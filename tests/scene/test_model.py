@@ -4,9 +4,11 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from hplan.errors import SceneError
+from hplan.errors import InputError, MovingObstacleError, OptionError, SceneError
 from hplan.scene.model import Fruit, Goal, Scene, Start
 from hplan.scene.obstacles import Box, Capsule, Sphere
+from hplan.scene.solids import rpy_rotation
+from hplan.scene.tracks import Track
 
 
 def a_scene(**changes) -> Scene:
@@ -88,3 +90,45 @@ def test_one_way_to_give_a_configuration(given):
         Start(**given)
     with pytest.raises(SceneError, match="exactly one of joints_deg, joints_rad, position, fruit"):
         Goal(**given)
+
+
+def test_a_scene_from_another_stop_has_everything_where_it_is_seen_from_there():
+    box = Box(name="box", center=(1.0, 0.2, 0.5), size=(0.1, 0.2, 0.3), rpy_deg=(10.0, 20.0, 30.0))
+    rod = Capsule.model_validate({"name": "rod", "from": (1, 0, 0), "to": (1, 0, 2), "radius": 0.01, "yields": 0.02})
+    fruit = Fruit(name="fruit", center=(0.9, 0.1, 1.4), radius=0.04)
+    goal = Goal(position=(1.1, 0.0, 1.0), quaternion_xyzw=(0.0, 0.6, 0.0, 0.8))
+    scene = Scene(name="s", start=Start(joints_rad=(0.0,)), goal=goal, obstacles=(box, rod), fruits=(fruit,))
+    turn, by = rpy_rotation(0.0, 0.0, np.radians(70.0)), np.array([0.3, -0.5, 0.1])
+    seen = scene.shifted(by, 70.0)
+    for item, other in zip(scene.obstacles, seen.obstacles, strict=True):
+        np.testing.assert_allclose(other.core, item.core @ turn.T + by, atol=1e-12)
+        assert (other.name, other.yields) == (item.name, item.yields)
+    np.testing.assert_allclose(seen.fruits[0].center, turn @ fruit.center + by, atol=1e-12)
+    np.testing.assert_allclose(seen.goal.pose[:3, :3], turn @ goal.pose[:3, :3], atol=1e-12)
+    np.testing.assert_allclose(seen.goal.position, turn @ goal.position + by, atol=1e-12)
+    moving = scene.model_copy(update={"base_track": Track(times_s=(0.0, 1.0), shifts_m=((0, 0, 0), (1, 0, 0)))})
+    with pytest.raises(MovingObstacleError):
+        moving.shifted(by)
+    for wrong in ((1.0, 2.0), "123", None, (1.0, 2.0, np.nan)):
+        with pytest.raises(InputError):
+            scene.shifted(wrong)
+
+
+def test_what_is_out_of_reach_is_left_out_but_for_the_goal_and_what_moves():
+    rods = [
+        Capsule.model_validate({"name": f"rod {n}", "from": (n, 0, 0), "to": (n, 0, 1), "radius": 0.01}) for n in (1, 4)
+    ]
+    fruits = [Fruit(name=f"fruit {n}", center=(n, 0.0, 1.0), radius=0.04) for n in (1.0, 5.0, 6.0)]
+    scene = Scene(
+        name="s",
+        start=Start(joints_rad=(0.0,)),
+        goal=Goal(fruit="fruit 6.0"),
+        obstacles=tuple(rods),
+        fruits=tuple(fruits),
+    )
+    near = scene.cropped(2.0)
+    assert [item.name for item in (*near.obstacles, *near.fruits)] == ["rod 1", "fruit 1.0", "fruit 6.0"]
+    assert [item.name for item in scene.cropped(0.6, (4.5, 0.0, 0.5)).obstacles] == ["rod 4"]
+    assert scene.cropped(10.0) == scene
+    with pytest.raises(OptionError):
+        scene.cropped(-1.0)

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from hplan.tour.tour import TourOptions, plan_tour
     from hplan.trajectory.trajectory import Trajectory, read_csv, write_csv
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 __all__ = [
     "Certificate",

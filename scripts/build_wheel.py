@@ -12,12 +12,15 @@ import shutil
 import subprocess
 import sys
 import sysconfig
+import tarfile
 import tempfile
 import time
+import tomllib
 import zipfile
 from collections.abc import Sequence
 from pathlib import Path
 
+from hplan.apps.cli.main import COMMANDS
 from hplan.apps.cli.warmup import KERNELS, compile_all
 from hplan.base.kernels import made_for, portable_processor
 
@@ -26,8 +29,21 @@ ROOT = Path(__file__).resolve().parents[1]
 _DESCRIPTION = """\
 The wheel is built from the sources, all that `hplan warmup` does is done with it, and the kernels compiled by that are
 added: for any processor with the instructions of x86-64-v3 (from 2013 on). Where another version of numba, NumPy or
-Python is installed beside it, or the processor is older, kernels are compiled as without.
+Python is installed beside it, or the processor is older, kernels are compiled as without. The source distribution is
+built beside it.
 """
+
+#: Commands that are tried: all with `--help`, and some for real.
+_TRIED = (
+    "plan --out a",
+    "certify a",
+    "plan dense-canopy --deadline 500",
+    "orchard --seed 3 --out row.yaml",
+    "plan row.yaml",
+)
+
+#: What is tried besides: the README's program, and an arm that is not planar.
+_ANY_ARM = "import hplan.apps.cli.warmup as warmup; warmup.JOBS['any arm']()"
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -35,21 +51,38 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=_DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=ROOT / "dist", metavar="DIR", help="folder (default: dist)")
     parser.add_argument("--processes", type=int, default=os.cpu_count(), metavar="N", help="at a time (default: all)")
+    parser.add_argument("--try", action="store_true", dest="tried", help="run what is in it, outside the clone")
     arguments = parser.parse_args(argv)
     begin = time.perf_counter()
     with tempfile.TemporaryDirectory() as name:
         work = Path(name)
-        build = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(work)]
-        subprocess.run(build, cwd=ROOT, check=True, stdout=subprocess.DEVNULL)
-        pure, site = next(work.glob("*.whl")), work / "site"
+        source = built(ROOT, "sdist", arguments.out)
+        pure = built(unpacked(source, work), "wheel", work)
+        site = work / "site"
         with zipfile.ZipFile(pure) as archive:
             archive.extractall(site)
         count = add_kernels(site, work, arguments.processes)
-        arguments.out.mkdir(parents=True, exist_ok=True)
         wheel = packed(site, pure.name, arguments.out)
+        if arguments.tried:
+            try_it(wheel, work / "tried")
     size = wheel.stat().st_size / 1e6
     print(f"{wheel}: {count} kernels, {size:.1f} MB, {time.perf_counter() - begin:.0f} s")
     return 0
+
+
+def built(project: Path, what: str, folder: Path) -> Path:
+    """What hatchling builds of a folder, `sdist` or `wheel`."""
+    build = [sys.executable, "-m", "hatchling", "build", "-t", what, "-d", str(folder.resolve())]
+    subprocess.run(build, cwd=project, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    version = tomllib.loads((project / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
+    return next(folder.glob(f"hplan-{version}" + (".tar.gz" if what == "sdist" else "-py3-none-any.whl")))
+
+
+def unpacked(source: Path, work: Path) -> Path:
+    """The folder in a source distribution: the wheel is built of that, so that it is seen to be whole."""
+    with tarfile.open(source) as archive:
+        archive.extractall(work, filter="data")
+    return work / source.name.removesuffix(".tar.gz")
 
 
 def add_kernels(site: Path, work: Path, processes: int) -> int:
@@ -78,7 +111,9 @@ def add_kernels(site: Path, work: Path, processes: int) -> int:
 def packed(site: Path, pure: str, out: Path) -> Path:
     """The wheel of a folder, named and marked as one for this Python and platform."""
     python = f"cp{sys.version_info.major}{sys.version_info.minor}"
-    tag = f"{python}-{python}-{sysconfig.get_platform().replace('-', '_').replace('.', '_')}"
+    # Besides libm and numba's helpers kernels call clock_gettime, in glibc since 2.17: the tag (PEP 600).
+    system = sysconfig.get_platform().replace("-", "_").replace(".", "_").replace("linux", "manylinux_2_17")
+    tag = f"{python}-{python}-{system}"
     about = next(site.glob("*.dist-info"))
     (about / "RECORD").unlink()
     lines = (about / "WHEEL").read_text(encoding="utf-8").splitlines()
@@ -97,6 +132,31 @@ def packed(site: Path, pure: str, out: Path) -> Path:
         rows.writerow((f"{about.name}/RECORD", "", ""))
         archive.writestr(f"{about.name}/RECORD", record.getvalue())
     return wheel
+
+
+def try_it(wheel: Path, folder: Path) -> None:
+    """Run commands of an installed wheel, with nothing else of hplan in sight and nowhere to write but an empty folder.
+
+    Raises:
+        SystemExit: One fails, writes to standard error, or compiles a kernel.
+    """
+    site, here = folder / "site", folder / "here"
+    here.mkdir(parents=True)
+    install = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--target", str(site), str(wheel)]
+    subprocess.run(install, check=True)
+    environment = {"PATH": os.defpath, "PYTHONPATH": str(site), "HOME": os.devnull, "PYTHONDONTWRITEBYTECODE": "1"}
+    readme = (ROOT / "README.md").read_text(encoding="utf-8").partition("```python\n")[2].partition("```")[0]
+    commands = [*(f"{name} --help" for name in COMMANDS), *_TRIED]
+    programs = [*(["-m", "hplan.apps.cli", *words.split()] for words in commands), ["-c", readme], ["-c", _ANY_ARM]]
+    for words in programs:
+        begin = time.perf_counter()
+        command = [sys.executable, "-P", *words]
+        done = subprocess.run(command, cwd=here, env=environment, capture_output=True, text=True, check=False)
+        print(f"{' '.join(words)[:60]!r}: {time.perf_counter() - begin:.1f} s")
+        if done.returncode or done.stderr:
+            raise SystemExit(f"exit status {done.returncode}\n{done.stdout}{done.stderr}")
+    if compiled := [file.name for file in folder.rglob("*.nbc") if file.parent != site / "hplan" / "kernels"]:
+        raise SystemExit(f"compiled although they came with the wheel: {', '.join(compiled)}")
 
 
 if __name__ == "__main__":

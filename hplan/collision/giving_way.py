@@ -22,6 +22,10 @@ from hplan.collision.reach import carriers
 from hplan.errors import OptionError
 from hplan.robot.model import Robot
 from hplan.scene.obstacles import Solid
+from hplan.scene.solids import Cloud
+
+#: How far bodies of general (non-planar) arms stay off the points of a cloud that yields as much as it can [m].
+_OUTSIDE = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,8 +129,9 @@ def yielded(robot: Robot, solids: Sequence[Solid], yield_links: Sequence[str] | 
     else:
         names = pushing_links(robot, yield_links)
         thin = min((body.rounding for body in collision_bodies(robot) if body.name in names), default=0.0)
-        most = thin + np.array([solid.rounding for solid in solids])
-    found: FloatArray = np.minimum(depth, most)
+        # Of the points of a cloud that a body is in coal does not say which is deepest, but that it is in one.
+        most = np.array([solid.rounding + (-_OUTSIDE if isinstance(solid, Cloud) else thin) for solid in solids])
+    found: FloatArray = np.maximum(0.0, np.minimum(depth, most))
     return found
 
 

@@ -157,6 +157,8 @@ def test_the_last_two_joints_links_push_and_no_deeper_than_they_are_thick():
     ball = Sphere(name="ball", center=(1.0, 0.0, 1.0), radius=0.004, yields=0.5)
     assert yielded(planar, [ball], None) == planar.arm.half_widths.min()
     assert yielded(general, [ball], None) == 0.004
+    cloud = PointCloud.of("cloud", np.random.default_rng(0).normal(size=(50, 3)), 0.01, yields=0.5)
+    assert 0.0 < yielded(general, cloud.solids, None)[0] < cloud.solids[0].rounding
 
 
 def test_sections_of_what_gives_way_are_smaller_to_the_links_that_push():

@@ -12,6 +12,7 @@ import pinocchio as pin
 import pytest
 from arm_variants import OFFSETS, coal_distances, link_axes, load_variant, random_obstacles
 from fitted_arms import quintic, scene_of
+from segments import segment_distances
 from studies.planar_cspace import arm_sections, joint_grid
 
 from hplan.base.planar_geometry import polygon_distances
@@ -276,23 +277,6 @@ def test_links_in_the_cspace_are_exact(wide):
     assert 0 < ours.sum() < ours.size
     # They lie to each other as the joints between them say, whatever the first.
     assert (ours == ours[:1]).all()
-
-
-def segment_distances(a, b, c, d):
-    """Distances of segments a to b from segments c to d in the plane, (..., 2) points."""
-
-    def from_point(point, start, end):
-        along = end - start
-        share = np.clip(((point - start) * along).sum(axis=-1) / (along**2).sum(axis=-1), 0.0, 1.0)
-        return np.linalg.norm(point - start - share[..., None] * along, axis=-1)
-
-    def side(start, end, point):
-        u, v = end - start, point - start
-        return u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0]
-
-    least = np.minimum.reduce([from_point(a, c, d), from_point(b, c, d), from_point(c, a, b), from_point(d, a, b)])
-    crossing = (side(a, b, c) * side(a, b, d) < 0.0) & (side(c, d, a) * side(c, d, b) < 0.0)
-    return np.where(crossing, 0.0, least)
 
 
 @pytest.mark.parametrize("lengths", [(0.5, 0.6, 0.6, 0.4), (0.9, 0.5, 0.5, 0.3), (0.4, 0.8, 0.7, 0.9)])

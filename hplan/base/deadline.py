@@ -187,7 +187,7 @@ def time_limit(deadline_s: float | None = None, cancel: Cancel | None = None) ->
 
     Args:
         deadline_s: How long there is; None for as long as it takes [s].
-        cancel: Says whether the call is cancelled; asked about every `_POLL_S` by a thread of its own.
+        cancel: Says whether the call is cancelled; asked about every millisecond by a thread of its own.
 
     Raises:
         OptionError: `cancel` is neither a function nor an event.

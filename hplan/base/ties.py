@@ -17,7 +17,7 @@ _RASTER = 2.0**-30
 
 
 def on_raster(values: ArrayLike) -> FloatArray:
-    """The nearest multiples of `_RASTER`; what is not finite stays as it is.
+    """The nearest multiples of 2^-30; what is not finite stays as it is.
 
     Args:
         values: (...) numbers below 2^22 or so in size; larger ones have no digits below the raster.

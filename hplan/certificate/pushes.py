@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
-from itertools import groupby
 
 import numpy as np
 
@@ -88,15 +87,12 @@ def pushes_along(
 
 def joined(found: Iterable[Push]) -> tuple[Push, ...]:
     """Pushes as one for each time that a link touches an obstacle without a break, in the order of their begins."""
-    parts = sorted(found, key=lambda push: (push.link, push.obstacle, push.begin_s))
     whole: list[Push] = []
-    for _, of_pair in groupby(parts, key=lambda push: (push.link, push.obstacle)):
-        last: Push | None = None
-        for push in of_pair:
-            if last is not None and push.begin_s <= last.end_s:
-                last = replace(last, depth_m=max(last.depth_m, push.depth_m), end_s=max(last.end_s, push.end_s))
-                whole[-1] = last
-            else:
-                last = push
-                whole.append(push)
+    for push in sorted(found, key=lambda push: (push.link, push.obstacle, push.begin_s)):
+        last = whole[-1] if whole else push
+        same = whole and (last.link, last.obstacle) == (push.link, push.obstacle)
+        if same and push.begin_s <= last.end_s:
+            whole[-1] = replace(last, depth_m=max(last.depth_m, push.depth_m), end_s=max(last.end_s, push.end_s))
+        else:
+            whole.append(push)
     return tuple(sorted(whole, key=lambda push: push.begin_s))

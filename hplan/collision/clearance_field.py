@@ -27,12 +27,12 @@ from hplan.collision.clearance_kernels import (
 )
 from hplan.collision.flat_bodies import BODIES, DOF, FlatBodies
 from hplan.collision.obstacle_rows import (
-    EVERYBODYS,
     FIRST_LINK,
     KIND,
     LAST_LINK,
     LINK_RANGE,
     NEXT,
+    RANGE,
     TURNS,
     BodyFieldArrays,
     core_rows,
@@ -66,7 +66,7 @@ class ClearanceField(Record):
         solids: (rows, 21) balls, capsules, boxes, hulls and nodes of clouds, grown by the clearance to keep; columns as
             in `hplan.collision.obstacle_rows`.
         data: Facets and edges of hulls, and points of clouds, one after the other; rows say where.
-        owner: (rows,) index of the solid behind each row; `ARM` or `EVERYBODYS` (`hplan.collision.obstacle_rows`).
+        owner: (rows,) index of the solid behind each row; `ARM` or `RANGE` (`hplan.collision.obstacle_rows`).
     """
 
     chain: FloatArray
@@ -145,7 +145,7 @@ class ClearanceField(Record):
         last_link = (len(self.chain) if self.chain.shape[1] == LINK else int(self.base[DOF])) - 2
         if last_link < 0:
             return self.only(~touched)
-        rows = _of_owners(touched, self.owner, arm=False) & (self.owner != EVERYBODYS)
+        rows = _of_owners(touched, self.owner, arm=False) & (self.owner != RANGE)
         first = rows & (np.concatenate([[-2], self.owner[:-1]]) != self.owner)  # a link range comes before it
         before = np.concatenate([[0], np.cumsum(first)])
         solids = np.insert(self.solids, np.flatnonzero(first), 0.0, axis=0)

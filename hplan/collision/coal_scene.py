@@ -220,11 +220,9 @@ class CoalScene:
         if yielded is None:
             return None
         names = pushing_links(self.robot, yield_links)
-        pushes = [self.mover_names[mover] in names for mover, _ in self.pairs]
-        others = np.array([other for _, other in self.pairs])
-        found: FloatArray = np.where(pushes, np.append(yielded, np.zeros(others.max() + 1))[others], 0.0)
-        found[self._beyond.size :] = 0.0
-        return found
+        own, shapes = len(self.own_others), self.pairs[: self._beyond.size : self.own_first]
+        pushes = np.array([self.mover_names[mover] in names for mover, _ in shapes])
+        return np.append(np.where(pushes[:, None], yielded, 0.0), np.zeros(own))
 
     @property
     def pushed(self) -> IntArray:
@@ -242,7 +240,11 @@ class CoalScene:
             return clearance
         found = np.full(len(self.pairs), clearance)
         found[len(found) - len(held) :] = held
-        return found if self._yielded is None else np.where(self._yielded > 0.0, -self._yielded, found)
+        return self._but_pushed(found)
+
+    def _but_pushed(self, kept: FloatArray) -> FloatArray:
+        """(pairs,) distances to keep, but of what gives way how deep it may be pushed, below 0 [m]."""
+        return kept if self._yielded is None else np.where(self._yielded > 0.0, -self._yielded, kept)
 
     def counted(self, clearance: float) -> FloatArray:
         """(pairs,) to be added to distances, so that what gives way is as near as what it is to keep says [m]."""
@@ -342,9 +344,7 @@ class CoalScene:
         q = np.asarray(configurations, dtype=np.float64)
         if not self.obstacle_names:
             return np.zeros(len(q), dtype=np.bool_)
-        kept = self.kept(margin) if margin > 0.0 else margin
-        if self._yielded is not None:
-            kept = np.where(self._yielded > 0.0, -self._yielded, kept)
+        kept = self.kept(margin) if margin > 0.0 else self._but_pushed(np.full(len(self.pairs), margin))
         margins = kept + self._taken_off
         # Of trees coal knows no negative margin.
         margins[self._taken_off > 0.0] = np.maximum(0.0, margins[self._taken_off > 0.0])

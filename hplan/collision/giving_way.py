@@ -105,9 +105,7 @@ def pushing_links(robot: Robot, names: Sequence[str] | None) -> tuple[str, ...]:
     """
     known = _links(robot)
     if names is None:
-        last = sorted(set(known.values()))[-2:]
-        if robot.planar is None:
-            last = list(carriers(robot, robot.tool_joint - 1))[:2]
+        last = carriers(robot, robot.tool_joint - 1)[:2]
         return tuple(name for name, joint in known.items() if joint in last)
     for name in names:
         if name not in known:
@@ -136,9 +134,9 @@ def yielded(robot: Robot, solids: Sequence[Solid], yield_links: Sequence[str] | 
 
 
 def _links(robot: Robot) -> dict[str, int]:
-    """The links that move, and the place of each among links of a planar arm, or joints of another."""
+    """The links that move, and the joint that carries each."""
     if robot.planar is not None:
-        return {name: number for number, name in enumerate(robot.arm.link_names)}
+        return {name: joint for joint, name in enumerate(robot.arm.link_names, robot.arm_slice.start)}
     bodies = collision_bodies(robot)
     return {name: bodies[numbers[0]].joint for name, numbers in moving_bodies(robot).items()}
 
@@ -146,7 +144,7 @@ def _links(robot: Robot) -> dict[str, int]:
 def _pushing(robot: Robot, names: Sequence[str]) -> BoolArray:
     """(links,) of a planar arm which may push; of another one, (dof,) which joints carry nothing that may not."""
     known = _links(robot)
-    found = np.zeros(robot.arm.link_count if robot.planar is not None else robot.dof, dtype=np.bool_)
+    found = np.zeros(robot.dof, dtype=np.bool_)
     found[[known[name] for name in names]] = True
     found[[joint for name, joint in known.items() if name not in names]] = False
-    return found
+    return found if robot.planar is None else found[robot.arm_slice]

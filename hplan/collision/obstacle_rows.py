@@ -37,7 +37,7 @@ KIND, RADIUS, CENTRE, BOUND, NEXT = 0, 1, 2, 5, 20
 _COLUMNS = 21
 
 #: Owner of rows of the arm itself, and of what says for which links the rows below it are.
-ARM, EVERYBODYS = -1, -2
+ARM, RANGE = -1, -2
 
 #: Columns of one kind, from `SHAPE` on. Point: its place (3). Segment: its two ends (3 each). Box: its half sizes (3),
 #: then its axes (3 rows of 3). Hull: where its facets begin in the data, where its edges begin and end. Leaf: where its
@@ -164,9 +164,9 @@ def rows_of(
             stack.add(*_for_links(rows, np.full(len(rows), index), which), more)
     for body in contact.bodies:
         rows, more = _base_rows(body, own, stack.numbers, robot.yaw_axis)
-        stack.add(rows, -1, more)
+        stack.add(rows, ARM, more)
     if contact.links:
-        stack.add(_pair_rows(robot, contact.links, own, deviation), -1)
+        stack.add(_pair_rows(robot, contact.links, own, deviation), ARM)
     return stack.arrays
 
 
@@ -326,7 +326,7 @@ def _base_rows(body: BaseBody, clearance: float, offset: int, axis: FloatArray) 
         # About the axis: within the centre's distance from it, and the ball's radius.
         solid[:, BOUND] += np.hypot(solid[:, CENTRE] - axis[0], solid[:, CENTRE + 1] - axis[1])
         solid[:, CENTRE : CENTRE + 2] = axis
-    rows, _ = _below_ranges(solid, np.full(len(solid), -1), np.array(body.links))
+    rows, _ = _below_ranges(solid, np.full(len(solid), ARM), np.array(body.links))
     rows[rows[:, KIND] == LINK_RANGE, TURNS] = float(turns)
     return rows, data
 
@@ -344,7 +344,7 @@ def _for_links(rows: FloatArray, owner: IntArray, links: BoolArray | None) -> tu
 
 
 def _below_ranges(rows: FloatArray, owner: IntArray, links: IntArray) -> tuple[FloatArray, IntArray]:
-    """Rows, and whose they are, once below each range of links, of some; the ranges are `EVERYBODYS`."""
+    """Rows, and whose they are, once below each range of links, of some; the ranges are `RANGE`."""
     blocks, owners, count = [rows[:0]], [owner[:0]], 0
     for run in np.split(links, np.flatnonzero(np.diff(links) > 1) + 1) if len(links) else []:
         block = np.concatenate([np.zeros((1, _COLUMNS)), rows])
@@ -354,7 +354,7 @@ def _below_ranges(rows: FloatArray, owner: IntArray, links: IntArray) -> tuple[F
         block[:, NEXT] += count + 1
         count += len(block)
         blocks.append(block)
-        owners += [np.array([EVERYBODYS]), owner]
+        owners += [np.array([RANGE]), owner]
     return np.concatenate(blocks), np.concatenate(owners)
 
 

@@ -113,7 +113,7 @@ def turning_occupancy(
         layers: Layers that are already there; of this robot only.
 
     Raises:
-        OptionError: A grid that takes more than `_MOST_BYTES`.
+        OptionError: A grid that takes more than 150 MB.
     """
     first, step, count = yaws
     size = 8 * planar.size * words_for(count)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hplan.base import ties
-from hplan.base.arrays import FloatArray, Record, frozen
+from hplan.base.arrays import FloatArray, Record
 from hplan.base.deadline import check_deadline
 from hplan.certificate.motion_bound import pair_sways
 from hplan.collision.clearance_field import ClearanceField
@@ -37,9 +37,8 @@ class World(Record):
     Attributes:
         clearance: Clearance to keep from all of them [m].
         deviation: By how much every joint may be off where the arm rests [rad].
-        growth: (solids,) clearance to keep from each beyond that, for its uncertainty [m].
         field: Distances between arm and solids, less the clearance to keep and what the deviation may take.
-        checker: The solids in coal, each grown by its own growth.
+        checker: The solids in coal, each grown for its uncertainty.
         linked: The solids, and which links keep clear of them and by how much, as `field` has them.
         touched: Name of the solids that the last link may touch; None for none.
     """
@@ -48,7 +47,6 @@ class World(Record):
     solids: tuple[Solid, ...]
     clearance: float
     deviation: float
-    growth: FloatArray
     field: ClearanceField
     checker: CoalScene
     linked: LinkedSolids
@@ -76,14 +74,14 @@ class World(Record):
         Raises:
             OptionError: A name of no link.
         """
-        growth = frozen(np.array([sigmas * solid.sigma for solid in solids], dtype=np.float64))
+        growth = np.array([sigmas * solid.sigma for solid in solids], dtype=np.float64)
         linked = LinkedSolids.of(robot, solids, clearance + growth, yield_links, growth)
         field = linked.field(robot, own_clearance=clearance, deviation=tracking_error)
         check_deadline()
         checker = CoalScene(
             robot, solids, growth=growth, deviation=tracking_error, clearance=clearance, yield_links=yield_links
         )
-        return cls(robot, tuple(solids), clearance, tracking_error, growth, field, checker, linked)
+        return cls(robot, tuple(solids), clearance, tracking_error, field, checker, linked)
 
     def touching(self, name: str) -> World:
         """The world where the last link may touch the solid of a name."""

@@ -36,7 +36,7 @@ def mujoco_model(mujoco: ModuleType, robot: Robot, scene: Scene, *, timestep_s: 
     """The arm with motors among the obstacles, and the obstacle's name for each geometry that is one.
 
     Raises:
-        InputError: A cloud of more than `_MOST_BALLS` balls.
+        InputError: A cloud of more than 2,000 balls.
         RobotFileError: MuJoCo refuses the URDF.
     """
     try:
@@ -81,7 +81,7 @@ def _shapes(mujoco: ModuleType, spec: Any, obstacle: Solid, number: int) -> list
     """Arguments of MuJoCo's geometries for an obstacle.
 
     Raises:
-        InputError: A cloud of more than `_MOST_BALLS` balls.
+        InputError: A cloud of more than 2,000 balls.
     """
     kinds = mujoco.mjtGeom
     if isinstance(obstacle, Sphere):

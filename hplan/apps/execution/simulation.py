@@ -64,7 +64,7 @@ class Execution(Record):
         max_tracking_error_rad: (dof,) largest deviation from the reference, the hold included.
         final_error_rad: (dof,) largest deviation from the goal between the last row and the end of the hold. The goal
             is the scene's where it gives joints, else the last row.
-        ended_at_goal: Whether that is at most `_GOAL_TOLERANCE`, or `_GOAL_TOLERANCE_M`, for every joint.
+        ended_at_goal: Whether that is at most 0.5 deg, or 5 mm, for every joint.
         needed_torque_nm: (dof,) largest torque that the motion itself needs, by inverse dynamics [N m].
         peak_torque_nm: (dof,) largest torque that the controller asked for [N m]; far more where the arm was held up.
         torque_limit_nm: (dof,) the most that the motors give [N m].
@@ -255,6 +255,6 @@ def _joints(robot: Robot, scene: Scene, which: str, end: FloatArray) -> FloatArr
 
 def _nearest(robot: Robot, scene: Scene, position: FloatArray) -> Contact | None:
     """The smallest distance at any of the configurations that are finite."""
-    checker = CoalScene(robot, scene.solids)
+    checker = CoalScene(robot, scene.solids, yield_links=scene.yield_links)
     found = [contact for q in position if np.isfinite(q).all() and (contact := checker.nearest(q)) is not None]
     return found[ties.argmin([contact.distance_m for contact in found])] if found else None

@@ -41,7 +41,7 @@ def planning_frame(position: Sequence[float], rpy_deg: Sequence[float], prefix: 
         Where the frame is.
 
     Raises:
-        OptionError: Not three numbers each, no text, or no word of `_OPEN_MESHES`.
+        OptionError: Not three numbers each, no text, or neither `refuse` nor `hull`.
     """
     if not isinstance(prefix, str):
         raise OptionError("prefix", prefix, "text")

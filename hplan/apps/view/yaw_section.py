@@ -102,6 +102,7 @@ def yaw_section(
         clearance=scene.clearance,
         tracking_error=choice.tracking.still_rad,
         sigmas=choice.sigmas,
+        yield_links=scene.yield_links,
     )
     planar = robot.arm_slice
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(motion, axis=0), axis=1))])

@@ -9,6 +9,7 @@ arm and obstacles travel within the cell; its time is halved until that is decid
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -53,9 +54,13 @@ class MovingField:
             tracking_error: Deviation of any joint at rest that is to be allowed for [rad].
         """
         listed = zip(scene.listed_solids, scene.movements, strict=True)
-        self._moving: list[tuple[Solid, Movement]] = [(solid, how) for solid, how in listed if how is not None]
+        moving = [(solid, how) for solid, how in listed if how is not None]
+        growth = np.array([sigmas * solid.sigma for solid, _ in moving])
+        solids = [solid for solid, _ in moving]
+        self._linked = LinkedSolids.of(robot, solids, scene.clearance + growth, scene.yield_links, growth)
+        movements = {solid.name: how for solid, how in moving}
+        self._moving: list[tuple[Solid, Movement]] = [(solid, movements[solid.name]) for solid in self._linked.solids]
         self._robot, self._deviation = robot, tracking_error
-        self._sigmas, self._clearance, self._yield_links = sigmas, scene.clearance, scene.yield_links
         self._rates = [(how.breaks, how.rates(solid.core, solid.rounding)) for solid, how in self._moving]
         self.at_rest_s = scene.at_rest_s
 
@@ -63,11 +68,9 @@ class MovingField:
         """The field as it is at a time [s]; the arm itself is not in it."""
         clock = np.array([time_s])
         poses = {id(how): tuple(part[0] for part in how.at(clock)) for _, how in self._moving}
-        solids = [posed(solid, *poses[id(how)]) for solid, how in self._moving]
-        growth = np.array([self._sigmas * solid.sigma for solid in solids])
-        linked = LinkedSolids.of(self._robot, solids, self._clearance + growth, self._yield_links, growth)
-        field = linked.field(self._robot, deviation=self._deviation)
-        return field.only(np.ones(len(linked.solids), dtype=np.bool_), arm=False)
+        solids = tuple(posed(solid, *poses[id(how)]) for solid, how in self._moving)
+        field = replace(self._linked, solids=solids).field(self._robot, deviation=self._deviation)
+        return field.only(np.ones(len(solids), dtype=np.bool_), arm=False)
 
     def travel(self, from_s: float, to_s: float) -> float:
         """How far any point of what moves travels at most within an interval of time [m]."""

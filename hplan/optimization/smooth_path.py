@@ -48,7 +48,7 @@ def clear_path(path: FloatArray, field: ClearanceField, options: PostprocessOpti
     smallest = _smallest_margin(path, field, options)
     if is_straight(path, field, options):
         return SplinePath.through(np.linspace(path[0], path[-1], 4))
-    near = near_field(path, field)
+    near = near_field(path, field, NEAR)
     # Where any clear spline will do: a number that fails takes milliseconds, and more points succeed more often.
     found = clear_start(path, near, options, (6, 10, 14, 20, 30, 44, 8, 12))
     if found is not None and (near is field or found.is_clear(field, 0.5 * smallest)):
@@ -86,7 +86,7 @@ def is_straight(path: FloatArray, field: ClearanceField, options: PostprocessOpt
     return straight <= 1.005 * least and field.is_clear(path[[0, -1]], options.margin)
 
 
-def near_field(path: FloatArray, field: ClearanceField, distance: float = NEAR) -> ClearanceField:
+def near_field(path: FloatArray, field: ClearanceField, distance: float) -> ClearanceField:
     """The field without what is far from a path, which does not matter to optimisers; proofs do not leave it out."""
     return field.near(path, distance) if len(field.solids) > FEW else field
 

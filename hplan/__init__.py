@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from hplan.planning.finishing.finish import finish
     from hplan.planning.options import PlanOptions
     from hplan.planning.plan import plan
+    from hplan.planning.reachable import FruitReach, reachable
     from hplan.planning.result import PlanResult
     from hplan.robot.model import Robot, load_robot
     from hplan.scene.file import load_scene, save_scene
@@ -31,6 +32,7 @@ __version__ = "0.2.0"
 
 __all__ = [
     "Certificate",
+    "FruitReach",
     "HplanError",
     "PlanOptions",
     "PlanResult",
@@ -46,6 +48,7 @@ __all__ = [
     "load_scene",
     "plan",
     "plan_tour",
+    "reachable",
     "read_csv",
     "save_scene",
     "warm_up",

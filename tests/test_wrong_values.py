@@ -251,6 +251,12 @@ CASES: dict[str, Case] = {
         "robot:object scene:object",
         {"options": NO_OBJECT[1:], "tour": NO_OBJECT[1:], "fruits": ("apple", 1, [1])},
     ),
+    "reachable": (
+        lambda **given: hplan.reachable(**given),
+        {"robot": None, "scene": None, "motions": False},
+        "robot:object scene:object",
+        {"options": NO_OBJECT[1:], "motions": ("yes", 2, None)},
+    ),
     "warm_up": (hplan.warm_up, {"robot": None}, "robot:object", {}),
     "Planner": (hplan.Planner, {"robot": None, "scene": None}, "robot:object scene:object", {"options": NO_OBJECT[1:]}),
     "Planner.add": (a_planner().add, {"obstacle": Sphere(**BALL)}, "obstacle:object", {}),
@@ -632,7 +638,7 @@ def test_every_public_function_is_among_the_cases() -> None:
         "hplan.robot.family.members",
     ]
     names = {name for module in modules for name in getattr(importlib.import_module(module), "__all__", ())}
-    results = {"Certificate", "HplanError", "PlanResult", "Robot", "TourResult", "LimitShares", "Machine", "CrossCheck",
-        "Expansions", "SearchResult", "StageTimes"}  # fmt: skip
+    results = {"Certificate", "FruitReach", "HplanError", "PlanResult", "Robot", "TourResult", "LimitShares", "Machine",
+        "CrossCheck", "Expansions", "SearchResult", "StageTimes"}  # fmt: skip
     values = {"AT_LIMIT", "DEVIATION", "Fallback", "HARVESTER", "SHIPPED", "TUCKED_DEG"}
     assert names - results - values <= set(CASES)

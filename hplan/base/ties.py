@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from hplan.base.arrays import FloatArray, IntArray
 
 #: Spacing of the raster: a power of two, far above rounding errors and far below what matters (1 nm, 1 nrad, 1 ns).
-_RASTER = 2.0**-30
+RASTER = 2.0**-30
 
 
 def on_raster(values: ArrayLike) -> FloatArray:
@@ -22,7 +22,7 @@ def on_raster(values: ArrayLike) -> FloatArray:
     Args:
         values: (...) numbers below 2^22 or so in size; larger ones have no digits below the raster.
     """
-    rounded: FloatArray = np.rint(np.asarray(values, dtype=np.float64) / _RASTER) * _RASTER
+    rounded: FloatArray = np.rint(np.asarray(values, dtype=np.float64) / RASTER) * RASTER
     return rounded
 
 

@@ -209,6 +209,22 @@ class ClearanceField(Record):
         check_deadline()
         return result
 
+    def of_last_end(self, place: ArrayLike, axes: FloatArray) -> float:
+        """Clearance that a planar arm's last link cannot exceed wherever its end is at a place [m].
+
+        It is that of the end alone, as if all links had no length.
+
+        Args:
+            place: (3,) in `base_link` [m].
+            axes: (3, 3) the arm plane's horizontal and upward axis and its normal there.
+        """
+        links = self.chain.copy()
+        links[:, 0] = 0.0
+        base = np.concatenate([np.asarray(place, dtype=np.float64), axes[0], axes[1], np.zeros(3)])
+        solids = self.only(np.ones(int(self.owner.max(initial=-1)) + 1, dtype=np.bool_), arm=False)
+        end = replace(solids, chain=frozen(links), base=frozen(base))
+        return float(end.link_clearances(np.zeros(len(links)))[-1])
+
     def clearance(self, q: ArrayLike) -> float:
         """Least clearance of any link at one configuration [m]."""
         return float(self.link_clearances(q).min())

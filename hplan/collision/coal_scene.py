@@ -300,19 +300,19 @@ class CoalScene:
         """Lower bounds of `distances_of`, at hand sooner where there are many; huge negative numbers for none."""
         return self._geometry.lower_bounds(pairs) - self._taken_off[pairs]
 
-    def nearest_pair(self, q: FloatArray, kept: FloatArray) -> tuple[int, float]:
+    def nearest_pair(self, q: FloatArray, kept: FloatArray, time_s: float | None = None) -> tuple[int, float]:
         """The pair with the least distance beyond what each of (pairs,) is to keep, and its distance [m]."""
         if self.moving is not None or len(kept) <= 2 * _FIRST_ASKED:
-            found = self.pair_distances(q)
-            pair = int((found - kept).argmin())
+            found = self.pair_distances(q, time_s)
+            pair = ties.argmin(found - kept)
             return pair, float(found[pair])
         self.place(q)
         bounds = self.lower_bounds(np.arange(len(kept))) - kept
         first = np.sort(np.argpartition(bounds, _FIRST_ASKED)[:_FIRST_ASKED])
         least = (self.distances_of(first) - kept[first]).min()
-        asked = np.flatnonzero(bounds <= least)
+        asked = np.flatnonzero(bounds <= least + ties.RASTER)
         found = self.distances_of(asked)
-        place = int((found - kept[asked]).argmin())
+        place = ties.argmin(found - kept[asked])
         return int(asked[place]), float(found[place])
 
     def contact(self, mover: int, obstacle: int, distance: float) -> Contact:
@@ -322,11 +322,10 @@ class CoalScene:
 
     def nearest(self, q: ArrayLike, time_s: float | None = None) -> Contact | None:
         """The link and obstacle, or part of the arm, nearest to each other, or None where there is nothing to meet."""
-        distances = self.pair_distances(q, time_s)
-        if distances.size == 0:
+        if not self.pairs:
             return None
-        pair = ties.argmin(distances + self.counted(0.0))
-        return self.contact(*self.pairs[pair], float(distances[pair]))
+        pair, distance = self.nearest_pair(np.asarray(q, dtype=np.float64), -self.counted(0.0), time_s)
+        return self.contact(*self.pairs[pair], distance)
 
     def in_collision(self, configurations: ArrayLike, *, margin: float = 0.0) -> BoolArray:
         """True where (n, dof) configurations touch an obstacle or the arm itself, in one compiled call.

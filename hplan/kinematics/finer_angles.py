@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from hplan.base.arrays import FloatArray
-from hplan.errors import UnreachableError
-from hplan.kinematics.approach_angles import Candidates
+from hplan.base.arrays import FloatArray, Record
+from hplan.kinematics.approach_angles import Candidates, Window
 
 #: Angles are refined by this factor at a time until they are this near to one another [rad].
 _FACTOR, FINEST = 4, np.radians(0.05)
@@ -27,63 +27,61 @@ _TURN = 2.0 * np.pi
 
 
 @dataclass(frozen=True, eq=False)
-class Refined:
-    """Result of a search at finer approach angles.
+class Measured(Record):
+    """Configurations with the tool at a point, and how clear they are.
 
     Attributes:
-        candidates: Configurations with enough clearance; None where there are none.
-        tried: Configurations that were tried, the evenly spaced ones not among them.
-        best_m: Largest clearance of all that were tried, the evenly spaced ones among them [m].
+        candidates: The configurations.
+        rooms: (k, links) clearances of their links [m].
     """
 
-    candidates: Candidates | None
-    tried: int
-    best_m: float
+    candidates: Candidates
+    rooms: FloatArray
+
+    @cached_property
+    def least(self) -> FloatArray:
+        """(k,) least clearance of any link at each [m]."""
+        least: FloatArray = self.rooms.min(axis=1)
+        return least
+
+    @property
+    def most(self) -> float:
+        """The largest of these [m]."""
+        return float(self.least.max())
 
 
-def refined(
-    evenly: Candidates,
-    within: Callable[[tuple[float, float], int], Candidates],
-    clearance: Callable[[FloatArray], float],
+def finer_angles(
+    evenly: Measured,
+    at: Callable[[FloatArray], Measured | None],
     enough: float,
+    last_length: float,
     approach_deg: float | tuple[float, float] | None = None,
-) -> Refined:
-    """Configurations at finer approach angles, about those of the evenly spaced ones with the largest clearance.
+) -> Iterator[Measured]:
+    """Configurations at finer and finer approach angles, about those with the largest clearance so far.
 
     Args:
-        evenly: The evenly spaced ones, none with enough clearance.
-        within: About so many configurations within an interval of approach angles [deg]; `UnreachableError` where
-            there is none.
-        clearance: Clearance of a (dof,) configuration [m].
-        enough: Clearance that is enough [m].
+        evenly: The evenly spaced ones.
+        at: All configurations at (j,) approach angles [rad]; None where there is none.
+        enough: Clearance that is enough: angles that cannot have it are not refined [m].
+        last_length: Length of the last link: about the tool, none of its points moves faster than that [m / rad].
         approach_deg: Approach angle or interval that is asked for; None for all [deg].
     """
-    angles = evenly.approach
-    clearances = np.array([clearance(q) for q in evenly.configurations])
-    best, tried = float(clearances.max()), 0
-    is_interval = isinstance(approach_deg, tuple) and approach_deg[0] < approach_deg[1]
-    spacing = _spacing(angles) if approach_deg is None or is_interval else 0.0
+    window = Window.of(approach_deg)
+    angles, rooms = evenly.candidates.approach, evenly.rooms
+    rates = np.full(rooms.shape[1], _RATE)
+    rates[-1] = min(_RATE, last_length)
+    spacing = 0.0 if window is not None and window.width == 0.0 else _spacing(angles)
+    between = np.arange(1 - _FACTOR, _FACTOR) / _FACTOR
     while spacing > FINEST:
-        finer, seen = list[Candidates](), list[FloatArray]()
-        for angle in _worth_refining(angles, clearances, enough, spacing):
-            interval = _clipped(angle, spacing, approach_deg if isinstance(approach_deg, tuple) else None)
-            try:
-                found = within(interval, 2 * _FACTOR * _CONTINUA)
-            except UnreachableError:
-                continue  # only an end of a continuum, or a joint's limit, in between
-            finer.append(found)
-            seen.append(np.array([clearance(q) for q in found.configurations]))
-        if not finer:
-            break
-        angles, clearances = np.concatenate([found.approach for found in finer]), np.concatenate(seen)
-        tried, best = tried + len(angles), max(best, float(clearances.max()))
-        if best > enough:
-            clear = clearances > enough
-            every, angles = np.concatenate([found.configurations for found in finer])[clear], angles[clear]
-            _, first = np.unique(np.round(every, 7), axis=0, return_index=True)  # intervals may overlap
-            return Refined(Candidates(every[first], angles[first]), tried, best)
+        hopeful = (rooms + rates * spacing >= enough).all(axis=1)
+        refined = _apart(angles[hopeful], rooms[hopeful].min(axis=1), spacing)
+        tried = np.ravel(np.array(refined)[:, None] + spacing * between[between != 0.0])
+        found = at(tried if window is None else tried[window.holds(tried)])
+        if found is not None:
+            yield found
+            angles = np.concatenate([angles, found.candidates.approach])
+            rooms = np.concatenate([rooms, found.rooms])
         spacing /= _FACTOR
-    return Refined(None, tried, best)
 
 
 def _spacing(angles: FloatArray) -> float:
@@ -97,27 +95,13 @@ def _spacing(angles: FloatArray) -> float:
     return float(min(widest, _CONTINUA * gaps.max(initial=0.0)))
 
 
-def _worth_refining(angles: FloatArray, clearances: FloatArray, enough: float, spacing: float) -> list[float]:
+def _apart(angles: FloatArray, clearances: FloatArray, spacing: float) -> list[float]:
     """The angles to refine: the best that are not within a spacing of a better one."""
     kept: list[float] = []
     for which in np.argsort(-np.round(clearances, 9), kind="stable").tolist():
-        if len(kept) == _BEST or clearances[which] + _RATE * spacing < enough:
-            break
         away = (np.array(kept) - angles[which] + np.pi) % _TURN - np.pi
         if not (np.abs(away) < spacing).any():
             kept.append(float(angles[which]))
+            if len(kept) == _BEST:
+                break
     return kept
-
-
-def _clipped(angle: float, spacing: float, approach_deg: tuple[float, float] | None) -> tuple[float, float]:
-    """The interval of a spacing to either side of an angle, within what is asked for [deg]."""
-    low, high = np.degrees([angle - spacing, angle + spacing]).tolist()
-    if approach_deg is None:
-        return low, high
-    first, last = approach_deg
-    if last - first >= 360.0:
-        return low, high
-    middle = float(np.degrees(angle))
-    middle += 360.0 * np.ceil((first - middle) / 360.0 - 1e-9)  # as it is counted there
-    turn = middle - np.degrees(angle)
-    return max(first, low + turn), min(last, high + turn)

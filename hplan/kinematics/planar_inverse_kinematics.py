@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -81,11 +81,28 @@ def reach(
     if count < 1:
         raise OptionError("count", count, "a number of configurations >= 1")
     task = _ReachTask.of(robot, position, Window.of(approach_deg), start, locked)
-    configurations, direction = task.solve(count)
-    if not len(configurations):
+    found = _candidates(*task.solve(lambda points, turns: task.chain.reach(points, turns, task.window, count)))
+    if found is None:
         raise _reason(task)
+    return found
+
+
+def reach_at(
+    robot: Robot, position: ArrayLike, angles: FloatArray, *, start: ArrayLike, locked: Sequence[str] = ()
+) -> Candidates | None:
+    """All configurations that put the tool frame at a position at some (j,) approach angles [rad]; None for none.
+
+    Args:
+        start: As the rest and the errors that of `reach`.
+    """
+    task = _ReachTask.of(robot, position, None, start, locked)
+    return _candidates(*task.solve(lambda points, turns: task.chain.directed(points, turns, angles)))
+
+
+def _candidates(configurations: FloatArray, direction: FloatArray) -> Candidates | None:
+    """Configurations with their (k,) angles of the last link; None where k = 0."""
     approach = np.pi - (np.pi - direction) % _TURN
-    return Candidates(frozen(configurations), frozen(approach))
+    return Candidates(frozen(configurations), frozen(approach)) if len(configurations) else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,13 +223,16 @@ class _ReachTask:
         points = product(self.views.point[views] - root[:, None], np.exp(-1j * turns[:, None]))
         return points.ravel(), np.repeat(turns, len(views))
 
-    def solve(self, count: int) -> tuple[FloatArray, FloatArray]:
-        """(k, dof) configurations and (k,) angles of the last link; k = 0 where there are none."""
+    def solve(self, reached: Callable[[ComplexArray, FloatArray], Reached]) -> tuple[FloatArray, FloatArray]:
+        """(k, dof) configurations and (k,) angles of the last link; k = 0 where there are none.
+
+        Args:
+            reached: How the chain reaches points that it sees.
+        """
         views = np.flatnonzero(self.yaw_excess <= ANGLE_TOLERANCE)
         if self.views.distance <= MATCH_TOLERANCE and len(views):
             for base in self.grids():
-                points, turns = self.seen(base, views)
-                found = self.chain.reach(points, turns, self.window, count)
+                found = reached(*self.seen(base, views))
                 if len(found.point):
                     return self._assembled(found, base, views)
         return np.empty((0, self.robot.dof)), np.empty(0)
@@ -270,7 +290,7 @@ class _ReachTask:
 
     def is_possible(self) -> bool:
         """True if some configuration is found."""
-        return bool(len(self.solve(1)[0]))
+        return bool(len(self.solve(lambda points, turns: self.chain.reach(points, turns, self.window, 1))[0]))
 
 
 def _reason(task: _ReachTask) -> UnreachableError:

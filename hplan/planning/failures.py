@@ -14,7 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hplan.base.arrays import IntArray, WordArray
-from hplan.errors import CertificationError, HplanError, NoPathError, NotFoundError, TimingError
+from hplan.errors import (
+    BlockedError,
+    CertificationError,
+    ConfigurationInCollisionError,
+    HplanError,
+    NoPathError,
+    NotFoundError,
+    TimingError,
+)
 from hplan.grid.blockers import blockers
 from hplan.grid.flood import flood_from, has_bit, slice_sizes
 from hplan.grid.grid import Grid, Occupancy
@@ -23,6 +31,16 @@ from hplan.planning.definition import Problem
 from hplan.planning.effort import GridAttempt
 from hplan.planning.grid_entry import grid_entry
 from hplan.planning.task import PlanningTask
+
+#: What says that there is no motion, or none was found; anything else is a fault of what was asked.
+NO_MOTION = (
+    BlockedError,
+    NoPathError,
+    NotFoundError,
+    CertificationError,
+    TimingError,
+    ConfigurationInCollisionError,
+)
 
 #: So far the base may turn beyond start and goal where many goals are decided at once, tried in turn [deg].
 WIDTHS = (45.0, 360.0)

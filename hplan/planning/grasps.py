@@ -19,14 +19,15 @@ from numpy.typing import ArrayLike
 
 from hplan.base import ties
 from hplan.base.arrays import FloatArray, Record, frozen
-from hplan.base.deadline import check_deadline, is_over
+from hplan.base.deadline import is_over
 from hplan.collision.coal_scene import Contact
 from hplan.errors import BlockedError
 from hplan.kinematics.approach_angles import Candidates
+from hplan.kinematics.finer_angles import Measured
 from hplan.planning.joint_ranges import LEAST_MARGIN, JointRanges, joint_ranges
 from hplan.planning.tool_paths import Approaches, ToolPath, tool_of
 from hplan.planning.world import World
-from hplan.robot.limits import least_duration
+from hplan.robot.limits import rest_to_rest
 from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel, name_margin
 from hplan.scene.model import Fruit
@@ -42,6 +43,9 @@ SEARCHED = 8
 
 #: What counts as the clearance of a configuration that no motion leads to, as a joint is blocked before [m].
 _BEYOND = -1.0
+
+#: By less than this a clearance is no smaller than another [m].
+_ROUNDING = 1e-9
 
 #: Clearance that a grasp and its stand-off have beyond the one to keep, and half of it all along the approach [m].
 SPARE = 1e-3
@@ -118,10 +122,82 @@ class Target(Record):
         return self.world_touching if grasp.distance == 0.0 else self.world
 
 
+@dataclass(frozen=True, eq=False)
+class Blocked(Record):
+    """A target of which no configuration with the tool there is clear.
+
+    Attributes:
+        ranges: The intervals in which the joints can move.
+        configurations: (n, dof), n >= 1, at evenly spaced approach angles.
+        best: (dof,) the one that comes nearest to being clear, of those and of the finer ones.
+        best_m: Its clearance [m]; -1 where something blocks a joint on every path to it.
+        refined: How many more were tried at finer angles.
+    """
+
+    target: Target
+    ranges: JointRanges
+    configurations: FloatArray
+    best: FloatArray
+    best_m: float
+    refined: int
+
+    @property
+    def tried(self) -> int:
+        """How many configurations were tried in all."""
+        return len(self.configurations) + self.refined
+
+    def contact_at(self, q: FloatArray) -> Contact | None:
+        """What is in the way of a (dof,) configuration, or of a joint on every path to it."""
+        wall = self.ranges.wall_before(q)
+        return self.target.world_touching.checker.nearest(q) if wall is None else wall.contact
+
+    def error(self) -> BlockedError:
+        """The error that names what is in the way of all configurations, the most frequent first."""
+        nearest: list[Contact | None] = []
+        for q in self.configurations:
+            if nearest and is_over():
+                break  # that they are blocked is known; the first of them say by what
+            nearest.append(self.contact_at(q))
+        counts = Counter((contact.link, contact.obstacle) for contact in nearest if contact is not None)
+        obstacles = [
+            {"obstacle": obstacle, "link": link, "configurations": count}
+            for (link, obstacle), count in counts.most_common()
+        ]
+        error = BlockedError(
+            self.target.what,
+            len(self.configurations),
+            obstacles,
+            refined=self.refined,
+            best_clearance_m=self.best_m,
+            needed_clearance_m=ROOMS[-1],
+        )
+        world = self.target.world_touching
+        if world.deviation > 0.0:
+            free = self.configurations[self.ranges.hold(self.configurations)]
+            fraction = world.fraction_of_deviation(free, ROOMS[-1]) if len(free) else 0.0
+            name_margin(error, TrackingModel(world.deviation), world.robot.slides, fraction)
+        return error
+
+
 def grasps(
     target: Target, start: FloatArray, *, standoff: float, locked: Sequence[str] = (), count: int = COUNT
 ) -> tuple[Grasp, ...]:
-    """All grasps found of a target, by the least duration that any motion there can have.
+    """All grasps found of a target, as `grasps_or_blocked`.
+
+    Raises:
+        BlockedError: Obstacles are in the way of all that do, or block a joint on every path there; names them.
+        HplanError: As `grasps_or_blocked`.
+    """
+    found = grasps_or_blocked(target, start, standoff=standoff, locked=locked, count=count)
+    if isinstance(found, Blocked):
+        raise found.error()
+    return found
+
+
+def grasps_or_blocked(
+    target: Target, start: FloatArray, *, standoff: float, locked: Sequence[str] = (), count: int = COUNT
+) -> tuple[Grasp, ...] | Blocked:
+    """All grasps found of a target, by the least duration that any motion there can have; else what is in the way.
 
     Args:
         target: The point to reach, and the worlds to reach it in.
@@ -133,7 +209,6 @@ def grasps(
     Raises:
         UnreachableError: No configuration reaches the point, whatever is in the way; of a robot that is no planar arm,
             none was found.
-        BlockedError: Obstacles are in the way of all that do, or block a joint on every path there; names them.
         ConfigurationInCollisionError: The start touches something that blocks a joint.
         InputError: A position or an approach that is none.
         OptionError: As `hplan.planning.tool_paths.Tool.at`.
@@ -141,7 +216,10 @@ def grasps(
     ranges = joint_ranges(target.world.checker, start, LEAST_MARGIN)
     if ranges.walls:
         target.world.check_clear(start, "start")
-    found, room = _clear_candidates(target, ranges, start, locked, count)
+    clear = _clear_candidates(target, ranges, start, locked, count)
+    if isinstance(clear, Blocked):
+        return clear
+    found, room = clear
     tool = tool_of(target.world.robot, locked, target.pose is not None)
     found = tool.soonest(found, count)
     goals = frozen(found.configurations)
@@ -166,17 +244,21 @@ def _sorted(
     target: Target, found: Candidates, chosen: dict[int, tuple[float, FloatArray]], start: FloatArray
 ) -> tuple[Grasp, ...]:
     """Grasps of the lengths of their approaches and their stand-offs, by the number of the candidate."""
-    robot, unsorted = target.world.robot, []
-    for i, (distance, begin) in chosen.items():
-        goal = frozen(found.configurations[i])
-        room = target.world_touching.field.clearance(goal)
-        if distance > 0.0:
-            room = min(room, target.world.field.clearance(begin))
-        least = _least_duration(robot, start, begin, goal)
-        unsorted.append(
-            Grasp(goal, begin, distance, float(found.approach[i]), least, min(room, SPARE), target.pose is not None)
+    numbers, robot = list(chosen), target.world.robot
+    goals, begins = found.configurations[numbers], np.array([begin for _, begin in chosen.values()])
+    distances = np.array([distance for distance, _ in chosen.values()])
+    before = np.where(distances > 0.0, target.world.field.along(begins).min(axis=1), SPARE)
+    rooms = np.minimum(np.minimum(target.world_touching.field.along(goals).min(axis=1), before), SPARE).tolist()
+    limits = robot.velocity_limit, robot.acceleration_limit
+    turns = np.abs(begins - start), np.abs(goals - begins)
+    least = sum(rest_to_rest(turn, *limits).max(axis=1) for turn in turns)
+    return tuple(
+        Grasp(
+            frozen(goals[i].copy()), chosen[numbers[i]][1], float(distances[i]), float(found.approach[numbers[i]]),
+            float(least[i]), rooms[i], target.pose is not None,
         )
-    return tuple(unsorted[i] for i in ties.argsort([grasp.least_duration for grasp in unsorted]).tolist())
+        for i in ties.argsort(least).tolist()
+    )  # fmt: skip
 
 
 def promising(found: Sequence[Grasp], target: Target, start: FloatArray) -> list[Grasp]:
@@ -192,49 +274,51 @@ def promising(found: Sequence[Grasp], target: Target, start: FloatArray) -> list
 
 def _clear_candidates(
     target: Target, ranges: JointRanges, start: FloatArray, locked: Sequence[str], count: int
-) -> tuple[Candidates, float]:
+) -> tuple[Candidates, float] | Blocked:
     """Configurations with the tool at the point that are clear: at evenly spaced approach angles, else at finer ones.
 
+    Where the end of the last link alone is not clear there, no finer angles are tried.
+
     Returns:
-        The configurations, and which of `ROOMS` they have.
+        The configurations, and which of `ROOMS` they have; what is in the way where none is clear.
 
     Raises:
         UnreachableError: No configuration reaches the point.
-        BlockedError: None of those that do is clear.
     """
     world, tool = target.world_touching, tool_of(target.world.robot, locked)
 
-    def within(approach_deg: float | tuple[float, float] | None, count: int) -> Candidates:
+    def clearances(configurations: FloatArray) -> FloatArray:
+        rooms = world.field.along(configurations)
+        rooms[~ranges.hold(configurations)] = _BEYOND
+        return rooms
+
+    def evenly_spaced(count: int) -> Measured:
         if target.pose is not None:
-            return tool.at_pose(target.pose, target.frame, start)
-        return tool.at(target.position, approach_deg=approach_deg, count=count, start=start)
+            found = tool.at_pose(target.pose, target.frame, start)
+        else:
+            found = tool.at(target.position, approach_deg=target.approach_deg, count=count, start=start)
+        return Measured(found, clearances(found.configurations))
 
-    def clearance(q: FloatArray) -> float:
-        check_deadline()
-        return world.field.clearance(q) if ranges.wall_before(q) is None else _BEYOND
-
-    found = within(target.approach_deg, count)
-    rooms = np.array([clearance(q) for q in found.configurations])
-    if count < COUNT and not (rooms > SPARE).any():
-        found = within(target.approach_deg, COUNT)
-        rooms = np.array([clearance(q) for q in found.configurations])
-    tried = 0
+    measured = [evenly_spaced(count)]
+    if count < COUNT and measured[0].most <= SPARE:
+        measured = [evenly_spaced(COUNT)]
+    configurations = measured[0].candidates.configurations
+    if measured[0].most <= SPARE and target.pose is None:
+        at_most = tool.most_clearance(world.field, target.position, configurations) - _ROUNDING
+        finer = tool.finer(
+            target.position, measured[0], clearances, ROOMS[-1], approach_deg=target.approach_deg, start=start
+        )
+        while at_most > ROOMS[-1] and measured[-1].most <= min(SPARE, at_most) and (more := next(finer, None)):
+            measured.append(more)
     for room in ROOMS:
-        clear = rooms > room
-        if clear.any():
-            return Candidates(found.configurations[clear], found.approach[clear]), room
-        finer = tool.finer(found, within, clearance, room, target.approach_deg)
-        tried += finer.tried
-        if finer.candidates is not None:
-            return finer.candidates, room
-        if finer.best_m <= ROOMS[-1]:
-            break
-    error = _blocked(target, ranges, found.configurations, (tried, finer.best_m))
-    if world.deviation > 0.0:
-        free = [q for q in found.configurations if ranges.wall_before(q) is None]
-        fraction = world.fraction_of_deviation(np.array(free), ROOMS[-1]) if free else 0.0
-        name_margin(error, TrackingModel(world.deviation), world.robot.slides, fraction)
-    raise error
+        for found in measured:
+            if found.most > room:
+                clear = found.least > room
+                return Candidates(found.candidates.configurations[clear], found.candidates.approach[clear]), room
+    best = max(measured, key=lambda found: found.most)
+    nearest = frozen(best.candidates.configurations[ties.argmax(best.least)])
+    refined = sum(len(found.least) for found in measured[1:])
+    return Blocked(target, ranges, configurations, nearest, best.most, refined)
 
 
 def _distances(standoff: float, least: float) -> list[float]:
@@ -258,50 +342,11 @@ def _clear_approaches(
     for length in lengths:
         if chosen and len(chosen) >= min(enough, len(along(length).polylines)):
             break
-        for i in np.flatnonzero(along(length).feasible).tolist():
-            approach = along(length).polylines[i]
-            if (
-                i not in chosen
-                and ranges.wall_before(approach[-1]) is None
-                and target.world.field.clearance(approach[-1]) > room
-                and target.world_touching.field.is_clear(approach, 0.5 * room)
-            ):
-                chosen[i] = length, frozen(approach[-1].copy())
+        approaches = along(length).polylines
+        begins = approaches[:, -1]
+        clear = along(length).feasible & ranges.hold(begins)
+        clear[clear] = target.world.field.along(begins[clear]).min(axis=1) > room
+        for i in np.flatnonzero(clear).tolist():
+            if i not in chosen and target.world_touching.field.is_clear(approaches[i], 0.5 * room):
+                chosen[i] = length, frozen(begins[i].copy())
     return chosen
-
-
-def _least_duration(robot: Robot, start: FloatArray, standoff: FloatArray, goal: FloatArray) -> float:
-    """Duration that no motion from the start by the stand-off to the goal can undercut [s]."""
-    limits = robot.velocity_limit, robot.acceleration_limit
-    return sum(least_duration(a, b, *limits) for a, b in ((start, standoff), (standoff, goal)))
-
-
-def _blocked(
-    target: Target, ranges: JointRanges, configurations: FloatArray, refined_to: tuple[int, float]
-) -> BlockedError:
-    """The error that names what is in the way, the most frequent first.
-
-    Args:
-        configurations: (n, dof) those that reach it.
-        refined_to: How many more were tried, and the largest clearance of all [m].
-    """
-    tried, best_m = refined_to
-    walls = [ranges.wall_before(q) for q in configurations]
-    nearest: list[Contact | None] = []
-    for q, wall in zip(configurations, walls, strict=True):
-        if nearest and is_over():
-            break  # that they are blocked is known; the first of them say by what
-        nearest.append(target.world_touching.checker.nearest(q) if wall is None else wall.contact)
-    counts = Counter((contact.link, contact.obstacle) for contact in nearest if contact is not None)
-    obstacles = [
-        {"obstacle": obstacle, "link": link, "configurations": count}
-        for (link, obstacle), count in counts.most_common()
-    ]
-    return BlockedError(
-        target.what,
-        len(configurations),
-        obstacles,
-        refined=tried,
-        best_clearance_m=best_m,
-        needed_clearance_m=ROOMS[-1],
-    )

@@ -18,7 +18,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from hplan.base import ties
-from hplan.base.arrays import FloatArray, IntArray, frozen
+from hplan.base.arrays import BoolArray, FloatArray, IntArray, frozen
 from hplan.collision.coal_scene import CoalScene, Contact, OwnContact
 from hplan.errors import NoPathError
 from hplan.robot.base_shapes import GROUND, TURRET, turret_radius
@@ -70,6 +70,14 @@ class JointRanges:
     lower: FloatArray
     upper: FloatArray
     walls: tuple[Wall, ...]
+
+    def hold(self, configurations: FloatArray) -> BoolArray:
+        """(n,) True for those of (n, dof) configurations that are in the intervals."""
+        held = np.ones(len(configurations), dtype=np.bool_)
+        for wall in self.walls:
+            beyond = configurations[:, wall.joint] - wall.angle
+            held &= (beyond if wall.is_upper else -beyond) <= _ROUNDING
+        return held
 
     def wall_before(self, q: FloatArray) -> Wall | None:
         """The wall that a motion to a (dof,) configuration meets first; None where that is in the intervals."""

@@ -7,20 +7,22 @@ robot they are sought (`hplan.kinematics`), and the tool comes along the z axis 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from hplan.base.arrays import BoolArray, FloatArray, frozen
+from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.collision_bodies import collision_bodies
 from hplan.collision.reach import reach as reach_of_bodies
 from hplan.errors import UnreachableError
 from hplan.kinematics.approach_angles import Candidates
-from hplan.kinematics.finer_angles import Refined, refined
+from hplan.kinematics.finer_angles import Measured, finer_angles
 from hplan.kinematics.inverse_kinematics import inverse_kinematics
-from hplan.kinematics.planar_inverse_kinematics import reach
+from hplan.kinematics.planar_inverse_kinematics import reach, reach_at
 from hplan.kinematics.straight_approach import ApproachPath, Stretches, standoffs
 from hplan.kinematics.straight_line import StraightLine, lines_back
 from hplan.kinematics.tool_at_point import approach_angles, tool_at_point
@@ -96,30 +98,43 @@ class Tool:
 
     def finer(
         self,
-        evenly: Candidates,
-        within: Callable[[float | tuple[float, float] | None, int], Candidates],
-        clearance: Callable[[FloatArray], float],
-        enough: float,
+        position: ArrayLike,
+        evenly: Measured,  # noqa: ARG002
+        clearances: Callable[[FloatArray], FloatArray],
+        enough: float,  # noqa: ARG002
+        *,
         approach_deg: float | tuple[float, float] | None,
-    ) -> Refined:
-        """More configurations than those found, none of which has enough clearance.
+        start: FloatArray,
+    ) -> Iterator[Measured]:
+        """More and more configurations than those found, none of which has enough clearance.
 
         Of a planar arm those at angles about the best (`hplan.kinematics.finer_angles`), else those of more directions.
 
         Args:
-            within: Configurations at an approach angle, within an interval or at all of them, about so many.
-            clearance: Clearance of a (dof,) configuration [m].
+            position: (3,) in `base_link` [m].
+            evenly: Those found.
+            clearances: Clearances of the links at (n, dof) configurations, (n, links) [m].
             enough: Clearance that is enough [m].
             approach_deg: Approach angle or interval that is asked for; None for all [deg].
+            start: (dof,) configuration from which the arm comes.
         """
-        try:
-            more = within(approach_deg, _MORE)
-        except UnreachableError:
-            more = evenly
-        rooms = np.array([clearance(q) for q in more.configurations])
-        clear = rooms > enough
-        found = Candidates(more.configurations[clear], more.approach[clear]) if clear.any() else None
-        return Refined(found, len(rooms), float(rooms.max()))
+        with suppress(UnreachableError):
+            more = self.at(position, approach_deg=approach_deg, count=_MORE, start=start)
+            yield Measured(more, clearances(more.configurations))
+
+    def most_clearance(
+        self,
+        field: ClearanceField,  # noqa: ARG002
+        position: ArrayLike,  # noqa: ARG002
+        configurations: FloatArray,  # noqa: ARG002
+    ) -> float:
+        """Clearance that no configuration with the tool at a position can exceed; infinite if unknown [m].
+
+        Args:
+            field: The arm among everything.
+            configurations: (n, dof) configurations with the tool there, one for each yaw at least.
+        """
+        return math.inf
 
     def soonest(self, found: Candidates, count: int) -> Candidates:
         """Those that are reached soonest, so many at most; of a planar arm all: fewer, and not in that order."""
@@ -180,13 +195,23 @@ class _PlanarTool(Tool):
 
     def finer(
         self,
-        evenly: Candidates,
-        within: Callable[[float | tuple[float, float] | None, int], Candidates],
-        clearance: Callable[[FloatArray], float],
+        position: ArrayLike,
+        evenly: Measured,
+        clearances: Callable[[FloatArray], FloatArray],
         enough: float,
+        *,
         approach_deg: float | tuple[float, float] | None,
-    ) -> Refined:
-        return refined(evenly, within, clearance, enough, approach_deg)
+        start: FloatArray,
+    ) -> Iterator[Measured]:
+        def at(angles: FloatArray) -> Measured | None:
+            found = reach_at(self._robot, position, angles, start=start, locked=self._locked)
+            return None if found is None else Measured(found, clearances(found.configurations))
+
+        return finer_angles(evenly, at, enough, float(self._robot.arm.lengths[-1]), approach_deg)
+
+    def most_clearance(self, field: ClearanceField, position: ArrayLike, configurations: FloatArray) -> float:
+        yaws = set(configurations[:, 0].tolist()) if self._robot.has_yaw else {0.0}
+        return max(field.of_last_end(position, self._robot.plane_at(yaw)[1]) for yaw in yaws)
 
     def approaches(self, goals: FloatArray) -> Callable[[float], Approaches]:
         back = Stretches.back_from(self._robot, goals, self._locked)

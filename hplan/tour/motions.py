@@ -32,6 +32,7 @@ import numpy as np
 from hplan.base import ties
 from hplan.base.arrays import FloatArray, IntArray, readonly
 from hplan.planning.approach import Approach, blended
+from hplan.planning.failures import NO_MOTION
 from hplan.planning.grasps import Grasp, Target, grasps
 from hplan.planning.motion import Motion, Transit, last, seconds
 from hplan.planning.plans import plans_to_grasps
@@ -40,7 +41,7 @@ from hplan.planning.task import PlanningContext, PlanningTask
 from hplan.planning.transits import one_transit
 from hplan.robot.limits import rest_to_rest
 from hplan.scene.model import Fruit, Goal
-from hplan.tour.moves import NO_MOTION, Moves, Stop
+from hplan.tour.moves import Moves, Stop
 from hplan.tour.ordering import Costs, Visits, along
 
 #: Finds a tour, given costs, the order of the fruits in the tour it found before, and whether to look far, as nothing

@@ -19,30 +19,12 @@ from typing import Final, NamedTuple, TypeAlias
 import numpy as np
 
 from hplan.base.arrays import FloatArray, IntArray
-from hplan.errors import (
-    BlockedError,
-    CertificationError,
-    ConfigurationInCollisionError,
-    NoPathError,
-    NotFoundError,
-    TimingError,
-)
 from hplan.planning.effort import CLOSE
-from hplan.planning.failures import FailuresError
+from hplan.planning.failures import NO_MOTION, FailuresError
 from hplan.planning.motion import Motion, last, seconds
 from hplan.planning.task import PlanningContext, PlanningTask
 from hplan.planning.transits import straight_is_clear, transits
 from hplan.robot.limits import Limits, rest_to_rest
-
-#: What says that there is no motion, or none was found; anything else is a fault of what was asked.
-NO_MOTION = (
-    BlockedError,
-    NoPathError,
-    NotFoundError,
-    CertificationError,
-    TimingError,
-    ConfigurationInCollisionError,
-)
 
 #: A motion whose straight one is blocked is reckoned with so many times its least duration until trees look for it.
 _BLOCKED: Final = 1.5

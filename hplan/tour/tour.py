@@ -22,6 +22,7 @@ from hplan.base.deadline import Cancel, TimeIsUpError, time_limit
 from hplan.certificate.certificate import all_of
 from hplan.certificate.digests import Digests
 from hplan.errors import CertificationError, OptionError, SceneError, TourError, UnreachableError
+from hplan.planning.failures import NO_MOTION
 from hplan.planning.motion import Motion, certificate_of, in_sequence, required, seconds
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import check_task
@@ -31,7 +32,7 @@ from hplan.robot.model import Robot
 from hplan.scene.model import Fruit, Goal, Scene
 from hplan.tour.carried import carrying
 from hplan.tour.motions import LegMotions, Motions, drop_off
-from hplan.tour.moves import NO_MOTION, Stop
+from hplan.tour.moves import Stop
 from hplan.tour.ordering import Visits, along, best, nearest
 from hplan.tour.result import Leg, TourResult, Unreached
 from hplan.trajectory.retime import resting

@@ -141,7 +141,7 @@ def test_what_is_out_of_reach_and_what_is_blocked_are_told_apart(picker: Robot) 
         plan(picker, scene_of(picker, Goal(position=(0.45, -0.35, 0.4)), obstacles=(crate,)))
     assert caught.value.best_clearance_m is not None
     assert caught.value.best_clearance_m < 0.0
-    crate = crate.model_copy(update={"center": FRUITS[0].center})
+    crate = crate.model_copy(update={"center": FRUITS[0].center, "radius": 0.05})
     found = hplan.reachable(picker, scene_of(picker, Goal(fruit="apple 0"), obstacles=(crate,)))
     assert {one.fruit: one.reason for one in found.values()} == {"apple 0": "blocked", "apple 1": None, "apple 2": None}
 

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from hplan.robot.model import Robot, load_robot
     from hplan.scene.file import load_scene, save_scene
     from hplan.scene.model import Scene
+    from hplan.study.definition import Study
+    from hplan.study.run import StudyResult, run_study
     from hplan.tour.result import TourResult
     from hplan.tour.tour import TourOptions, plan_tour
     from hplan.trajectory.trajectory import Trajectory, read_csv, write_csv
@@ -39,6 +41,8 @@ __all__ = [
     "Planner",
     "Robot",
     "Scene",
+    "Study",
+    "StudyResult",
     "TourOptions",
     "TourResult",
     "Trajectory",
@@ -50,6 +54,7 @@ __all__ = [
     "plan_tour",
     "reachable",
     "read_csv",
+    "run_study",
     "save_scene",
     "warm_up",
     "write_csv",

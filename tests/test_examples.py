@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
+from small_tree import TREE
 
 import hplan
 from hplan.scene.obstacles import Capsule, PointCloud
@@ -109,6 +110,13 @@ def test_ur5_picking(tmp_path: Path) -> None:
     assert set(result.dropped) == set(result.order)
     assert result.certificate.verified
     assert {path.name for path in (tmp_path / "new").iterdir()} == {"tour.csv", "tour.json", "scene.html"}
+
+
+def test_arm_study(tmp_path: Path) -> None:
+    (tmp_path / "tree.csv").write_text(TREE)
+    result = run("arm_study", str(tmp_path / "tree.csv"), str(tmp_path / "rows.csv"), workers=1)
+    assert len(result.rows) == 12
+    assert 0.0 < max(choice.share for choice in result.choices) < 1.0
 
 
 def test_every_example_is_run() -> None:

@@ -29,6 +29,8 @@ SAMPLES = [
     errors.RobotFileError("robot.urdf", "why"),
     errors.RobotFamilyError("robot", "elbow", "why"),
     errors.SceneError("why", path="scene.yaml", where="obstacles[0].radius", line=3, value=-1.0),
+    errors.StudyError("why", path="study.yaml", where="arms[0].robot", line=3, value="ur7"),
+    errors.WorkersLostError([3, 7], 20),
     errors.MovingObstacleError("crate"),
     errors.ObstacleInTimeError("crate", 1.5, ["the straight motion"]),
     errors.JointLimitError("start", "elbow", 2.0, 0.0, 1.0),

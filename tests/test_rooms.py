@@ -29,6 +29,7 @@ ROOMS = (
     "planning",
     "online",
     "tour",
+    "study",
     "apps",
 )
 

@@ -18,6 +18,7 @@ from hplan.errors.bad_input import (
     RobotFileError,
     SceneError,
     StartStateError,
+    StudyError,
 )
 from hplan.errors.motion import (
     BoundError,
@@ -37,6 +38,7 @@ from hplan.errors.no_motion import (
     PlanCancelledError,
     TourError,
     UnreachableError,
+    WorkersLostError,
 )
 from hplan.errors.root import HplanError
 
@@ -64,8 +66,10 @@ __all__ = [
     "RunningMotionBlockedError",
     "SceneError",
     "StartStateError",
+    "StudyError",
     "TimingError",
     "TourError",
     "UnavoidableContactError",
     "UnreachableError",
+    "WorkersLostError",
 ]

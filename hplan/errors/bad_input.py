@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from hplan.errors.root import HplanError
 
@@ -56,6 +56,7 @@ class SceneError(InputError, ValueError):
     line: int | None
     value: Any
     reason: str
+    what: ClassVar[str] = "scene"
 
     def __init__(
         self,
@@ -67,13 +68,19 @@ class SceneError(InputError, ValueError):
         value: Any = None,
     ) -> None:
         """Name the file, the key, its line and the value."""
-        place = "scene" if path is None else f"scene file {path}"
+        place = self.what if path is None else f"{self.what} file {path}"
         place += "" if line is None else f", line {line}"
         place += f", {where}" if where else ""
         file, shown = None if path is None else str(path), None if value is None else repr(value)
         super().__init__(f"{place}: {reason}", path=file, where=where, line=line, value=shown, reason=reason)
         self.path = None if path is None else Path(path)
         self.value = value
+
+
+class StudyError(SceneError):
+    """A study, or a study file, that does not say what it should; with the facts of a `SceneError`."""
+
+    what = "study"
 
 
 class MovingObstacleError(InputError):

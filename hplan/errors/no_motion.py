@@ -192,3 +192,21 @@ class PlanCancelledError(HplanError):
     def __init__(self, elapsed_s: float) -> None:
         """Say after which time."""
         super().__init__(f"the plan was cancelled after {1e3 * elapsed_s:.3g} ms", elapsed_s=elapsed_s)
+
+
+class WorkersLostError(HplanError):
+    """Tasks that never came to an end: the processes that had them were lost, again and again.
+
+    `tasks` are their numbers. Whatever else was asked for is done.
+    """
+
+    exit_status = 6
+    tasks: list[int]
+
+    def __init__(self, tasks: Sequence[int], of: int) -> None:
+        """Store which of how many tasks."""
+        message = (
+            f"{len(tasks)} of {of} tasks did not end, as the processes that had them were lost (out of memory, killed, "
+            "or a machine gone); the others are done"
+        )
+        super().__init__(message, tasks=list(tasks))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic_core import PydanticCustomError
@@ -30,7 +30,7 @@ class _SceneErrors(ModelMetaclass):
             try:
                 return super().__call__(*arguments, **values)
             except ValidationError as error:
-                raise scene_error(error) from error
+                raise scene_error(error, self.error) from error
 
 
 class StrictModel(BaseModel, metaclass=_SceneErrors):
@@ -39,6 +39,9 @@ class StrictModel(BaseModel, metaclass=_SceneErrors):
     Raises:
         SceneError: A value of the wrong kind or range.
     """
+
+    #: Class of the error for a wrong value.
+    error: ClassVar[type[SceneError]] = SceneError
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, populate_by_name=True, strict=True)
 
@@ -50,7 +53,7 @@ class StrictModel(BaseModel, metaclass=_SceneErrors):
             try:
                 return super().model_validate(*arguments, **options)
             except ValidationError as error:
-                raise scene_error(error) from error
+                raise scene_error(error, cls.error) from error
 
         def __repr_args__(self):
             """Names and values for `repr`, of what is given; of long lists the number of items."""
@@ -76,8 +79,8 @@ def fault(message: str, *below: int | str) -> PydanticCustomError:
     return PydanticCustomError("scene", "{message}", {"message": message, "below": below})
 
 
-def scene_error(error: ValidationError) -> SceneError:
-    """The error for a scene, or a part of one, that was made in Python."""
+def scene_error(error: ValidationError, kind: type[SceneError] = SceneError) -> SceneError:
+    """The error for a scene, or a part of one, or what else a class of errors is for, that was made in Python."""
     first = worst_fault(error)
     below = first.get("ctx", {}).get("below", ())
     # Pydantic puts an obstacle's kind before its keys.
@@ -86,7 +89,7 @@ def scene_error(error: ValidationError) -> SceneError:
     reason = plain_message(first)
     if first["type"] == "model_type":  # no mapping in a file, but an object in a program
         reason = f"expected a {first['ctx']['class_name']} (got {_short(value)})"
-    return SceneError(reason, where=dotted(steps) or None, value=value)
+    return kind(reason, where=dotted(steps) or None, value=value)
 
 
 def worst_fault(error: ValidationError) -> Any:

@@ -6,7 +6,7 @@ import itertools
 import os
 from collections.abc import Collection, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import yaml
 from pydantic import BaseModel, ValidationError
@@ -16,10 +16,12 @@ from hplan.base.data_files import shipped_scene, shipped_scenes
 from hplan.base.files import ByteBudget, cut, is_file, write_text
 from hplan.base.yaml_text import read_yaml, write_yaml
 from hplan.errors import SceneError
-from hplan.scene.fault import dotted, plain_message, validated, worst_fault
+from hplan.scene.fault import StrictModel, dotted, plain_message, validated, worst_fault
 from hplan.scene.limits import MOST_SCENE_BYTES, MOST_SHAPE_BYTES
 from hplan.scene.model import Scene
 from hplan.scene.obstacles import Mesh, PointCloud
+
+_Model = TypeVar("_Model", bound=StrictModel)
 
 
 def default_scene_path() -> Path:
@@ -41,18 +43,10 @@ def load_scene(path: Path | str | None = None) -> Scene:
     given, path = path, default_scene_path() if path is None else file_path("path", path)
     if isinstance(given, str) and given in shipped_scenes() and not is_file(path):
         path = shipped_scene(given)
-    try:
-        text = ByteBudget(MOST_SCENE_BYTES).read(path).decode("utf-8")
-    except OSError as error:
-        reason = error.strerror or str(error)
-        if isinstance(error, FileNotFoundError) and given == path.name and not path.suffix:
-            reason += f"; scenes that ship with hplan: {', '.join(shipped_scenes())}"
-        raise SceneError(reason, path=path) from error
-    except UnicodeDecodeError as error:
-        raise SceneError("it is not UTF-8 text", path=path) from error
-    except ValueError as error:
-        raise SceneError(str(error), path=path) from error
-    return parse_scene(text, path=path)
+    is_name = given == path.name and not path.suffix
+    return read_model(
+        Scene, path, hint=f"; scenes that ship with hplan: {', '.join(shipped_scenes())}" if is_name else ""
+    )
 
 
 def parse_scene(text: str, *, path: Path | str | None = None) -> Scene:
@@ -61,25 +55,51 @@ def parse_scene(text: str, *, path: Path | str | None = None) -> Scene:
     Raises:
         SceneError: As `load_scene`.
     """
-    instance("text", text, str)
-    path = None if path is None else file_path("path", path)
+    return parse_model(Scene, instance("text", text, str), None if path is None else file_path("path", path))
+
+
+def read_model(kind: type[_Model], path: Path, *, hint: str = "") -> _Model:
+    """Read a file of some kind, as `load_scene` reads scenes.
+
+    Args:
+        kind: What it holds.
+        hint: Added where there is no such file.
+
+    Raises:
+        SceneError: As `load_scene`; of the kind's own class.
+    """
+    try:
+        text = ByteBudget(MOST_SCENE_BYTES).read(path).decode("utf-8")
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise kind.error(reason + hint * isinstance(error, FileNotFoundError), path=path) from error
+    except UnicodeDecodeError as error:
+        raise kind.error("it is not UTF-8 text", path=path) from error
+    except ValueError as error:
+        raise kind.error(str(error), path=path) from error
+    return parse_model(kind, text, path)
+
+
+def parse_model(kind: type[_Model], text: str, path: Path | None) -> _Model:
+    """Read YAML text of some kind; `path` is named in errors, and files are looked for in its folder."""
     if len(text) > MOST_SCENE_BYTES:
-        raise SceneError(f"it has {len(text):,} characters; at most {MOST_SCENE_BYTES:,} are read", path=path)
+        raise kind.error(f"it has {len(text):,} characters; at most {MOST_SCENE_BYTES:,} are read", path=path)
     try:
         content, node = read_yaml(text)
     except yaml.MarkedYAMLError as error:
         line = None if error.problem_mark is None else error.problem_mark.line + 1
-        raise SceneError(f"malformed YAML: {error.problem}", path=path, line=line) from error
+        raise kind.error(f"malformed YAML: {error.problem}", path=path, line=line) from error
     if not isinstance(content, dict) or node is None:
-        raise SceneError("expected a mapping of keys (format, name, start, goal, ...)", path=path)
+        keys = ", ".join([*itertools.islice(kind.model_fields, 4), "..."])
+        raise kind.error(f"expected a mapping of keys ({keys})", path=path)
     try:
         folder = Path() if path is None else path.parent
-        return validated(Scene, content, {"folder": folder, "budget": ByteBudget(MOST_SHAPE_BYTES)})
+        return validated(kind, content, {"folder": folder, "budget": ByteBudget(MOST_SHAPE_BYTES)})
     except ValidationError as error:
         first = worst_fault(error)
         below = ("kind",) if first["type"] == "union_tag_invalid" else first.get("ctx", {}).get("below", ())
         steps = _present_steps(content, (*first["loc"], *below))
-        raise SceneError(
+        raise kind.error(
             plain_message(first, _WORDS),
             path=path,
             where=dotted(steps),

@@ -9,8 +9,6 @@ import math
 from collections.abc import Sequence
 from functools import cache
 from itertools import pairwise
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -21,7 +19,7 @@ from hplan.errors import HplanError
 from hplan.planning.definition import check_problem
 from hplan.planning.options import PlanOptions
 from hplan.planning.task import PlanningCache
-from hplan.robot.family.members import write_robot
+from hplan.robot.family.members import load_member
 from hplan.robot.family.spec import ArmSpec
 from hplan.robot.model import Robot, load_robot
 from hplan.scene.model import Goal, Scene, Start
@@ -41,9 +39,6 @@ BALLS, CLOSE_BALLS, RADII, FARTHER = (6, 12), (2, 4), (0.02, 0.25), (0.005, 0.06
 
 #: Spacing of the samples of a pinch's motion [rad].
 SAMPLE = math.radians(0.1)
-
-#: Where URDFs of drawn members are written to, which are read again.
-_FOLDER = TemporaryDirectory()
 
 #: Start, goal, and what is drawn about them.
 _Drawn: TypeAlias = tuple[FloatArray, FloatArray, Sequence[Sphere]]
@@ -112,7 +107,7 @@ def drawn_member(seed: int, number: int) -> Robot:
         acceleration=tuple(random.uniform(2.0, 6.0, count + 1).tolist()),
         shoulder_height=float(random.uniform(0.5, 0.9)),
     )
-    return load_robot(write_robot(spec, Path(_FOLDER.name) / f"drawn_{seed}_{number}.urdf")[0])
+    return load_member(spec)
 
 
 def _drawn(robot: Robot, random: np.random.Generator, room: float) -> _Drawn | None:

@@ -11,6 +11,7 @@ import time
 from pathlib import Path
 
 import pytest
+from small_tree import TREE
 from toy_urdf import urdf
 
 import hplan
@@ -33,6 +34,7 @@ HEAVY = ("numpy", "numba", "pinocchio", "coal", "pydantic", "rich", "scipy", "to
 GOOD = {
     "plan": ["plan", "--out", "new"],
     "tour": ["tour", "--out", "new", "--fruits", "fruit 01"],
+    "study": ["study", "study.yaml", "--out", "new", "--workers", "1"],
     "time": ["time", "toy.urdf", "way.csv", "--acceleration", "3"],
     "certify": ["certify", "job"],
     "execute": ["execute", "job/trajectory.csv"],
@@ -43,6 +45,7 @@ GOOD = {
 MISSING = {
     "plan": ["plan", "missing.yaml"],
     "tour": ["tour", "missing.yaml"],
+    "study": ["study", "missing.yaml"],
     "time": ["time", "missing.urdf", "missing.csv"],
     "certify": ["certify", "missing.csv"],
     "execute": ["execute", "missing.csv"],
@@ -53,6 +56,7 @@ MISSING = {
 INSIDE = {
     "plan": ("hplan.planning.plan", "plan"),
     "tour": ("hplan.tour.tour", "plan_tour"),
+    "study": ("hplan.study.run", "run_study"),
     "time": ("hplan.trajectory", "time_waypoints"),
     "certify": ("hplan.certificate.certificate", "certify"),
     "execute": ("hplan.apps.execution.simulation", "execute"),
@@ -68,6 +72,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     assert main(["plan", "--out", str(path / "job"), "--quiet"]) == 0
     (path / "toy.urdf").write_text(urdf())
     (path / "way.csv").write_text("a,b\n0,0\n0.5,0.4\n")
+    (path / "tree.csv").write_text(TREE)
+    (path / "study.yaml").write_text("name: one\narms: [orchard_harvester]\ntrees: [tree.csv]\n")
     return path
 
 

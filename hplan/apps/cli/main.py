@@ -17,6 +17,7 @@ from hplan.base.data_files import shipped_scenes
 COMMANDS = {
     "plan": "plan one motion; write trajectory.csv, report.json and scene.html",
     "tour": "plan a picking tour through the fruits of a scene",
+    "study": "measure many arms before many trees, on all processors",
     "time": "time a motion through waypoints, for any robot",
     "certify": "prove that a trajectory keeps clearance and limits",
     "execute": "run a trajectory on a simulated arm",

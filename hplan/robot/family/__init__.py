@@ -1,6 +1,15 @@
 """New members of the harvester family: a specification of links and limits in, URDF and limits file out."""
 
-from hplan.robot.family.members import CrossCheck, cross_check, write_robot
+from hplan.robot.family.members import CrossCheck, cross_check, load_member, write_robot
 from hplan.robot.family.spec import HARVESTER, ORCHARD_HARVESTER, ArmSpec, Gripper
 
-__all__ = ["HARVESTER", "ORCHARD_HARVESTER", "ArmSpec", "CrossCheck", "Gripper", "cross_check", "write_robot"]
+__all__ = [
+    "HARVESTER",
+    "ORCHARD_HARVESTER",
+    "ArmSpec",
+    "CrossCheck",
+    "Gripper",
+    "cross_check",
+    "load_member",
+    "write_robot",
+]

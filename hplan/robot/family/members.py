@@ -15,6 +15,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -26,8 +27,9 @@ from hplan.base.files import write_text
 from hplan.errors import OptionError, OutputError, RobotFileError
 from hplan.robot.family.spec import HARVESTER, ArmSpec
 from hplan.robot.files import read_models
+from hplan.robot.model import Robot, load_robot
 
-__all__ = ["HARVESTER", "ArmSpec", "CrossCheck", "cross_check", "write_robot"]
+__all__ = ["HARVESTER", "ArmSpec", "CrossCheck", "cross_check", "load_member", "write_robot"]
 
 
 def write_robot(spec: ArmSpec, urdf_path: Path | str) -> tuple[Path, Path]:
@@ -59,6 +61,16 @@ def write_robot(spec: ArmSpec, urdf_path: Path | str) -> tuple[Path, Path]:
     for path, text in texts.items():
         write_text(path, text)
     return urdf_path, limits_path
+
+
+def load_member(spec: ArmSpec) -> Robot:
+    """A member of the family as a robot, written to files that do not stay.
+
+    Raises:
+        OptionError: It is no `ArmSpec`.
+    """
+    with TemporaryDirectory() as folder:
+        return load_robot(write_robot(instance("spec", spec, ArmSpec), Path(folder) / f"{spec.name}.urdf")[0])
 
 
 @dataclass(frozen=True)

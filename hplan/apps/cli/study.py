@@ -1,0 +1,144 @@
+"""The command `hplan study`: many designs measured, each a row that stays, and which of them no other beats."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from hplan.apps.cli.job_folder import OUT, prepare_folder
+from hplan.apps.cli.options import command_parser
+from hplan.apps.cli.terminal import number_table, percent, progress_line
+from hplan.base.arguments import instance
+from hplan.errors import InputError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from hplan.base.tasks import Pool
+    from hplan.study.run import Choice, StudyResult
+
+_DESCRIPTION = """\
+Measure every arm of a study before every tree, at every distance, height and turn. Writes study.csv, a row for each
+design as it comes, study.json and, where matplotlib is there, study.png. Called again it goes on where it was cut off.
+"""
+
+_EPILOG = """\
+format: hplan-study/1
+name: longer forearms
+measure: reach                     # or tour
+arms:
+  - ur5
+  - {name: long, vary: {link_lengths: [[1, 0.8, 0.4], [1, 1, 0.4]]}}
+trees: ["trees/*.csv"]
+distances: [1.2, 1.4]
+turns_deg: [0, 180]                # both sides
+yields: [{wood: 0.02, below: 0.008, fruit: 0.02}]
+
+exit status:
+  0  done
+  2  bad input
+  6  designs whose worker processes were lost again and again; others are done
+"""
+
+#: Files of a study: its rows, what they say, and a picture of that.
+ROWS, STUDY_REPORT, FIGURE = "study.csv", "study.json", "study.png"
+
+
+def parser(prog: str) -> argparse.ArgumentParser:
+    """The parser of the command's arguments."""
+    parser = command_parser(_DESCRIPTION, _EPILOG, prog=prog)
+    add = parser.add_argument
+    add("study", type=Path, metavar="STUDY.yaml", help="what to measure")
+    add("--out", type=Path, default=OUT, metavar="DIR", help="folder to write into, and to go on in (default: out)")
+    add("--workers", type=int, metavar="N", help="designs measured at once (default: one on each processor)")
+    add("--scheduler", metavar="ADDRESS", help="Dask's, as tcp://host:8786 (needs the extra cluster)")
+    add("--quiet", action="store_true", help="no progress, no summary")
+    return parser
+
+
+def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int:
+    """Measure, write, show; returns the exit status."""
+    with progress_line(errors, quiet=arguments.quiet) as progress:
+        progress("reading the study")
+
+        from hplan.apps.view.figure_style import write_png
+        from hplan.apps.view.study_figure import draw_study
+        from hplan.planning.report import write_report
+        from hplan.study.definition import load_study
+        from hplan.study.run import run_study
+
+        study = load_study(arguments.study)
+        prepare_folder(arguments.out)
+        result = run_study(
+            study,
+            arguments.out / ROWS,
+            executor=_executor(arguments.scheduler),
+            workers=arguments.workers,
+            progress=lambda done, of: progress(f"design {done} of {of}"),
+        )
+        report = {"status": "ok", "study": study.name, "measured": result.measured, "seconds": result.seconds}
+        write_report(report | {"choices": list(map(asdict, result.choices))}, arguments.out / STUDY_REPORT)
+        files = [ROWS, STUDY_REPORT]
+        try:
+            files.append(write_png(draw_study(result), arguments.out / FIGURE).name)
+        except InputError as error:
+            errors.print(f"no {FIGURE}: {error.message}", markup=False, soft_wrap=True)
+    if not arguments.quiet:
+        _show(console, result, f"{arguments.out}: {', '.join(files)}")
+    return 0
+
+
+def _executor(address: str | None) -> Pool | None:
+    """Dask's executor, where its scheduler is named.
+
+    Raises:
+        InputError: Dask is not installed, or nobody answers.
+    """
+    if address is None:
+        return None
+    try:
+        from distributed import Client
+    except ImportError as error:
+        raise InputError("--scheduler needs the extra: pip install 'hplan[cluster]'", extra="cluster") from error
+    from concurrent.futures import Executor
+
+    try:
+        return instance("executor", Client(address).get_executor(), Executor)
+    except (OSError, ValueError) as error:
+        raise InputError(f"--scheduler {address}: {error}", scheduler=address) from error
+
+
+def _show(console: Console, result: StudyResult, files: str) -> None:
+    """A line for each choice, the best marked."""
+    from rich.markup import escape
+
+    console.print(f"\n[bold]{escape(result.name)}[/], {len(result.rows)} designs\n")
+    table = number_table()
+    cells: dict[str, Callable[[Choice], str]] = {
+        "arm": lambda one: f"{'[bold green]*[/]' if one.is_best else ' '} {escape(one.arm)}",
+        "distance": lambda one: f"{one.distance_m:g} m",
+        "height": lambda one: f"{one.height_m:g} m",
+        "yields": lambda one: f"{1e3 * one.wood_yields_m:g}/{1e3 * one.fruit_yields_m:g} mm",
+        "reach": lambda one: f"{one.reach_m:.2f} m",
+        "picked": lambda one: f"{percent(one.share)} %",
+        "a fruit": lambda one: "" if one.seconds_per_fruit is None else f"{one.seconds_per_fruit:.2f} s",
+        "CPU": lambda one: f"{one.cpu_s:.2f} s",
+    }
+    ranked = sorted(result.choices, key=lambda choice: (-choice.share, choice.cost))
+    lines = {heading: [cell(one) for one in ranked] for heading, cell in cells.items()}
+    shown = [heading for heading in lines if heading in ("arm", "picked", "CPU") or len(set(lines[heading])) > 1]
+    for heading in shown:
+        table.add_column(heading, justify="left" if heading == "arm" else "right", no_wrap=heading != "arm")
+    for line in zip(*map(lines.__getitem__, shown), strict=True):
+        table.add_row(*line)
+    console.print(table)
+    failed = [row for row in result.rows if row.error]
+    for row in failed[:5]:
+        where = f"{row.arm}, {row.tree} at {row.distance_m:g} m"
+        console.print(f"[yellow]nothing picked[/] {escape(where)}: {escape(row.error)}", soft_wrap=True)
+    if len(failed) > 5:
+        console.print(f"[yellow]nothing picked[/] in {len(failed) - 5} more rows: column error")
+    console.print(f"\n[dim]* no other picks as much at as little cost; CPU is of a design\nfiles[/]  {escape(files)}\n")

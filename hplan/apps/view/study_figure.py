@@ -1,0 +1,48 @@
+"""The figure of a study: share of the fruit picked over what it costs, and the choices that no other beats."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from hplan.apps.view.figure_style import FAINT, INK, PATH, QUIET, new_figure, styled
+from hplan.study.run import StudyResult
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+#: Choices on the front have a number beside their mark, and their names below; so many names at most.
+_NAMED = 9
+
+
+@styled
+def draw_study(result: StudyResult) -> Figure:
+    """Draw the choices of a study and its Pareto front.
+
+    Raises:
+        InputError: Matplotlib is not installed.
+    """
+    shown = [choice for choice in result.choices if choice.share > 0.0]
+    best = sorted((choice for choice in shown if choice.is_best), key=lambda choice: choice.cost)
+    figure = new_figure(6.4, 4.2 + 0.17 * min(len(best), _NAMED), result.name)
+    axes = figure.add_subplot()
+    others = [choice for choice in shown if not choice.is_best]
+    axes.plot([one.cost for one in others], [100.0 * one.share for one in others], "o", ms=4, color=QUIET, alpha=0.6)
+    axes.plot(
+        [one.cost for one in best], [100.0 * one.share for one in best], "o-", drawstyle="steps-post", ms=6, color=PATH
+    )
+    for number, one in enumerate(best, start=1):
+        at = one.cost, 100.0 * one.share
+        axes.annotate(str(number), at, (5, 5), textcoords="offset points", color=INK, fontweight="bold")
+    is_timed = any(choice.seconds_per_fruit is not None for choice in shown)
+    words = [
+        f"{number}  {one.arm}, {one.distance_m:g} m" + (f", {one.height_m:g} m high" if one.height_m else "")
+        for number, one in enumerate(best[:_NAMED], start=1)
+    ]
+    axes.set_xlabel("\n".join(["seconds for each fruit" if is_timed else "reach of the arm [m]", "", *words]))
+    axes.xaxis.label.set(ha="left", x=0.0)
+    axes.set_ylabel("share of the fruit picked [%]")
+    axes.set_ylim(bottom=0.0)
+    axes.margins(x=0.08)
+    axes.grid(color=FAINT, lw=0.6)
+    axes.set_axisbelow(True)
+    return figure

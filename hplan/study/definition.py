@@ -1,0 +1,277 @@
+"""What a study asks for: arms, trees, where the base stands, what gives way; its YAML file, and its designs."""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Final, Literal, Self
+
+from pydantic import Field, ValidationInfo, field_validator, model_validator
+
+from hplan.base.arguments import file_path
+from hplan.certificate.digests import robot_digest
+from hplan.errors import HplanError, OptionError, StudyError
+from hplan.robot.family.members import load_member
+from hplan.robot.family.spec import HARVESTER, ORCHARD_HARVESTER, ArmSpec
+from hplan.robot.model import Robot, load_robot
+from hplan.scene.fault import StrictModel, fault
+from hplan.scene.file import read_model
+from hplan.scene.model import Scene
+from hplan.scene.obstacle_kind import Name
+from hplan.scene.orchard import TUCKED_DEG, MeasuredOptions, measured_orchard
+
+#: What is measured of a design: which fruit can be picked from one stop, or a tour over it.
+Measure = Literal["reach", "tour"]
+
+#: Arms whose specification can be varied.
+_SPECS: Final = {spec.name: spec for spec in (HARVESTER, ORCHARD_HARVESTER)}
+
+#: Most designs of a study.
+MOST_DESIGNS: Final = 100_000
+
+
+class _Part(StrictModel):
+    """A part of a study; its errors are `StudyError`."""
+
+    error: ClassVar[type[StudyError]] = StudyError
+
+
+class Arm(_Part):
+    """An arm, or several that differ in some values of their specification.
+
+    Attributes:
+        robot: What `load_robot` takes: the name of a robot, or a URDF.
+        name: What it is called; None for the robot's name.
+        vary: Fields of `ArmSpec` and the values that each takes, in all combinations; of `harvester` and
+            `orchard_harvester` alone. `lower_deg` and `upper_deg` stand for `lower` and `upper`.
+        spec: A specification, in place of the robot's.
+        start_deg: Where the arm waits [deg]; None for the tucked harvester.
+    """
+
+    robot: Name = "orchard_harvester"
+    name: Name | None = None
+    vary: dict[str, tuple[Any, ...]] = Field(default_factory=dict)
+    spec: ArmSpec | None = None
+    start_deg: tuple[float, ...] = TUCKED_DEG
+
+    @model_validator(mode="after")
+    def _is_an_arm(self) -> Self:
+        if self.vary and self.spec is None and self.robot not in _SPECS:
+            raise fault(f"only {' and '.join(_SPECS)} can be varied; write an ArmSpec for others", "vary")
+        for key, values in self.vary.items():
+            if not values:
+                raise fault("no value to take", "vary", key)
+        try:
+            for _, robot in self.members():
+                _robot(robot).check_configuration([math.radians(value) for value in self.start_deg], "start_deg")
+        except (HplanError, TypeError) as error:
+            raise fault(str(error)) from error
+        return self
+
+    def members(self) -> Iterator[tuple[str, str | ArmSpec]]:
+        """The arms: what each is called, and its specification, or what `load_robot` takes.
+
+        Raises:
+            OptionError: A value that is wrong, by `ArmSpec`.
+            TypeError: A key that is no field of it.
+        """
+        base = _SPECS.get(self.robot) if self.spec is None else self.spec
+        called = self.name or (self.robot if self.spec is None else self.spec.name)
+        if base is None or not (self.vary or self.spec):
+            yield called, self.robot
+            return
+        for values in itertools.product(*self.vary.values()):
+            chosen = dict(zip(self.vary, values, strict=True))
+            words = [f"{key} {_words(value)}" for key, value in chosen.items() if len(self.vary[key]) > 1]
+            for key in ("lower", "upper"):
+                if f"{key}_deg" in chosen:
+                    chosen[key] = [math.radians(value) for value in chosen.pop(f"{key}_deg")]
+            yield ", ".join([called, *words]), replace(base, **chosen)
+
+
+class Yields(_Part):
+    """What gives way, and how deep it may be pushed [m]: wood thinner than a radius, and fruit."""
+
+    wood: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0
+    below: Annotated[float, Field(ge=0.0, le=10.0)] = 0.008
+    fruit: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0
+
+
+class Study(_Part):
+    """A study: each arm before each row of trees, at each distance, height and turn, with each way to yield.
+
+    Attributes:
+        name: What it is called.
+        arms: The arms; a text is the name of a robot, and an `ArmSpec` an arm as well.
+        trees: Files of measured trees (`hplan.scene.orchard.import_tree`), or lists of files that stand in a row;
+            those of a study file are found from its folder, and may have `*` in their names.
+        measure: What is measured.
+        distances: Distances of the base's axis from the row [m].
+        heights: Heights of the base above the trees' feet, of a lift or a mast [m].
+        turns_deg: Turns of the trees; 0 and 180 are both sides of a tree [deg].
+        yields: What gives way.
+        spacing: Distance of neighbouring trunks in a row [m].
+        effort: What is spent on the motions of a tour.
+    """
+
+    format: Literal["hplan-study/1"] = "hplan-study/1"
+    name: Name
+    arms: Annotated[tuple[Arm, ...], Field(min_length=1)]
+    trees: Annotated[tuple[tuple[Path, ...], ...], Field(min_length=1)]
+    measure: Measure = "reach"
+    distances: Annotated[tuple[float, ...], Field(min_length=1)] = (1.4,)
+    heights: Annotated[tuple[float, ...], Field(min_length=1)] = (0.0,)
+    turns_deg: Annotated[tuple[float, ...], Field(min_length=1)] = (0.0,)
+    yields: Annotated[tuple[Yields, ...], Field(min_length=1)] = (Yields(),)
+    spacing: Annotated[float, Field(ge=0.0)] = 1.1
+    effort: Literal["quick", "default", "best"] = "quick"
+
+    @field_validator("arms", mode="before")
+    @classmethod
+    def _arms_of_words(cls, arms: Any) -> Any:
+        if not isinstance(arms, list | tuple):
+            return arms
+        kinds = (str, "robot"), (ArmSpec, "spec")
+        return tuple(next(({key: arm} for kind, key in kinds if isinstance(arm, kind)), arm) for arm in arms)
+
+    @field_validator("trees", mode="before")
+    @classmethod
+    def _files(cls, trees: Any, info: ValidationInfo) -> Any:
+        if not isinstance(trees, list | tuple):
+            return trees
+        folder = (info.context or {}).get("folder", Path())
+        rows = list[Any]()
+        for number, row in enumerate(trees):
+            if isinstance(row, str) and "*" in row:
+                found = sorted(folder.glob(row)) if not Path(row).is_absolute() else sorted(Path("/").glob(row[1:]))
+                if not found:
+                    raise fault(f"no file is called {row}", number)
+                rows += [(path,) for path in found]
+            else:
+                try:
+                    listed = row if isinstance(row, list | tuple) and row else (row,)
+                    rows.append(tuple(folder / file_path("trees", path) for path in listed))
+                except OptionError as error:
+                    raise fault(error.message, number) from error
+        return tuple(rows)
+
+    @model_validator(mode="after")
+    def _is_of_some_size(self) -> Self:
+        count = math.prod(map(len, (self.trees, self.distances, self.heights, self.turns_deg, self.yields)))
+        if count * sum(math.prod(map(len, arm.vary.values())) for arm in self.arms) > MOST_DESIGNS:
+            raise fault(f"more than {MOST_DESIGNS:,} designs")
+        names = [name for arm in self.arms for name, _ in arm.members()]
+        again = next((name for name in names if names.count(name) > 1), None)
+        if again is not None:
+            raise fault(f"two arms are called {again!r}: give one a `name`", "arms")
+        return self
+
+    def designs(self) -> tuple[Design, ...]:
+        """All designs, arm by arm.
+
+        Raises:
+            InputError: A tree file that cannot be read.
+        """
+        arms = [(name, robot, arm.start_deg) for arm in self.arms for name, robot in arm.members()]
+        places = itertools.product(arms, self.trees, self.distances, self.heights, self.turns_deg, self.yields)
+        return tuple(
+            Design(*arm, trees, distance, height, turn, yields, self.spacing, self.measure, self.effort)
+            for arm, trees, distance, height, turn, yields in places
+        )
+
+
+@dataclass(frozen=True)
+class Design:
+    """One arm before one row of trees: what a row of numbers is about."""
+
+    arm: str
+    spec: str | ArmSpec
+    start_deg: tuple[float, ...]
+    trees: tuple[Path, ...]
+    distance: float
+    height: float
+    turn_deg: float
+    yields: Yields
+    spacing: float
+    measure: Measure
+    effort: Literal["quick", "default", "best"]
+
+    @property
+    def robot(self) -> Robot:
+        """The arm."""
+        return _robot(self.spec)
+
+    @property
+    def tree(self) -> str:
+        """What the trees are called."""
+        return " ".join(path.stem for path in self.trees)
+
+    @property
+    def digest(self) -> str:
+        """16 hexadecimal digits: the same for the same names, arm, content of files and numbers."""
+        numbers = [self.start_deg, self.distance, self.height, self.turn_deg, self.yields, self.spacing]
+        names = [self.arm, self.tree, self.measure, self.effort]
+        parts = [*names, robot_digest(self.robot), *map(_content_digest, self.trees), *map(repr, numbers)]
+        return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:16]
+
+    @property
+    def scene(self) -> Scene:
+        """The trees as the base sees them, with their fruit; the arm waits at the start.
+
+        Raises:
+            InputError: A tree file that is not in order.
+            OptionError: A place that is none.
+        """
+        contents = tuple(map(_content_digest, self.trees))
+        return _scene(
+            contents, self.trees, self.distance, self.height, self.turn_deg, self.yields, self.spacing, self.start_deg
+        )
+
+
+@lru_cache(maxsize=64)
+def _robot(spec: str | ArmSpec) -> Robot:
+    return load_robot(spec) if isinstance(spec, str) else load_member(spec)
+
+
+def _content_digest(path: Path) -> str:
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError as error:
+        raise StudyError(f"tree file {path}: {error.strerror}", where="trees") from error
+
+
+@lru_cache(maxsize=16)
+def _scene(
+    _contents: tuple[str, ...],
+    trees: tuple[Path, ...],
+    distance: float,
+    height: float,
+    turn_deg: float,
+    yields: Yields,
+    spacing: float,
+    start_deg: tuple[float, ...],
+) -> Scene:
+    stands = MeasuredOptions(
+        name=" ".join(path.stem for path in trees), spacing=spacing, distance=distance, height=-height,
+        yaw_deg=turn_deg, wood_yields=yields.wood, yields_below=yields.below, fruit_yields=yields.fruit,
+    )  # fmt: skip
+    return measured_orchard(trees, stands, start_deg=start_deg)
+
+
+def _words(value: Any) -> str:
+    return "/".join(f"{item:g}" for item in value) if isinstance(value, list | tuple) else f"{value}"
+
+
+def load_study(path: Path | str) -> Study:
+    """Read a study file (YAML); trees are looked for in its folder.
+
+    Raises:
+        StudyError: Missing or malformed file, unknown or repeated key, value of the wrong kind or range; names the key
+            and its line.
+    """
+    return read_model(Study, file_path("path", path))

@@ -24,7 +24,7 @@ from hplan.base.files import write_text
 from hplan.errors import HplanError, InputError, SceneError
 from hplan.grid import dense_search, reachable, slices_with_path, two_level_search
 from hplan.grid.grid import Grid, Occupancy
-from hplan.robot.family.members import HARVESTER, ArmSpec, cross_check, write_robot
+from hplan.robot.family.members import HARVESTER, ArmSpec, cross_check, load_member, write_robot
 from hplan.robot.tracking import TrackingModel
 from hplan.scene.file import dump_scene, parse_scene
 from hplan.scene.model import Fruit, Goal, Scene, Start
@@ -40,6 +40,8 @@ from hplan.scene.orchard import (
     measured_orchard,
 )
 from hplan.scene.tracks import Sway, Track
+from hplan.study.definition import Study
+from hplan.study.run import run_study
 from hplan.tour.tour import TourOptions
 from hplan.trajectory import corner_grid, limit_shares, limits_of, read_machine, read_waypoints, time_waypoints
 from hplan.trajectory.corner_rounding import largest_deviation, rounded_path
@@ -127,6 +129,7 @@ NO_LENGTH = (*NO_POSITIVE, 1e308)
 KINDS: dict[str, tuple[Any, ...]] = {"number": NO_NUMBER, "positive": NO_POSITIVE, "vector": NO_VECTOR,
     "name": NO_NAME, "path": NO_PATH, "file": NO_FILE, "whole": NO_WHOLE, "matrix": NO_MATRIX, "object": NO_OBJECT,
     "length": NO_LENGTH, "size": (*NO_NUMBER, -1.0)}  # fmt: skip
+A_STUDY = {"name": "small", "arms": ("harvester",), "trees": ("tree.csv",)}
 #: A function, what it is given, the kind of each argument, and values that others cannot have.
 Case = tuple[Callable[..., Any], dict[str, Any], str, dict[str, tuple[Any, ...]]]
 CASES: dict[str, Case] = {
@@ -392,6 +395,14 @@ CASES: dict[str, Case] = {
         },
     ),
     "write_robot": (write_robot, {"spec": HARVESTER, "urdf_path": "a.urdf"}, "spec:object urdf_path:path", {}),
+    "load_member": (load_member, {"spec": HARVESTER}, "spec:object", {}),
+    "Study": (Study, A_STUDY, "name:name", {"arms": (None, "arm", 1.0, ()), "trees": (None, "tree", 1.0, ((),))}),
+    "run_study": (
+        run_study,
+        {"study": None},
+        "rows:path",
+        {"workers": NO_WHOLE[1:], "study": (3, "missing.yaml", ()), "executor": (3, "pool")},
+    ),
     "cross_check": (cross_check, {"urdf_path": "a.urdf"}, "urdf_path:file samples:whole seed:whole", {}),
     "Grid.over": (
         Grid.over,
@@ -538,6 +549,7 @@ def test_a_wrong_value_is_an_error_of_our_own(
         "scene": a_scene(),
         "trajectory": a_trajectory(),
         "motion": a_trajectory(),
+        "study": Study(**A_STUDY),
     }
     given = {name: objects.get(name) if value is None else value for name, value in good.items()}
     wrong = []
@@ -639,6 +651,6 @@ def test_every_public_function_is_among_the_cases() -> None:
     ]
     names = {name for module in modules for name in getattr(importlib.import_module(module), "__all__", ())}
     results = {"Certificate", "FruitReach", "HplanError", "PlanResult", "Robot", "TourResult", "LimitShares", "Machine",
-        "CrossCheck", "Expansions", "SearchResult", "StageTimes"}  # fmt: skip
+        "CrossCheck", "Expansions", "SearchResult", "StageTimes", "StudyResult"}  # fmt: skip
     values = {"AT_LIMIT", "DEVIATION", "Fallback", "HARVESTER", "SHIPPED", "TUCKED_DEG"}
     assert names - results - values <= set(CASES)

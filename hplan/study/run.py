@@ -145,10 +145,11 @@ def run_study(
         WorkersLostError: Designs whose workers were lost again and again; all others have their rows.
     """
     study = load_study(study) if isinstance(study, Path | str) else instance("study", study, Study)
+    kept_in = None if rows is None else file_path("rows", rows)
     pool, at_once = pool_of(executor, workers)
     begin = time.perf_counter()
     designs = {design.digest: design for design in study.designs()}
-    with _row_file(None if rows is None else file_path("rows", rows)) as (found, keep):
+    with _row_file(kept_in) as (found, keep):
         kept = {row.digest: row for row in found if row.digest in designs}
         left = [design for digest, design in designs.items() if digest not in kept]
         progress(len(kept), len(designs))
@@ -178,7 +179,7 @@ def measure(design: Design) -> StudyRow:
     )  # fmt: skip
     try:
         if design.measure == "reach":
-            return row(len(pickable(robot, scene)), 1, None, None, time.thread_time() - begin)
+            return row(len(pickable(robot, within_reach(robot, scene))), 1, None, None, time.thread_time() - begin)
         near, options = within_reach(robot, scene), PlanOptions(effort=design.effort)
         tour = plan_tour(robot, near, options, tour=TourOptions(back=True))
     except TourError:

@@ -3,43 +3,37 @@
 from __future__ import annotations
 
 from hplan.collision.reach import reach_ball
-from hplan.errors import BlockedError, UnreachableError
-from hplan.planning.grasps import Target, grasps
 from hplan.planning.options import PlanOptions
-from hplan.planning.task import PlanningCache
+from hplan.planning.reachable import FruitReach, reachable
 from hplan.planning.world import without_inside
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 
 
 def within_reach(robot: Robot, scene: Scene) -> Scene:
-    """The scene without what no configuration reaches, and without what stands in the base."""
+    """The scene without what no configuration comes near to, and without what stands in the base."""
     centre, radius = reach_ball(robot)[:3], float(reach_ball(robot)[3])
     return without_inside(robot, scene.cropped(radius + scene.clearance, centre))[0]
 
 
-def pickable(robot: Robot, scene: Scene, options: PlanOptions | None = None) -> tuple[str, ...]:
-    """Names of the fruits that have a grasp, in the order in which they can be picked.
+def pickable(robot: Robot, scene: Scene, options: PlanOptions | None = None) -> dict[str, FruitReach]:
+    """The fruits that can be picked (`hplan.reachable`), in the order in which they can.
 
     Fruit that others are in the way of is looked at again once those are picked.
+
+    Args:
+        scene: What is within reach (`within_reach`).
+
+    Raises:
+        HplanError: As `hplan.reachable`.
     """
-    options = options or PlanOptions()
-    left, cache, found = within_reach(robot, scene), PlanningCache(robot), list[str]()
-    start = robot.joints_of(scene.start, "start")
-    tried = left.fruits
-    while tried:
-        world = cache.context(left, options).world
-        gone, blocked = set[str](), []
-        for fruit in tried:
-            try:
-                grasps(Target.of_fruit(world, fruit, scene.goal.approach_deg), start, standoff=options.standoff_m)
-            except BlockedError:
-                blocked.append(fruit)
-            except UnreachableError:
-                continue
-            else:
-                gone.add(fruit.name)
-                found.append(fruit.name)
-        left = left.model_copy(update={"fruits": tuple(fruit for fruit in left.fruits if fruit.name not in gone)})
-        tried = tuple(blocked) if gone else ()
-    return tuple(found)
+    found: dict[str, FruitReach] = {}
+    while scene.fruits:
+        now = {name: one for name, one in reachable(robot, scene, options).items() if one.can_be_picked}
+        if not now:
+            break
+        found |= now
+        left = tuple(fruit for fruit in scene.fruits if fruit.name not in now)
+        goal = scene.goal.model_copy(update={"fruit": left[0].name}) if left and scene.goal.fruit else scene.goal
+        scene = scene.model_copy(update={"fruits": left, "goal": goal})
+    return found

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from hplan.study.definition import Study
     from hplan.study.run import StudyResult, run_study
     from hplan.tour.result import TourResult
+    from hplan.tour.row import RowOptions, RowResult, plan_row
     from hplan.tour.tour import TourOptions, plan_tour
     from hplan.trajectory.trajectory import Trajectory, read_csv, write_csv
 
@@ -40,6 +41,8 @@ __all__ = [
     "PlanResult",
     "Planner",
     "Robot",
+    "RowOptions",
+    "RowResult",
     "Scene",
     "Study",
     "StudyResult",
@@ -51,6 +54,7 @@ __all__ = [
     "load_robot",
     "load_scene",
     "plan",
+    "plan_row",
     "plan_tour",
     "reachable",
     "read_csv",

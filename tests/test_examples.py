@@ -112,6 +112,12 @@ def test_ur5_picking(tmp_path: Path) -> None:
     assert {path.name for path in (tmp_path / "new").iterdir()} == {"tour.csv", "tour.json", "scene.html"}
 
 
+def test_pick_row(tmp_path: Path) -> None:
+    (tmp_path / "tree.csv").write_text(TREE)
+    result = run("pick_row", str(tmp_path / "tree.csv"), 0.8)
+    assert 0 < len(result.picked) <= 8
+
+
 def test_arm_study(tmp_path: Path) -> None:
     (tmp_path / "tree.csv").write_text(TREE)
     result = run("arm_study", str(tmp_path / "tree.csv"), str(tmp_path / "rows.csv"), workers=1)

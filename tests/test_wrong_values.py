@@ -403,6 +403,26 @@ CASES: dict[str, Case] = {
         "rows:path",
         {"workers": NO_WHOLE[1:], "study": (3, "missing.yaml", ()), "executor": (3, "pool")},
     ),
+    "RowOptions": (
+        hplan.RowOptions,
+        {},
+        "distance:positive step:positive speed:positive acceleration:positive lift_speed:positive",
+        {
+            "share": NO_POSITIVE,
+            "settling": NO_NUMBER,
+            "detaching": NO_NUMBER,
+            "heights": (None, "up", (), (NAN,)),
+            "objective": (None, "best"),
+            "both": (None, 1),
+            "carried": (None, "vehicle", (1,)),
+        },
+    ),
+    "plan_row": (
+        hplan.plan_row,
+        {"robot": None, "scene": None},
+        "robot:object scene:object",
+        {"row": (3, "row"), "tour": (3, "tour"), "workers": NO_WHOLE[1:], "executor": (3, "pool")},
+    ),
     "cross_check": (cross_check, {"urdf_path": "a.urdf"}, "urdf_path:file samples:whole seed:whole", {}),
     "Grid.over": (
         Grid.over,
@@ -651,6 +671,6 @@ def test_every_public_function_is_among_the_cases() -> None:
     ]
     names = {name for module in modules for name in getattr(importlib.import_module(module), "__all__", ())}
     results = {"Certificate", "FruitReach", "HplanError", "PlanResult", "Robot", "TourResult", "LimitShares", "Machine",
-        "CrossCheck", "Expansions", "SearchResult", "StageTimes", "StudyResult"}  # fmt: skip
+        "CrossCheck", "Expansions", "SearchResult", "RowResult", "StageTimes", "StudyResult"}  # fmt: skip
     values = {"AT_LIMIT", "DEVIATION", "Fallback", "HARVESTER", "SHIPPED", "TUCKED_DEG"}
     assert names - results - values <= set(CASES)

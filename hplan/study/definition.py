@@ -25,8 +25,8 @@ from hplan.scene.model import Scene
 from hplan.scene.obstacle_kind import Name
 from hplan.scene.orchard import TUCKED_DEG, MeasuredOptions, measured_orchard
 
-#: What is measured of a design: which fruit can be picked from one stop, or a tour over it.
-Measure = Literal["reach", "tour"]
+#: What is measured of a design: which fruit can be picked from one stop; a tour there; tours from stops along the row.
+Measure = Literal["reach", "tour", "row"]
 
 #: Arms whose specification can be varied.
 _SPECS: Final = {spec.name: spec for spec in (HARVESTER, ORCHARD_HARVESTER)}

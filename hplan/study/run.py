@@ -22,6 +22,7 @@ from hplan.errors import HplanError, OutputError, TourError, WorkersLostError
 from hplan.planning.options import PlanOptions
 from hplan.study.definition import Design, Study, load_study
 from hplan.tour.pickable import pickable, within_reach
+from hplan.tour.row import RowOptions, plan_row
 from hplan.tour.tour import TourOptions, plan_tour
 
 
@@ -180,7 +181,12 @@ def measure(design: Design) -> StudyRow:
     try:
         if design.measure == "reach":
             return row(len(pickable(robot, within_reach(robot, scene))), 1, None, None, time.thread_time() - begin)
-        near, options = within_reach(robot, scene), PlanOptions(effort=design.effort)
+        options = PlanOptions(effort=design.effort)
+        if design.measure == "row":
+            whole = plan_row(robot, scene, options, row=RowOptions(distance=design.distance))
+            motion_s, total_s = (whole.report[key] for key in ("motion_s", "total_s"))
+            return row(len(whole.picked), len(whole.stops), motion_s, total_s, time.thread_time() - begin)
+        near = within_reach(robot, scene)
         tour = plan_tour(robot, near, options, tour=TourOptions(back=True))
     except TourError:
         return row(0, 1, 0.0, None, time.thread_time() - begin)

@@ -3,17 +3,30 @@
 from __future__ import annotations
 
 from hplan.collision.reach import reach_ball
+from hplan.errors import InputError
 from hplan.planning.options import PlanOptions
 from hplan.planning.reachable import FruitReach, reachable
 from hplan.planning.world import without_inside
 from hplan.robot.model import Robot
-from hplan.scene.model import Scene
+from hplan.scene.model import Goal, Scene
 
 
 def within_reach(robot: Robot, scene: Scene) -> Scene:
-    """The scene without what no configuration comes near to, and without what stands in the base."""
-    centre, radius = reach_ball(robot)[:3], float(reach_ball(robot)[3])
-    return without_inside(robot, scene.cropped(radius + scene.clearance, centre))[0]
+    """What a robot may come near to; fruit and what gives way is left out of its base.
+
+    No fruit is the goal of what is returned.
+
+    Raises:
+        InputError: Something that does not give way stands in the base.
+    """
+    scene = scene.model_copy(update={"goal": Goal(position=(0.0, 0.0, 0.0), approach_deg=scene.goal.approach_deg)})
+    ball = reach_ball(robot)
+    cropped = scene.cropped(float(ball[3]) + scene.clearance, ball[:3])
+    near, inside = without_inside(robot, cropped)
+    rigid = next((one.name for one in cropped.obstacles if one.name in inside and not one.yields), None)
+    if rigid is not None:
+        raise InputError(f"obstacle {rigid!r} stands in the robot's pedestal or turret", obstacle=rigid)
+    return near
 
 
 def pickable(robot: Robot, scene: Scene, options: PlanOptions | None = None) -> dict[str, FruitReach]:
@@ -33,7 +46,5 @@ def pickable(robot: Robot, scene: Scene, options: PlanOptions | None = None) -> 
         if not now:
             break
         found |= now
-        left = tuple(fruit for fruit in scene.fruits if fruit.name not in now)
-        goal = scene.goal.model_copy(update={"fruit": left[0].name}) if left and scene.goal.fruit else scene.goal
-        scene = scene.model_copy(update={"fruits": left, "goal": goal})
+        scene = scene.model_copy(update={"fruits": tuple(fruit for fruit in scene.fruits if fruit.name not in now)})
     return found

@@ -34,6 +34,7 @@ HEAVY = ("numpy", "numba", "pinocchio", "coal", "pydantic", "rich", "scipy", "to
 GOOD = {
     "plan": ["plan", "--out", "new"],
     "tour": ["tour", "--out", "new", "--fruits", "fruit 01"],
+    "row": ["row", "row.yaml", "--distance", "1.2", "--step", "1.1", "--one-side", "--effort", "quick", "--out", "new"],
     "study": ["study", "study.yaml", "--out", "new", "--workers", "1"],
     "time": ["time", "toy.urdf", "way.csv", "--acceleration", "3"],
     "certify": ["certify", "job"],
@@ -45,6 +46,7 @@ GOOD = {
 MISSING = {
     "plan": ["plan", "missing.yaml"],
     "tour": ["tour", "missing.yaml"],
+    "row": ["row", "missing.yaml"],
     "study": ["study", "missing.yaml"],
     "time": ["time", "missing.urdf", "missing.csv"],
     "certify": ["certify", "missing.csv"],
@@ -56,6 +58,7 @@ MISSING = {
 INSIDE = {
     "plan": ("hplan.planning.plan", "plan"),
     "tour": ("hplan.tour.tour", "plan_tour"),
+    "row": ("hplan.tour.row", "plan_row"),
     "study": ("hplan.study.run", "run_study"),
     "time": ("hplan.trajectory", "time_waypoints"),
     "certify": ("hplan.certificate.certificate", "certify"),
@@ -73,6 +76,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (path / "toy.urdf").write_text(urdf())
     (path / "way.csv").write_text("a,b\n0,0\n0.5,0.4\n")
     (path / "tree.csv").write_text(TREE)
+    orchard = ["orchard", "--import", str(path / "tree.csv"), "--distance", "1.2", "--robot", "orchard_harvester"]
+    assert main([*orchard, "--yield", "0.02", "--out", str(path / "row.yaml"), "--quiet"]) == 0
     (path / "study.yaml").write_text("name: one\narms: [orchard_harvester]\ntrees: [tree.csv]\n")
     return path
 

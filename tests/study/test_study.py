@@ -143,6 +143,14 @@ def test_a_tour_has_seconds_for_each_fruit(file: Path) -> None:
     assert choice.seconds_per_fruit == row.motion_s / row.picked
 
 
+def test_a_row_has_stops_and_the_time_of_driving(file: Path) -> None:
+    row = measure(replace(load_study(file).designs()[0], measure="row"))
+    assert 1 <= row.stops <= row.picked <= 3
+    assert row.motion_s is not None
+    assert row.total_s is not None
+    assert row.total_s > row.motion_s + row.picked
+
+
 def test_the_front_is_what_no_other_beats(file: Path) -> None:
     rows = [replace(invented(design), cpu_s=1.0) for design in load_study(file).designs()[::4]]
     numbers = [(3, 2.5), (2, 2.4), (2, 2.6)]

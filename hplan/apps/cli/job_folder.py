@@ -23,9 +23,10 @@ from hplan.errors import HplanError, InputError, OptionError, OutputError
 #: Where files go unless something else is said.
 OUT = Path("out")
 
-#: Files of a finished job: of one motion, of a tour, of both.
+#: Files of a finished job: of one motion, of a tour, of a row, of all.
 TRAJECTORY, REPORT = "trajectory.csv", "report.json"
 TOUR, TOUR_REPORT = "tour.csv", "tour.json"
+ROW_REPORT = "row.json"
 PAGE = "scene.html"
 
 #: The scene of a path that was given, with its ends as start and goal: what is certified is about this one.
@@ -124,7 +125,7 @@ class JobFolder:
         be written either, and is reported then.
         """
         finished = []
-        for name in (REPORT, TOUR_REPORT):
+        for name in (REPORT, TOUR_REPORT, ROW_REPORT):
             with contextlib.suppress(InputError):
                 if read_report(self.path / name, is_input=False).get("status") == "ok":
                     finished.append(name)

@@ -28,7 +28,7 @@ design as it comes, study.json and, where matplotlib is there, study.png. Called
 _EPILOG = """\
 format: hplan-study/1
 name: longer forearms
-measure: reach                     # or tour
+measure: reach                     # or tour, row
 arms:
   - ur5
   - {name: long, vary: {link_lengths: [[1, 0.8, 0.4], [1, 1, 0.4]]}}

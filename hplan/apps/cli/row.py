@@ -1,0 +1,181 @@
+"""The command `hplan row`: where to stop along a row of trees, and a picking tour at each stop."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from html import escape as html_escape
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from hplan.apps.cli.job_folder import OUT, PAGE, ROW_REPORT, JobFolder
+from hplan.apps.cli.options import add_effort, add_pace, add_robot, add_tracking, command_parser, plan_options, robot_of
+from hplan.apps.cli.terminal import certificate_words, facts_table, number_table, percent, progress_line, show_title
+from hplan.errors import InputError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from hplan.tour.row import RowResult
+
+_DESCRIPTION = """\
+Choose the stops along a row of trees from which all fruit within reach is picked, and plan a tour at each. Writes
+stop-NN.csv for the controller and stop-NN.html for each stop, scene.html with all of them, row.json and, where
+matplotlib is there, row.png.
+"""
+
+_EPILOG = """\
+The scene shows the row, along y, as the base sees it at y = 0 on the first
+side; its line is --distance ahead. Positions of stops are along y.
+
+exit status:
+  0  done
+  2  bad input
+  3  no fruit can be picked from any stop
+  5, 6  as of hplan tour
+"""
+
+#: Its picture.
+FIGURE = "row.png"
+
+#: Options of the command that are options of a row.
+_OPTIONS = ("distance", "step", "heights", "objective", "share", "lift_speed", "settling", "detaching", "carried")
+
+
+def parser(prog: str) -> argparse.ArgumentParser:
+    """The parser of the command's arguments."""
+    parser = command_parser(_DESCRIPTION, _EPILOG, prog=prog)
+    add = parser.add_argument
+    add("scene", help="scene file, or name of a shipped scene")
+    add("--out", type=Path, default=OUT, metavar="DIR", help="folder to write into (default: out)")
+    add_robot(parser)
+    add("--distance", type=float, default=1.4, metavar="M", help="from the base's axis to the row (default: 1.4)")
+    add("--one-side", action="store_true", help="stop on the first side only (default: on both)")
+    add("--step", type=float, default=0.1, metavar="M", help="spacing of candidate stops (default: 0.1)")
+    add("--heights", type=float, nargs="+", default=[0.0], metavar="M", help="of a lift or mast, above the scene's")
+    add("--objective", choices=("stops", "time"), default="stops", help="what is to be least (default: stops)")
+    add("--share", type=float, default=1.0, metavar="F", help="of the fruit within reach that is to be picked")
+    add("--drive-speed", type=float, default=0.5, metavar="M/S", help="default: 0.5")
+    add("--drive-acceleration", type=float, default=0.5, metavar="M/S2", help="default: 0.5")
+    add("--lift-speed", type=float, default=0.1, metavar="M/S", help="default: 0.1")
+    add("--settling", type=float, default=0.5, metavar="S", help="from standing until the arm moves (default: 0.5)")
+    add("--detaching", type=float, default=1.0, metavar="S", help="what detaching a fruit takes (default: 1)")
+    add("--carried", nargs="+", default=[], metavar="NAME", help="obstacles that stand on the vehicle")
+    add("--workers", type=int, default=1, metavar="N", help="processes that look at candidates (default: 1)")
+    add_effort(parser)
+    add_pace(parser)
+    add_tracking(parser)
+    add("--quiet", action="store_true", help="no progress, no summary")
+    return parser
+
+
+def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int:
+    """Plan, write, show what came of it; returns the exit status."""
+    folder = JobFolder(arguments.out, ("stop-[0-9]*.csv", "stop-[0-9]*.html", PAGE, FIGURE), ROW_REPORT)
+    with progress_line(errors, quiet=arguments.quiet) as progress:
+        result, files = _made(arguments, folder, errors, progress)
+    if not arguments.quiet:
+        _show(console, result, f"{folder.path}: {files[0]}, ..., {', '.join(files[-3:])}")
+    return 0
+
+
+def _made(
+    arguments: argparse.Namespace, folder: JobFolder, errors: Console, progress: Callable[[str], None]
+) -> tuple[RowResult, list[str]]:
+    """Load, plan and write; gives the row and the names of its files."""
+    progress("reading robot and scene")
+
+    from hplan.apps.view.figure_style import write_png
+    from hplan.apps.view.page import write_page
+    from hplan.apps.view.playback import Playback
+    from hplan.apps.view.row_figure import draw_row
+    from hplan.base.files import write_text
+    from hplan.planning.report import write_report
+    from hplan.scene.file import load_scene
+    from hplan.tour.row import RowOptions, plan_row
+    from hplan.trajectory.trajectory import write_csv
+
+    row = RowOptions(
+        both=not arguments.one_side,
+        speed=arguments.drive_speed,
+        acceleration=arguments.drive_acceleration,
+        **{option: getattr(arguments, option) for option in _OPTIONS},
+    )
+    options = plan_options(arguments, "effort")
+    scene = load_scene(arguments.scene)
+    robot = robot_of(arguments, scene)
+    with folder.job(scene.name, robot.name):
+        result = plan_row(robot, scene, options, row=row, workers=arguments.workers, progress=progress)
+        progress("writing files")
+        digits = max(2, len(str(len(result.stops))))
+        names = [f"stop-{number:0{digits}}" for number in range(1, len(result.stops) + 1)]
+        with folder.filling() as staging:
+            for name, stop in zip(names, result.stops, strict=True):
+                write_csv(stop.tour.trajectory, staging / f"{name}.csv")
+                write_page(robot, stop.tour.scene, Playback.of(stop.tour), staging / f"{name}.html")
+            write_text(staging / PAGE, _index(result, names))
+            try:
+                figure = [write_png(draw_row(result), staging / FIGURE).name]
+            except InputError as error:
+                errors.print(f"no {FIGURE}: {error.message}", markup=False, soft_wrap=True)
+                figure = []
+            write_report({**result.report, "files": [f"{name}.csv" for name in names]}, staging / ROW_REPORT)
+    return result, [*(f"{name}.csv" for name in names), ROW_REPORT, PAGE, *figure]
+
+
+def _index(result: RowResult, names: list[str]) -> str:
+    """A page that shows the page of one stop after the other."""
+    links = "".join(
+        f'<a href="{name}.html" target="stop">{number}<small> side {stop.place.side}, {stop.place.along:.1f} m, '
+        f"{len(stop.tour.order)} fruits</small></a> "
+        for number, (name, stop) in enumerate(zip(names, result.stops, strict=True), start=1)
+    )
+    title = html_escape(f"{result.scene.name}, {len(result.stops)} stops")
+    return (
+        f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{title}</title><style>'
+        "body{margin:0;display:flex;flex-direction:column;height:100vh;font:14px sans-serif;color:#22303C}"
+        "nav{padding:.5em 1em;overflow-x:auto;white-space:nowrap}nav a{margin-right:1.2em;color:#0072B2}"
+        "small{color:#7A8793}iframe{flex:1;border:0}</style>"
+        f'<nav><b>{title}</b> &nbsp; {links}</nav><iframe name="stop" src="{names[0]}.html"></iframe></html>\n'
+    )
+
+
+def _show(console: Console, result: RowResult, files: str) -> None:
+    """The stops and the whole; fits 80 columns."""
+    from rich.markup import escape
+
+    report = result.report
+    show_title(console, report["scene"], report["robot"])
+    table = number_table()
+    for heading in ("", "side", "along", "height", "fruits", "arrival", "motion", "a fruit", "clearance"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for number, stop in enumerate(report["stops"], start=1):
+        count, clearance = len(stop["picked"]), 1e3 * stop["min_clearance_m"]
+        table.add_row(
+            str(number),
+            str(stop["side"]),
+            f"{stop['along']:.2f} m",
+            f"{stop['height']:.2f} m",
+            str(count),
+            f"{stop['arrival_s']:.1f} s",
+            f"{stop['motion_s']:.1f} s",
+            f"{stop['motion_s'] / count:.2f} s",
+            f"{clearance:.1f} mm",
+        )
+    console.print(table)
+    console.print()
+    facts = facts_table(indent=0)
+    of = f"{report['picked']} of {report['fruits']}, of {report['reachable']} that some stop can pick"
+    facts.add_row("picked", f"[bold]{percent(report['share_picked'])} %[/]: {of}")
+    if len(report["trees"]) > 1:
+        told = ", ".join(f"{name} {one['picked']} of {one['fruits']}" for name, one in report["trees"].items())
+        facts.add_row("trees", escape(told))
+    parts = ", ".join(f"{name[:-2]} {report[name]:.1f} s" for name in ("motion_s", "driving_s", "detaching_s"))
+    facts.add_row("time", f"{report['total_s']:.1f} s: {parts}")
+    with_drive = f"{report['total_s_per_fruit']:.2f} s with driving and detaching"
+    facts.add_row("a fruit", f"{report['motion_s_per_fruit']:.2f} s of motion, [bold]{with_drive}[/]")
+    facts.add_row("an hour", f"{report['fruit_per_hour']:.0f} fruits")
+    facts.add_row("certificate", certificate_words(all(stop["verified"] for stop in report["stops"])))
+    facts.add_row("files", escape(files))
+    console.print(facts)
+    console.print()

@@ -1,0 +1,88 @@
+"""The figure of a row: stops, trees and fruit from above and from the front."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hplan.apps.view.figure_style import FAINT, INK, LINKS, OBSTACLE, PATH, QUIET, RESTORED, START, new_figure, styled
+from hplan.scene.obstacles import Capsule
+from hplan.tour.row import RowResult
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+#: Colours of the fruit of neighbouring stops.
+_STOPS = (PATH, START, RESTORED, LINKS[1])
+_WOOD = "#C8B49E"
+
+
+@styled
+def draw_row(result: RowResult) -> Figure:
+    """Draw where the base stops and what is picked from where; one colour for each of a few neighbouring stops.
+
+    Raises:
+        InputError: Matplotlib is not installed.
+    """
+    from matplotlib.lines import Line2D
+
+    scene, report = result.scene, result.report
+    share = f"{100.0 * report['share_picked']:.0f} % of {report['fruits']} fruits"
+    pace = f"{report['total_s_per_fruit']:.2f} s each"
+    stops = len(result.stops)
+    figure = new_figure(7.6, 8.4, f"{scene.name}: {share} from {stops} stop{'s' * (stops > 1)}, {pace}")
+    above, front = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2.4))
+    _draw(above, result, 0, "x: across the row [m]")
+    _draw(front, result, 2, "z [m]")
+    front.set_xlabel("y: along the row [m]")
+    above.set_title("from above; numbers are stops, dots what can be picked from each candidate")
+    front.set_title("from the front")
+    handles = [
+        Line2D([], [], marker="o", ls="none", color=PATH, label="picked (a colour for each stop)"),
+        Line2D([], [], marker="o", ls="none", color=OBSTACLE, label="within reach, left"),
+        Line2D([], [], marker="o", ls="none", mfc="none", color=QUIET, label="out of reach or blocked"),
+    ]
+    figure.legend(handles=handles, loc="outside lower center", ncols=3)
+    return figure
+
+
+def _draw(axes: Any, result: RowResult, axis: int, label: str) -> None:
+    """One view: along the row, and another coordinate over it."""
+    from matplotlib.collections import LineCollection
+
+    wood = [one for one in result.scene.obstacles if isinstance(one, Capsule)]
+    lines = [[(end[1], end[axis]) for end in (one.start, one.end)] for one in wood]
+    widths = [max(0.8, 60.0 * one.radius) for one in wood]
+    axes.add_collection(LineCollection(lines, colors=_WOOD, linewidths=widths, capstyle="round", zorder=1))
+    stop_of = {name: number for number, stop in enumerate(result.stops) for name in stop.tour.order}
+    for fruit in result.scene.fruits:
+        number = stop_of.get(fruit.name)
+        is_left = number is None and fruit.name in result.reachable
+        color = OBSTACLE if is_left else QUIET if number is None else _STOPS[number % len(_STOPS)]
+        face = "none" if number is None and not is_left else color
+        axes.plot(fruit.center[1], fruit.center[axis], "o", ms=4.5, mec=color, mfc=face, zorder=3)
+    if axis == 0:
+        _draw_stops(axes, result)
+    axes.set_ylabel(label)
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.grid(color=FAINT, lw=0.5)
+    axes.set_axisbelow(True)
+
+
+def _draw_stops(axes: Any, result: RowResult) -> None:
+    """Candidates as dots, larger the more can be picked from them, and the stops with their numbers."""
+    across = {side: 2.0 * result.options.distance * (side - 1) for side in (1, 2)}
+    some = {place: len(names) for place, names in result.candidates.items() if names}
+    places = [(place.along, across[place.side]) for place in some]
+    sizes = [1.0 + 22.0 * count / max(some.values()) for count in some.values()]
+    axes.scatter(*np.array(places).T, s=sizes, color=QUIET, alpha=0.5, lw=0, zorder=2)
+    for number, stop in enumerate(result.stops):
+        at, color = (stop.place.along, across[stop.place.side]), _STOPS[number % len(_STOPS)]
+        axes.plot(*at, "s", ms=13, color=color, mec="white", zorder=4)
+        axes.annotate(str(number + 1), at, ha="center", va="center", color="white", fontweight="bold", zorder=5)
+        if stop.place.height:
+            away = 12 if stop.place.side == 2 else -18
+            axes.annotate(
+                f"{stop.place.height:+.2g} m", at, (0, away), textcoords="offset points", ha="center", color=INK
+            )

@@ -1,0 +1,213 @@
+"""Rows: stops chosen by set cover, tours at each, and what is told of them."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_tree import TREE
+
+import hplan
+from hplan.apps.cli.main import main
+from hplan.base.arrays import FloatArray
+from hplan.errors import InputError, OptionError, TourError
+from hplan.robot.model import Robot, load_robot
+from hplan.scene.model import Scene
+from hplan.scene.obstacles import Box
+from hplan.scene.orchard import MeasuredOptions, measured_orchard
+from hplan.tour.pickable import pickable, within_reach
+from hplan.tour.row import Place, RowOptions, RowResult, plan_row
+from hplan.tour.set_cover import cover
+
+QUICK = hplan.PlanOptions(effort="quick")
+COARSE = RowOptions(distance=1.2, step=0.8)
+
+
+@pytest.fixture(scope="module")
+def arm() -> Robot:
+    return load_robot("orchard_harvester")
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    file = tmp_path_factory.mktemp("row") / "tree.csv"
+    file.write_text(TREE)
+    return measured_orchard([file, file], MeasuredOptions(distance=1.2, spacing=1.6, wood_yields=0.02))
+
+
+@pytest.fixture(scope="module")
+def row(arm: Robot, scene: Scene) -> RowResult:
+    return plan_row(arm, scene, QUICK, row=COARSE)
+
+
+# Set cover
+
+
+def least(costs: list[dict[str, float]], each: float, share: float) -> tuple[int, float]:
+    """Fewest sets that hold enough, and the least cost of any, by trying all."""
+    names = sorted({name for held in costs for name in held})
+    need = math.ceil(share * len(names) - 1e-9)
+    fewest, cost = len(costs), math.inf
+    for some in itertools.product((False, True), repeat=len(costs)):
+        chosen = [held for held, taken in zip(costs, some, strict=True) if taken]
+        prices = sorted(min(held[name] for held in chosen if name in held) for name in names
+                        if any(name in held for held in chosen))  # fmt: skip
+        if len(prices) >= need:
+            fewest, cost = min(fewest, len(chosen)), min(cost, each * len(chosen) + sum(prices[:need]))
+    return fewest, cost
+
+
+@pytest.mark.parametrize("seed", range(25))
+def test_covers_are_those_of_trying_all(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    fruits = [f"fruit {i}" for i in range(int(rng.integers(1, 11)))]
+    draw = lambda: {name: float(rng.uniform(0.5, 3.0)) for name in fruits if rng.random() < 0.35}  # noqa: E731
+    costs = [draw() for _ in range(int(rng.integers(1, 9)))]
+    names = {name for held in costs for name in held}
+    for each, share in ((math.inf, 1.0), (math.inf, 0.8), (1.5, 1.0), (0.1, 0.7)):
+        chosen, is_best = cover(costs, each, share)
+        taken = [name for listed in chosen.values() for name in listed]
+        assert is_best
+        assert len(taken) == len(set(taken)) >= math.ceil(share * len(names) - 1e-9)
+        assert all(name in costs[i] for i, listed in chosen.items() for name in listed)
+        if not names:
+            continue
+        fewest, cost = least(costs, each, share)
+        if math.isinf(each):
+            assert len(chosen) == fewest
+        else:
+            paid = each * len(chosen) + sum(costs[i][name] for i, listed in chosen.items() for name in listed)
+            assert paid == pytest.approx(cost, rel=1e-4)
+
+
+def test_where_greed_takes_one_set_too_many() -> None:
+    costs = [dict.fromkeys(names, 1.0) for names in ("abcd", "abe", "cdf")]
+    assert {i: "".join(names) for i, names in cover(costs, math.inf)[0].items()} == {1: "abe", 2: "cdf"}
+
+
+# Places
+
+
+@pytest.mark.parametrize("place", [Place(1, 0.3, 0.0), Place(2, -0.4, 0.2)])
+def test_what_is_seen_from_a_place(scene: Scene, place: Place) -> None:
+    """A base at the place, facing the row, has fruits ahead of it as far as they are from it."""
+    seen = place.seen(scene, COARSE)
+    base = np.array([2.0 * COARSE.distance if place.side == 2 else 0.0, place.along, place.height])
+    ahead: FloatArray = np.array([-1.0 if place.side == 2 else 1.0, 0.0, 0.0])
+    for before, after in zip(scene.fruits, seen.fruits, strict=True):
+        away = np.array(before.center) - base
+        assert after.name == before.name
+        assert after.center[0] == pytest.approx(away @ ahead)
+        assert after.center[2] == pytest.approx(away[2])
+        assert math.hypot(*after.center) == pytest.approx(np.linalg.norm(away))
+
+
+def test_what_the_vehicle_carries_stays_with_the_base(scene: Scene) -> None:
+    bin_ = Box(name="bin", center=(-0.9, 0.0, 0.2), size=(0.4, 0.4, 0.4))
+    seen = Place(2, 1.0, 0.0).seen(scene.with_obstacles([*scene.obstacles, bin_]), replace(COARSE, carried=("bin",)))
+    assert [one for one in seen.obstacles if one.name == "bin"] == [bin_]
+
+
+def test_driving_takes_what_a_trapezoid_of_velocity_takes() -> None:
+    options = RowOptions(speed=0.5, acceleration=0.5, lift_speed=0.1)
+    assert options.drive_s(0.5) == pytest.approx(2.0)  # a second up, a second down
+    assert options.drive_s(-2.5) == pytest.approx(6.0)
+    assert options.drive_s(0.125) == pytest.approx(1.0)
+    assert options.drive_s(0.5, 0.4) == pytest.approx(4.0)
+    assert options.drive_s(0.0) == 0.0
+
+
+def test_fruit_behind_others_can_be_picked_once_they_are(arm: Robot, scene: Scene) -> None:
+    near = within_reach(arm, scene)
+    fruit = near.fruits[0]
+    shell = [
+        fruit.model_copy(update={"name": f"shell {i}", "center": tuple(np.add(fruit.center, 0.075 * np.array(way)))})
+        for i, way in enumerate(itertools.product((-1, 0, 1), repeat=3)) if any(way)
+    ]  # fmt: skip
+    dense = near.model_copy(update={"fruits": (fruit, *shell), "obstacles": ()})
+    order = list(pickable(arm, dense))
+    assert not hplan.reachable(arm, dense)[fruit.name].can_be_picked
+    assert fruit.name in order[1:]
+
+
+# Rows
+
+
+def test_a_row_is_picked_from_as_few_stops_as_can_be(row: RowResult) -> None:
+    hanging = [fruit.name for fruit in row.scene.fruits]
+    assert 0 < len(row.picked) == len(set(row.picked)) <= len(hanging)
+    assert set(row.picked) <= set(row.reachable) == set().union(*row.candidates.values())
+    assert sorted(row.picked) == sorted(name for stop in row.stops for name in stop.tour.order)
+    costs = [dict.fromkeys(names, 1.0) for names in row.candidates.values()]
+    assert row.report["planner"]["fewest_stops"] == len(cover(costs, math.inf)[0])
+    assert sum(stop.way == 1 for stop in row.stops) <= row.report["planner"]["fewest_stops"]
+
+
+def test_each_tour_is_certified_among_what_hangs_then(arm: Robot, row: RowResult) -> None:
+    gone: set[str] = set()
+    for stop in row.stops:
+        assert stop.tour.certificate.verified
+        assert not gone & {fruit.name for fruit in stop.tour.scene.fruits}
+        np.testing.assert_allclose(stop.tour.trajectory.position[-1], row.scene.start.configuration, atol=1e-9)
+        seen = {fruit.name: fruit.center for fruit in stop.place.seen(row.scene, row.options).fruits}
+        for leg in stop.tour.legs:
+            if leg.fruit is not None and leg.grasp is not None:
+                place = arm.tool_positions(leg.grasp.goal[None])[0]
+                np.testing.assert_allclose(place, seen[leg.fruit], atol=1e-6)
+        gone |= set(stop.tour.order)
+
+
+def test_the_report_adds_up(row: RowResult) -> None:
+    report = row.report
+    assert json.loads(json.dumps(report))["picked"] == len(row.picked)
+    assert report["share_picked"] == len(row.picked) / len(row.scene.fruits)
+    assert report["motion_s"] == pytest.approx(sum(stop.tour.duration for stop in row.stops))
+    assert report["driving_s"] >= sum(stop.arrival_s for stop in row.stops)
+    assert report["detaching_s"] == len(row.picked)
+    parts = report["motion_s"] + report["driving_s"] + report["detaching_s"]
+    assert report["fruit_per_hour"] == pytest.approx(3600.0 * len(row.picked) / parts)
+    assert {name: one["fruits"] for name, one in report["trees"].items()} == {"tree 1": 4, "tree 2": 4}
+    assert sum(one["picked"] for one in report["trees"].values()) == len(row.picked)
+
+
+def test_stops_where_the_base_cannot_stand_are_none(arm: Robot, scene: Scene) -> None:
+    post = Box(name="post", center=(0.0, 0.8, 0.2), size=(0.1, 0.1, 0.4))
+    with_post = scene.with_obstacles([*scene.obstacles, post])
+    found = plan_row(arm, with_post, QUICK, row=replace(COARSE, both=False))
+    assert Place(1, 0.8, 0.0) not in found.candidates
+    assert Place(1, 0.0, 0.0) in found.candidates
+
+
+def test_nothing_in_reach(arm: Robot, scene: Scene) -> None:
+    with pytest.raises(TourError, match="from any of"):
+        plan_row(arm, scene, QUICK, row=replace(COARSE, heights=(4.5,), step=1.6))
+
+
+def test_what_rows_refuse(arm: Robot, scene: Scene) -> None:
+    with pytest.raises(OptionError, match="deadline"):
+        plan_row(arm, scene, hplan.PlanOptions(deadline_s=1.0))
+    with pytest.raises(OptionError, match="carried"):
+        plan_row(arm, scene, row=RowOptions(carried=("nothing",)))
+    with pytest.raises(OptionError, match="candidate stops"):
+        plan_row(arm, scene, row=RowOptions(step=0.01, heights=tuple(0.01 * i for i in range(100))))
+    with pytest.raises(InputError):
+        plan_row(arm, 3)  # type: ignore[arg-type]
+
+
+def test_the_command(scene: Scene, row: RowResult, tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib", reason="the extra `figures` is not installed")
+    hplan.save_scene(scene.model_copy(update={"robot": "orchard_harvester"}), tmp_path / "row.yaml")
+    words = ["--distance", "1.2", "--step", "0.8", "--effort", "quick", "--out", str(tmp_path / "out")]
+    assert main(["row", str(tmp_path / "row.yaml"), *words]) == 0
+    report = json.loads((tmp_path / "out" / "row.json").read_text())
+    assert report["picked"] == len(row.picked)
+    names = {path.name for path in (tmp_path / "out").iterdir()}
+    assert {*report["files"], "row.json", "row.png", "scene.html", "stop-01.html"} <= names
+    assert hplan.read_csv(tmp_path / "out" / "stop-01.csv").duration == pytest.approx(row.stops[0].tour.duration)
+    page = (tmp_path / "out" / "scene.html").read_text()
+    assert page.count('target="stop"') == len(row.stops)

@@ -210,7 +210,7 @@ class _Adaptation:
             if joint.kind != "fixed":
                 self._fix(joint, values[joint.name])
             place = _placed(joint, values.get(joint.name)).inverse()
-            _set_origin(joint.element, place)
+            set_origin(joint.element, place)
             for end, link in (("parent", joint.child), ("child", joint.parent)):
                 joint.element.find(end).set("link", link)  # type: ignore[union-attr]
         return bool(mount)
@@ -359,7 +359,7 @@ def fix_joint(path: Path, joint: Joint, value: float | None) -> None:
     if value:
         if not np.linalg.norm(joint.axis) > 0.0:
             raise RobotFileError(path, f"{line_of(joint.element)}joint {joint.name!r}: its axis has no direction")
-        _set_origin(joint.element, _placed(joint, value))
+        set_origin(joint.element, _placed(joint, value))
     joint.element.set("type", "fixed")
     # What a fixed joint has no use for.
     of_moving = ("axis", "limit", "mimic", "dynamics", "safety_controller", "calibration")
@@ -377,7 +377,8 @@ def _placed(joint: Joint, value: float | None) -> pin.SE3:
     return joint.placement * pin.SE3(pin.AngleAxis(value, axis).toRotationMatrix(), np.zeros(3))
 
 
-def _set_origin(element: ET.Element, placement: pin.SE3) -> None:
+def set_origin(element: ET.Element, placement: pin.SE3) -> None:
+    """Give an element its place in what holds it."""
     origin = element.find("origin")
     if origin is None:
         origin = ET.SubElement(element, "origin")

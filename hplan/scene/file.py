@@ -92,6 +92,8 @@ def parse_model(kind: type[_Model], text: str, path: Path | None) -> _Model:
     if not isinstance(content, dict) or node is None:
         keys = ", ".join([*itertools.islice(kind.model_fields, 4), "..."])
         raise kind.error(f"expected a mapping of keys ({keys})", path=path)
+    if kind is Scene and "robots" in content:
+        raise SceneError("it has several robots: load_cell reads it", path=path, where="robots")
     try:
         folder = Path() if path is None else path.parent
         return validated(kind, content, {"folder": folder, "budget": ByteBudget(MOST_SHAPE_BYTES)})

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import re
 import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -41,6 +42,15 @@ def command_parser(
 def add_scene(parser: argparse.ArgumentParser, default: str = "the paper's reference scene, Table 1") -> None:
     """Add the argument `scene`: a text, for `hplan.scene.file.load_scene` tells files and shipped scenes apart."""
     parser.add_argument("scene", nargs="?", help=f"scene file, or name of a shipped scene (default: {default})")
+
+
+def names_robots(scene: str) -> bool:
+    """True if a scene file has several robots (`robots`); False where it cannot be read, which loading it says."""
+    try:
+        with Path(scene).open(encoding="utf-8") as file:
+            return any(re.match(r"\s*[\"']?robots[\"']?\s*:", line) for line in file)
+    except (OSError, UnicodeDecodeError):
+        return False
 
 
 def add_drop_inside(parser: argparse.ArgumentParser) -> None:

@@ -31,6 +31,7 @@ from hplan.apps.cli.options import (
     add_sigmas,
     add_tracking,
     command_parser,
+    names_robots,
     plan_options,
     robot_of,
     scene_among,
@@ -88,6 +89,10 @@ STAGE_WORDS = {
 
 def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int:
     """Plan, write, show what came of it; returns the exit status."""
+    if arguments.scene is not None and names_robots(arguments.scene):
+        from hplan.apps.cli.cell import run as run_cell
+
+        return run_cell(arguments, console, errors)
     folder = JobFolder(arguments.out, PLAN_FILES, REPORT)
     robot, scene, result = _made(arguments, folder, errors)
     if not arguments.quiet:

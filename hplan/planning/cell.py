@@ -1,0 +1,622 @@
+"""Several arms beside one another: planned each by itself, brought together on one clock, certified against each other.
+
+A cell is one robot (`hplan.robot.several`): a tree of joints in which every body of one arm against every body of
+another is a pair of its own, so that what is planned, certified, stopped or spliced for any robot holds for all arms
+at once. `plan_cell` looks for the motions in three ways, and takes the first that is as quick as any could be, or else
+the one that is done soonest:
+
+1. each arm by itself, all at the same time;
+2. the same motions, some of them begun later, in the order that is done soonest;
+3. all joints at once, as one robot's: around each other.
+
+What it gives is certified twice: each arm among the obstacles, with the fruit that it reaches for, and all bodies of
+different arms against one another, over continuous time.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Final, Literal
+
+import numpy as np
+import pinocchio as pin
+
+from hplan.base.arguments import file_path, instance
+from hplan.base.arrays import BoolArray, FloatArray, IntArray, Record, readonly
+from hplan.base.deadline import Cancel, TimeIsUpError, time_limit
+from hplan.certificate.certificate import Certificate, GoalContact, certify
+from hplan.certificate.goal_contact import FruitContact
+from hplan.collision.clearance_field import ClearanceField
+from hplan.collision.collision_bodies import collision_bodies
+from hplan.collision.touching_pairs import self_pairs
+from hplan.errors import ConfigurationInCollisionError, InputError, NotFoundError, OptionError
+from hplan.planning.options import PlanOptions
+from hplan.planning.plan import plan
+from hplan.planning.result import PlanResult
+from hplan.planning.task import Progress, no_progress
+from hplan.robot.model import Robot, load_robot
+from hplan.robot.several import joined_robots
+from hplan.scene.cell import CellRobot, CellScene
+from hplan.scene.file import read_model
+from hplan.scene.model import Goal, Scene, Start
+from hplan.scene.solids import rpy_rotation
+from hplan.trajectory.cubics import Rows, evaluate
+from hplan.trajectory.trajectory import Retimed, Trajectory, joined, stopped
+
+#: How a cell's motions were found.
+How = Literal["at once", "one later", "around each other"]
+
+#: Times at which motions are compared before any is certified [s].
+_STEP_S: Final = 0.02
+
+#: Clearance between arms that those comparisons ask for beyond the one to keep [m].
+_SPARE: Final = 2e-3
+
+#: How many times of setting out are certified before others than the soonest are given up.
+_TRIED: Final = 6
+
+#: With more arms than this not every order is tried, but each arm once as the last.
+_ALL_ORDERS: Final = 4
+
+#: Rows nearer to each other than this are one [s].
+_SAME_S: Final = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class CellArm(Record):
+    """One arm of a cell.
+
+    Attributes:
+        name: Its name in the cell.
+        robot: The arm by itself.
+        scene: The cell as the arm's base sees it, and the arm's task; its goal is where it starts, if it has none.
+        joints: (dof,) which joints of the cell's robot are its own.
+        is_waiting: True if it has no goal and stays where it is.
+    """
+
+    name: str
+    robot: Robot
+    scene: Scene
+    joints: IntArray
+    is_waiting: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Cell(Record):
+    """Several arms and everything around them.
+
+    Attributes:
+        scene: As its file describes it.
+        robot: All arms as one robot, whose base is the cell's frame.
+        arms: The arms, in the order of the file.
+    """
+
+    scene: CellScene
+    robot: Robot
+    arms: tuple[CellArm, ...]
+
+    @classmethod
+    def of(cls, scene: CellScene, robots: Mapping[str, Robot]) -> Cell:
+        """A cell of robots that are loaded.
+
+        Args:
+            scene: What it is made of.
+            robots: The robot of each name.
+
+        Raises:
+            InputError: A robot is missing, or those given cannot be joined (`joined_robots`).
+        """
+        instance("scene", scene, CellScene, "load_cell")
+        for arm in scene.robots:
+            if not isinstance(robots.get(arm.name), Robot):
+                raise InputError(f"robots: there is none for {arm.name!r}", robot=arm.name)
+        placed = {arm.name: (robots[arm.name], _placement(arm)) for arm in scene.robots}
+        whole = joined_robots(placed, scene.name)
+        return cls(scene, whole, tuple(_arm(scene, arm, *placed[arm.name], whole) for arm in scene.robots))
+
+    def arm(self, name: str) -> CellArm:
+        """The arm of a name.
+
+        Raises:
+            InputError: There is none.
+        """
+        found = next((arm for arm in self.arms if arm.name == name), None)
+        if found is None:
+            raise InputError(f"the cell has no arm {name!r}; it has {', '.join(arm.name for arm in self.arms)}")
+        return found
+
+    def configuration(self, q: Mapping[str, FloatArray]) -> FloatArray:
+        """(dof,) configuration of all joints, from those of the arms; where one is not given, its start."""
+        found = np.empty(self.robot.dof)
+        for arm in self.arms:
+            found[arm.joints] = q[arm.name] if arm.name in q else arm.robot.joints_of(arm.scene.start, "start")
+        return found
+
+    def task(self, goal: FloatArray, start: FloatArray | None = None, *, obstacles: bool = True) -> Scene:
+        """The scene of all joints as one robot's.
+
+        Args:
+            goal: (dof,) where they are to be.
+            start: (dof,) where they begin; None for the starts of the arms.
+            obstacles: False leaves nothing but the arms.
+        """
+        begin = self.configuration({}) if start is None else start
+        found = self.scene.task(Goal(joints_rad=tuple(goal.tolist())), Start(joints_rad=tuple(begin.tolist())))
+        return found if obstacles else found.model_copy(update={"obstacles": (), "fruits": ()})
+
+    def together(self, motions: Mapping[str, Trajectory], later_s: Mapping[str, float] | None = None) -> Trajectory:
+        """Motions of arms on one clock: who has none stays at its start, who has arrived where it is.
+
+        Args:
+            motions: The motion of each arm, by name, in its own joints.
+            later_s: By how much the motion of an arm begins later [s].
+
+        Raises:
+            InputError: No arm of that name, or a motion of other joints.
+        """
+        rows = {}
+        for name, motion in motions.items():
+            arm = self.arm(name)
+            if motion.joint_names != arm.robot.joint_names:
+                raise InputError(f"the motion of arm {name!r} moves {', '.join(motion.joint_names)}", arm=name)
+            rows[name] = _begun_later(motion.rows, (later_s or {}).get(name, 0.0))
+        times = np.unique(np.concatenate([np.zeros(1), *(own.time for own in rows.values())]))
+        clock = times[np.concatenate([[True], np.diff(times) > _SAME_S])]
+        shape = len(clock), self.robot.dof
+        q, v, a = np.tile(self.configuration({}), (shape[0], 1)), np.zeros(shape), np.zeros(shape)
+        for name, own in rows.items():
+            columns = self.arm(name).joints
+            for into, values in zip((q, v, a), _states(own, clock), strict=True):
+                into[:, columns] = values
+        return Trajectory(
+            self.robot.joint_names, clock, q, v, a, self.robot.dynamics.torques(q, v, a), self.robot.slides
+        )
+
+    def apart(self, motion: Trajectory) -> dict[str, Trajectory]:
+        """The motion of each arm, by name, in its own joints, of one of all joints.
+
+        Raises:
+            InputError: A motion of other joints.
+        """
+        if motion.joint_names != self.robot.joint_names:
+            raise InputError(f"the motion moves {', '.join(motion.joint_names)}; it is none of the cell's")
+        found, (time, q, v, a, torque) = {}, motion.rows
+        for arm in self.arms:
+            own = (values[:, arm.joints] for values in (q, v, a, torque))
+            found[arm.name] = Trajectory(arm.robot.joint_names, *Rows(time, *own), arm.robot.slides)
+        return found
+
+
+@dataclass(frozen=True)
+class CellCertificate:
+    """What was shown of a cell's motion.
+
+    Attributes:
+        between: The arms against one another, and each against itself; nothing else is there.
+        arms: Each arm among the obstacles, by name.
+    """
+
+    between: Certificate
+    arms: Mapping[str, Certificate]
+
+    @property
+    def verified(self) -> bool:
+        """True if everything was shown."""
+        return self.between.verified and all(each.verified for each in self.arms.values())
+
+    @property
+    def min_clearance_m(self) -> float:
+        """The smallest distance that is kept [m]."""
+        return min(each.min_clearance_m for each in (self.between, *self.arms.values()))
+
+    @property
+    def violations(self) -> tuple[str, ...]:
+        """A message for everything that was not verified."""
+        own = (f"{name}: {message}" for name, each in self.arms.items() for message in each.violations)
+        return (*(f"between arms: {message}" for message in self.between.violations), *own)
+
+
+@dataclass(frozen=True, eq=False)
+class CellResult(Record):
+    """The motion of a cell.
+
+    Attributes:
+        cell: The arms.
+        trajectory: All joints on one clock.
+        certificate: What was shown of it.
+        how: `at once`: each arm's own motion; `one later`: these, some begun later; `around each other`.
+        alone: What was planned for each arm by itself.
+        later_s: By how much the motion of each arm begins later [s].
+        options: How it was planned.
+        stopped: Names of the arms that stop before their goals.
+    """
+
+    cell: Cell
+    trajectory: Trajectory
+    certificate: CellCertificate
+    how: How
+    alone: Mapping[str, PlanResult]
+    later_s: Mapping[str, float]
+    options: PlanOptions
+    stopped: tuple[str, ...] = ()
+
+    @cached_property
+    def trajectories(self) -> dict[str, Trajectory]:
+        """The motion of each arm in its own joints, by name, all on one clock."""
+        return self.cell.apart(self.trajectory)
+
+    def stop_at(self, t: float, arm: str | None = None) -> CellResult:
+        """The motion with a stop, of all arms or, where the others can go on as planned, of one.
+
+        An arm stops on its own path, as quickly as it can. All of them stop together on the path that they have
+        together, so that they stay apart as they were.
+
+        Args:
+            t: The time on the motion's clock [s].
+            arm: The one that stops; None for all. Where its stop and the others' motions are not certified together,
+                all stop.
+
+        Raises:
+            OptionError: A time before the motion or after it.
+            InputError: No arm of that name.
+            TimingError: No stop was found.
+        """
+        if arm is not None:
+            own = stopped(self.trajectories[self.cell.arm(arm).name], t, self.cell.arm(arm).robot)
+            motion = self.cell.together({**self.trajectories, arm: own.trajectory})
+            found = self._stopped(motion, {arm: own}, (arm,))
+            if found.certificate.verified:
+                return found
+        whole = stopped(self.trajectory, t, self.cell.robot)
+        names = tuple(each.name for each in self.cell.arms if not each.is_waiting)
+        return self._stopped(whole.trajectory, dict.fromkeys(names, whole), names)
+
+    def _stopped(self, motion: Trajectory, stops: Mapping[str, Retimed], names: tuple[str, ...]) -> CellResult:
+        windows = {name: _windows(each.contacts, stops.get(name)) for name, each in self.certificate.arms.items()}
+        certificate = certify_cell(self.cell, motion, self.options, contacts=windows, check_ends=False)
+        return replace(self, trajectory=motion, certificate=certificate, stopped=names)
+
+    @property
+    def report(self) -> dict[str, Any]:
+        """The numbers of `report.json`."""
+        alone = {name: result.trajectory.duration for name, result in self.alone.items()}
+        makespan = self.trajectory.duration
+        return {
+            "how": self.how,
+            "makespan_s": makespan,
+            "alone_s": alone,
+            "one_after_the_other_s": sum(alone.values()),
+            "later_s": dict(self.later_s),
+            "stopped": list(self.stopped),
+            "idle_s": {name: makespan - own for name, own in alone.items()},
+            "verified": self.certificate.verified,
+            "min_clearance_mm": _mm(self.certificate.min_clearance_m),
+            "between_arms_mm": _mm(self.certificate.between.min_clearance_m),
+            "arms_mm": {name: _mm(each.min_clearance_m) for name, each in self.certificate.arms.items()},
+            "violations": list(self.certificate.violations),
+        }
+
+
+def load_cell(path: Path | str) -> Cell:
+    """Read a scene file with `robots`, and the robots that it names.
+
+    Args:
+        path: The file; files that it names are looked for beside it.
+
+    Raises:
+        SceneError: As `load_scene`; the file has no `robots`.
+        InputError: As `load_robot`; or the robots cannot be joined.
+    """
+    scene, folder = read_model(CellScene, file_path("path", path)), Path(path).parent
+    return Cell.of(scene, {arm.name: _loaded(arm, folder) for arm in scene.robots})
+
+
+def certify_cell(
+    cell: Cell,
+    motion: Trajectory | Mapping[str, Trajectory],
+    options: PlanOptions | None = None,
+    *,
+    goal_contact: Mapping[str, GoalContact] | None = None,
+    contacts: Mapping[str, Sequence[FruitContact]] | None = None,
+    check_ends: bool = True,
+) -> CellCertificate:
+    """Certify a motion of a cell, wherever it comes from: each arm among the obstacles, and all against one another.
+
+    Args:
+        motion: Of all joints (`Cell.together`); or of each arm by name, all from the same instant on.
+        options: For the tracking error and delay, of every arm, and `sigmas`.
+        goal_contact: For each arm, by name, when it may touch its fruit, as `certify` takes it.
+        contacts: For each arm windows of time in which it may touch fruits besides, as `certify` takes them.
+        check_ends: Whether each arm has to begin at its start and reach its goal.
+
+    Raises:
+        InputError: A motion of other joints.
+        OptionError: No cell.
+    """
+    instance("cell", cell, Cell, "load_cell")
+    options = PlanOptions() if options is None else instance("options", options, PlanOptions)
+    whole = motion if isinstance(motion, Trajectory) else cell.together(motion)
+    keys = "tracking_error", "tracking_delay_s", "sigmas"
+    asked: dict[str, Any] = {key: getattr(options, key) for key in keys} | {"check_ends": check_ends}
+    arms = {}
+    for arm in cell.arms:
+        contact, windows = (goal_contact or {}).get(arm.name, "approach"), (contacts or {}).get(arm.name, ())
+        own = cell.apart(whole)[arm.name]
+        arms[arm.name] = certify(arm.robot, arm.scene, own, goal_contact=contact, contacts=windows, **asked)
+    alone = cell.task(whole.position[-1], whole.position[0], obstacles=False)
+    return CellCertificate(certify(cell.robot, alone, whole, **asked), arms)
+
+
+def plan_cell(
+    cell: Cell,
+    options: PlanOptions | None = None,
+    *,
+    progress: Progress = no_progress,
+    cancel: Cancel | None = None,
+) -> CellResult:
+    """Plan the motions of all arms of a cell, from their starts to their goals.
+
+    Args:
+        cell: Arms, obstacles and tasks; arms without a goal stay.
+        options: How to plan. A deadline is that of all together; without motion by then there is none.
+        progress: Called with the name of each stage as it begins.
+        cancel: As for `plan`.
+
+    Raises:
+        HplanError: As `plan`, of an arm by itself or of all as one: what is in the way, which arm of another too.
+        NotFoundError: No motion of all arms was found, and it was not shown that there is none.
+    """
+    instance("cell", cell, Cell, "load_cell")
+    options = PlanOptions() if options is None else instance("options", options, PlanOptions)
+    if options.bound:
+        raise OptionError("bound", options.bound, "False: motions of several arms have no bound but the longest alone")
+    with time_limit(options.deadline_s, cancel) as limit:
+        try:
+            return _CellPlanner(cell, replace(options, deadline_s=None), progress).result()
+        except TimeIsUpError:
+            raise limit.error(["motions of all arms"]) from None
+
+
+class _CellPlanner:
+    """One search for the motions of a cell."""
+
+    def __init__(self, cell: Cell, options: PlanOptions, progress: Progress) -> None:
+        self._cell, self._options, self._progress = cell, options, progress
+        self._alone: dict[str, PlanResult] = {}
+
+    def result(self) -> CellResult:
+        cell = self._cell
+        for arm in cell.arms:
+            if not arm.is_waiting:
+                self._progress(f"arm {arm.name}")
+                self._alone[arm.name] = plan(arm.robot, arm.scene, self._options)
+        motions = {name: result.trajectory for name, result in self._alone.items()}
+        self._progress("together")
+        found = self._scheduled(motions)
+        if found is not None and found.trajectory.duration <= max(m.duration for m in motions.values()) + _SAME_S:
+            return found
+        around, tried = None, ["all at once", "one after the other"]
+        try:
+            self._progress("around each other")
+            around = self._around()
+        except NotFoundError as error:
+            tried += error.tried
+        except ConfigurationInCollisionError as error:
+            if error.which != "goal" or not any(result.grasp for result in self._alone.values()):
+                raise  # of goals by joints that is all there is to say
+            tried.append(f"the grasps of each arm by itself, with which {error.link!r} is in {error.obstacle!r}")
+        each = [result for result in (found, around) if result is not None]
+        if not each:
+            raise NotFoundError(tried)
+        return min(each, key=lambda result: round(result.trajectory.duration, 6))
+
+    def _checked(self, motion: Trajectory, how: How, later_s: Mapping[str, float]) -> CellResult:
+        contact = {name: result.certificate.goal_contact or "approach" for name, result in self._alone.items()}
+        certificate = certify_cell(self._cell, motion, self._options, goal_contact=contact)
+        return CellResult(self._cell, motion, certificate, how, self._alone, later_s, self._options)
+
+    def _scheduled(self, motions: Mapping[str, Trajectory], before: Trajectory | None = None) -> CellResult | None:
+        """The soonest end with each arm's own motion, begun later where that is needed; None where none is certified.
+
+        Args:
+            before: A motion of all joints that comes first.
+        """
+        if not motions:
+            raise InputError("plan_cell: no arm of the cell has a goal")
+        sooner = itertools.chain([dict.fromkeys(motions, 0.0)], _later(self._cell, motions, self._options))
+        for later in itertools.islice(sooner, _TRIED):
+            motion = self._cell.together(motions, later)
+            how: How = "one later" if any(later.values()) else "at once"
+            if before is not None:
+                motion, how = joined([before, motion]), "around each other"
+            result = self._checked(motion, how, later)
+            if result.certificate.verified:
+                return result
+        return None
+
+    def _around(self) -> CellResult | None:
+        """A motion of all joints at once: to the goals, or to where the approaches to them begin, and these then."""
+        cell = self._cell
+        ends = {name: result.trajectory.position[-1] for name, result in self._alone.items()}
+        reached = {name: result.grasp for name, result in self._alone.items() if result.grasp is not None}
+        for name, grasp in reached.items():
+            ends[name] = grasp.standoff
+        transit = plan(cell.robot, cell.task(cell.configuration(ends)), self._options)
+        if not reached:
+            result = self._checked(transit.trajectory, "around each other", {})
+            return result if result.certificate.verified else None
+        motions = {}
+        for name in reached:
+            arm = cell.arm(name)
+            start = Start(joints_rad=tuple(ends[name].tolist()))
+            motions[name] = plan(arm.robot, arm.scene.model_copy(update={"start": start}), self._options).trajectory
+        from_there = _CellPlanner(_starting(cell, ends), self._options, self._progress)
+        from_there._alone = self._alone
+        return from_there._scheduled(motions, transit.trajectory)
+
+
+def _later(cell: Cell, motions: Mapping[str, Trajectory], options: PlanOptions) -> Iterator[dict[str, float]]:
+    """By how much later each arm might begin, not all at once: the soonest end first, arms apart at samples."""
+    clear = {pair: _apart(cell, motions, *pair) for pair in itertools.combinations(motions, 2)}
+    idle = {name: _apart(cell, motions, name, None) for name in motions}
+    if not all(each.all() for each in idle.values()):
+        return
+    period = 1.0 / options.rate_hz
+    step = max(1, round(_STEP_S / period)) * period
+    names = list(motions)
+    orders = itertools.permutations(names) if len(names) <= _ALL_ORDERS else (
+        [*(n for n in names if n != last), last] for last in names
+    )  # fmt: skip
+    found: dict[tuple[int, ...], float] = {}
+    for order in orders:
+        for extra in range(3):
+            begins = _begins(order, clear, extra)
+            if begins is not None:
+                later = tuple(begins[name] for name in names)
+                if any(later):
+                    found[later] = max(later[k] * step + motions[name].duration for k, name in enumerate(names))
+    for later in sorted(found, key=lambda each: (round(found[each], 6), each)):
+        yield {name: count * step for name, count in zip(names, later, strict=True)}
+
+
+def _begins(order: Sequence[str], clear: Mapping[tuple[str, str], BoolArray], extra: int) -> dict[str, int] | None:
+    """Samples by which each arm begins later, one after the other as soon as it can; None where one never can.
+
+    Args:
+        order: Names of the arms.
+        clear: For each two of them at which samples of the one's motion and the other's they are apart.
+        extra: By how many samples those that must wait begin later still.
+    """
+    begins = {order[0]: 0}
+    for name in order[1:]:
+        last = max(begins[other] + _of(clear, other, name).shape[0] for other in begins)
+        for begin in range(last + 1):
+            if all(_is_clear(_of(clear, other, name), begins[other], begin) for other in begins):
+                begins[name] = begin + (extra if begin else 0)
+                break
+        else:
+            return None
+    return begins
+
+
+def _of(clear: Mapping[tuple[str, str], BoolArray], first: str, second: str) -> BoolArray:
+    return clear[first, second] if (first, second) in clear else clear[second, first].T
+
+
+def _is_clear(apart: BoolArray, first: int, second: int) -> bool:
+    """True if two motions that begin after so many samples are apart at all samples."""
+    rows, columns = apart.shape
+    at = np.arange(max(first + rows, second + columns))
+    return bool(apart[np.clip(at - first, 0, rows - 1), np.clip(at - second, 0, columns - 1)].all())
+
+
+def _apart(cell: Cell, motions: Mapping[str, Trajectory], first: str, second: str | None) -> BoolArray:
+    """(samples, samples) whether two arms are apart at samples of their motions.
+
+    Args:
+        second: The other arm; None for all that wait, in one column.
+    """
+    one = motions[first].positions(_samples(motions[first]))
+    other = np.zeros((1, 0)) if second is None else motions[second].positions(_samples(motions[second]))
+    q = np.tile(cell.configuration({}), (len(one) * len(other), 1))
+    q[:, cell.arm(first).joints] = np.repeat(one, len(other), axis=0)
+    if second is not None:
+        q[:, cell.arm(second).joints] = np.tile(other, (len(one), 1))
+    others = {arm.name for arm in cell.arms if arm.is_waiting} if second is None else {second}
+    bodies = collision_bodies(cell.robot)
+    arms = [next(arm.name for arm in cell.arms if body.name.startswith(f"{arm.name}_")) for body in bodies]
+    pairs = self_pairs(cell.robot).checked
+    asked = [{arms[i], arms[j]} in ({first, each} for each in others) for i, j in pairs]
+    near = ClearanceField.of(cell.robot, []).along(q)[:, len(bodies) :][:, asked]
+    found: BoolArray = near.min(axis=1, initial=math.inf) > cell.scene.clearance + _SPARE
+    return found.reshape(len(one), len(other))
+
+
+def _samples(motion: Trajectory) -> FloatArray:
+    return np.append(np.arange(0.0, motion.duration, _STEP_S), motion.duration)
+
+
+def _states(rows: Rows, clock: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Position, velocity and acceleration of a motion at times; at rest after it."""
+    q = rows.positions(clock)
+    v, a = np.zeros_like(q), np.zeros_like(q)
+    inside = clock < rows.duration
+    if len(rows.time) > 1 and inside.any():
+        pieces, _ = rows.pieces
+        v[inside], a[inside] = (evaluate(pieces, rows.time, clock[inside], order) for order in (1, 2))
+    return q, v, a
+
+
+def _windows(contacts: Sequence[FruitContact], stop: Retimed | None) -> list[FruitContact]:
+    """Windows of contact on the clock of a motion that stops; None for one that goes on."""
+    if stop is None:
+        return list(contacts)
+    found = []
+    for contact in contacts:
+        inside = np.flatnonzero((contact.begin_s - _SAME_S <= stop.clock) & (stop.clock <= contact.end_s + _SAME_S))
+        if len(inside):
+            begin, end = stop.trajectory.time[inside[[0, -1]]].tolist()
+            found.append(replace(contact, begin_s=begin, end_s=end))
+    return found
+
+
+def _begun_later(rows: Rows, seconds: float) -> Rows:
+    """A motion that first stands at its start for a time."""
+    if seconds <= 0.0:
+        return rows
+    still = np.zeros_like(rows.velocity[:1])
+    first = rows.position[:1], still, still, rows.torque[:1]
+    values = (np.concatenate([own, more]) for own, more in zip(first, rows[1:], strict=True))
+    return Rows(np.concatenate([[0.0], rows.time + seconds]), *values)
+
+
+def _starting(cell: Cell, starts: Mapping[str, FloatArray]) -> Cell:
+    """The cell with some of its arms standing elsewhere."""
+    arms = tuple(
+        replace(arm, scene=arm.scene.model_copy(update={"start": Start(joints_rad=tuple(starts[arm.name].tolist()))}))
+        if arm.name in starts
+        else arm
+        for arm in cell.arms
+    )
+    return replace(cell, arms=arms)
+
+
+def _arm(scene: CellScene, given: CellRobot, robot: Robot, placement: pin.SE3, whole: Robot) -> CellArm:
+    """An arm of a cell; one whose base is tilted is planned for in the cell's frame, where gravity is as it is."""
+    goal = given.goal
+    if goal is None:
+        goal = Goal(**{key: value for key, value in given.start.model_dump().items() if key.startswith("joints")})
+    task = scene.task(goal, given.start)
+    if placement.rotation[2, 2] < 1.0:
+        robot = joined_robots({given.name: (robot, placement)}, given.name)
+    elif not placement.isIdentity(0.0):
+        yaw = math.atan2(placement.rotation[1, 0], placement.rotation[0, 0])
+        task = task.shifted(-placement.rotation.T @ placement.translation, -math.degrees(yaw))
+    names = [joint.removeprefix(f"{given.name}_") for joint in robot.joint_names]
+    joints = readonly([whole.joint_names.index(f"{given.name}_{joint}") for joint in names], np.int64)
+    return CellArm(given.name, robot, task, joints, given.goal is None)
+
+
+def _placement(arm: CellRobot) -> pin.SE3:
+    return pin.SE3(rpy_rotation(*np.radians(arm.rpy_deg)), np.array(arm.position))
+
+
+def _loaded(arm: CellRobot, folder: Path) -> Robot:
+    """The robot that a scene names."""
+    beside = None if arm.robot is None else folder / arm.robot
+    limits = None if arm.limits is None else folder / arm.limits
+    return load_robot(
+        beside if beside is not None and beside.is_file() else arm.robot,
+        limits=limits if limits is not None and limits.is_file() else arm.limits,
+        tool_frame=arm.tool_frame,
+        hold=arm.hold,
+    )
+
+
+def _mm(distance: float) -> float | None:
+    return 1e3 * distance if math.isfinite(distance) else None

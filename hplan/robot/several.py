@@ -1,0 +1,83 @@
+"""Several robots on one base as one robot, a tree of joints with an arm on each branch.
+
+What is planned and certified for any tree of joints so holds for arms beside one another: every body of one against
+every body of the others is a pair of the robot's own, over continuous time and with both in motion.
+"""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+import pinocchio as pin
+
+from hplan.base.arrays import readonly
+from hplan.errors import InputError
+from hplan.robot.model import Robot, load_robot
+from hplan.robot.urdf_adaptation import set_origin
+from hplan.robot.urdf_xml import read_urdf_xml
+
+#: The root, in whose frame all bases stand.
+_ROOT: Final = "base_link"
+
+
+def joined_robots(arms: Mapping[str, tuple[Robot, pin.SE3]], name: str = "cell") -> Robot:
+    """Several robots as one; joints, links and frames are called as before, after the robot's name and `_`.
+
+    The tool frame is that of the first arm; the joints of each stand together, in their own order.
+
+    Args:
+        arms: The robots by name, and where their bases stand.
+        name: Name of the whole.
+
+    Raises:
+        InputError: No robot; or some have jerk limits and others none.
+        RobotFileError: A robot's URDF can no longer be read, or two names make the same joint or link.
+    """
+    if not arms:
+        raise InputError("joined_robots: there is no robot to join")
+    without = [each for each, (robot, _) in arms.items() if robot.jerk_limit is None]
+    if 0 < len(without) < len(arms):
+        others = ", ".join(each for each in arms if each not in without)
+        raise InputError(f"robot {without[0]!r} has no jerk limits, as {others} has: give all of them or none")
+    root = ET.Element("robot", name=name)
+    ET.SubElement(root, "link", name=_ROOT)
+    for each, (robot, placement) in arms.items():
+        links = _renamed(each, robot, root)
+        mount = ET.SubElement(root, "joint", name=f"{each}_mount", type="fixed")
+        ET.SubElement(mount, "parent", link=_ROOT)
+        ET.SubElement(mount, "child", link=links)
+        set_origin(mount, placement)
+    ordered = sorted(arms, key=lambda each: f"{each}_mount")  # as URDF readers order the branches of a link
+    joints = [f"{each}_{joint}" for each in ordered for joint in arms[each][0].joint_names]
+    first, (robot, _) = next(iter(arms.items()))
+    found = load_robot(ET.tostring(root, encoding="unicode"), joints=joints, tool_frame=f"{first}_{robot.tool_frame}")
+    allowed = ((f"{n}_{a}", f"{n}_{b}", why) for n in ordered for a, b, why in arms[n][0].may_touch)
+    turning = np.concatenate([arms[each][0].continuous for each in ordered])
+    return replace(found, continuous=readonly(turning, np.bool_), may_touch=tuple(allowed))
+
+
+def _renamed(name: str, robot: Robot, into: ET.Element) -> str:
+    """Put a robot's links, joints and materials under names of its own into a URDF; returns the name of its root."""
+    own, children = read_urdf_xml(robot.urdf_path, robot.urdf_text), set[str]()
+    rows = {joint: row for row, joint in enumerate(robot.joint_names)}
+    for element in own:
+        row = rows.get(element.get("name", "")) if element.tag == "joint" else None
+        for each in element.iter():
+            if each.tag == "mesh":  # they are looked for beside the URDF
+                each.set("filename", str(robot.urdf_path.parent.resolve() / each.get("filename", "")))
+            elif each.tag == "limit" and row is not None:
+                each.set("acceleration", repr(float(robot.acceleration_limit[row])))
+                if robot.jerk_limit is not None:
+                    each.set("jerk", repr(float(robot.jerk_limit[row])))
+            for key, tags in (("name", ("link", "joint", "material")), ("link", ("parent", "child"))):
+                if each.tag in tags and each.get(key):
+                    each.set(key, f"{name}_{each.get(key)}")
+            if each.tag == "child":
+                children.add(each.get("link", ""))
+        if element.tag in ("link", "joint", "material"):
+            into.append(element)
+    return next(link.get("name", "") for link in own.findall("link") if link.get("name") not in children)

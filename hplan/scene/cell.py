@@ -1,0 +1,88 @@
+"""A cell: several robots among the same obstacles, as the scene file describes them under `robots`.
+
+Everything is in the frame of the cell, `base_link`, whose z axis is vertical; goals that are places too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, model_validator
+
+from hplan.scene.fault import StrictModel, fault
+from hplan.scene.limits import FARTHEST_M, MOST_OBSTACLES, Vector
+from hplan.scene.model import FORMAT, Fruit, Goal, Scene, Start
+from hplan.scene.obstacle_kind import Name
+from hplan.scene.obstacles import Obstacle
+
+#: Most robots of a cell.
+MOST_ROBOTS = 16
+
+
+class CellRobot(StrictModel):
+    """One of a cell's robots, where it stands, and what it is to do.
+
+    Attributes:
+        name: Its name in the cell, that its joints and links begin with.
+        robot: Name of a robot, or a URDF beside the scene file, as `load_robot` takes it; None for the harvester.
+        limits: Limits file, or the name of a robot, as `load_robot` takes it.
+        tool_frame: Frame at the end of the arm, as `load_robot` takes it.
+        hold: Values of joints that stand still [rad, m].
+        position: Where its base stands [m].
+        rpy_deg: How its base is turned [deg].
+        start: Configuration at which it begins, at rest.
+        goal: What it is to reach; None where it stays, or where the goal is to pick fruit on a tour.
+    """
+
+    name: Name
+    robot: str | None = None
+    limits: str | None = None
+    tool_frame: Name | None = None
+    hold: Mapping[str, float] = {}
+    position: Vector = (0.0, 0.0, 0.0)
+    rpy_deg: Vector = (0.0, 0.0, 0.0)
+    start: Start
+    goal: Goal | None = None
+
+    @model_validator(mode="after")
+    def _begins_at_rest(self) -> CellRobot:
+        if self.start.is_moving:
+            raise fault("a robot of a cell begins at rest", "start")
+        return self
+
+
+class CellScene(StrictModel):
+    """Several robots and everything around them.
+
+    Attributes:
+        name: Name of the cell.
+        robots: The robots.
+        clearance: Distance that each keeps from every obstacle [m].
+        obstacles: What must not be touched.
+        fruits: Fruit; obstacles too, except for the robot that reaches for it.
+    """
+
+    format: Literal["hplan-scene/1"] = FORMAT
+    name: Name
+    robots: Annotated[tuple[CellRobot, ...], Field(min_length=1, max_length=MOST_ROBOTS)]
+    clearance: Annotated[float, Field(ge=0.0, le=FARTHEST_M)] = 0.0
+    obstacles: Annotated[tuple[Obstacle, ...], Field(max_length=MOST_OBSTACLES)] = ()
+    fruits: Annotated[tuple[Fruit, ...], Field(max_length=MOST_OBSTACLES)] = ()
+
+    @model_validator(mode="after")
+    def _names_are_unique(self) -> CellScene:
+        names = [robot.name for robot in self.robots]
+        for place, robot in enumerate(self.robots):
+            if any(robot.name == other or robot.name.startswith(f"{other}_") for other in names[:place]):
+                raise fault(f"{robot.name!r} is taken, or begins as another robot's joints do", "robots", place, "name")
+            fruit = None if robot.goal is None else robot.goal.fruit
+            if fruit is not None and fruit not in {each.name for each in self.fruits}:
+                raise fault(f"{fruit!r} is not among the fruits", "robots", place, "goal", "fruit")
+        self.task(Goal(joints_rad=(0.0,)), self.robots[0].start)  # names of obstacles and fruits differ
+        return self
+
+    def task(self, goal: Goal, start: Start, **more: Any) -> Scene:
+        """The scene of one robot that stands where the cell does."""
+        shared = {key: getattr(self, key) for key in ("name", "clearance", "obstacles", "fruits")}
+        return Scene(**{**shared, "start": start, "goal": goal, **more})

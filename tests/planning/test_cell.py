@@ -1,0 +1,238 @@
+"""Several arms on one clock: planned together, certified against one another, judged by Pinocchio and coal alone."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from hplan import load_robot
+from hplan.errors import ConfigurationInCollisionError, InputError, NotFoundError, OptionError, SceneError
+from hplan.planning.cell import Cell, certify_cell, load_cell, plan_cell
+from hplan.planning.options import PlanOptions
+from hplan.robot.several import joined_robots
+from hplan.scene.cell import CellRobot, CellScene
+from hplan.scene.file import load_scene
+from hplan.scene.model import Fruit, Goal, Start
+from hplan.scene.obstacles import Sphere
+
+FROM, TO = (-40.0, 60.0, 60.0, 60.0), (40.0, 60.0, 60.0, 60.0)
+
+
+def facing(robot, distance: float, start=TO, goal=FROM, **more) -> Cell:
+    """Two harvesters that look at each other; where they are near, their straight motions meet."""
+    left = CellRobot(name="left", start=Start(joints_deg=FROM), goal=Goal(joints_deg=TO))
+    right = CellRobot(
+        name="right", position=(distance, 0.0, 0.0), rpy_deg=(0.0, 0.0, 180.0), start=Start(joints_deg=start),
+        goal=None if goal is None else Goal(joints_deg=goal),
+    )  # fmt: skip
+    return Cell.of(CellScene(name="two", robots=(left, right), **more), {"left": robot, "right": robot})
+
+
+def apart(cell: Cell, q: np.ndarray) -> float:
+    """Least distance of two bodies of different arms, by Pinocchio and coal."""
+    model, geometry = cell.robot.model, pin.GeometryModel(cell.robot.collision_model)
+    geometry.removeAllCollisionPairs()
+    arms = [next(arm.name for arm in cell.arms if body.name.startswith(arm.name)) for body in geometry.geometryObjects]
+    for i, j in np.argwhere(np.array(arms)[:, None] < np.array(arms)).tolist():
+        geometry.addCollisionPair(pin.CollisionPair(i, j))
+    data, seen = model.createData(), geometry.createData()
+    found = []
+    for each in q:
+        pin.computeDistances(model, data, geometry, seen, each)
+        found.append(min(result.min_distance for result in seen.distanceResults))
+    return min(found)
+
+
+def every(motion, step_s: float = 5e-4) -> np.ndarray:
+    return motion.positions(np.arange(0.0, motion.duration + step_s, step_s))
+
+
+def test_joined_robots_are_the_robots(robot):
+    picker = load_robot("orchard_harvester")
+    place = pin.SE3(pin.rpy.rpyToMatrix(0.3, -0.2, 1.0), np.array([0.5, 1.0, 0.2]))
+    whole = joined_robots({"b": (robot, place), "a": (picker, pin.SE3.Identity())})
+    assert whole.joint_names[: picker.dof] == tuple(f"a_{name}" for name in picker.joint_names)
+    for key in ("lower", "upper", "velocity_limit", "acceleration_limit", "torque_limit", "continuous"):
+        assert getattr(whole, key).tolist() == [*getattr(picker, key).tolist(), *getattr(robot, key).tolist()]
+    rng = np.random.default_rng(0)
+    q = rng.uniform(whole.lower, whole.upper, (20, whole.dof))
+    v, a = rng.normal(size=(2, 20, whole.dof))
+    own = q[:, picker.dof :]
+    tools = whole.tool_poses(q, "b_tool0")
+    assert np.allclose(tools, place.homogeneous @ robot.tool_poses(own), atol=1e-12)
+    upright = whole.dynamics.torques(q, v, a)[:, : picker.dof]
+    assert np.allclose(upright, picker.dynamics.torques(*(x[:, : picker.dof] for x in (q, v, a))), atol=1e-9)
+    tilted = pin.Model(robot.model)
+    tilted.gravity.linear = place.rotation.T @ robot.model.gravity.linear
+    expected = [pin.rnea(tilted, tilted.createData(), *row) for row in zip(own, v[:, picker.dof :], a[:, picker.dof :])]
+    assert np.allclose(whole.dynamics.torques(q, v, a)[:, picker.dof :], expected, atol=1e-9)
+
+
+def test_arms_that_are_far_apart_move_at_once(robot):
+    result = plan_cell(facing(robot, 3.0, obstacles=(Sphere(name="post", center=(1.5, 0.0, 0.5), radius=0.2),)))
+    assert result.certificate.verified
+    assert result.how == "at once"
+    assert result.trajectory.duration == max(each.trajectory.duration for each in result.alone.values())
+    for name, own in result.trajectories.items():
+        alone = result.alone[name].trajectory
+        assert np.allclose(own.positions(alone.time), alone.position, atol=1e-9)
+        assert np.allclose(own.torque[0], alone.torque[0], atol=1e-6)
+
+
+@pytest.mark.parametrize("clearance", [0.0, 0.03])
+def test_arms_in_each_others_way_go_around_each_other(robot, clearance):
+    cell = facing(robot, 1.1, clearance=clearance)
+    alone = {arm.name: plan_alone(arm) for arm in cell.arms}
+    assert apart(cell, every(cell.together(alone))) < 1e-6
+    assert not certify_cell(cell, alone).verified
+    result = plan_cell(cell)
+    assert result.certificate.verified
+    assert result.how == "around each other"
+    assert apart(cell, every(result.trajectory)) > clearance
+    assert result.trajectory.duration < 1.3 * max(result.report["alone_s"].values())
+    assert certify_cell(cell, result.trajectories).verified
+
+
+def plan_alone(arm):
+    from hplan import plan
+
+    return plan(arm.robot, arm.scene).trajectory
+
+
+def test_one_begins_later_where_that_is_all_there_is(robot, monkeypatch):
+    monkeypatch.setattr("hplan.planning.cell._CellPlanner._around", lambda _: None)
+    result = plan_cell(facing(robot, 1.1, start=FROM, goal=TO))
+    assert result.certificate.verified
+    assert result.how == "one later"
+    assert apart(result.cell, every(result.trajectory)) > 0.0
+    assert result.trajectory.duration < sum(result.report["alone_s"].values())
+
+
+def test_grazing_arms_are_not_verified(robot):
+    """The arm that waits is put so near that the other's motion reaches it by 1 to 5 mm, or passes."""
+    rng = np.random.default_rng(5)
+    moving = plan_alone(facing(robot, 3.0).arm("left"))
+    for _ in range(2):
+        at = tuple(rng.uniform([-20.0, 30.0, 30.0, 30.0], [20.0, 70.0, 70.0, 70.0]))
+
+        def least(distance: float, at=at) -> tuple[Cell, float]:
+            cell = facing(robot, distance, start=at, goal=None)
+            return cell, apart(cell, every(cell.together({"left": moving}), 0.01))
+
+        near, far = 0.7, 3.5
+        for _ in range(14):
+            middle = 0.5 * (near + far)
+            near, far = (near, middle) if least(middle)[1] > 1e-6 else (middle, far)
+        for deeper, verified in ((rng.uniform(1e-3, 5e-3), False), (-4e-3, True)):
+            cell, distance = least(far - deeper)
+            assert (distance > 1e-6) == verified
+            assert certify_cell(cell, {"left": moving}, check_ends=False).between.verified == verified
+
+
+def test_stops_are_certified(robot):
+    result = plan_cell(facing(robot, 1.1))
+    rng = np.random.default_rng(1)
+    for t in rng.uniform(0.0, result.trajectory.duration, 8).tolist():
+        for arm in (None, "left", "right"):
+            stop = result.stop_at(t, arm)
+            assert stop.certificate.verified
+            assert stop.stopped in ((arm,), ("left", "right"))
+            assert apart(result.cell, every(stop.trajectory, 2e-3)) > 0.0
+            row = int(np.searchsorted(result.trajectory.time, t - 1e-9))
+            assert np.allclose(stop.trajectory.position[:row], result.trajectory.position[:row], atol=1e-9)
+    with pytest.raises(InputError, match="no arm 'third'"):
+        result.stop_at(0.5, "third")
+
+
+def test_each_arm_picks_its_fruit(robot):
+    scene = load_scene("trellis")
+    low, high = scene.fruits[0], scene.fruits[5]
+    arms = (
+        CellRobot(name="left", start=scene.start, goal=Goal(fruit=low.name)),
+        CellRobot(name="right", position=(0.0, -4.0, 0.0), start=scene.start, goal=Goal(fruit=f"{high.name} there")),
+    )
+    x, y, z = high.center
+    there = Fruit(name=f"{high.name} there", center=(x, y - 4.0, z), radius=high.radius)
+    everything = CellScene(name="s", robots=arms, obstacles=scene.obstacles, fruits=(*scene.fruits, there))
+    result = plan_cell(Cell.of(everything, {"left": robot, "right": robot}))
+    assert result.certificate.verified
+    for name, fruit in (("left", low), ("right", there)):
+        (contact,) = result.certificate.arms[name].contacts
+        assert contact.fruit.name == fruit.name
+        times = np.linspace(contact.begin_s, contact.end_s, 400)
+        tools = result.cell.robot.tool_poses(result.trajectory.positions(times), f"{name}_tool0")[:, :3, 3]
+        assert np.linalg.norm(tools - fruit.center, axis=1).min() < 2e-3
+    for t in np.linspace(0.1, result.trajectory.duration, 6):
+        assert result.stop_at(float(t)).certificate.verified
+
+
+def test_a_tilted_base_has_the_gravity_of_the_cell(robot):
+    arm = CellRobot(name="hung", position=(0, 0, 2.5), rpy_deg=(180, 0, 0), start=Start(joints_deg=FROM),
+                    goal=Goal(joints_deg=TO))  # fmt: skip
+    result = plan_cell(Cell.of(CellScene(name="s", robots=(arm,)), {"hung": robot}))
+    assert result.certificate.verified
+    q = result.trajectory.position[:1]
+    model = pin.Model(robot.model)
+    model.gravity.linear = -model.gravity.linear
+    expected = pin.computeGeneralizedGravity(model, model.createData(), q[0])
+    assert np.allclose(result.trajectory.torque[0], expected, atol=1e-6)
+
+
+YAML = """\
+format: hplan-scene/1
+name: two
+robots:
+- name: left
+  start: {joints_deg: [-40, 60, 60, 60]}
+  goal: {joints_deg: [40, 60, 60, 60]}
+- name: right
+  robot: orchard_harvester
+  position: [3, 0, 0]
+  rpy_deg: [0, 0, 180]
+  start: {joints_deg: [0, 90, 90, 90]}
+  goal: {position: [2.0, 0.3, 1.2]}
+"""
+
+
+def test_files(write):
+    cell = load_cell(write("cell.yaml", YAML))
+    assert cell.arm("right").robot.name == load_robot("orchard_harvester").name
+    assert np.allclose(cell.arm("right").scene.goal.position, (1.0, -0.3, 1.2))
+    assert plan_cell(cell).certificate.verified
+    with pytest.raises(SceneError, match="several robots: load_cell reads it"):
+        load_scene(write("same.yaml", YAML))
+    with pytest.raises(SceneError, match="robots: .*missing"):
+        load_cell(write("one.yaml", "format: hplan-scene/1\nname: s\n"))
+    with pytest.raises(SceneError, match=r"line 7, robots\[1\].name"):
+        load_cell(write("names.yaml", YAML.replace("name: right", "name: left")))
+    with pytest.raises(SceneError, match=r"robots\[0\].goal"):
+        load_cell(write("goal.yaml", YAML.replace("goal: {joints_deg: [40, 60, 60, 60]}", "goal: {fruit: none}")))
+
+
+def test_wrong_values(robot):
+    cell = facing(robot, 3.0)
+    with pytest.raises(InputError, match="there is none for 'right'"):
+        Cell.of(cell.scene, {"left": robot})
+    with pytest.raises(OptionError, match="cell"):
+        plan_cell(cell.scene)
+    with pytest.raises(OptionError, match="bound"):
+        plan_cell(cell, PlanOptions(bound=True))
+    with pytest.raises(InputError, match="has a goal"):
+        plan_cell(Cell.of(facing(robot, 3.0, goal=None).scene.model_copy(
+            update={"robots": tuple(r.model_copy(update={"goal": None}) for r in cell.scene.robots)}
+        ), {"left": robot, "right": robot}))  # fmt: skip
+    with pytest.raises(InputError, match="moves"):
+        cell.together({"left": cell.together({})})
+    with pytest.raises(ConfigurationInCollisionError, match=r"'right_.*deep in link 'left_"):
+        plan_cell(facing(robot, 0.7, start=(40.0, 60.0, 60.0, 60.0), goal=(-40.0, 60.0, 60.0, 60.0)))
+    with pytest.raises(NotFoundError):
+        plan_cell(cell, PlanOptions(deadline_s=1e-4))
+
+
+def test_idle_arms_stay(robot):
+    result = plan_cell(facing(robot, 3.0, goal=None))
+    assert np.ptp(result.trajectories["right"].position, axis=0).max() == 0.0
+    assert not math.isinf(result.certificate.between.min_clearance_m)

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from hplan.errors import HplanError
     from hplan.online.planner import Planner
     from hplan.online.warm_up import warm_up
+    from hplan.planning.cell import Cell, CellResult, certify_cell, load_cell, plan_cell
     from hplan.planning.finishing.finish import finish
     from hplan.planning.options import PlanOptions
     from hplan.planning.plan import plan
@@ -34,6 +35,8 @@ if TYPE_CHECKING:
 __version__ = "0.2.0"
 
 __all__ = [
+    "Cell",
+    "CellResult",
     "Certificate",
     "FruitReach",
     "HplanError",
@@ -50,10 +53,13 @@ __all__ = [
     "TourResult",
     "Trajectory",
     "certify",
+    "certify_cell",
     "finish",
+    "load_cell",
     "load_robot",
     "load_scene",
     "plan",
+    "plan_cell",
     "plan_row",
     "plan_tour",
     "reachable",

@@ -26,6 +26,7 @@ from hplan.grid import dense_search, reachable, slices_with_path, two_level_sear
 from hplan.grid.grid import Grid, Occupancy
 from hplan.robot.family.members import HARVESTER, ArmSpec, cross_check, load_member, write_robot
 from hplan.robot.tracking import TrackingModel
+from hplan.scene.cell import CellRobot, CellScene
 from hplan.scene.file import dump_scene, parse_scene
 from hplan.scene.model import Fruit, Goal, Scene, Start
 from hplan.scene.obstacles import Box, Capsule, Cylinder, Mesh, PointCloud, Sphere
@@ -77,6 +78,13 @@ NO_MATRIX: tuple[Any, ...] = (None, "12", 1.0, [], [[]], [1.0, 2.0], [[1.0], [1.
 NO_OBJECT: tuple[Any, ...] = (None, "scene", 1.0, [], {}, object(), Path("scene.yaml"))
 
 ROBOT = hplan.load_robot()
+
+
+def a_cell() -> hplan.Cell:
+    start = Start(joints_deg=(0.0, 60.0, 60.0, 60.0))
+    return hplan.Cell.of(CellScene(name="c", robots=(CellRobot(name="a", start=start),)), {"a": ROBOT})
+
+
 START, GOAL = Start(joints_deg=(0.0,) * 4), Goal(joints_deg=(0.0, 45.0, 60.0, 70.0))
 
 
@@ -259,6 +267,19 @@ CASES: dict[str, Case] = {
         {"robot": None, "scene": None, "motions": False},
         "robot:object scene:object",
         {"options": NO_OBJECT[1:], "motions": ("yes", 2, None)},
+    ),
+    "load_cell": (hplan.load_cell, {"path": "cell.yaml"}, "path:file", {}),
+    "plan_cell": (
+        lambda **given: hplan.plan_cell(**given),
+        {"cell": a_cell()},
+        "cell:object",
+        {"options": NO_OBJECT[1:]},
+    ),
+    "certify_cell": (
+        lambda **given: hplan.certify_cell(**given),
+        {"cell": a_cell(), "motion": a_cell().together({})},
+        "cell:object motion:object",
+        {"options": NO_OBJECT[1:], "check_ends": NO_OBJECT[1:]},
     ),
     "warm_up": (hplan.warm_up, {"robot": None}, "robot:object", {}),
     "Planner": (hplan.Planner, {"robot": None, "scene": None}, "robot:object scene:object", {"options": NO_OBJECT[1:]}),
@@ -670,7 +691,8 @@ def test_every_public_function_is_among_the_cases() -> None:
         "hplan.robot.family.members",
     ]
     names = {name for module in modules for name in getattr(importlib.import_module(module), "__all__", ())}
-    results = {"Certificate", "FruitReach", "HplanError", "PlanResult", "Robot", "TourResult", "LimitShares", "Machine",
+    results = {"Cell", "CellResult", "Certificate",
+        "FruitReach", "HplanError", "PlanResult", "Robot", "TourResult", "LimitShares", "Machine",
         "CrossCheck", "Expansions", "SearchResult", "RowResult", "StageTimes", "StudyResult"}  # fmt: skip
     values = {"AT_LIMIT", "DEVIATION", "Fallback", "HARVESTER", "SHIPPED", "TUCKED_DEG"}
     assert names - results - values <= set(CASES)

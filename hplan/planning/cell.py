@@ -161,7 +161,7 @@ class Cell(Record):
         """
         rows = {}
         for name, motion in motions.items():
-            arm = self.arm(name)
+            arm, motion = self.arm(name), instance(f"motion of {name}", motion, Trajectory, "plan or read_csv")
             if motion.joint_names != arm.robot.joint_names:
                 raise InputError(f"the motion of arm {name!r} moves {', '.join(motion.joint_names)}", arm=name)
             rows[name] = _begun_later(motion.rows, (later_s or {}).get(name, 0.0))
@@ -340,16 +340,19 @@ def certify_cell(
     """
     instance("cell", cell, Cell, "load_cell")
     options = PlanOptions() if options is None else instance("options", options, PlanOptions)
-    whole = motion if isinstance(motion, Trajectory) else cell.together(motion)
+    if not isinstance(motion, Trajectory):
+        if not (isinstance(motion, Mapping) and motion):
+            raise OptionError("motion", motion, "a trajectory of all joints, or one of each arm by its name")
+        motion = cell.together(motion)
     keys = "tracking_error", "tracking_delay_s", "sigmas"
     asked: dict[str, Any] = {key: getattr(options, key) for key in keys} | {"check_ends": check_ends}
     arms = {}
     for arm in cell.arms:
         contact, windows = (goal_contact or {}).get(arm.name, "approach"), (contacts or {}).get(arm.name, ())
-        own = cell.apart(whole)[arm.name]
+        own = cell.apart(motion)[arm.name]
         arms[arm.name] = certify(arm.robot, arm.scene, own, goal_contact=contact, contacts=windows, **asked)
-    alone = cell.task(whole.position[-1], whole.position[0], obstacles=False)
-    return CellCertificate(certify(cell.robot, alone, whole, **asked), arms)
+    alone = cell.task(motion.position[-1], motion.position[0], obstacles=False)
+    return CellCertificate(certify(cell.robot, alone, motion, **asked), arms)
 
 
 def plan_cell(

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import math
 
 import numpy as np
 import pinocchio as pin
 import pytest
 
-from hplan import load_robot
+from hplan import load_robot, plan, read_csv
+from hplan.apps.cli.main import main
 from hplan.errors import ConfigurationInCollisionError, InputError, NotFoundError, OptionError, SceneError
 from hplan.planning.cell import Cell, certify_cell, load_cell, plan_cell
 from hplan.planning.options import PlanOptions
@@ -67,7 +69,8 @@ def test_joined_robots_are_the_robots(robot):
     assert np.allclose(upright, picker.dynamics.torques(*(x[:, : picker.dof] for x in (q, v, a))), atol=1e-9)
     tilted = pin.Model(robot.model)
     tilted.gravity.linear = place.rotation.T @ robot.model.gravity.linear
-    expected = [pin.rnea(tilted, tilted.createData(), *row) for row in zip(own, v[:, picker.dof :], a[:, picker.dof :])]
+    states = zip(own, v[:, picker.dof :], a[:, picker.dof :], strict=True)
+    expected = [pin.rnea(tilted, tilted.createData(), *state) for state in states]
     assert np.allclose(whole.dynamics.torques(q, v, a)[:, picker.dof :], expected, atol=1e-9)
 
 
@@ -97,8 +100,6 @@ def test_arms_in_each_others_way_go_around_each_other(robot, clearance):
 
 
 def plan_alone(arm):
-    from hplan import plan
-
     return plan(arm.robot, arm.scene).trajectory
 
 
@@ -204,7 +205,7 @@ def test_files(write):
     assert plan_cell(cell).certificate.verified
     with pytest.raises(SceneError, match="several robots: load_cell reads it"):
         load_scene(write("same.yaml", YAML))
-    with pytest.raises(SceneError, match="robots: .*missing"):
+    with pytest.raises(SceneError, match=r"robots: .*missing"):
         load_cell(write("one.yaml", "format: hplan-scene/1\nname: s\n"))
     with pytest.raises(SceneError, match=r"line 7, robots\[1\].name"):
         load_cell(write("names.yaml", YAML.replace("name: right", "name: left")))
@@ -236,3 +237,18 @@ def test_idle_arms_stay(robot):
     result = plan_cell(facing(robot, 3.0, goal=None))
     assert np.ptp(result.trajectories["right"].position, axis=0).max() == 0.0
     assert not math.isinf(result.certificate.between.min_clearance_m)
+
+
+def test_the_command_writes_each_arms_file(write, tmp_path, capsys):
+    scene, out = write("cell.yaml", YAML), tmp_path / "out"
+    assert main(["plan", str(scene), "--out", str(out), "--quiet"]) == 0
+    cell = load_cell(scene)
+    motions = {arm.name: read_csv(out / f"trajectory-{arm.name}.csv") for arm in cell.arms}
+    assert certify_cell(cell, motions).verified
+    assert certify_cell(cell, read_csv(out / "trajectory.csv")).verified
+    report = json.loads((out / "report.json").read_text())
+    assert report["makespan_s"] == pytest.approx(max(motion.duration for motion in motions.values()))
+    assert (out / "scene.html").exists()
+    assert main(["plan", str(scene), "--out", str(out), "--bound"]) == 2
+    assert "several robots" in capsys.readouterr().err
+    assert (out / "trajectory.csv").exists()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 from toy_urdf import SIX_AXIS_LIMITS, seven_axis_arm, six_axis_arm, six_axis_picker
 
@@ -59,13 +61,16 @@ GANTRY = (
 
 
 def loaded_arm(name: str, folders: pytest.TempPathFactory) -> Robot:
-    """A robot by name, read once: one of `ARMS`, or `picker`, six axes with a tool of some length."""
+    """A robot by name, read once: one of `ARMS`, `picker`, six axes with a tool of some length, or `capsules`."""
     if name not in _KNOWN:
         if name in ("toy", "picker"):
             path = folders.mktemp(name) / "six.urdf"
             path.write_text(six_axis_arm() if name == "toy" else six_axis_picker())
             path.with_suffix(".limits.yaml").write_text(SIX_AXIS_LIMITS)
             _KNOWN[name] = load_robot(path)
+        elif name == "capsules":
+            # The harvester as any other arm: tubes with balls at their ends.
+            _KNOWN[name] = replace(load_robot(), planar=None, beyond_family=("robot", "to be of no family"))
         elif name in ("lift", "seven"):
             _KNOWN[name] = load_robot(LIFT if name == "lift" else seven_axis_arm())
         else:

@@ -3,8 +3,9 @@
 Moving bodies are those of the arm (`hplan.collision.flat_bodies`) and, after them, its pairs of bodies not to touch:
 the distance of a pair is seen from one of the two, so that a joint that carries both does not count as motion. Bodies
 and obstacles are hulls of points, grown by radii; their distance is that of the hulls
-(`hplan.collision.convex_distance`) less both radii. Bounding balls come first, then whatever direction separates by as
-much as is asked.
+(`hplan.collision.convex_distance`) less both radii. Bounding balls come first, then the segments that bodies are about,
+whose distance from points, segments and boxes has a closed form: of balls and capsules it is the distance, others are
+no nearer. Then comes whatever direction separates by as much as is asked.
 
 **Enough.** Each moving body has a clearance that is enough: no more is looked for than is needed to tell whether there
 is less. (`hplan.collision.motion_cover` finds how long a motion stays clear with far less work.)
@@ -16,7 +17,7 @@ is less. (`hplan.collision.motion_cover` finds how long a motion stays clear wit
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -25,12 +26,12 @@ from hplan.base.kernels import any_int, inlined, kernel
 from hplan.collision import flat_bodies as flat
 from hplan.collision import obstacle_rows as row
 from hplan.collision.convex_distance import NEAREST, ON_FIRST, WORK, Span, Wanted, core_distance
-from hplan.collision.distances import point_segment, signed_excess
+from hplan.collision.distances import off_box, off_segment, point_segment
 from hplan.collision.obstacle_rows import FieldArrays
 from hplan.collision.penetration import penetration
 from hplan.collision.placed_bodies import ALONG, CENTRE, PLACED, START, place_bodies
 from hplan.collision.sweep import STILL
-from hplan.collision.vectors import Pose, Vector, dot
+from hplan.collision.vectors import Pose, Vector, dot, sub
 
 _FIRST_ROW = any_int(0)
 
@@ -39,6 +40,12 @@ FAR = 0.2
 
 #: By which fraction of itself a clearance may be given too small.
 EXACT = 1e-10
+
+#: A vector, where along a segment it ends, and a distance that it shows: no number of its kind is larger.
+Shown: TypeAlias = tuple[float, float, float, float, float]
+
+#: A shown distance is the distance where its square is at least so many times that of the vector's length.
+_SURELY = 1.0 - EXACT
 
 #: In place of where the table of a hull's corners is: a single point has none.
 NO_TABLE = any_int(0)
@@ -110,12 +117,83 @@ def difference(placed: FloatArray, j: int, i: int) -> Pose:
     )
 
 
+@inlined
+def segment_of(placed: FloatArray, b: int) -> tuple[Vector, Vector]:
+    """Start and vector of the segment that a body is about."""
+    return (
+        (placed[b, START], placed[b, START + 1], placed[b, START + 2]),
+        (placed[b, ALONG], placed[b, ALONG + 1], placed[b, ALONG + 2]),
+    )
+
+
+@kernel
+def off_row(placed: FloatArray, b: int, solids: FloatArray, s: int) -> Shown:
+    """From the point, segment or box of a row to the segment that a body is about.
+
+    What it shows is how far apart the two are along it, as rounding errors may have it end beside the nearest point.
+    """
+    start, along = segment_of(placed, b)
+    first = (solids[s, row.SHAPE], solids[s, row.SHAPE + 1], solids[s, row.SHAPE + 2])
+    if solids[s, row.KIND] != row.BOX:
+        second = first
+        if solids[s, row.KIND] == row.SEGMENT:
+            second = (solids[s, row.SECOND_END], solids[s, row.SECOND_END + 1], solids[s, row.SECOND_END + 2])
+        x, y, z, t = off_segment(start, along, first, sub(second, first))
+        length = math.sqrt(x * x + y * y + z * z)
+        if not length > 0.0:
+            return 0.0, 0.0, 0.0, t, 0.0
+        low, slope = x * start[0] + y * start[1] + z * start[2], x * along[0] + y * along[1] + z * along[2]
+        high = max(x * first[0] + y * first[1] + z * first[2], x * second[0] + y * second[1] + z * second[2])
+        return x, y, z, t, (low + min(0.0, slope) - high) / length
+    off = (start[0] - solids[s, row.CENTRE], start[1] - solids[s, row.CENTRE + 1], start[2] - solids[s, row.CENTRE + 2])
+    right = (solids[s, row.AXES], solids[s, row.AXES + 1], solids[s, row.AXES + 2])
+    ahead = (solids[s, row.AXES + 3], solids[s, row.AXES + 4], solids[s, row.AXES + 5])
+    up = (solids[s, row.AXES + 6], solids[s, row.AXES + 7], solids[s, row.AXES + 8])
+    seen, way = (dot(off, right), dot(off, ahead), dot(off, up)), (dot(along, right), dot(along, ahead), dot(along, up))
+    x, y, z, t = off_box(seen, way, first)
+    length = math.sqrt(x * x + y * y + z * z)
+    if not length > 0.0:
+        return 0.0, 0.0, 0.0, t, 0.0
+    low, slope = x * seen[0] + y * seen[1] + z * seen[2], x * way[0] + y * way[1] + z * way[2]
+    high = abs(x) * first[0] + abs(y) * first[1] + abs(z) * first[2]
+    return (
+        x * right[0] + y * ahead[0] + z * up[0],
+        x * right[1] + y * ahead[1] + z * up[1],
+        x * right[2] + y * ahead[2] + z * up[2],
+        t,
+        (low + min(0.0, slope) - high) / length,
+    )
+
+
+@kernel
+def off_body(placed: FloatArray, j: int, i: int) -> Shown:
+    """From the segment that body i is about to that of body j; as `off_row`."""
+    start, along = segment_of(placed, j)
+    other, beside = segment_of(placed, i)
+    x, y, z, t = off_segment(start, along, other, beside)
+    length = math.sqrt(x * x + y * y + z * z)
+    if not length > 0.0:
+        return 0.0, 0.0, 0.0, t, 0.0
+    r = sub(start, other)
+    low = x * r[0] + y * r[1] + z * r[2]
+    slope, rise = x * along[0] + y * along[1] + z * along[2], x * beside[0] + y * beside[1] + z * beside[2]
+    return x, y, z, t, (low + min(0.0, slope) - max(0.0, rise)) / length
+
+
+@inlined
+def is_thin(movers: FloatArray, b: int) -> bool:
+    """True if a body is its segment, grown by its radius."""
+    thin: bool = movers[b, flat.LAST] - movers[b, flat.FIRST] <= flat.THIN
+    return thin
+
+
 @kernel
 def _body_clearance(arm: BodyArrays, b: int, enough: float) -> float:
     """Clearance of a body from obstacles, or `enough` where it is no less [m]."""
-    movers, solids, placed = arm.movers, arm.solids, arm.placed
+    movers, solids, placed, work = arm.movers, arm.solids, arm.placed, arm.work
     x, y, z = placed[b, CENTRE], placed[b, CENTRE + 1], placed[b, CENTRE + 2]
     ball, joint, least = movers[b, flat.BALL_RADIUS], movers[b, flat.JOINT], enough
+    thin = is_thin(movers, b)
     following = _FIRST_ROW
     while following < solids.shape[0]:
         s = following
@@ -130,8 +208,7 @@ def _body_clearance(arm: BodyArrays, b: int, enough: float) -> float:
             if not solids[s, row.FIRST_LINK] <= joint <= solids[s, row.LAST_LINK]:
                 following = int(solids[s, row.NEXT])
         elif kind == row.NODE or kind == row.LEAF:
-            start = (placed[b, START], placed[b, START + 1], placed[b, START + 2])
-            along = (placed[b, ALONG], placed[b, ALONG + 1], placed[b, ALONG + 2])
+            start, along = segment_of(placed, b)
             centre = (solids[s, row.CENTRE], solids[s, row.CENTRE + 1], solids[s, row.CENTRE + 2])
             if point_segment(centre, start, along) > least + movers[b, flat.AXIS_RADIUS] + solids[s, row.BOUND]:
                 following = int(solids[s, row.NEXT])
@@ -139,28 +216,22 @@ def _body_clearance(arm: BodyArrays, b: int, enough: float) -> float:
                 least = _leaf_clearance(arm, b, s, least)
         else:
             away = (-dx, -dy, -dz)
-            if kind == row.BOX:
-                # From the box to the centre of the body's ball.
-                off, within = off_box(solids, s, away), least + ball + solids[s, row.RADIUS]
-                square = dot(off, off)
-                if square > within * within and within > 0.0:
-                    continue
-                if square > 0.0:
-                    away = off
+            if kind != row.HULL:
+                # From the solid's core to the segment that the body is about.
+                ox, oy, oz, t, shown = off_row(placed, b, solids, s)
+                if shown > 0.0:
+                    clear = shown - solids[s, row.RADIUS] - movers[b, flat.AXIS_RADIUS]
+                    if clear >= least:
+                        continue
+                    if thin and shown * shown >= _SURELY * (ox * ox + oy * oy + oz * oz):
+                        least = clear
+                        work[WORK], work[WORK + 1], work[WORK + 2] = ox, oy, oz
+                        for c in range(3):
+                            work[WORK + 3 + c] = placed[b, START + c] + t * placed[b, ALONG + c]
+                        continue
+                    away = (ox, oy, oz)
             least = _row_clearance(arm, (b, s), away, least)
     return least
-
-
-@kernel
-def off_box(solids: FloatArray, s: int, away: Vector) -> Vector:
-    """From the nearest point of a row's box to a point, which is given from the box's centre."""
-    off = (0.0, 0.0, 0.0)
-    for c in range(3):
-        a = row.AXES + 3 * c
-        axis = (solids[s, a], solids[s, a + 1], solids[s, a + 2])
-        beyond = signed_excess(dot(axis, away), solids[s, row.SHAPE + c])
-        off = (off[0] + beyond * axis[0], off[1] + beyond * axis[1], off[2] + beyond * axis[2])
-    return off
 
 
 @kernel
@@ -204,26 +275,44 @@ def _leaf_clearance(arm: BodyArrays, k: int, s: int, least: float) -> float:
     """Clearance of a body from the balls of a leaf, or `least` where it is no less."""
     movers, solids, data, placed, work = arm.movers, arm.solids, arm.data, arm.placed, arm.work
     radius, thickness = solids[s, row.RADIUS], movers[k, flat.AXIS_RADIUS]
-    start = (placed[k, START], placed[k, START + 1], placed[k, START + 2])
-    along = (placed[k, ALONG], placed[k, ALONG + 1], placed[k, ALONG + 2])
+    start, along = segment_of(placed, k)
     for p in range(int(solids[s, row.POINTS]), int(solids[s, row.POINTS_END]), 3):
-        if point_segment((data[p], data[p + 1], data[p + 2]), start, along) < least + thickness + radius:
+        apart = point_segment((data[p], data[p + 1], data[p + 2]), start, along)
+        if apart < least + thickness + radius:
             for c in range(3):
                 work[NEAREST + c] = placed[k, CENTRE + c] - data[p + c]
             least = _hull_clearance(arm, k, (data, (p, p + 3, NO_TABLE), radius), least)
     return least
 
 
-@inlined
-def _apart(movers: FloatArray, placed: FloatArray, k: int, enough: float) -> bool:
-    """True if the balls of a pair show that it has a clearance."""
-    j, i = int(movers[k, flat.OUTER]), int(movers[k, flat.INNER])
-    dx = placed[j, CENTRE] - placed[i, CENTRE]
-    dy = placed[j, CENTRE + 1] - placed[i, CENTRE + 1]
-    dz = placed[j, CENTRE + 2] - placed[i, CENTRE + 2]
-    within = enough + movers[k, flat.BALLS]
-    apart: bool = dx * dx + dy * dy + dz * dz >= within * within
-    return apart
+@kernel
+def _near_below(movers: FloatArray, placed: FloatArray, solids: FloatArray, k: int, enough: float) -> int:
+    """The next moving body below a number whose ball, or balls, do not show that it has a clearance; -1 for none.
+
+    Pairs come first, then what is farthest out. (A call with all arrays costs more than what most bodies need.)
+    """
+    bodies = placed.shape[0]
+    while k > 0:
+        k -= 1
+        if k >= bodies:
+            j, i = int(movers[k, flat.OUTER]), int(movers[k, flat.INNER])
+            dx = placed[j, CENTRE] - placed[i, CENTRE]
+            dy = placed[j, CENTRE + 1] - placed[i, CENTRE + 1]
+            dz = placed[j, CENTRE + 2] - placed[i, CENTRE + 2]
+            within = enough + movers[k, flat.BALLS]
+            if within > 0.0 and dx * dx + dy * dy + dz * dz < within * within:
+                return k
+        elif movers[k, flat.MEETS] > 0.0:
+            x, y, z = placed[k, CENTRE], placed[k, CENTRE + 1], placed[k, CENTRE + 2]
+            around = enough + movers[k, flat.BALL_RADIUS]
+            s = _FIRST_ROW
+            while s < solids.shape[0]:
+                dx, dy, dz = solids[s, row.CENTRE] - x, solids[s, row.CENTRE + 1] - y, solids[s, row.CENTRE + 2] - z
+                within = around + solids[s, row.BOUND]
+                if within > 0.0 and dx * dx + dy * dy + dz * dz <= within * within:
+                    return k
+                s = int(solids[s, row.NEXT]) if solids[s, row.KIND] >= row.NODE else s + 1
+    return -1
 
 
 @kernel
@@ -231,9 +320,20 @@ def _pair_clearance(arm: BodyArrays, k: int, enough: float) -> float:
     """Clearance of a pair of the arm's own bodies, or `enough` where it is no less."""
     movers, numbers, placed, work = arm.movers, arm.numbers, arm.placed, arm.work
     j, i, touching = int(movers[k, flat.OUTER]), int(movers[k, flat.INNER]), movers[k, flat.TOUCHING]
-    dx = placed[j, CENTRE] - placed[i, CENTRE]
-    dy = placed[j, CENTRE + 1] - placed[i, CENTRE + 1]
-    dz = placed[j, CENTRE + 2] - placed[i, CENTRE + 2]
+    dx, dy, dz, t, shown = off_body(placed, j, i)
+    if shown > 0.0:
+        if shown - movers[k, flat.AXES] >= enough:
+            return enough
+        if is_thin(movers, i) and is_thin(movers, j) and shown * shown >= _SURELY * (dx * dx + dy * dy + dz * dz):
+            work[WORK], work[WORK + 1], work[WORK + 2] = dx, dy, dz
+            for c in range(3):
+                work[WORK + 3 + c] = placed[j, START + c] + t * placed[j, ALONG + c]
+            left: float = shown - touching
+            return left
+    else:
+        dx = placed[j, CENTRE] - placed[i, CENTRE]
+        dy = placed[j, CENTRE + 1] - placed[i, CENTRE + 1]
+        dz = placed[j, CENTRE + 2] - placed[i, CENTRE + 2]
     work[NEAREST] = placed[i, 0] * dx + placed[i, 3] * dy + placed[i, 6] * dz
     work[NEAREST + 1] = placed[i, 1] * dx + placed[i, 4] * dy + placed[i, 7] * dz
     work[NEAREST + 2] = placed[i, 2] * dx + placed[i, 5] * dy + placed[i, 8] * dz
@@ -257,27 +357,24 @@ def _pair_clearance(arm: BodyArrays, k: int, enough: float) -> float:
 
 
 @kernel
-def _mover_clearance(arm: BodyArrays, movers: FloatArray, placed: FloatArray, k: int, enough: float) -> float:
-    """Clearance of a moving body, or `enough` where it is no less; of a body that no joint moves always [m].
-
-    Arrays of the arm are given besides, as what is taken out of tuples is counted.
-    """
-    if k >= placed.shape[0]:
-        if _apart(movers, placed, k, enough):
-            return enough
+def _mover_clearance(arm: BodyArrays, k: int, enough: float) -> float:
+    """Clearance of a moving body, or `enough` where it is no less [m]."""
+    if k >= arm.placed.shape[0]:
         return _pair_clearance(arm, k, enough)
-    if movers[k, flat.JOINT] >= arm.frames.shape[0] - 1:
-        return enough
     return _body_clearance(arm, k, enough)
 
 
 @kernel
 def body_clearances(q: FloatArray, field: FieldArrays, result: FloatArray) -> None:
-    """Clearance of each moving body at a configuration, `FAR` where it is more; of fixed bodies always."""
+    """Clearance of each moving body at a configuration, `FAR` where it is more, or where obstacles do not count."""
     arm = _placed_arm(q, field)
-    movers, placed = arm.movers, arm.placed
+    movers, placed, solids = arm.movers, arm.placed, arm.solids
     for k in range(len(result)):
-        result[k] = _mover_clearance(arm, movers, placed, k, FAR)
+        result[k] = FAR
+    k = _near_below(movers, placed, solids, len(result), FAR)
+    while k >= 0:
+        result[k] = _mover_clearance(arm, k, FAR)
+        k = _near_below(movers, placed, solids, k, FAR)
 
 
 @kernel
@@ -289,12 +386,18 @@ def body_slopes(
     A gradient is the velocity of the nearest points along the line between them; zeros where there is enough.
     """
     arm = _placed_arm(q, field)
-    movers, work, placed = arm.movers, arm.work, arm.placed
+    movers, work, placed, solids = arm.movers, arm.work, arm.placed, arm.solids
     bodies = placed.shape[0]
     for k in range(len(clear)):
-        clear[k] = _mover_clearance(arm, movers, placed, k, enough)
+        clear[k] = enough
         for m in range(len(joints)):
             gradient[k, m] = 0.0
+    k = len(clear)
+    while True:
+        k = _near_below(movers, placed, solids, k, enough)
+        if k < 0:
+            break
+        clear[k] = _mover_clearance(arm, k, enough)
         if not clear[k] < enough:
             continue
         outer, inner = k, -1
@@ -351,9 +454,9 @@ def _rate(arm: BodyArrays, b: int, joint: int, n: Vector, at: Vector) -> float:
 def least_body_clearance(q: FloatArray, field: FieldArrays, enough: float) -> float:
     """The smallest clearance of all moving bodies at one configuration, or `enough` where it is no less [m]."""
     arm = _placed_arm(q, field)
-    movers, placed = arm.movers, arm.placed
-    bodies, least = placed.shape[0], enough
-    for turn in range(movers.shape[0]):
-        k = bodies - 1 - turn if turn < bodies else turn
-        least = _mover_clearance(arm, movers, placed, k, least)
+    movers, placed, solids, least = arm.movers, arm.placed, arm.solids, enough
+    k = _near_below(movers, placed, solids, movers.shape[0], least)
+    while k >= 0:
+        least = _mover_clearance(arm, k, least)
+        k = _near_below(movers, placed, solids, k, least)
     return least

@@ -14,17 +14,23 @@ import numpy as np
 
 from hplan.base.arrays import BoolArray, FloatArray
 from hplan.base.deadline import is_up
-from hplan.base.kernels import kernel
+from hplan.base.kernels import any_int, kernel
 from hplan.collision import flat_bodies as flat
 from hplan.collision import obstacle_rows as row
+from hplan.collision.body_kernels import segment_of
 from hplan.collision.distances import point_segment
-from hplan.collision.motion_cover import Moving, Part, body_keeps_margin, moving_arm, part_shown_clear
+from hplan.collision.motion_cover import Moving, Part, moving_arm, part_shown_clear
 from hplan.collision.obstacle_rows import FieldArrays
-from hplan.collision.placed_bodies import ALONG, PLACED, START, place_bodies
+from hplan.collision.placed_bodies import PLACED, place_bodies
 from hplan.collision.twists import motion_bends
 
+_FIRST_ROW = any_int(0)
+
+#: Most looks along one motion.
+_MOST_LOOKS = any_int(1_000_000)
+
 #: Places of a motion that are checked before it is proved are about so far apart, as its farthest point goes [m].
-_APART = 0.4
+_APART = 0.8
 
 #: The first part of a motion that is asked for, and a later one in multiples of the one before.
 _FIRST_STEP, _LONGER = 0.25, 2.0
@@ -65,15 +71,21 @@ def body_bounds(turns: FloatArray, movers: FloatArray, numbers: FloatArray, resu
 
 @kernel
 def _run(piece: FloatArray, field: FieldArrays, margin: float) -> Run:
-    """A motion, not checked yet."""
+    """A motion, of which nothing is known yet but where it goes."""
     dof = piece.shape[1]
-    fastest, changes, bends = np.empty(dof), np.empty(dof), np.empty((field.chain.shape[0], 2))
-    for j in range(dof):
+    bends = np.zeros((field.chain.shape[0], 2))
+    return Run(piece, moving_arm(field, dof, bends, margin), np.empty(dof), np.empty(dof), field.until)
+
+
+@kernel
+def _find_bends(run: Run) -> None:
+    """Write how fast points of the motion are at most, and how far it bends."""
+    piece, arm, fastest, changes = run.piece, run.moving.arm, np.empty(len(run.q)), np.empty(len(run.q))
+    for j in range(len(run.q)):
         first, second, third = piece[1, j] - piece[0, j], piece[2, j] - piece[1, j], piece[3, j] - piece[2, j]
         fastest[j] = 3.0 * max(abs(first), max(abs(second), abs(third)))
         changes[j] = 6.0 * max(abs(second - first), abs(third - second))
-    motion_bends(fastest, changes, field.chain, field.base, bends)
-    return Run(piece, moving_arm(field, dof, bends, margin), np.empty(dof), np.empty(dof), field.until)
+    motion_bends(fastest, changes, arm.movers, arm.numbers, run.moving.bends)
 
 
 @kernel
@@ -125,34 +137,35 @@ def body_shown_part(
 ) -> tuple[float, int]:
     """As `hplan.collision.clearance_kernels.shown_part`."""
     run = _run(piece, field, margin)
+    _find_bends(run)
     shown, used = _march(run, looks, stride)
     return shown, used
 
 
 @kernel
-def body_segment_is_refused(start: FloatArray, end: FloatArray, field: FieldArrays, margin: float) -> bool:
-    """True if a straight joint-space motion does not keep a margin at one of some places, which are checked first.
+def body_segment_is_clear(piece: FloatArray, field: FieldArrays, margin: float) -> bool:
+    """True if a straight motion is verified to keep a margin.
 
-    Most motions that are checked fail, which places far apart show at once.
+    Most motions that are checked fail, which places far apart show at once: these are looked at first.
     """
-    dof = len(start)
-    turns, q, bounds = np.empty(dof), np.empty(dof), np.empty(field.chain.shape[0])
-    for i in range(dof):
-        turns[i] = end[i] - start[i]
-    body_bounds(turns, field.chain, field.base, bounds)
-    farthest = 0.0
-    for bound in bounds:
+    run, dof = _run(piece, field, margin), piece.shape[1]
+    at, farthest = int(field.base[flat.REACHES]), 0.0
+    for b in range(int(field.base[flat.BODIES])):
+        bound = 0.0
+        for j in range(dof):
+            bound += field.base[at + dof * b + j] * abs(piece[3, j] - piece[0, j])
         farthest = max(farthest, bound)
     parts = 2
     while True:
         for part in range(1, parts, 2):
-            for i in range(dof):
-                q[i] = start[i] + part / parts * turns[i]
-            if not body_keeps_margin(q, field, margin):
-                return True
+            if _look(run, part / parts, 0.0, 0.0).forward < 0.0:
+                return False
         if farthest <= parts * _APART or is_up(field.until):
-            return False
+            break
         parts *= 2
+    _find_bends(run)
+    shown, _ = _march(run, _MOST_LOOKS, 0.0)
+    return shown == 1.0
 
 
 @kernel
@@ -165,12 +178,16 @@ def mark_near_bodies(path: FloatArray, arrays: FieldArrays, distance: float, nea
             break
         place_bodies(path[i], movers, numbers, frames, placed)
         for b in range(placed.shape[0]):
-            if movers[b, flat.JOINT] >= numbers[flat.DOF]:
+            if movers[b, flat.MEETS] == 0.0:
                 continue
-            start = (placed[b, START], placed[b, START + 1], placed[b, START + 2])
-            along = (placed[b, ALONG], placed[b, ALONG + 1], placed[b, ALONG + 2])
-            for s in range(solids.shape[0]):
+            start, along = segment_of(placed, b)
+            following = _FIRST_ROW
+            while following < solids.shape[0]:
+                s = following
+                following = s + 1
                 if not near[s]:
                     centre = (solids[s, row.CENTRE], solids[s, row.CENTRE + 1], solids[s, row.CENTRE + 2])
                     beyond = distance + solids[s, row.BOUND] + movers[b, flat.AXIS_RADIUS]
                     near[s] = point_segment(centre, start, along) <= beyond
+                    if not near[s] and solids[s, row.KIND] == row.NODE and solids[s, row.IS_ROOT] < 0.0:
+                        following = int(solids[s, row.NEXT])

@@ -24,7 +24,7 @@ from hplan.base.deadline import is_up
 from hplan.base.kernels import any_int, inlined, kernel
 from hplan.collision import obstacle_rows as row
 from hplan.collision.body_kernels import body_clearances
-from hplan.collision.body_motions import body_bounds, body_segment_is_refused, body_shown_part, mark_near_bodies
+from hplan.collision.body_motions import body_bounds, body_segment_is_clear, body_shown_part, mark_near_bodies
 from hplan.collision.distances import Vector, point_segment, segment_box, segment_hull, segment_segment
 from hplan.collision.motion_cover import body_keeps_margin
 from hplan.collision.obstacle_rows import OF_BODIES
@@ -372,22 +372,14 @@ def path_is_clear(path: FloatArray, field: FieldArrays, margin: float) -> bool:
 
 
 @kernel
-def segment_is_refused(start: FloatArray, end: FloatArray, field: FieldArrays, margin: float) -> bool:
-    """True if a few places, which are checked first, show that a straight motion is not clear.
-
-    Most motions that are checked fail, and often in the middle, which is all that is looked at of planar arms.
-    """
+def segment_is_clear(start: FloatArray, end: FloatArray, field: FieldArrays, margin: float) -> bool:
+    """True if the straight joint-space motion is verified to keep `margin`, which is asked for at what is evaluated."""
     if len(field) == OF_BODIES:
-        return body_segment_is_refused(start, end, field, margin)
+        return body_segment_is_clear(straight_piece(start, end), field, margin)
+    # Most motions that are checked fail, and often in the middle.
     q = np.empty(len(start))
     for i in range(len(start)):
         q[i] = 0.5 * (start[i] + end[i])
-    return not keeps_margin(q, field, margin)
-
-
-@kernel
-def segment_is_clear(start: FloatArray, end: FloatArray, field: FieldArrays, margin: float) -> bool:
-    """True if the straight joint-space motion is verified to keep `margin`, which is asked for at what is evaluated."""
-    if segment_is_refused(start, end, field, margin):
+    if not keeps_margin(q, field, margin):
         return False
     return piece_is_clear(straight_piece(start, end), field, margin, 0.0)

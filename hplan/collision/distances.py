@@ -11,6 +11,9 @@ from hplan.base.kernels import inlined, kernel
 #: Three coordinates. They stay in registers; an array would be made and counted for each call.
 Vector: TypeAlias = tuple[float, float, float]
 
+#: From the point of one thing that is nearest to another to that one's nearest point, which is so far along a segment.
+Off: TypeAlias = tuple[float, float, float, float]
+
 
 @inlined
 def point_segment(c: Vector, a: Vector, u: Vector) -> float:
@@ -27,7 +30,14 @@ def point_segment(c: Vector, a: Vector, u: Vector) -> float:
 
 @kernel
 def segment_segment(a: Vector, u: Vector, b: Vector, v: Vector) -> float:
-    """Distance between the segments a, a + u and b, b + v.
+    """Distance between the segments a, a + u and b, b + v."""
+    dx, dy, dz, _ = off_segment(a, u, b, v)
+    return math.sqrt(dx * dx + dy * dy + dz * dz)
+
+
+@kernel
+def off_segment(a: Vector, u: Vector, b: Vector, v: Vector) -> Off:
+    """From the segment b, b + v to the segment a, a + u.
 
     Closest points by clamping (Ericson, Real-Time Collision Detection, 5.1.9).
     """
@@ -36,7 +46,7 @@ def segment_segment(a: Vector, u: Vector, b: Vector, v: Vector) -> float:
     uu, vv = ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz
     vr = vx * rx + vy * ry + vz * rz
     if uu <= 1e-18 and vv <= 1e-18:
-        return math.sqrt(rx * rx + ry * ry + rz * rz)
+        return rx, ry, rz, 0.0
     s, t = 0.0, 0.0
     if uu <= 1e-18:
         t = min(1.0, max(0.0, vr / vv))
@@ -56,8 +66,7 @@ def segment_segment(a: Vector, u: Vector, b: Vector, v: Vector) -> float:
             elif t > 1.0:
                 t = 1.0
                 s = min(1.0, max(0.0, (uv - ur) / uu))
-    dx, dy, dz = rx + s * ux - t * vx, ry + s * uy - t * vy, rz + s * uz - t * vz
-    return math.sqrt(dx * dx + dy * dy + dz * dz)
+    return rx + s * ux - t * vx, ry + s * uy - t * vy, rz + s * uz - t * vz, s
 
 
 @inlined
@@ -68,7 +77,14 @@ def signed_excess(x: float, half: float) -> float:
 
 @kernel
 def segment_box(a: Vector, u: Vector, half: Vector) -> float:
-    """Distance of the segment a, a + u from the box of half sizes `half`, in the box's frame.
+    """Distance of the segment a, a + u from the box of half sizes `half`, in the box's frame."""
+    dx, dy, dz, _ = off_box(a, u, half)
+    return math.sqrt(dx * dx + dy * dy + dz * dz)
+
+
+@kernel
+def off_box(a: Vector, u: Vector, half: Vector) -> Off:
+    """From the box of half sizes `half` to the segment a, a + u, in the box's frame.
 
     The squared distance is convex and piecewise quadratic along the segment; its derivative is piecewise linear and
     changes sign between two of the at most eight breakpoints (faces crossed, ends).
@@ -98,8 +114,7 @@ def segment_box(a: Vector, u: Vector, half: Vector) -> float:
                     else:
                         low, slope_low = x, slope
         t = low - slope_low * (high - low) / (slope_high - slope_low)
-    dx, dy, dz = signed_excess(ax + t * ux, hx), signed_excess(ay + t * uy, hy), signed_excess(az + t * uz, hz)
-    return math.sqrt(dx * dx + dy * dy + dz * dz)
+    return signed_excess(ax + t * ux, hx), signed_excess(ay + t * uy, hy), signed_excess(az + t * uz, hz), t
 
 
 @kernel

@@ -2,27 +2,36 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from hplan.base.arrays import FloatArray, Record, frozen
-from hplan.collision.collision_bodies import GROUND, collision_bodies
-from hplan.collision.reach import carriers, joint_axis, reach
+from hplan.collision.collision_bodies import GROUND, CollisionBody, collision_bodies
+from hplan.collision.reach import carriers, joint_axis, points_reach, reach
 from hplan.collision.touching_pairs import self_pairs
 from hplan.robot.model import Robot, made_once
 from hplan.scene.corner_table import corner_table
 
 #: Columns of a body: its joint (`dof` for the ground), first and last place of its points among the numbers (last is
 #: one past) and that of their table (`hplan.scene.corner_table`; 0 for none), its radius, then the centre (3) of a ball
-#: that holds it and the ball's radius, and a segment (start and vector, 3 each) with a radius that holds it.
-JOINT, FIRST, LAST, TABLE, ROUNDING, BALL, BALL_RADIUS, AXIS, AXIS_RADIUS = 0, 1, 2, 3, 4, 5, 8, 9, 15
+#: that holds it and the ball's radius, a segment (start and vector, 3 each) with a radius that holds it, and 1 where
+#: obstacles are to keep clear of it: joints move it, and no other one holds it.
+JOINT, FIRST, LAST, TABLE, ROUNDING, BALL, BALL_RADIUS, AXIS, AXIS_RADIUS, MEETS = 0, 1, 2, 3, 4, 5, 8, 9, 15, 16
 
 #: Columns of a pair: its bodies, the one whose motion is seen from the other first, and the distance of their hulls at
-#: which they touch; then the distance of the centres of their balls beyond which they are farther apart than that.
-OUTER, INNER, TOUCHING, BALLS = 0, 1, 2, 3
+#: which they touch; then the distances of the centres of their balls, and of their segments, beyond which they are
+#: farther apart than that.
+OUTER, INNER, TOUCHING, BALLS, AXES = 0, 1, 2, 3, 4
 
-COLUMNS = 16
+COLUMNS = 17
+
+#: A body of so many coordinates at most is its segment, grown by its radius.
+THIN = 6
+
+#: How far balls may be from the ends of the cylinder that they make a capsule of [m].
+_SAME = 1e-9
 
 #: Numbers at the head: how many bodies and how many joints there are; where joints, and where reaches begin.
 BODIES, DOF, JOINTS, REACHES, HEAD = 0, 1, 2, 3, 4
@@ -38,8 +47,8 @@ class FlatBodies(Record):
     """Moving bodies of a robot as rows, and the numbers that they refer to.
 
     Attributes:
-        movers: (bodies + pairs, COLUMNS) each body in the order of `collision_bodies`, then each pair of its own that
-            is checked.
+        movers: (bodies + pairs, COLUMNS) each body in the order of `collision_bodies`, then capsules that stand for
+            cylinders with a ball at either end, then each pair of its own that is checked.
         numbers: Flat: the head, the joints, the reaches ((bodies, dof), row by row), the points of all bodies, each
             with its table.
     """
@@ -56,21 +65,24 @@ class FlatBodies(Record):
             deviation: By how much every joint may be off [rad, m]: bodies are as much thicker as it may displace them.
         """
         still = robot.cached("flat bodies", lambda: cls._still(robot))
-        bodies, pairs = collision_bodies(robot), self_pairs(robot)
-        rows, count = still.movers.copy(), len(bodies)
+        rows, count, pairs = still.movers.copy(), int(still.numbers[BODIES]), self_pairs(robot)
         sway = deviation * still.numbers[int(still.numbers[REACHES]) :][: rows.shape[0] * robot.dof]
         sway = sway.reshape(-1, robot.dof).sum(axis=1)
         for column in (ROUNDING, BALL_RADIUS, AXIS_RADIUS):
             rows[:count, column] += sway[:count]
-        for column in (TOUCHING, BALLS):
+        for column in (TOUCHING, BALLS, AXES):
             rows[count:, column] += sway[count:] + pairs.needed(own_clearance)
         return cls(frozen(rows), still.numbers)
 
     @classmethod
     def _still(cls, robot: Robot) -> FlatBodies:
         """The bodies without deviation, where pairs may touch."""
-        bodies, pairs = collision_bodies(robot), self_pairs(robot)
-        reaches = np.concatenate([reach(robot), pairs.reach])
+        own, pairs = collision_bodies(robot), self_pairs(robot)
+        capsules = list(_capsules(own))
+        bodies = [*own, *(capsule for capsule, _ in capsules)]
+        held = {part for _, parts in capsules for part in parts}
+        of_capsules = [points_reach(robot, body.core, body.joint, body.rounding) for body, _ in capsules]
+        reaches = np.concatenate([reach(robot), *np.reshape(of_capsules, (-1, 1, robot.dof)), pairs.reach])
         joints = joint_numbers(robot)
         first = HEAD + joints.size + reaches.size
         head = [len(bodies), robot.dof, HEAD, HEAD + joints.size]
@@ -87,12 +99,36 @@ class FlatBodies(Record):
             rows[row, BALL_RADIUS] = radius * (1.0 + 1e-12) + body.rounding
             rows[row, AXIS:AXIS_RADIUS], radius = _axis(body.core)
             rows[row, AXIS_RADIUS] = radius * (1.0 + 1e-12) + body.rounding
+            rows[row, MEETS] = float(body.joint != GROUND and row not in held)
         depth = [len(carriers(robot, body.joint)) for body in bodies]
         for row, (i, j) in enumerate(pairs.checked, start=len(bodies)):
             rows[row, OUTER], rows[row, INNER] = (i, j) if depth[i] > depth[j] else (j, i)
             rows[row, TOUCHING] = bodies[i].rounding + bodies[j].rounding
             rows[row, BALLS] = rows[i, BALL_RADIUS] + rows[j, BALL_RADIUS]
+            rows[row, AXES] = rows[i, AXIS_RADIUS] + rows[j, AXIS_RADIUS]
         return cls(frozen(rows), frozen(np.concatenate([head, joints.ravel(), reaches.ravel(), *points])))
+
+
+def _capsules(bodies: Sequence[CollisionBody]) -> Iterator[tuple[CollisionBody, tuple[int, ...]]]:
+    """Capsules that hold a cylinder and a ball of its radius at either end, as URDFs have capsules; and what they hold.
+
+    Obstacles keep clear of such a capsule alone, which is round.
+    """
+    for number, tube in enumerate(bodies):
+        if tube.kind != "cylinder" or tube.joint == GROUND:
+            continue
+        ends = tube.core.reshape(2, -1, 3).mean(axis=1)
+        radius = float(np.linalg.norm(tube.core[0] - ends[0])) - tube.growth
+        parts, away = [number], 0.0
+        for end in ends:
+            for other, ball in enumerate(bodies):
+                off = float(np.linalg.norm(ball.core[0] - end)) + abs(ball.rounding - radius)
+                if ball.kind == "sphere" and ball.joint == tube.joint and off <= _SAME:
+                    parts.append(other)
+                    away = max(away, off)
+                    break
+        if len(parts) == 3:
+            yield replace(tube, core=frozen(ends), rounding=radius + away, kind="capsule", growth=0.0), tuple(parts)
 
 
 @made_once

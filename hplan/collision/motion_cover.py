@@ -30,10 +30,20 @@ from hplan.base.arrays import FloatArray
 from hplan.base.kernels import any_int, inlined, kernel
 from hplan.collision import flat_bodies as flat
 from hplan.collision import obstacle_rows as row
-from hplan.collision.body_kernels import NO_TABLE, BodyArrays, difference, off_box, pose_of, span_of
+from hplan.collision.body_kernels import (
+    NO_TABLE,
+    BodyArrays,
+    difference,
+    is_thin,
+    off_body,
+    off_row,
+    pose_of,
+    segment_of,
+    span_of,
+)
 from hplan.collision.convex_distance import NEAREST, SEPARATING, WORK, Span, Wanted, core_distance
 from hplan.collision.obstacle_rows import FieldArrays
-from hplan.collision.placed_bodies import ALONG, CENTRE, PLACED, START, place_bodies
+from hplan.collision.placed_bodies import CENTRE, PLACED, place_bodies
 from hplan.collision.sweep import Sweep, used_up
 from hplan.collision.twists import find_twists
 from hplan.collision.vectors import Vector, cross, dot, sub, turned_back
@@ -42,6 +52,9 @@ _FIRST_ROW = any_int(0)
 
 #: By which fraction of itself a distance may be given too small.
 _ROUGH = 2e-2
+
+#: A shown distance is near enough to the distance where its square is at least so many times the vector's.
+_SURELY = (1.0 - _ROUGH) ** 2
 
 
 class Part(NamedTuple):
@@ -91,17 +104,27 @@ def part_shown_clear(q: FloatArray, rates: FloatArray, moving: Moving, back: flo
         forward: The same after.
     """
     arm, twists, bends = moving.arm, moving.twists, moving.bends
-    movers, placed = arm.movers, arm.placed
+    movers, solids, placed, margin = arm.movers, arm.solids, arm.placed, moving.margin
     place_bodies(q, movers, arm.numbers, arm.frames, placed)
     find_twists(rates, arm.numbers, arm.frames, twists)
-    bodies, dof = placed.shape[0], len(q)
+    bodies = placed.shape[0]
     part = Part(back, forward)
     # From the tip on: what is carried by more joints moves farther, and is in contact more often.
     for turn in range(movers.shape[0]):
         k = bodies - 1 - turn if turn < bodies else turn
         if k < bodies:
-            if movers[k, flat.JOINT] < dof:
-                part = _of_body(moving, k, part)
+            if movers[k, flat.MEETS] > 0.0:
+                # The first row whose ball comes near. (Here, as a call with all arrays costs more than a few rows.)
+                x, y, z = placed[k, CENTRE], placed[k, CENTRE + 1], placed[k, CENTRE + 2]
+                around = movers[k, flat.BALL_RADIUS] + max(margin, max(part.back, part.forward) * bends[k, 0])
+                s = _FIRST_ROW
+                while s < solids.shape[0]:
+                    dx, dy, dz = solids[s, row.CENTRE] - x, solids[s, row.CENTRE + 1] - y, solids[s, row.CENTRE + 2] - z
+                    within = around + solids[s, row.BOUND]
+                    if dx * dx + dy * dy + dz * dz <= within * within:
+                        part = _of_body(moving, k, s, part)
+                        break
+                    s = int(solids[s, row.NEXT]) if solids[s, row.KIND] >= row.NODE else s + 1
         else:
             i, j = int(movers[k, flat.INNER]), int(movers[k, flat.OUTER])
             x, y, z = (
@@ -109,7 +132,7 @@ def part_shown_clear(q: FloatArray, rates: FloatArray, moving: Moving, back: flo
                 placed[j, CENTRE + 1] - placed[i, CENTRE + 1],
                 placed[j, CENTRE + 2] - placed[i, CENTRE + 2],
             )
-            beyond = movers[k, flat.BALLS] + max(moving.margin, max(part.back, part.forward) * bends[k, 0])
+            beyond = movers[k, flat.BALLS] + max(margin, max(part.back, part.forward) * bends[k, 0])
             if x * x + y * y + z * z < beyond * beyond:
                 part = _of_pair(moving, k, part)
         if part.forward < 0.0:
@@ -208,12 +231,13 @@ def _left(motion: _Motion, direction: Vector, distance: float, part: Part) -> Pa
 
 
 @kernel
-def _of_body(moving: Moving, b: int, part: Part) -> Part:
-    """What is left of a part that a body's clearance from obstacles lasts for."""
+def _of_body(moving: Moving, b: int, first: int, part: Part) -> Part:
+    """What is left of a part that a body's clearance from obstacles, from some row on, lasts for."""
     arm, twists = moving.arm, moving.twists
     movers, solids, placed = arm.movers, arm.solids, arm.placed
     centre = (placed[b, CENTRE], placed[b, CENTRE + 1], placed[b, CENTRE + 2])
     ball, joint = movers[b, flat.BALL_RADIUS], int(movers[b, flat.JOINT])
+    thickness, thin = movers[b, flat.AXIS_RADIUS], is_thin(movers, b)
     core = ball - movers[b, flat.ROUNDING]
     spin, at_origin = _spin(twists, joint), _drift(twists, joint)
     moved = cross(spin, centre)
@@ -221,7 +245,7 @@ def _of_body(moving: Moving, b: int, part: Part) -> Part:
     speed = math.sqrt(dot(velocity, velocity)) + core * math.sqrt(dot(spin, spin))
     motion = _Motion(velocity, spin, core, speed, moving.bends[b, 0], moving.bends[b, 1], moving.margin)
     enough = _farthest(motion, part)
-    following = _FIRST_ROW
+    following = first
     while following < solids.shape[0]:
         s = following
         solid = (solids[s, row.CENTRE], solids[s, row.CENTRE + 1], solids[s, row.CENTRE + 2])
@@ -234,19 +258,20 @@ def _of_body(moving: Moving, b: int, part: Part) -> Part:
         following = s + 1
         before = part
         if kind < row.NODE:
-            if kind == row.BOX:
-                # From the box to the centre of the body's ball.
-                off = off_box(solids, s, away)
-                square, within = dot(off, off), enough + ball + solids[s, row.RADIUS]
-                if square > within * within or _is_apart(motion, part, off, ball + solids[s, row.RADIUS]):
-                    continue
-                if square > 0.0:
-                    away = off
-            part = _of_row(moving, (b, s), away, motion, part)
+            clear, is_known = 0.0, False
+            if kind != row.HULL:
+                # From the solid's core to the segment that the body is about.
+                x, y, z, _, shown = off_row(placed, b, solids, s)
+                if shown > 0.0:
+                    away, clear = (x, y, z), shown - solids[s, row.RADIUS] - thickness
+                    if clear >= enough or clear >= used_up(_sweep(motion, part), away, math.sqrt(dot(away, away))):
+                        continue
+                    is_known = thin and shown * shown >= _SURELY * dot(away, away)
+            part = _left(motion, away, clear, part) if is_known else _of_row(moving, (b, s), away, motion, part)
         elif kind == row.LINK_RANGE:
             if not solids[s, row.FIRST_LINK] <= joint <= solids[s, row.LAST_LINK]:
                 following = int(solids[s, row.NEXT])
-        elif _is_apart(motion, part, _off_axis(placed, b, solid), solids[s, row.BOUND] + movers[b, flat.AXIS_RADIUS]):
+        elif _is_apart(motion, part, _off_axis(placed, b, solid), solids[s, row.BOUND] + thickness):
             following = int(solids[s, row.NEXT])
         elif kind == row.LEAF:
             part = _of_lot(moving, (b, s), motion, part)
@@ -260,8 +285,8 @@ def _of_body(moving: Moving, b: int, part: Part) -> Part:
 @kernel
 def _off_axis(placed: FloatArray, b: int, point: Vector) -> Vector:
     """From a point to the nearest one of the segment about which a body is."""
-    start = sub((placed[b, START], placed[b, START + 1], placed[b, START + 2]), point)
-    along = (placed[b, ALONG], placed[b, ALONG + 1], placed[b, ALONG + 2])
+    start, along = segment_of(placed, b)
+    start = sub(start, point)
     square, t = dot(along, along), 0.0
     if square > 0.0:
         t = min(1.0, max(0.0, -dot(start, along) / square))
@@ -309,12 +334,15 @@ def _of_lot(moving: Moving, place: tuple[int, int], motion: _Motion, part: Part)
     (k, s), arm = place, moving.arm
     solids, data, placed, work = arm.solids, arm.data, arm.placed, arm.work
     radius = solids[s, row.RADIUS]
-    radii = radius + arm.movers[k, flat.AXIS_RADIUS]
+    radii, thin = radius + arm.movers[k, flat.AXIS_RADIUS], is_thin(arm.movers, k)
     for p in range(int(solids[s, row.POINTS]), int(solids[s, row.POINTS_END]), 3):
-        if not _is_apart(motion, part, _off_axis(placed, k, (data[p], data[p + 1], data[p + 2])), radii):
-            for c in range(3):
-                work[NEAREST + c] = placed[k, CENTRE + c] - data[p + c]
-            part = _of_hull(moving, k, (data, (p, p + 3, NO_TABLE), radius), motion, part)
+        off = _off_axis(placed, k, (data[p], data[p + 1], data[p + 2]))
+        if not _is_apart(motion, part, off, radii):
+            if thin:
+                part = _left(motion, off, math.sqrt(dot(off, off)) - radii, part)
+            else:
+                work[NEAREST], work[NEAREST + 1], work[NEAREST + 2] = off
+                part = _of_hull(moving, k, (data, (p, p + 3, NO_TABLE), radius), motion, part)
             if part.forward < 0.0:
                 break
     return part
@@ -335,8 +363,17 @@ def _of_pair(moving: Moving, k: int, part: Part) -> Part:
     velocity = (at_origin[0] + moved[0], at_origin[1] + moved[1], at_origin[2] + moved[2])
     core = movers[j, flat.BALL_RADIUS] - movers[j, flat.ROUNDING]
     most, bend = moving.bends[k, 0], moving.bends[k, 1]
-    if _is_apart(_Motion(velocity, spin, core, most, most, bend, moving.margin), part, away, movers[k, flat.BALLS]):
+    seen = _Motion(velocity, spin, core, most, most, bend, moving.margin)
+    if _is_apart(seen, part, away, movers[k, flat.BALLS]):
         return part
+    x, y, z, _, shown = off_body(placed, j, i)
+    if shown > 0.0:
+        away, clear = (x, y, z), shown - movers[k, flat.AXES]
+        length = math.sqrt(dot(away, away))
+        if clear > 0.0 and clear >= used_up(_sweep(seen, part), away, length):
+            return part
+        if is_thin(movers, i) and is_thin(movers, j) and shown * shown >= _SURELY * length * length:
+            return _left(seen, away, clear, part)
     # As seen from the inner body.
     pose = pose_of(placed, i)
     work[NEAREST], work[NEAREST + 1], work[NEAREST + 2] = turned_back(pose, away)

@@ -196,17 +196,42 @@ def core_rows(
     """
     stack = _Stack()
     grown = np.broadcast_to(np.asarray(clearance, dtype=np.float64), (len(obstacles),)).tolist()
-    for index, (solid, growth) in enumerate(zip(obstacles, grown, strict=True)):
-        rows, more = _rows(solid, growth, stack.numbers)
-        if not solid.is_point_set:
-            first = stack.numbers + 2
-            end = first + solid.core.size
-            table = corner_table(solid.core, first, end)
-            more = np.concatenate([[end, end if len(table) else 0], solid.core.ravel(), table])
-            rows[0, CORNERS] = first
-        which = None if links is None else links[index]
-        stack.add(*_for_links(rows, np.full(len(rows), index), which), more)
+    kinds = zip(enumerate(obstacles), _concerned(len(obstacles), links), strict=True)
+    for (is_cloud, _), run in groupby(kinds, lambda numbered: (numbered[0][1].is_point_set, numbered[1])):
+        check_deadline()
+        of_run = [numbered for numbered, _ in run]
+        which = None if links is None else links[of_run[0][0]]
+        if is_cloud:
+            for index, solid in of_run:
+                rows, data = _rows(solid, grown[index], stack.numbers)
+                stack.add(*_for_links(rows, np.full(len(rows), index), which), data)
+            continue
+        rows, data = _solid_rows([solid for _, solid in of_run], grown[of_run[0][0] :], stack.numbers)
+        stack.add(*_for_links(*grouped(rows, np.array([index for index, _ in of_run])), which), data)
     return stack.arrays
+
+
+def _solid_rows(obstacles: Sequence[Solid], clearances: Sequence[float], offset: int) -> tuple[FloatArray, FloatArray]:
+    """A row of each of some solids, as if it were the first, and their corners, from `offset` on."""
+    rows, data = np.zeros((len(obstacles), _COLUMNS)), [np.zeros(0)]
+    is_round = [type(solid) in _ROUND for solid in obstacles]
+    if any(is_round):
+        balls = [solid for solid in obstacles if type(solid) in _ROUND]
+        radii = [clearance for clearance, chosen in zip(clearances, is_round, strict=False) if chosen]
+        rows[is_round] = found = _round_rows(cast(Sequence[Sphere | Capsule], balls), radii)
+        corners = offset + 2 + 8 * np.arange(len(found))
+        rows[is_round, CORNERS] = corners
+        end_of = corners + np.where(found[:, KIND] == POINT, 3, 6)
+        data.append(np.column_stack([end_of, np.zeros(len(found)), found[:, SHAPE : SHAPE + 6]]).ravel())
+        offset += data[-1].size
+    for number in np.flatnonzero(~np.array(is_round)).tolist():
+        solid, first = obstacles[number], offset + 2
+        end = first + solid.core.size
+        table = corner_table(solid.core, first, end)
+        rows[number], rows[number, CORNERS] = _rows(solid, clearances[number], offset)[0][0], first
+        data.append(np.concatenate([[end, end if len(table) else 0], solid.core.ravel(), table]))
+        offset += data[-1].size
+    return rows, np.concatenate(data)
 
 
 def _round_rows(obstacles: Sequence[Sphere | Capsule], clearances: Sequence[float]) -> FloatArray:

@@ -7,7 +7,11 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from hplan.collision.body_kernels import off_body, off_row
 from hplan.collision.distances import segment_box, segment_segment
+from hplan.collision.obstacle_rows import AXES, BOUND, BOX, CENTRE, KIND, SHAPE
+from hplan.collision.placed_bodies import ALONG, PLACED, START
+from hplan.scene.solids import rpy_rotation
 
 lattice = st.integers(-4, 4).map(lambda i: 0.5 * i)
 number = st.one_of(lattice, st.floats(-2.0, 2.0, width=32).map(lambda x: 0.0 if abs(x) < 1e-4 else x))
@@ -89,3 +93,47 @@ def test_nearly_parallel_segments(angle):
 def test_segment_to_box(a, u, half):
     expected = segment_to_box(*(np.array(x, dtype=float) for x in (a, u, half)))
     assert segment_box(*(tuple(map(float, x)) for x in (a, u, half))) == pytest.approx(expected, abs=1e-7)
+
+
+@settings(max_examples=300)
+@given(vector, vector, vector, vector, st.sampled_from([1.0, 1e-3, 1e-6, 1e-7, 1e-9]))
+def test_what_vectors_between_segments_show_is_no_more_than_their_distance(a, u, b, turn, angle):
+    """Of segments that are nearly parallel the vector may end beside the nearest points."""
+    a, u, b, v = (np.array(x, dtype=float) for x in (a, u, b, np.array(u) + angle * np.array(turn)))
+    placed = np.zeros((2, PLACED))
+    placed[:, START:ALONG], placed[:, ALONG:PLACED] = [a, b], [u, v]
+    *off, t, shown = off_body(placed, 0, 1)
+    nearest = min(
+        np.linalg.norm(a + s * u - b - r * v)
+        for s, r in [(t, np.clip((a + t * u - b) @ v / max(v @ v, 1e-300), 0.0, 1.0)), *settled(a, u, b, v)]
+    )
+    assert shown <= nearest + 1e-12
+    assert np.linalg.norm(off) >= nearest - 1e-9
+    if angle == 1.0:
+        assert shown == pytest.approx(nearest, abs=1e-7)
+
+
+def settled(a, u, b, v):
+    """Places on two segments, each nearest to the other's, from several on."""
+    for s in (0.0, 0.5, 1.0):
+        for _ in range(100):
+            r = np.clip((a + s * u - b) @ v / max(v @ v, 1e-300), 0.0, 1.0)
+            s = np.clip((b + r * v - a) @ u / max(u @ u, 1e-300), 0.0, 1.0)
+        yield s, r
+
+
+@settings(max_examples=300)
+@given(vector, vector, st.tuples(*[st.floats(0.01, 2.0)] * 3), st.integers(0, 2**32 - 1))
+def test_what_vectors_from_boxes_show_is_their_distance(a, u, half, seed):
+    a, u, half = (np.array(x, dtype=float) for x in (a, u, half))
+    rng = np.random.default_rng(seed)
+    turn = rpy_rotation(*rng.uniform(-3.0, 3.0, 3))
+    solid, placed = np.zeros((1, 21)), np.zeros((1, PLACED))
+    solid[0, KIND], solid[0, SHAPE : SHAPE + 3], solid[0, AXES : AXES + 9] = BOX, half, turn.ravel()
+    solid[0, CENTRE:BOUND] = centre = rng.uniform(-1.0, 1.0, 3)
+    placed[0, START:ALONG], placed[0, ALONG:PLACED] = centre + a @ turn, u @ turn  # rows of `turn`: axes of the box
+    *off, _, shown = off_row(placed, 0, solid, 0)
+    expected = segment_to_box(a, u, half)
+    assert np.linalg.norm(off) == pytest.approx(expected, abs=1e-7)
+    assert shown <= expected + 1e-12
+    assert expected < 1e-6 or shown == pytest.approx(expected, abs=1e-7)

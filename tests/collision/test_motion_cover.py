@@ -15,7 +15,7 @@ from hplan.collision.body_motions import body_bounds
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.clearance_kernels import keeps_margin
 from hplan.collision.collision_bodies import collision_bodies
-from hplan.collision.flat_bodies import INNER, OUTER
+from hplan.collision.flat_bodies import BODIES, FIRST, INNER, JOINT, LAST, OUTER
 from hplan.collision.motion_cover import moving_arm, part_shown_clear
 from hplan.collision.placed_bodies import place_joints
 from hplan.collision.sweep import Sweep, used_up
@@ -38,7 +38,7 @@ FORK = LIFT.replace(
 MARGIN = 1e-3
 
 
-@pytest.fixture(scope="module", params=["toy", "lift", "fork"])
+@pytest.fixture(scope="module", params=["toy", "lift", "fork", "capsules"])
 def arm(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Robot:
     if request.param == "fork":
         return load_robot(FORK, tool_frame="tool0")
@@ -59,13 +59,15 @@ def field(arm: Robot) -> ClearanceField:
     return ClearanceField.of(arm, solids)
 
 
-def points_of(arm: Robot, q: FloatArray) -> list[FloatArray]:
-    """The corners of each body, in `base_link`."""
-    data = arm.model.createData()
+def points_of(arm: Robot, field: ClearanceField, q: FloatArray) -> list[FloatArray]:
+    """The corners of each body, and of capsules that stand for several, in `base_link`."""
+    data, found = arm.model.createData(), []
     pin.forwardKinematics(arm.model, data, q)
-    places = [data.oMi[body.joint + 1] for body in collision_bodies(arm)]
-    cores = [body.core for body in collision_bodies(arm)]
-    return [core @ place.rotation.T + place.translation for core, place in zip(cores, places, strict=True)]
+    for row in field.chain[: int(field.base[BODIES])]:
+        core, joint = field.base[int(row[FIRST]) : int(row[LAST])].reshape(-1, 3), int(row[JOINT])
+        place = data.oMi[joint + 1] if joint < arm.dof else pin.SE3.Identity()
+        found.append(core @ place.rotation.T + place.translation)
+    return found
 
 
 def seen_from(arm: Robot, q: FloatArray, joint: int, points: FloatArray) -> FloatArray:
@@ -85,8 +87,8 @@ def test_twists_are_velocities(arm: Robot, field: ClearanceField, seed: int) -> 
     frames, twists = np.zeros((arm.dof + 1, 12)), np.zeros((arm.dof + 1, 6))
     place_joints(q, field.base, frames)
     find_twists(rates, field.base, frames, twists)
-    ahead, behind = points_of(arm, q + 1e-6 * rates), points_of(arm, q - 1e-6 * rates)
-    for body, here, after, before in zip(collision_bodies(arm), points_of(arm, q), ahead, behind, strict=True):
+    ahead, behind = (points_of(arm, field, q + step * rates) for step in (1e-6, -1e-6))
+    for body, here, after, before in zip(collision_bodies(arm), points_of(arm, field, q), ahead, behind, strict=False):
         twist = twists[body.joint if body.joint >= 0 else arm.dof]
         assert twist[3:] + np.cross(twist[:3], here) == pytest.approx((after - before) / 2e-6, abs=1e-7)
 
@@ -105,18 +107,18 @@ def test_points_are_no_faster_and_bend_no_more_than_is_said(arm: Robot, field: C
     step = 1e-4
     times = np.array([-step, 0.0, step])
     along = q + np.outer(times, rates) + 0.5 * np.outer(times**2, changes)
-    placed = [points_of(arm, at) for at in along]
+    placed = [points_of(arm, field, at) for at in along]
     bodies = collision_bodies(arm)
     told = 0
     for k, (speed, bend) in enumerate(bends):
         moved, seen = k, -1
-        if k >= len(bodies):
+        if k >= len(placed[0]):
             moved, seen = int(field.chain[k, OUTER]), bodies[int(field.chain[k, INNER])].joint
         before, here, after = (
             seen_from(arm, at, seen, points[moved]) for at, points in zip(along, placed, strict=True)
         )
         if bend < 1e299:
-            told += k >= len(bodies)
+            told += k >= len(placed[0])
             assert np.linalg.norm((after - before) / (2 * step), axis=1).max() <= speed + 1e-6
             assert np.linalg.norm((after - 2 * here + before) / step**2, axis=1).max() <= bend + 1e-5
     assert told == sum(

@@ -221,15 +221,18 @@ def plan_row(
     places = _candidates(robot, scene, row)
     costs = _costs(robot, scene, options, row, places, pool, progress)
     looked_s = time.process_time() - begin
-    fewest, stops = 0, list[RowStop]()
+    names = {name for held in costs.values() for name in held}
+    reachable = tuple(fruit.name for fruit in scene.fruits if fruit.name in names)
+    first: dict[str, Any] = {}
+    stops = list[RowStop]()
     gone: dict[str, None] = {}  # in the order in which they are picked
     failed: dict[Place, set[str]] = {place: set() for place in costs}
     for way in range(1, _WAYS + 1):
         left = {p: {f: c for f, c in held.items() if f not in gone and f not in failed[p]} for p, held in costs.items()}
         progress(f"pass {way}: choosing stops")
-        chosen, is_best = cover(list(left.values()), row.cost_of_stop, 1.0 if way > 1 else row.share)
-        if way == 1:
-            fewest = len(chosen) if is_best else -1
+        least = math.ceil(row.share * len(reachable) - 1e-9) - len(gone)
+        chosen, is_best = cover(list(left.values()), row.cost_of_stop, least)
+        first = first or {"cover_stops": len(chosen), "cover_is_best": is_best}
         assigned = {list(left)[number]: names for number, names in chosen.items()}
         due = list[str]()  # what stops before were to pick and did not
         for place in sorted(assigned, key=lambda place: (place.side, place.along * (-1) ** (way + 1), place.height)):
@@ -246,12 +249,10 @@ def plan_row(
         why = f"it cannot be picked from any of {len(places)} stops"
         none = [(one.name, UnreachableError(one.center, "not_found", why)) for one in scene.fruits]
         raise TourError(none)
-    names = {name for held in costs.values() for name in held}
-    reachable = tuple(fruit.name for fruit in scene.fruits if fruit.name in names)
     driven, driving_s = _driven(scene, row, stops)
     spent = {"candidates_cpu_s": looked_s, "tours_cpu_s": time.process_time() - begin - looked_s}
     report = _report(robot, scene, row, driven, driving_s, tuple(gone), reachable)
-    report["planner"] = {"candidates": len(places), "usable": len(costs), "fewest_stops": fewest, **spent}
+    report["planner"] = {"candidates": len(places), "usable": len(costs), **first, **spent}
     candidates = {place: tuple(held) for place, held in costs.items()}
     return RowResult(tuple(driven), candidates, tuple(gone), reachable, report, robot, scene, row)
 

@@ -13,7 +13,9 @@ from scipy.sparse import coo_array
 _SOLVER_S = 60.0
 
 
-def cover(costs: Sequence[Mapping[str, float]], each: float, share: float = 1.0) -> tuple[dict[int, list[str]], bool]:
+def cover(
+    costs: Sequence[Mapping[str, float]], each: float, least: int | None = None
+) -> tuple[dict[int, list[str]], bool]:
     """Sets that together hold all elements that any holds, at the least cost.
 
     One integer program: set i is taken (y_i), element f by set i (x_fi <= y_i), every element once.
@@ -21,7 +23,7 @@ def cover(costs: Sequence[Mapping[str, float]], each: float, share: float = 1.0)
     Args:
         costs: For each set what it costs to take each of its elements in it.
         each: What a set costs; infinite for as few sets as can be, the costs of their elements deciding among those.
-        share: Share of the elements that has to be taken.
+        least: How many elements have to be taken at least, of as many as there are; None for all.
 
     Returns:
         Numbers of the sets and the elements that each takes, in the order of the set; and whether that is shown to be
@@ -29,7 +31,7 @@ def cover(costs: Sequence[Mapping[str, float]], each: float, share: float = 1.0)
     """
     pairs = [(i, name, cost) for i, held in enumerate(costs) for name, cost in held.items()]
     names = list(dict.fromkeys(name for _, name, _ in pairs))
-    if not names:
+    if not names or (least is not None and least <= 0):
         return {}, True
     sets, count = len(costs), len(pairs)
     number = {name: n for n, name in enumerate(names)}
@@ -43,7 +45,7 @@ def cover(costs: Sequence[Mapping[str, float]], each: float, share: float = 1.0)
     rows = np.tile(np.arange(count), 2)
     within = coo_array((np.r_[one, -one], (rows, np.r_[column, owner])), (count, sets + count))
     enough = coo_array((one, (np.zeros(count, dtype=int), column)), (1, sets + count))
-    least = math.ceil(share * len(names) - 1e-9)
+    least = len(names) if least is None else min(least, len(names))
     found = milp(
         np.r_[np.full(sets, each), weights],
         integrality=np.r_[np.ones(sets), np.zeros(count)],

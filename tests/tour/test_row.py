@@ -48,10 +48,9 @@ def row(arm: Robot, scene: Scene) -> RowResult:
 # Set cover
 
 
-def least(costs: list[dict[str, float]], each: float, share: float) -> tuple[int, float]:
+def by_trying_all(costs: list[dict[str, float]], each: float, need: int) -> tuple[int, float]:
     """Fewest sets that hold enough, and the least cost of any, by trying all."""
     names = sorted({name for held in costs for name in held})
-    need = math.ceil(share * len(names) - 1e-9)
     fewest, cost = len(costs), math.inf
     for some in itertools.product((False, True), repeat=len(costs)):
         chosen = [held for held, taken in zip(costs, some, strict=True) if taken]
@@ -70,14 +69,15 @@ def test_covers_are_those_of_trying_all(seed: int) -> None:
     costs = [draw() for _ in range(int(rng.integers(1, 9)))]
     names = {name for held in costs for name in held}
     for each, share in ((math.inf, 1.0), (math.inf, 0.8), (1.5, 1.0), (0.1, 0.7)):
-        chosen, is_best = cover(costs, each, share)
+        need = math.ceil(share * len(names))
+        chosen, is_best = cover(costs, each, need)
         taken = [name for listed in chosen.values() for name in listed]
         assert is_best
-        assert len(taken) == len(set(taken)) >= math.ceil(share * len(names) - 1e-9)
+        assert len(taken) == len(set(taken)) >= need
         assert all(name in costs[i] for i, listed in chosen.items() for name in listed)
         if not names:
             continue
-        fewest, cost = least(costs, each, share)
+        fewest, cost = by_trying_all(costs, each, need)
         if math.isinf(each):
             assert len(chosen) == fewest
         else:
@@ -144,8 +144,9 @@ def test_a_row_is_picked_from_as_few_stops_as_can_be(row: RowResult) -> None:
     assert set(row.picked) <= set(row.reachable) == set().union(*row.candidates.values())
     assert sorted(row.picked) == sorted(name for stop in row.stops for name in stop.tour.order)
     costs = [dict.fromkeys(names, 1.0) for names in row.candidates.values()]
-    assert row.report["planner"]["fewest_stops"] == len(cover(costs, math.inf)[0])
-    assert sum(stop.way == 1 for stop in row.stops) <= row.report["planner"]["fewest_stops"]
+    assert row.report["planner"]["cover_stops"] == len(cover(costs, math.inf)[0])
+    assert row.report["planner"]["cover_is_best"]
+    assert sum(stop.way == 1 for stop in row.stops) <= row.report["planner"]["cover_stops"]
 
 
 def test_each_tour_is_certified_among_what_hangs_then(arm: Robot, row: RowResult) -> None:
@@ -173,6 +174,12 @@ def test_the_report_adds_up(row: RowResult) -> None:
     assert report["fruit_per_hour"] == pytest.approx(3600.0 * len(row.picked) / parts)
     assert {name: one["fruits"] for name, one in report["trees"].items()} == {"tree 1": 4, "tree 2": 4}
     assert sum(one["picked"] for one in report["trees"].values()) == len(row.picked)
+
+
+def test_of_a_share_no_pass_takes_more_than_it_needs(arm: Robot, scene: Scene, row: RowResult) -> None:
+    need = math.ceil(0.5 * len(row.reachable))
+    some = plan_row(arm, scene, QUICK, row=replace(COARSE, both=False, share=0.5))
+    assert need <= len(some.picked) < len(row.picked)
 
 
 def test_stops_where_the_base_cannot_stand_are_none(arm: Robot, scene: Scene) -> None:

@@ -39,6 +39,7 @@ STUDIES = {
     "finishing": "arms:FINISHING",
     "panda": "arms:PANDA",
     "random": "arms:RANDOM",
+    "cells": "cells:CELLS",
 }
 
 _DESCRIPTION = """\

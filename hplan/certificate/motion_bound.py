@@ -250,7 +250,8 @@ class _MovingBodies(Record):
         middles = 0.125 * (bezier[:, 0] + bezier[:, 3]) + 0.375 * (bezier[:, 1] + bezier[:, 2])
         bodies, bounds = FlatBodies.of(robot), reach(robot, _beyond(robot, deviations))
         found = _body_travels(np.ascontiguousarray(middles), rates, bounds, bodies.movers, bodies.numbers)
-        travels: FloatArray = self._counted(found).sum(axis=2).T
+        travels = np.empty((len(self.first), len(bezier)))
+        _of_movers(found, self.first, self.second, self.counts, travels)
         return travels
 
     def sways(self, robot: Robot, deviations: FloatArray) -> FloatArray:
@@ -282,6 +283,19 @@ def _beyond(robot: Robot, deviations: FloatArray) -> float:
     """How far joints that slide may be beyond their limits: one of few numbers, for which `reach` is known [m]."""
     largest = float(deviations.max(initial=0.0)) if any(robot.slides) else 0.0
     return 2.0 ** math.ceil(math.log2(max(largest, 1e-3))) if largest > 0.0 else 0.0
+
+
+@kernel
+def _of_movers(found: FloatArray, first: IntArray, second: IntArray, counts: FloatArray, travels: FloatArray) -> None:
+    """Fill in (movers, pieces) how far each travels, from (pieces, bodies, dof) how far joints move bodies."""
+    for mover in range(len(first)):
+        one, other = first[mover], second[mover]
+        for piece in range(len(found)):
+            total = 0.0
+            for j in range(found.shape[2]):
+                if counts[mover, j] > 0.0:
+                    total += found[piece, one, j] + (found[piece, other, j] if other >= 0 else 0.0)
+            travels[mover, piece] = total
 
 
 @kernel

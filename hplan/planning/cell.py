@@ -7,7 +7,7 @@ the one that is done soonest:
 
 1. each arm by itself, all at the same time;
 2. the same motions, some of them begun later, in the order that is done soonest;
-3. all joints at once, as one robot's: around each other.
+3. all joints at once, as one robot's, along that path or, where there is none, any other: around each other.
 
 What it gives is certified twice: each arm among the obstacles, with the fruit that it reaches for, and all bodies of
 different arms against one another, over continuous time.
@@ -34,7 +34,16 @@ from hplan.certificate.goal_contact import FruitContact
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.collision_bodies import collision_bodies
 from hplan.collision.touching_pairs import self_pairs
-from hplan.errors import ConfigurationInCollisionError, InputError, NotFoundError, OptionError
+from hplan.errors import (
+    CertificationError,
+    ConfigurationInCollisionError,
+    InputError,
+    NotFoundError,
+    OptionError,
+    PathInContactError,
+    TimingError,
+)
+from hplan.planning.finishing.finish import finish
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
 from hplan.planning.result import PlanResult
@@ -59,6 +68,12 @@ _SPARE: Final = 2e-3
 
 #: How many times of setting out are certified before others than the soonest are given up.
 _TRIED: Final = 6
+
+#: Samples of a motion between which its path is taken for straight [s].
+_ALONG_S: Final = 0.05
+
+#: With a makespan of so many times the longest motion alone nothing quicker is looked for.
+_GOOD: Final = 1.02
 
 #: With more arms than this not every order is tried, but each arm once as the last.
 _ALL_ORDERS: Final = 4
@@ -116,7 +131,9 @@ class Cell(Record):
             if not isinstance(robots.get(arm.name), Robot):
                 raise InputError(f"robots: there is none for {arm.name!r}", robot=arm.name)
         placed = {arm.name: (robots[arm.name], _placement(arm)) for arm in scene.robots}
-        whole = joined_robots(placed, scene.name)
+        key = tuple((name, robot, place.homogeneous.tobytes()) for name, (robot, place) in placed.items())
+        # Kept with the first robot: the next task of the same arms begins sooner.
+        whole = key[0][1].cached(("cell", *key), lambda: joined_robots(placed))
         return cls(scene, whole, tuple(_arm(scene, arm, *placed[arm.name], whole) for arm in scene.robots))
 
     def arm(self, name: str) -> CellArm:
@@ -400,13 +417,13 @@ class _CellPlanner:
                 self._alone[arm.name] = plan(arm.robot, arm.scene, self._options)
         motions = {name: result.trajectory for name, result in self._alone.items()}
         self._progress("together")
-        found = self._scheduled(motions)
-        if found is not None and found.trajectory.duration <= max(m.duration for m in motions.values()) + _SAME_S:
+        found, least_s = self._scheduled(motions), max((m.duration for m in motions.values()), default=0.0)
+        if found is not None and found.trajectory.duration <= _GOOD * least_s:
             return found
         around, tried = None, ["all at once", "one after the other"]
         try:
             self._progress("around each other")
-            around = self._around()
+            around = self._around(found)
         except NotFoundError as error:
             tried += error.tried
         except ConfigurationInCollisionError as error:
@@ -442,17 +459,30 @@ class _CellPlanner:
                 return result
         return None
 
-    def _around(self) -> CellResult | None:
-        """A motion of all joints at once: to the goals, or to where the approaches to them begin, and these then."""
+    def _around(self, found: CellResult | None) -> CellResult | None:
+        """A motion of all joints at once: to the goals, or to where the approaches to them begin, and these then.
+
+        Args:
+            found: One along whose path a quicker one is sought; None where there is none.
+        """
         cell = self._cell
         ends = {name: result.trajectory.position[-1] for name, result in self._alone.items()}
         reached = {name: result.grasp for name, result in self._alone.items() if result.grasp is not None}
         for name, grasp in reached.items():
             ends[name] = grasp.standoff
-        transit = plan(cell.robot, cell.task(cell.configuration(ends)), self._options)
+        task = cell.task(cell.configuration(ends))
         if not reached:
+            if found is None:
+                transit = plan(cell.robot, task, self._options)
+            else:
+                clock = np.append(np.arange(0.0, found.trajectory.duration, _ALONG_S), found.trajectory.duration)
+                try:
+                    transit = finish(cell.robot, task, found.trajectory.positions(clock), self._options)
+                except (PathInContactError, CertificationError, TimingError):
+                    return None  # straight between samples it is not clear
             result = self._checked(transit.trajectory, "around each other", {})
             return result if result.certificate.verified else None
+        transit = plan(cell.robot, task, self._options)
         motions = {}
         for name in reached:
             arm = cell.arm(name)
@@ -535,7 +565,9 @@ def _apart(cell: Cell, motions: Mapping[str, Trajectory], first: str, second: st
     arms = [next(arm.name for arm in cell.arms if body.name.startswith(f"{arm.name}_")) for body in bodies]
     pairs = self_pairs(cell.robot).checked
     asked = [{arms[i], arms[j]} in ({first, each} for each in others) for i, j in pairs]
-    near = ClearanceField.of(cell.robot, []).along(q)[:, len(bodies) :][:, asked]
+    field = ClearanceField.of(cell.robot, [])
+    rows = [*range(len(bodies)), *(len(bodies) + np.flatnonzero(asked))]
+    near = replace(field, chain=readonly(field.chain[rows])).along(q)[:, len(bodies) :]
     found: BoolArray = near.min(axis=1, initial=math.inf) > cell.scene.clearance + _SPARE
     return found.reshape(len(one), len(other))
 

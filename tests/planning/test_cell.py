@@ -104,7 +104,7 @@ def plan_alone(arm):
 
 
 def test_one_begins_later_where_that_is_all_there_is(robot, monkeypatch):
-    monkeypatch.setattr("hplan.planning.cell._CellPlanner._around", lambda _: None)
+    monkeypatch.setattr("hplan.planning.cell._CellPlanner._around", lambda *_: None)
     result = plan_cell(facing(robot, 1.1, start=FROM, goal=TO))
     assert result.certificate.verified
     assert result.how == "one later"

@@ -136,8 +136,8 @@ def earliest_schedule(
     unit = STEP_S / (2.0 * LEVELS)
     places = max(1, math.ceil(duration_s / unit - 1e-9))
     stations = len(cells.configurations)
-    station = np.minimum(np.rint(np.arange(places + 1) * unit / duration_s * (stations - 1)), stations - 1)
-    station_of = station.astype(np.int64)
+    along = np.minimum(np.arange(places + 1) * unit, duration_s) / max(duration_s, unit * 1e-9)  # 0 of none
+    station_of = np.rint(along * (stations - 1)).astype(np.int64)
     cost = np.full((places + 1, LEVELS + 1), _NONE, dtype=np.int64)
     if not cells.clear(0)[0]:
         return None

@@ -1,0 +1,133 @@
+"""Several arms: the Pandas of xECBS (ICAPS 2024) planned on one clock, judged by Pinocchio and coal alone.
+
+Problems are those of the repository `yoraish/xecbs_icaps24_experiments`, read from a copy of it (`--files DIR`): Pandas
+in a circle, at bins and at shelves; bases from its xacro, tasks and boxes from its YAML. Fingers are closed, the table
+is 2 mm lower than there, so that the bases do not touch it.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import yaml
+from studies.harness import Asked, Row, Study
+from studies.measure import timed
+
+from hplan.base.arrays import FloatArray
+from hplan.errors import HplanError
+from hplan.planning.cell import Cell, plan_cell
+from hplan.planning.options import PlanOptions
+from hplan.robot.model import Robot, load_robot
+from hplan.scene.cell import CellRobot, CellScene
+from hplan.scene.model import Goal, Start
+from hplan.scene.obstacles import Box
+
+#: Folders of the problems.
+SETS = ("scalability-2", "scalability-4", "4-binpick", "8-shelves", "scalability-6", "scalability-8")
+
+#: How long one problem may take [s].
+LIMIT_S = 60.0
+
+#: Times between the configurations that are looked at [s].
+LOOK_S = 2e-3
+
+
+def problems(asked: Asked) -> list[tuple[str, str, dict[str, Any]]]:
+    """Set, name and content of each problem."""
+    found = []
+    for group in SETS:
+        (file,) = sorted((asked.files or Path()).glob(f"{group}/*test_config.yaml"))
+        tests = yaml.load(file.read_text(), Loader=yaml.CSafeLoader)
+        found += [(group, name, test) for name, test in tests.items()][: asked.count]
+    return found
+
+
+@cache
+def bases(folder: Path) -> dict[str, tuple[tuple[float, ...], tuple[float, ...]]]:
+    """Where each arm's base stands [m], and how it is turned [deg]."""
+    (file,) = (path for path in sorted(folder.glob("*/urdf/*.xacro")) if not path.name.endswith("_.urdf.xacro"))
+    text = re.sub(r"<!--.*?-->", "", file.read_text(), flags=re.DOTALL)
+    names = dict(re.findall(r'<xacro:arg name="(\w+)" default="(\w+)"', text))
+    arm = re.compile(r'<xacro:panda_arm arm_id="\$\(arg (\w+)\)" connected_to="base"\s+xyz="([^"]*)" rpy="([^"]*)"')
+    return {
+        names[match[1]]: (_numbers(match[2]), tuple(map(math.degrees, _numbers(match[3]))))
+        for match in arm.finditer(text)
+    }
+
+
+def _numbers(text: str) -> tuple[float, ...]:
+    return tuple(map(float, text.split()))
+
+
+@cache
+def _panda() -> Robot:
+    return load_robot("panda", hold={"panda_finger_joint1": 0.0})
+
+
+def cell_of(asked: Asked, group: str, test: dict[str, Any]) -> Cell:
+    """The cell of a problem."""
+    stands = bases((asked.files or Path()) / group)
+    arms = tuple(
+        CellRobot(
+            name=name, position=stands[name][0], rpy_deg=stands[name][1],
+            start=Start(joints_deg=tuple(map(float, start))),
+            goal=Goal(joints_deg=tuple(map(float, test["goals"][name]))),
+        )
+        for name, start in sorted(test["starts"].items())
+    )  # fmt: skip
+    boxes = [
+        Box(name=name, center=tuple(map(float, box["origin"])), size=tuple(map(float, box["size"])))
+        for name, box in (test.get("world_objects") or {}).items()
+    ]
+    table = Box(name="table", center=(0.0, 0.0, 0.048), size=(2.0, 2.0, 0.1))
+    scene = CellScene(name=group, robots=arms, obstacles=(table, *boxes))
+    return Cell.of(scene, {arm.name: _panda() for arm in arms})
+
+
+def _row(asked: Asked, problem: tuple[str, str, dict[str, Any]]) -> Row:
+    group, name, test = problem
+    row: Row = {"name": f"{group} {name}", "group": group, "solved": False}
+    cell = cell_of(asked, group, test)
+    options = PlanOptions(effort=asked.effort, deadline_s=LIMIT_S)
+    try:
+        result, milliseconds = timed(lambda: plan_cell(cell, options))
+    except HplanError as error:
+        return row | {"how": type(error).__name__}
+    depth = _deepest(cell, result.trajectory.positions(np.arange(0.0, result.trajectory.duration, LOOK_S)))
+    least = max(result.report["alone_s"].values())
+    return row | {
+        "solved": result.certificate.verified, "how": result.how, "s": 1e-3 * milliseconds,
+        "makespan_s": result.trajectory.duration, "to_the_longest_alone": result.trajectory.duration / least,
+        "fault": result.certificate.verified and depth < -1e-6,
+    }  # fmt: skip
+
+
+def _deepest(cell: Cell, q: FloatArray) -> float:
+    """Least distance of two bodies of different arms [m], by coal, with the meshes as they are."""
+    model, geometry = cell.robot.model, pin.GeometryModel(cell.robot.collision_model)
+    geometry.removeAllCollisionPairs()
+    arms = [next(arm.name for arm in cell.arms if body.name.startswith(arm.name)) for body in geometry.geometryObjects]
+    for i, j in np.argwhere(np.array(arms)[:, None] < np.array(arms)).tolist():
+        geometry.addCollisionPair(pin.CollisionPair(i, j))
+    data, seen = model.createData(), geometry.createData()
+    for each in q:
+        if pin.computeCollisions(model, data, geometry, seen, each, True):
+            return -1.0
+    return 0.0
+
+
+CELLS = Study(
+    "cells",
+    "several Pandas on one clock (xECBS, ICAPS 2024; --files)",
+    _row,
+    ("solved", "how", "s", "makespan_s", "to_the_longest_alone"),
+    problems,
+    by="group",
+    needs=("files",),
+)

@@ -33,6 +33,7 @@ from hplan.certificate.certificate import Certificate, GoalContact, certify
 from hplan.certificate.goal_contact import FruitContact
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.collision_bodies import collision_bodies
+from hplan.collision.flat_bodies import BODIES
 from hplan.collision.touching_pairs import self_pairs
 from hplan.errors import (
     CertificationError,
@@ -566,8 +567,9 @@ def _apart(cell: Cell, motions: Mapping[str, Trajectory], first: str, second: st
     pairs = self_pairs(cell.robot).checked
     asked = [{arms[i], arms[j]} in ({first, each} for each in others) for i, j in pairs]
     field = ClearanceField.of(cell.robot, [])
-    rows = [*range(len(bodies)), *(len(bodies) + np.flatnonzero(asked))]
-    near = replace(field, chain=readonly(field.chain[rows])).along(q)[:, len(bodies) :]
+    before = int(field.base[BODIES])  # capsules that stand for several bodies come before pairs
+    rows = [*range(before), *(before + np.flatnonzero(asked))]
+    near = replace(field, chain=readonly(field.chain[rows])).along(q)[:, before:]
     found: BoolArray = near.min(axis=1, initial=math.inf) > cell.scene.clearance + _SPARE
     return found.reshape(len(one), len(other))
 

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from hplan.scene.model import Scene
     from hplan.study.definition import Study
     from hplan.study.run import StudyResult, run_study
+    from hplan.tour.cell_tour import CellTour, plan_cell_tour
     from hplan.tour.result import TourResult
     from hplan.tour.row import RowOptions, RowResult, plan_row
     from hplan.tour.tour import TourOptions, plan_tour
@@ -37,6 +38,7 @@ __version__ = "0.2.0"
 __all__ = [
     "Cell",
     "CellResult",
+    "CellTour",
     "Certificate",
     "FruitReach",
     "HplanError",
@@ -60,6 +62,7 @@ __all__ = [
     "load_scene",
     "plan",
     "plan_cell",
+    "plan_cell_tour",
     "plan_row",
     "plan_tour",
     "reachable",

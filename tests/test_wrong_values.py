@@ -275,6 +275,12 @@ CASES: dict[str, Case] = {
         "cell:object",
         {"options": NO_OBJECT[1:]},
     ),
+    "plan_cell_tour": (
+        lambda **given: hplan.plan_cell_tour(**given),
+        {"cell": a_cell()},
+        "cell:object",
+        {"options": NO_OBJECT[1:]},
+    ),
     "certify_cell": (
         lambda **given: hplan.certify_cell(**given),
         {"cell": a_cell(), "motion": a_cell().together({})},
@@ -691,7 +697,7 @@ def test_every_public_function_is_among_the_cases() -> None:
         "hplan.robot.family.members",
     ]
     names = {name for module in modules for name in getattr(importlib.import_module(module), "__all__", ())}
-    results = {"Cell", "CellResult", "Certificate",
+    results = {"Cell", "CellResult", "CellTour", "Certificate",
         "FruitReach", "HplanError", "PlanResult", "Robot", "TourResult", "LimitShares", "Machine",
         "CrossCheck", "Expansions", "SearchResult", "RowResult", "StageTimes", "StudyResult"}  # fmt: skip
     values = {"AT_LIMIT", "DEVIATION", "Fallback", "HARVESTER", "SHIPPED", "TUCKED_DEG"}

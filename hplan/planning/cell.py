@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -33,7 +33,6 @@ from hplan.certificate.certificate import Certificate, GoalContact, certify
 from hplan.certificate.goal_contact import FruitContact
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.collision_bodies import collision_bodies
-from hplan.collision.flat_bodies import BODIES
 from hplan.collision.touching_pairs import self_pairs
 from hplan.errors import (
     CertificationError,
@@ -262,6 +261,11 @@ class CellResult(Record):
     later_s: Mapping[str, float]
     options: PlanOptions
     stopped: tuple[str, ...] = ()
+
+    @property
+    def between(self) -> Certificate:
+        """What was shown of the arms against one another."""
+        return self.certificate.between
 
     @cached_property
     def trajectories(self) -> dict[str, Trajectory]:
@@ -562,16 +566,21 @@ def _apart(cell: Cell, motions: Mapping[str, Trajectory], first: str, second: st
     if second is not None:
         q[:, cell.arm(second).joints] = np.tile(other, (len(one), 1))
     others = {arm.name for arm in cell.arms if arm.is_waiting} if second is None else {second}
+    found: BoolArray = between(cell, q, first, others) > cell.scene.clearance + _SPARE
+    return found.reshape(len(one), len(other))
+
+
+def between(cell: Cell, q: FloatArray, name: str, others: Collection[str]) -> FloatArray:
+    """(n,) least distance of an arm from others at (n, dof) configurations of all [m]; inf from none."""
     bodies = collision_bodies(cell.robot)
     arms = [next(arm.name for arm in cell.arms if body.name.startswith(f"{arm.name}_")) for body in bodies]
     pairs = self_pairs(cell.robot).checked
-    asked = [{arms[i], arms[j]} in ({first, each} for each in others) for i, j in pairs]
+    asked = [{arms[i], arms[j]} in ({name, other} for other in others) for i, j in pairs]
     field = ClearanceField.of(cell.robot, [])
-    before = int(field.base[BODIES])  # capsules that stand for several bodies come before pairs
-    rows = [*range(before), *(before + np.flatnonzero(asked))]
-    near = replace(field, chain=readonly(field.chain[rows])).along(q)[:, before:]
-    found: BoolArray = near.min(axis=1, initial=math.inf) > cell.scene.clearance + _SPARE
-    return found.reshape(len(one), len(other))
+    rows = [*range(len(bodies)), *(len(bodies) + np.flatnonzero(asked))]
+    near = replace(field, chain=readonly(field.chain[rows])).along(q)[:, len(bodies) :]
+    least: FloatArray = near.min(axis=1, initial=math.inf)
+    return least
 
 
 def _samples(motion: Trajectory) -> FloatArray:

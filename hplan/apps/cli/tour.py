@@ -17,6 +17,7 @@ from hplan.apps.cli.options import (
     add_scene,
     add_tracking,
     command_parser,
+    names_robots,
     plan_options,
     robot_of,
     scene_among,
@@ -100,6 +101,10 @@ def parser(prog: str) -> argparse.ArgumentParser:
 
 def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int:
     """Plan, write, show what came of it; returns the exit status."""
+    if arguments.scene is not None and names_robots(arguments.scene):
+        from hplan.apps.cli.cell import run as run_cell
+
+        return run_cell(arguments, console, errors, tour=True)
     folder = JobFolder(arguments.out, (TOUR, "tour-[0-9]*-*.csv", PAGE, MCAP), TOUR_REPORT)
     with progress_line(errors, quiet=arguments.quiet, kernels=KERNELS) as progress:
         result, files = _made(arguments, folder, errors, progress)

@@ -1,0 +1,294 @@
+"""Arms that pick together: the fruits shared out, each arm's own tour, its legs set out when the others leave room.
+
+Who reaches a fruit alone picks it; of the others each arm takes those that are near, as many as its neighbours. Each
+arm's tour is planned by itself, with all fruits hanging that are not its own. Its legs keep their motions; each begins
+as soon as what the other arms are already to do leaves room, and nobody moves before that holds for ever after: there
+is no deadlock, at worst a fruit that stays. In the end all arms against one another are certified as one motion.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+
+from hplan.base.arguments import instance
+from hplan.base.arrays import FloatArray, Record
+from hplan.base.deadline import Cancel, TimeIsUpError, check_deadline, time_limit
+from hplan.certificate.certificate import Certificate, certify
+from hplan.errors import CertificationError, HplanError, TourError
+from hplan.planning.cell import Cell, CellArm, between
+from hplan.planning.options import PlanOptions
+from hplan.planning.reachable import reachable
+from hplan.planning.task import Progress, no_progress
+from hplan.scene.model import Start
+from hplan.tour.result import Leg, TourResult
+from hplan.tour.tour import TourOptions, plan_tour
+from hplan.trajectory.cubics import Rows
+from hplan.trajectory.trajectory import Trajectory, joined
+
+#: Times at which arms are compared before the whole is certified [s].
+_STEP_S: Final = 0.02
+
+#: How many of those a leg begins later at a time.
+_LATER: Final = 4
+
+#: Distances between arms that samples have beyond the one to keep, until the whole is certified [m].
+_SPARES: Final = (3e-3, 8e-3, 2e-2)
+
+
+@dataclass(frozen=True, eq=False)
+class CellTour(Record):
+    """Arms that pick together.
+
+    Attributes:
+        cell: The arms.
+        trajectory: All joints on one clock.
+        between: What was shown of the arms against one another.
+        tours: Each arm's own, by name, certified among obstacles and fruits: the legs that it runs, on a clock
+            of the arm's own.
+        begins_s: When each leg of each arm begins [s].
+        picked: For each fruit that is picked when a tool is at it [s].
+        unreached: The fruits that are not picked, and why.
+    """
+
+    cell: Cell
+    trajectory: Trajectory
+    between: Certificate
+    tours: Mapping[str, tuple[TourResult, ...]]
+    begins_s: Mapping[str, tuple[float, ...]]
+    picked: Mapping[str, float]
+    unreached: Mapping[str, str]
+
+    @property
+    def verified(self) -> bool:
+        """True if everything was shown: every arm among the obstacles, and all against one another."""
+        return self.between.verified and all(tour.certificate.verified for own in self.tours.values() for tour in own)
+
+    @property
+    def trajectories(self) -> dict[str, Trajectory]:
+        """The motion of each arm in its own joints, by name, all on one clock."""
+        return self.cell.apart(self.trajectory)
+
+    @property
+    def report(self) -> dict[str, Any]:
+        """The numbers of `tour.json`."""
+        makespan, apart = self.trajectory.duration, 1e3 * self.between.min_clearance_m
+        legs = {name: [leg for tour in own for leg in tour.legs] for name, own in self.tours.items()}
+        busy = {name: sum(leg.trajectory.duration for leg in own) for name, own in legs.items()}
+        return {
+            "picked": len(self.picked),
+            "unreached": dict(self.unreached),
+            "makespan_s": makespan,
+            "s_per_fruit": makespan / max(1, len(self.picked)),
+            "busy_s": busy,
+            "idle_s": {name: makespan - seconds for name, seconds in busy.items()},
+            "parallel_ratio": sum(busy.values()) / (len(busy) * makespan) if makespan > 0.0 else None,
+            "speed_up_over_one_arm": sum(busy.values()) / makespan if makespan > 0.0 else None,
+            "verified": self.verified,
+            "between_arms_mm": apart if math.isfinite(apart) else None,
+        }  # fmt: skip
+
+
+def plan_cell_tour(
+    cell: Cell,
+    options: PlanOptions | None = None,
+    *,
+    progress: Progress = no_progress,
+    cancel: Cancel | None = None,
+) -> CellTour:
+    """Plan picking tours of all arms of a cell from their starts, where they end.
+
+    Args:
+        cell: Arms, obstacles and fruits; goals do not matter.
+        options: How to plan.
+        progress: Called with what is being done.
+        cancel: As for `hplan.plan`.
+
+    Raises:
+        HplanError: As `plan_tour`.
+        TourError: No arm can pick anything.
+        CertificationError: The motions of all arms together could not be certified.
+    """
+    instance("cell", cell, Cell, "load_cell")
+    options = PlanOptions() if options is None else instance("options", options, PlanOptions)
+    with time_limit(options.deadline_s, cancel) as limit:
+        try:
+            return _planned(cell, replace(options, deadline_s=None), progress)
+        except TimeIsUpError:
+            raise limit.error(["tours of all arms"]) from None
+
+
+def _planned(cell: Cell, options: PlanOptions, progress: Progress) -> CellTour:
+    progress("who reaches what")
+    shares, reasons = _shared(cell, options)
+    tours: dict[str, TourResult] = {}
+    for arm in cell.arms:
+        if shares[arm.name]:
+            progress(f"tour of {arm.name}")
+            try:
+                tours[arm.name] = _tour(arm, options, shares[arm.name])
+            except TourError as error:
+                reasons |= dict(error.reasons)
+    if not tours:
+        raise TourError(list(reasons.items()))
+    for spare in _SPARES:
+        progress("together")
+        found = _Schedule(cell, options, spare).filled(tours, reasons)
+        if found.between.verified:
+            return found
+    raise CertificationError("the tours of all arms together cannot be certified: " + found.between.violations[0])
+
+
+def _shared(cell: Cell, options: PlanOptions) -> tuple[dict[str, list[str]], dict[str, HplanError]]:
+    """The fruits of each arm, and why others are nobody's."""
+    reach = {arm.name: reachable(arm.robot, arm.scene, options) for arm in cell.arms}
+    bases = {arm.name: np.array(arm.position) for arm in cell.scene.robots}
+    shares: dict[str, list[str]] = {arm.name: [] for arm in cell.arms}
+    reasons: dict[str, HplanError] = {}
+    shared = []
+    for fruit in cell.scene.fruits:
+        able = [name for name in shares if reach[name][fruit.name].can_be_picked]
+        if not able:
+            details = (reach[name][fruit.name].detail for name in shares)
+            reasons[fruit.name] = HplanError("; ".join(dict.fromkeys(details)))
+        elif len(able) == 1:
+            shares[able[0]].append(fruit.name)
+        else:
+            away = sorted(
+                (round(float(np.linalg.norm(np.array(fruit.center) - bases[name])), 6), name) for name in able
+            )
+            shared.append((round(away[0][0] - away[1][0], 6), fruit.name, [name for _, name in away]))
+    most = math.ceil((len(shared) + sum(map(len, shares.values()))) / len(shares))
+    for _, fruit_name, able in sorted(shared):  # who is far nearer than the others chooses first
+        with_room = [name for name in able if len(shares[name]) < most]
+        shares[(with_room or able)[0]].append(fruit_name)
+    return shares, reasons
+
+
+def _tour(arm: CellArm, options: PlanOptions, fruits: Sequence[str], start: FloatArray | None = None) -> TourResult:
+    """An arm's tour through fruits and back, with a stop after each; from another start where one is given."""
+    scene = arm.scene
+    if start is not None:
+        scene = scene.model_copy(update={"start": Start(joints_rad=tuple(start.tolist()))})
+    return plan_tour(arm.robot, scene, options, fruits=fruits, tour=TourOptions(stops=True, back=True))
+
+
+class _Schedule:
+    """When each leg begins."""
+
+    def __init__(self, cell: Cell, options: PlanOptions, spare: float) -> None:
+        self._cell, self._options, self._spare = cell, options, spare
+        self._step = max(1, round(_STEP_S * options.rate_hz)) / options.rate_hz
+        start = cell.configuration({})
+        #: Of each arm where it is at multiples of the step, up to where it rests for good, as far as that is decided.
+        self._places = {arm.name: start[arm.joints][None] for arm in cell.arms}
+        self._legs: dict[str, list[tuple[float, Leg]]] = {arm.name: [] for arm in cell.arms}
+        self._tours: dict[str, list[TourResult]] = {arm.name: [] for arm in cell.arms}
+
+    def filled(self, tours: Mapping[str, TourResult], reasons: Mapping[str, HplanError]) -> CellTour:
+        """The tours with all legs set out; a leg that never can is left out, with its fruit."""
+        left = {name: list(tour.legs) for name, tour in tours.items()}
+        unreached = dict(reasons)
+        for name, tour in tours.items():
+            self._tours[name].append(tour)
+            unreached |= {each.fruit: each.error for each in tour.unreached}
+        waiting: set[str] = set()
+        while any(left.values()):
+            check_deadline()
+            able = [name for name in left if left[name] and name not in waiting]
+            if not able:  # nobody can go on: the one who is done soonest gives a fruit up
+                name = min((name for name in left if left[name]), key=lambda each: (len(self._places[each]), each))
+                left[name] = self._without_next(name, left[name], unreached)
+                waiting.clear()
+                continue
+            name = min(able, key=lambda each: (len(self._places[each]), each))
+            if self._set_out(name, left[name][0]):
+                left[name].pop(0)
+                waiting.clear()
+            else:
+                waiting.add(name)
+        return self._result(unreached)
+
+    def _set_out(self, name: str, leg: Leg) -> bool:
+        """Let a leg begin as soon as there is room; False where there never is."""
+        own = self._places[name]
+        count = max(1, math.ceil(leg.trajectory.duration / self._step - 1e-9))
+        moving = leg.trajectory.positions(np.minimum(np.arange(1, count + 1) * self._step, leg.trajectory.duration))
+        last = max(len(places) for other, places in self._places.items() if other != name or len(self._places) == 1)
+        for begin in range(len(own), max(len(own), last) + _LATER + 1, _LATER):
+            waited = np.repeat(own[-1:], begin - len(own), axis=0)
+            planned = np.concatenate([waited, moving])
+            if self._is_clear(name, planned, len(own)):
+                self._places[name] = np.concatenate([own, planned])
+                self._legs[name].append(((begin - 1) * self._step, leg))
+                return True
+        return False
+
+    def _is_clear(self, name: str, planned: FloatArray, first: int) -> bool:
+        """True if an arm keeps clear of the others from a sample on, and where it then rests from all they will do."""
+        last = max(first + len(planned), *(len(places) for places in self._places.values()))
+        q = np.empty((last - first, self._cell.robot.dof))
+        for arm in self._cell.arms:
+            places = planned if arm.name == name else self._places[arm.name][first:]
+            places = places if len(places) else self._places[arm.name][-1:]
+            q[:, arm.joints] = places[np.minimum(np.arange(last - first), len(places) - 1)]
+        others = [arm.name for arm in self._cell.arms if arm.name != name]
+        return bool((between(self._cell, q, name, others) > self._cell.scene.clearance + self._spare).all())
+
+    def _without_next(self, name: str, legs: Sequence[Leg], unreached: dict[str, HplanError]) -> list[Leg]:
+        """The legs of an arm that gives its next fruit up, from where it is."""
+        arm, fruits = self._cell.arm(name), [leg.fruit for leg in legs if leg.fruit is not None]
+        done = self._tours[name][-1]
+        self._tours[name][-1] = replace(done, legs=done.legs[: len(done.legs) - len(legs)])
+        if fruits:
+            unreached[fruits[0]] = HplanError("another arm is in the way for good")
+        if len(fruits) < 2:
+            return []  # it stays where it is
+        try:
+            rest = _tour(arm, self._options, fruits[1:], self._places[name][-1])
+        except HplanError as error:
+            unreached |= dict.fromkeys(fruits[1:], error)
+            return []
+        self._tours[name].append(rest)
+        unreached |= {each.fruit: each.error for each in rest.unreached}
+        return list(rest.legs)
+
+    def _result(self, unreached: Mapping[str, HplanError]) -> CellTour:
+        cell, picked = self._cell, dict[str, float]()
+        motions = {}
+        for name, legs in self._legs.items():
+            parts: list[Trajectory] = []
+            for begin, leg in legs:
+                now = sum(part.duration for part in parts)
+                if begin > now + 1e-9:
+                    parts.append(_standing(leg.trajectory, begin - now))
+                parts.append(leg.trajectory)
+                if leg.fruit is not None:
+                    reached = max(phase.end_s for phase in leg.phases if phase.name in ("transit", "approach"))
+                    picked[leg.fruit] = begin + reached - leg.begin_s
+            if parts:
+                motions[name] = joined(parts)
+        whole = cell.together(motions)
+        alone = cell.task(whole.position[-1], whole.position[0], obstacles=False)
+        options = {key: getattr(self._options, key) for key in ("tracking_error", "tracking_delay_s", "sigmas")}
+        return CellTour(
+            cell,
+            whole,
+            certify(cell.robot, alone, whole, **options),
+            {name: tuple(tours) for name, tours in self._tours.items() if tours},
+            {name: tuple(begin for begin, _ in legs) for name, legs in self._legs.items()},
+            picked,
+            {fruit: str(error) for fruit, error in unreached.items()},
+        )
+
+
+def _standing(motion: Trajectory, seconds: float) -> Trajectory:
+    """Standing for a time where a motion begins."""
+    position, torque = (np.repeat(values[:1], 2, axis=0) for values in (motion.position, motion.torque))
+    still = np.zeros_like(position)
+    rows = Rows(np.array([0.0, seconds]), position, still, still, torque)
+    return Trajectory(motion.joint_names, *rows, motion.slides)

@@ -1,0 +1,111 @@
+"""Arms that pick together, judged by Pinocchio and coal alone."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from hplan import load_robot
+from hplan.apps.cli.main import main
+from hplan.certificate.certificate import certify
+from hplan.errors import TourError
+from hplan.planning.cell import Cell
+from hplan.planning.options import PlanOptions
+from hplan.scene.cell import CellRobot, CellScene
+from hplan.scene.file import load_scene
+from hplan.scene.model import Fruit, Start
+from hplan.tour.cell_tour import plan_cell_tour
+
+QUICK = PlanOptions(effort="quick")
+
+
+@pytest.fixture(scope="module")
+def orchard() -> tuple[Cell, CellScene]:
+    """Two orchard arms before a row, and their scene."""
+    scene = load_scene("orchard-arm-row")
+    robot = load_robot(scene.robot)
+    arms = (
+        CellRobot(name="left", position=(0.0, 0.4, 0.0), start=scene.start),
+        CellRobot(name="right", position=(0.0, -0.4, 0.0), start=scene.start),
+    )
+    everything = CellScene(name="two", obstacles=scene.obstacles, fruits=scene.fruits[:9], robots=arms)
+    return Cell.of(everything, {"left": robot, "right": robot}), everything
+
+
+def test_two_arms_pick_at_once(orchard):
+    cell, scene = orchard
+    result = plan_cell_tour(cell, QUICK)
+    assert result.verified
+    assert set(result.picked) | set(result.unreached) == {fruit.name for fruit in scene.fruits}
+    assert len(result.picked) >= 7
+    assert result.trajectory.duration < 0.8 * sum(t.duration for own in result.tours.values() for t in own)
+    model, geometry = cell.robot.model, pin.GeometryModel(cell.robot.collision_model)
+    geometry.removeAllCollisionPairs()
+    for i, one in enumerate(geometry.geometryObjects):
+        for j, other in enumerate(geometry.geometryObjects):
+            if one.name.startswith("left_") and other.name.startswith("right_"):
+                geometry.addCollisionPair(pin.CollisionPair(i, j))
+    data, seen = model.createData(), geometry.createData()
+    for q in result.trajectory.positions(np.arange(0.0, result.trajectory.duration, 4e-3)):
+        assert not pin.computeCollisions(model, data, geometry, seen, q, True)
+    where = {fruit.name: np.array(fruit.center) for fruit in scene.fruits}
+    for name, own in result.tours.items():
+        tools = cell.robot.tool_poses(result.trajectory.positions(list(result.picked.values())), f"{name}_tool0")
+        for tour in own:
+            for leg in tour.legs:
+                if leg.fruit is not None:
+                    tool = tools[list(result.picked).index(leg.fruit), :3, 3]
+                    assert np.linalg.norm(tool - where[leg.fruit]) < 2e-3
+        # What an arm does is its tour's legs, and nothing else.
+        begins, legs = result.begins_s[name], [leg for tour in own for leg in tour.legs]
+        for begin, leg in zip(begins, legs, strict=True):
+            at = begin + leg.trajectory.time
+            assert np.allclose(result.trajectories[name].positions(at), leg.trajectory.position, atol=1e-6)
+
+
+def test_arms_that_are_in_each_others_way_wait(orchard):
+    """So near to each other that their motions at once would meet."""
+    cell, scene = orchard
+    near = scene.model_copy(
+        update={
+            "robots": tuple(a.model_copy(update={"position": (0.0, 0.5 * a.position[1], 0.0)}) for a in scene.robots)
+        }
+    )
+    robot = cell.arm("left").robot
+    result = plan_cell_tour(Cell.of(near, {"left": robot, "right": robot}), QUICK)
+    assert result.verified
+    assert result.picked
+    alone = result.cell.task(result.trajectory.position[-1], obstacles=False)
+    assert certify(result.cell.robot, alone, result.trajectory).verified
+
+
+def test_nothing_to_pick(robot):
+    far = Fruit(name="far", center=(9.0, 0.0, 1.0), radius=0.04)
+    arm = CellRobot(name="one", start=Start(joints_deg=(0.0, 60.0, 60.0, 60.0)))
+    with pytest.raises(TourError, match="far"):
+        plan_cell_tour(Cell.of(CellScene(name="s", robots=(arm,), fruits=(far,)), {"one": robot}))
+
+
+CELL = """\
+format: hplan-scene/1
+name: two
+robots:
+- {name: left, start: {joints_deg: [0, 60, 60, 60]}}
+- {name: right, position: [0, -4, 0], start: {joints_deg: [0, 60, 60, 60]}}
+fruits:
+- {name: a, center: [1.2, 0.2, 1.6], radius: 0.04}
+- {name: b, center: [1.2, -3.9, 1.6], radius: 0.04}
+"""
+
+
+def test_the_command(write, tmp_path):
+    assert main(["tour", str(write("cell.yaml", CELL)), "--out", str(tmp_path / "out"), "--quiet"]) == 0
+    report = json.loads((tmp_path / "out" / "tour.json").read_text())
+    assert report["picked"] == 2
+    assert report["speed_up_over_one_arm"] > 1.5
+    assert {file.name for file in (tmp_path / "out").iterdir()} == {
+        "scene.html", "tour.csv", "tour-left.csv", "tour-right.csv", "tour.json",
+    }  # fmt: skip

@@ -249,6 +249,11 @@ def test_the_command_writes_each_arms_file(write, tmp_path, capsys):
     report = json.loads((out / "report.json").read_text())
     assert report["makespan_s"] == pytest.approx(max(motion.duration for motion in motions.values()))
     assert (out / "scene.html").exists()
+    assert main(["certify", str(out), str(scene)]) == main(["certify", str(out / "trajectory.csv"), str(scene)]) == 0
+    assert capsys.readouterr().out.count("verified") == 2
+    near = write("near.yaml", YAML.replace("[3, 0, 0]", "[1.4, 0, 0]"))
+    assert main(["certify", str(out), str(near), "--any-ends", "--json"]) == 5
+    assert "between arms" in json.loads(capsys.readouterr().out)["violations"][0]
     assert main(["plan", str(scene), "--out", str(out), "--bound"]) == 2
     assert "several robots" in capsys.readouterr().err
     assert (out / "trajectory.csv").exists()

@@ -1,4 +1,4 @@
-"""What `hplan plan` and `hplan tour` do with a scene of several robots: one motion of all, and a CSV for each."""
+"""What `hplan plan`, `tour` and `certify` do with a scene of several robots: one motion of all, and a CSV for each."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from hplan.apps.cli.job_folder import PAGE, REPORT, TOUR, TOUR_REPORT, TRAJECTORY, JobFolder
-from hplan.apps.cli.options import plan_options
+from hplan.apps.cli.options import check_output_file, plan_options, tracking_of
 from hplan.apps.cli.terminal import certificate_words, facts_table, loading, progress_line, show_title
-from hplan.errors import OptionError
+from hplan.errors import CertificationError, OptionError
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -23,7 +23,8 @@ _OF_ONE_ROBOT: dict[str, Any] = {
     "robot": None, "limits": None, "hold": [], "tool_frame": None, "srdf": None, "package_dir": [],
     "drop_inside": False, "yield_links": None, "bound": False, "view": False, "cspace": False, "cspace_yaw": None,
     "mcap": False, "certify": True, "fruits": None, "drop_off": None, "drop_off_pose": None, "drop_off_joints": None,
-    "every": None, "back": False, "order": "best", "compare": False, "grasps": 4, "csv": "one",
+    "begin": 0.0, "moving_ends": False, "every": None, "back": False, "order": "best", "compare": False, "grasps": 4,
+    "csv": "one",
 }  # fmt: skip
 
 #: Those of `PlanOptions` that the parsers have.
@@ -36,10 +37,7 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console, *, tou
     Raises:
         OptionError: An option that is of one robot.
     """
-    for name, default in _OF_ONE_ROBOT.items():
-        if getattr(arguments, name, default) != default:
-            option = "--uncertified" if name == "certify" else f"--{name.replace('_', '-')}"
-            raise OptionError(option, getattr(arguments, name), "none: the scene has several robots, with their own")
+    _check_options(arguments)
     csv, name = (TOUR, TOUR_REPORT) if tour else (TRAJECTORY, REPORT)
     of_arm = csv.replace(".csv", "-{}.csv")
     folder = JobFolder(arguments.out, (csv, of_arm.format("*"), PAGE), name)
@@ -71,6 +69,60 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console, *, tou
         files = ", ".join([csv, *(of_arm.format(arm.name) for arm in cell.arms), name, PAGE])
         _show(console, result, milliseconds, f"{folder.path}: {files}")
     return 0
+
+
+def certify(arguments: argparse.Namespace, console: Console) -> int:
+    """Certify a motion of all joints, or a folder with a `trajectory-NAME.csv` of each arm; returns the exit status.
+
+    Raises:
+        OptionError: An option that is of one robot.
+    """
+    _check_options(arguments)
+    with loading():
+        from hplan.planning.cell import certify_cell, load_cell
+        from hplan.planning.options import PlanOptions
+        from hplan.planning.report import certificate_report, report_text, versions, write_report
+        from hplan.trajectory.trajectory import read_csv
+
+    cell, path, tracking = load_cell(arguments.scene), arguments.trajectory, tracking_of(arguments)
+    options = PlanOptions(tracking_error=tracking.still_rad, tracking_delay_s=tracking.delay_s, sigmas=arguments.sigmas)
+    names = [arm.name for arm in cell.arms]
+    motion = {name: read_csv(path / f"trajectory-{name}.csv") for name in names} if path.is_dir() else read_csv(path)
+    if arguments.report is not None:
+        check_output_file(arguments.report, "--report")
+    contact = dict.fromkeys(names, arguments.goal_contact)
+    found = certify_cell(cell, motion, options, goal_contact=contact, check_ends=not arguments.any_ends)
+    tasks = {arm.name: arm.scene for arm in cell.arms}
+    report = {
+        "status": "ok" if found.verified else "failed",
+        "scene": cell.scene.name,
+        "between": certificate_report(found.between, options, cell.task(cell.configuration({}), obstacles=False)),
+        "arms": {name: certificate_report(own, options, tasks[name]) for name, own in found.arms.items()},
+        "violations": list(found.violations),
+        "versions": versions(),
+    }
+    if arguments.report is not None:
+        write_report(report, arguments.report)
+    if arguments.json:
+        console.file.write(report_text(report))
+    elif not arguments.quiet:
+        table = facts_table()
+        table.add_row("certificate", certificate_words(found.verified))
+        for violation in found.violations:
+            table.add_row("", violation)
+        distances = {"between arms": found.between, **found.arms}
+        table.add_row("clearance", ", ".join(f"{n} {1e3 * own.min_clearance_m:.2f} mm" for n, own in distances.items()))
+        show_title(console, cell.scene.name, ", ".join(names))
+        console.print(table)
+        console.print()
+    return 0 if found.verified else CertificationError.exit_status
+
+
+def _check_options(arguments: argparse.Namespace) -> None:
+    for name, default in _OF_ONE_ROBOT.items():
+        if getattr(arguments, name, default) != default:
+            option = "--uncertified" if name == "certify" else f"--{name.replace('_', '-')}"
+            raise OptionError(option, getattr(arguments, name), "none: the scene has several robots, with their own")
 
 
 def _show(console: Console, result: CellResult | CellTour, milliseconds: float, files: str) -> None:

@@ -16,6 +16,7 @@ from hplan.apps.cli.options import (
     add_tracking,
     check_output_file,
     command_parser,
+    names_robots,
     robot_of,
     scene_among,
     tracking_of,
@@ -71,6 +72,11 @@ def parser(prog: str) -> argparse.ArgumentParser:
 
 def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int:
     """Read, certify, compare, say; returns the exit status."""
+    if arguments.scene is not None and names_robots(arguments.scene):
+        from hplan.apps.cli.cell import certify as certify_cell
+
+        _fill_in(arguments, None)
+        return certify_cell(arguments, console)
     with loading():
         from hplan.certificate.certificate import certify
         from hplan.planning.options import PlanOptions

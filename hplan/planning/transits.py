@@ -219,8 +219,8 @@ def _by_trees(tasks: Sequence[PlanningTask]) -> Iterator[Found]:
 def _near_trees(task: PlanningTask) -> Iterator[Transit]:
     """The motion along the path of one pair of trees, then the quickest along many paths."""
     effort = task.effort
-    first = _tree_paths(task, replace(effort.trees, pairs=1))
-    known = _quickest(task, _polylines(first))
+    first = first_paths(task)
+    known = near_paths(task, first)
     if known is not None:
         yield known
         if known.trajectory.duration <= effort.close * least_duration(task):
@@ -232,6 +232,16 @@ def _near_trees(task: PlanningTask) -> Iterator[Transit]:
     other = _quickest(task, [*_coarse_grids(task), *_polylines(found)], known_s)
     if other is not None:
         yield other
+
+
+def first_paths(task: PlanningTask) -> list[PromisingPath]:
+    """The path that one pair of trees finds, if it finds one."""
+    return _tree_paths(task, replace(task.effort.trees, pairs=1))
+
+
+def near_paths(task: PlanningTask, paths: Sequence[PromisingPath]) -> Transit | None:
+    """The quickest certified motion near some paths of trees, if there are any; None where there is none."""
+    return _quickest(task, _polylines(paths))
 
 
 def _quickest(task: PlanningTask, polylines: Sequence[Polyline], quicker_than_s: float = math.inf) -> Transit | None:

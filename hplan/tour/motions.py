@@ -1,10 +1,10 @@
 """The places that a tour picks from, and what it costs to go from one to another.
 
-Until a motion is planned its cost is what no motion can undercut: the slowest joint on its own. A tour that is the best
-by such bounds has its motions planned, their durations put in place of the bounds, and is sought anew, until nothing in
-it is a bound. Motions are planned quickly then (`hplan.tour.moves`); those of the tour that last much longer than their
-bounds are sought thoroughly, and if any becomes quicker the tour is sought anew. Most motions are never planned, and
-few thoroughly.
+Until a motion is looked for its cost is what no motion can undercut: the slowest joint on its own. A tour that is the
+best by such bounds has its motions planned, their durations put in place of the bounds, and is sought anew, until
+nothing in it is a bound. Motions are planned quickly then (`hplan.tour.moves`); those of the tour that last much longer
+than their bounds are sought thoroughly, and if any becomes quicker the tour is sought anew. Most motions are never
+planned, and few thoroughly.
 
 All fruits stay obstacles all along, also those that would have been picked by then: what is shown holds in any order.
 From a hub (the start, or the drop-off where there is one) a motion to every fruit is shown; where no direct motion is

@@ -1,20 +1,22 @@
 """Certified motions between stops, planned quickly at first, and joined where that is quicker than any one of them.
 
-What a pair of trees finds between two stops is taken, however much longer it lasts than it has to; grids are searched
-for those motions alone that a tour is to be made of. Motions that are there already are joined where no motion was
-found, or where their sum is less: the arm then stops at stops that it does not pick from. A motion and its reverse take
-the same time, so each is planned once.
+Where the straight motion is blocked, a tour first reckons with a guess, then with the time of the path that a pair of
+trees finds, and the motion near that is planned only where a tour is still to be made of it. It is taken however much
+longer it lasts than it has to; grids are searched for those motions alone that a tour is to be made of. Motions that
+are there already are joined where no motion was found, or where their sum is less: the arm then stops at stops that it
+does not pick from. A motion and its reverse take the same time, so each is planned once.
 """
 
 from __future__ import annotations
 
-import itertools
 import math
+from array import array
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
-from typing import Final, NamedTuple, TypeAlias
+from typing import Final, TypeAlias
 
 import numpy as np
 
@@ -22,15 +24,20 @@ from hplan.base.arrays import FloatArray, IntArray
 from hplan.planning.effort import CLOSE
 from hplan.planning.failures import NO_MOTION, FailuresError
 from hplan.planning.motion import Motion, last, seconds
+from hplan.planning.sampling.several_trees import PromisingPath
 from hplan.planning.task import PlanningContext, PlanningTask
-from hplan.planning.transits import straight_is_clear, transits
+from hplan.planning.transits import first_paths, near_paths, straight_is_clear, transits
 from hplan.robot.limits import Limits, rest_to_rest
+from hplan.tour.joins import GAIN_S, Joins
 
 #: A motion whose straight one is blocked is reckoned with so many times its least duration until trees look for it.
 _BLOCKED: Final = 1.5
 
-#: By less than this a joined motion is not quicker than another [s]; motions last whole periods.
-_GAIN_S: Final = 1e-6
+#: A motion near a path of trees lasts about so many times as long as that at the velocity limits.
+_ALONG: Final = 1.2
+
+#: So many rows of bounds are computed at a time.
+_ROWS: Final = 256
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,22 +73,6 @@ def _transit(task: PlanningTask, *, at_once: bool = False) -> Motion | None:
     return None
 
 
-class _Joins(NamedTuple):
-    """The quickest motions from stop to stop, over others where that is quicker.
-
-    Attributes:
-        stops: (n,) the stops that motions begin or end at.
-        numbers: Which of them each stop is.
-        seconds: (n, n) durations; infinite where there is no motion [s].
-        before: (n, n) which of them comes last before the end.
-    """
-
-    stops: list[int]
-    numbers: dict[int, int]
-    seconds: FloatArray
-    before: IntArray
-
-
 class Moves:
     """Stops, and the motions between them.
 
@@ -105,7 +96,12 @@ class Moves:
         self._found: dict[_Key, Motion | None] = {}
         self._thorough: set[_Key] = set()
         self._blocked: set[_Key] = set()
-        self._joined: dict[bool, _Joins] = {}
+        self._joins = {carries: Joins(partial(self._may_pass, carries)) for carries in (False, True)}
+        self._routes: dict[_Key, list[PromisingPath]] = {}
+        # Stops, pair after pair: those a motion between which was planned; those it is not, with estimates, the last of
+        # a pair the best.
+        self._looked = {carries: array("q") for carries in (False, True)}
+        self._estimated = {carries: (array("q"), array("d")) for carries in (False, True)}
         self._last_least = np.zeros(0, dtype=np.int64), np.zeros((0, 0))
         robot = empty.robot
         limits = Limits(robot.velocity_limit, robot.acceleration_limit, jerk=robot.jerk_limit)
@@ -130,17 +126,17 @@ class Moves:
 
     def keep(self, a: int, b: int, loaded: bool, motion: Motion) -> None:
         """Keep a motion that is there."""
-        self._found[_key(a, b, loaded)] = motion if a < b else motion.reversed
-        self._joined.clear()
+        self._take(_key(a, b, loaded), motion if a < b else motion.reversed)
 
     def is_known(self, a: int, b: int, loaded: bool) -> bool:
         """True if the motion was planned."""
         return a == b or _key(a, b, loaded) in self._found
 
     def look(self, a: int, b: int, loaded: bool) -> None:
-        """Look for a motion: the straight one first, another one where that is looked for again.
+        """Look for a motion, no farther than it takes to know better how long it lasts.
 
-        A motion whose straight one is blocked is reckoned with a longer duration than its bound.
+        Where the straight motion is blocked that is first reckoned with, then the time of the path that trees find, and
+        the motion near that is planned where it is looked for once more.
         """
         key = _key(a, b, loaded)
         if self.is_known(a, b, loaded):
@@ -149,11 +145,20 @@ class Moves:
             task = self.task(*key)
             if not task.problem.turns or task.problem.is_empty:
                 self._plan(key, _transit(task))
-            elif key in self._blocked or straight_is_clear(task):
+            elif key in self._routes:
+                self._plan(key, near_paths(task, self._routes.pop(key)))
+            elif key in self._blocked:
+                routes = first_paths(task)
+                if routes and routes[0].seconds < self._joins[loaded].between(a, b):
+                    self._routes[key] = routes
+                    self._estimate(key, _ALONG * routes[0].seconds)
+                else:
+                    self._plan(key, None)
+            elif straight_is_clear(task):
                 effort = replace(task.effort, trees=replace(task.effort.trees, pairs=1), exhaustive=False, floods=False)
                 self._plan(key, _transit(replace(task, effort=effort), at_once=True))
             else:
-                self._blocked.add(key)
+                self._block(key)
         except NO_MOTION:
             self._plan(key, None)
 
@@ -166,15 +171,8 @@ class Moves:
             self.look(a, b, loaded)
         if a == b:
             return []
-        joins = self._joins(loaded)
-        i, j = joins.numbers[a], joins.numbers[b]
-        if not math.isfinite(joins.seconds[i, j]):
-            return None
-        path = [b]
-        while i != j:
-            j = int(joins.before[i, j])
-            path.append(joins.stops[j])
-        return [((one, other), self._one(one, other, loaded)) for one, other in pairwise(path[::-1])]
+        way = self._joins[loaded].way(a, b)
+        return None if way is None else [((one, other), self._one(one, other, loaded)) for one, other in pairwise(way)]
 
     def made_quicker(self, a: int, b: int, loaded: bool) -> bool:
         """True if a thorough search, done once where it may pay, gives quicker motions than there are."""
@@ -183,38 +181,45 @@ class Moves:
         if key in self._thorough or duration_s <= CLOSE * self._least([a, b])[0, 1]:
             return False
         self._thorough.add(key)
-        before = self._found[key]
         with suppress(*NO_MOTION):
-            self._plan(key, _transit(self.task(*key)))
-        found = self._found[key]
-        if found is not None and found.trajectory.duration < duration_s - _GAIN_S:
-            return True
-        self._found[key] = before
+            found = _transit(self.task(*key))
+            if found is not None and found.trajectory.duration < duration_s - GAIN_S:
+                self._plan(key, found)
+                return True
+        self.planned += 1
         return False
 
     def seconds(self, stops: IntArray, loaded: bool) -> FloatArray:
         """(k, k) durations between k stops: true ones where motions were planned, else what none can undercut [s]."""
         if not np.array_equal(self._last_least[0], stops):
             self._last_least = stops, self._least(stops)
-        least, joins = self._last_least[1], self._joins(loaded)
+        least = self._last_least[1]
         seconds = least.copy()
         places: dict[int, list[int]] = {}
         for place, stop in enumerate(stops.tolist()):
             places.setdefault(stop, []).append(place)
-        for a, b, also in (*self._blocked, *self._found):
-            if also != loaded:
-                continue
-            for i, j in itertools.product(places.get(a, ()), places.get(b, ())):
-                if (a, b, also) in self._found:
-                    seconds[i, j] = seconds[j, i] = joins.seconds[joins.numbers[a], joins.numbers[b]]
-                else:
-                    seconds[i, j] = seconds[j, i] = _BLOCKED * least[i, j]
+        first = np.full(len(self.stops), -1)
+        first[list(places)] = [same[0] for same in places.values()]
+        pairs, estimates = self._estimated[loaded]
+        for ends, known in ((pairs, np.array(estimates)), (self._looked[loaded], None)):
+            stops_of = np.array(ends, dtype=np.int64).reshape(-1, 2)
+            i, j = first[stops_of].T
+            here = (i >= 0) & (j >= 0)
+            joined = self._joins[loaded].seconds(*stops_of[here].T)
+            times = joined if known is None else np.minimum(joined, np.maximum(known[here], least[i[here], j[here]]))
+            seconds[i[here], j[here]] = seconds[j[here], i[here]] = times
+        for same in places.values():
+            for other in same[1:]:
+                seconds[other], seconds[:, other] = seconds[same[0]], seconds[:, same[0]]
         return seconds
 
     def _least(self, stops: IntArray | Sequence[int]) -> FloatArray:
         """(k, k) durations that no motion between k stops can undercut [s]."""
         there = np.array([self.stops[stop].configuration for stop in stops])
-        least: FloatArray = rest_to_rest(np.abs(there[:, None] - there), *self.limits).max(axis=2)
+        least = np.empty((len(there), len(there)))
+        for begin in range(0, len(there), _ROWS):
+            rows = slice(begin, begin + _ROWS)
+            least[rows] = rest_to_rest(np.abs(there[rows, None] - there), *self.limits).max(axis=2)
         return least
 
     def task(self, a: int, b: int, loaded: bool) -> PlanningTask:
@@ -227,36 +232,33 @@ class Moves:
     def _plan(self, key: _Key, found: Motion | None) -> None:
         """Keep what was found of a motion."""
         self.planned += 1
+        self._take(key, found)
+
+    def _take(self, key: _Key, found: Motion | None) -> None:
+        """Keep a motion, or that there is none, in place of one that is slower."""
         self._found[key] = found
-        self._joined.clear()
+        a, b, loaded = key
+        self._looked[loaded].extend((a, b))
+        for carries in (False, True) if loaded else (False,):
+            self._joins[carries].add(a, b, math.inf if found is None else found.trajectory.duration)
+
+    def _block(self, key: _Key) -> None:
+        """Keep that the straight motion is blocked."""
+        self._blocked.add(key)
+        self._estimate(key, _BLOCKED * self._least(key[:2])[0, 1])
+
+    def _estimate(self, key: _Key, seconds: float) -> None:
+        """Keep about how long a motion lasts that is not planned yet [s]."""
+        pairs, estimates = self._estimated[key[2]]
+        pairs.extend(key[:2])
+        estimates.append(seconds)
+
+    def _may_pass(self, loaded: bool, stop: int) -> bool:
+        """Whether the arm may stop there on its way: unless the fruit would be touched, what is carried dropped."""
+        return self.stops[stop].fruit is None and not (loaded and stop == self._hub)
 
     def _one(self, a: int, b: int, loaded: bool) -> Motion:
         """The quicker of the direct motions that are there: the empty arm may move as if it carried."""
         both = [self._found.get(_key(a, b, also)) for also in (loaded, loaded or self._carries)]
         there = min((one for one in both if one is not None), key=lambda one: one.trajectory.duration)
         return there if a < b else there.reversed
-
-    def _joins(self, loaded: bool) -> _Joins:
-        """The quickest motions over other stops, those of the empty arm or of the loaded one."""
-        if loaded not in self._joined:
-            self._joined[loaded] = self._all_joins(loaded)
-        return self._joined[loaded]
-
-    def _all_joins(self, loaded: bool) -> _Joins:
-        stops = sorted({stop for a, b, _ in self._found for stop in (a, b)})
-        numbers = {stop: number for number, stop in enumerate(stops)}
-        seconds = np.full((len(stops), len(stops)), math.inf)
-        np.fill_diagonal(seconds, 0.0)
-        before = np.repeat(np.arange(len(stops))[:, None], len(stops), axis=1)
-        for (a, b, also), motion in self._found.items():
-            if motion is not None and (also or not loaded):
-                i, j = numbers[a], numbers[b]
-                seconds[i, j] = seconds[j, i] = min(seconds[i, j], motion.trajectory.duration)
-        for number, stop in enumerate(stops):
-            if self.stops[stop].fruit is not None or (loaded and stop == self._hub):
-                continue  # the fruit would be touched, what is carried dropped
-            over = seconds[:, number, None] + seconds[number]
-            better = over < seconds - _GAIN_S
-            seconds = np.where(better, over, seconds)
-            before = np.where(better, before[number], before)
-        return _Joins(stops, numbers, seconds, before)

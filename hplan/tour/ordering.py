@@ -130,9 +130,9 @@ def best(costs: Costs, before: IntArray | None = None, kicked: bool = True) -> V
     n, m = costs.fruits, len(costs.first)
     if n <= 2 or (n <= EXACT and (m * max(1, min(costs.capacity, n))) << n <= _MOST_STATES):
         return along(costs, _exact(costs))
-    orders = [costs.fruit_of[nearest(costs).places]]
-    if before is not None:
-        orders.insert(0, np.asarray(before, dtype=np.int64))
+    orders = [] if before is None else [np.asarray(before, dtype=np.int64)]
+    if before is None or kicked:
+        orders.append(costs.fruit_of[nearest(costs).places])
     found = [_improved(np.array(order), costs) for order in orders]
     cost, order = found[ties.argmin([cost for cost, _ in found])]
     if before is None or not kicked or not np.array_equal(order, orders[0]):

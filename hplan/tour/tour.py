@@ -218,7 +218,8 @@ class _TourPlanner:
             try:
                 motions.add(fruit, self.tour.grasps)
             except (UnreachableError, *NO_MOTION) as error:
-                unreached.append(Unreached(fruit.name, error))
+                error.__context__ = None  # which keeps grids in memory, as the traceback does
+                unreached.append(Unreached(fruit.name, error.with_traceback(None)))
         self.progress("order")
         found: dict[str, Visits] = {}
         if motions.fruits:

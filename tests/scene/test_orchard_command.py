@@ -110,6 +110,21 @@ def test_measured_trees(make: Callable[..., Scene], tree: Path) -> None:
     )
 
 
+def test_fruit_in_the_base_is_left_out(
+    make: Callable[..., Scene], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    tree = tmp_path / "wide.csv"
+    fruit = "".join(f"fruit,{x},0,{z},{x},0,{z},0.04\n" for x, z in ((-1.4, 0.3), (-0.4, 1.3), (-0.3, 1.6)))
+    tree.write_text(TREE + fruit)
+    whole = measured_orchard([tree], MeasuredOptions(name="out"))
+    kept = make("--import", str(tree))
+    assert whole.goal.fruit == whole.fruits[0].name
+    assert kept.fruits == whole.fruits[1:]
+    assert kept.goal.fruit == kept.fruits[0].name
+    assert kept.obstacles == whole.obstacles
+    assert f"left out, hanging in pedestal or turret: {whole.fruits[0].name}" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [

@@ -29,6 +29,7 @@ from hplan.scene.file import load_scene, save_scene
 from hplan.scene.model import Fruit, Goal, Scene, Start
 from hplan.scene.obstacles import Box, Sphere
 from hplan.tour.carried import carrying
+from hplan.tour.joins import Joins
 from hplan.tour.moves import Moves, Stop
 from hplan.tour.ordering import Costs, nearest
 from hplan.tour.result import TourResult
@@ -375,6 +376,32 @@ def test_motions_are_joined_where_that_is_quicker(robot: Robot) -> None:
     # At a stop where the last link is at a fruit no motion to elsewhere passes by.
     moves = moves_of_seconds(robot, seconds, [*stops[:1], Stop(stops[1].configuration, "a"), *stops[2:]])
     assert path(moves, 0, 2) == (3.0, [(0, 2)])
+
+
+def test_joins_are_those_over_all_stops_at_once() -> None:
+    """Beside sweeps over all stops, as motions come one after the other, some of them twice."""
+    rng = np.random.default_rng(3)
+    for _ in range(20):
+        stops = rng.permutation(60)[:18].tolist()
+        shut = set(stops[:4])
+        joins, direct = Joins(lambda stop, shut=shut: stop not in shut), np.full((60, 60), math.inf)
+        np.fill_diagonal(direct, 0.0)
+        for a, b in (rng.choice(stops, 2, replace=False).tolist() for _ in range(50)):
+            seconds = math.inf if rng.random() < 0.1 else float(rng.uniform(0.5, 3.0))
+            joins.add(a, b, seconds)
+            direct[a, b] = direct[b, a] = min(direct[a, b], seconds)
+        whole = direct.copy()
+        for stop in set(stops) - shut:
+            whole = np.minimum(whole, whole[:, stop, None] + whole[stop])
+        pairs = np.array(list(itertools.permutations(stops, 2)))
+        np.testing.assert_allclose(joins.seconds(*pairs.T), whole[tuple(pairs.T)], atol=1e-4)
+        for a, b in pairs.tolist():
+            way = joins.way(a, b)
+            assert (way is None) == math.isinf(whole[a, b])
+            if way is not None:
+                assert (way[0], way[-1]) == (a, b)
+                assert not shut & set(way[1:-1])
+                assert sum(direct[pair] for pair in itertools.pairwise(way)) <= joins.between(a, b) + 1e-9
 
 
 def test_unplanned_motions_cost_what_none_can_undercut(robot: Robot, tour: TourResult) -> None:

@@ -89,7 +89,7 @@ def run(arguments: argparse.Namespace, console: Console, _: Console) -> int:
     from hplan.scene.file import save_scene
 
     out: Path = arguments.out
-    scene = _made(arguments)
+    scene = _made(arguments, console)
     check_output_file(out)
     save_scene(scene, out)
     if not arguments.quiet:
@@ -97,7 +97,7 @@ def run(arguments: argparse.Namespace, console: Console, _: Console) -> int:
     return 0
 
 
-def _made(arguments: argparse.Namespace) -> Scene:
+def _made(arguments: argparse.Namespace, console: Console) -> Scene:
     """The scene that is asked for."""
     from hplan.scene.orchard import SHIPPED, FruitZone, MeasuredOptions, OrchardOptions, generate, measured_orchard
     from hplan.scene.orchard.options import REACHED
@@ -115,11 +115,24 @@ def _made(arguments: argparse.Namespace) -> Scene:
         wanted |= {"yaw_deg": arguments.turn, "height": arguments.height}
         if arguments.fruit_heights is not None or arguments.fruit_reach is not None:
             wanted["fruit_zone"] = _zone(arguments, FruitZone())
-        return measured_orchard(arguments.files, MeasuredOptions(**_given(wanted)), **start)
+        return _beside_base(measured_orchard(arguments.files, MeasuredOptions(**_given(wanted)), **start), console)
     _refuse(arguments, None, _MEASURED)
     wanted |= {option: getattr(arguments, option) for option in _GROWN}
     wanted["fruit_zone"] = _zone(arguments, REACHED.get(arguments.robot, OrchardOptions.fruit_zone))
     return generate(OrchardOptions(**_given(wanted)), **start)
+
+
+def _beside_base(scene: Scene, console: Console) -> Scene:
+    """The scene without the fruit that hangs in the robot's pedestal or turret, which the console prints."""
+    from hplan.planning.world import without_inside
+    from hplan.robot.model import load_robot
+
+    robot = load_robot() if scene.robot is None else load_robot(scene.robot)
+    fruit_alone, names = without_inside(robot, scene.model_copy(update={"obstacles": ()}))
+    if not names:
+        return scene
+    console.print(f"left out, hanging in pedestal or turret: {', '.join(names)}", markup=False, soft_wrap=True)
+    return scene.model_copy(update={"fruits": fruit_alone.fruits, "goal": fruit_alone.goal})
 
 
 def _given(options: dict[str, Any]) -> dict[str, Any]:

@@ -22,7 +22,7 @@ from hplan.base.arguments import between, instance, keep_checked, list_between, 
 from hplan.base.arrays import Record
 from hplan.base.tasks import Pool, outcomes, pool_of
 from hplan.collision.reach import reach_ball
-from hplan.errors import InputError, MovingObstacleError, OptionError, TourError, UnreachableError
+from hplan.errors import HplanError, InputError, MovingObstacleError, OptionError, TourError
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import check_task
 from hplan.planning.task import Progress, no_progress
@@ -246,9 +246,8 @@ def plan_row(
             failed[place] |= set(wanted) - set(picked)
             due = [name for name in dict.fromkeys([*due, *wanted]) if name not in gone]
     if not stops:
-        why = f"it cannot be picked from any of {len(places)} stops"
-        none = [(one.name, UnreachableError(one.center, "not_found", why)) for one in scene.fruits]
-        raise TourError(none)
+        why = HplanError(f"it cannot be picked from any of {len(places)} stops")
+        raise TourError([(fruit.name, why) for fruit in scene.fruits])
     driven, driving_s = _driven(scene, row, stops)
     spent = {"candidates_cpu_s": looked_s, "tours_cpu_s": time.process_time() - begin - looked_s}
     report = _report(robot, scene, row, driven, driving_s, tuple(gone), reachable)

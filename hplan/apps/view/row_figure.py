@@ -8,7 +8,7 @@ import numpy as np
 
 from hplan.apps.view.figure_style import FAINT, INK, LINKS, OBSTACLE, PATH, QUIET, RESTORED, START, new_figure, styled
 from hplan.scene.obstacles import Capsule
-from hplan.tour.row import RowResult
+from hplan.tour.row import Place, RowResult
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -16,6 +16,9 @@ if TYPE_CHECKING:
 #: Colours of the fruit of neighbouring stops.
 _STOPS = (PATH, START, RESTORED, LINKS[1])
 _WOOD = "#C8B49E"
+
+#: Room about what is shown [m], and the most that both views together may take [inch].
+_ROOM_M, _LARGEST = 0.25, (9.0, 8.0)
 
 
 @styled
@@ -31,10 +34,17 @@ def draw_row(result: RowResult) -> Figure:
     share = f"{100.0 * report['share_picked']:.0f} % of {report['fruits']} fruits"
     pace = f"{report['total_s_per_fruit']:.2f} s each"
     stops = len(result.stops)
-    figure = new_figure(7.6, 8.4, f"{scene.name}: {share} from {stops} stop{'s' * (stops > 1)}, {pace}")
-    above, front = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2.4))
-    _draw(above, result, 0, "x: across the row [m]")
-    _draw(front, result, 2, "z [m]")
+    stands = [(place.along, _across(place, result)) for place, names in result.candidates.items() if names]
+    fruit = np.array([fruit.center for fruit in scene.fruits])
+    (y, x), z = np.concatenate([np.array(stands), fruit[:, 1::-1]]).T, fruit[:, 2]
+    ends = [(float(values.min()) - _ROOM_M, float(values.max()) + _ROOM_M) for values in (y, x, z)]
+    wide, deep, high = (end - begin for begin, end in ends)
+    scale = min(_LARGEST[0] / wide, _LARGEST[1] / (deep + high))  # inches for each metre
+    title = f"{scene.name}: {share} from {stops} stop{'s' * (stops > 1)}, {pace}"
+    figure = new_figure(max(6.4, wide * scale + 1.0), (deep + high) * scale + 2.2, title)
+    above, front = figure.subplots(2, 1, height_ratios=(deep, high))
+    _draw(above, result, 0, "x: across the row [m]", (ends[0], ends[1]))
+    _draw(front, result, 2, "z [m]", (ends[0], ends[2]))
     front.set_xlabel("y: along the row [m]")
     above.set_title("from above; numbers are stops, dots what can be picked from each candidate")
     front.set_title("from the front")
@@ -47,7 +57,14 @@ def draw_row(result: RowResult) -> Figure:
     return figure
 
 
-def _draw(axes: Any, result: RowResult, axis: int, label: str) -> None:
+def _across(place: Place, result: RowResult) -> float:
+    """Where the base's axis is, across the row [m]."""
+    return 2.0 * result.options.distance * (place.side - 1)
+
+
+def _draw(
+    axes: Any, result: RowResult, axis: int, label: str, ends: tuple[tuple[float, float], tuple[float, float]]
+) -> None:
     """One view: along the row, and another coordinate over it."""
     from matplotlib.collections import LineCollection
 
@@ -65,20 +82,19 @@ def _draw(axes: Any, result: RowResult, axis: int, label: str) -> None:
     if axis == 0:
         _draw_stops(axes, result)
     axes.set_ylabel(label)
-    axes.set_aspect("equal", adjustable="datalim")
+    axes.set(xlim=ends[0], ylim=ends[1], aspect="equal")
     axes.grid(color=FAINT, lw=0.5)
     axes.set_axisbelow(True)
 
 
 def _draw_stops(axes: Any, result: RowResult) -> None:
     """Candidates as dots, larger the more can be picked from them, and the stops with their numbers."""
-    across = {side: 2.0 * result.options.distance * (side - 1) for side in (1, 2)}
     some = {place: len(names) for place, names in result.candidates.items() if names}
-    places = [(place.along, across[place.side]) for place in some]
+    places = [(place.along, _across(place, result)) for place in some]
     sizes = [1.0 + 22.0 * count / max(some.values()) for count in some.values()]
     axes.scatter(*np.array(places).T, s=sizes, color=QUIET, alpha=0.5, lw=0, zorder=2)
     for number, stop in enumerate(result.stops):
-        at, color = (stop.place.along, across[stop.place.side]), _STOPS[number % len(_STOPS)]
+        at, color = (stop.place.along, _across(stop.place, result)), _STOPS[number % len(_STOPS)]
         axes.plot(*at, "s", ms=13, color=color, mec="white", zorder=4)
         axes.annotate(str(number + 1), at, ha="center", va="center", color="white", fontweight="bold", zorder=5)
         if stop.place.height:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from typing import TYPE_CHECKING
 
 from hplan.apps.view.figure_style import FAINT, INK, PATH, QUIET, new_figure, styled
@@ -10,8 +11,8 @@ from hplan.study.run import StudyResult
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-#: Choices on the front have a number beside their mark, and their names below; so many names at most.
-_NAMED = 9
+#: Choices on the front have a number beside their mark, and names below: so many, in lines of so many signs.
+_NAMED, _WIDTH = 9, 84
 
 
 @styled
@@ -23,7 +24,11 @@ def draw_study(result: StudyResult) -> Figure:
     """
     shown = [choice for choice in result.choices if choice.share > 0.0]
     best = sorted((choice for choice in shown if choice.is_best), key=lambda choice: choice.cost)
-    figure = new_figure(6.4, 4.2 + 0.17 * min(len(best), _NAMED), result.name)
+    words = list[str]()
+    for number, one in enumerate(best[:_NAMED], start=1):
+        height = f", {one.height_m:g} m high" if one.height_m else ""
+        words += textwrap.wrap(f"{number}  {one.arm}, {one.distance_m:g} m{height}", _WIDTH, subsequent_indent="     ")
+    figure = new_figure(6.4, 4.2 + 0.17 * len(words), result.name)
     axes = figure.add_subplot()
     others = [choice for choice in shown if not choice.is_best]
     axes.plot([one.cost for one in others], [100.0 * one.share for one in others], "o", ms=4, color=QUIET, alpha=0.6)
@@ -34,15 +39,11 @@ def draw_study(result: StudyResult) -> Figure:
         at = one.cost, 100.0 * one.share
         axes.annotate(str(number), at, (5, 5), textcoords="offset points", color=INK, fontweight="bold")
     is_timed = any(choice.seconds_per_fruit is not None for choice in shown)
-    words = [
-        f"{number}  {one.arm}, {one.distance_m:g} m" + (f", {one.height_m:g} m high" if one.height_m else "")
-        for number, one in enumerate(best[:_NAMED], start=1)
-    ]
     axes.set_xlabel("\n".join(["seconds for each fruit" if is_timed else "reach of the arm [m]", "", *words]))
     axes.xaxis.label.set(ha="left", x=0.0)
     axes.set_ylabel("share of the fruit picked [%]")
+    axes.margins(x=0.08, y=0.12)
     axes.set_ylim(bottom=0.0)
-    axes.margins(x=0.08)
     axes.grid(color=FAINT, lw=0.6)
     axes.set_axisbelow(True)
     return figure

@@ -167,7 +167,11 @@ def test_each_arm_picks_its_fruit(robot):
         tools = result.cell.robot.tool_poses(result.trajectory.positions(times), f"{name}_tool0")[:, :3, 3]
         assert np.linalg.norm(tools - fruit.center, axis=1).min() < 2e-3
     for t in np.linspace(0.1, result.trajectory.duration, 6):
-        assert result.stop_at(float(t)).certificate.verified
+        stop = result.stop_at(float(t))
+        assert stop.certificate.verified
+        for name, own in result.certificate.arms.items():
+            for window in stop.certificate.arms[name].contacts:
+                assert window.begin_s >= own.contacts[0].begin_s - 1e-9
 
 
 def test_a_tilted_base_has_the_gravity_of_the_cell(robot):

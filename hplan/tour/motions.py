@@ -57,6 +57,9 @@ _Blended: TypeAlias = tuple[Motion | None, Motion, Motion | None]
 #: Other grasps are tried so many times, as long as the tour becomes shorter by this fraction.
 WIDENINGS, _LEAST_GAIN = 8, 5e-3
 
+#: So many grasps of all fruits are looked at for that, about, besides those that a tour may take already.
+_LIKELY = 1200
+
 
 class _Step(NamedTuple):
     """A step of a tour: at a place, or from stop to stop.
@@ -176,7 +179,8 @@ class Motions:
     def _widened(self, visits: Visits) -> bool:
         """True if other grasps promise a quicker tour in the same order: they become active, in place of others."""
         order = self.fruits_at(visits.places)
-        promised = along(self._costs(np.arange(len(self._places))), order).places
+        likely = self._likely(visits)
+        promised = likely[along(self._costs(likely), order).places]
         wider = False
         for fruit, place, other in zip(order.tolist(), visits.places.tolist(), promised.tolist(), strict=True):
             active = self._active[fruit]
@@ -184,6 +188,19 @@ class Motions:
             wider |= other in kept and other not in active
             self._active[fruit] = sorted(kept)
         return wider
+
+    def _likely(self, visits: Visits) -> IntArray:
+        """The active places, and of each fruit those with the least bounds to where the arm is before and after it."""
+        found, around = {place for active in self._active for place in active}, [self._here]
+        for place, dropped in zip(visits.places.tolist(), visits.dropped.tolist(), strict=True):
+            around += [self._first + place, self._hub] if dropped else [self._first + place]
+        for fruit, place in zip(self.fruits_at(visits.places).tolist(), visits.places.tolist(), strict=True):
+            number = around.index(self._first + place)
+            beside = [around[number - 1], *around[number + 1 : number + 2]]
+            whole = np.arange(self._begin[fruit], self._begin[fruit + 1])
+            bounds = self._moves.least(np.concatenate([beside, self._first + whole]))[: len(beside), len(beside) :]
+            found |= set(whole[ties.argsort(bounds.sum(axis=0))[: _LIKELY // len(self.fruits)]].tolist())
+        return np.array(sorted(found))
 
     def fruits_at(self, places: IntArray) -> IntArray:
         """The numbers of the fruits at places."""

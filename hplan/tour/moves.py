@@ -178,7 +178,7 @@ class Moves:
         """True if a thorough search, done once where it may pay, gives quicker motions than there are."""
         key, taken = _key(a, b, loaded), self.take(a, b, loaded)
         duration_s = math.inf if taken is None else seconds([motion for _, motion in taken])
-        if key in self._thorough or duration_s <= CLOSE * self._least([a, b])[0, 1]:
+        if key in self._thorough or duration_s <= CLOSE * self.least([a, b])[0, 1]:
             return False
         self._thorough.add(key)
         with suppress(*NO_MOTION):
@@ -192,7 +192,7 @@ class Moves:
     def seconds(self, stops: IntArray, loaded: bool) -> FloatArray:
         """(k, k) durations between k stops: true ones where motions were planned, else what none can undercut [s]."""
         if not np.array_equal(self._last_least[0], stops):
-            self._last_least = stops, self._least(stops)
+            self._last_least = stops, self.least(stops)
         least = self._last_least[1]
         seconds = least.copy()
         places: dict[int, list[int]] = {}
@@ -213,7 +213,7 @@ class Moves:
                 seconds[other], seconds[:, other] = seconds[same[0]], seconds[:, same[0]]
         return seconds
 
-    def _least(self, stops: IntArray | Sequence[int]) -> FloatArray:
+    def least(self, stops: IntArray | Sequence[int]) -> FloatArray:
         """(k, k) durations that no motion between k stops can undercut [s]."""
         there = np.array([self.stops[stop].configuration for stop in stops])
         least = np.empty((len(there), len(there)))
@@ -245,7 +245,7 @@ class Moves:
     def _block(self, key: _Key) -> None:
         """Keep that the straight motion is blocked."""
         self._blocked.add(key)
-        self._estimate(key, _BLOCKED * self._least(key[:2])[0, 1])
+        self._estimate(key, _BLOCKED * self.least(key[:2])[0, 1])
 
     def _estimate(self, key: _Key, seconds: float) -> None:
         """Keep about how long a motion lasts that is not planned yet [s]."""

@@ -33,6 +33,7 @@ from hplan.certificate.certificate import Certificate, GoalContact, certify
 from hplan.certificate.goal_contact import FruitContact
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.collision_bodies import collision_bodies
+from hplan.collision.flat_bodies import BODIES
 from hplan.collision.touching_pairs import self_pairs
 from hplan.errors import (
     CertificationError,
@@ -577,8 +578,9 @@ def between(cell: Cell, q: FloatArray, name: str, others: Collection[str]) -> Fl
     pairs = self_pairs(cell.robot).checked
     asked = [{arms[i], arms[j]} in ({name, other} for other in others) for i, j in pairs]
     field = ClearanceField.of(cell.robot, [])
-    rows = [*range(len(bodies)), *(len(bodies) + np.flatnonzero(asked))]
-    near = replace(field, chain=readonly(field.chain[rows])).along(q)[:, len(bodies) :]
+    before = int(field.base[BODIES])  # capsules that stand for several bodies come before pairs
+    rows = [*range(before), *(before + np.flatnonzero(asked))]
+    near = replace(field, chain=readonly(field.chain[rows])).along(q)[:, before:]
     least: FloatArray = near.min(axis=1, initial=math.inf)
     return least
 

@@ -24,6 +24,7 @@ from hplan.planning.cell import Cell, CellArm, between
 from hplan.planning.options import PlanOptions
 from hplan.planning.reachable import reachable
 from hplan.planning.task import Progress, no_progress
+from hplan.planning.world import World
 from hplan.scene.model import Start
 from hplan.tour.result import Leg, TourResult
 from hplan.tour.tour import TourOptions, plan_tour
@@ -110,6 +111,7 @@ def plan_cell_tour(
 
     Raises:
         HplanError: As `plan_tour`.
+        ConfigurationInCollisionError: The arms touch where they start.
         TourError: No arm can pick anything.
         CertificationError: The motions of all arms together could not be certified.
     """
@@ -123,6 +125,7 @@ def plan_cell_tour(
 
 
 def _planned(cell: Cell, options: PlanOptions, progress: Progress) -> CellTour:
+    World.of(cell.robot, (), clearance=cell.scene.clearance).check_clear(cell.configuration({}), "start")
     progress("who reaches what")
     shares, reasons = _shared(cell, options)
     tours: dict[str, TourResult] = {}

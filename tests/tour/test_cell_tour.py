@@ -11,7 +11,7 @@ import pytest
 from hplan import load_robot
 from hplan.apps.cli.main import main
 from hplan.certificate.certificate import certify
-from hplan.errors import TourError
+from hplan.errors import ConfigurationInCollisionError, TourError
 from hplan.planning.cell import Cell
 from hplan.planning.options import PlanOptions
 from hplan.scene.cell import CellRobot, CellScene
@@ -80,6 +80,13 @@ def test_arms_that_are_in_each_others_way_wait(orchard):
     assert result.picked
     alone = result.cell.task(result.trajectory.position[-1], obstacles=False)
     assert certify(result.cell.robot, alone, result.trajectory).verified
+
+
+def test_arms_that_touch_at_the_start_are_refused(robot):
+    start = Start(joints_deg=(0.0, 60.0, 60.0, 60.0))
+    arms = (CellRobot(name="a", start=start), CellRobot(name="b", position=(0.0, 0.0, 0.1), start=start))
+    with pytest.raises(ConfigurationInCollisionError, match="start"):
+        plan_cell_tour(Cell.of(CellScene(name="s", robots=arms), {"a": robot, "b": robot}))
 
 
 def test_nothing_to_pick(robot):

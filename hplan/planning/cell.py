@@ -38,10 +38,13 @@ from hplan.collision.touching_pairs import self_pairs
 from hplan.errors import (
     CertificationError,
     ConfigurationInCollisionError,
+    HplanError,
     InputError,
     NotFoundError,
+    NotInTimeError,
     OptionError,
     PathInContactError,
+    PlanCancelledError,
     TimingError,
 )
 from hplan.planning.finishing.finish import finish
@@ -69,6 +72,9 @@ _SPARE: Final = 2e-3
 
 #: How many times of setting out are certified before others than the soonest are given up.
 _TRIED: Final = 6
+
+#: What is tried before all joints move at once.
+_WAYS: Final = ("all at once", "one after the other")
 
 #: Samples of a motion between which its path is taken for straight [s].
 _ALONG_S: Final = 0.05
@@ -426,20 +432,31 @@ class _CellPlanner:
         found, least_s = self._scheduled(motions), max((m.duration for m in motions.values()), default=0.0)
         if found is not None and found.trajectory.duration <= _GOOD * least_s:
             return found
-        around, tried = None, ["all at once", "one after the other"]
+        self._progress("around each other")
         try:
-            self._progress("around each other")
             around = self._around(found)
-        except NotFoundError as error:
-            tried += error.tried
-        except ConfigurationInCollisionError as error:
-            if error.which != "goal" or not any(result.grasp for result in self._alone.values()):
-                raise  # of goals by joints that is all there is to say
-            tried.append(f"the grasps of each arm by itself, with which {error.link!r} is in {error.obstacle!r}")
+        except PlanCancelledError:
+            raise
+        except HplanError as error:
+            if found is None:
+                raise self._told(error) from error
+            around = None
         each = [result for result in (found, around) if result is not None]
         if not each:
-            raise NotFoundError(tried)
+            raise NotFoundError(_WAYS)
         return min(each, key=lambda result: round(result.trajectory.duration, 6))
+
+    def _told(self, error: HplanError) -> HplanError:
+        """An error of all joints as one robot's, as one of the cell's."""
+        if isinstance(error, NotFoundError) and not isinstance(error, NotInTimeError):
+            return NotFoundError([*_WAYS, *error.tried])
+        chosen = any(
+            result.grasp for result in self._alone.values()
+        )  # other grasps might do; goals by joints are given
+        if chosen and isinstance(error, ConfigurationInCollisionError) and error.which == "goal":
+            grasps = f"the grasps of each arm by itself, with which {error.link!r} is in {error.obstacle!r}"
+            return NotFoundError([*_WAYS, grasps])
+        return error
 
     def _checked(self, motion: Trajectory, how: How, later_s: Mapping[str, float]) -> CellResult:
         contact = {name: result.certificate.goal_contact or "approach" for name, result in self._alone.items()}

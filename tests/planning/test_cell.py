@@ -11,7 +11,14 @@ import pytest
 
 from hplan import load_robot, plan, read_csv
 from hplan.apps.cli.main import main
-from hplan.errors import ConfigurationInCollisionError, InputError, NotFoundError, OptionError, SceneError
+from hplan.errors import (
+    CertificationError,
+    ConfigurationInCollisionError,
+    InputError,
+    NotFoundError,
+    OptionError,
+    SceneError,
+)
 from hplan.planning.cell import Cell, certify_cell, load_cell, plan_cell
 from hplan.planning.options import PlanOptions
 from hplan.robot.several import joined_robots
@@ -104,7 +111,10 @@ def plan_alone(arm):
 
 
 def test_one_begins_later_where_that_is_all_there_is(robot, monkeypatch):
-    monkeypatch.setattr("hplan.planning.cell._CellPlanner._around", lambda *_: None)
+    def none(*_):
+        raise CertificationError("none")
+
+    monkeypatch.setattr("hplan.planning.cell._CellPlanner._around", none)
     result = plan_cell(facing(robot, 1.1, start=FROM, goal=TO))
     assert result.certificate.verified
     assert result.how == "one later"

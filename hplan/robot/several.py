@@ -23,6 +23,10 @@ from hplan.robot.urdf_xml import read_urdf_xml
 #: The root, in whose frame all bases stand.
 _ROOT: Final = "base_link"
 
+#: Jerk limit of joints that have none, beside others that have: the whole acceleration within far less than a row
+#: [rad/s^3, m/s^3].
+_NO_JERK: Final = 1e6
+
 
 def joined_robots(arms: Mapping[str, tuple[Robot, pin.SE3]], name: str = "cell") -> Robot:
     """Several robots as one; joints, links and frames are called as before, after the robot's name and `_`.
@@ -34,19 +38,16 @@ def joined_robots(arms: Mapping[str, tuple[Robot, pin.SE3]], name: str = "cell")
         name: Name of the whole.
 
     Raises:
-        InputError: No robot; or some have jerk limits and others none.
+        InputError: No robot.
         RobotFileError: A robot's URDF can no longer be read, or two names make the same joint or link.
     """
     if not arms:
         raise InputError("joined_robots: there is no robot to join")
-    without = [each for each, (robot, _) in arms.items() if robot.jerk_limit is None]
-    if 0 < len(without) < len(arms):
-        others = ", ".join(each for each in arms if each not in without)
-        raise InputError(f"robot {without[0]!r} has no jerk limits, as {others} has: give all of them or none")
+    jerk = any(robot.jerk_limit is not None for robot, _ in arms.values())
     root = ET.Element("robot", name=name)
     ET.SubElement(root, "link", name=_ROOT)
     for each, (robot, placement) in arms.items():
-        links = _renamed(each, robot, root)
+        links = _renamed(each, robot, root, jerk=jerk)
         mount = ET.SubElement(root, "joint", name=f"{each}_mount", type="fixed")
         ET.SubElement(mount, "parent", link=_ROOT)
         ET.SubElement(mount, "child", link=links)
@@ -60,7 +61,7 @@ def joined_robots(arms: Mapping[str, tuple[Robot, pin.SE3]], name: str = "cell")
     return replace(found, continuous=readonly(turning, np.bool_), may_touch=tuple(allowed))
 
 
-def _renamed(name: str, robot: Robot, into: ET.Element) -> str:
+def _renamed(name: str, robot: Robot, into: ET.Element, *, jerk: bool) -> str:
     """Put a robot's links, joints and materials under names of its own into a URDF; returns the name of its root."""
     own, children = read_urdf_xml(robot.urdf_path, robot.urdf_text), set[str]()
     rows = {joint: row for row, joint in enumerate(robot.joint_names)}
@@ -71,8 +72,8 @@ def _renamed(name: str, robot: Robot, into: ET.Element) -> str:
                 each.set("filename", str(robot.urdf_path.parent.resolve() / each.get("filename", "")))
             elif each.tag == "limit" and row is not None:
                 each.set("acceleration", repr(float(robot.acceleration_limit[row])))
-                if robot.jerk_limit is not None:
-                    each.set("jerk", repr(float(robot.jerk_limit[row])))
+                if jerk:
+                    each.set("jerk", repr(_NO_JERK if robot.jerk_limit is None else float(robot.jerk_limit[row])))
             for key, tags in (("name", ("link", "joint", "material")), ("link", ("parent", "child"))):
                 if each.tag in tags and each.get(key):
                     each.set(key, f"{name}_{each.get(key)}")

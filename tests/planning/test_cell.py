@@ -211,6 +211,8 @@ robots:
   rpy_deg: [0, 0, 180]
   start: {joints_deg: [0, 90, 90, 90]}
   goal: {position: [2.0, 0.3, 1.2]}
+obstacles:
+- {name: post, kind: sphere, center: [0.0, -1.5, 1.2], radius: 0.1}
 """
 
 
@@ -280,7 +282,8 @@ def test_the_command_writes_each_arms_file(write, tmp_path, capsys):
     assert certify_cell(cell, read_csv(out / "trajectory.csv")).verified
     report = json.loads((out / "report.json").read_text())
     assert report["makespan_s"] == pytest.approx(max(motion.duration for motion in motions.values()))
-    assert (out / "scene.html").exists()
+    least = min(mm for mm in (report["between_arms_mm"], *report["arms_mm"].values()) if mm is not None)
+    assert f"clearance {least:.2f} mm" in (out / "scene.html").read_text()
     assert main(["certify", str(out), str(scene)]) == main(["certify", str(out / "trajectory.csv"), str(scene)]) == 0
     assert capsys.readouterr().out.count("verified") == 2
     near = write("near.yaml", YAML.replace("[3, 0, 0]", "[1.4, 0, 0]"))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from hplan.apps.cli.job_folder import PAGE, REPORT, TOUR, TOUR_REPORT, TRAJECTORY, JobFolder
@@ -15,6 +16,7 @@ from hplan.errors import CertificationError, OptionError
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from hplan.certificate.certificate import Certificate
     from hplan.planning.cell import CellResult
     from hplan.tour.cell_tour import CellTour
 
@@ -61,7 +63,7 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console, *, tou
                 for arm, own in result.trajectories.items():
                     write_csv(own, staging / of_arm.format(arm))
                 shown = cell.task(result.trajectory.position[-1], result.trajectory.position[0])
-                playback = Playback(result.trajectory, certificate=result.between)
+                playback = Playback(result.trajectory, certificate=_whole(result))
                 write_page(cell.robot, shown, playback, staging / PAGE)
                 report = {"status": "ok", "scene": cell.scene.name, "robots": {a.name: a.robot.name for a in cell.arms}}
                 write_report(report | result.report | {"time_ms": milliseconds}, staging / name)
@@ -69,6 +71,19 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console, *, tou
         files = ", ".join([csv, *(of_arm.format(arm.name) for arm in cell.arms), name, PAGE])
         _show(console, result, milliseconds, f"{folder.path}: {files}")
     return 0
+
+
+def _whole(result: CellResult | CellTour) -> Certificate:
+    """What was shown of all arms, as one certificate for the page; without its course over time."""
+    from hplan.planning.cell import CellResult
+
+    if isinstance(result, CellResult):
+        parts = [result.between, *result.certificate.arms.values()]
+    else:
+        parts = [result.between, *(tour.certificate for own in result.tours.values() for tour in own)]
+    least = min(parts, key=lambda part: part.min_clearance_m)
+    violations = tuple(violation for part in parts for violation in part.violations)
+    return replace(least, verified=all(part.verified for part in parts), violations=violations, subject=None)
 
 
 def certify(arguments: argparse.Namespace, console: Console) -> int:

@@ -188,7 +188,8 @@ class Cell(Record):
             arm, motion = self.arm(name), instance(f"motion of {name}", motion, Trajectory, "plan or read_csv")
             if motion.joint_names != arm.robot.joint_names:
                 raise InputError(f"the motion of arm {name!r} moves {', '.join(motion.joint_names)}", arm=name)
-            rows[name] = _begun_later(motion.rows, (later_s or {}).get(name, 0.0))
+            later = (later_s or {}).get(name, 0.0)
+            rows[name] = (joined([standing(motion, later), motion]) if later > 0.0 else motion).rows
         times = np.unique(np.concatenate([np.zeros(1), *(own.time for own in rows.values())]))
         clock = times[np.concatenate([[True], np.diff(times) > _SAME_S])]
         shape = len(clock), self.robot.dof
@@ -229,14 +230,19 @@ class CellCertificate:
     arms: Mapping[str, Certificate]
 
     @property
+    def parts(self) -> tuple[Certificate, ...]:
+        """All of them."""
+        return (self.between, *self.arms.values())
+
+    @property
     def verified(self) -> bool:
         """True if everything was shown."""
-        return self.between.verified and all(each.verified for each in self.arms.values())
+        return all(part.verified for part in self.parts)
 
     @property
     def min_clearance_m(self) -> float:
         """The smallest distance that is kept [m]."""
-        return min(each.min_clearance_m for each in (self.between, *self.arms.values()))
+        return min(part.min_clearance_m for part in self.parts)
 
     @property
     def violations(self) -> tuple[str, ...]:
@@ -270,9 +276,9 @@ class CellResult(Record):
     stopped: tuple[str, ...] = ()
 
     @property
-    def between(self) -> Certificate:
-        """What was shown of the arms against one another."""
-        return self.certificate.between
+    def parts(self) -> tuple[Certificate, ...]:
+        """All certificates: of the arms against one another, and of each among the obstacles."""
+        return self.certificate.parts
 
     @cached_property
     def trajectories(self) -> dict[str, Trajectory]:
@@ -373,15 +379,30 @@ def certify_cell(
         if not (isinstance(motion, Mapping) and motion):
             raise OptionError("motion", motion, "a trajectory of all joints, or one of each arm by its name")
         motion = cell.together(motion)
-    keys = "tracking_error", "tracking_delay_s", "sigmas"
-    asked: dict[str, Any] = {key: getattr(options, key) for key in keys} | {"check_ends": check_ends}
-    arms = {}
+    arms, own = {}, cell.apart(motion)
     for arm in cell.arms:
         contact, windows = (goal_contact or {}).get(arm.name, "approach"), (contacts or {}).get(arm.name, ())
-        own = cell.apart(motion)[arm.name]
-        arms[arm.name] = certify(arm.robot, arm.scene, own, goal_contact=contact, contacts=windows, **asked)
+        arms[arm.name] = certify(
+            arm.robot, arm.scene, own[arm.name],
+            goal_contact=contact, contacts=windows, check_ends=check_ends, **_covered(options),
+        )  # fmt: skip
+    return CellCertificate(certify_between(cell, motion, options), arms)
+
+
+def certify_between(cell: Cell, motion: Trajectory, options: PlanOptions) -> Certificate:
+    """Certify all arms of a cell against one another alone, as if nothing else were there.
+
+    Args:
+        motion: Of all joints.
+        options: For the tracking error and delay.
+    """
     alone = cell.task(motion.position[-1], motion.position[0], obstacles=False)
-    return CellCertificate(certify(cell.robot, alone, motion, **asked), arms)
+    return certify(cell.robot, alone, motion, check_ends=False, **_covered(options))  # the ends are its own
+
+
+def _covered(options: PlanOptions) -> dict[str, Any]:
+    """What certificates of these options cover, as `certify` takes it."""
+    return {key: getattr(options, key) for key in ("tracking_error", "tracking_delay_s", "sigmas")}
 
 
 def plan_cell(
@@ -429,7 +450,7 @@ class _CellPlanner:
                 self._alone[arm.name] = plan(arm.robot, arm.scene, self._options)
         motions = {name: result.trajectory for name, result in self._alone.items()}
         self._progress("together")
-        found, least_s = self._scheduled(motions), max((m.duration for m in motions.values()), default=0.0)
+        found, least_s = self._scheduled(cell, motions), max((m.duration for m in motions.values()), default=0.0)
         if found is not None and found.trajectory.duration <= _GOOD * least_s:
             return found
         self._progress("around each other")
@@ -450,9 +471,8 @@ class _CellPlanner:
         """An error of all joints as one robot's, as one of the cell's."""
         if isinstance(error, NotFoundError) and not isinstance(error, NotInTimeError):
             return NotFoundError([*_WAYS, *error.tried])
-        chosen = any(
-            result.grasp for result in self._alone.values()
-        )  # other grasps might do; goals by joints are given
+        # Other grasps might do; goals by joints leave nothing to choose.
+        chosen = any(result.grasp for result in self._alone.values())
         if chosen and isinstance(error, ConfigurationInCollisionError) and error.which == "goal":
             grasps = f"the grasps of each arm by itself, with which {error.link!r} is in {error.obstacle!r}"
             return NotFoundError([*_WAYS, grasps])
@@ -463,17 +483,20 @@ class _CellPlanner:
         certificate = certify_cell(self._cell, motion, self._options, goal_contact=contact)
         return CellResult(self._cell, motion, certificate, how, self._alone, later_s, self._options)
 
-    def _scheduled(self, motions: Mapping[str, Trajectory], before: Trajectory | None = None) -> CellResult | None:
+    def _scheduled(
+        self, cell: Cell, motions: Mapping[str, Trajectory], before: Trajectory | None = None
+    ) -> CellResult | None:
         """The soonest end with each arm's own motion, begun later where that is needed; None where none is certified.
 
         Args:
-            before: A motion of all joints that comes first.
+            cell: The arms where these motions begin.
+            before: A motion of all joints that leads there.
         """
         if not motions:
             raise InputError("plan_cell: no arm of the cell has a goal")
-        sooner = itertools.chain([dict.fromkeys(motions, 0.0)], _later(self._cell, motions, self._options))
+        sooner = itertools.chain([dict.fromkeys(motions, 0.0)], _later(cell, motions, self._options))
         for later in itertools.islice(sooner, _TRIED):
-            motion = self._cell.together(motions, later)
+            motion = cell.together(motions, later)
             how: How = "one later" if any(later.values()) else "at once"
             if before is not None:
                 motion, how = joined([before, motion]), "around each other"
@@ -505,15 +528,15 @@ class _CellPlanner:
                     return None  # straight between samples it is not clear
             result = self._checked(transit.trajectory, "around each other", {})
             return result if result.certificate.verified else None
-        transit = plan(cell.robot, task, self._options)
-        motions = {}
-        for name in reached:
-            arm = cell.arm(name)
-            start = Start(joints_rad=tuple(ends[name].tolist()))
-            motions[name] = plan(arm.robot, arm.scene.model_copy(update={"start": start}), self._options).trajectory
-        from_there = _CellPlanner(_starting(cell, ends), self._options, self._progress)
-        from_there._alone = self._alone
-        return from_there._scheduled(motions, transit.trajectory)
+        transit, there = plan(cell.robot, task, self._options), _starting(cell, ends)
+        motions = {name: plan(arm.robot, arm.scene, self._options).trajectory
+                   for name, arm in ((name, there.arm(name)) for name in reached)}  # fmt: skip
+        return self._scheduled(there, motions, transit.trajectory)
+
+
+def step_s(options: PlanOptions) -> float:
+    """Times at which arms are compared before they are certified: whole rows [s]."""
+    return max(1, round(_STEP_S * options.rate_hz)) / options.rate_hz
 
 
 def _later(cell: Cell, motions: Mapping[str, Trajectory], options: PlanOptions) -> Iterator[dict[str, float]]:
@@ -522,9 +545,7 @@ def _later(cell: Cell, motions: Mapping[str, Trajectory], options: PlanOptions) 
     idle = {name: _apart(cell, motions, name, None) for name in motions}
     if not all(each.all() for each in idle.values()):
         return
-    period = 1.0 / options.rate_hz
-    step = max(1, round(_STEP_S / period)) * period
-    names = list(motions)
+    step, names = step_s(options), list(motions)
     orders = itertools.permutations(names) if len(names) <= _ALL_ORDERS else (
         [*(n for n in names if n != last), last] for last in names
     )  # fmt: skip
@@ -590,16 +611,20 @@ def _apart(cell: Cell, motions: Mapping[str, Trajectory], first: str, second: st
 
 def between(cell: Cell, q: FloatArray, name: str, others: Collection[str]) -> FloatArray:
     """(n,) least distance of an arm from others at (n, dof) configurations of all [m]; inf from none."""
+    field = cell.robot.cached(("between", name, frozenset(others)), lambda: _field_between(cell, name, others))
+    pairs = field.along(q)[:, int(field.base[BODIES]) :]
+    least: FloatArray = pairs.min(axis=1, initial=math.inf)
+    return least
+
+
+def _field_between(cell: Cell, name: str, others: Collection[str]) -> ClearanceField:
+    """The field of all arms without obstacles, and of the pairs of one arm with others alone."""
     bodies = collision_bodies(cell.robot)
     arms = [next(arm.name for arm in cell.arms if body.name.startswith(f"{arm.name}_")) for body in bodies]
-    pairs = self_pairs(cell.robot).checked
-    asked = [{arms[i], arms[j]} in ({name, other} for other in others) for i, j in pairs]
+    asked = [{arms[i], arms[j]} in ({name, other} for other in others) for i, j in self_pairs(cell.robot).checked]
     field = ClearanceField.of(cell.robot, [])
     before = int(field.base[BODIES])  # capsules that stand for several bodies come before pairs
-    rows = [*range(before), *(before + np.flatnonzero(asked))]
-    near = replace(field, chain=readonly(field.chain[rows])).along(q)[:, before:]
-    least: FloatArray = near.min(axis=1, initial=math.inf)
-    return least
+    return replace(field, chain=readonly(field.chain[[*range(before), *(before + np.flatnonzero(asked))]]))
 
 
 def _samples(motion: Trajectory) -> FloatArray:
@@ -630,24 +655,22 @@ def _windows(contacts: Sequence[FruitContact], stop: Retimed | None) -> list[Fru
     return found
 
 
-def _begun_later(rows: Rows, seconds: float) -> Rows:
-    """A motion that first stands at its start for a time."""
-    if seconds <= 0.0:
-        return rows
-    still = np.zeros_like(rows.velocity[:1])
-    first = rows.position[:1], still, still, rows.torque[:1]
-    values = (np.concatenate([own, more]) for own, more in zip(first, rows[1:], strict=True))
-    return Rows(np.concatenate([[0.0], rows.time + seconds]), *values)
+def standing(motion: Trajectory, seconds: float) -> Trajectory:
+    """Standing for a time where a motion begins."""
+    position, torque = (np.repeat(values[:1], 2, axis=0) for values in (motion.position, motion.torque))
+    still = np.zeros_like(position)
+    rows = Rows(np.array([0.0, seconds]), position, still, still, torque)
+    return Trajectory(motion.joint_names, *rows, motion.slides)
+
+
+def starting(arm: CellArm, q: FloatArray) -> CellArm:
+    """An arm that begins at another configuration."""
+    return replace(arm, scene=arm.scene.model_copy(update={"start": Start(joints_rad=tuple(q.tolist()))}))
 
 
 def _starting(cell: Cell, starts: Mapping[str, FloatArray]) -> Cell:
     """The cell with some of its arms standing elsewhere."""
-    arms = tuple(
-        replace(arm, scene=arm.scene.model_copy(update={"start": Start(joints_rad=tuple(starts[arm.name].tolist()))}))
-        if arm.name in starts
-        else arm
-        for arm in cell.arms
-    )
+    arms = tuple(starting(arm, starts[arm.name]) if arm.name in starts else arm for arm in cell.arms)
     return replace(cell, arms=arms)
 
 

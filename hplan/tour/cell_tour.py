@@ -18,23 +18,18 @@ import numpy as np
 from hplan.base.arguments import instance
 from hplan.base.arrays import FloatArray, Record
 from hplan.base.deadline import Cancel, TimeIsUpError, check_deadline, time_limit
-from hplan.certificate.certificate import Certificate, certify
+from hplan.certificate.certificate import Certificate
 from hplan.errors import CertificationError, HplanError, TourError
-from hplan.planning.cell import Cell, CellArm, between
+from hplan.planning.cell import Cell, CellArm, between, certify_between, standing, starting, step_s
 from hplan.planning.options import PlanOptions
 from hplan.planning.reachable import reachable
 from hplan.planning.task import Progress, no_progress
 from hplan.planning.world import World
-from hplan.scene.model import Start
 from hplan.tour.result import Leg, TourResult
 from hplan.tour.tour import TourOptions, plan_tour
-from hplan.trajectory.cubics import Rows
 from hplan.trajectory.trajectory import Trajectory, joined
 
-#: Times at which arms are compared before the whole is certified [s].
-_STEP_S: Final = 0.02
-
-#: How many of those a leg begins later at a time.
+#: How many steps a leg begins later at a time.
 _LATER: Final = 4
 
 #: Distances between arms that samples have beyond the one to keep, until the whole is certified [m].
@@ -65,9 +60,14 @@ class CellTour(Record):
     unreached: Mapping[str, str]
 
     @property
+    def parts(self) -> tuple[Certificate, ...]:
+        """All certificates: of the arms against one another, and of each tour."""
+        return (self.between, *(tour.certificate for own in self.tours.values() for tour in own))
+
+    @property
     def verified(self) -> bool:
         """True if everything was shown: every arm among the obstacles, and all against one another."""
-        return self.between.verified and all(tour.certificate.verified for own in self.tours.values() for tour in own)
+        return all(part.verified for part in self.parts)
 
     @property
     def trajectories(self) -> dict[str, Trajectory]:
@@ -172,12 +172,9 @@ def _shared(cell: Cell, options: PlanOptions) -> tuple[dict[str, list[str]], dic
     return shares, reasons
 
 
-def _tour(arm: CellArm, options: PlanOptions, fruits: Sequence[str], start: FloatArray | None = None) -> TourResult:
-    """An arm's tour through fruits and back, with a stop after each; from another start where one is given."""
-    scene = arm.scene
-    if start is not None:
-        scene = scene.model_copy(update={"start": Start(joints_rad=tuple(start.tolist()))})
-    return plan_tour(arm.robot, scene, options, fruits=fruits, tour=TourOptions(stops=True, back=True))
+def _tour(arm: CellArm, options: PlanOptions, fruits: Sequence[str]) -> TourResult:
+    """An arm's tour through fruits and back, with a stop after each."""
+    return plan_tour(arm.robot, arm.scene, options, fruits=fruits, tour=TourOptions(stops=True, back=True))
 
 
 class _Schedule:
@@ -185,7 +182,7 @@ class _Schedule:
 
     def __init__(self, cell: Cell, options: PlanOptions, spare: float) -> None:
         self._cell, self._options, self._spare = cell, options, spare
-        self._step = max(1, round(_STEP_S * options.rate_hz)) / options.rate_hz
+        self._step = step_s(options)
         start = cell.configuration({})
         #: Of each arm where it is at multiples of the step, up to where it rests for good, as far as that is decided.
         self._places = {arm.name: start[arm.joints][None] for arm in cell.arms}
@@ -252,7 +249,7 @@ class _Schedule:
         if len(fruits) < 2:
             return []  # it stays where it is
         try:
-            rest = _tour(arm, self._options, fruits[1:], self._places[name][-1])
+            rest = _tour(starting(arm, self._places[name][-1]), self._options, fruits[1:])
         except HplanError as error:
             unreached |= dict.fromkeys(fruits[1:], error)
             return []
@@ -268,7 +265,7 @@ class _Schedule:
             for begin, leg in legs:
                 now = sum(part.duration for part in parts)
                 if begin > now + 1e-9:
-                    parts.append(_standing(leg.trajectory, begin - now))
+                    parts.append(standing(leg.trajectory, begin - now))
                 parts.append(leg.trajectory)
                 if leg.fruit is not None:
                     reached = max(phase.end_s for phase in leg.phases if phase.name in ("transit", "approach"))
@@ -276,22 +273,12 @@ class _Schedule:
             if parts:
                 motions[name] = joined(parts)
         whole = cell.together(motions)
-        alone = cell.task(whole.position[-1], whole.position[0], obstacles=False)
-        options = {key: getattr(self._options, key) for key in ("tracking_error", "tracking_delay_s", "sigmas")}
         return CellTour(
             cell,
             whole,
-            certify(cell.robot, alone, whole, **options),
+            certify_between(cell, whole, self._options),
             {name: tuple(tours) for name, tours in self._tours.items() if tours},
             {name: tuple(begin for begin, _ in legs) for name, legs in self._legs.items()},
             picked,
             {fruit: str(error) for fruit, error in unreached.items()},
         )
-
-
-def _standing(motion: Trajectory, seconds: float) -> Trajectory:
-    """Standing for a time where a motion begins."""
-    position, torque = (np.repeat(values[:1], 2, axis=0) for values in (motion.position, motion.torque))
-    still = np.zeros_like(position)
-    rows = Rows(np.array([0.0, seconds]), position, still, still, torque)
-    return Trajectory(motion.joint_names, *rows, motion.slides)

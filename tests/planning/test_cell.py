@@ -21,7 +21,7 @@ from hplan.errors import (
     OptionError,
     SceneError,
 )
-from hplan.planning.cell import Cell, certify_cell, load_cell, plan_cell
+from hplan.planning.cell import Cell, _CellPlanner, certify_cell, load_cell, plan_cell
 from hplan.planning.options import PlanOptions
 from hplan.robot.several import joined_robots
 from hplan.scene.cell import CellRobot, CellScene
@@ -292,3 +292,23 @@ def test_the_command_writes_each_arms_file(write, tmp_path, capsys):
     assert main(["plan", str(scene), "--out", str(out), "--bound"]) == 2
     assert "several robots" in capsys.readouterr().err
     assert (out / "trajectory.csv").exists()
+
+
+def test_fruits_are_picked_around_each_other(robot, monkeypatch):
+    """Without motions at once, or one later: the transits are planned together, the approaches after them."""
+    scheduled = _CellPlanner._scheduled
+    monkeypatch.setattr(_CellPlanner, "_scheduled", lambda *given: scheduled(*given) if len(given) > 3 else None)
+    fruits = tuple(Fruit(name=n, center=(1.2, y, 1.6), radius=0.04) for n, y in (("a", 0.3), ("b", -2.3)))
+    arms = tuple(
+        CellRobot(name=n, position=(0.0, y, 0.0), start=Start(joints_deg=(0.0, 60.0, 60.0, 60.0)), goal=Goal(fruit=f))
+        for n, y, f in (("left", 0.0, "a"), ("right", -2.0, "b"))
+    )
+    result = plan_cell(
+        Cell.of(CellScene(name="s", robots=arms, fruits=fruits), dict.fromkeys(("left", "right"), robot))
+    )
+    assert result.how == "around each other"
+    assert result.certificate.verified
+    assert apart(result.cell, every(result.trajectory, 4e-3)) > 0.0
+    for name, fruit in zip(("left", "right"), fruits, strict=True):
+        tools = result.cell.robot.tool_poses(every(result.trajectory, 4e-3), f"{name}_tool0")[:, :3, 3]
+        assert np.linalg.norm(tools - fruit.center, axis=1).min() < 2e-3

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -63,7 +63,7 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console, *, tou
                 for arm, own in result.trajectories.items():
                     write_csv(own, staging / of_arm.format(arm))
                 shown = cell.task(result.trajectory.position[-1], result.trajectory.position[0])
-                playback = Playback(result.trajectory, certificate=_whole(result))
+                playback = Playback(result.trajectory, certificate=_whole(result.parts))
                 write_page(cell.robot, shown, playback, staging / PAGE)
                 report = {"status": "ok", "scene": cell.scene.name, "robots": {a.name: a.robot.name for a in cell.arms}}
                 write_report(report | result.report | {"time_ms": milliseconds}, staging / name)
@@ -73,14 +73,8 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console, *, tou
     return 0
 
 
-def _whole(result: CellResult | CellTour) -> Certificate:
+def _whole(parts: Sequence[Certificate]) -> Certificate:
     """What was shown of all arms, as one certificate for the page; without its course over time."""
-    from hplan.planning.cell import CellResult
-
-    if isinstance(result, CellResult):
-        parts = [result.between, *result.certificate.arms.values()]
-    else:
-        parts = [result.between, *(tour.certificate for own in result.tours.values() for tour in own)]
     least = min(parts, key=lambda part: part.min_clearance_m)
     violations = tuple(violation for part in parts for violation in part.violations)
     return replace(least, verified=all(part.verified for part in parts), violations=violations, subject=None)

@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Any
 
 from hplan.apps.cli.job_folder import PAGE, REPORT, TOUR, TOUR_REPORT, TRAJECTORY, JobFolder
 from hplan.apps.cli.options import check_output_file, plan_options, tracking_of
-from hplan.apps.cli.terminal import certificate_words, facts_table, loading, progress_line, show_title
-from hplan.errors import CertificationError, OptionError
+from hplan.apps.cli.terminal import FAILED, certificate_words, facts_table, hand_out, loading, progress_line, show_title
+from hplan.errors import OptionError
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from hplan.certificate.certificate import Certificate
-    from hplan.planning.cell import CellResult
+    from hplan.planning.cell import CellCertificate, CellResult
     from hplan.tour.cell_tour import CellTour
 
 #: Options that are of one robot, as the parsers name them, and their defaults.
@@ -90,7 +90,7 @@ def certify(arguments: argparse.Namespace, console: Console) -> int:
     with loading():
         from hplan.planning.cell import certify_cell, load_cell
         from hplan.planning.options import PlanOptions
-        from hplan.planning.report import certificate_report, report_text, versions, write_report
+        from hplan.planning.report import certificate_report, versions
         from hplan.trajectory.trajectory import read_csv
 
     cell, path, tracking = load_cell(arguments.scene), arguments.trajectory, tracking_of(arguments)
@@ -110,21 +110,20 @@ def certify(arguments: argparse.Namespace, console: Console) -> int:
         "violations": list(found.violations),
         "versions": versions(),
     }
-    if arguments.report is not None:
-        write_report(report, arguments.report)
-    if arguments.json:
-        console.file.write(report_text(report))
-    elif not arguments.quiet:
-        table = facts_table()
-        table.add_row("certificate", certificate_words(found.verified))
-        for violation in found.violations:
-            table.add_row("", violation)
-        distances = {"between arms": found.between, **found.arms}
-        table.add_row("clearance", ", ".join(f"{n} {1e3 * own.min_clearance_m:.2f} mm" for n, own in distances.items()))
-        show_title(console, cell.scene.name, ", ".join(names))
-        console.print(table)
-        console.print()
-    return 0 if found.verified else CertificationError.exit_status
+    hand_out(arguments, console, report, lambda: _show_certificate(console, cell.scene.name, found))
+    return 0 if found.verified else FAILED
+
+
+def _show_certificate(console: Console, scene: str, found: CellCertificate) -> None:
+    table = facts_table()
+    table.add_row("certificate", certificate_words(found.verified))
+    for violation in found.violations:
+        table.add_row("", violation)
+    distances = {"between arms": found.between, **found.arms}
+    table.add_row("clearance", ", ".join(f"{n} {1e3 * own.min_clearance_m:.2f} mm" for n, own in distances.items()))
+    show_title(console, scene, ", ".join(found.arms))
+    console.print(table)
+    console.print()
 
 
 def _check_options(arguments: argparse.Namespace) -> None:

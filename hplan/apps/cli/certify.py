@@ -21,7 +21,7 @@ from hplan.apps.cli.options import (
     scene_among,
     tracking_of,
 )
-from hplan.apps.cli.terminal import FAILED, certificate_words, facts_table, loading, percent, show_title
+from hplan.apps.cli.terminal import FAILED, certificate_words, facts_table, hand_out, loading, percent, show_title
 from hplan.base.files import is_folder
 
 if TYPE_CHECKING:
@@ -80,7 +80,7 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int
     with loading():
         from hplan.certificate.certificate import certify
         from hplan.planning.options import PlanOptions
-        from hplan.planning.report import certificate_report, report_text, versions, write_report
+        from hplan.planning.report import certificate_report, versions
         from hplan.robot.tracking import TrackingModel
         from hplan.scene.file import load_scene
         from hplan.trajectory.trajectory import read_csv
@@ -118,12 +118,8 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int
         "certificate": certificate_report(certificate, options, scene),
         "versions": versions(),
     }
-    if arguments.report is not None:
-        write_report(report, arguments.report)
-    if arguments.json:
-        console.file.write(report_text(report))
-    elif not arguments.quiet:
-        _show(console, report, TrackingModel(tracking.still_rad).summary(robot.slides))
+    error = TrackingModel(tracking.still_rad).summary(robot.slides)
+    hand_out(arguments, console, report, lambda: _show(console, report, error))
     return 0 if report["status"] == "ok" else FAILED
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import gc
 import os
@@ -254,6 +255,18 @@ def show_title(console: Console, what: str, robot: str) -> None:
     from rich.markup import escape
 
     console.print(f"\n[bold]{escape(what)}[/] with [bold]{escape(robot)}[/]\n")
+
+
+def hand_out(arguments: argparse.Namespace, console: Console, report: dict[str, Any], show: Callable[[], None]) -> None:
+    """Write a report where `--report` says, and print it as JSON or show a summary."""
+    from hplan.planning.report import report_text, write_report
+
+    if arguments.report is not None:
+        write_report(report, arguments.report)
+    if arguments.json:
+        console.file.write(report_text(report))
+    elif not arguments.quiet:
+        show()
 
 
 def certificate_words(verified: bool) -> str:

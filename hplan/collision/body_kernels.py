@@ -31,7 +31,7 @@ from hplan.collision.obstacle_rows import FieldArrays
 from hplan.collision.penetration import penetration
 from hplan.collision.placed_bodies import ALONG, CENTRE, PLACED, START, place_bodies
 from hplan.collision.sweep import STILL
-from hplan.collision.vectors import Pose, Vector, dot, sub
+from hplan.collision.vectors import Pose, Vector, dot, sub, turned_back
 
 _FIRST_ROW = any_int(0)
 
@@ -57,8 +57,8 @@ class BodyArrays(NamedTuple):
     Attributes:
         movers: As `hplan.collision.flat_bodies.FlatBodies`.
         solids: As `hplan.collision.clearance_field.ClearanceField`.
-        placed: (bodies, 21) each body where it is.
-        frames: (dof + 1, 12) frames of joints and base.
+        placed: (bodies, PLACED) each body where it is.
+        frames: (dof + 1, 12) frames of joints and base; with their twists where they move.
         work: (WORK + 6,) numbers, the last of them the direction in which what was found nearest to a body lies, and
             the body's point nearest to that.
     """
@@ -82,11 +82,11 @@ def _placed_arm(q: FloatArray, field: FieldArrays) -> BodyArrays:
 
 
 @inlined
-def pose_of(placed: FloatArray, b: int) -> Pose:
-    """Where a body is."""
+def pose_of(frames: FloatArray, j: int) -> Pose:
+    """Where what a joint carries is."""
     return (
-        placed[b, 0], placed[b, 1], placed[b, 2], placed[b, 3], placed[b, 4], placed[b, 5],
-        placed[b, 6], placed[b, 7], placed[b, 8], placed[b, 9], placed[b, 10], placed[b, 11],
+        frames[j, 0], frames[j, 1], frames[j, 2], frames[j, 3], frames[j, 4], frames[j, 5],
+        frames[j, 6], frames[j, 7], frames[j, 8], frames[j, 9], frames[j, 10], frames[j, 11],
     )  # fmt: skip
 
 
@@ -97,9 +97,9 @@ def span_of(movers: FloatArray, b: int) -> Span:
 
 
 @inlined
-def difference(placed: FloatArray, j: int, i: int) -> Pose:
-    """Where body j is as seen from body i."""
-    a, b = placed[i], placed[j]
+def difference(frames: FloatArray, j: int, i: int) -> Pose:
+    """Where what joint j carries is as seen from what joint i does."""
+    a, b = frames[i], frames[j]
     x, y, z = b[9] - a[9], b[10] - a[10], b[11] - a[11]
     return (
         a[0] * b[0] + a[3] * b[3] + a[6] * b[6],
@@ -238,9 +238,9 @@ def _body_clearance(arm: BodyArrays, b: int, enough: float) -> float:
 def _hull_clearance(arm: BodyArrays, k: int, other: tuple[FloatArray, Span, float], least: float) -> float:
     """Clearance of a body from a hull grown by a radius, or `least` where it is no less."""
     points, other_span, radius = other
-    movers, numbers, placed, work = arm.movers, arm.numbers, arm.placed, arm.work
+    movers, numbers, work = arm.movers, arm.numbers, arm.work
     radii = radius + movers[k, flat.ROUNDING]
-    span, pose = span_of(movers, k), pose_of(placed, k)
+    span, pose = span_of(movers, k), pose_of(arm.frames, int(movers[k, flat.JOINT]))
     wanted = Wanted(least + radii, -math.inf, EXACT, radii, STILL)
     distance = core_distance(numbers, span, pose, points, other_span, wanted, work)
     sign = 1.0
@@ -334,10 +334,9 @@ def _pair_clearance(arm: BodyArrays, k: int, enough: float) -> float:
         dx = placed[j, CENTRE] - placed[i, CENTRE]
         dy = placed[j, CENTRE + 1] - placed[i, CENTRE + 1]
         dz = placed[j, CENTRE + 2] - placed[i, CENTRE + 2]
-    work[NEAREST] = placed[i, 0] * dx + placed[i, 3] * dy + placed[i, 6] * dz
-    work[NEAREST + 1] = placed[i, 1] * dx + placed[i, 4] * dy + placed[i, 7] * dz
-    work[NEAREST + 2] = placed[i, 2] * dx + placed[i, 5] * dy + placed[i, 8] * dz
-    pose = difference(placed, j, i)
+    frames, inner = arm.frames, int(movers[i, flat.JOINT])
+    work[NEAREST], work[NEAREST + 1], work[NEAREST + 2] = turned_back(pose_of(frames, inner), (dx, dy, dz))
+    pose = difference(frames, int(movers[j, flat.JOINT]), inner)
     span, other = span_of(movers, j), span_of(movers, i)
     wanted = Wanted(enough + touching, -math.inf, EXACT, touching, STILL)
     distance = core_distance(numbers, span, pose, numbers, other, wanted, work)
@@ -348,10 +347,10 @@ def _pair_clearance(arm: BodyArrays, k: int, enough: float) -> float:
         return enough
     # As seen from the ground.
     for c in range(3):
-        work[WORK + c], work[WORK + 3 + c] = 0.0, placed[i, 9 + c]
+        work[WORK + c], work[WORK + 3 + c] = 0.0, frames[inner, 9 + c]
         for d in range(3):
-            work[WORK + c] += sign * placed[i, 3 * c + d] * work[NEAREST + d]
-            work[WORK + 3 + c] += placed[i, 3 * c + d] * work[ON_FIRST + d]
+            work[WORK + c] += sign * frames[inner, 3 * c + d] * work[NEAREST + d]
+            work[WORK + 3 + c] += frames[inner, 3 * c + d] * work[ON_FIRST + d]
     beyond: float = distance - touching
     return beyond
 

@@ -1,9 +1,10 @@
 """Kernels for arms of any kind: how far bodies move, motions verified collision-free, and what is near to them.
 
 The clearance at a configuration verifies a part of the motion, before it and after it (`hplan.collision.motion_cover`).
-The next one is far enough ahead that its part before is to meet what is shown; where it does not, one nearer comes in
-between. No more is asked for than lets the motion go on by a part that is a little longer than the last one: looks that
-are nearer to each other but cheaper are the quicker proof.
+That in the middle often verifies all of it. From the begin on, the next one is far enough ahead that its part before is
+to meet what is shown; where it does not, one nearer comes in between. No more is asked for than lets the motion go on
+by a part that is a little longer than the last one: looks that are nearer to each other but cheaper are the quicker
+proof.
 """
 
 from __future__ import annotations
@@ -71,21 +72,15 @@ def body_bounds(turns: FloatArray, movers: FloatArray, numbers: FloatArray, resu
 
 @kernel
 def _run(piece: FloatArray, field: FieldArrays, margin: float) -> Run:
-    """A motion, of which nothing is known yet but where it goes."""
+    """A motion, of which nothing is known yet but how fast its points are at most, and how far it bends."""
     dof = piece.shape[1]
-    bends = np.zeros((field.chain.shape[0], 2))
-    return Run(piece, moving_arm(field, dof, bends, margin), np.empty(dof), np.empty(dof), field.until)
-
-
-@kernel
-def _find_bends(run: Run) -> None:
-    """Write how fast points of the motion are at most, and how far it bends."""
-    piece, arm, fastest, changes = run.piece, run.moving.arm, np.empty(len(run.q)), np.empty(len(run.q))
-    for j in range(len(run.q)):
+    bends, fastest, changes = np.empty((field.chain.shape[0], 2)), np.empty(dof), np.empty(dof)
+    for j in range(dof):
         first, second, third = piece[1, j] - piece[0, j], piece[2, j] - piece[1, j], piece[3, j] - piece[2, j]
         fastest[j] = 3.0 * max(abs(first), max(abs(second), abs(third)))
         changes[j] = 6.0 * max(abs(second - first), abs(third - second))
-    motion_bends(fastest, changes, arm.movers, arm.numbers, run.moving.bends)
+    motion_bends(fastest, changes, field.chain, field.base, bends)
+    return Run(piece, moving_arm(field, dof, bends, margin), fastest, changes, field.until)
 
 
 @kernel
@@ -101,10 +96,11 @@ def _look(run: Run, t: float, back: float, forward: float) -> Part:
 
 
 @kernel
-def _march(run: Run, looks: int, stride: float) -> tuple[float, int]:
+def _march(run: Run, middle: Part, looks: int, stride: float) -> tuple[float, int]:
     """Show a motion clear, from its begin on.
 
     Args:
+        middle: What is verified about its middle.
         looks: How many are taken at most.
         stride: No step from look to look is shorter than that.
 
@@ -119,6 +115,8 @@ def _march(run: Run, looks: int, stride: float) -> tuple[float, int]:
             return shown, used + 1
         if part.back >= asked or at <= last + stride:
             shown, last, covered = at, at, at + part.forward
+            if covered >= 0.5 - middle.back:
+                covered = max(covered, 0.5 + middle.forward)
             if at >= 1.0:
                 return shown, used + 1
             step = max(part.forward, stride)
@@ -135,36 +133,35 @@ def _march(run: Run, looks: int, stride: float) -> tuple[float, int]:
 def body_shown_part(
     piece: FloatArray, field: FieldArrays, margin: float, stride: float, looks: int
 ) -> tuple[float, int]:
-    """As `hplan.collision.clearance_kernels.shown_part`."""
+    """As `hplan.collision.clearance_kernels.shown_part`; a look at the middle comes first, which may show it all."""
     run = _run(piece, field, margin)
-    _find_bends(run)
-    shown, used = _march(run, looks, stride)
-    return shown, used
+    middle = _look(run, 0.5, 0.5, 0.5)
+    if middle.back >= 0.5 and middle.forward >= 0.5:
+        return 1.0, 1
+    shown, used = _march(run, middle, looks - 1, stride)
+    return shown, used + 1
 
 
 @kernel
-def body_segment_is_clear(piece: FloatArray, field: FieldArrays, margin: float) -> bool:
-    """True if a straight motion is verified to keep a margin.
+def body_piece_is_clear(piece: FloatArray, field: FieldArrays, margin: float, stride: float) -> bool:
+    """True if a motion along a Bezier piece is verified to keep a margin.
 
     Most motions that are checked fail, which places far apart show at once: these are looked at first.
     """
-    run, dof = _run(piece, field, margin), piece.shape[1]
-    at, farthest = int(field.base[flat.REACHES]), 0.0
+    run = _run(piece, field, margin)
+    middle = _look(run, 0.5, 0.5, 0.5)
+    if middle.forward < 0.0 or (middle.back >= 0.5 and middle.forward >= 0.5):
+        return middle.forward >= 0.0
+    farthest = 0.0
     for b in range(int(field.base[flat.BODIES])):
-        bound = 0.0
-        for j in range(dof):
-            bound += field.base[at + dof * b + j] * abs(piece[3, j] - piece[0, j])
-        farthest = max(farthest, bound)
+        farthest = max(farthest, run.moving.bends[b, 0])
     parts = 2
-    while True:
+    while farthest > parts * _APART and not is_up(field.until):
+        parts *= 2
         for part in range(1, parts, 2):
             if _look(run, part / parts, 0.0, 0.0).forward < 0.0:
                 return False
-        if farthest <= parts * _APART or is_up(field.until):
-            break
-        parts *= 2
-    _find_bends(run)
-    shown, _ = _march(run, _MOST_LOOKS, 0.0)
+    shown, _ = _march(run, middle, _MOST_LOOKS, stride)
     return shown == 1.0
 
 

@@ -24,7 +24,7 @@ from hplan.base.deadline import is_up
 from hplan.base.kernels import any_int, inlined, kernel
 from hplan.collision import obstacle_rows as row
 from hplan.collision.body_kernels import body_clearances
-from hplan.collision.body_motions import body_bounds, body_segment_is_clear, body_shown_part, mark_near_bodies
+from hplan.collision.body_motions import body_bounds, body_piece_is_clear, body_shown_part, mark_near_bodies
 from hplan.collision.distances import Vector, point_segment, segment_box, segment_hull, segment_segment
 from hplan.collision.motion_cover import body_keeps_margin
 from hplan.collision.obstacle_rows import OF_BODIES
@@ -357,6 +357,8 @@ def straight_piece(start: FloatArray, end: FloatArray) -> FloatArray:
 @kernel
 def piece_is_clear(piece: FloatArray, field: FieldArrays, margin: float, stride: float) -> bool:
     """True if a motion along a Bezier piece is verified to keep a margin (`shown_part`)."""
+    if len(field) == OF_BODIES:
+        return body_piece_is_clear(piece, field, margin, stride)
     shown, _ = shown_part(piece, field, margin, stride, _MOST_LOOKS)
     return shown == 1.0
 
@@ -375,7 +377,7 @@ def path_is_clear(path: FloatArray, field: FieldArrays, margin: float) -> bool:
 def segment_is_clear(start: FloatArray, end: FloatArray, field: FieldArrays, margin: float) -> bool:
     """True if the straight joint-space motion is verified to keep `margin`, which is asked for at what is evaluated."""
     if len(field) == OF_BODIES:
-        return body_segment_is_clear(straight_piece(start, end), field, margin)
+        return piece_is_clear(straight_piece(start, end), field, margin, 0.0)
     # Most motions that are checked fail, and often in the middle.
     q = np.empty(len(start))
     for i in range(len(start)):

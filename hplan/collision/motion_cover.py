@@ -10,10 +10,10 @@ body has come nearer to the plane than
 
 by Taylor's theorem along :math:`n`, where :math:`A` bounds the accelerations of the body's points all along the motion
 (`hplan.collision.twists.motion_bends`) and :math:`r` is the ball's radius, of a body with a rounding that of its core:
-the rounding adds the same to all distances from planes. So until that is used up the two stay apart; and for the time
-before, the same holds with the velocities reversed. Nor do points move farther than the reaches of joints allow
-(`hplan.collision.reach`), in whichever direction. What moves along a surface, or away from it, has far to go by the
-first bound; what is far away has by the second.
+the rounding adds the same to all distances from planes. So until that, less half of the margin, is used up the two stay
+half of the margin apart; and for the time before, the same holds with the velocities reversed. Nor do points move
+farther than the reaches of joints allow (`hplan.collision.reach`), in whichever direction. What moves along a surface,
+or away from it, has far to go by the first bound; what is far away has by the second.
 
 A pair of the arm's own bodies is seen from the inner one, in whose frame only the joints between them move the
 other. Where neither carries the other, the reaches alone are made use of.
@@ -45,7 +45,7 @@ from hplan.collision.convex_distance import NEAREST, SEPARATING, WORK, Span, Wan
 from hplan.collision.obstacle_rows import FieldArrays
 from hplan.collision.placed_bodies import CENTRE, PLACED, place_bodies
 from hplan.collision.sweep import Sweep, used_up
-from hplan.collision.twists import find_twists
+from hplan.collision.twists import MOVING, TWIST, find_twists
 from hplan.collision.vectors import Vector, cross, dot, sub, turned_back
 
 _FIRST_ROW = any_int(0)
@@ -73,14 +73,11 @@ class Moving(NamedTuple):
     """An arm in motion.
 
     Attributes:
-        twists: (dof + 1, 6) angular velocity of what each joint carries, and the velocity of the point of it that is at
-            the origin; of the base zeros.
         bends: (bodies, 2) how fast points of each moving body move at most, and what their acceleration is at most.
         margin: Clearance asked for [m].
     """
 
     arm: BodyArrays
-    twists: FloatArray
     bends: FloatArray
     margin: float
 
@@ -88,9 +85,9 @@ class Moving(NamedTuple):
 @kernel
 def moving_arm(field: FieldArrays, dof: int, bends: FloatArray, margin: float) -> Moving:
     """An arm in motion, nowhere yet."""
-    placed, frames = np.empty((int(field.base[flat.BODIES]), PLACED)), np.empty((dof + 1, 12))
+    placed, frames = np.empty((int(field.base[flat.BODIES]), PLACED)), np.empty((dof + 1, MOVING))
     arm = BodyArrays(field.chain, field.base, field.solids, field.data, placed, frames, np.empty(WORK + 6))
-    return Moving(arm, np.zeros((dof + 1, 6)), bends, margin)
+    return Moving(arm, bends, margin)
 
 
 @kernel
@@ -103,10 +100,10 @@ def part_shown_clear(q: FloatArray, rates: FloatArray, moving: Moving, back: flo
         back: No more is asked for of the motion before.
         forward: The same after.
     """
-    arm, twists, bends = moving.arm, moving.twists, moving.bends
+    arm, bends = moving.arm, moving.bends
     movers, solids, placed, margin = arm.movers, arm.solids, arm.placed, moving.margin
     place_bodies(q, movers, arm.numbers, arm.frames, placed)
-    find_twists(rates, arm.numbers, arm.frames, twists)
+    find_twists(rates, arm.numbers, arm.frames)
     bodies = placed.shape[0]
     part = Part(back, forward)
     # From the tip on: what is carried by more joints moves farther, and is in contact more often.
@@ -116,7 +113,7 @@ def part_shown_clear(q: FloatArray, rates: FloatArray, moving: Moving, back: flo
             if movers[k, flat.MEETS] > 0.0:
                 # The first row whose ball comes near. (Here, as a call with all arrays costs more than a few rows.)
                 x, y, z = placed[k, CENTRE], placed[k, CENTRE + 1], placed[k, CENTRE + 2]
-                around = movers[k, flat.BALL_RADIUS] + max(margin, max(part.back, part.forward) * bends[k, 0])
+                around = movers[k, flat.BALL_RADIUS] + margin + max(part.back, part.forward) * bends[k, 0]
                 s = _FIRST_ROW
                 while s < solids.shape[0]:
                     dx, dy, dz = solids[s, row.CENTRE] - x, solids[s, row.CENTRE + 1] - y, solids[s, row.CENTRE + 2] - z
@@ -132,7 +129,7 @@ def part_shown_clear(q: FloatArray, rates: FloatArray, moving: Moving, back: flo
                 placed[j, CENTRE + 1] - placed[i, CENTRE + 1],
                 placed[j, CENTRE + 2] - placed[i, CENTRE + 2],
             )
-            beyond = movers[k, flat.BALLS] + max(margin, max(part.back, part.forward) * bends[k, 0])
+            beyond = movers[k, flat.BALLS] + margin + max(part.back, part.forward) * bends[k, 0]
             if x * x + y * y + z * z < beyond * beyond:
                 part = _of_pair(moving, k, part)
         if part.forward < 0.0:
@@ -149,13 +146,13 @@ def body_keeps_margin(q: FloatArray, field: FieldArrays, margin: float) -> bool:
 
 
 @inlined
-def _spin(twists: FloatArray, joint: int) -> Vector:
-    return twists[joint, 0], twists[joint, 1], twists[joint, 2]
+def _spin(frames: FloatArray, joint: int) -> Vector:
+    return frames[joint, TWIST], frames[joint, TWIST + 1], frames[joint, TWIST + 2]
 
 
 @inlined
-def _drift(twists: FloatArray, joint: int) -> Vector:
-    return twists[joint, 3], twists[joint, 4], twists[joint, 5]
+def _drift(frames: FloatArray, joint: int) -> Vector:
+    return frames[joint, TWIST + 3], frames[joint, TWIST + 4], frames[joint, TWIST + 5]
 
 
 class _Motion(NamedTuple):
@@ -181,11 +178,11 @@ class _Motion(NamedTuple):
 
 @kernel
 def _farthest(motion: _Motion, part: Part) -> float:
-    """How far a moving body's points move at most, or the margin."""
+    """The distance that lasts for a part, however a moving body's points move [m]."""
     back, forward, bend = part.back, part.forward, 0.5 * motion.bend
     after = min(forward * motion.most, forward * motion.speed + forward * forward * bend)
     before = min(back * motion.most, back * motion.speed + back * back * bend)
-    farthest: float = max(motion.margin, max(after, before))
+    farthest: float = max(motion.margin, 0.5 * motion.margin + max(after, before))
     return farthest
 
 
@@ -225,21 +222,21 @@ def _left(motion: _Motion, direction: Vector, distance: float, part: Part) -> Pa
         along = dot(direction, motion.velocity) / length
         turning = motion.core * math.sqrt(dot(across, across)) / length
     return Part(
-        _lasting(distance, turning + along, motion.most, motion.bend, part.back),
-        _lasting(distance, turning - along, motion.most, motion.bend, part.forward),
+        _lasting(distance - 0.5 * motion.margin, turning + along, motion.most, motion.bend, part.back),
+        _lasting(distance - 0.5 * motion.margin, turning - along, motion.most, motion.bend, part.forward),
     )
 
 
 @kernel
 def _of_body(moving: Moving, b: int, first: int, part: Part) -> Part:
     """What is left of a part that a body's clearance from obstacles, from some row on, lasts for."""
-    arm, twists = moving.arm, moving.twists
-    movers, solids, placed = arm.movers, arm.solids, arm.placed
+    arm = moving.arm
+    movers, solids, placed, frames = arm.movers, arm.solids, arm.placed, arm.frames
     centre = (placed[b, CENTRE], placed[b, CENTRE + 1], placed[b, CENTRE + 2])
     ball, joint = movers[b, flat.BALL_RADIUS], int(movers[b, flat.JOINT])
     thickness, thin = movers[b, flat.AXIS_RADIUS], is_thin(movers, b)
     core = ball - movers[b, flat.ROUNDING]
-    spin, at_origin = _spin(twists, joint), _drift(twists, joint)
+    spin, at_origin = _spin(frames, joint), _drift(frames, joint)
     moved = cross(spin, centre)
     velocity = (at_origin[0] + moved[0], at_origin[1] + moved[1], at_origin[2] + moved[2])
     speed = math.sqrt(dot(velocity, velocity)) + core * math.sqrt(dot(spin, spin))
@@ -308,9 +305,8 @@ def _of_hull(moving: Moving, k: int, other: tuple[FloatArray, Span, float], moti
     points, other_span, radius = other
     work, radii = arm.work, radius + arm.movers[k, flat.ROUNDING]
     wanted = Wanted(math.inf, motion.margin + radii, _ROUGH, radii, _sweep(motion, part))
-    distance = core_distance(
-        arm.numbers, span_of(arm.movers, k), pose_of(arm.placed, k), points, other_span, wanted, work
-    )
+    pose = pose_of(arm.frames, int(arm.movers[k, flat.JOINT]))
+    distance = core_distance(arm.numbers, span_of(arm.movers, k), pose, points, other_span, wanted, work)
     if distance == math.inf:
         return part
     direction = (work[SEPARATING], work[SEPARATING + 1], work[SEPARATING + 2])
@@ -351,14 +347,14 @@ def _of_lot(moving: Moving, place: tuple[int, int], motion: _Motion, part: Part)
 @kernel
 def _of_pair(moving: Moving, k: int, part: Part) -> Part:
     """What is left of a part that the clearance of a pair of the arm's own bodies lasts for."""
-    arm, twists = moving.arm, moving.twists
-    movers, numbers, placed, work = arm.movers, arm.numbers, arm.placed, arm.work
+    arm = moving.arm
+    movers, numbers, placed, frames, work = arm.movers, arm.numbers, arm.placed, arm.frames, arm.work
     j, i, touching = int(movers[k, flat.OUTER]), int(movers[k, flat.INNER]), movers[k, flat.TOUCHING]
     outer, inner = int(movers[j, flat.JOINT]), int(movers[i, flat.JOINT])
     centre = (placed[j, CENTRE], placed[j, CENTRE + 1], placed[j, CENTRE + 2])
     away = sub(centre, (placed[i, CENTRE], placed[i, CENTRE + 1], placed[i, CENTRE + 2]))
-    spin = sub(_spin(twists, outer), _spin(twists, inner))
-    at_origin = sub(_drift(twists, outer), _drift(twists, inner))
+    spin = sub(_spin(frames, outer), _spin(frames, inner))
+    at_origin = sub(_drift(frames, outer), _drift(frames, inner))
     moved = cross(spin, centre)
     velocity = (at_origin[0] + moved[0], at_origin[1] + moved[1], at_origin[2] + moved[2])
     core = movers[j, flat.BALL_RADIUS] - movers[j, flat.ROUNDING]
@@ -375,12 +371,12 @@ def _of_pair(moving: Moving, k: int, part: Part) -> Part:
         if is_thin(movers, i) and is_thin(movers, j) and shown * shown >= _SURELY * length * length:
             return _left(seen, away, clear, part)
     # As seen from the inner body.
-    pose = pose_of(placed, i)
+    pose = pose_of(frames, inner)
     work[NEAREST], work[NEAREST + 1], work[NEAREST + 2] = turned_back(pose, away)
     motion = _Motion(turned_back(pose, velocity), turned_back(pose, spin), core, most, most, bend, moving.margin)
     wanted = Wanted(math.inf, moving.margin + touching, _ROUGH, touching, _sweep(motion, part))
     distance = core_distance(
-        numbers, span_of(movers, j), difference(placed, j, i), numbers, span_of(movers, i), wanted, work
+        numbers, span_of(movers, j), difference(frames, outer, inner), numbers, span_of(movers, i), wanted, work
     )
     if distance == math.inf:
         return part

@@ -8,14 +8,17 @@ from hplan.base.arrays import FloatArray
 from hplan.base.kernels import kernel
 from hplan.collision import flat_bodies as flat
 
-#: Numbers of a placed body: its frame (a turn, row by row, and a place), from `CENTRE` on the centre of its ball, from
-#: `START` and `ALONG` on start and vector of its axis; how many there are.
-CENTRE, START, ALONG, PLACED = 12, 15, 18, 21
+#: Numbers of a placed body: from `CENTRE` on the centre of its ball, from `START` and `ALONG` on start and vector of
+#: its axis; how many there are.
+CENTRE, START, ALONG, PLACED = 0, 3, 6, 9
 
 
 @kernel
 def place_joints(q: FloatArray, numbers: FloatArray, frames: FloatArray) -> None:
-    """Write the (dof + 1, 12) frames of joints and base at a configuration."""
+    """Write the frames of joints and base, (dof + 1, 12) or wider, at a configuration.
+
+    Of each its turn, row by row, and its place.
+    """
     dof, joints = int(numbers[flat.DOF]), int(numbers[flat.JOINTS])
     for c in range(12):
         frames[dof, c] = 1.0 if c == 0 or c == 4 or c == 8 else 0.0
@@ -47,8 +50,6 @@ def place_bodies(
     place_joints(q, numbers, frames)
     for b in range(placed.shape[0]):
         frame, body = frames[int(movers[b, flat.JOINT])], movers[b]
-        for c in range(12):
-            placed[b, c] = frame[c]
         for r in range(3):
             x, y, z = frame[3 * r], frame[3 * r + 1], frame[3 * r + 2]
             placed[b, CENTRE + r] = (

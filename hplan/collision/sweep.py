@@ -24,7 +24,7 @@ class Sweep(NamedTuple):
         bend_back: By how much more than by its velocity now a point may move in that time [m].
         bend_forward: The same of the time after.
         speed: How fast its points ever move at most.
-        least: Distance that is asked for now [m].
+        least: Distance that is asked for now; half of it is for all of the time [m].
     """
 
     velocity: Vector
@@ -56,4 +56,4 @@ def used_up(sweep: Sweep, direction: Vector, length: float) -> float:
     turning = sweep.radius * math.sqrt(dot(across, across)) / length
     after = min(sweep.forward * sweep.speed, sweep.forward * (turning - along) + sweep.bend_forward)
     before = min(sweep.back * sweep.speed, sweep.back * (turning + along) + sweep.bend_back)
-    return max(sweep.least, max(after, before))
+    return max(sweep.least, 0.5 * sweep.least + max(after, before))

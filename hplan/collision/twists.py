@@ -7,6 +7,10 @@ from hplan.base.kernels import kernel
 from hplan.collision import flat_bodies as flat
 from hplan.collision.vectors import cross
 
+#: Numbers of a frame that moves: behind the frame the angular velocity of what its joint carries, and the velocity of
+#: the point of that which is at the origin.
+TWIST, MOVING = 12, 18
+
 #: Stands for an acceleration that nothing bounds.
 _UNBOUNDED = 1e300
 
@@ -60,19 +64,21 @@ def _is_carried(movers: FloatArray, numbers: FloatArray, k: int) -> bool:
 
 
 @kernel
-def find_twists(rates: FloatArray, numbers: FloatArray, frames: FloatArray, twists: FloatArray) -> None:
-    """Write the twists of joints that move at some rates."""
+def find_twists(rates: FloatArray, numbers: FloatArray, frames: FloatArray) -> None:
+    """Write, behind the (dof + 1, MOVING) frames, the twists of joints that move at some rates; the base has zeros."""
+    for c in range(TWIST, MOVING):
+        frames[len(rates), c] = 0.0
     joints = int(numbers[flat.JOINTS])
     for j in range(len(rates)):
         own = joints + flat.JOINT_SIZE * j
         below, rate = int(numbers[own + flat.PARENT]), rates[j]
         tx, ty, tz = numbers[own + flat.TURN], numbers[own + flat.TURN + 1], numbers[own + flat.TURN + 2]
-        for c in range(6):
-            twists[j, c] = twists[below, c]
+        for c in range(TWIST, MOVING):
+            frames[j, c] = frames[below, c]
         if tx == 0.0 and ty == 0.0 and tz == 0.0:
             for r in range(3):
                 for c in range(3):
-                    twists[j, 3 + r] += rate * frames[below, 3 * r + c] * numbers[own + flat.SHIFT + c]
+                    frames[j, TWIST + 3 + r] += rate * frames[below, 3 * r + c] * numbers[own + flat.SHIFT + c]
         else:
             axis = (
                 rate * (frames[j, 0] * tx + frames[j, 1] * ty + frames[j, 2] * tz),
@@ -81,5 +87,5 @@ def find_twists(rates: FloatArray, numbers: FloatArray, frames: FloatArray, twis
             )
             moved = cross((frames[j, 9], frames[j, 10], frames[j, 11]), axis)
             for c in range(3):
-                twists[j, c] += axis[c]
-                twists[j, 3 + c] += moved[c]
+                frames[j, TWIST + c] += axis[c]
+                frames[j, TWIST + 3 + c] += moved[c]

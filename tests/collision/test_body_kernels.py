@@ -17,7 +17,7 @@ from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.clearance_kernels import keeps_margin, piece_is_clear, segment_is_clear
 from hplan.collision.coal_shapes import beyond_geometry, solid_shape
 from hplan.collision.collision_bodies import GROUND, body_shapes, collision_bodies
-from hplan.collision.flat_bodies import AXIS, AXIS_RADIUS, BALL, BALL_RADIUS, BODIES
+from hplan.collision.flat_bodies import AXIS, AXIS_RADIUS, BALL, BALL_RADIUS, BODIES, JOINT
 from hplan.collision.placed_bodies import ALONG, CENTRE, PLACED, START, place_bodies
 from hplan.collision.touching_pairs import self_pairs
 from hplan.robot.model import Robot
@@ -109,16 +109,17 @@ def by_coal(robot: Robot, solids: list[Solid], q: FloatArray) -> FloatArray:
 def test_bodies_are_where_pinocchio_has_them(arm: Robot) -> None:
     field = ClearanceField.of(arm, [])
     bodies = collision_bodies(arm)
-    placed = np.empty((int(field.base[BODIES]), PLACED))
+    placed, frames = np.empty((int(field.base[BODIES]), PLACED)), np.empty((arm.dof + 1, 12))
     for q in np.random.default_rng(0).uniform(arm.lower, arm.upper, (20, arm.dof)):
-        place_bodies(q, field.chain, field.base, np.empty((arm.dof + 1, 12)), placed)
+        place_bodies(q, field.chain, field.base, frames, placed)
         assert int(field.base[BODIES]) == len(bodies) + len(tubes_of(arm))
         data = arm.model.createData()
         pin.forwardKinematics(arm.model, data, q)
         for body, row, mover in zip(bodies, placed, field.chain, strict=False):  # capsules and pairs follow
             place = data.oMi[body.joint + 1]
-            assert row[:9].reshape(3, 3) == pytest.approx(place.rotation, abs=1e-12)
-            assert row[9:12] == pytest.approx(place.translation, abs=1e-12)
+            frame = frames[int(mover[JOINT])]
+            assert frame[:9].reshape(3, 3) == pytest.approx(place.rotation, abs=1e-12)
+            assert frame[9:12] == pytest.approx(place.translation, abs=1e-12)
             corners = body.core @ place.rotation.T + place.translation
             away = np.linalg.norm(corners - row[CENTRE:START], axis=1).max() + body.rounding
             assert away - 1e-12 <= mover[BALL_RADIUS] <= 1.3 * away

@@ -20,7 +20,7 @@ from hplan.collision.motion_cover import moving_arm, part_shown_clear
 from hplan.collision.placed_bodies import place_joints
 from hplan.collision.sweep import Sweep, used_up
 from hplan.collision.touching_pairs import self_pairs
-from hplan.collision.twists import find_twists, motion_bends
+from hplan.collision.twists import MOVING, TWIST, find_twists, motion_bends
 from hplan.robot.model import Robot, load_robot
 from hplan.scene.obstacles import Box, Capsule, Cylinder, Solid, Sphere
 from hplan.scene.solids import Cloud
@@ -84,12 +84,12 @@ def seen_from(arm: Robot, q: FloatArray, joint: int, points: FloatArray) -> Floa
 def test_twists_are_velocities(arm: Robot, field: ClearanceField, seed: int) -> None:
     generator = np.random.default_rng(seed)
     q, rates = generator.uniform(arm.lower, arm.upper), generator.uniform(-1.0, 1.0, arm.dof)
-    frames, twists = np.zeros((arm.dof + 1, 12)), np.zeros((arm.dof + 1, 6))
+    frames = np.empty((arm.dof + 1, MOVING))
     place_joints(q, field.base, frames)
-    find_twists(rates, field.base, frames, twists)
+    find_twists(rates, field.base, frames)
     ahead, behind = (points_of(arm, field, q + step * rates) for step in (1e-6, -1e-6))
     for body, here, after, before in zip(collision_bodies(arm), points_of(arm, field, q), ahead, behind, strict=False):
-        twist = twists[body.joint if body.joint >= 0 else arm.dof]
+        twist = frames[body.joint if body.joint >= 0 else arm.dof, TWIST:]
         assert twist[3:] + np.cross(twist[:3], here) == pytest.approx((after - before) / 2e-6, abs=1e-7)
 
 
@@ -154,10 +154,11 @@ def test_parts_shown_clear_are_clear(arm: Robot, field: ClearanceField, seed: in
     assert 0.0 <= part.back <= back
     assert 0.0 <= part.forward <= forward
     along = field.along(q + np.linspace(-part.back, part.forward, 41)[:, None] * rates)
-    assert along.min() > -1e-9
+    assert along.min() > 0.5 * MARGIN - 1e-9
     # No less than the reaches alone show.
     moving = (bounds > 0.0) & (clear < FAR)
-    least = float((clear / np.where(moving, bounds, np.inf))[moving].min(initial=np.inf)) if moving.any() else np.inf
+    lasting = (clear - 0.5 * MARGIN) / np.where(moving, bounds, np.inf)
+    least = float(lasting[moving].min(initial=np.inf))
     for shown, asked in ((part.back, back), (part.forward, forward)):
         assert shown >= min(asked, 0.97 * least, 0.97 * FAR / max(bounds.max(), 1e-9))
 
@@ -191,7 +192,7 @@ def test_a_sweep_uses_up_what_the_worst_point_of_the_ball_does(seed: int) -> Non
     across = np.cross(spin, normal)
     worst = radius * across / np.linalg.norm(across)  # x with the largest n . (w x x)
     nearer = -normal @ (velocity + np.cross(spin, np.stack([worst, -worst]))).T
-    expected = max(0.05, forward * nearer.max() + 0.02, back * (-nearer).max() + 0.01)
+    expected = max(0.05, 0.025 + forward * nearer.max() + 0.02, 0.025 + back * (-nearer).max() + 0.01)
     assert used_up(sweep, tuple(direction), float(np.linalg.norm(direction))) == pytest.approx(expected)
-    capped = sweep._replace(speed=0.1)
-    assert used_up(capped, tuple(direction), float(np.linalg.norm(direction))) <= max(0.1 * max(back, forward), 0.05)
+    capped, most = sweep._replace(speed=0.1), max(0.1 * max(back, forward) + 0.025, 0.05)
+    assert used_up(capped, tuple(direction), float(np.linalg.norm(direction))) <= most

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from hplan.online.planner import Planner
     from hplan.online.warm_up import warm_up
     from hplan.planning.cell import Cell, CellResult, certify_cell, load_cell, plan_cell
+    from hplan.planning.configuration_check import ConfigurationCheck, check
     from hplan.planning.finishing.finish import finish
     from hplan.planning.options import PlanOptions
     from hplan.planning.plan import plan
@@ -40,6 +41,7 @@ __all__ = [
     "CellResult",
     "CellTour",
     "Certificate",
+    "ConfigurationCheck",
     "FruitReach",
     "HplanError",
     "PlanOptions",
@@ -56,6 +58,7 @@ __all__ = [
     "Trajectory",
     "certify",
     "certify_cell",
+    "check",
     "finish",
     "load_cell",
     "load_robot",

@@ -105,7 +105,7 @@ class Unquoted(str):
 def _brief(value: object) -> str:
     """A value in a few words: small ones as Python writes them, of others kind and size."""
     if isinstance(value, np.ndarray):
-        if value.ndim == 1 and value.size <= MOST_SHOWN:
+        if value.ndim <= 1 and value.size <= MOST_SHOWN:
             return np.array2string(value, precision=6, separator=", ", max_line_width=10_000)
         return f"<{value.dtype} {value.shape}>"
     if isinstance(value, str | bool | int | float | complex | PurePath | type(None)):

@@ -154,7 +154,7 @@ def _off_line(tool: FloatArray, row: int, direction: FloatArray) -> FloatArray:
 
 def _is_straight_along_z(robot: Robot, bezier: FloatArray, rows: FloatArray, row: int) -> BoolArray:
     """`_is_straight` of a general (non-planar) arm: line and direction are those of the tool frame's z axis."""
-    poses = robot.tool_poses(rows)
+    poses = robot.forward_kinematics(rows)
     tool, along = poses[:, :3, 3], poses[:, :3, 2]
     rates, pushes = _largest_rates(bezier)
     bent, turned = _bent_along_z(robot, rates, pushes)

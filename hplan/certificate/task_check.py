@@ -74,7 +74,7 @@ def _apart(robot: Robot, what: str, q: FloatArray, asked: FloatArray, which: str
 
 def _beside(robot: Robot, pose: FloatArray, frame: str | None, q: FloatArray) -> Iterator[str]:
     """Fault of a frame that is not at the pose of the goal."""
-    off = robot.tool_poses(q, frame) - pose
+    off = robot.forward_kinematics(q, frame) - pose
     away, turn = float(np.linalg.norm(off[:3, 3])), off[:3, :3]
     # Frames that are turned by an angle from one another differ by sqrt(8) sin(angle / 2).
     turned = 2.0 * float(np.arcsin(min(np.linalg.norm(turn) / np.sqrt(8.0), 1.0)))

@@ -103,7 +103,7 @@ def tool_at_point(
 
 def approach_angles(robot: Robot, configurations: FloatArray, position: FloatArray) -> FloatArray:
     """(k,) approach angles, in (-pi, pi], of (k, dof) configurations with the tool at a (3,) position."""
-    along = robot.tool_poses(configurations)[:, :3, 2]
+    along = robot.forward_kinematics(configurations)[:, :3, 2]
     outward = _outward(robot, np.array(position))
     level = np.copysign(np.hypot(along[:, 0], along[:, 1]), along @ outward)
     angles: FloatArray = np.arctan2(along[:, 2], level)

@@ -134,7 +134,7 @@ def _other_tasks(robot: Robot, scene: Scene, fruit: Fruit) -> Iterator[tuple[dic
     yield {"fruits": (fruit,), "goal": Goal(fruit=fruit.name)}, usual
     yield {}, PlanOptions(tracking_error=1e-4, tracking_delay_s=1e-4, effort="best")
     if robot.planar is None:
-        pose = pin.SE3ToXYZQUAT(pin.SE3(robot.tool_poses(scene.goal.configuration))).tolist()
+        pose = pin.SE3ToXYZQUAT(pin.SE3(robot.forward_kinematics(scene.goal.configuration))).tolist()
         yield {"goal": Goal(position=tuple(pose[:3]), quaternion_xyzw=tuple(pose[3:]))}, usual
     elif robot.has_yaw:
         yield {"locked_joints": robot.joint_names[:1]}, usual

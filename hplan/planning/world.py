@@ -19,11 +19,12 @@ from hplan.base.arrays import FloatArray, Record
 from hplan.base.deadline import check_deadline
 from hplan.certificate.motion_bound import pair_sways
 from hplan.collision.clearance_field import ClearanceField
-from hplan.collision.coal_scene import CoalScene, base_contacts
+from hplan.collision.coal_scene import CoalScene, OwnContact, base_contacts
 from hplan.collision.giving_way import LinkedSolids
 from hplan.errors import ConfigurationInCollisionError, InputError
 from hplan.grid.prepared_obstacles import PreparedObstacles, prepare_obstacles
 from hplan.robot.base_shapes import BASE_DEPTH, base_radius, turning_shapes
+from hplan.robot.files import neighbouring_links
 from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel, largest_fraction, name_margin
 from hplan.scene.model import Scene
@@ -193,10 +194,29 @@ def check_clear(checker: CoalScene, q: FloatArray, clearance: float, which: str,
     beyond = (distance - float(sways[worst])) - float(kept[worst])
     if beyond <= 0.0:
         nearest = checker.contact(*checker.pairs[worst], distance)
-        raise ConfigurationInCollisionError(
+        error = ConfigurationInCollisionError(
             which, nearest.link, nearest.obstacle, -beyond, float(kept[worst] + sways[worst]), other=nearest.other
         )
+        if isinstance(nearest, OwnContact) and checker.own_bodies is not None:
+            _name_neighbours(error, checker, q)
+        raise error
     return beyond
+
+
+def _name_neighbours(error: ConfigurationInCollisionError, checker: CoalScene, q: FloatArray) -> None:
+    """Say which of the links that touch one another have one joint between them: most robots mean them to."""
+    neighbours = {frozenset(pair[:2]) for pair in neighbouring_links(checker.robot.model)}
+    apart = checker.pair_distances(q)[len(checker.pairs) - len(checker.own_others) :].tolist()
+    touching = dict.fromkeys(
+        (checker.obstacle_names[other], checker.mover_names[mover])
+        for (mover, other), distance in zip(checker.pairs[-len(apart) :], apart, strict=True)
+        if distance <= 0.0
+    )
+    found = [list(pair) for pair in touching if frozenset(pair) in neighbours]
+    if found:
+        named = ", ".join(" and ".join(pair) for pair in found)
+        how = "say so by an SRDF (--srdf) or allow_neighbours (--allow-neighbours)"
+        error.add(f"are they meant to? Neighbours that touch here: {named}; {how}", neighbours=found)
 
 
 def without_inside(robot: Robot, scene: Scene) -> tuple[Scene, tuple[str, ...]]:

@@ -5,6 +5,7 @@ Any robot's, and where the files of the robots are that have a name (extra `robo
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
@@ -143,6 +144,16 @@ def read_srdf(path: Path, links: Collection[str] | None = None) -> tuple[tuple[s
         reason = f"it is another robot's: of its pairs, {first!r} and {second!r} first, none is of this one's links"
         raise RobotFileError(path, f"{reason}: {', '.join(links)}")
     return tuple(found)
+
+
+def neighbouring_links(model: pin.Model) -> tuple[tuple[str, str, str], ...]:
+    """Pairs of links with one joint between them, as `read_srdf` has pairs that may touch."""
+    links = [(frame.name, frame.parentJoint) for frame in model.frames if frame.type == pin.FrameType.BODY]
+    return tuple(
+        (first, second, "neighbours")
+        for (first, i), (second, j) in itertools.combinations(links, 2)
+        if i != j and (model.parents[j] == i or model.parents[i] == j)
+    )
 
 
 def read_models(urdf_path: Path) -> tuple[pin.Model, pin.GeometryModel, pin.GeometryModel]:

@@ -18,13 +18,13 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from hplan.base.arguments import each, file_path, instance, list_of, number
+from hplan.base.arguments import each, file_path, instance, list_of, number, truth
 from hplan.base.arrays import BoolArray, FloatArray, Record, as_array, numbers, readonly
 from hplan.base.units import FARTHEST_JOINT, JointUnit, joint_unit
 from hplan.errors import InputError, JointLimitError, RobotFamilyError
 from hplan.robot.dynamics import InverseDynamics, joints_that_slide
 from hplan.robot.family_reader import check_joints, read_family
-from hplan.robot.files import build_models, find_limits, limits_file, read_srdf, robot_files
+from hplan.robot.files import build_models, find_limits, limits_file, neighbouring_links, read_srdf, robot_files
 from hplan.robot.planar_family import PlanarArm, PlanarFamily, PlanarNames
 from hplan.robot.urdf_adaptation import RobotChoice, adapt_urdf
 from hplan.robot.urdf_xml import is_urdf_text, read_urdf_xml
@@ -63,7 +63,7 @@ class Robot(PlanarNames, Record):
         urdf_text: The URDF that the models were built from, where it is not the file's content.
         planar: What it has as an arm of the planar family; None where it is not of it.
         beyond_family: Element of the robot, and the reason, for which it is not of the family; None where it is.
-        may_touch: Pairs of links that may touch by the robot's SRDF, and the reason that it gives.
+        may_touch: Pairs of links that may touch, by the robot's SRDF or as neighbours, and the reason.
     """
 
     name: str
@@ -162,10 +162,10 @@ class Robot(PlanarNames, Record):
             InputError: No such array of finite numbers.
         """
         q = numbers("q", q, (..., self.dof), most=FARTHEST_JOINT)
-        return self.tool_poses(q)[..., :3, 3] if self.planar is None else self.planar.tool_positions(q)
+        return self.forward_kinematics(q)[..., :3, 3] if self.planar is None else self.planar.tool_positions(q)
 
-    def tool_poses(self, q: ArrayLike, frame: str | None = None) -> FloatArray:
-        """Tool frames of configurations, (..., dof) -> (..., 4, 4) homogeneous matrices in `base_link`.
+    def forward_kinematics(self, q: ArrayLike, frame: str | None = None) -> FloatArray:
+        """Poses of the tool frame at configurations, (..., dof) -> (..., 4, 4) homogeneous matrices in `base_link`.
 
         Args:
             q: (..., dof) configurations.
@@ -181,6 +181,8 @@ class Robot(PlanarNames, Record):
             pin.framesForwardKinematics(self.model, data, q[place])
             poses[place] = data.oMf[number].homogeneous
         return poses
+
+    tool_poses = forward_kinematics  # its earlier name
 
     def frame_number(self, name: str) -> int:
         """Number in the model of the frame of a name.
@@ -314,6 +316,7 @@ def load_robot(
     hold: Mapping[str, float] | None = None,
     package_dirs: Sequence[Path | str] = (),
     srdf: Path | str | None = None,
+    allow_neighbours: bool = False,
 ) -> Robot:
     """Load a robot; joints of its URDF that do not move are made fixed.
 
@@ -332,6 +335,8 @@ def load_robot(
         package_dirs: Folders in which `package://` meshes are looked for, before those around the URDF.
         srdf: SRDF that says which links may touch. Pairs that it leaves out because they never do are checked all
             the same, and so are all pairs of an arm of the planar family, whose geometry says which can touch.
+        allow_neighbours: Whether links with one joint between them may touch, as most SRDFs say; without it those may
+            that always do. No arm of the planar family needs it.
 
     Raises:
         RobotFileError: The URDF, the limits file or the SRDF is missing, malformed or incomplete; a mesh is missing;
@@ -360,6 +365,9 @@ def load_robot(
         raise InputError(expected, joints=list(choice.joints), expected=list(joint_names))
     given = files.limits if limits is None else limits_file(file_path("limits", limits))
     allowed = files.srdf if srdf is None else file_path("srdf", srdf)
+    may_touch = () if allowed is None else read_srdf(allowed, adapted.urdf.links)
+    if truth("allow_neighbours", allow_neighbours):
+        may_touch += neighbouring_links(model)
     acceleration, jerk = find_limits(urdf_path, adapted.urdf, joint_names, given, adapted.held)
     lower, upper = np.array(model.lowerPositionLimit), np.array(model.upperPositionLimit)
     planar, beyond_family = None, None
@@ -386,7 +394,7 @@ def load_robot(
         urdf_text=adapted.text,
         planar=planar,
         beyond_family=beyond_family,
-        may_touch=() if allowed is None else read_srdf(allowed, adapted.urdf.links),
+        may_touch=may_touch,
     )
 
 

@@ -6,7 +6,8 @@ from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+import numpy as np
+from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 from pydantic_core import PydanticCustomError
 
 from hplan.base.arrays import MOST_SHOWN, Unquoted
@@ -34,7 +35,7 @@ class _SceneErrors(ModelMetaclass):
 
 
 class StrictModel(BaseModel, metaclass=_SceneErrors):
-    """Immutable, no unknown keys, no NaN or infinity, no text where a number belongs.
+    """Immutable, no unknown keys, no NaN or infinity, no text where a number belongs; lists and arrays become tuples.
 
     Raises:
         SceneError: A value of the wrong kind or range.
@@ -44,6 +45,11 @@ class StrictModel(BaseModel, metaclass=_SceneErrors):
     error: ClassVar[type[SceneError]] = SceneError
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, populate_by_name=True, strict=True)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _takes_arrays(cls, content: Any) -> Any:
+        return {key: _tupled(value) for key, value in content.items()} if isinstance(content, dict) else content
 
     if not TYPE_CHECKING:
 
@@ -62,6 +68,13 @@ class StrictModel(BaseModel, metaclass=_SceneErrors):
                     continue
                 long = isinstance(value, tuple) and len(value) > MOST_SHOWN
                 yield name, Unquoted(f"<{len(value)} items>") if long else value
+
+
+def _tupled(value: Any) -> Any:
+    """A value with tuples in place of lists and arrays, and Python's numbers in place of NumPy's."""
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    return tuple(map(_tupled, value)) if isinstance(value, list) else value
 
 
 def validated(kind: type[_Part], content: Any, context: dict[str, Any]) -> _Part:

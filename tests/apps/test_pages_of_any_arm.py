@@ -65,7 +65,7 @@ def test_the_picture_stands_on_the_ground_of_tables_and_holds_the_hand(
     corners = scene_stage._corners(robot, playback.trajectory.position[:1])
     for body in collision_bodies(robot):
         if body.joint >= 0:
-            place = robot.tool_poses(playback.trajectory.position[0], robot.joint_names[body.joint])
+            place = robot.forward_kinematics(playback.trajectory.position[0], robot.joint_names[body.joint])
             held = body.core @ place[:3, :3].T + place[:3, 3]
             assert (held >= corners.min(axis=0) - 1e-9).all()
             assert (held <= corners.max(axis=0) + 1e-9).all()

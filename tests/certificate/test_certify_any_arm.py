@@ -264,7 +264,7 @@ def test_other_joints_are_refused(load):
 def straight_in(robot: Robot, grasp: np.ndarray, length: float, aside: float = 0.0) -> Trajectory:
     """To a grasp along the tool's z axis, turning about it, and back; from a place `aside` of that line."""
     data, frame = robot.model.createData(), robot.model.getFrameId(robot.tool_frame)
-    goal = robot.tool_poses(grasp)
+    goal = robot.forward_kinematics(grasp)
     q, rows, count = grasp.copy(), [grasp], 60
     for number in range(1, count + 1):
         part = (number / count) ** 2 * (3.0 - 2.0 * number / count)  # slow at both ends
@@ -293,14 +293,14 @@ def test_fruit_may_be_touched_on_a_straight_approach_along_the_tools_axis(load, 
     for aside in (0.0, 0.03):
         motion = straight_in(robot, grasp, length, aside)
         bezier, _ = cubic_pieces(motion)
-        goal = robot.tool_poses(grasp)
+        goal = robot.forward_kinematics(grasp)
         window = contact_window(robot, bezier, goal[:3, 3])
         assert window is not None
         assert window.start <= 60 <= window.stop
         places = np.linspace(window.start, window.stop, 400)
-        poses = robot.tool_poses(np.array([point_at(bezier, float(place)) for place in places]))
+        poses = robot.forward_kinematics(np.array([point_at(bezier, float(place)) for place in places]))
         row, _ = instant_at(robot, np.vstack([bezier[:, 0], bezier[-1:, 3]]), goal[:3, 3])
-        there = robot.tool_poses(bezier[row, 0])
+        there = robot.forward_kinematics(bezier[row, 0])
         away = poses[:, :3, 3] - there[:3, 3]
         behind = np.maximum(-(away @ there[:3, 2]), 0.0)
         assert np.linalg.norm(away + behind[:, None] * there[:3, 2], axis=1).max() <= OFFSET
@@ -319,7 +319,9 @@ def test_bends_of_the_tool_are_bounded(load, name):
         bent, turned = goal_contact._bent_along_z(robot, rates, pushes)
         for piece in range(len(bezier)):
             places = np.linspace(0.0, 1.0, 401)
-            poses = robot.tool_poses(np.array([point_at(bezier[piece : piece + 1], float(at)) for at in places]))
+            poses = robot.forward_kinematics(
+                np.array([point_at(bezier[piece : piece + 1], float(at)) for at in places])
+            )
             for values, bound in ((poses[:, :3, 3], bent[piece]), (poses[:, :3, 2], turned[piece])):
                 curved = np.linalg.norm(np.diff(values, 2, axis=0), axis=1).max() * 400.0**2
                 assert curved <= bound + 1e-6

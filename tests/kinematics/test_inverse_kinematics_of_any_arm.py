@@ -28,7 +28,7 @@ def drawn(arm: Robot, seed: int) -> FloatArray:
 
 def off(arm: Robot, q: FloatArray, pose: FloatArray, frame: str | None = None) -> tuple[float, float]:
     """How far a frame is from a pose [m, rad], by Pinocchio."""
-    there = arm.tool_poses(q, frame)
+    there = arm.forward_kinematics(q, frame)
     turn = pin.log3(there[:3, :3].T @ pose[:3, :3])
     return float(np.linalg.norm(there[:3, 3] - pose[:3, 3])), float(np.linalg.norm(turn))
 
@@ -36,7 +36,7 @@ def off(arm: Robot, q: FloatArray, pose: FloatArray, frame: str | None = None) -
 @settings(max_examples=15, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.integers(0, 10_000))
 def test_solutions_are_at_the_pose_and_within_limits(arm: Robot, seed: int) -> None:
-    start, pose = drawn(arm, seed), arm.tool_poses(drawn(arm, seed + 1))
+    start, pose = drawn(arm, seed), arm.forward_kinematics(drawn(arm, seed + 1))
     found = inverse_kinematics(arm, pose, start=start)
     assert not found.flags.writeable
     for q in found:
@@ -52,22 +52,22 @@ def test_solutions_are_at_the_pose_and_within_limits(arm: Robot, seed: int) -> N
 
 def test_from_where_the_arm_stands_it_stays(arm: Robot) -> None:
     q = drawn(arm, 3)
-    assert inverse_kinematics(arm, arm.tool_poses(q), start=q)[0] == pytest.approx(q, abs=1e-9)
+    assert inverse_kinematics(arm, arm.forward_kinematics(q), start=q)[0] == pytest.approx(q, abs=1e-9)
 
 
 def test_many_solutions_of_six_joints(tmp_path_factory: pytest.TempPathFactory) -> None:
     arm = loaded_arm("toy", tmp_path_factory)
-    counts = [len(inverse_kinematics(arm, arm.tool_poses(drawn(arm, seed)))) for seed in range(10)]
+    counts = [len(inverse_kinematics(arm, arm.forward_kinematics(drawn(arm, seed)))) for seed in range(10)]
     assert max(counts) >= 4
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_a_free_turn_turns_about_z_alone(tmp_path_factory: pytest.TempPathFactory, seed: int) -> None:
     arm = loaded_arm("seven", tmp_path_factory)
-    pose = arm.tool_poses(drawn(arm, seed))
+    pose = arm.forward_kinematics(drawn(arm, seed))
     turns = []
     for q in inverse_kinematics(arm, pose, free_turn=True):
-        there = arm.tool_poses(q)
+        there = arm.forward_kinematics(q)
         assert there[:3, 2:] == pytest.approx(pose[:3, 2:], abs=1e-6)
         turns.append(off(arm, q, pose)[1])
     assert max(turns) > 0.1
@@ -77,12 +77,12 @@ def test_locked_joints_and_those_beyond_the_frame_keep_their_values(tmp_path_fac
     arm = loaded_arm("seven", tmp_path_factory)
     q, start = drawn(arm, 1), drawn(arm, 2)
     locked, start[2] = arm.joint_names[2], q[2]
-    pose = arm.tool_poses(q)
+    pose = arm.forward_kinematics(q)
     for found in inverse_kinematics(arm, pose, start=start, locked=[locked]):
         assert found[2] == start[2]
         assert max(off(arm, found, pose)) <= 1e-6
     wrist = arm.model.frames[arm.model.getFrameId(arm.joint_names[5])].name
-    pose = arm.tool_poses(q, wrist)
+    pose = arm.forward_kinematics(q, wrist)
     for found in inverse_kinematics(arm, pose, start=start, frame=wrist):
         assert found[6] == start[6]
         assert max(off(arm, found, pose, wrist)) <= 1e-6

@@ -28,7 +28,7 @@ def test_the_tool_keeps_to_its_line(arm: Robot, keeps_turn: bool) -> None:
     assert np.diff(lines.distances).max() <= STEP_M + 1e-12
     for goal, rows in zip(goals[whole][:12], lines.rows[whole], strict=False):
         path = StraightLine(arm, goal, 0.1, keeps_turn=keeps_turn)
-        poses = arm.tool_poses(path.evaluate(np.linspace(0.0, path.end, 120)))
+        poses = arm.forward_kinematics(path.evaluate(np.linspace(0.0, path.end, 120)))
         axis, away = poses[-1, :3, 2], poses[:, :3, 3] - poses[-1, :3, 3]
         assert np.abs(away @ axis + 0.1 * np.linspace(1.0, 0.0, 120)).max() < 1e-3
         assert np.linalg.norm(away - (away @ axis)[:, None] * axis, axis=1).max() < 1e-3
@@ -79,5 +79,5 @@ def test_joints_that_slide_draw_the_tool_back(tmp_path_factory: pytest.TempPathF
     q = 0.5 * (lift.lower + lift.upper)
     lines = lines_back(lift, q[None], 0.05)
     drawn = lift.tool_positions(lines.rows[0, : lines.reached[0]])
-    axis = lift.tool_poses(q)[:3, 2]
+    axis = lift.forward_kinematics(q)[:3, 2]
     assert np.abs(drawn - drawn[0] + lines.distances[: lines.reached[0], None] * axis).max() < 1e-6

@@ -40,7 +40,7 @@ def test_configurations_are_at_the_point_and_within_limits(arm: Robot, seed: int
 
 
 def test_directions_cover_the_sphere_where_the_arm_can_turn(picker: Robot) -> None:
-    along = picker.tool_poses(tool_at_point(picker, (0.4, 0.2, 0.45)).configurations)[:, :3, 2]
+    along = picker.forward_kinematics(tool_at_point(picker, (0.4, 0.2, 0.45)).configurations)[:, :3, 2]
     for axis in np.vstack([np.eye(3), -np.eye(3)]):
         assert (along @ axis).max() > np.cos(np.radians(25.0))
 
@@ -50,7 +50,7 @@ def test_angles_are_those_asked_for(picker: Robot, asked: float | tuple[float, f
     found = tool_at_point(picker, POINT, approach_deg=asked)
     outward = np.array([*POINT[:2], 0.0]) / np.hypot(*POINT[:2])
     for q, angle in zip(found.configurations, found.approach, strict=True):
-        along = picker.tool_poses(q)[:3, 2]
+        along = picker.forward_kinematics(q)[:3, 2]
         assert np.sin(angle) == pytest.approx(along[2], abs=1e-9)
         assert np.cos(angle) * (along @ outward) >= -1e-9
         low, high = (asked, asked) if isinstance(asked, float) else asked

@@ -87,7 +87,7 @@ def test_a_fruit_is_picked_along_the_tools_axis(arm: Robot) -> None:
     assert again.verified
     assert again.goal_contact == "approach"
     begin, end = (found.phases[1].start_s, found.phases[1].end_s)
-    poses = arm.tool_poses(found.trajectory.positions(np.linspace(begin, end, 60)))
+    poses = arm.forward_kinematics(found.trajectory.positions(np.linspace(begin, end, 60)))
     assert np.abs(poses[-1, :3, 3] - FRUITS[0].center).max() < 1e-6
     axis, away = poses[-1, :3, 2], poses[:, :3, 3] - poses[-1, :3, 3]
     assert np.linalg.norm(away - (away @ axis)[:, None] * axis, axis=1).max() < 5e-4
@@ -179,7 +179,7 @@ def test_how_far_a_tool_stands_out(picker: Robot) -> None:
 @pytest.mark.parametrize("frame", [None, "wrist_2_link"])
 def test_a_pose_has_an_approach_where_a_standoff_is_asked_for(picker: Robot, frame: str | None) -> None:
     q = np.array([-0.5, 0.9, 0.9, 0.3, 0.4, 0.2])
-    pose = picker.tool_poses(q, frame)
+    pose = picker.forward_kinematics(q, frame)
     turn = pin.Quaternion(pose[:3, :3]).coeffs().tolist()
     goal = Goal(position=tuple(pose[:3, 3].tolist()), quaternion_xyzw=tuple(turn), frame=frame)
     scene = scene_of(picker, goal, fruits=())
@@ -188,7 +188,7 @@ def test_a_pose_has_an_approach_where_a_standoff_is_asked_for(picker: Robot, fra
     assert [phase.name for phase in found.phases] == ["transit", "approach"]
     assert certify(picker, scene, found.trajectory).verified
     times = np.linspace(found.phases[1].start_s, found.phases[1].end_s, 40)
-    poses = picker.tool_poses(found.trajectory.positions(times))
+    poses = picker.forward_kinematics(found.trajectory.positions(times))
     away = poses[:, :3, 3] - poses[-1, :3, 3]
     assert np.linalg.norm(away[0]) == pytest.approx(0.06, abs=2e-3)
     assert np.abs(poses[:, :3, :3] - poses[-1, :3, :3]).max() < 2e-3

@@ -72,8 +72,8 @@ def test_joined_robots_are_the_robots(robot):
     q = rng.uniform(whole.lower, whole.upper, (20, whole.dof))
     v, a = rng.normal(size=(2, 20, whole.dof))
     own = q[:, picker.dof :]
-    tools = whole.tool_poses(q, "b_tool0")
-    assert np.allclose(tools, place.homogeneous @ robot.tool_poses(own), atol=1e-12)
+    tools = whole.forward_kinematics(q, "b_tool0")
+    assert np.allclose(tools, place.homogeneous @ robot.forward_kinematics(own), atol=1e-12)
     upright = whole.dynamics.torques(q, v, a)[:, : picker.dof]
     assert np.allclose(upright, picker.dynamics.torques(*(x[:, : picker.dof] for x in (q, v, a))), atol=1e-9)
     tilted = pin.Model(robot.model)
@@ -176,7 +176,7 @@ def test_each_arm_picks_its_fruit(robot):
         (contact,) = result.certificate.arms[name].contacts
         assert contact.fruit.name == fruit.name
         times = np.linspace(contact.begin_s, contact.end_s, 400)
-        tools = result.cell.robot.tool_poses(result.trajectory.positions(times), f"{name}_tool0")[:, :3, 3]
+        tools = result.cell.robot.forward_kinematics(result.trajectory.positions(times), f"{name}_tool0")[:, :3, 3]
         assert np.linalg.norm(tools - fruit.center, axis=1).min() < 2e-3
     for t in np.linspace(0.1, result.trajectory.duration, 6):
         stop = result.stop_at(float(t))
@@ -310,5 +310,5 @@ def test_fruits_are_picked_around_each_other(robot, monkeypatch):
     assert result.certificate.verified
     assert apart(result.cell, every(result.trajectory, 4e-3)) > 0.0
     for name, fruit in zip(("left", "right"), fruits, strict=True):
-        tools = result.cell.robot.tool_poses(every(result.trajectory, 4e-3), f"{name}_tool0")[:, :3, 3]
+        tools = result.cell.robot.forward_kinematics(every(result.trajectory, 4e-3), f"{name}_tool0")[:, :3, 3]
         assert np.linalg.norm(tools - fruit.center, axis=1).min() < 2e-3

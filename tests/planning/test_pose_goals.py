@@ -36,7 +36,7 @@ def arm(tmp_path_factory: pytest.TempPathFactory) -> Robot:
 
 def pose_at(arm: Robot, q: Any, frame: str | None = None) -> dict[str, Any]:
     """The goal that a configuration reaches."""
-    pose = arm.tool_poses(np.array(q), frame)
+    pose = arm.forward_kinematics(np.array(q), frame)
     turn = tuple(pin.Quaternion(pose[:3, :3]).coeffs().tolist())
     return {"position": tuple(pose[:3, 3].tolist()), "quaternion_xyzw": turn} | ({"frame": frame} if frame else {})
 
@@ -48,7 +48,7 @@ def scene_of(goal: dict[str, Any], *obstacles: Obstacle, start: tuple[float, ...
 
 
 def reached(arm: Robot, scene: Scene, q: FloatArray) -> bool:
-    asked, there = scene.goal.pose, arm.tool_poses(q, scene.goal.frame)
+    asked, there = scene.goal.pose, arm.forward_kinematics(q, scene.goal.frame)
     return asked is not None and bool(np.abs(there - asked).max() < 1e-6)
 
 

@@ -359,7 +359,7 @@ def test_tool_of_any_arm_is_pinocchios(tmp_path):
     (tmp_path / "six.limits.yaml").write_text(SIX_AXIS_LIMITS)
     robot = load_robot(tmp_path / "six.urdf")
     q = np.random.default_rng(0).uniform(robot.lower, robot.upper, (2, 3, robot.dof))
-    poses = robot.tool_poses(q)
+    poses = robot.forward_kinematics(q)
     data = robot.model.createData()
     for place in np.ndindex(2, 3):
         pin.framesForwardKinematics(robot.model, data, q[place])

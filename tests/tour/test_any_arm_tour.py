@@ -74,7 +74,7 @@ def test_fruit_is_carried_to_a_pose_to_joints_or_to_a_place(picker: Robot, drop:
     for at_s in tour.dropped.values():
         q = tour.trajectory.positions(np.array([at_s]))[0]
         if drop.pose is not None:
-            assert picker.tool_poses(q) == pytest.approx(drop.pose, abs=1e-5)
+            assert picker.forward_kinematics(q) == pytest.approx(drop.pose, abs=1e-5)
         elif drop.position is not None:
             assert picker.tool_positions(q) == pytest.approx(drop.position, abs=1e-5)
         else:

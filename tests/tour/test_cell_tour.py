@@ -53,7 +53,9 @@ def test_two_arms_pick_at_once(orchard):
         assert not pin.computeCollisions(model, data, geometry, seen, q, True)
     where = {fruit.name: np.array(fruit.center) for fruit in scene.fruits}
     for name, own in result.tours.items():
-        tools = cell.robot.tool_poses(result.trajectory.positions(list(result.picked.values())), f"{name}_tool0")
+        tools = cell.robot.forward_kinematics(
+            result.trajectory.positions(list(result.picked.values())), f"{name}_tool0"
+        )
         for tour in own:
             for leg in tour.legs:
                 if leg.fruit is not None:

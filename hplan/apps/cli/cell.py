@@ -23,10 +23,10 @@ if TYPE_CHECKING:
 #: Options that are of one robot, as the parsers name them, and their defaults.
 _OF_ONE_ROBOT: dict[str, Any] = {
     "robot": None, "limits": None, "hold": [], "tool_frame": None, "srdf": None, "package_dir": [],
-    "drop_inside": False, "yield_links": None, "bound": False, "view": False, "cspace": False, "cspace_yaw": None,
-    "mcap": False, "certify": True, "fruits": None, "drop_off": None, "drop_off_pose": None, "drop_off_joints": None,
-    "begin": 0.0, "moving_ends": False, "every": None, "back": False, "order": "best", "compare": False, "grasps": 4,
-    "csv": "one",
+    "allow_neighbours": False, "drop_inside": False, "yield_links": None, "bound": False, "view": False,
+    "cspace": False, "cspace_yaw": None, "mcap": False, "certify": True, "fruits": None,
+    "drop_off": None, "drop_off_pose": None, "drop_off_joints": None, "begin": 0.0, "moving_ends": False,
+    "every": None, "back": False, "order": "best", "compare": False, "grasps": 4, "csv": "one",
 }  # fmt: skip
 
 #: Those of `PlanOptions` that the parsers have.

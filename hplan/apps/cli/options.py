@@ -100,10 +100,11 @@ def add_robot(parser: argparse.ArgumentParser) -> None:
 
 
 def add_robot_parts(parser: argparse.ArgumentParser) -> None:
-    """Add the options `--tool-frame`, `--srdf` and `--package-dir`."""
+    """Add the options `--tool-frame`, `--srdf`, `--allow-neighbours` and `--package-dir`."""
     add = parser.add_argument
     add("--tool-frame", metavar="NAME", help="frame at the end of the arm (default: tool0, or the named robot's)")
     add("--srdf", type=Path, metavar="FILE", help="which links may touch, for robots beyond the planar family")
+    add("--allow-neighbours", action="store_true", help="links with one joint between them may touch")
     add("--package-dir", action="append", type=Path, default=[], metavar="DIR", help="where package:// meshes are "
         "looked for first")  # fmt: skip
 
@@ -158,6 +159,7 @@ def robot_of(arguments: argparse.Namespace, scene: Scene | None = None, job: Fin
         hold=hold,
         package_dirs=arguments.package_dir,
         srdf=arguments.srdf,
+        allow_neighbours=arguments.allow_neighbours,
     )
     _check_tracking(arguments, robot)
     return robot

@@ -53,6 +53,7 @@ _WITH_SCENE: dict[str, object] = {
     "deadline_ms": None,
     "tool_frame": None,
     "srdf": None,
+    "allow_neighbours": False,
     "package_dir": [],
 }
 _WITHOUT_SCENE: dict[str, object] = {"acceleration": None, "no_torque": False, "joints": None}

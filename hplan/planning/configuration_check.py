@@ -1,0 +1,111 @@
+"""Configurations among the obstacles of a scene: what touches, and what is nearest; for anybody's own planner."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hplan.base import ties
+from hplan.base.arguments import instance, number
+from hplan.base.arrays import BoolArray, FloatArray, Record, numbers, readonly
+from hplan.base.units import FARTHEST_JOINT
+from hplan.certificate.moving_obstacles import checker_in_time
+from hplan.collision.coal_scene import CoalScene, Contact
+from hplan.robot.model import Robot
+from hplan.scene.model import Scene
+
+
+@dataclass(frozen=True, eq=False)
+class ConfigurationCheck(Record):
+    """Configurations among obstacles; arrays have the shape (...) of (..., dof) configurations, () of one.
+
+    Attributes:
+        valid: True where the arm is farther from everything than it is to keep.
+        in_contact: True where it touches an obstacle or itself, or pushes deeper than what gives way may be pushed.
+        distance_m: Signed distance of the nearest pair, that with the least beyond what it is to keep; negative is the
+            depth, inf where there is nothing to meet [m].
+        contacts: That pair of each configuration in turn: link, and obstacle or other link; None for nothing to meet.
+    """
+
+    valid: BoolArray
+    in_contact: BoolArray
+    distance_m: FloatArray
+    contacts: tuple[Contact | None, ...]
+
+    @property
+    def nearest(self) -> Contact | None:
+        """The nearest pair of all configurations; None for nothing to meet."""
+        found = [contact for contact in self.contacts if contact is not None]
+        return found[ties.argmin([contact.distance_m for contact in found])] if found else None
+
+
+def check(
+    robot: Robot, scene: Scene, q: ArrayLike, *, time_s: float | None = None, sigmas: float = 3.0
+) -> ConfigurationCheck:
+    """Whether configurations are free, and what is nearest, by the collision checker that judges motions (coal).
+
+    All fruit counts as obstacle, that of the goal too. Joint limits are not looked at, nor what pedestal and turret
+    stand in, as no joint changes that. What is free at some configurations may be in contact between them: `finish`
+    certifies a path. The checker is kept for the next call with the same robot and scene.
+
+    Args:
+        robot: The arm.
+        scene: Obstacles, fruit, and the clearance to keep.
+        q: (dof,) configuration, or (..., dof) of them [rad; of joints that slide, m].
+        time_s: Where obstacles move, the time at which they are looked at, as their tracks count it [s].
+        sigmas: How many standard deviations of its place an obstacle is grown by, where the scene gives one.
+
+    Raises:
+        InputError: No such array of finite numbers.
+        MovingObstacleError: Obstacles move, and no time is given.
+        OptionError: No robot or scene, a time that is not finite, a negative number of standard deviations.
+    """
+    instance("robot", robot, Robot, "load_robot")
+    instance("scene", scene, Scene, "load_scene")
+    if time_s is not None:
+        number("time_s", time_s, "a finite number of seconds")
+    number("sigmas", sigmas, "a finite number >= 0", lambda value: value >= 0.0)
+    values = numbers("q", q, (..., robot.dof), most=FARTHEST_JOINT)
+    rows, shape = values.reshape(-1, robot.dof), values.shape[:-1]
+    checker = robot.cached("last checker", _LastChecker).of(robot, scene, sigmas)
+    found = [_looked_at(checker, row, scene.clearance, time_s) for row in rows]
+    return ConfigurationCheck(
+        readonly([valid for valid, _, _ in found], np.bool_).reshape(shape),
+        readonly([touches for _, touches, _ in found], np.bool_).reshape(shape),
+        readonly([math.inf if near is None else near.distance_m for _, _, near in found]).reshape(shape),
+        tuple(near for _, _, near in found),
+    )
+
+
+class _LastChecker:
+    """The last collision checker that was made, and what of: another one takes its place."""
+
+    def __init__(self) -> None:
+        self._kept: tuple[Scene, float, CoalScene] | None = None
+
+    def of(self, robot: Robot, scene: Scene, sigmas: float) -> CoalScene:
+        kept = self._kept
+        if kept is None or kept[0] is not scene or kept[1] != sigmas:
+            checker = checker_in_time(robot, scene, sigmas).covering(0.0, scene.clearance)
+            self._kept = kept = scene, sigmas, checker
+        return kept[2]
+
+
+def _looked_at(
+    checker: CoalScene, q: FloatArray, clearance: float, time_s: float | None
+) -> tuple[bool, bool, Contact | None]:
+    """Whether a configuration is valid, whether it touches, and its nearest pair."""
+    if not checker.pairs:
+        return True, False, None
+
+    def nearest(clearance: float) -> tuple[bool, int, float]:
+        kept = np.broadcast_to(np.asarray(checker.kept(clearance)), (len(checker.pairs),))
+        pair, distance = checker.nearest_pair(q, kept, time_s)
+        return bool(distance > kept[pair]), pair, distance
+
+    valid, pair, distance = nearest(clearance)
+    touches = not valid and (clearance == 0.0 or not nearest(0.0)[0])
+    return valid, touches, checker.contact(*checker.pairs[pair], distance)

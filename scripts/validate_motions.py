@@ -7,6 +7,7 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -27,6 +28,8 @@ motions   Draw arms of any kind, half of the scenes moving, half of them with a 
           obstacle, as it truly is, or another body.
 grazing   Put obstacles where a motion grazes them by 0.1 to 5 mm, which must not be verified, or where everything keeps
           1 to 5 mm from them, which must be.
+yielding  Plan to the fruit of measured trees that give way (--trees), and look whether anything is pushed deeper than
+          it yields, or by a link that may not, or untold; with a bound 10 um too small nothing must be verified.
 soak      One planner, and four threads that call its methods at a camera's rate.
 """
 
@@ -81,7 +84,11 @@ def _count(arguments: argparse.Namespace, say: Callable[[str], None], told: Call
         from studies.validation.soak import soak
 
         return soak(arguments.seed, 60.0 * arguments.minutes, say, told)
-    total, run = Tally(), run_case if arguments.what == "motions" else graze
+    total, run = Tally(), {"motions": run_case, "grazing": graze}.get(arguments.what)
+    if run is None:
+        from studies.validation.yielding import among_yielding
+
+        run = partial(among_yielding, trees=sorted(arguments.trees.glob("*.csv")))
     for number in range(arguments.first, arguments.first + arguments.cases):
         found = run(arguments.seed, number)
         total.add(found)
@@ -112,11 +119,13 @@ def _show(console: Console, tally: Tally) -> None:
 def _parser() -> argparse.ArgumentParser:
     parser = command_parser(_DESCRIPTION, _EPILOG)
     add = parser.add_argument
-    add("what", nargs="?", choices=("motions", "grazing", "soak"), default="motions", help="what to do")
+    add("what", nargs="?", choices=("motions", "grazing", "yielding", "soak"), default="motions", help="what to do")
     add("--cases", type=int, default=20, metavar="N", help="arms, some 50 motions each (default: 20)")
     add("--first", type=int, default=0, metavar="N", help="number of the first case (default: 0)")
     add("--minutes", type=float, default=60.0, metavar="M", help="stop after so long (default: 60)")
     add("--seed", type=int, default=0, metavar="N", help="seed of all draws (default: 0)")
+    trees = Path(__file__).parent / "examples" / "trees"
+    add("--trees", type=Path, default=trees, metavar="DIR", help="measured trees (default: the shipped one)")
     add("--out", type=Path, metavar="DIR", help="folder to write the numbers into (default: none)")
     return parser
 

@@ -1,0 +1,133 @@
+"""Motions among trees that give way, judged by coal alone: what is pushed, how deep, by which link, and is it told."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from copy import copy
+from pathlib import Path
+
+import coal
+import numpy as np
+from studies.outside import arm_of, things_of
+from studies.validation.episodes import Tally
+from studies.validation.judge import TICK_S, Arm, Body, Contact, Motion, Window, contacts
+
+from hplan.certificate.certificate import certify
+from hplan.errors import BlockedError, HplanError
+from hplan.planning.options import PlanOptions
+from hplan.planning.plan import plan
+from hplan.planning.result import PlanResult
+from hplan.planning.world import without_inside
+from hplan.robot.model import Robot, load_robot
+from hplan.scene.model import Goal, Scene
+from hplan.scene.orchard import MeasuredOptions, measured_orchard
+
+#: Fruits that are tried in a scene; deeper than allowed by more than this is a fault [m].
+FRUITS, BEYOND_M = 12, 1e-5
+
+#: A motion that pushes something deeper than this grazes, with a bound so far above its depth [m].
+PUSHED_M, SHORT_M = 1e-3, 1e-5
+
+
+def among_yielding(seed: int, number: int, trees: Sequence[Path]) -> Tally:
+    """Motions to some fruits of a tree that gives way, each looked at, and again with a bound that it does not keep.
+
+    Args:
+        seed: Of all draws.
+        number: Of the case.
+        trees: Files of measured trees, of which one is drawn.
+    """
+    rng, tally = np.random.default_rng([seed, number, 11]), Tally()
+    robot = load_robot("orchard_harvester")
+    scene, tree = _scene(robot, rng, trees)
+    tally.arms[tree] += 1
+    arm = _thick(robot)
+    near = [fruit.name for fruit in scene.fruits if np.hypot(*fruit.center[:2]) < 2.0]
+    for name in rng.permutation(near)[:FRUITS]:
+        task = scene.model_copy(update={"goal": Goal(fruit=str(name))})
+        options = PlanOptions(effort="quick", tracking_error=float(rng.choice([0.0, 1e-3])))
+        try:
+            result = plan(robot, task, options)
+        except HplanError as error:
+            tally.refused["blocked" if isinstance(error, BlockedError) else error.kind] += 1
+            continue
+        _look(robot, arm, task, result, tally, f"{tree}, case {number}, {name}")
+    return tally
+
+
+def _scene(robot: Robot, rng: np.random.Generator, trees: Sequence[Path]) -> tuple[Scene, str]:
+    """A tree before the arm, with what is left to chance, and its name."""
+    file = trees[int(rng.integers(len(trees)))]
+    wood, fruit = rng.choice([0.01, 0.02, 0.03], 2).tolist()
+    options = MeasuredOptions(
+        distance=rng.uniform(0.9, 1.6),
+        height=rng.uniform(-0.6, 0.2),
+        yaw_deg=rng.uniform(0.0, 360.0),
+        wood_yields=wood,
+        yields_below=rng.uniform(0.006, 0.012),
+        fruit_yields=fruit if rng.random() < 0.8 else 0.0,
+        clearance=float(rng.choice([0.0, 0.003])),
+    )
+    scene, _ = without_inside(robot, measured_orchard([file], options, start_deg=(0.0, 90.0, 90.0, 90.0)))
+    links = ("hand",) if rng.random() < 0.3 else None
+    return scene.model_copy(update={"yield_links": links}), file.stem
+
+
+def _thick(robot: Robot) -> Arm:
+    """The arm as coal has it from the URDF, each of its links as the capsule that it is taken for."""
+    arm = copy(arm_of(robot))
+    widths = dict(zip(robot.arm.link_names, robot.arm.half_widths.tolist(), strict=True))
+    still = [body for body in arm.bodies if body.joint <= robot.arm_slice.start]
+    arm.bodies = still + [
+        _capsule(body, widths[body.link])
+        for body in arm.bodies
+        if body.link in widths and isinstance(body.shape, coal.Cylinder)
+    ]
+    return arm
+
+
+def _capsule(body: Body, width: float) -> Body:
+    shape = coal.Capsule(width, 2.0 * body.shape.halfLength)
+    half = np.array([width, width, body.shape.halfLength + width])
+    return Body(body.link, body.link, body.joint, shape, shape, body.place, np.zeros(3), half)
+
+
+def _look(robot: Robot, arm: Arm, scene: Scene, result: PlanResult, tally: Tally, case: str) -> None:
+    """Hold a motion against what gives way, and its certificate against a bound that is too small."""
+    certificate, motion = result.certificate, result.trajectory
+    clock = np.append(np.arange(0.0, motion.duration, TICK_S), motion.duration)
+    windows = [Window(one.fruit.name, one.begin_s, one.end_s) for one in certificate.contacts]
+    found = contacts(arm, Motion(robot.joint_names, clock, motion.positions(clock)), things_of(scene), windows=windows)
+    tally.looked["motions"] += 1
+    tally.ticks += len(clock)
+    links = set(scene.yield_links or robot.arm.link_names[-2:])
+    yields = {item.name: item.yields for item in (*scene.obstacles, *scene.fruits)}
+    told = {(push.link, push.obstacle): 0.0 for push in certificate.pushes or ()}
+    for push in certificate.pushes or ():
+        told[push.link, push.obstacle] = max(told[push.link, push.obstacle], push.depth_m)
+    for contact in found:
+        pair = contact.first, contact.second
+        allowed = yields.get(contact.second, 0.0) if contact.first in links else 0.0
+        if contact.depth_m > allowed + BEYOND_M or contact.depth_m > told.get(pair, 0.0) + BEYOND_M:
+            tally.faults.append({"case": case, "pair": pair, "depth_m": contact.depth_m, "allowed_m": allowed})
+    pushed = [contact for contact in found if yields.get(contact.second, 0.0)]
+    tally.looked_in["pushes"] += len(pushed)
+    deepest = max(pushed, key=lambda contact: contact.depth_m, default=None)
+    if deepest is not None and deepest.depth_m > PUSHED_M:
+        less = _yielding_less(scene, deepest)
+        touches: bool = result.certificate.goal_contact == "motion"
+        tally.looked_in["grazing"] += 1
+        if certify(robot, less, motion, goal_contact="motion" if touches else "approach").verified:
+            tally.faults.append({"case": case, "kind": "grazing", "depth_m": deepest.depth_m, "of": deepest.second})
+
+
+def _yielding_less(scene: Scene, contact: Contact) -> Scene:
+    """The scene where what is pushed gives way by a little less than it is pushed."""
+    items = {
+        key: tuple(
+            item.model_copy(update={"yields": contact.depth_m - SHORT_M}) if item.name == contact.second else item
+            for item in getattr(scene, key)
+        )
+        for key in ("obstacles", "fruits")
+    }
+    return scene.model_copy(update=items)

@@ -47,7 +47,6 @@ class Lattice(Record):
         padded: Rows along each axis but the last, with the border.
         row_offsets: (moves,) distance to each neighbouring row, the row itself among them.
         move_costs: (moves, 3) cost of the move to that row and to bit -1, 0, +1.
-        row_coordinates: (padded rows, d - 1) node index of each row along each axis but the last.
     """
 
     shape: tuple[int, ...]
@@ -55,7 +54,6 @@ class Lattice(Record):
     padded: tuple[int, ...]
     row_offsets: IntArray
     move_costs: FloatArray
-    row_coordinates: IntArray
 
     @classmethod
     def of(cls, shape: tuple[int, ...], step: FloatArray) -> Lattice:
@@ -64,6 +62,11 @@ class Lattice(Record):
         The last few are remembered: planning repeats on the same grid, and the lattice holds geometry only.
         """
         return _lattice(shape, step.tobytes())
+
+    @property
+    def row_coordinates(self) -> IntArray:
+        """(padded rows, d - 1) node index of each row along each axis but the last; floods need none."""
+        return _row_coordinates(self.padded)
 
     @property
     def arrays(self) -> LatticeArrays:
@@ -134,7 +137,6 @@ def _lattice(shape: tuple[int, ...], step_bytes: bytes) -> Lattice:
         padded=padded,
         row_offsets=readonly(moves @ strides, np.int64),
         move_costs=readonly(np.sqrt(row_squares[:, None] + bit_squares)),
-        row_coordinates=_row_coordinates(padded),
     )
 
 

@@ -12,7 +12,8 @@ taken the first i fruits, the last of them at v and carrying l since the drop-of
 The order itself is exact for few fruits (the same over all subsets), else a local optimum: no reversal of a stretch
 and no move of up to three fruits, turned round or not, makes the tour shorter; kicks from a fixed seed look further.
 Where no more than one fruit is carried, the least costs along all stretches of the order are kept, from each place at
-one end to each at the other, so that a change is judged by the few stretches that it is made of.
+one end to each at the other, so that a change is judged by the few stretches that it is made of; most changes by the
+least cost of each stretch and of the steps between them, whatever the places, which is no more than what they cost.
 Costs may be infinite, and need not be symmetric.
 """
 
@@ -225,8 +226,11 @@ def _improved(order: IntArray, costs: Costs) -> tuple[float, IntArray]:
     cost, by_stretches = _cost(order, costs, table), loads == 1
     # Costs of reaching each fruit's places along the order, and of going on from them to its end; of a trial.
     reached, onward, here = np.empty((n, most)), np.empty((n, most)), np.empty((2, most))
+    steps, least, ends = np.full((n + 1, n + 1), math.inf), np.empty((2, n, n)), np.empty((2, n))
     if by_stretches:
+        _fill_steps(costs, steps)
         _fill_stretches(order, costs, stretches, reached, onward)
+        _fill_least(order, costs, stretches, reached, onward, least, ends)
     other = np.empty_like(order)
     better = True
     while better:
@@ -242,6 +246,8 @@ def _improved(order: IntArray, costs: Costs) -> tuple[float, IntArray]:
                     if (kind == 0 and j <= i) or (kind > 0 and (i + size > n or j + size > n or i == j)):
                         continue
                     if by_stretches:
+                        if not _bound(order, (kind, i, j), steps, least, ends) < cost * (1.0 - _GAIN):
+                            continue
                         trial = _trial(order, costs, (kind, i, j), stretches, reached, onward, here)
                         if not trial < cost * (1.0 - _GAIN):
                             continue
@@ -254,6 +260,7 @@ def _improved(order: IntArray, costs: Costs) -> tuple[float, IntArray]:
                     cost, better = trial, True
                     if by_stretches:
                         _fill_stretches(order, costs, stretches, reached, onward)
+                        _fill_least(order, costs, stretches, reached, onward, least, ends)
     return cost, order
 
 
@@ -331,28 +338,86 @@ def _fill_stretches(
 
 
 @kernel
+def _fill_steps(costs: Costs, steps: FloatArray) -> None:
+    """Write the least cost of a step from fruit to fruit, whatever the places: (n + 1, n + 1), last start and end."""
+    begin = costs.begin
+    n = len(begin) - 1
+    for f in range(n):
+        for v in range(begin[f], begin[f + 1]):
+            steps[n, f], steps[f, n] = min(steps[n, f], costs.first[v]), min(steps[f, n], costs.last[v])
+            for g in range(n):
+                for w in range(begin[g], begin[g + 1]):
+                    steps[f, g] = min(steps[f, g], _step(costs, v, w))
+
+
+@kernel
+def _fill_least(
+    order: IntArray, costs: Costs, stretches: FloatArray, reached: FloatArray, onward: FloatArray,
+    least: FloatArray, ends: FloatArray,
+) -> None:  # fmt: skip
+    """Write the least, whatever the places, of `_fill_stretches`: (2, n, n) of stretches, (2, n) to and from fruits."""
+    n, begin = len(order), costs.begin
+    for i in range(n):
+        places = begin[order[i] + 1] - begin[order[i]]
+        ends[0, i], ends[1, i] = reached[i, :places].min(), onward[i, :places].min()
+        for j in range(i, n):
+            others = begin[order[j] + 1] - begin[order[j]]
+            least[0, i, j] = stretches[0, i, j, :places, :others].min()
+            least[1, i, j] = stretches[1, i, j, :others, :places].min()
+
+
+@inlined
+def _parts(change: tuple[int, int, int]) -> tuple[tuple[int, int, int], tuple[int, int, int]]:
+    """The stretches that a change puts one after the other: from low (-1 for none) to high, there (0) or back (1)."""
+    kind, i, j = change
+    size = (kind - 1) % SEGMENT + 1
+    moved = (i, i + size - 1, 1 if kind > SEGMENT else 0)
+    if kind == 0:
+        return (i, j, 1), (-1, -1, 0)
+    if j < i:
+        return moved, (j, i - 1, 0)
+    return (i + size, j + size - 1, 0), moved
+
+
+@inlined
+def _after(change: tuple[int, int, int]) -> int:
+    """The place in the order behind what a change changes."""
+    kind, i, j = change
+    return (j if kind == 0 else max(i, j) + (kind - 1) % SEGMENT) + 1
+
+
+@kernel
+def _bound(
+    order: IntArray, change: tuple[int, int, int], steps: FloatArray, least: FloatArray, ends: FloatArray
+) -> float:
+    """What the order that a change gives costs at least (`_fill_steps`, `_fill_least`)."""
+    n, before, after = len(order), min(change[1], change[2]) - 1, _after(change)
+    at = n if before < 0 else order[before]
+    whole: float = 0.0 if before < 0 else ends[0, before]
+    for low, high, back in _parts(change):
+        if low >= 0:
+            enters, leaves = (high, low) if back == 1 else (low, high)
+            whole += steps[at, order[enters]] + least[back, low, high]
+            at = order[leaves]
+    whole += steps[at, n] if after == n else steps[at, order[after]] + ends[1, after]
+    return whole
+
+
+@kernel
 def _trial(
     order: IntArray, costs: Costs, change: tuple[int, int, int],
     stretches: FloatArray, reached: FloatArray, onward: FloatArray, here: FloatArray,
 ) -> float:  # fmt: skip
     """The cost of the order that a change gives, by its stretches (`_fill_stretches`)."""
-    kind, i, j = change
-    size, n, begin = (kind - 1) % SEGMENT + 1, len(order), costs.begin
-    before, after = min(i, j) - 1, (j if kind == 0 else max(i, j) + size - 1) + 1
+    n, begin = len(order), costs.begin
+    before, after = min(change[1], change[2]) - 1, _after(change)
     at, now = before, 0
     if before >= 0:
         for a in range(begin[order[before] + 1] - begin[order[before]]):
             here[now, a] = reached[before, a]
-    for part in range(1 if kind == 0 else 2):
-        # A stretch from low to high, there (0) or back (1): the one that is changed, or those that it passes.
-        if kind == 0:
-            low, high, back = i, j, 1
-        elif (part == 0) == (j < i):
-            low, high, back = i, i + size - 1, 1 if kind > SEGMENT else 0
-        elif j < i:
-            low, high, back = j, i - 1, 0
-        else:
-            low, high, back = i + size, j + size - 1, 0
+    for low, high, back in _parts(change):
+        if low < 0:
+            continue
         enters, leaves = (high, low) if back == 1 else (low, high)
         f, g = order[enters], order[leaves]
         for b in range(begin[g + 1] - begin[g]):

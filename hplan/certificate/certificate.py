@@ -297,14 +297,14 @@ def stretches(checker: CoalScene, clock: FloatArray, contacts: Iterable[FruitCon
     Args:
         clock: (n,) times of the motion's rows, as the windows count them.
     """
-    inside = [(pieces, each.fruit.name) for each in contacts if (pieces := each.pieces(clock)) is not None]
+    inside = [(pieces, each.fruit) for each in contacts if (pieces := each.pieces(clock)) is not None]
     ends = {end for pieces, _ in inside for end in (pieces.start, pieces.stop)}
     found = []
     for first, last in pairwise(sorted({0, max(1, len(clock) - 1), *ends})):
         among = checker
         for pieces, fruit in inside:
             if pieces.start <= first and last <= pieces.stop:
-                among = among.touching(fruit)
+                among = among.touching(fruit.name, fruit.hangs_from)
         found.append((slice(first, last), among))
     return found
 

@@ -72,6 +72,9 @@ def scene_digest(scene: Scene) -> str:
     for item in (*scene.obstacles, *scene.fruits):
         if item.yields:
             found.add_text(item.name, "yields", repr(item.yields))
+    for fruit in scene.fruits:
+        if fruit.hangs_from:
+            found.add_text(fruit.name, "hangs_from", *fruit.hangs_from)
     if scene.yield_links is not None:
         found.add_text("yield_links", *scene.yield_links)
     if scene.goal.quaternion_xyzw is not None:

@@ -135,7 +135,7 @@ class CoalScene:
             "yield_links": None if yield_links is None else tuple(yield_links),
         }
         self.moving = MovingSolids.of(obstacles, movements)
-        self._touched: tuple[str, ...] = ()
+        self._touched: tuple[tuple[str, tuple[str, ...]], ...] = ()
         self.deviation, self.clearance = float(deviation), float(clearance)
         parts = arm_parts(robot, links, self.deviation, self.clearance, single_joint_pairs=single_joint_pairs)
         self.links, self._held, self.own_bodies = parts.shaped, parts.held, parts.own_bodies
@@ -203,11 +203,19 @@ class CoalScene:
         built = {**self._built, "deviation": max(deviation, self.deviation), "clearance": clearance}
         return _rebuilt(built, self._touched)
 
-    def touching(self, name: str) -> CoalScene:
-        """The scene where the last link may touch the obstacles of a name: their distance counts as infinite."""
+    def touching(self, name: str, hangs_from: Sequence[str] = ()) -> CoalScene:
+        """The scene where the last link may touch the obstacles of a name: their distance counts as infinite.
+
+        Args:
+            name: Of the obstacles.
+            hangs_from: Names of others, which links that may push may push then (`hplan.collision.giving_way`).
+        """
         other = object.__new__(CoalScene)
         vars(other).update(vars(self))
-        other._touched = (*self._touched, name)
+        other._touched = (*self._touched, (name, tuple(hangs_from)))
+        if hangs_from:
+            links, hanging = self._built["yield_links"], {each for _, names in other._touched for each in names}
+            other._yielded = self._depths(yielded(self.robot, self._built["obstacles"], links, hanging), links)
         other._beyond = self._beyond.copy()
         named = np.flatnonzero([obstacle == name for obstacle in self.obstacle_names[: self.own_first]])
         other._beyond[np.ix_(self._last, named)] = -np.inf
@@ -350,11 +358,11 @@ class CoalScene:
         return self._geometry.in_collision(q, margins)
 
 
-def _rebuilt(built: dict[str, Any], touched: Sequence[str]) -> CoalScene:
-    """A scene from the arguments that one is built from, and the names of what the last link may touch."""
+def _rebuilt(built: dict[str, Any], touched: Sequence[tuple[str, tuple[str, ...]]]) -> CoalScene:
+    """A scene from the arguments that one is built from, and what the last link may touch (`CoalScene.touching`)."""
     scene = CoalScene(**built)
-    for name in touched:
-        scene = scene.touching(name)
+    for name, hangs_from in touched:
+        scene = scene.touching(name, hangs_from)
     return scene
 
 

@@ -8,7 +8,7 @@ general (non-planar) arms no more than the radii by which body and solid are rou
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +23,9 @@ from hplan.errors import OptionError
 from hplan.robot.model import Robot
 from hplan.scene.obstacles import Solid
 from hplan.scene.solids import Cloud
+
+#: How deep what a fruit hangs from may be pushed while that fruit may be touched, where it says nothing of it [m].
+HANGING_M = 0.02
 
 #: How far bodies of general (non-planar) arms stay off the points of a cloud that yields as much as it can [m].
 _OUTSIDE = 1e-6
@@ -51,6 +54,7 @@ class LinkedSolids(Record):
         growth: ArrayLike,
         yield_links: Sequence[str] | None,
         beyond: ArrayLike = 0.0,
+        hanging: Collection[str] = (),
     ) -> LinkedSolids:
         """Take solids, those that give way twice.
 
@@ -60,12 +64,13 @@ class LinkedSolids(Record):
             growth: By how much they are grown [m], one number or one for each.
             yield_links: Names of the links that may push; None for those of the last two joints.
             beyond: By how much those are grown that are pushed, before they yield [m], one number or one for each.
+            hanging: Names of those that give way by `HANGING_M` where they say nothing else.
 
         Raises:
             OptionError: A name of no link.
         """
         grown = np.broadcast_to(np.asarray(growth, dtype=np.float64), (len(solids),))
-        depth = yielded(robot, solids, yield_links)
+        depth = yielded(robot, solids, yield_links, hanging)
         if depth is None:
             return cls(tuple(solids), frozen(grown.copy()))
         pushing = _pushing(robot, pushing_links(robot, yield_links))
@@ -88,9 +93,9 @@ class LinkedSolids(Record):
             links=self.links,
         )  # fmt: skip
 
-    def named(self, name: str) -> BoolArray:
-        """(n,) which of them have a name."""
-        return np.array([solid.name == name for solid in self.solids], dtype=np.bool_)
+    def named(self, names: Collection[str]) -> BoolArray:
+        """(n,) which of them have one of some names."""
+        return np.array([solid.name in names for solid in self.solids], dtype=np.bool_)
 
 
 def pushing_links(robot: Robot, names: Sequence[str] | None) -> tuple[str, ...]:
@@ -113,13 +118,21 @@ def pushing_links(robot: Robot, names: Sequence[str] | None) -> tuple[str, ...]:
     return tuple(names)
 
 
-def yielded(robot: Robot, solids: Sequence[Solid], yield_links: Sequence[str] | None) -> FloatArray | None:
+def yielded(
+    robot: Robot, solids: Sequence[Solid], yield_links: Sequence[str] | None, hanging: Collection[str] = ()
+) -> FloatArray | None:
     """(solids,) how deep each may be pushed by the links that may [m]; None where none may.
+
+    Args:
+        robot: The arm.
+        solids: The solids.
+        yield_links: Names of the links that may push; None for those of the last two joints.
+        hanging: Names of those that give way by `HANGING_M` where they say nothing else.
 
     Raises:
         OptionError: A name of no link.
     """
-    depth = np.array([solid.yields for solid in solids], dtype=np.float64)
+    depth = np.array([solid.yields or HANGING_M * (solid.name in hanging) for solid in solids], dtype=np.float64)
     if not depth.any():
         return None
     if robot.planar is not None:

@@ -114,7 +114,7 @@ class Target(Record):
     def of_fruit(cls, world: World, fruit: Fruit, approach_deg: float | tuple[float, float] | None) -> Target:
         """The center of a fruit, one of a world's solids; the tool is clear of it where the approach begins."""
         least = fruit.radius + tool_of(world.robot).thickness(world.deviation) + world.clearance + 2.0 * SPARE
-        touching = world.touching(fruit.name)
+        touching = world.touching(fruit.name, fruit.hangs_from)
         return cls(f"fruit {fruit.name!r}", fruit.center, world, touching, approach_deg, fruit, least)
 
     def transit_world(self, grasp: Grasp) -> World:

@@ -229,9 +229,9 @@ def _bound(plan: Plan) -> DurationBound | None:
     task, problem, world = plan.transit.task, plan.transit.task.problem, plan.transit.task.world
     if len(motions) > 1 and plan.grasp is not None:
         # Any motion to the grasp, the last link free to touch the fruit all the time: more than there are.
-        fruit = task.scene.goal.fruit
+        fruit = task.scene.goal_fruit
         problem = replace(problem, goal=plan.grasp.goal)
-        world = world if fruit is None else world.touching(fruit)
+        world = world if fruit is None else world.touching(fruit.name, fruit.hangs_from)
     with task.stage("bound"):
         return duration_bound(world, problem, motion_limits(task), seconds(motions))
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -27,8 +28,11 @@ from hplan.robot.base_shapes import BASE_DEPTH, base_radius, turning_shapes
 from hplan.robot.files import neighbouring_links
 from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel, largest_fraction, name_margin
-from hplan.scene.model import Scene
+from hplan.scene.model import Scene, hanging_from
 from hplan.scene.obstacles import Solid
+
+#: So many clearances are remembered at most.
+_KNOWN = 4096
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +45,10 @@ class World(Record):
         field: Distances between arm and solids, less the clearance to keep and what the deviation may take.
         checker: The solids in coal, each grown for its uncertainty.
         linked: The solids, and which links keep clear of them and by how much, as `field` has them.
-        touched: Name of the solids that the last link may touch; None for none.
+        growth: (solids,) by how much each is grown for its uncertainty [m].
+        yield_links: Names of the links that may push what gives way; None for those of the last two joints.
+        touched: Names of the solids that the last link may touch.
+        hanging: Names of those from which what may be touched hangs.
     """
 
     robot: Robot
@@ -51,7 +58,10 @@ class World(Record):
     field: ClearanceField
     checker: CoalScene
     linked: LinkedSolids
-    touched: str | None = None
+    growth: FloatArray
+    yield_links: Sequence[str] | None = None
+    touched: tuple[str, ...] = ()
+    hanging: tuple[str, ...] = ()
 
     @classmethod
     def of(
@@ -82,18 +92,26 @@ class World(Record):
         checker = CoalScene(
             robot, solids, growth=growth, deviation=tracking_error, clearance=clearance, yield_links=yield_links
         )
-        return cls(robot, tuple(solids), clearance, tracking_error, field, checker, linked)
+        return cls(robot, tuple(solids), clearance, tracking_error, field, checker, linked, growth, yield_links)
 
-    def touching(self, name: str) -> World:
-        """The world where the last link may touch the solid of a name."""
-        field = self.field.sparing(self.linked.named(name))
-        return replace(self, field=field, checker=self.checker.touching(name), touched=name)
+    def touching(self, name: str, hangs_from: Sequence[str] = ()) -> World:
+        """The world where the last link may touch the solid of a name, and others push what it hangs from."""
+        touched, hanging = (*self.touched, name), (*self.hanging, *hangs_from)
+        checker = self.checker.touching(name, hangs_from)
+        if not hangs_from:
+            field = self.field.sparing(self.linked.named((name,)))
+            return replace(self, field=field, checker=checker, touched=touched)
+        whole = self.clearance + self.growth
+        linked = LinkedSolids.of(self.robot, self.solids, whole, self.yield_links, self.growth, hanging)
+        field = linked.field(self.robot, own_clearance=self.clearance, deviation=self.deviation)
+        field = field.sparing(linked.named(touched))
+        return replace(self, field=field, checker=checker, linked=linked, touched=touched, hanging=hanging)
 
     def bodies(self, more: float = 0.0) -> PreparedObstacles:
         """The solids made ready for cutting, grown by the clearance to keep and `more` [m]."""
         linked = self.linked
         links = linked.links
-        if self.touched is not None:
+        if self.touched:
             touched = linked.named(self.touched)
             everything = np.ones((len(touched), self.robot.arm.link_count), dtype=np.bool_)
             links = everything if links is None else links.copy()
@@ -117,6 +135,20 @@ class World(Record):
             ConfigurationInCollisionError: It has less; names link, obstacle or other part of the arm, and depth, and
                 where it is the deviation that leaves too little, the largest that would do.
         """
+        key = q.tobytes()
+        found = self._known.get(key)
+        if found is None:
+            found = self._checked(q, which)
+            if len(self._known) < _KNOWN:
+                self._known[key] = found
+        return found
+
+    @cached_property
+    def _known(self) -> dict[bytes, float]:
+        """Clearances of configurations that were found clear: tours ask for those of their stops again and again."""
+        return {}
+
+    def _checked(self, q: FloatArray, which: str) -> float:
         if self.deviation == 0.0:
             return check_clear(self.checker, q, self.clearance, which)
         sway = pair_sways(self.checker, np.full((1, self.robot.dof), self.deviation))[:, 0]
@@ -142,7 +174,7 @@ class World(Record):
         def is_clear(fraction: float) -> bool:
             deviation = fraction * self.deviation
             smaller = self.linked.field(self.robot, own_clearance=self.clearance, deviation=deviation)
-            if self.touched is not None:
+            if self.touched:
                 smaller = smaller.sparing(self.linked.named(self.touched))
             return bool((smaller.along(configurations).min(axis=1) > wanted).any())
 
@@ -240,6 +272,7 @@ def without_inside(robot: Robot, scene: Scene) -> tuple[Scene, tuple[str, ...]]:
     parts = {key: getattr(scene, key) for key in Scene.model_fields}
     for key in ("obstacles", "fruits"):
         parts[key] = tuple(part for part in parts[key] if part.name not in inside)
+    parts["fruits"] = hanging_from(parts["obstacles"], parts["fruits"])
     if scene.goal.fruit in inside and parts["fruits"]:
         parts["goal"] = scene.goal.model_copy(update={"fruit": parts["fruits"][0].name})
     return Scene.model_validate(parts), tuple(

@@ -135,6 +135,9 @@ def dump_scene(scene: Scene) -> str:
         item |= _dumped(listed, ("track", "sway"))
         if listed.yields:
             item["yields"] = listed.yields
+    for item, fruit in zip(content["fruits"], scene.fruits, strict=True):
+        if fruit.hangs_from:
+            item["hangs_from"] = list(fruit.hangs_from)
     content |= _dumped(scene, ("base_track",))
     if scene.yield_links is not None:
         content["yield_links"] = list(scene.yield_links)

@@ -8,12 +8,12 @@ becomes (`hplan.scene.solids`).
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Annotated, Any, ClassVar, Final, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import Field, field_validator, model_validator
+from pydantic import BeforeValidator, Field, field_validator, model_validator
 
 from hplan.base.arguments import list_of, number
 from hplan.base.arrays import FloatArray, numbers
@@ -32,8 +32,17 @@ FORMAT: Final = "hplan-scene/1"
 _QUATERNION_LENGTH: Final = 1e-3
 
 
+def _listed(names: Any) -> Any:
+    """One name as a list of it."""
+    return (names,) if isinstance(names, str) else names
+
+
 class Fruit(StrictModel):
-    """A fruit: a ball, an obstacle unless it is the one being reached for."""
+    """A fruit: a ball, an obstacle unless it is the one being reached for.
+
+    What it hangs from, obstacles by their names, gives way while this fruit may be touched: as deep as each yields, and
+    where it does not, `hplan.collision.giving_way.HANGING_M`.
+    """
 
     name: Name
     center: Vector
@@ -42,6 +51,7 @@ class Fruit(StrictModel):
     track: TrackField = None
     sway: SwayField = None
     yields: YieldsField = 0.0
+    hangs_from: Annotated[tuple[Name, ...], BeforeValidator(_listed), Field(exclude=True)] = ()
 
 
 class JointValues(StrictModel):
@@ -216,6 +226,11 @@ class Scene(StrictModel):
                 seen.add(item.name)
         if self.goal.fruit is not None and self.goal.fruit not in {fruit.name for fruit in self.fruits}:
             raise fault(f"{self.goal.fruit!r} is not among the fruits", "goal", "fruit")
+        wood = {obstacle.name for obstacle in self.obstacles}
+        for index, fruit in enumerate(self.fruits):
+            for name in fruit.hangs_from:
+                if name not in wood:
+                    raise fault(f"{name!r} is not among the obstacles", "fruits", index, "hangs_from")
         return self
 
     @property
@@ -399,7 +414,7 @@ class Scene(StrictModel):
             or fruit.name == self.goal.fruit
             or math.dist(fruit.center, point) - fruit.radius <= reach
         )
-        return self.model_copy(update={"obstacles": obstacles, "fruits": fruits})
+        return self.model_copy(update={"obstacles": obstacles, "fruits": hanging_from(obstacles, fruits)})
 
     def with_obstacles(self, obstacles: Sequence[AnyObstacle]) -> Scene:
         """The scene's task among other obstacles.
@@ -408,9 +423,20 @@ class Scene(StrictModel):
             InputError: They are no list of obstacles, or two have one name.
         """
         obstacles = list_of("obstacles", obstacles, AnyObstacle, "obstacles")
-        return Scene.model_validate(
-            {**{key: getattr(self, key) for key in type(self).model_fields}, "obstacles": obstacles}
-        )
+        parts = {key: getattr(self, key) for key in type(self).model_fields}
+        fruits = hanging_from(obstacles, self.fruits)
+        return Scene.model_validate({**parts, "obstacles": obstacles, "fruits": fruits})
+
+
+def hanging_from(obstacles: Iterable[Obstacle], fruits: Iterable[Fruit]) -> tuple[Fruit, ...]:
+    """Fruits that hang from those of the obstacles alone from which they hung."""
+    wood = {obstacle.name for obstacle in obstacles}
+    return tuple(
+        fruit
+        if wood.issuperset(fruit.hangs_from)
+        else fruit.model_copy(update={"hangs_from": tuple(name for name in fruit.hangs_from if name in wood)})
+        for fruit in fruits
+    )
 
 
 def _apart(solid: Solid, point: FloatArray) -> float:

@@ -107,6 +107,7 @@ class Motions:
         self._begin = [0]
         self._first = len(self._moves.stops)  # stop of the first place
         self._places: list[Approach] = []
+        self._pick_s: list[float] = []  # of each place the least duration of approach and retreat, or the true one [s]
         self._active: list[list[int]] = []
         self._picks: dict[int, tuple[Motion, ...] | None] = {}
         self._blended: dict[tuple[_Step, int | None, int | None], _Blended | None] = {}
@@ -137,9 +138,11 @@ class Motions:
         begin = self._begin[-1]
         for grasp in found:
             self._places.append(approach if grasp is approach.grasp else Approach(context, target, grasp))
-            self._moves.add(Stop(grasp.standoff, fruit.name if grasp.distance == 0.0 else None))
+            self._moves.add(Stop(grasp.standoff, fruit if grasp.distance == 0.0 else None))
+        turns = np.array([np.abs(grasp.goal - grasp.standoff) for grasp in found])
+        self._pick_s += (2.0 * rest_to_rest(turns, *self._moves.limits).max(axis=1)).tolist()
         place = begin + next(number for number, grasp in enumerate(found) if grasp is approach.grasp)
-        self._picks[place] = plan.others
+        self._keep_pick(place, plan.others)
         self._moves.keep(self._hub, self._first + place, self._carries, plan.transit)
         spread = begin + np.linspace(0, len(found) - 1, max(0, keep - 1)).astype(int)
         self._active.append(sorted({place, *spread.tolist()}))
@@ -277,10 +280,15 @@ class Motions:
     def _pick(self, place: int) -> tuple[Motion, ...] | None:
         """Approach and retreat at a place, planned if they are not there yet; None where there are none."""
         if place not in self._picks:
-            self._picks[place] = None
+            self._keep_pick(place, None)
             with suppress(*NO_MOTION):
-                self._picks[place] = self._places[place].motions
+                self._keep_pick(place, self._places[place].motions)
         return self._picks[place]
+
+    def _keep_pick(self, place: int, motions: tuple[Motion, ...] | None) -> None:
+        """Keep approach and retreat at a place, or that there are none."""
+        self._picks[place] = motions
+        self._pick_s[place] = math.inf if motions is None else seconds(motions)
 
     def _steps(self, visits: Visits) -> list[list[_Step]]:
         """For each fruit of a tour the steps to it and on to the drop-off, and those back."""
@@ -311,13 +319,7 @@ class Motions:
         ends = np.concatenate([[self._here, self._hub, self._home], self._first + places])
         empty = self._moves.seconds(ends, False)
         loaded = self._moves.seconds(ends, True) if self._carries else empty
-        taken = [self._places[place].grasp for place in places]
-        turns = np.array([np.abs(grasp.goal - grasp.standoff) for grasp in taken])
-        pick = 2.0 * rest_to_rest(turns, *self._moves.limits).max(axis=1)
-        for number, place in enumerate(places.tolist()):
-            if place in self._picks:
-                motions = self._picks[place]
-                pick[number] = np.inf if motions is None else seconds(motions)
+        pick = np.array([self._pick_s[place] for place in places.tolist()])
         drop = loaded[3:, 1] if self._carries else np.full(len(pick), np.inf)
         if self._carries:
             last = drop + (empty[1, 2] if self._back else 0.0)

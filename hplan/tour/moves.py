@@ -28,6 +28,7 @@ from hplan.planning.sampling.several_trees import PromisingPath
 from hplan.planning.task import PlanningContext, PlanningTask
 from hplan.planning.transits import first_paths, near_paths, straight_is_clear, transits
 from hplan.robot.limits import Limits, rest_to_rest
+from hplan.scene.model import Fruit
 from hplan.tour.joins import GAIN_S, Joins
 
 #: A motion whose straight one is blocked is reckoned with so many times its least duration until trees look for it.
@@ -37,7 +38,7 @@ _BLOCKED: Final = 1.5
 _ALONG: Final = 1.2
 
 #: So many rows of bounds are computed at a time.
-_ROWS: Final = 256
+_ROWS: Final = 64
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +51,7 @@ class Stop:
     """
 
     configuration: FloatArray
-    fruit: str | None = None
+    fruit: Fruit | None = None
 
 
 #: Two stops, the lower number first, and whether the arm carries something between them.
@@ -225,8 +226,9 @@ class Moves:
     def task(self, a: int, b: int, loaded: bool) -> PlanningTask:
         """The motion to plan between two stops."""
         ends, context = (self.stops[a], self.stops[b]), self._contexts[loaded]
-        for name in {end.fruit: None for end in ends if end.fruit is not None}:
-            context = context.among(context.world.touching(name))  # at a fruit the last link may touch it
+        for fruit in {end.fruit.name: end.fruit for end in ends if end.fruit is not None}.values():
+            # At a fruit the last link may touch it.
+            context = context.among(context.world.touching(fruit.name, fruit.hangs_from))
         return context.task(*(end.configuration for end in ends))
 
     def _plan(self, key: _Key, found: Motion | None) -> None:

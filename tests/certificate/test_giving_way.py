@@ -9,8 +9,8 @@ from segments import segment_distances
 
 from hplan.certificate.certificate import certify
 from hplan.certificate.digests import scene_digest
-from hplan.collision.giving_way import pushing_links, yielded
-from hplan.errors import BlockedError, OptionError
+from hplan.collision.giving_way import HANGING_M, pushing_links, yielded
+from hplan.errors import BlockedError, OptionError, SceneError
 from hplan.grid.sections import sections_at
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
@@ -177,6 +177,83 @@ def test_sections_of_what_gives_way_are_smaller_to_the_links_that_push():
     for small, large in zip(radii[0][1:], radii[1][1:], strict=True):
         assert set(small) < set(large)
         assert all(small[name] <= large[name] for name in small)
+
+
+@pytest.fixture(scope="module")
+def hanging(arm):
+    """Rigid trees whose fruit says what it hangs from; plans that were blocked without it, and depths (`depths`)."""
+    found = []
+    for seed, fruit in itertools.product((1, 2), range(0, 40, 3)):
+        scene = orchard(seed, wood_yields=0.0, fruit_yields=0.0, hangs_within=0.02)
+        scene = scene.model_copy(update={"goal": Goal(fruit=scene.fruits[fruit].name)})
+        try:
+            result = plan(arm, scene, PlanOptions(effort="quick"))
+        except BlockedError:
+            continue
+        if result.certificate.pushes:
+            found.append((scene, result, *depths(arm, scene, result)))
+    return found
+
+
+def test_what_a_fruit_hangs_from_gives_way_while_that_fruit_may_be_touched(arm, hanging):
+    assert len(hanging) > 3
+    for scene, result, clock, found in hanging:
+        wood, windows = scene.goal_fruit.hangs_from, result.certificate.contacts
+        inside = np.any([(clock >= one.begin_s) & (clock <= one.end_s) for one in windows], axis=0)
+        for (link, name), depth in found.items():
+            may = name in wood and link in ("forearm", "hand")
+            assert depth[inside].max() <= (HANGING_M if may else 0.0) + 1e-6, (link, name)
+            assert depth[~inside].max(initial=-1.0) <= 1e-6, (link, name)
+        deepest = {push.obstacle: push.depth_m for push in result.certificate.pushes}
+        assert set(deepest) <= set(wood)
+        contact = "approach" if len(result.phases) > 1 else "motion"
+        assert certify(arm, scene, result.trajectory, goal_contact=contact).verified
+        fruits = tuple(fruit.model_copy(update={"hangs_from": ()}) for fruit in scene.fruits)
+        alone = scene.model_copy(update={"fruits": fruits})
+        assert not certify(arm, alone, result.trajectory, goal_contact=contact).verified
+        name, depth = max(deepest.items(), key=lambda item: item[1])
+        less = tuple(
+            one.model_copy(update={"yields": 0.5 * depth}) if one.name == name else one for one in scene.obstacles
+        )
+        shallow = scene.model_copy(update={"obstacles": less})
+        assert not certify(arm, shallow, result.trajectory, goal_contact=contact).verified
+
+
+def test_field_and_coal_agree_on_what_fruit_hangs_from(arm, hanging):
+    rng = np.random.default_rng(3)
+    for scene, result, *_ in hanging[:3]:
+        fruit = scene.goal_fruit
+        solids = [*scene.solids_with_goal]
+        near = World.of(arm, solids, clearance=0.005).touching(fruit.name, fruit.hangs_from)
+        both = (near, near.touching(scene.fruits[3].name), World.of(arm, solids, clearance=0.005))
+        grasp = result.trajectory.position[-1]
+        seen = set()
+        for q in grasp + 0.05 * rng.normal(size=(200, arm.dof)):
+            for number, world in enumerate(both):
+                left = (world.checker.pair_distances(q) - world.checker.kept(0.005)).min()
+                assert (left <= 1e-6) == (world.field.clearance(q) <= 1e-6)
+                seen.add((number, bool(left <= 1e-6)))
+        assert {(0, False), (2, True)} <= seen
+
+
+def test_scenes_keep_what_fruit_hangs_from():
+    scene = orchard(3, hangs_within=0.02)
+    assert parse_scene(dump_scene(scene)) == scene
+    assert "hangs_from" not in dump_scene(orchard(3))
+    assert scene_digest(scene) != scene_digest(orchard(3))
+    hung = [fruit.hangs_from for fruit in scene.fruits]
+    assert all(hung)
+    assert not any("trunk" in name for names in hung for name in names)
+    text = dump_scene(scene)
+    first = scene.fruits[0].hangs_from[0]
+    one = scene.fruits[0].model_dump() | {"hangs_from": first}
+    assert type(scene.fruits[0])(**one).hangs_from == (first,)
+    with pytest.raises(SceneError, match=r"fruits\[0\]\.hangs_from.*'no such twig' is not among the obstacles"):
+        parse_scene(text.replace(f"hangs_from: [{first}", "hangs_from: [no such twig", 1))
+    near = scene.cropped(0.5, scene.fruits[0].center)
+    names = {one.name for one in near.obstacles}
+    assert all(names.issuperset(fruit.hangs_from) for fruit in near.fruits)
+    assert not any(fruit.hangs_from for fruit in scene.with_obstacles([]).fruits)
 
 
 def test_scenes_keep_what_gives_way_and_others_are_what_they_were():

@@ -203,7 +203,7 @@ def test_last_link_that_pivots_about_the_fruit_leaves_its_direction(robot, apple
 class Touching(frozenset):
     """Names of what may be touched, in place of a collision checker."""
 
-    def touching(self, name):
+    def touching(self, name, hangs_from):
         return Touching(self | {name})
 
 

@@ -36,7 +36,7 @@ exit status:
 #: Options of both kinds of rows by their names here, those of grown ones, and those of measured ones.
 _COMMON = (
     *("robot", "seed", "distance", "spacing", "clearance", "fruits", "fruit_radius", "goal"),
-    *("wood_yields", "yields_below", "fruit_yields"),
+    *("wood_yields", "yields_below", "fruit_yields", "hangs_within"),
 )
 _GROWN = ("form", "trees", "branches", "shoots", "tree_height", "branch_length", "vehicle", "ground")
 _MEASURED = ("turn", "height")
@@ -66,6 +66,8 @@ def parser(prog: str) -> argparse.ArgumentParser:
     add("--yield", dest="wood_yields", type=float, metavar="M", help=f"{yields} thin wood (default: 0)")
     add("--yield-below", dest="yields_below", type=float, metavar="M", help="radius of thin wood (default: 0.008)")
     add("--yield-fruit", dest="fruit_yields", type=float, metavar="M", help=f"{yields} fruit (default: 0)")
+    hangs = "fruit hangs from the wood so near to it, which gives way as it is picked (default: unknown)"
+    add("--hangs-within", type=float, metavar="M", help=hangs)
     add("--goal", metavar="NAME", help="fruit to reach for (default: the first)")
     add("--start", type=float, nargs="+", metavar="DEG", help="joints at the start (default: the harvester, tucked)")
     add("--quiet", action="store_true", help="no summary")

@@ -165,7 +165,7 @@ def _obstacles(world: World) -> ClearanceField:
     linked = world.linked
     excess = np.array([solid.excess for solid in linked.solids])
     field = replace(linked, growth=linked.growth - excess).field(world.robot, own_clearance=world.clearance)
-    if world.touched is not None:
+    if world.touched:
         field = field.sparing(linked.named(world.touched))
     return field.only(np.ones(len(linked.solids), dtype=np.bool_), arm=False)
 

@@ -17,7 +17,7 @@ from hplan.base.arguments import between, instance, list_of, whole
 from hplan.base.arrays import FloatArray
 from hplan.errors import OptionError
 from hplan.scene.model import Fruit
-from hplan.scene.obstacles import Capsule
+from hplan.scene.obstacles import Capsule, Obstacle
 from hplan.scene.orchard.options import FruitZone, OrchardOptions
 from hplan.scene.orchard.pieces import DECIMALS
 
@@ -166,6 +166,17 @@ def fruit_at_tips(
     if len(canopy.centers) < count:
         raise OptionError("count", count, f"at most {len(canopy.centers)}, which found room at these branches")
     return canopy.fruits()
+
+
+def hung(fruits: Sequence[Fruit], wood: Sequence[Obstacle], within: float) -> tuple[Fruit, ...]:
+    """Fruits that say which pieces of wood they hang from: all that bear fruit and are within so far [m]."""
+    bearing = [piece for piece in wood if isinstance(piece, Capsule) and _bears(piece)]
+    canopy = Canopy(bearing, 0.0, FruitZone())
+    near = [canopy.wood_distances(np.array(fruit.center)) <= fruit.radius + within for fruit in fruits]
+    return tuple(
+        fruit.model_copy(update={"hangs_from": tuple(bearing[number].name for number in np.flatnonzero(which))})
+        for fruit, which in zip(fruits, near, strict=True)
+    )
 
 
 def _shallowest(canopy: Canopy, places: Iterable[FloatArray]) -> tuple[float, FloatArray]:

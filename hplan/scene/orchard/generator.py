@@ -14,7 +14,7 @@ from hplan.errors import OptionError
 from hplan.scene.model import Fruit, Goal, Scene, Start
 from hplan.scene.obstacles import Box, Capsule
 from hplan.scene.orchard.capsule_file import import_tree
-from hplan.scene.orchard.fruits import fruit_at_tips, hang_fruits
+from hplan.scene.orchard.fruits import fruit_at_tips, hang_fruits, hung
 from hplan.scene.orchard.options import TUCKED_DEG, FruitZone, MeasuredOptions, OrchardOptions
 from hplan.scene.orchard.pieces import DECIMALS, capsule, rounded
 from hplan.scene.orchard.wood import Limb, grow_tree
@@ -161,6 +161,8 @@ def _scene(
     ]
     if options.fruit_yields:
         fruits = tuple(fruit.model_copy(update={"yields": options.fruit_yields}) for fruit in fruits)
+    if options.hangs_within is not None:
+        fruits = hung(fruits, obstacles, options.hangs_within)
     names = [fruit.name for fruit in fruits]
     if not names:
         raise OptionError("fruits", 0, "at least one, to be the goal")

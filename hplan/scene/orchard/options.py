@@ -94,6 +94,7 @@ class OrchardOptions:
         wood_yields: How deep thin wood may be pushed [m].
         yields_below: Radius below which wood is thin [m].
         fruit_yields: How deep fruit may be pushed [m].
+        hangs_within: How far fruit is at most from the wood that it is said to hang from [m]; None says nothing.
     """
 
     name: str = "orchard"
@@ -124,6 +125,7 @@ class OrchardOptions:
     wood_yields: float = 0.0
     yields_below: float = 0.008
     fruit_yields: float = 0.0
+    hangs_within: float | None = None
 
     def __post_init__(self) -> None:
         """Check every value.
@@ -132,6 +134,7 @@ class OrchardOptions:
             OptionError: A value is of the wrong kind or out of its range.
         """
         keep_checked(self, _CHECKS)
+        _keep_given(self, "hangs_within")
         _check_names(self.robot, self.goal)
         heights = self.wire_heights
         if any(high <= low for low, high in itertools.pairwise(heights)):
@@ -169,6 +172,7 @@ class MeasuredOptions:
         wood_yields: How deep thin wood may be pushed [m].
         yields_below: Radius below which wood is thin [m].
         fruit_yields: How deep fruit may be pushed [m].
+        hangs_within: How far fruit is at most from the wood that it is said to hang from [m]; None says nothing.
     """
 
     name: str = "measured"
@@ -186,6 +190,7 @@ class MeasuredOptions:
     wood_yields: float = 0.0
     yields_below: float = 0.008
     fruit_yields: float = 0.0
+    hangs_within: float | None = None
 
     def __post_init__(self) -> None:
         """Check every value.
@@ -194,8 +199,12 @@ class MeasuredOptions:
             OptionError: A value is of the wrong kind or out of its range.
         """
         keep_checked(self, _MEASURED_CHECKS)
-        keep_checked(self, {key: check for key, check in _FRUIT_CHECKS.items() if getattr(self, key) is not None})
+        _keep_given(self, *_FRUIT_CHECKS)
         _check_names(self.robot, self.goal)
+
+
+def _keep_given(options: OrchardOptions | MeasuredOptions, *keys: str) -> None:
+    keep_checked(options, {key: _FRUIT_CHECKS[key] for key in keys if getattr(options, key) is not None})
 
 
 def _check_names(robot: str | None, goal: str | None) -> None:
@@ -249,4 +258,5 @@ _FRUIT_CHECKS = {
     "fruits": (whole, 0, 10_000),
     "fruit_radius": (between, 1e-3, 1.0),
     "fruit_zone": (instance, FruitZone),
+    "hangs_within": (between, 0.0, 1.0),
 }

@@ -10,7 +10,7 @@ from segments import segment_distances
 from hplan.certificate.certificate import certify
 from hplan.certificate.digests import scene_digest
 from hplan.collision.giving_way import HANGING_M, pushing_links, yielded
-from hplan.errors import BlockedError, OptionError, SceneError
+from hplan.errors import BlockedError, ConfigurationInCollisionError, OptionError, SceneError
 from hplan.grid.sections import sections_at
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
@@ -234,6 +234,22 @@ def test_field_and_coal_agree_on_what_fruit_hangs_from(arm, hanging):
                 assert (left <= 1e-6) == (world.field.clearance(q) <= 1e-6)
                 seen.add((number, bool(left <= 1e-6)))
         assert {(0, False), (2, True)} <= seen
+
+
+def test_what_fruit_hangs_from_is_rigid_to_links_that_may_not_push(arm):
+    q = np.array([1.0, 0.6, 0.5, 0.3])
+    for link, name in enumerate(arm.arm.link_names):
+        beside = arm.arm.half_widths[link] * np.array([-np.sin(q[0]), np.cos(q[0]), 0.0])
+        place = link_axes(arm, q)[link].mean(axis=0) + beside
+        stub = Sphere(name="stub", center=tuple(place.tolist()), radius=0.01)
+        fruit = Sphere(name="fruit", center=(0.0, 0.0, 3.0), radius=0.04)
+        near = World.of(arm, [stub, fruit]).touching("fruit", ["stub"])
+        assert (near.field.clearance(q) > 0.0) == (name in pushing_links(arm, None))
+        if name in pushing_links(arm, None):
+            near.check_clear(q, "start")
+        else:
+            with pytest.raises(ConfigurationInCollisionError, match=name):
+                near.check_clear(q, "start")
 
 
 def test_scenes_keep_what_fruit_hangs_from():

@@ -12,10 +12,12 @@ from hplan.tour import ordering
 from hplan.tour.ordering import SEGMENT, Costs, Visits, along, best, nearest
 
 
-def random_costs(seed: int, n: int, *, capacity: int, absent: float = 0.0, round_numbers: bool = False) -> Costs:
+def random_costs(
+    seed: int, n: int, *, capacity: int, absent: float = 0.0, round_numbers: bool = False, most: int = 3
+) -> Costs:
     """Costs that know no symmetry and no triangle inequality; some of them infinite."""
     random = np.random.default_rng(seed)
-    begin = np.concatenate([[0], np.cumsum(random.integers(1, 4, n))])
+    begin = np.concatenate([[0], np.cumsum(random.integers(1, most + 1, n))])
     m = int(begin[-1])
 
     def entries(*shape: int) -> np.ndarray:
@@ -93,11 +95,15 @@ def test_local_search_comes_near_the_optimum(monkeypatch: pytest.MonkeyPatch, se
 
 @pytest.mark.parametrize("capacity", [0, 1])
 def test_every_change_costs_what_the_changed_order_does(capacity: int) -> None:
-    for seed, n in itertools.product(range(3), (3, 4, 7)):
-        costs = random_costs(seed, n, capacity=capacity, absent=0.2)
+    for seed, n, most in itertools.product(range(3), (3, 4, 7), (1, 3)):
+        costs = random_costs(seed, n, capacity=capacity, absent=0.2, most=most)
         order, places = np.random.default_rng(seed).permutation(n), int(np.diff(costs.begin).max())
         stretches, reached, onward = np.empty((2, n, n, places, places)), np.empty((n, places)), np.empty((n, places))
         ordering._fill_stretches(order, costs, stretches, reached, onward)
+        steps, least, ends = np.full((n + 1, n + 1), np.inf), np.empty((2, n, n)), np.empty((2, n))
+        ordering._fill_steps(costs, steps)
+        ordering._fill_least(order, costs, stretches, reached, onward, least, ends)
+        single = (np.diff(costs.begin) == 1).all()
         table, here, other = np.empty((len(costs.first), 1)), np.empty((2, places)), order.copy()
         for kind, i, j in itertools.product(range(2 * SEGMENT + 1), range(n), range(n)):
             size = (kind - 1) % SEGMENT + 1
@@ -107,6 +113,8 @@ def test_every_change_costs_what_the_changed_order_does(capacity: int) -> None:
             assert sorted(other) == list(range(n))
             trial = ordering._trial(order, costs, (kind, i, j), stretches, reached, onward, here)
             assert trial == pytest.approx(ordering._cost(other, costs, table), rel=1e-12)
+            bound = ordering._bound(order, (kind, i, j), steps, least, ends)
+            assert bound == pytest.approx(trial, rel=1e-12) if single else bound <= trial * (1.0 + 1e-12)
 
 
 @pytest.mark.parametrize("n", [12, 25])

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple, TypeVar, overload
 from numpy.typing import ArrayLike
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
-from hplan.base.arguments import number, text
+from hplan.base.arguments import between, number, text
 from hplan.base.deadline import Cancel, TimeIsUpError, time_limit
 from hplan.base.forking import renewed_in_children
 from hplan.certificate.certificate import with_violations
@@ -35,7 +35,7 @@ from hplan.planning.plan import check_task, plan_with
 from hplan.planning.result import PlanResult
 from hplan.planning.task import PlanningCache
 from hplan.robot.model import Robot
-from hplan.scene.limits import Vector
+from hplan.scene.limits import FARTHEST_M, Vector
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacle_kind import FromData
 from hplan.scene.obstacles import KINDS, Obstacle, PointCloud
@@ -331,7 +331,7 @@ class Planner:
             moved = _changed(self.scene.obstacles[index], changes)
             self._change((*self.scene.obstacles[:index], moved, *self.scene.obstacles[index + 1 :]))
 
-    # Ten parameters: a frame has many sides, and callers name them by keyword.
+    # Eleven parameters: a frame has many sides, and callers name them by keyword.
     def set_cloud(
         self,
         name: str,
@@ -344,6 +344,7 @@ class Planner:
         keep_s: float = 0.0,
         time_s: float | None = None,
         options: CloudOptions | None = None,
+        yields: float = 0.0,
     ) -> FrameReport:
         """Take a frame of a depth camera for the obstacle of a name, in place of the last one.
 
@@ -367,11 +368,13 @@ class Planner:
             time_s: When the frame was taken, on the controller's clock [s]; it is needed where the base moves, or what
                 is to be ignored does. None, else, for now.
             options: Voxels, paddings, outliers.
+            yields: How deep the links that may push may be in the cloud [m].
 
         Raises:
             InputError: Points, a pose or joints that are none; a name of what is no cloud; nothing of a name to ignore.
-            OptionError: A radius, a time or options that cannot be.
+            OptionError: A radius, a time, a depth or options that cannot be.
         """
+        yields = between("yields", yields, 0.0, FARTHEST_M)
         with self._filtering:  # nothing else waits for it
             scene, planning = self.scene, self.options
             check_cloud_name(scene, name)
@@ -391,7 +394,9 @@ class Planner:
                 before=self._seen.get(name),
                 scratch=self._scratch,
             )
-            cloud = PointCloud.thinned(name, found.points, found.report.radius_m) if len(found.points) else None
+            cloud = None
+            if len(found.points):
+                cloud = PointCloud.thinned(name, found.points, found.report.radius_m, yields)
             with self._changing:
                 check_cloud_name(self.scene, name)
                 self.scene = with_cloud(self.scene, name, cloud)

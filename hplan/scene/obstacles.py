@@ -242,7 +242,7 @@ class PointCloud(FromData):
         return _made_of(cls, name, lambda: PointSet.of(points), {"radius": radius, **placement})
 
     @classmethod
-    def thinned(cls, name: str, points: ArrayLike, radius: float) -> PointCloud:
+    def thinned(cls, name: str, points: ArrayLike, radius: float, yields: float = 0.0) -> PointCloud:
         """A cloud of (n, 3) points of which none are merged, so that its balls are those given (`hplan.online`).
 
         Raises:
@@ -250,7 +250,7 @@ class PointCloud(FromData):
         """
         from hplan.scene.shape_data import PointSet
 
-        return _made_of(cls, name, lambda: PointSet.of(points, may_merge=False), {"radius": radius})
+        return _made_of(cls, name, lambda: PointSet.of(points, may_merge=False), {"radius": radius, "yields": yields})
 
     @property
     def left_out(self) -> int:

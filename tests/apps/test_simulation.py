@@ -68,6 +68,29 @@ def off_deg(result: Execution) -> float:
 
 
 @needs_mujoco
+@pytest.mark.parametrize("yields", [0.0, 0.02])
+def test_what_gives_way_is_pushed_and_not_touched(yields: float) -> None:
+    """A ball half-way of the hand's tip, 12 mm deep in its way; to the upper arm all is firm."""
+    robot = load_robot()
+    start, goal = (0.0, 0.5, 0.4, 0.2), (0.6, 0.5, 0.4, 0.2)
+    middle = np.array([0.3, 0.5, 0.4, 0.2])
+    tip, width = robot.tool_positions(middle), float(robot.arm.half_widths[-1])
+    center = (*tip[:2].tolist(), float(tip[2]) + width + 0.03 - 0.012)
+    ball = Sphere(name="ball", center=center, radius=0.03, yields=yields)
+    given = {"start": Start(joints_rad=start), "goal": Goal(joints_rad=goal), "obstacles": (ball,)}
+    scene = Scene(name="ball", **given)
+    result = execute(robot, scene, straight(robot, scene, 2.0))
+    assert result.ok == (yields > 0.0)
+    (touch,) = result.pushes if yields else result.contacts
+    assert (touch.link, touch.obstacle, touch.is_push) == ("hand", "ball", yields > 0.0)
+    assert 0.005 < touch.depth_m < 0.0125 or not yields
+    assert off_deg(result) < 0.1 or not yields
+    firm = execute(robot, scene.model_copy(update={"yield_links": ("forearm",)}), straight(robot, scene, 2.0))
+    assert not firm.ok
+    assert not firm.pushes
+
+
+@needs_mujoco
 def test_the_exported_reference_plan(robot: Robot, scene: Scene, planned: PlanResult, csv_file: Path) -> None:
     result = execute(robot, scene, read_motion(csv_file))
     assert result.ok

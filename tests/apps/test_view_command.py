@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import urllib.request
 from pathlib import Path
 from typing import Any
 
@@ -135,3 +136,22 @@ def test_what_is_read_is_not_replaced(job: Path, name: str, capsys: pytest.Captu
     assert main(["view", str(job), "--out", str(job / name)]) == 2
     assert "another file than those that are read" in capsys.readouterr().err
     assert (job / name).read_bytes() == before
+
+
+def test_pages_of_a_row_are_served_as_they_are(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    shown: dict[str, bytes] = {}
+
+    def wait_for(_: Any, view: Any) -> None:
+        with view, urllib.request.urlopen(view.url) as page, urllib.request.urlopen(f"{view.url}stop-01.html") as stop:
+            shown.update(page=page.read(), stop=stop.read())
+
+    monkeypatch.setattr("hplan.apps.cli.view.wait_for", wait_for)
+    (tmp_path / "scene.html").write_text("the row")
+    assert main(["view", str(tmp_path), "--quiet"]) == 2  # there is no report
+    (tmp_path / "row.json").write_text("{}")
+    (tmp_path / "stop-01.html").write_text("the stop")
+    assert main(["view", str(tmp_path), "--quiet"]) == 0
+    assert shown == {"page": b"the row", "stop": b"the stop"}
+    assert main(["view", str(tmp_path), "--out", "page.html"]) == 2
+    (tmp_path / "scene.html").unlink()
+    assert main(["view", str(tmp_path), "--quiet"]) == 2

@@ -45,6 +45,10 @@ def test_a_frame_replaces_the_last_one_of_its_name(robot):
     again = planner.set_cloud("canopy", canopy(2, 50), radius=0.004)
     assert [obstacle.name for obstacle in planner.scene.obstacles] == ["post", "canopy", "other"]
     assert planner.scene.obstacles[1].radius == again.radius_m
+    planner.set_cloud("canopy", canopy(0), radius=0.005, yields=0.003)
+    assert [solid.yields for obstacle in planner.scene.obstacles for solid in obstacle.solids] == [0.0, 0.003, 0.0]
+    with pytest.raises(OptionError, match="yields"):
+        planner.set_cloud("canopy", canopy(0), radius=0.005, yields=-0.001)
     assert planner.set_cloud("canopy", [], radius=0.005).kept == 0
     assert clouds(planner) == ["other"]
     planner.remove("other")

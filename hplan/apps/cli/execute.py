@@ -32,7 +32,8 @@ the CSV: one header line, time_s and NAME_pos_rad for each joint of the robot
 needs the extra `execution`: pip install 'hplan[execution]'
 
 exit status:
-  0  nothing was touched; the arm ended at the goal (0.5 deg, 5 mm) and stayed
+  0  nothing was touched, or pushed deeper than it yields; the arm ended at the
+     goal (0.5 deg, 5 mm) and stayed
   2  bad input
   5  something was touched, or the arm did not end at the goal
 """
@@ -113,6 +114,9 @@ def _show(console: Console, path: Path, scene: Scene, result: Execution) -> None
     off = [unit.error(error) for unit, error in zip(units, result.start_error_rad, strict=True) if error > 1e-6]
     if off:
         facts.add_row("start", f"[yellow]joints of the first row are off the scene's start: {', '.join(off)}[/]")
+    for push in result.pushes:
+        pair = f"{escape(push.link)} pushed {escape(push.obstacle)}"
+        facts.add_row("push", f"{pair} up to {1e3 * push.depth_m:.2f} of {1e3 * push.yields_m:.2f} mm deep")
     for touch in result.contacts:
         pair = f"{escape(touch.link)} touched {escape(touch.obstacle)}"
         depth = f"up to {1e3 * touch.depth_m:.2f} mm deep"

@@ -8,21 +8,24 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hplan.apps.cli.finished_job import FinishedJob
-from hplan.apps.cli.job_folder import PAGE
+from hplan.apps.cli.job_folder import PAGE, REPORT, ROW_REPORT, TOUR_REPORT, written_s
 from hplan.apps.cli.options import add_robot, add_scene, check_output_file, command_parser, robot_of
 from hplan.apps.cli.terminal import FAILED
-from hplan.base.files import is_folder
+from hplan.base.files import ByteBudget, is_folder
+from hplan.errors import InputError, OptionError
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from hplan.apps.view.playback import Playback
+    from hplan.apps.view.server import LiveView
     from hplan.robot.model import Robot
     from hplan.scene.model import Scene
 
 _DESCRIPTION = """\
 Show a motion: write its animated page, and serve it live until interrupted. Of a folder that `plan` or `tour` wrote the
-latest job's motion is shown, in the scene that its report names if that ships with hplan.
+latest job's motion is shown, in the scene that its report names if that ships with hplan. The pages that `row` wrote
+are served as they are.
 """
 
 _EPILOG = """\
@@ -60,6 +63,8 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int
     from hplan.trajectory.trajectory import read_csv
 
     path: Path = arguments.motion
+    if is_folder(path) and written_s(path / ROW_REPORT) > max(written_s(path / name) for name in (REPORT, TOUR_REPORT)):
+        return _view_row(arguments, console)
     job = FinishedJob(path, tours=True) if is_folder(path) else None
     out = arguments.out or (path.with_suffix(".html") if job is None else path / PAGE)
     trajectory = read_csv(path) if job is None else job.trajectory()
@@ -82,6 +87,26 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int
     return 0
 
 
+def _view_row(arguments: argparse.Namespace, console: Console) -> int:
+    """Serve the pages of a row's stops as they were written."""
+    from hplan.apps.view.server import LiveView
+
+    folder: Path = arguments.motion
+    if arguments.out is not None:
+        raise OptionError("--out", str(arguments.out), f"nothing: the pages of a row stand in its folder, {folder}")
+    try:
+        names = [PAGE, *sorted(path.name for path in folder.glob("stop-[0-9]*.html"))]
+        most_page_bytes = 64_000_000
+        pages = {name: ByteBudget(most_page_bytes).read(folder / name) for name in names}
+    except (OSError, ValueError) as error:
+        raise InputError(f"page of {folder}: {getattr(error, 'strerror', None) or error}", path=str(folder)) from error
+    if not arguments.quiet:
+        console.print(f"written by the row: {folder / PAGE}", markup=False, soft_wrap=True)
+    if not arguments.no_serve:
+        wait_for(console, LiveView(pages.pop(PAGE), pages))
+    return 0
+
+
 def serve_page(console: Console, robot: Robot, scene: Scene, playback: Playback) -> None:
     """Serve the animated scene until interrupted.
 
@@ -90,7 +115,12 @@ def serve_page(console: Console, robot: Robot, scene: Scene, playback: Playback)
     """
     from hplan.apps.view.page import serve
 
-    with serve(robot, scene, playback) as server:
+    wait_for(console, serve(robot, scene, playback))
+
+
+def wait_for(console: Console, view: LiveView) -> None:
+    """Say where a view is, and wait until interrupted."""
+    with view as server:
         console.print(f"serving the scene at {server.url} (interrupt to stop)")
         with contextlib.suppress(KeyboardInterrupt):
             server.wait()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import product
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -10,11 +11,15 @@ import numpy as np
 import pinocchio as pin
 
 from hplan.base.lazy_import import extra
+from hplan.collision.giving_way import pushing_links, yielded
 from hplan.errors import InputError, RobotFileError
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 from hplan.scene.obstacles import Box, Capsule, Cylinder, Solid, Sphere
 from hplan.scene.solids import Cloud
+
+#: Bits of what meets links that may push what gives way, and all others.
+_FIRM, _PUSHES = 1, 2
 
 #: Most balls of a cloud that MuJoCo is given.
 _MOST_BALLS = 2_000
@@ -48,18 +53,27 @@ def mujoco_model(mujoco: ModuleType, robot: Robot, scene: Scene, *, timestep_s: 
         mesh.file = _mesh_file(mesh.file, robot.urdf_path.parent)
     spec.option.timestep = timestep_s
     spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+    depths = yielded(
+        robot, scene.solids, scene.yield_links, () if scene.goal_fruit is None else scene.goal_fruit.hangs_from
+    )
+    pushing = () if depths is None else pushing_links(robot, scene.yield_links)
     for geom in spec.geoms:
         # Two geometries meet where a bit is in the type of one and the affinity of the other: arm and obstacle only.
-        geom.contype, geom.conaffinity = int(bool(geom.contype or geom.conaffinity)), 0
+        meets = _PUSHES if geom.parent.name in pushing else _FIRM
+        geom.contype, geom.conaffinity = meets if geom.contype or geom.conaffinity else 0, 0
     for name, limit in zip(robot.joint_names, robot.torque_limit.tolist(), strict=True):
         motor = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)  # a motor, of gain 1
         motor.ctrllimited, motor.ctrlrange = True, [-limit, limit]
     names = {}
     for number, obstacle in enumerate(scene.solids):
-        for part, shape in enumerate(_shapes(mujoco, spec, obstacle, number)):
+        # To links that may push it what gives way offers no resistance until it is as deep as it may be: geometries
+        # resist where they are nearer than their margin, and are told where they are nearer than that and their gap.
+        yields = 0.0 if depths is None else float(depths[number])
+        sides = ((_FIRM | _PUSHES, 0.0),) if yields == 0.0 else ((_FIRM, 0.0), (_PUSHES, yields))
+        for part, (shape, (meets, gap)) in enumerate(product(_shapes(mujoco, spec, obstacle, number), sides)):
             label = f"obstacle:{number}:{part}"
             names[label] = obstacle.name
-            spec.worldbody.add_geom(name=label, contype=0, conaffinity=1, **shape)
+            spec.worldbody.add_geom(name=label, contype=0, conaffinity=meets, margin=-gap, gap=gap, **shape)
     try:
         model = spec.compile()
     except ValueError as error:

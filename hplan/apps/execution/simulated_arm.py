@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
@@ -33,19 +33,27 @@ class Touch:
         time_s: When they first did [s].
         link: The link, by its name in the URDF.
         depth_m: Largest depth to which one was pushed into the other [m].
+        yields_m: How deep the link may push it [m].
     """
 
     time_s: float
     link: str
     obstacle: str
     depth_m: float
+    yields_m: float = 0.0
+
+    @property
+    def is_push(self) -> bool:
+        """True if the obstacle gives way to the link, and was not pushed deeper than it may be."""
+        return 0.0 < self.yields_m >= self.depth_m
 
 
 class SimulatedArm:
     """An arm in MuJoCo among the obstacles and fruits of a scene; joints are in the robot's order.
 
-    The motors give no more than their limits. Contacts with obstacles push back, and are noted; the arm does not touch
-    itself or the ground. It stands at zero until it is placed.
+    The motors give no more than their limits. Contacts with obstacles push back, and are noted; what gives way pushes
+    back where it is pushed deeper than it yields, what the scene's goal fruit hangs from at any time. The arm does not
+    touch itself or the ground. It stands at zero until it is placed.
 
     Attributes:
         plant: How the simulated machine differs from what its controller believes.
@@ -75,7 +83,7 @@ class SimulatedArm:
         self._v_at = np.array([int(joint.dofadr[0]) for joint in joints])
         self._motors = np.array([self._model.actuator(name).id for name in robot.joint_names])
         self._pin_data = robot.model.createData()
-        self._touched: dict[tuple[str, str], tuple[float, float]] = {}
+        self._touched: dict[tuple[str, str], Touch] = {}
 
     @property
     def time_s(self) -> float:
@@ -99,8 +107,13 @@ class SimulatedArm:
 
     @property
     def contacts(self) -> tuple[Touch, ...]:
-        """Pairs that have touched so far, in the order of their first touch."""
-        return tuple(Touch(time, *pair, depth) for pair, (time, depth) in self._touched.items())
+        """Pairs that have touched so far, in the order of their first touch, but for those that are pushes."""
+        return tuple(touch for touch in self._touched.values() if not touch.is_push)
+
+    @property
+    def pushes(self) -> tuple[Touch, ...]:
+        """Links that have pushed what gives way to them so far, no deeper than it may be, in that order."""
+        return tuple(touch for touch in self._touched.values() if touch.is_push)
 
     def place(self, position: ArrayLike, velocity: ArrayLike | None = None) -> None:
         """Put the arm somewhere, at rest unless a velocity is given.
@@ -206,5 +219,6 @@ class SimulatedArm:
             other = next(geom for geom in geoms if geom not in self._obstacle_of)
             link = self._model.body(self._model.geom_bodyid[other]).name
             depth = max(0.0, -float(contact.dist))
-            time, deepest = self._touched.get((link, obstacle), (float(self._data.time), 0.0))
-            self._touched[link, obstacle] = (time, max(deepest, depth))
+            yields = max(float(self._model.geom_gap[geom]) for geom in geoms)
+            first = self._touched.get((link, obstacle), Touch(float(self._data.time), link, obstacle, 0.0, yields))
+            self._touched[link, obstacle] = replace(first, depth_m=max(first.depth_m, depth))

@@ -58,7 +58,8 @@ class Execution(Record):
         joint_names: Names of the `dof` joints.
         slides: Of each of them whether it slides.
         duration_s: Time of the last row, counted from the first [s].
-        contacts: Pairs that touched, in the order of their first touch.
+        contacts: Pairs that touched, in the order of their first touch, but for those that are pushes.
+        pushes: Links that pushed what gives way to them, no deeper than it may be.
         start_error_rad: (dof,) difference between the first row and the scene's start; NaN where the scene gives no
             joints.
         max_tracking_error_rad: (dof,) largest deviation from the reference, the hold included.
@@ -81,6 +82,7 @@ class Execution(Record):
     slides: tuple[bool, ...]
     duration_s: float
     contacts: tuple[Touch, ...]
+    pushes: tuple[Touch, ...]
     start_error_rad: tuple[float, ...]
     max_tracking_error_rad: tuple[float, ...]
     final_error_rad: tuple[float, ...]
@@ -102,7 +104,7 @@ class Execution(Record):
 
     @property
     def ok(self) -> bool:
-        """True if nothing was touched and the arm ended at the goal."""
+        """True if nothing was touched, or pushed deeper than it gives way, and the arm ended at the goal."""
         return not self.contacts and self.ended_at_goal
 
     @property
@@ -219,6 +221,7 @@ def _executed(
         slides=robot.slides,
         duration_s=duration,
         contacts=arm.contacts,
+        pushes=arm.pushes,
         start_error_rad=tuple(np.abs(q_ref[0] - (math.nan if start is None else start)).tolist()),
         max_tracking_error_rad=tuple(error.tolist()),
         final_error_rad=tuple(final.tolist()),

@@ -3,29 +3,34 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Mapping
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from types import TracebackType
+from types import MappingProxyType, TracebackType
 from typing import Any
 
 from hplan.errors import HplanError
 
 
 class LiveView:
-    """A running server that shows the page of one motion; `close` ends it, as does leaving a `with` block.
+    """A running server that shows a page and those it leads to; `close` ends it, as does leaving a `with` block.
 
     Attributes:
         url: Its address, for a browser on this machine, the only one that reaches it.
     """
 
-    def __init__(self, page: bytes) -> None:
+    def __init__(self, page: bytes, others: Mapping[str, bytes] = MappingProxyType({})) -> None:
         """Serve a page at a free port.
+
+        Args:
+            page: The page.
+            others: Pages that it leads to, by the names of their files.
 
         Raises:
             HplanError: There is none.
         """
         try:
-            self._server = ThreadingHTTPServer(("127.0.0.1", 0), _handler(page))
+            self._server = ThreadingHTTPServer(("127.0.0.1", 0), _handler({"": page, **others}))
         except OSError as error:
             raise HplanError(f"the page's server does not start: {error}") from error
         self.url = f"http://127.0.0.1:{self._server.server_port}/"
@@ -58,16 +63,16 @@ class LiveView:
         self.close()
 
 
-def _handler(page: bytes) -> type[BaseHTTPRequestHandler]:
-    """Answers with the page at `/`, and with nothing elsewhere."""
+def _handler(pages: Mapping[str, bytes]) -> type[BaseHTTPRequestHandler]:
+    """Answers with the pages at `/` and their names, and with nothing elsewhere."""
 
     class Handler(BaseHTTPRequestHandler):
         protocol_version = "HTTP/1.1"
 
         def do_GET(self) -> None:
-            found = self.path.split("?")[0] == "/"
-            content = page if found else b""
-            self.send_response(HTTPStatus.OK if found else HTTPStatus.NOT_FOUND)
+            content = pages.get(self.path.split("?")[0].removeprefix("/"))
+            self.send_response(HTTPStatus.NOT_FOUND if content is None else HTTPStatus.OK)
+            content = content or b""
             self.send_header("Content-Type", "text/html; charset=utf-8")
             self.send_header("Content-Length", str(len(content)))
             self.end_headers()

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import ast
+import html
 import importlib.metadata
+import json
 import runpy
 from pathlib import Path
 from typing import Any
@@ -123,6 +126,29 @@ def test_arm_study(tmp_path: Path) -> None:
     result = run("arm_study", str(tmp_path / "tree.csv"), str(tmp_path / "rows.csv"), workers=1)
     assert len(result.rows) == 12
     assert 0.0 < max(choice.share for choice in result.choices) < 1.0
+
+
+def test_first_motion_notebook(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its cells run one after the other; what the last line of each gives is shown as pages and pictures are."""
+    pytest.importorskip("matplotlib", reason="the extra `figures` is not installed")
+    monkeypatch.chdir(tmp_path)
+    cells = json.loads((EXAMPLES / "first_motion.ipynb").read_text(encoding="utf-8"))["cells"]
+    space: dict[str, Any] = {}
+    pages, pictures = [], []
+    for cell in cells:
+        tree = ast.parse("".join(cell["source"]) if cell["cell_type"] == "code" else "")
+        last = tree.body.pop() if tree.body and isinstance(tree.body[-1], ast.Expr) else None
+        exec(compile(tree, "cell", "exec"), space)
+        value = eval(compile(ast.Expression(last.value), "cell", "eval"), space) if isinstance(last, ast.Expr) else None
+        shown = {kind: getattr(value, f"_repr_{kind}_", lambda: None)() for kind in ("html", "png")}
+        pages += [shown["html"]] if shown["html"] else []
+        pictures += [shown["png"]] if shown["png"] else []
+    assert [cell for cell in cells if cell.get("outputs")] == []
+    assert len(pages) == 3
+    assert all(html.unescape(page).count("<!DOCTYPE html>") == 1 for page in pages)
+    assert [picture[:8] for picture in pictures] == [b"\x89PNG\r\n\x1a\n"]
+    assert space["around"].certificate.verified
+    assert hplan.read_csv(tmp_path / "motion.csv").samples == space["around"].trajectory.samples
 
 
 def test_every_example_is_run() -> None:

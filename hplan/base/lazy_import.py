@@ -72,6 +72,19 @@ def lazy_names(package: str) -> Callable[[str], Any]:
     return load
 
 
+def from_apps(module: str, name: str) -> Any:
+    """What a module of `hplan.apps` has by a name: for methods that show what they belong to, in rooms before it."""
+    return getattr(importlib.import_module(f"hplan.apps.{module}"), name)
+
+
+class InNotebook:
+    """Mixin of results: a notebook shows the page of the motion, playing."""
+
+    def _repr_html_(self) -> str:
+        html: str = from_apps("view.page", "notebook_html")(self)
+        return html
+
+
 @contextmanager
 def without_garbage_collection() -> Iterator[None]:
     """Inside, garbage is not collected: imports make none, and looking for it takes a tenth of their time."""

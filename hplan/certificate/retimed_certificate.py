@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hplan.base.arrays import FloatArray, Record
+from hplan.base.lazy_import import InNotebook
 from hplan.certificate.certificate import (
     Certificate,
     all_of,
@@ -38,7 +39,7 @@ from hplan.trajectory.trajectory import SAME_TIME, Retimed, Trajectory, cubic_pi
 
 
 @dataclass(frozen=True, eq=False)
-class CertifiedMotion(Record):
+class CertifiedMotion(Record, InNotebook):
     """A motion along the path of another one, and what was shown of it.
 
     Attributes:
@@ -46,6 +47,8 @@ class CertifiedMotion(Record):
         certificate: What was shown of it.
         parts_s: When the two part [s].
         off_path_m: Bound of how far the arm is off the other one's path [m].
+        robot: The arm.
+        scene: What it is certified among.
         begins_s: When the trajectory begins, on the controller's clock: as that of the other one [s].
     """
 
@@ -53,6 +56,8 @@ class CertifiedMotion(Record):
     certificate: Certificate
     parts_s: float
     off_path_m: float
+    robot: Robot
+    scene: Scene
     begins_s: float = 0.0
 
 
@@ -92,7 +97,7 @@ def certified_retiming(
         contacts=later(retimed, running.contacts),
         digests=Digests.of(robot, scene, whole),
     )
-    return CertifiedMotion(whole, certificate, float(whole.time[row]), retimed.off_path_m)
+    return CertifiedMotion(whole, certificate, float(whole.time[row]), retimed.off_path_m, robot, scene)
 
 
 def certified_from(

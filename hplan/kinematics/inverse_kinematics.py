@@ -42,6 +42,7 @@ def inverse_kinematics(
     seeds: int = _SEEDS,
     free_turn: bool = False,
     locked: Sequence[str] = (),
+    seed: int = 0,
 ) -> FloatArray:
     """Configurations with a frame at a pose, each within the joint limits and to 1e-6 m and 1e-6 rad at least.
 
@@ -53,6 +54,7 @@ def inverse_kinematics(
         seeds: How many starts are tried.
         free_turn: Whether the frame may be turned about its z axis.
         locked: Names of joints that keep their start values.
+        seed: Of the starts beyond the first two.
 
     Returns:
         (k, dof) configurations, k >= 1, each with turning joints at the whole turn nearest to the start; those that
@@ -72,7 +74,7 @@ def inverse_kinematics(
     keeps = robot.locked_mask(list_of("locked", locked, str, "names"))
     chain = chain_of(robot, _checked_pose(pose), ABOUT_Z if free else KEPT, frame)
     chain.moves[keeps] = 0.0
-    starts = spread_starts(robot, begin, chain, count)
+    starts = spread_starts(robot, begin, chain, count, whole("seed", seed, 0))
     solutions, found = np.empty(starts.shape), np.zeros(len(starts), dtype=np.bool_)
     solve_all(starts, chain, solutions, found)
     if not found.any():
@@ -83,12 +85,12 @@ def inverse_kinematics(
     return distinct(robot, solutions[found], begin, chain)
 
 
-def spread_starts(robot: Robot, begin: FloatArray, chain: Chain, count: int) -> FloatArray:
-    """(count, dof) the configuration that the arm comes from, the middle of the ranges, others; always the same.
+def spread_starts(robot: Robot, begin: FloatArray, chain: Chain, count: int, seed: int = 0) -> FloatArray:
+    """(count, dof) the configuration that the arm comes from, the middle of the ranges, others, by a seed.
 
     Joints that do not move, or do not move the frame, keep the values of the first.
     """
-    spread = np.random.default_rng(0).random((max(0, count - 2), robot.dof))
+    spread = np.random.default_rng(seed).random((max(0, count - 2), robot.dof))
     middle = 0.5 * (robot.lower + robot.upper)
     starts = np.concatenate([begin[None], middle[None], robot.lower + spread * (robot.upper - robot.lower)])[:count]
     return np.where(chain.moves > 0.0, starts, begin)

@@ -182,7 +182,8 @@ class RunningMotion:
         certificate = self._certificate(retimed, min(self.row, motion.samples - 1), rest=True)
         certificate = replace(certificate, digests=Digests.of(self.plan.robot, self._scene, motion))
         parts_s = float(motion.time[retimed.row])
-        return CertifiedMotion(motion, certificate, parts_s, retimed.off_path_m, self.plan.begins_s)
+        robot, begins_s = self.plan.robot, self.plan.begins_s
+        return CertifiedMotion(motion, certificate, parts_s, retimed.off_path_m, robot, self._scene, begins_s)
 
     def _may_stay(self) -> bool:
         """True if the motion solves the task as it is now."""

@@ -29,6 +29,7 @@ import pinocchio as pin
 from hplan.base.arguments import file_path, instance
 from hplan.base.arrays import BoolArray, FloatArray, IntArray, Record, readonly
 from hplan.base.deadline import Cancel, TimeIsUpError, time_limit
+from hplan.base.lazy_import import InNotebook
 from hplan.certificate.certificate import Certificate, GoalContact, certify
 from hplan.certificate.goal_contact import FruitContact
 from hplan.collision.clearance_field import ClearanceField
@@ -252,7 +253,7 @@ class CellCertificate:
 
 
 @dataclass(frozen=True, eq=False)
-class CellResult(Record):
+class CellResult(Record, InNotebook):
     """The motion of a cell.
 
     Attributes:

@@ -67,6 +67,9 @@ class Effort:
 #: A motion that takes no more than so many times the least duration is close to the fastest.
 CLOSE = 1.15
 
+#: Seeds of trees that follow one another: as many as the seeds of two plans are apart.
+_SEEDS = 1000
+
 _COARSE = Level(piece_s=0.08, pieces=(20, 40), steps=20, gain=2e-3, trust=0.2)
 _GRIDS = (GridAttempt(2.0, growth_m=0.02), GridAttempt(2.0, growth_m=5e-3), GridAttempt(3.0, growth_m=0.01))
 _FINE = OptimizerEffort((Level(piece_s=0.03, pieces=(50, 120), steps=12, gain=0.02, trust=0.2),))
@@ -160,8 +163,14 @@ def efforts_of(robot: Robot, options: PlanOptions) -> tuple[Effort, ...]:
     """
     asked, quick = effort_named(robot, options.effort), effort_named(robot, "quick")
     first = replace(asked, begun=quick.begun, exhaustive=False, floods=False, at_once=True)
-    return (
+    efforts = (
         *((first,) if options.deadline_s is not None else ()),
         *((effort_named(robot, "default"),) if options.effort == "best" else ()),
         asked,
     )
+    return efforts if options.seed == 0 else tuple(_seeded(effort, _SEEDS * options.seed) for effort in efforts)
+
+
+def _seeded(effort: Effort, seed: int) -> Effort:
+    planar = None if effort.planar is None else replace(effort.planar, seed=seed)
+    return replace(effort, trees=replace(effort.trees, seed=seed), planar=planar)

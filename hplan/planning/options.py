@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final, Literal
 
-from hplan.base.arguments import keep_checked, number, one_of, truth
+from hplan.base.arguments import keep_checked, number, one_of, truth, whole
 from hplan.errors import OptionError
 from hplan.grid.sections import LINK_MODELS, LinkModel
 from hplan.robot.limits import check_rate, check_speed
@@ -52,6 +52,7 @@ class PlanOptions:
         certify: False exports what was not certified, and says so.
         bound: True also bounds the durations of all motions from below (`hplan.planning.lower_bound`), which takes
             seconds where the base does not turn and something is in the way. Tours have no bound.
+        seed: Of the samples by which trees grow: another one may lead to other motions, each the same every time.
         deadline_s: How long planning may take, counted from the call; None for as long as it takes [s]. What is
             certified by then depends on the machine: with a deadline the same input need not give the same motion.
     """
@@ -69,6 +70,7 @@ class PlanOptions:
     standoff: float | None = None
     certify: bool = True
     bound: bool = False
+    seed: int = 0
     deadline_s: float | None = None
 
     def __post_init__(self) -> None:
@@ -121,5 +123,6 @@ _CHECKS = {
     "link_model": (one_of, LINK_MODELS),
     "step_deg": (number, f"a number of degrees >= {_FINEST_DEG:g}", lambda step: step >= _FINEST_DEG),
     "sigmas": (number, "a finite number >= 0", lambda value: value >= 0.0),
+    "seed": (whole, 0, 2**31),
     **dict.fromkeys(("certify", "bound"), (truth,)),
 }

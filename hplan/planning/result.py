@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hplan.base.arrays import FloatArray, Record
+from hplan.base.lazy_import import InNotebook
 from hplan.base.polyline import path_length
 from hplan.certificate.certificate import REST, Certificate
 from hplan.certificate.retimed_certificate import CertifiedMotion, certified_retiming
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class PlanResult(Record):
+class PlanResult(Record, InNotebook):
     """A plan.
 
     Attributes:

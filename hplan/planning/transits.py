@@ -179,7 +179,7 @@ def _at_once(tasks: Sequence[PlanningTask]) -> Iterator[Found]:
 def _first_paths(tasks: Sequence[PlanningTask]) -> Iterator[tuple[int, Polyline]]:
     yield from enumerate(map(_straight, tasks))
     for seed, evaluations in enumerate(_FIRST_TREES if tasks[0].problem.turns else _FIRST_TREES[:_PLANAR_TREES]):
-        reached = _tree_to_any(tasks, TreeEffort(evaluations, seed))
+        reached = _tree_to_any(tasks, TreeEffort(evaluations, tasks[0].effort.trees.seed + seed))
         if reached is not None:
             yield reached
 
@@ -290,7 +290,7 @@ def _by_long_trees(tasks: Sequence[PlanningTask]) -> Iterator[Found]:
     found: dict[int, list[FloatArray]] = {}
     at_once = tasks[0].robot.planar is None  # another path takes as long again
     for seed in range(_LONG_SEEDS + at_once):
-        reached = _tree_to_any(tasks, TreeEffort(_LONG_TREES, seed))
+        reached = _tree_to_any(tasks, TreeEffort(_LONG_TREES, tasks[0].effort.trees.seed + seed))
         if reached is None:
             continue
         number, polyline = reached

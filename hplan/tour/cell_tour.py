@@ -18,6 +18,7 @@ import numpy as np
 from hplan.base.arguments import instance
 from hplan.base.arrays import FloatArray, Record
 from hplan.base.deadline import Cancel, TimeIsUpError, check_deadline, time_limit
+from hplan.base.lazy_import import InNotebook
 from hplan.certificate.certificate import Certificate
 from hplan.errors import CertificationError, HplanError, TourError
 from hplan.planning.cell import Cell, CellArm, between, certify_between, standing, starting, step_s
@@ -37,7 +38,7 @@ _SPARES: Final = (3e-3, 8e-3, 2e-2)
 
 
 @dataclass(frozen=True, eq=False)
-class CellTour(Record):
+class CellTour(Record, InNotebook):
     """Arms that pick together.
 
     Attributes:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from hplan.base.arrays import Record
+from hplan.base.lazy_import import InNotebook
 from hplan.certificate.certificate import Certificate
 from hplan.errors import HplanError
 from hplan.planning.grasps import Grasp
@@ -52,7 +53,7 @@ class Unreached:
 
 
 @dataclass(frozen=True, eq=False)
-class TourResult(Record):
+class TourResult(Record, InNotebook):
     """A tour.
 
     Attributes:

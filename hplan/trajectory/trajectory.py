@@ -8,6 +8,7 @@ import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,11 +17,15 @@ from hplan.base.arguments import instance, list_of, number, whole
 from hplan.base.arrays import FloatArray, Record, numbers
 from hplan.base.csv_file import CsvFile
 from hplan.base.files import write_text
+from hplan.base.lazy_import import from_apps
 from hplan.base.units import SLIDING, TURNING, joint_unit
 from hplan.errors import InputError, TimingError
 from hplan.robot.model import Robot
 from hplan.trajectory.cubics import Rows, evaluate, hermite_pieces, joined_rows
 from hplan.trajectory.time_scaling import Profile, check_factors, rescaled, speed_factors
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 #: A row so little before a time is at it [s].
 SAME_TIME = 1e-9
@@ -182,6 +187,18 @@ class Trajectory(Record):
         about = slice(row - 1, row + 1)
         q, v, a = cubic_states(self.time[about], self.position[about], self.velocity[about], np.array([t]))
         return q[0], v[0], a[0]
+
+    def plot(self, robot: Robot | None = None) -> Figure:
+        """Positions, velocities, accelerations and torques over time as matplotlib's figure (extra `figures`).
+
+        Args:
+            robot: The arm, to draw its limits.
+
+        Raises:
+            InputError: Matplotlib is not installed; a robot of other joints.
+        """
+        figure: Figure = from_apps("view.trajectory_figure", "draw_trajectory")(self, robot)
+        return figure
 
     def positions(self, clock: ArrayLike) -> FloatArray:
         """(k, dof) configurations at (k,) times, on the cubics of `cubic_pieces`.

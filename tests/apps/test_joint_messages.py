@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import json
 from decimal import Decimal
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hplan.apps.ros import from_joint_trajectory, to_joint_state, to_joint_trajectory
+from hplan.apps.ros import from_joint_trajectory, to_joint_state, to_joint_trajectory, write_joint_trajectory
 from hplan.apps.ros.message_times import message_time, seconds_of, time_ns
 from hplan.certificate.digests import trajectory_digest
 from hplan.errors import InputError, OptionError
@@ -91,6 +93,12 @@ def test_times_are_the_nearest_nanoseconds(seconds: float) -> None:
 def test_there_and_back(swing: Trajectory) -> None:
     message = json.loads(json.dumps(to_joint_trajectory(swing, prefix="left_")))
     assert trajectory_digest(from_joint_trajectory(message, prefix="left_")) == trajectory_digest(swing)
+
+
+def test_files_hold_the_message(swing: Trajectory, tmp_path: Path) -> None:
+    for name, read in (("motion.yaml", yaml.safe_load), ("motion.json", json.loads)):
+        content = write_joint_trajectory(swing, tmp_path / name, prefix="left_").read_text(encoding="utf-8")
+        assert read(content) == to_joint_trajectory(swing, prefix="left_")
 
 
 def test_joints_in_another_order_and_no_effort(robot: Robot, swing: Trajectory) -> None:

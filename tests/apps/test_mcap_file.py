@@ -20,7 +20,7 @@ from hplan.apps.ros.transforms import LinkFrames
 from hplan.apps.view.scenery import Pick
 from hplan.certificate.certificate import certify
 from hplan.collision.coal_scene import CoalScene
-from hplan.errors import OptionError, OutputError
+from hplan.errors import InputError, OptionError, OutputError
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
 from hplan.planning.result import PlanResult
@@ -298,6 +298,30 @@ def test_a_tour(robot: Robot, tmp_path: Path) -> None:
     assert taken == 10**9 + round(1e9 * result.picked["green"])
     assert let_go == 10**9 + round(1e9 * result.dropped["green"])
     assert [(m.ns, m.id, m.action) for m in (*held.markers, *gone.markers)] == [("fruits", 1, 0), ("fruits", 1, 2)]
+
+
+def test_a_run_of_a_motion_its_stop_and_what_follows(picked: PlanResult, tmp_path: Path) -> None:
+    """Each runs up to where the next takes over: the stop where it leaves the plan, the second plan by its clock."""
+    stop = picked.stop_at(0.2)
+    later = replace(picked, begins_s=1.5)
+    found = Recorded(write_mcap([picked, stop, later], tmp_path / "run.mcap", rate_hz=1e4, stamp_s=1.0))
+    times = [time for time, _ in found.messages["/joint_states"]]
+    assert times == sorted(set(times))
+    at = {time: np.array(state.position) for time, state in found.messages["/joint_states"]}
+    assert stop.trajectory.duration < 1.5
+    for row in (5, stop.trajectory.samples - 1):
+        now = 10**9 + round(1e9 * stop.trajectory.time[row])
+        np.testing.assert_array_equal(at[now], stop.trajectory.position[row])
+    last = 10**9 + round(1.5e9) + round(1e9 * picked.trajectory.time[-1])
+    np.testing.assert_array_equal(at[last], picked.trajectory.position[-1])
+    assert [time for time, _ in found.messages["/joint_trajectory"]] == [
+        10**9 + round(1e9 * begin) for begin in (0.0, stop.parts_s, 1.5)
+    ]
+    assert len(found.messages["/robot_description"]) == 1
+    shown = [markers for _, markers in found.messages["/scene"] if len(markers.markers) > 1]
+    assert [[m.action for m in markers.markers].count(3) for markers in shown] == [0, 1, 1]
+    with pytest.raises(InputError, match="one robot"):
+        write_mcap([], tmp_path / "run.mcap")
 
 
 def test_files_that_cannot_be_written(picked: PlanResult, tmp_path: Path) -> None:

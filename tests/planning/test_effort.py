@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import hplan
+from hplan.errors import OptionError
 from hplan.planning.effort import EFFORTS
 from hplan.planning.options import PlanOptions
 from hplan.robot.family import ArmSpec, write_robot
@@ -60,3 +61,15 @@ def test_coarse_grids_that_are_too_large_are_left_out(tmp_path: Path) -> None:
         obstacles=(Sphere(name="ball", center=(2.2, 0.0, 2.6), radius=0.1),),
     )
     assert hplan.plan(robot, scene).motion.origin == "trees"
+
+
+def test_another_seed_may_lead_to_another_motion_and_each_is_the_same_every_time(robot: Robot) -> None:
+    ball = Sphere(name="ball", center=[1.6, 0.0, 1.6], radius=0.25)
+    ends = {"start": Start(joints_rad=[0.0, 1.2, 0.3, 0.3]), "goal": Goal(joints_rad=[0.0, 0.1, 0.3, 0.3])}
+    scene = Scene(name="ball", clearance=0.005, obstacles=[ball], **ends)
+    found = [hplan.plan(robot, scene, PlanOptions(effort="quick", seed=seed)) for seed in (0, 1, 1)]
+    assert all(result.certificate.verified for result in found)
+    first, other, again = (result.certificate.digests for result in found)
+    assert first != other == again
+    with pytest.raises(OptionError, match="seed"):
+        PlanOptions(seed=-1)

@@ -10,6 +10,10 @@ import pytest
 
 from hplan import load_robot
 from hplan.apps.cli.main import main
+from hplan.apps.ros import write_mcap
+from hplan.apps.view.playback import playable
+from hplan.apps.view.scene_stage import stage
+from hplan.apps.view.scenery import picks
 from hplan.certificate.certificate import certify
 from hplan.errors import ConfigurationInCollisionError, TourError
 from hplan.planning.cell import Cell
@@ -17,7 +21,7 @@ from hplan.planning.options import PlanOptions
 from hplan.scene.cell import CellRobot, CellScene
 from hplan.scene.file import load_scene
 from hplan.scene.model import Fruit, Start
-from hplan.tour.cell_tour import plan_cell_tour
+from hplan.tour.cell_tour import CellTour, plan_cell_tour
 
 QUICK = PlanOptions(effort="quick")
 
@@ -35,9 +39,33 @@ def orchard() -> tuple[Cell, CellScene]:
     return Cell.of(everything, {"left": robot, "right": robot}), everything
 
 
-def test_two_arms_pick_at_once(orchard):
+@pytest.fixture(scope="module")
+def result(orchard) -> CellTour:
+    return plan_cell_tour(orchard[0], QUICK)
+
+
+def test_picked_fruit_goes_with_the_tool_of_its_arm_on_the_page_and_in_messages(result, tmp_path):
+    robot, scene, playback = playable(result)
+    found = picks(scene, playback)
+    assert {pick.fruit.name for pick in found} == set(result.picked)
+    assert {pick.tool for pick in found} == {"left_tool0", "right_tool0"}
+    (animation,) = [command for command in stage(robot, scene, playback) if command["type"] == "set_animation"]
+    clips = {clip["path"]: clip["clip"]["tracks"] for clip in animation["animations"]}
+    for pick in found:
+        (track,) = [t for t in clips[f"/hplan/picked/fruit {pick.fruit.name}"] if t["name"] == ".position"]
+        times, places = np.array(track["times"]), np.array(track["values"]).reshape(-1, 3)
+        held = (times > pick.since) & (times < pick.until)
+        assert held.any()
+        at = [*times[held], pick.since]
+        tool = robot.forward_kinematics(result.trajectory.positions(at), pick.tool)[:, :3, 3]
+        moved = tool[:-1] - tool[-1]
+        np.testing.assert_allclose(places[held] - pick.fruit.center, moved, atol=2e-3)
+        assert np.linalg.norm(moved, axis=1).max() > 0.02
+    assert write_mcap(result, tmp_path / "two.mcap", rate_hz=5.0).stat().st_size > 10_000
+
+
+def test_two_arms_pick_at_once(orchard, result):
     cell, scene = orchard
-    result = plan_cell_tour(cell, QUICK)
     assert result.verified
     assert set(result.picked) | set(result.unreached) == {fruit.name for fruit in scene.fruits}
     assert len(result.picked) >= 7

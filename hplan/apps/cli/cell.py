@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from hplan.apps.cli.job_folder import PAGE, REPORT, TOUR, TOUR_REPORT, TRAJECTORY, JobFolder
@@ -16,7 +15,6 @@ from hplan.errors import OptionError
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from hplan.certificate.certificate import Certificate
     from hplan.planning.cell import CellCertificate, CellResult
     from hplan.tour.cell_tour import CellTour
 
@@ -47,7 +45,7 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console, *, tou
         show("reading robots and scene")
         with loading():
             from hplan.apps.view.page import write_page
-            from hplan.apps.view.playback import Playback
+            from hplan.apps.view.playback import playable
             from hplan.planning.cell import load_cell, plan_cell
             from hplan.planning.report import write_report
             from hplan.tour.cell_tour import plan_cell_tour
@@ -62,22 +60,13 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console, *, tou
                 write_csv(result.trajectory, staging / csv)
                 for arm, own in result.trajectories.items():
                     write_csv(own, staging / of_arm.format(arm))
-                shown = cell.task(result.trajectory.position[-1], result.trajectory.position[0])
-                playback = Playback(result.trajectory, certificate=_whole(result.parts))
-                write_page(cell.robot, shown, playback, staging / PAGE)
+                write_page(*playable(result), staging / PAGE)
                 report = {"status": "ok", "scene": cell.scene.name, "robots": {a.name: a.robot.name for a in cell.arms}}
                 write_report(report | result.report | {"time_ms": milliseconds}, staging / name)
     if not arguments.quiet:
         files = ", ".join([csv, *(of_arm.format(arm.name) for arm in cell.arms), name, PAGE])
         _show(console, result, milliseconds, f"{folder.path}: {files}")
     return 0
-
-
-def _whole(parts: Sequence[Certificate]) -> Certificate:
-    """What was shown of all arms, as one certificate for the page; without its course over time."""
-    least = min(parts, key=lambda part: part.min_clearance_m)
-    violations = tuple(violation for part in parts for violation in part.violations)
-    return replace(least, verified=all(part.verified for part in parts), violations=violations, subject=None)
 
 
 def certify(arguments: argparse.Namespace, console: Console) -> int:

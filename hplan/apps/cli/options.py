@@ -180,9 +180,16 @@ def add_pace(parser: argparse.ArgumentParser) -> None:
 
 
 def add_effort(parser: argparse.ArgumentParser) -> None:
-    """Add the option `--effort`."""
+    """Add the options `--effort` and `--seed`."""
     parser.add_argument("--effort", choices=("quick", "default", "best"), default="default", help="what to spend on a "
         "faster motion; quick: the first that is certified (default: default)")  # fmt: skip
+    add_seed(parser)
+
+
+def add_seed(parser: argparse.ArgumentParser) -> None:
+    """Add the option `--seed`."""
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the samples by which trees grow; another "
+        "may lead to another motion (default: 0)")  # fmt: skip
 
 
 def add_sigmas(parser: argparse.ArgumentParser) -> None:
@@ -249,6 +256,7 @@ def plan_options(arguments: argparse.Namespace, *options: str) -> PlanOptions:
     return PlanOptions(
         tracking_error=tracking.still_rad,
         tracking_delay_s=tracking.delay_s,
+        seed=getattr(arguments, "seed", 0),
         deadline_s=None if deadline_ms is None else 1e-3 * deadline_ms,
         **chosen,
     )

@@ -46,6 +46,7 @@ OUT = Path("timed.csv")
 _WITH_SCENE: dict[str, object] = {
     "keep_path": False,
     "effort": "default",
+    "seed": 0,
     "sigmas": 3.0,
     "tracking_error": 0.0,
     "tracking_error_m": 0.0,

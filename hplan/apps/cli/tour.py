@@ -15,6 +15,7 @@ from hplan.apps.cli.options import (
     add_pace,
     add_robot,
     add_scene,
+    add_seed,
     add_tracking,
     command_parser,
     names_robots,
@@ -94,6 +95,7 @@ def parser(prog: str) -> argparse.ArgumentParser:
     add_pace(parser)
     add_tracking(parser)
     add_deadline(parser)
+    add_seed(parser)
     add("--mcap", action="store_true", help="write motion.mcap too, for Foxglove and RViz (needs the extra ros)")
     add("--quiet", action="store_true", help="no progress, no summary")
     return parser

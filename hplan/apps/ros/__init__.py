@@ -10,7 +10,12 @@ from typing import TYPE_CHECKING
 from hplan.base.lazy_import import lazy_names
 
 if TYPE_CHECKING:
-    from hplan.apps.ros.joint_messages import from_joint_trajectory, to_joint_state, to_joint_trajectory
+    from hplan.apps.ros.joint_messages import (
+        from_joint_trajectory,
+        to_joint_state,
+        to_joint_trajectory,
+        write_joint_trajectory,
+    )
     from hplan.apps.ros.marked_scene import scene_markers
     from hplan.apps.ros.mcap_file import write_mcap
     from hplan.apps.ros.moveit_scene import read_moveit_scene
@@ -25,6 +30,7 @@ __all__ = [
     "scene_markers",
     "to_joint_state",
     "to_joint_trajectory",
+    "write_joint_trajectory",
     "write_mcap",
 ]
 

@@ -6,15 +6,19 @@ A message is a plain dict with the fields of its definition, lists and numbers i
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence, Sized
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 
 from hplan.apps.ros.message_times import message_time, seconds_of, time_ns
-from hplan.base.arguments import instance, list_of, truth, whole
+from hplan.base.arguments import file_path, instance, list_of, truth, whole
 from hplan.base.arrays import FloatArray, numbers
+from hplan.base.files import write_text
 from hplan.errors import InputError, OptionError
 from hplan.robot.model import Robot
 from hplan.trajectory.trajectory import Trajectory
@@ -59,6 +63,26 @@ def to_joint_trajectory(
             for row, time in zip(rows, times, strict=True)
         ],
     }
+
+
+def write_joint_trajectory(trajectory: Trajectory, file: Path | str, **options: Any) -> Path:
+    """Write the message of `to_joint_trajectory` as YAML, or as JSON where the file's name ends in `.json`.
+
+    `ros2 topic pub --once TOPIC trajectory_msgs/msg/JointTrajectory "$(cat FILE)"` sends either.
+
+    Args:
+        trajectory: The motion.
+        file: The file; replaced whole or not at all.
+        options: As of `to_joint_trajectory`.
+
+    Raises:
+        HplanError: As `to_joint_trajectory`.
+        OutputError: The file cannot be written.
+    """
+    path, message = file_path("file", file), to_joint_trajectory(trajectory, **options)
+    if path.suffix.lower() == ".json":
+        return write_text(path, json.dumps(message))
+    return write_text(path, yaml.safe_dump(message, sort_keys=False, default_flow_style=None))
 
 
 def to_joint_state(

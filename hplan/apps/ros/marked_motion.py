@@ -143,11 +143,12 @@ def fruit_events(
     frames = LinkFrames(robot)
     for pick in picks:
         frames.place(trajectory.positions(np.array([pick.since]))[0])
-        held = fruit_marker(scene, pick.fruit, robot.tool_frame, is_goal=True)
-        place = frames.pose(robot.tool_frame).actInv(np.array(pick.fruit.center))
+        tool = pick.tool or robot.tool_frame
+        held = fruit_marker(scene, pick.fruit, tool, is_goal=True)
+        place = frames.pose(tool).actInv(np.array(pick.fruit.center))
         yield pick.since, held | {"pose": mark.pose(place), "color": mark.color(PICKED_COLOR)}
         if np.isfinite(pick.until):
-            gone = mark.head(frame_id=robot.tool_frame, ns=FRUITS, number=held["id"])
+            gone = mark.head(frame_id=tool, ns=FRUITS, number=held["id"])
             yield pick.until, gone | {"action": mark.DELETE}
 
 

@@ -16,7 +16,7 @@ Marker: TypeAlias = dict[str, Any]
 
 #: Kinds of markers, and what is done with one.
 CUBE, _SPHERE, CYLINDER, LINE_STRIP, LINE_LIST, SPHERE_LIST, TEXT, TRIANGLES = 1, 2, 3, 4, 5, 7, 9, 11
-ADD, DELETE = 0, 2
+ADD, DELETE, DELETE_ALL = 0, 2, 3
 
 
 def head(*, frame_id: str, ns: str, number: int, stamp_ns: int = 0) -> Marker:

@@ -1,4 +1,4 @@
-"""A certified motion as an MCAP file of ROS 2 messages, for Foxglove, RViz and `ros2 bag`.
+"""Certified motions as an MCAP file of ROS 2 messages, for Foxglove, RViz and `ros2 bag`.
 
 | topic | type | when |
 |---|---|---|
@@ -11,33 +11,43 @@
 | `/nearest` | `visualization_msgs/msg/MarkerArray` | the nearest pair, with every joint state |
 | `/clearance` | `std_msgs/msg/Float64` | certain clearance [m], with every joint state |
 
+Of a run of several motions what is said once is said as each begins, but for the robot, and what stood before is gone.
+
 The file is one that rosbags writes, so that `ros2 bag play` finds in it what is to be kept.
 """
 
 from __future__ import annotations
 
 import heapq
-from collections.abc import Iterator
+import math
+from collections.abc import Iterator, Sequence
+from itertools import chain, pairwise
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import pinocchio as pin
 
 from hplan.apps.ros import marked_motion as motion
+from hplan.apps.ros import marker_parts as mark
 from hplan.apps.ros.bag_writer import Message, write_bag
 from hplan.apps.ros.joint_messages import to_joint_state, to_joint_trajectory
 from hplan.apps.ros.marked_scene import moving_frame, scene_markers
 from hplan.apps.ros.marker_parts import Marker
 from hplan.apps.ros.message_times import SECOND_NS, message_time, time_ns
 from hplan.apps.ros.transforms import LinkFrames, robot_description, transform
-from hplan.apps.view.playback import Playback
+from hplan.apps.view.playback import Playback, playable
 from hplan.apps.view.scenery import picks
 from hplan.base.arguments import between, file_path
 from hplan.base.arrays import FloatArray, IntArray
-from hplan.errors import OptionError
-from hplan.planning.result import PlanResult
-from hplan.tour.result import TourResult
+from hplan.certificate.retimed_certificate import CertifiedMotion
+from hplan.errors import InputError
+from hplan.robot.model import Robot
+from hplan.scene.model import Scene
+
+if TYPE_CHECKING:
+    from hplan.apps.view.playback import Shown
+    from hplan.certificate.certificate import Certificate
 
 #: Types of the topics, and how many messages of each are kept for those who come later.
 TOPICS = {
@@ -54,36 +64,65 @@ TOPICS = {
 
 
 def write_mcap(
-    result: PlanResult | TourResult, file: Path | str, *, rate_hz: float = 100.0, stamp_s: float = 1.0
+    result: Shown | Sequence[Shown], file: Path | str, *, rate_hz: float = 100.0, stamp_s: float = 1.0
 ) -> Path:
-    """Write a plan or a tour as an MCAP file.
+    """Write a motion, or a run of motions, as an MCAP file.
 
     Args:
-        result: What `plan` or `plan_tour` gave.
+        result: A plan, a stop, a tour, a motion of several arms; or several of them in turn, all of one robot. Each
+            takes over at its `begins_s` from the one before, a stop where it leaves that one's; others follow.
         file: The file; replaced whole or not at all. Its name should end in `.mcap`.
         rate_hz: Joint states and transforms a second, as far as the trajectory has rows.
         stamp_s: When the motion begins [s]; not 0, which ROS takes for the latest there is.
 
     Raises:
         InputError: rosbags is not installed (the extra `ros`).
+        InputError: A run of motions of different robots, or of none.
         OptionError: Something else than a result, a rate that is not positive, a time that no message can hold.
         OutputError: The file cannot be written.
     """
-    if not isinstance(result, (PlanResult, TourResult)):
-        raise OptionError("result", result, "a PlanResult or a TourResult")
     between("rate_hz", rate_hz, 1e-3, 1e5)
-    begin = time_ns("stamp_s", stamp_s)
-    recording = _Recording(result, rate_hz, begin)
-    return write_bag(file_path("file", file), TOPICS, recording.messages())
+    time_ns("stamp_s", stamp_s)
+    results = list(result) if isinstance(result, Sequence) else [result]
+    played = [playable(each) for each in results]
+    joints = [robot.joint_names for robot, _, _ in played]
+    if not joints or any(names != joints[0] for names in joints):
+        raise InputError("a run is of motions of one robot, and of one motion at least", motions=len(joints))
+    spans = _spans(results, [playback.trajectory.duration for _, _, playback in played])
+    recordings = [
+        _Recording(*each, rate_hz, time_ns("stamp_s", stamp_s + begin), span, is_first=number == 0)
+        for number, (each, (begin, span)) in enumerate(zip(played, spans, strict=True))
+    ]
+    messages = chain.from_iterable(recording.messages() for recording in recordings)
+    return write_bag(file_path("file", file), TOPICS, messages)
+
+
+def _spans(results: Sequence[Shown], durations: Sequence[float]) -> list[tuple[float, tuple[float, float]]]:
+    """When each motion of a run begins, counted from the first, and from when to when of its own time it runs [s]."""
+    begins, firsts = [0.0], [0.0]
+    clocks = [own if isinstance(own := getattr(each, "begins_s", 0.0), float) else 0.0 for each in results]
+    for (before, own), duration, result in zip(pairwise(clocks), durations, results[1:], strict=False):
+        stops = own == before and isinstance(result, CertifiedMotion)  # on the path of the one before, by its clock
+        firsts.append(result.parts_s if isinstance(result, CertifiedMotion) and stops else 0.0)
+        begins.append(begins[-1] + (0.0 if stops else own - before if own > before else duration))
+    ends = [begin + first - before for before, begin, first in zip(begins, begins[1:], firsts[1:], strict=False)]
+    return list(zip(begins, zip(firsts, [*ends, math.inf], strict=True), strict=True))
 
 
 class _Recording:
-    """The messages of a result, in the order of their times."""
+    """The messages of a motion, in the order of their times, from when to when it runs [s]."""
 
-    def __init__(self, result: PlanResult | TourResult, rate_hz: float, begin_ns: int) -> None:
-        self.result, self.robot, self.scene, self.begin_ns = result, result.robot, result.scene, begin_ns
-        self.frames = LinkFrames(self.robot)
-        self.rows = _rows(result.trajectory.time, rate_hz)
+    def __init__(
+        self, robot: Robot, scene: Scene, playback: Playback, rate_hz: float, begin_ns: int,
+        span_s: tuple[float, float], *, is_first: bool,
+    ) -> None:  # fmt: skip
+        self.robot, self.scene, self.playback, self.trajectory = robot, scene, playback, playback.trajectory
+        self.certificate = cast("Certificate", playback.certificate)  # results have one
+        self.begin_ns, self.span_s, self.is_first = begin_ns, span_s, is_first
+        self.frames = LinkFrames(robot)
+        rows = _rows(self.trajectory.time, rate_hz)
+        times = self.trajectory.time[rows]
+        self.rows = rows[(times >= span_s[0]) & (times < span_s[1])]
 
     def messages(self) -> Iterator[Message]:
         """All of them."""
@@ -91,23 +130,30 @@ class _Recording:
         yield from heapq.merge(self._fruits(), self._samples(), key=lambda message: message.time_ns)
 
     def _at_first(self) -> Iterator[Message]:
-        robot, frames, begin, trajectory = self.robot, self.frames, self.begin_ns, self.result.trajectory
-        frames.place(trajectory.position[0])
+        robot, frames, trajectory = self.robot, self.frames, self.trajectory
+        begin = self.begin_ns + time_ns("time", self.span_s[0])
+        frames.place(trajectory.position[self.rows[0]])
         positions = trajectory.position[self.rows]
         shown = motion.path_marker(robot, positions, frames.root)
-        words = motion.words_marker(robot, positions, self.result.certificate, frames.root)
+        words = motion.words_marker(robot, positions, self.certificate, frames.root)
+        cleared = (
+            [] if self.is_first else [mark.head(frame_id=frames.root, ns="", number=0) | {"action": mark.DELETE_ALL}]
+        )
         contents: dict[str, Any] = {
             "/robot_description": {"data": robot_description(robot)},
             "/tf_static": frames.message(frames.fixed, begin),
-            "/scene": self._markers(scene_markers(self.scene, frames.root), begin),
+            "/scene": self._markers([*cleared, *scene_markers(self.scene, frames.root)], begin),
             "/certificate": self._markers([shown, words], begin),
-            "/joint_trajectory": to_joint_trajectory(trajectory, frame_id=frames.root, stamp_s=begin / SECOND_NS),
+            "/joint_trajectory": to_joint_trajectory(
+                trajectory, frame_id=frames.root, stamp_s=self.begin_ns / SECOND_NS
+            ),
         }
-        yield from (Message(topic, begin, content) for topic, content in contents.items())
+        kept = contents if self.is_first else {topic: contents[topic] for topic in list(contents)[2:]}
+        yield from (Message(topic, begin, content) for topic, content in kept.items())
 
     def _samples(self) -> Iterator[Message]:
-        trajectory, frames = self.result.trajectory, self.frames
-        pairs = motion.NearestPairs(self.robot, self.scene, self.result.certificate, frames.root)
+        trajectory, frames = self.trajectory, self.frames
+        pairs = motion.NearestPairs(self.robot, self.scene, self.certificate, frames.root)
         moving = self.scene.poses_at(trajectory.time[self.rows])
         for index, row in enumerate(self.rows.tolist()):
             clock, q = float(trajectory.time[row]), trajectory.position[row]
@@ -128,9 +174,9 @@ class _Recording:
                 yield Message("/clearance", now, {"data": clearance})
 
     def _fruits(self) -> Iterator[Message]:
-        taken = picks(self.scene, Playback.of(self.result))
-        events = motion.fruit_events(self.robot, self.scene, self.result.trajectory, taken)
-        for clock, marker in events:
+        taken = picks(self.scene, self.playback)
+        events = motion.fruit_events(self.robot, self.scene, self.trajectory, taken)
+        for clock, marker in ((clock, marker) for clock, marker in events if self.span_s[0] <= clock < self.span_s[1]):
             now = self.begin_ns + time_ns("time", clock)
             yield Message("/scene", now, self._markers([marker], now))
 

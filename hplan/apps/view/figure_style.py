@@ -113,6 +113,7 @@ def new_figure(width: float, height: float, title: str, *, placed: bool = False)
         figure.set_layout_engine(ConstrainedLayoutEngine(w_pad=0.09, h_pad=0.09, wspace=0.04, hspace=0.04))
     FigureCanvasAgg(figure)
     figure.suptitle(title, x=0.012, ha="left")
+    figure._repr_png_ = functools.partial(png_bytes, figure, 100)  # type: ignore[attr-defined]  # for notebooks
     return figure
 
 

@@ -12,12 +12,12 @@ import json
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from string import Template
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from hplan.apps.view import scenery
 from hplan.apps.view.framing import ASPECT
 from hplan.apps.view.motion_data import certificate_words, motion_data
-from hplan.apps.view.playback import Playback
+from hplan.apps.view.playback import Playback, playable
 from hplan.apps.view.scene_stage import APPROACH_COLOR, GOAL_COLOR, START_COLOR, stage
 from hplan.apps.view.server import LiveView
 from hplan.apps.view.three_js import Json
@@ -27,6 +27,9 @@ from hplan.base.files import write_text
 from hplan.errors import HplanError
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
+
+if TYPE_CHECKING:
+    from hplan.apps.view.playback import Shown
 
 #: Violations of a motion that is not certified which its page lists.
 MOST_VIOLATIONS = 6
@@ -108,6 +111,17 @@ def _panel(robot: Robot, scene: Scene, playback: Playback) -> str:
 def _json_text(value: Any) -> str:
     """JSON for the inside of a script element, which "<" could end."""
     return json.dumps(value, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+
+
+def notebook_html(result: Shown) -> str:
+    """The page of a result in a frame, for a notebook to show.
+
+    Raises:
+        OptionError: It is no result with a motion.
+        HplanError: meshcat, which brings the viewer, is not installed.
+    """
+    page = html.escape(render_page(*playable(result)))
+    return f'<iframe srcdoc="{page}" width="100%" height="640" style="border: 0" allowfullscreen></iframe>'
 
 
 def write_page(robot: Robot, scene: Scene, playback: Playback, path: Path | str) -> Path:

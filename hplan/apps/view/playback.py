@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from hplan.base.arguments import instance, list_of, number, text
 from hplan.base.arrays import numbers
@@ -15,8 +16,15 @@ from hplan.trajectory.trajectory import Phase, Trajectory
 if TYPE_CHECKING:
     from hplan.certificate.certificate import Certificate
     from hplan.certificate.clearance_curve import ClearanceCurve
+    from hplan.certificate.retimed_certificate import CertifiedMotion
+    from hplan.planning.cell import CellResult
     from hplan.planning.result import PlanResult
+    from hplan.scene.model import Scene
+    from hplan.tour.cell_tour import CellTour
     from hplan.tour.result import TourResult
+
+    #: What has a motion to be shown.
+    Shown: TypeAlias = PlanResult | CertifiedMotion | TourResult | CellResult | CellTour
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +39,8 @@ class Playback:
         certificate: What was shown of it; None where that is not known.
         clearance_curve: Its clearance over time; the certificate's own where this is None.
         begin_s: Time at which it begins, as the tracks of the scene count it [s].
+        arms: Of several arms the parts of each one's motion, by its name.
+        tools: Fruit and the frame that picks it; where it is not named, the robot's tool frame.
     """
 
     trajectory: Trajectory
@@ -40,6 +50,8 @@ class Playback:
     certificate: Certificate | None = None
     clearance_curve: ClearanceCurve | None = None
     begin_s: float = 0.0
+    arms: Mapping[str, Sequence[Phase]] = field(default_factory=dict)
+    tools: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Check what is to be shown.
@@ -54,21 +66,23 @@ class Playback:
                 raise OptionError(option, times, "times [s] by the names of fruits")
             for name, time_s in times.items():
                 number(option, time_s, f"a time in seconds for {text(option, name)!r}")
-        for phase in list_of("phases", self.phases, Phase, "phases with a name, a begin and an end"):
+        for phase in list_of("phases", self.every_phase, Phase, "phases with a name, a begin and an end"):
             numbers("phases", [phase.start_s, phase.end_s], (2,))
         number("begin_s", self.begin_s, "a time in seconds")
 
     @classmethod
-    def of(cls, result: PlanResult | TourResult) -> Playback:
-        """The motion of a plan or a tour.
+    def of(cls, result: Shown) -> Playback:
+        """The motion of a plan, a stop, a tour, or of several arms.
 
         Raises:
-            OptionError: It is neither.
+            OptionError: It is none of these.
         """
-        if not isinstance(getattr(result, "trajectory", None), Trajectory) or not hasattr(result, "phases"):
-            raise OptionError("result", result, "the result of plan or plan_tour")
-        dropped: Mapping[str, float] = getattr(result, "dropped", {})
-        return cls(result.trajectory, result.picked, dropped, result.phases, result.certificate)
+        return playable(result)[2]
+
+    @property
+    def every_phase(self) -> tuple[Phase, ...]:
+        """The parts of all motions."""
+        return (*self.phases, *itertools.chain(*self.arms.values()))
 
     @property
     def curve(self) -> ClearanceCurve | None:
@@ -91,3 +105,32 @@ class Playback:
                 expected=list(robot.joint_names),
                 got=list(self.trajectory.joint_names),
             )
+
+
+def playable(result: Shown) -> tuple[Robot, Scene, Playback]:
+    """Robot, scene and motion of a result; of several arms the robot of all their joints.
+
+    Raises:
+        OptionError: It is none of a plan, a stop, a tour, or of several arms.
+    """
+    given: Any = result
+    shows = hasattr(result, "certificate") or hasattr(result, "between")
+    if not (shows and isinstance(getattr(result, "trajectory", None), Trajectory)):
+        raise OptionError("result", result, "a result with a motion, as of plan or plan_tour")
+    picked, dropped = getattr(given, "picked", {}), getattr(given, "dropped", {})
+    if not hasattr(result, "cell"):
+        phases = getattr(given, "phases", ())
+        return given.robot, given.scene, Playback(given.trajectory, picked, dropped, phases, given.certificate)
+    arms: dict[str, Sequence[Phase]] = {}
+    tools: dict[str, str] = {}
+    for name, tours in getattr(given, "tours", {}).items():
+        legs, tool = [leg for tour in tours for leg in tour.legs], given.cell.arm(name).robot.tool_frame
+        begins = zip(given.begins_s[name], legs, strict=True)
+        arms[name] = tuple(phase.later(begin - leg.begin_s) for begin, leg in begins for phase in leg.phases)
+        tools |= {leg.fruit: f"{name}_{tool}" for leg in legs if leg.fruit is not None}
+    # What was shown of all arms, as one certificate, without its course over time.
+    least = min(given.parts, key=lambda part: part.min_clearance_m)
+    violations = tuple(violation for part in given.parts for violation in part.violations)
+    whole = replace(least, verified=all(part.verified for part in given.parts), violations=violations, subject=None)
+    scene = given.cell.task(given.trajectory.position[-1], given.trajectory.position[0])
+    return given.cell.robot, scene, Playback(given.trajectory, picked, arms=arms, tools=tools, certificate=whole)

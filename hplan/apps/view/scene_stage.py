@@ -172,7 +172,8 @@ def _animation(robot: Robot, scene: Scene, playback: Playback, picks: Sequence[s
         if joint > 0
     ]
     clips += scenery.moving_clips(scene, times, playback.begin_s, end)
-    return animation([*clips, *scenery.picked_clips(picks, times, robot.tool_positions(configurations), end)])
+    tools = {tool: robot.forward_kinematics(configurations, tool)[:, :3, 3] for tool in {pick.tool for pick in picks}}
+    return animation([*clips, *scenery.picked_clips(picks, times, tools, end)])
 
 
 def _row_at(trajectory: Trajectory, time: float) -> int:

@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 import re
 from collections import defaultdict
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
@@ -194,23 +194,25 @@ class Pick:
     Attributes:
         since: When the tool takes it [s].
         until: When it is put away [s]; inf where the tool keeps it.
+        tool: Name of the frame that holds it; None for the robot's tool frame.
     """
 
     fruit: Fruit
     since: float
     until: float
+    tool: str | None = None
 
 
 def picks(scene: Scene, playback: Playback) -> list[Pick]:
     """The picked fruits: the tool keeps each until it lets it go, or else until the retreat from it ends.
 
-    It holds one at a time, and what it holds in the end it keeps.
+    Each tool holds one at a time, and what it holds in the end it keeps.
 
     Raises:
         InputError: A fruit that the scene does not have; a time outside the motion.
     """
     known = {fruit.name: fruit for fruit in scene.fruits}
-    retreats = [phase for phase in playback.phases if phase.name == "retreat"]
+    retreats = [phase for phase in playback.every_phase if phase.name == "retreat"]
     duration = playback.trajectory.duration
     result = []
     for name, time in sorted(playback.picked.items(), key=lambda item: item[1]):
@@ -222,13 +224,12 @@ def picks(scene: Scene, playback: Playback) -> list[Pick]:
             )
         until = min((retreat.end_s for retreat in retreats if abs(retreat.start_s - time) < 1e-3), default=math.inf)
         until = float(playback.dropped.get(name, until))
-        result.append(Pick(known[name], float(time), until if until < duration - 1e-9 else math.inf))
-    # A tool holds one fruit.
-    following = [pick.since for pick in result[1:]]
-    return [
-        *(Pick(pick.fruit, pick.since, min(pick.until, time)) for pick, time in zip(result, following, strict=False)),
-        *result[-1:],
-    ]
+        until = until if until < duration - 1e-9 else math.inf
+        result.append(Pick(known[name], float(time), until, playback.tools.get(name)))
+    for number, pick in enumerate(result):  # a tool holds one fruit
+        following = next((other.since for other in result[number + 1 :] if other.tool == pick.tool), math.inf)
+        result[number] = replace(pick, until=min(pick.until, following))
+    return result
 
 
 def picked_fruits(picks: Sequence[Pick]) -> list[Json]:
@@ -247,19 +248,22 @@ def picked_fruits(picks: Sequence[Pick]) -> list[Json]:
     return commands
 
 
-def picked_clips(picks: Sequence[Pick], times: FloatArray, tool: FloatArray, end: float) -> list[Json]:
+def picked_clips(
+    picks: Sequence[Pick], times: FloatArray, tools: Mapping[str | None, FloatArray], end: float
+) -> list[Json]:
     """Animation of picked fruits: their visibility over time, and their motion with the tool.
 
     Args:
         times: (k,) times of the keyframes [s].
-        tool: (k, 3) tool positions [m].
+        tools: (k, 3) positions of the frame of each tool, by its name [m].
         end: End of the animation [s].
     """
     clips = []
     for pick in picks:
         held = (times > pick.since) & (times < pick.until)
         stations = np.unique([0.0, pick.since, *times[held], min(pick.until, times[-1]), end])
-        at, taken = (np.column_stack([np.interp(t, times, axis) for axis in tool.T]) for t in (stations, [pick.since]))
+        tool = tools[pick.tool].T
+        at, taken = (np.column_stack([np.interp(t, times, axis) for axis in tool]) for t in (stations, [pick.since]))
         path = np.array(pick.fruit.center) + np.where(stations[:, None] > pick.since, at - taken, 0.0)
         clips += [
             clip(_fruit_path(pick.fruit), showing(0.0, pick.since, end)),

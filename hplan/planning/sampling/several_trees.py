@@ -27,10 +27,12 @@ class TreesEffort:
 
     Attributes:
         each: Evaluations of the clearance by each of them, at most.
+        seed: Of the first of them; those of the others follow it.
     """
 
     pairs: int
     each: int
+    seed: int = 0
 
 
 class PromisingPath(NamedTuple):
@@ -70,7 +72,7 @@ def promising_paths(
     """
     found = list(known)
     for seed in range(grown, effort.pairs):
-        path, _ = tree_path(problem, field, velocity, margin, TreeEffort(effort.each, seed))
+        path, _ = tree_path(problem, field, velocity, margin, TreeEffort(effort.each, effort.seed + seed))
         if path is not None:
             shorter = shorten(path, field, margin=margin, rounds=START_SHORTCUTS)
             found.append(PromisingPath(path_time(shorter, velocity), path, _evenly(shorter, velocity)))

@@ -84,10 +84,11 @@ class Camera:
 
 @dataclass
 class Log:
-    """What happened: fruits reached and left, frames, splices, stops, times, contacts."""
+    """What happened: fruits reached and left, motions to them, frames, splices, stops, times, contacts."""
 
     picked: list[str] = field(default_factory=list)
     left: list[str] = field(default_factory=list)
+    motions: list[hplan.PlanResult] = field(default_factory=list)
     frames: int = 0
     spliced: int = 0
     stops: int = 0
@@ -188,6 +189,7 @@ class ControlLoop:
             self.planner.aim(start=here, goal=Goal(fruit=self.fruit))
             try:
                 self.running = self.planner.plan(begins_s=self.machine.time_s)
+                self.log.motions.append(self.running)
                 self.machine.pass_through([self.fruit])
             except ConfigurationInCollisionError as error:
                 if error.obstacle not in self.todo:

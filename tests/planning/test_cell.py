@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
@@ -257,14 +256,6 @@ def test_an_arm_without_jerk_limits_leaves_the_others_theirs(robot):
     assert whole.jerk_limit[: robot.dof].tolist() == robot.jerk_limit.tolist()
     assert whole.jerk_limit[robot.dof :].min() > 1e3 * robot.acceleration_limit.max()
     assert joined_robots({"b": (without, pin.SE3.Identity())}).jerk_limit is None
-
-
-def test_the_documented_cell_is_planned(write):
-    """The scene of docs/commands.md, as it stands there."""
-    text = (Path(__file__).parents[2] / "docs" / "commands.md").read_text()
-    scene = text[text.index("format: hplan-scene/1\nname: two arms") :].partition("```")[0]
-    result = plan_cell(load_cell(write("cell.yaml", scene)))
-    assert result.certificate.verified
 
 
 def test_idle_arms_stay(robot):

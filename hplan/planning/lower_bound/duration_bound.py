@@ -2,7 +2,7 @@
 
 For every problem that of the slowest joint alone. Where the base does not turn, reachability on grids of the first
 three planar joints excludes longer ones: on coarse grids first, with each joint in turn as the one whose speed is
-followed, at last on finer ones with the joint that excluded most. `docs/method.md` has the proof.
+followed, at last on finer ones with the joint that excluded most. `docs/proof.md` has the proof.
 """
 
 from __future__ import annotations

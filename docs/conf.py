@@ -1,0 +1,36 @@
+"""The documentation as a site: `sphinx-build -W -b html docs docs/_build` (extra `docs`; Chromium for the gallery)."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import hplan
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+project, author = "hplan", "The hplan authors"
+version = release = hplan.__version__
+
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "site_parts"]
+exclude_patterns = ["_build", "pictures"]
+myst_enable_extensions = ["dollarmath", "colon_fence"]
+myst_heading_anchors = 4
+
+#: `name` in a docstring is code.
+default_role = "code"
+
+html_theme, html_title = "furo", "hplan"
+html_math_renderer = "mathml"
+html_static_path, html_css_files = ["site.css"], ["site.css"]
+html_extra_path = ["generated/extra"]  # pages and pictures of the gallery
+html_show_copyright = False
+html_copy_source = False
+
+# What the reference says of a name is in its docstring: arguments, attributes, what it raises.
+autodoc_member_order = "bysource"
+autodoc_typehints_format = "short"
+autodoc_inherit_docstrings = False
+python_use_unqualified_type_names = True
+napoleon_google_docstring, napoleon_numpy_docstring = True, False
+napoleon_use_ivar = True

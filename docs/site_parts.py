@@ -1,0 +1,293 @@
+"""What the site is made of beside its pages: commands from their parsers, the reference from the package, formulas.
+
+The directive `command` of a page gives what `hplan plan --help` says. The reference has a page for each room of the
+package (`docs/generated/reference`) with the names that are public: those of `hplan.__all__` and of the rooms' own, and
+those that a page of the documentation or an example imports. Formulas become MathML, which needs no script.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import html
+import importlib
+import inspect
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+from urllib.parse import unquote, urlsplit
+
+from docutils import nodes
+from docutils.parsers.rst import Directive
+from docutils.statemachine import StringList
+from latex2mathml.converter import convert
+from sphinx.application import Sphinx
+from sphinx.errors import SphinxError
+from sphinx.pycode import ModuleAnalyzer
+
+from hplan.apps.cli.main import COMMANDS
+
+DOCS = Path(__file__).parent
+ROOT = DOCS.parent
+PACKAGE = ROOT / "hplan"
+REFERENCE, GALLERY = DOCS / "generated" / "reference", DOCS / "generated" / "gallery"
+#: What goes into the site as it is: pages of motions, pictures.
+EXTRA = DOCS / "generated" / "extra" / "motions"
+
+
+class Command(Directive):
+    """Usage, arguments and options of a command, as its parser has them."""
+
+    optional_arguments = 1
+
+    def run(self) -> list[nodes.Node]:
+        """What `hplan NAME --help` says; without a name a table of all commands."""
+        if self.arguments:
+            name = self.arguments[0]
+            lines = _command_lines(importlib.import_module(f"hplan.apps.cli.{name}").parser(f"hplan {name}"))
+        else:
+            rows = (f"| [`hplan {name}`](#hplan-{name}) | {words} |" for name, words in COMMANDS.items())
+            lines = iter(["| command | does |", "|---|---|", *rows])
+        box = nodes.container()
+        self.state.nested_parse(StringList(list(lines)), self.content_offset, box)
+        return box.children
+
+
+def _command_lines(parser: argparse.ArgumentParser) -> Iterator[str]:
+    """Markdown of a parser."""
+    yield from (" ".join((parser.description or "").split()), "", "```text")
+    yield from (*parser.format_usage().splitlines(), "```", "")
+    usual = {"positional arguments", "options"}
+    for group in parser._action_groups:
+        actions = [action for action in group._group_actions if not isinstance(action, _ASIDE)]
+        if actions:
+            title = "" if group.title in usual else group.title
+            yield from (f"| {title} | |", "|---|---|", *map(_row, actions), "")
+    if parser.epilog:
+        yield from ("```text", *parser.epilog.splitlines(), "```", "")
+
+
+_ASIDE = (argparse._HelpAction, argparse._VersionAction)
+
+
+def _row(action: argparse.Action) -> str:
+    """An argument or option as a row of a table."""
+    shown = argparse.HelpFormatter("", width=200)._format_action_invocation(action)
+    text = (action.help or "") % (vars(action) | {"prog": ""})
+    return "| `{}` | {} |".format(*(part.replace("|", "\\|") for part in (shown, text)))
+
+
+# The reference.
+
+
+def public_names() -> dict[str, dict[str, str]]:
+    """Paths of the public names by their room, each with the module that it is documented in; every name once."""
+    rooms: dict[str, dict[str, str]] = {"hplan": {}}
+    seen: set[int] = set()
+    listed = [_module(path) for path in sorted(PACKAGE.rglob("__init__.py"), key=lambda path: len(path.parts))]
+    for module in listed:
+        room = ".".join(module.split(".")[:2])
+        for name in getattr(importlib.import_module(module), "__all__", ()):
+            _take(rooms.setdefault(room, {}), seen, module, name)
+    for module, name in sorted(_imported_by_docs()):
+        _take(rooms.setdefault(".".join(module.split(".")[:2]), {}), seen, module, name)
+    return rooms
+
+
+def _take(room: dict[str, str], seen: set[int], module: str, name: str) -> None:
+    value = getattr(importlib.import_module(module), name)
+    is_named = inspect.isclass(value) or inspect.isfunction(value)
+    if (is_named and id(value) in seen) or inspect.ismodule(value):
+        return
+    seen.add(id(value))
+    room[f"{module}.{name}"] = module
+
+
+def _module(init: Path) -> str:
+    return ".".join(init.parent.relative_to(ROOT).parts)
+
+
+def _imported_by_docs() -> set[tuple[str, str]]:
+    """What pages and examples import from the package: module and name."""
+    pages = "\n".join(path.read_text(encoding="utf-8") for path in [ROOT / "README.md", *DOCS.glob("*.md")])
+    texts = [block for _, block in code_blocks(pages, "python")]
+    texts += [path.read_text(encoding="utf-8") for path in (ROOT / "scripts" / "examples").glob("*.py")]
+    found = set()
+    for text in texts:
+        for node in ast.walk(ast.parse(text)):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("hplan"):
+                found |= {(str(node.module), alias.name) for alias in node.names}
+    return found
+
+
+def code_blocks(page: str, *languages: str) -> list[tuple[str, str]]:
+    """Language and text of the fenced blocks of a page, in their order."""
+    found = re.findall(r"^```(\w+)\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)
+    return [(language, text) for language, text in found if language in languages]
+
+
+def _reference_page(room: str, names: dict[str, str]) -> str:
+    """A room's page: what the room is for, then its names."""
+    doc = inspect.getdoc(importlib.import_module(room)) or ""
+    lines = [f"# {room}", "", doc, ""]
+    for path, module in names.items():
+        lines += ["```{eval-rst}", *_entry(path, module), "```", ""]
+    return "\n".join(lines)
+
+
+def _entry(path: str, module: str) -> list[str]:
+    """A name as reStructuredText."""
+    name = path.rpartition(".")[2]
+    value = getattr(importlib.import_module(module), name)
+    if inspect.isclass(value):
+        return [f".. autoclass:: {path}", "   :members:", "   :show-inheritance:"]
+    if inspect.isfunction(value):
+        return [f".. autofunction:: {path}"]
+    return [f".. py:data:: {path}", "", *(f"   {line}" for line in _comment(module, name))]
+
+
+def _comment(module: str, name: str) -> list[str]:
+    """The `#:` comment of a constant, where it is assigned."""
+    tree = ast.parse(inspect.getsource(importlib.import_module(module)))
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and any(alias.name == name for alias in node.names):
+            return _comment(str(node.module), name)
+    return list(ModuleAnalyzer.for_module(module).find_attr_docs().get(("", name), []))
+
+
+def write_reference(_: Any = None) -> None:
+    """A page for each room that has public names, and one that leads to them."""
+    REFERENCE.mkdir(parents=True, exist_ok=True)
+    rooms = {room: names for room, names in public_names().items() if names}
+    for room, names in rooms.items():
+        _write(REFERENCE / f"{room}.md", _reference_page(room, names))
+    count = sum(map(len, rooms.values()))
+    words = f"{count} names: what each takes, gives and raises. All errors derive from {{py:class}}`hplan.HplanError`."
+    listed = "\n".join(rooms)
+    _write(REFERENCE / "index.md", f"# Reference\n\n{words}\n\n```{{toctree}}\n:maxdepth: 1\n\n{listed}\n```\n")
+
+
+def _write(path: Path, text: str) -> None:
+    """Write a page if it says something else: what stays need not be read again."""
+    if not path.is_file() or path.read_text(encoding="utf-8") != text:
+        path.write_text(text, encoding="utf-8")
+
+
+def _as_rst(_app: Sphinx, what: str, _name: str, _obj: Any, _options: Any, lines: list[str]) -> None:
+    """Docstrings are written for readers of source: bars and stars mean themselves, but in formulas."""
+    for number, line in enumerate(lines):
+        if what != "module":
+            parts = line.split("`")
+            parts[::2] = [re.sub(r"[|*]|(?<=\w)_(?!\w)", r"\\\g<0>", part) for part in parts[::2]]
+            lines[number] = "`".join(parts)
+
+
+# The gallery.
+
+
+def write_gallery(_: Any = None) -> None:
+    """Run the examples whose page is older than the package, draw them, and write a page for each."""
+    EXTRA.mkdir(parents=True, exist_ok=True)
+    GALLERY.mkdir(parents=True, exist_ok=True)
+    newest = max(path.stat().st_mtime for path in [*PACKAGE.rglob("*.py"), *PACKAGE.rglob("*.js")])
+    shown = sorted((ROOT / "scripts" / "examples").glob("*.py"))
+    old = [path for path in shown if not _is_newer(EXTRA / f"{path.stem}.png", max(newest, path.stat().st_mtime))]
+    draw = [sys.executable, str(ROOT / "scripts" / "make_pictures.py"), "--gallery", str(EXTRA)]
+    if old:
+        subprocess.run([*draw, *(path.stem for path in old)], check=True)
+    for path in shown:
+        _write(GALLERY / f"{path.stem}.md", _example_page(path))
+    cards = "".join(map(_card, shown))
+    listed = "\n".join(path.stem for path in shown)
+    _write(
+        GALLERY / "index.md",
+        f"# Gallery\n\nPrograms of `scripts/examples`, run and drawn when this site was built.\n\n"
+        f'<div class="cards">\n{cards}</div>\n\n```{{toctree}}\n:hidden:\n\n{listed}\n```\n',
+    )
+
+
+def _is_newer(path: Path, than: float) -> bool:
+    return path.is_file() and path.stat().st_mtime > than
+
+
+def _docstring(path: Path) -> tuple[str, str]:
+    """First sentence of an example's docstring, and all of it."""
+    text = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
+    return text.split("\n")[0], text
+
+
+def _card(path: Path) -> str:
+    name = path.stem
+    title = name.replace("_", " ")
+    return (
+        f'<a href="{name}.html"><img src="../../motions/{name}.png" alt="" loading="lazy">'
+        f"<b>{title}</b><span>{html.escape(_docstring(path)[0])}</span></a>\n"
+    )
+
+
+def _example_page(path: Path) -> str:
+    """What an example does, its page to be played or its picture, what it prints, its source."""
+    name, said = path.stem, (EXTRA / f"{path.stem}.txt").read_text(encoding="utf-8")
+    if (EXTRA / f"{name}.html").is_file():
+        shown = f'<iframe class="motion" src="../../motions/{name}.html" title="{name}" loading="lazy"></iframe>'
+    else:
+        shown = f'<img src="../../motions/{name}.png" alt="{name}">'
+    title, source = (
+        name.replace("_", " ").capitalize(),
+        f"```{{literalinclude}} ../../../scripts/examples/{name}.py\n```",
+    )
+    return f"# {title}\n\n{_docstring(path)[0]}\n\n{shown}\n\nIt prints:\n\n```text\n{said}```\n\n{source}\n"
+
+
+# Formulas and links.
+
+
+def _inline(translator: Any, node: nodes.math) -> None:
+    translator.body.append(convert(node.astext()))
+    raise nodes.SkipNode
+
+
+def _display(translator: Any, node: nodes.math_block) -> None:
+    translator.body.append(f"<div class=math>{convert(node.astext(), display='block')}</div>")
+    raise nodes.SkipNode
+
+
+def check_links(app: Sphinx, exception: Exception | None) -> None:
+    """Every address within the site leads to a file, and to something of that name in it.
+
+    Raises:
+        SphinxError: One does not.
+    """
+    if exception is not None or app.builder.format != "html":
+        return
+    out = Path(app.outdir)
+    pages = {path: path.read_text(encoding="utf-8") for path in out.rglob("*.html") if "motions" not in path.parts}
+    names = {path: set(re.findall(r'\s(?:id|name)="([^"]+)"', text)) for path, text in pages.items()}
+    dead = []
+    for path, text in pages.items():
+        for address in sorted(set(re.findall(r'\s(?:href|src)="([^"]+)"', text))):
+            link = urlsplit(html.unescape(address))
+            if link.scheme or link.netloc:
+                continue
+            target = (path.parent / unquote(link.path)).resolve() if link.path else path
+            if target.is_dir():
+                target /= "index.html"
+            there = target.is_file() and (target not in names or not link.fragment or link.fragment in names[target])
+            if not there:
+                dead.append(f"{path.relative_to(out)}: {address}")
+    if dead:
+        raise SphinxError("dead links:\n" + "\n".join(dead))
+
+
+def setup(app: Sphinx) -> dict[str, Any]:
+    """Make the parts known to Sphinx."""
+    app.add_directive("command", Command)
+    app.add_html_math_renderer("mathml", (_inline, None), (_display, None))
+    app.connect("builder-inited", write_reference)
+    app.connect("builder-inited", write_gallery)
+    app.connect("autodoc-process-docstring", _as_rst, priority=400)
+    app.connect("build-finished", check_links)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}

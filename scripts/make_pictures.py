@@ -1,0 +1,284 @@
+"""Make the pictures of README and documentation, all of them; needs Chromium and the extra `figures`.
+
+    python scripts/make_pictures.py [--check]
+    python scripts/make_pictures.py --gallery FOLDER [EXAMPLE ...]
+
+Each picture of `docs/pictures` says how long the motion is that it shows. `--check` plans the same motions again and
+says which pictures show something else than today's code gives. `--gallery` runs programs of `scripts/examples`: of
+each a picture, what it prints, and where there is a motion in a scene its page; the site is built with them.
+"""
+
+from __future__ import annotations
+
+import base64
+import io
+import os
+import re
+import runpy
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image, PngImagePlugin
+
+import hplan
+from hplan.apps.view.cspace_figure import cspace_at_yaw
+from hplan.apps.view.figure_style import new_figure, png_bytes, styled
+from hplan.apps.view.page import render_page
+from hplan.apps.view.playback import Playback
+from hplan.apps.view.row_figure import draw_row
+from hplan.apps.view.study_figure import draw_study
+from hplan.apps.view.yaw_section import yaw_section
+from hplan.base.files import write_bytes
+from hplan.scene.orchard import MeasuredOptions, measured_orchard
+
+ROOT = Path(__file__).resolve().parents[1]
+PICTURES = ROOT / "docs" / "pictures"
+EXAMPLES = ROOT / "scripts" / "examples"
+TREE = EXAMPLES / "trees" / "apple_1_tallspindle.csv"
+
+#: Under which a picture says how long the motion is that it shows [s], and by how much of it today's may differ.
+DURATION_KEY, SAME = "hplan duration", 0.01
+
+#: Frames of the moving picture a second, its size, how many colours it has.
+RATE_HZ, SIZE, COLORS = 12.5, (640, 480), 240
+
+#: Of a page, beside its size: 3-D drawn by the processor, no network.
+CHROMIUM = (
+    "--headless=new", "--no-sandbox", "--disable-background-networking", "--disable-component-update", "--disable-sync",
+    "--no-first-run", "--hide-scrollbars", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
+    "--virtual-time-budget=2000",
+)  # fmt: skip
+
+#: Draws the picture of a page alone, without its words, and keeps what is drawn as the page's text.
+_FRAMES = """
+player.pause();
+const drawn = [%s].map(time => {
+  player.seek(time);
+  viewer.renderer.render(viewer.scene, viewer.camera);
+  return viewer.renderer.domElement.toDataURL("image/png");
+});
+document.body.textContent = "frames:" + drawn.join(" ");
+"""
+#: Stands still in the middle of the motion.
+_MIDDLE = "player.pause(); player.seek(0.5 * motion.duration);"
+
+
+def _alone(page: str, size: tuple[int, int], script: str) -> str:
+    """A page whose picture has a size, and that runs a script in the end."""
+    style = "<style>body.motion #picture {{ width: {}px; height: {}px; }}</style>".format(*size)
+    return page.replace("</head>", f"{style}</head>").replace("</body>", f"<script>{script}</script></body>")
+
+
+def still(page: str, script: str = "") -> bytes:
+    """A PNG of a page's picture without the panel below it, after a script."""
+    html = _alone(page, (1000, 700), script)
+    with tempfile.TemporaryDirectory() as folder:
+        picture = Path(folder) / "picture.png"
+        _browse(html, Path(folder), f"--screenshot={picture}", (1000, 700))
+        few = Image.open(picture).convert("RGB").resize((800, 560), Image.Resampling.LANCZOS).quantize(128)
+    return _png(few)
+
+
+def frames(page: str, times_s: Sequence[float], size: tuple[int, int] = SIZE) -> list[Image.Image]:
+    """Pictures of a page's motion at some times [s]."""
+    html = _alone(page, size, _FRAMES % ",".join(f"{time:.3f}" for time in times_s))
+    with tempfile.TemporaryDirectory() as folder:
+        text = _browse(html, Path(folder), "--dump-dom", size)
+    found = re.findall(r"data:image/png;base64,([\w+/=]+)", text.rpartition("frames:")[2])
+    if len(found) != len(times_s):
+        raise RuntimeError(f"Chromium drew {len(found)} of {len(times_s)} frames")
+    return [Image.open(io.BytesIO(base64.b64decode(data))).convert("RGB") for data in found]
+
+
+def _browse(html: str, folder: Path, action: str, size: tuple[int, int]) -> str:
+    """Open a page, and what Chromium prints."""
+    chromium = shutil.which("chromium")
+    if chromium is None:
+        raise SystemExit("pictures are drawn by chromium, which is not installed")
+    page = folder / "page.html"
+    page.write_text(html, encoding="utf-8")
+    window, profile = "--window-size={},{}".format(*size), f"--user-data-dir={folder / 'profile'}"
+    command = [chromium, *CHROMIUM, window, profile, action, page.as_uri()]
+    return subprocess.run(command, capture_output=True, text=True, timeout=300, check=True).stdout
+
+
+def _png(picture: Image.Image, duration_s: float | None = None) -> bytes:
+    """A picture as PNG, with the duration of what it shows."""
+    stream, facts = io.BytesIO(), PngImagePlugin.PngInfo()
+    if duration_s is not None:
+        facts.add_text(DURATION_KEY, f"{duration_s:.3f}")
+    picture.save(stream, format="PNG", optimize=True, pnginfo=facts)
+    return stream.getvalue()
+
+
+def _picking() -> hplan.TourResult:
+    """An arm picks fruit from the measured tree that ships, wood and fruit giving way by 20 mm."""
+    trees = MeasuredOptions(distance=1.2, yaw_deg=180.0, wood_yields=0.02, fruit_yields=0.02)
+    scene, robot = measured_orchard([TREE], trees), hplan.load_robot("orchard_harvester")
+    names = [name for name, fruit in hplan.reachable(robot, scene).items() if fruit.can_be_picked]
+    return hplan.plan_tour(robot, scene, fruits=names[:6], tour=hplan.TourOptions(back=True))
+
+
+def _plan(scene: str) -> Callable[[], hplan.PlanResult]:
+    """Plans a scene that ships."""
+    return lambda: hplan.plan(hplan.load_robot(), hplan.load_scene(scene))
+
+
+def _moving(result: Any) -> bytes:
+    """A GIF of a motion, in real time."""
+    duration = result.trajectory.duration
+    page = render_page(result.robot, result.scene, Playback.of(result))
+    drawn = frames(page, np.arange(0.0, duration, 1.0 / RATE_HZ).tolist())
+    # One palette for all frames, so that what stands still takes no room: half by area, for the sky, and half of all
+    # colours alike, for fruit is small.
+    some = np.vstack([np.asarray(frame).reshape(-1, 3) for frame in drawn[:: len(drawn) // 6]])
+    alike = np.unique(some & 0xF8, axis=0)
+    by_area = np.random.default_rng(1).choice(some, len(alike))
+    palette = Image.fromarray(np.vstack([alike, by_area])[None]).quantize(COLORS)
+    few = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in drawn]
+    stream, pause_ms = io.BytesIO(), round(1e3 / RATE_HZ)
+    few[0].save(
+        stream, format="GIF", save_all=True, append_images=few[1:], loop=0, optimize=True,
+        duration=[pause_ms] * (len(few) - 1) + [1000], comment=f"{DURATION_KEY}: {duration:.3f}".encode(),
+    )  # fmt: skip
+    return stream.getvalue()
+
+
+def _standing(result: Any) -> bytes:
+    """A PNG of where a motion is after half of its time."""
+    page = render_page(result.robot, result.scene, Playback.of(result))
+    return _png(Image.open(io.BytesIO(still(page, _MIDDLE))), result.trajectory.duration)
+
+
+def _cspace(result: hplan.PlanResult) -> bytes:
+    """A PNG of the joint space at the goal's yaw, with the motion in it."""
+    section = yaw_section(result.robot, result.scene, Playback.of(result))
+    figure = png_bytes(cspace_at_yaw(section, result.scene.name), dpi=110)
+    return _png(Image.open(io.BytesIO(figure)), result.trajectory.duration)
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A picture of the documentation: the motion that it shows, and how it is drawn."""
+
+    plan: Callable[[], Any]
+    draw: Callable[[Any], bytes]
+
+
+DOCS = {
+    "picking.gif": Picture(_picking, _moving),
+    "reference.png": Picture(_plan("table-1"), _standing),
+    "cspace.png": Picture(_plan("table-1"), _cspace),
+    "cspace-yaw.png": Picture(_plan("dense-canopy"), _cspace),
+}
+
+
+def shown_s(path: Path) -> float:
+    """How long the motion of a picture was when it was drawn [s]."""
+    info = Image.open(path).info
+    text = info["comment"].decode().rpartition(" ")[2] if "comment" in info else info[DURATION_KEY]
+    return float(text)
+
+
+def stale() -> list[str]:
+    """Names of the pictures that show something else than today's motions."""
+    found = []
+    for name, picture in DOCS.items():
+        duration, shown = picture.plan().trajectory.duration, shown_s(PICTURES / name)
+        if abs(duration - shown) > SAME * shown:
+            found.append(f"{name}: {shown:.3f} s, today {duration:.3f} s")
+    return found
+
+
+# The gallery: examples, what they print and what comes of them.
+
+
+def _gallery(folder: Path, names: Sequence[str]) -> None:
+    """Run examples, each in a process of its own, one for each core at a time."""
+    folder.mkdir(parents=True, exist_ok=True)
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        for _ in pool.map(lambda name: _example_process(folder, name), names):
+            pass
+
+
+def _example_process(folder: Path, name: str) -> None:
+    """Run one example as its user would, and keep what it prints."""
+    run = subprocess.run(
+        [sys.executable, __file__, "--example", str(folder), name], capture_output=True, text=True, check=False
+    )
+    if run.returncode:
+        raise SystemExit(f"scripts/examples/{name}.py failed:\n{run.stderr[-4000:]}")
+    said = "".join(line for line in run.stdout.splitlines(keepends=True) if not line.startswith("written: "))
+    (folder / f"{name}.txt").write_text(said, encoding="utf-8")
+
+
+def _example(folder: Path, name: str) -> None:
+    """Run an example's `main`, and write the picture and the page of what it returns."""
+    result = runpy.run_path(str(EXAMPLES / f"{name}.py"))["main"]()
+    page, figure = _shown(result)
+    if page is not None:
+        (folder / f"{name}.html").write_text(page, encoding="utf-8")
+    (folder / f"{name}.png").write_bytes(still(page or "", _MIDDLE) if figure is None else png_bytes(figure, dpi=110))
+
+
+def _shown(result: Any) -> tuple[str | None, Any]:
+    """The page of a result, and a figure where that says more than the page's picture."""
+    if motions := result if isinstance(result, list) else getattr(result, "motions", []):
+        return _shown(motions[-1])
+    if isinstance(result, hplan.StudyResult):
+        return None, draw_study(result)
+    if isinstance(result, hplan.RowResult):
+        return _page(max((stop.tour for stop in result.stops), key=lambda tour: len(tour.order))), draw_row(result)
+    if isinstance(result, hplan.Trajectory):
+        return None, _plot(result)
+    return _page(result), None
+
+
+@styled
+def _plot(trajectory: hplan.Trajectory) -> Any:
+    """Joints over time."""
+    figure = new_figure(7.0, 4.2, f"{trajectory.duration:.2f} s")
+    axes = figure.add_subplot(xlabel="time [s]", ylabel="position [rad]")
+    axes.plot(trajectory.time, trajectory.position, label=trajectory.joint_names)
+    axes.legend(fontsize="small")
+    return figure
+
+
+def _page(result: Any) -> str:
+    """The page of a plan, a tour or a cell."""
+    if isinstance(result, hplan.CellResult):
+        cell, rows = result.cell, result.trajectory.position
+        return render_page(cell.robot, cell.task(rows[-1], rows[0]), Playback(result.trajectory))
+    return render_page(result.robot, result.scene, Playback.of(result))
+
+
+def main() -> int:
+    """Draw all pictures, or check them, or those of examples."""
+    match sys.argv[1:]:
+        case ["--gallery", folder, *names]:
+            _gallery(Path(folder), names or sorted(path.stem for path in EXAMPLES.glob("*.py")))
+            return 0
+        case ["--example", folder, name]:
+            _example(Path(folder), name)
+            return 0
+    if "--check" in sys.argv[1:]:
+        old = stale()
+        print("\n".join(old) or "all pictures are of today's motions")
+        return 5 if old else 0
+    PICTURES.mkdir(exist_ok=True)
+    for name, picture in DOCS.items():
+        path = write_bytes(PICTURES / name, picture.draw(picture.plan()))
+        print(f"{path.relative_to(ROOT)}: {path.stat().st_size // 1024} KB")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 from hplan.optimization.minimize_time import Effort as OptimizerEffort
@@ -44,7 +45,7 @@ class Effort:
         pose_goals: To so many of the configurations with a frame at a pose motions are looked for, the nearest ones.
         compared: Motions by trees to so many goals are compared; the first that is found is taken where it is one.
         exhaustive: Whether trees grow far before goals are refused.
-        floods: Whether floods of grids show that there is no path.
+        floods: Most nodes of grids that are flooded to show that there is no path; 0 for none.
         at_once: Whether the first motion is to come as soon as can be: by what finds most motions in a few
             milliseconds, to a few grasps, without regard to how quick it is. Quicker ones near it follow.
     """
@@ -60,7 +61,7 @@ class Effort:
     pose_goals: int
     compared: int = 1
     exhaustive: bool = True
-    floods: bool = True
+    floods: float = math.inf
     at_once: bool = False
 
 
@@ -125,13 +126,13 @@ EFFORTS: dict[EffortName, Effort] = {
 
 #: Of general (non-planar) arms, an evaluation of whose clearance takes ten times as long.
 EFFORTS_OF_BODIES: dict[EffortName, Effort] = {
-    "quick": replace(EFFORTS["quick"], trees=TreesEffort(1, 6_000), floods=False),
+    "quick": replace(EFFORTS["quick"], trees=TreesEffort(1, 6_000), floods=0.0),
     "default": replace(
         EFFORTS["default"],
         trees=TreesEffort(2, 6_000),
         planar=None,
         grids=(),
-        floods=False,
+        floods=0.0,
         close=CLOSE,
         starts=StartsEffort(
             OptimizerEffort(
@@ -146,7 +147,7 @@ EFFORTS_OF_BODIES: dict[EffortName, Effort] = {
             finished=1,
         ),
     ),
-    "best": replace(EFFORTS["best"], trees=TreesEffort(8, 12_000), planar=None, grids=(), floods=False),
+    "best": replace(EFFORTS["best"], trees=TreesEffort(8, 12_000), planar=None, grids=(), floods=0.0),
 }
 
 
@@ -162,7 +163,7 @@ def efforts_of(robot: Robot, options: PlanOptions) -> tuple[Effort, ...]:
     so that what `default` finds counts for `best` too.
     """
     asked, quick = effort_named(robot, options.effort), effort_named(robot, "quick")
-    first = replace(asked, begun=quick.begun, exhaustive=False, floods=False, at_once=True)
+    first = replace(asked, begun=quick.begun, exhaustive=False, floods=0.0, at_once=True)
     efforts = (
         *((first,) if options.deadline_s is not None else ()),
         *((effort_named(robot, "default"),) if options.effort == "best" else ()),

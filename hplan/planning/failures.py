@@ -25,7 +25,7 @@ from hplan.errors import (
 )
 from hplan.grid.blockers import blockers
 from hplan.grid.flood import flood_from, has_bit, slice_sizes
-from hplan.grid.grid import Grid, Occupancy
+from hplan.grid.grid import Grid
 from hplan.grid.lattice import Lattice
 from hplan.planning.definition import Problem
 from hplan.planning.effort import GridAttempt
@@ -164,8 +164,7 @@ def enclosed_goals(
         return []
     first = tasks[0]
     space = first.occupancy(attempt)
-    lattice = Lattice.of(space.grid.shape, space.grid.step)
-    free = lattice.bordered(space.free_words)
+    grid, lattice = space.grid, Lattice.of(space.grid.shape, space.grid.step)
     goals: dict[int, IntArray] = {}
     with suppress(CertificationError):
         start = np.array(grid_entry(first, space, "start", min(margins)).nodes)
@@ -175,6 +174,9 @@ def enclosed_goals(
     if not goals:
         return [None] * len(tasks)
 
+    free = lattice.bordered(space.free_words)
+    del space  # grids take tens of megabytes
+
     def holds(region: WordArray, nodes: IntArray) -> bool:
         return any(has_bit(region, lattice.row_of(node), int(node[-1])) for node in nodes)
 
@@ -182,23 +184,24 @@ def enclosed_goals(
         region, cells = flood_from(lattice, free, np.concatenate(list(goals.values())))
         apart = set(goals)
         if holds(region, start):
+            del region
             region, cells = flood_from(lattice, free, start)
             apart = {number for number, nodes in goals.items() if not holds(region, nodes)}
-    more = first.problem.turns and open_ended(first.problem, space.grid, lattice.unbordered(region))
-    shown = _smaller_region(space, free, start, goals[0]) if explained and 0 in apart else None
+    more = first.problem.turns and open_ended(first.problem, grid, lattice.unbordered(region))
+    shown = _smaller_region(grid, free, start, goals[0]) if explained and 0 in apart else None
     return [
         EnclosedError(task, attempt, cells, None if number else shown, open_ended=more) if number in apart else None
         for number, task in enumerate(tasks)
     ]
 
 
-def _smaller_region(space: Occupancy, free: WordArray, start: IntArray, goal: IntArray) -> Region:
+def _smaller_region(grid: Grid, free: WordArray, start: IntArray, goal: IntArray) -> Region:
     """The region of the start or of the goal, whichever is the smaller."""
-    lattice = Lattice.of(space.grid.shape, space.grid.step)
+    lattice = Lattice.of(grid.shape, grid.step)
     floods = [(*flood_from(lattice, free, nodes), which) for nodes, which in ((start, "start"), (goal, "goal"))]
     (region, count, which), (_, _, other) = sorted(floods, key=lambda flood: flood[1])
-    what = f"the {which} is connected to {count} of {space.grid.size} nodes, and the {other} is not among them"
-    return Region(what, space.grid, lattice.unbordered(region))
+    what = f"the {which} is connected to {count} of {grid.size} nodes, and the {other} is not among them"
+    return Region(what, grid, lattice.unbordered(region))
 
 
 def without_path(tasks: Sequence[PlanningTask]) -> list[NoPathError | None]:
@@ -217,7 +220,7 @@ def without_path(tasks: Sequence[PlanningTask]) -> list[NoPathError | None]:
         left = [number for number in todo if abs(tasks[number].problem.goal[0] - yaw) < 1e-9]  # on the same grid
         todo = [number for number in todo if number not in left]
         for yaw_range_deg in WIDTHS:
-            attempt = tasks[0].fitting(GridAttempt(yaw_range_deg=yaw_range_deg))
+            attempt = tasks[0].to_flood(yaw_range_deg)
             if attempt is None or not left:
                 break
             some = [tasks[number] for number in left]

@@ -88,7 +88,7 @@ def certificate_report(certificate: Certificate, options: PlanOptions, scene: Sc
 
 def pushes_report(certificate: Certificate, scene: Scene) -> dict[str, Any]:
     """What gives way in a motion; nothing where nothing of the scene does, null where it is not known."""
-    if not any(item.yields for item in (*scene.obstacles, *scene.fruits)):
+    if not scene.gives_way:
         return {}
     found = certificate.pushes
     links = {} if scene.yield_links is None else {"yield_links": list(scene.yield_links)}

@@ -152,6 +152,10 @@ class PlanningTask(PlanningContext):
             count *= max(1.0 + (high - low) / step, _LEAST_ROW)
         return float(count)
 
+    def to_flood(self, yaw_range_deg: float) -> GridAttempt | None:
+        """The finest grid that may be flooded, the base turning so far beyond start and goal; None without any."""
+        return self.fitting(GridAttempt(yaw_range_deg=yaw_range_deg), min(MOST_CELLS, self.effort.floods))
+
     def fitting(self, attempt: GridAttempt, most_cells: float | None = None) -> GridAttempt | None:
         """The attempt with a step as much larger as keeps the grid within a number of nodes; None without any."""
         most_cells = MOST_CELLS if most_cells is None else most_cells

@@ -375,7 +375,7 @@ def _why_none(tasks: Sequence[PlanningTask]) -> Iterator[HplanError]:
     if not first.effort.floods:
         yield from (NotFoundError([_trees_tried(task)]) for task in tasks)
         return
-    coarse = first.fitting(GridAttempt(yaw_range_deg=WIDTHS[-1]))
+    coarse = first.to_flood(WIDTHS[-1])
     grid = "no grid over all yaws fits" if coarse is None else f"grids down to {first.step_deg(coarse):g} deg"
     for error, task in zip(without_path(tasks), tasks, strict=True):
         yield error or NotFoundError(["straight motion", _trees_tried(task), grid])

@@ -239,6 +239,11 @@ class Scene(StrictModel):
         return next((fruit for fruit in self.fruits if fruit.name == self.goal.fruit), None)
 
     @property
+    def gives_way(self) -> bool:
+        """True if something may be pushed: an obstacle, a fruit, or what a fruit hangs from."""
+        return any(item.yields for item in (*self.obstacles, *self.fruits)) or any(f.hangs_from for f in self.fruits)
+
+    @property
     def moves(self) -> bool:
         """True if the base or an obstacle has a track."""
         return self.base_track is not None or self.first_moving is not None

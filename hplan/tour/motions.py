@@ -57,6 +57,9 @@ _Blended: TypeAlias = tuple[Motion | None, Motion, Motion | None]
 #: Other grasps are tried so many times, as long as the tour becomes shorter by this fraction.
 WIDENINGS, _LEAST_GAIN = 8, 5e-3
 
+#: Most nodes of the grids that show that no path leads to a fruit: finer ones take hundreds of megabytes.
+_FLOODED = 2e7
+
 #: So many grasps of all fruits are looked at for that, about, besides those that a tour may take already.
 _LIKELY = 1200
 
@@ -98,7 +101,9 @@ class Motions:
             back: True if the tour goes back.
         """
         self.fruits = list[str]()
-        self._context = empty if loaded is None else loaded
+        context = empty if loaded is None else loaded
+        floods = min(context.effort.floods, _FLOODED)
+        self._context = replace(context, effort=replace(context.effort, floods=floods))
         self._moves = Moves(empty, loaded)
         self._every, self._back, self._carries = every, back, loaded is not None
         self._here, self._home = self._moves.stop(here), self._moves.stop(home)

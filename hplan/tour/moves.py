@@ -156,7 +156,7 @@ class Moves:
                 else:
                     self._plan(key, None)
             elif straight_is_clear(task):
-                effort = replace(task.effort, trees=replace(task.effort.trees, pairs=1), exhaustive=False, floods=False)
+                effort = replace(task.effort, trees=replace(task.effort.trees, pairs=1), exhaustive=False, floods=0.0)
                 self._plan(key, _transit(replace(task, effort=effort), at_once=True))
             else:
                 self._block(key)

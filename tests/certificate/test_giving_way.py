@@ -206,6 +206,7 @@ def test_what_a_fruit_hangs_from_gives_way_while_that_fruit_may_be_touched(arm, 
             assert depth[~inside].max(initial=-1.0) <= 1e-6, (link, name)
         deepest = {push.obstacle: push.depth_m for push in result.certificate.pushes}
         assert set(deepest) <= set(wood)
+        assert {push["obstacle"] for push in result.report["certificate"]["pushes"]} == set(deepest)
         contact = "approach" if len(result.phases) > 1 else "motion"
         assert certify(arm, scene, result.trajectory, goal_contact=contact).verified
         fruits = tuple(fruit.model_copy(update={"hangs_from": ()}) for fruit in scene.fruits)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from collections.abc import Set as AbstractSet
 from copy import copy
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from studies.validation.episodes import Tally
 from studies.validation.judge import TICK_S, Arm, Body, Contact, Motion, Window, contacts
 
 from hplan.certificate.certificate import certify
+from hplan.collision.giving_way import HANGING_M
 from hplan.errors import BlockedError, HplanError
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
@@ -67,6 +69,7 @@ def _scene(robot: Robot, rng: np.random.Generator, trees: Sequence[Path]) -> tup
         yields_below=rng.uniform(0.006, 0.012),
         fruit_yields=fruit if rng.random() < 0.8 else 0.0,
         clearance=float(rng.choice([0.0, 0.003])),
+        hangs_within=0.01 if rng.random() < 0.5 else None,
     )
     scene, _ = without_inside(robot, measured_orchard([file], options, start_deg=(0.0, 90.0, 90.0, 90.0)))
     links = ("hand",) if rng.random() < 0.3 else None
@@ -96,22 +99,33 @@ def _look(robot: Robot, arm: Arm, scene: Scene, result: PlanResult, tally: Tally
     """Hold a motion against what gives way, and its certificate against a bound that is too small."""
     certificate, motion = result.certificate, result.trajectory
     clock = np.append(np.arange(0.0, motion.duration, TICK_S), motion.duration)
+    positions, things = motion.positions(clock), things_of(scene)
     windows = [Window(one.fruit.name, one.begin_s, one.end_s) for one in certificate.contacts]
-    found = contacts(arm, Motion(robot.joint_names, clock, motion.positions(clock)), things_of(scene), windows=windows)
+    inside = np.zeros(len(clock), dtype=np.bool_)
+    for window in windows:
+        inside |= (clock >= window.from_s) & (clock <= window.to_s)
     tally.looked["motions"] += 1
     tally.ticks += len(clock)
     links = set(scene.yield_links or robot.arm.link_names[-2:])
-    yields = {item.name: item.yields for item in (*scene.obstacles, *scene.fruits)}
-    told = {(push.link, push.obstacle): 0.0 for push in certificate.pushes or ()}
+    told: dict[tuple[str, str], float] = {}
     for push in certificate.pushes or ():
-        told[push.link, push.obstacle] = max(told[push.link, push.obstacle], push.depth_m)
-    for contact in found:
-        pair = contact.first, contact.second
-        allowed = yields.get(contact.second, 0.0) if contact.first in links else 0.0
-        if contact.depth_m > allowed + BEYOND_M or contact.depth_m > told.get(pair, 0.0) + BEYOND_M:
-            tally.faults.append({"case": case, "pair": pair, "depth_m": contact.depth_m, "allowed_m": allowed})
-    pushed = [contact for contact in found if yields.get(contact.second, 0.0)]
-    tally.looked_in["pushes"] += len(pushed)
+        told[push.link, push.obstacle] = max(told.get((push.link, push.obstacle), 0.0), push.depth_m)
+    pushed = list[Contact]()
+    for mask, hanging in ((~inside, ()), (inside, scene.fruits)):
+        yields = _yields(
+            scene, {name for fruit in hanging if fruit.name == scene.goal.fruit for name in fruit.hangs_from}
+        )
+        part = Motion(robot.joint_names, clock[mask], positions[mask])
+        for contact in contacts(arm, part, things, windows=windows) if mask.any() else ():
+            pair = contact.first, contact.second
+            allowed = yields.get(contact.second, 0.0) if contact.first in links else 0.0
+            if contact.depth_m > min(allowed, told.get(pair, 0.0)) + BEYOND_M:
+                tally.faults.append({"case": case, "pair": pair, "depth_m": contact.depth_m, "allowed_m": allowed})
+            pushed += [contact] if allowed else []
+    tally.looked_in["pushes"] += len({(contact.first, contact.second) for contact in pushed})
+    tally.looked_in["pushes of what the fruit hangs from"] += len(
+        {(one.first, one.second) for one in pushed if one.second not in _yields(scene, set())}
+    )
     deepest = max(pushed, key=lambda contact: contact.depth_m, default=None)
     if deepest is not None and deepest.depth_m > PUSHED_M:
         less = _yielding_less(scene, deepest)
@@ -119,6 +133,12 @@ def _look(robot: Robot, arm: Arm, scene: Scene, result: PlanResult, tally: Tally
         tally.looked_in["grazing"] += 1
         if certify(robot, less, motion, goal_contact="motion" if touches else "approach").verified:
             tally.faults.append({"case": case, "kind": "grazing", "depth_m": deepest.depth_m, "of": deepest.second})
+
+
+def _yields(scene: Scene, hanging: AbstractSet[str]) -> dict[str, float]:
+    """How deep what may be pushed may be, by name [m]."""
+    items = {item.name: item.yields for item in (*scene.obstacles, *scene.fruits) if item.yields}
+    return dict.fromkeys(hanging, HANGING_M) | items
 
 
 def _yielding_less(scene: Scene, contact: Contact) -> Scene:

@@ -75,6 +75,24 @@ class Costs(NamedTuple):
         return np.repeat(np.arange(self.fruits), np.diff(self.begin))
 
 
+class Stretches(NamedTuple):
+    """What it costs to go along an order of fruits, where no more than one is carried, as the kernels take it.
+
+    Attributes:
+        stretches: (2, n, n, places, places) from a place of the fruit at i to one of that at j >= i, and back.
+        reached: (n, places) from the start to each place.
+        onward: (n, places) from each place to the end.
+        least: (2, n, n) the least of each stretch, whatever the places.
+        ends: (2, n) the least of `reached` and of `onward`.
+    """
+
+    stretches: FloatArray
+    reached: FloatArray
+    onward: FloatArray
+    least: FloatArray
+    ends: FloatArray
+
+
 @dataclass(frozen=True, eq=False)
 class Visits:
     """A tour as an order of places, and the drop-offs in between.
@@ -222,15 +240,15 @@ def _improved(order: IntArray, costs: Costs) -> tuple[float, IntArray]:
     loads, most = max(1, min(costs.capacity, n)), 1
     for f in range(n):
         most = max(most, costs.begin[f + 1] - costs.begin[f])
-    table, stretches = np.empty((len(costs.first), loads)), np.empty((2, n, n, most, most))
+    table = np.empty((len(costs.first), loads))
     cost, by_stretches = _cost(order, costs, table), loads == 1
-    # Costs of reaching each fruit's places along the order, and of going on from them to its end; of a trial.
-    reached, onward, here = np.empty((n, most)), np.empty((n, most)), np.empty((2, most))
-    steps, least, ends = np.full((n + 1, n + 1), math.inf), np.empty((2, n, n)), np.empty((2, n))
+    steps, here = np.full((n + 1, n + 1), math.inf), np.empty((2, most))
+    known = Stretches(
+        np.empty((2, n, n, most, most)), np.empty((n, most)), np.empty((n, most)), np.empty((2, n, n)), np.empty((2, n))
+    )
     if by_stretches:
         _fill_steps(costs, steps)
-        _fill_stretches(order, costs, stretches, reached, onward)
-        _fill_least(order, costs, stretches, reached, onward, least, ends)
+        _fill_stretches(order, costs, (0, n), known)
     other = np.empty_like(order)
     better = True
     while better:
@@ -246,9 +264,9 @@ def _improved(order: IntArray, costs: Costs) -> tuple[float, IntArray]:
                     if (kind == 0 and j <= i) or (kind > 0 and (i + size > n or j + size > n or i == j)):
                         continue
                     if by_stretches:
-                        if not _bound(order, (kind, i, j), steps, least, ends) < cost * (1.0 - _GAIN):
+                        if not _bound(order, (kind, i, j), steps, known) < cost * (1.0 - _GAIN):
                             continue
-                        trial = _trial(order, costs, (kind, i, j), stretches, reached, onward, here)
+                        trial = _trial(order, costs, (kind, i, j), known, here)
                         if not trial < cost * (1.0 - _GAIN):
                             continue
                     _change(order, (kind, i, j), other)
@@ -259,8 +277,7 @@ def _improved(order: IntArray, costs: Costs) -> tuple[float, IntArray]:
                     order, other = other, order
                     cost, better = trial, True
                     if by_stretches:
-                        _fill_stretches(order, costs, stretches, reached, onward)
-                        _fill_least(order, costs, stretches, reached, onward, least, ends)
+                        _fill_stretches(order, costs, (min(i, j), _after((kind, i, j))), known)
     return cost, order
 
 
@@ -289,44 +306,48 @@ def _step(costs: Costs, v: int, w: int) -> float:
 
 
 @kernel
-def _fill_stretches(
-    order: IntArray, costs: Costs, stretches: FloatArray, reached: FloatArray, onward: FloatArray
-) -> None:
+def _fill_stretches(order: IntArray, costs: Costs, changed: tuple[int, int], known: Stretches) -> None:
     """Write what it costs to go along the order: to each place, from it to the end, and along each stretch.
 
     Args:
         order: The fruits.
         costs: Of tours that carry no more than one fruit.
-        stretches: (2, n, n, places, places) from a place of the fruit at i to one of that at j >= i, and back.
-        reached: (n, places) from the start.
-        onward: (n, places) to the end.
+        changed: From where to before where the order is another one than that of what is written already.
+        known: What is written.
     """
-    n, begin = len(order), costs.begin
-    for i in range(n):
+    (low, end), begin, n = changed, costs.begin, len(order)
+    stretches, reached, onward, least, ends = known
+    for i in range(low, n):
         f, g = order[i], order[i - 1]
+        ends[0, i] = math.inf
         for w in range(begin[f], begin[f + 1]):
-            least = costs.first[w]
+            found = costs.first[w]
             if i > 0:
-                least = math.inf
+                found = math.inf
                 for v in range(begin[g], begin[g + 1]):
-                    least = min(least, reached[i - 1, v - begin[g]] + _step(costs, v, w))
-            reached[i, w - begin[f]] = least
-    for i in range(n - 1, -1, -1):
+                    found = min(found, reached[i - 1, v - begin[g]] + _step(costs, v, w))
+            reached[i, w - begin[f]] = found
+            ends[0, i] = min(ends[0, i], found)
+    for i in range(end - 1, -1, -1):
         f = order[i]
+        ends[1, i] = math.inf
         for v in range(begin[f], begin[f + 1]):
-            least = costs.last[v]
+            found = costs.last[v]
             if i < n - 1:
-                least, g = math.inf, order[i + 1]
+                found, g = math.inf, order[i + 1]
                 for w in range(begin[g], begin[g + 1]):
-                    least = min(least, _step(costs, v, w) + onward[i + 1, w - begin[g]])
-            onward[i, v - begin[f]] = least
-    for i in range(n):
+                    found = min(found, _step(costs, v, w) + onward[i + 1, w - begin[g]])
+            onward[i, v - begin[f]] = found
+            ends[1, i] = min(ends[1, i], found)
+    for i in range(end):
         places = begin[order[i] + 1] - begin[order[i]]
+        least[0, i, i] = least[1, i, i] = 0.0
         for a in range(places):
             for b in range(places):
                 stretches[0, i, i, a, b] = stretches[1, i, i, a, b] = 0.0 if a == b else math.inf
-        for j in range(i + 1, n):
+        for j in range(max(i + 1, low), n):
             f, g = order[j], order[j - 1]
+            least[0, i, j] = least[1, i, j] = math.inf
             for a in range(places):
                 for w in range(begin[f], begin[f + 1]):
                     there, back = math.inf, math.inf
@@ -335,6 +356,7 @@ def _fill_stretches(
                         back = min(back, _step(costs, w, v) + stretches[1, i, j - 1, v - begin[g], a])
                     stretches[0, i, j, a, w - begin[f]] = there
                     stretches[1, i, j, w - begin[f], a] = back
+                    least[0, i, j], least[1, i, j] = min(least[0, i, j], there), min(least[1, i, j], back)
 
 
 @kernel
@@ -348,22 +370,6 @@ def _fill_steps(costs: Costs, steps: FloatArray) -> None:
             for g in range(n):
                 for w in range(begin[g], begin[g + 1]):
                     steps[f, g] = min(steps[f, g], _step(costs, v, w))
-
-
-@kernel
-def _fill_least(
-    order: IntArray, costs: Costs, stretches: FloatArray, reached: FloatArray, onward: FloatArray,
-    least: FloatArray, ends: FloatArray,
-) -> None:  # fmt: skip
-    """Write the least, whatever the places, of `_fill_stretches`: (2, n, n) of stretches, (2, n) to and from fruits."""
-    n, begin = len(order), costs.begin
-    for i in range(n):
-        places = begin[order[i] + 1] - begin[order[i]]
-        ends[0, i], ends[1, i] = reached[i, :places].min(), onward[i, :places].min()
-        for j in range(i, n):
-            others = begin[order[j] + 1] - begin[order[j]]
-            least[0, i, j] = stretches[0, i, j, :places, :others].min()
-            least[1, i, j] = stretches[1, i, j, :others, :places].min()
 
 
 @inlined
@@ -387,10 +393,9 @@ def _after(change: tuple[int, int, int]) -> int:
 
 
 @kernel
-def _bound(
-    order: IntArray, change: tuple[int, int, int], steps: FloatArray, least: FloatArray, ends: FloatArray
-) -> float:
-    """What the order that a change gives costs at least (`_fill_steps`, `_fill_least`)."""
+def _bound(order: IntArray, change: tuple[int, int, int], steps: FloatArray, known: Stretches) -> float:
+    """What the order that a change gives costs at least, by the least of each stretch and of `_fill_steps`."""
+    least, ends = known.least, known.ends
     n, before, after = len(order), min(change[1], change[2]) - 1, _after(change)
     at = n if before < 0 else order[before]
     whole: float = 0.0 if before < 0 else ends[0, before]
@@ -404,11 +409,9 @@ def _bound(
 
 
 @kernel
-def _trial(
-    order: IntArray, costs: Costs, change: tuple[int, int, int],
-    stretches: FloatArray, reached: FloatArray, onward: FloatArray, here: FloatArray,
-) -> float:  # fmt: skip
-    """The cost of the order that a change gives, by its stretches (`_fill_stretches`)."""
+def _trial(order: IntArray, costs: Costs, change: tuple[int, int, int], known: Stretches, here: FloatArray) -> float:
+    """The cost of the order that a change gives, by its stretches."""
+    stretches, reached, onward = known.stretches, known.reached, known.onward
     n, begin = len(order), costs.begin
     before, after = min(change[1], change[2]) - 1, _after(change)
     at, now = before, 0

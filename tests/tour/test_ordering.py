@@ -98,11 +98,10 @@ def test_every_change_costs_what_the_changed_order_does(capacity: int) -> None:
     for seed, n, most in itertools.product(range(3), (3, 4, 7), (1, 3)):
         costs = random_costs(seed, n, capacity=capacity, absent=0.2, most=most)
         order, places = np.random.default_rng(seed).permutation(n), int(np.diff(costs.begin).max())
-        stretches, reached, onward = np.empty((2, n, n, places, places)), np.empty((n, places)), np.empty((n, places))
-        ordering._fill_stretches(order, costs, stretches, reached, onward)
-        steps, least, ends = np.full((n + 1, n + 1), np.inf), np.empty((2, n, n)), np.empty((2, n))
+        shapes = (2, n, n, places, places), (n, places), (n, places), (2, n, n), (2, n)
+        known, steps = ordering.Stretches(*map(np.empty, shapes)), np.full((n + 1, n + 1), np.inf)
         ordering._fill_steps(costs, steps)
-        ordering._fill_least(order, costs, stretches, reached, onward, least, ends)
+        ordering._fill_stretches(order, costs, (0, n), known)
         single = (np.diff(costs.begin) == 1).all()
         table, here, other = np.empty((len(costs.first), 1)), np.empty((2, places)), order.copy()
         for kind, i, j in itertools.product(range(2 * SEGMENT + 1), range(n), range(n)):
@@ -111,9 +110,15 @@ def test_every_change_costs_what_the_changed_order_does(capacity: int) -> None:
                 continue
             ordering._change(order, (kind, i, j), other)
             assert sorted(other) == list(range(n))
-            trial = ordering._trial(order, costs, (kind, i, j), stretches, reached, onward, here)
+            trial = ordering._trial(order, costs, (kind, i, j), known, here)
             assert trial == pytest.approx(ordering._cost(other, costs, table), rel=1e-12)
-            bound = ordering._bound(order, (kind, i, j), steps, least, ends)
+            # What is written anew where the order has changed is what is written of all of it.
+            anew = ordering.Stretches(*(array.copy() for array in known))
+            whole = ordering.Stretches(*(np.full(shape, np.nan) for shape in shapes))
+            ordering._fill_stretches(other, costs, (min(i, j), ordering._after((kind, i, j))), anew)
+            ordering._fill_stretches(other, costs, (0, n), whole)
+            assert all((a[~np.isnan(b)] == b[~np.isnan(b)]).all() for a, b in zip(anew, whole, strict=True))
+            bound = ordering._bound(order, (kind, i, j), steps, known)
             assert bound == pytest.approx(trial, rel=1e-12) if single else bound <= trial * (1.0 + 1e-12)
 
 

@@ -152,7 +152,7 @@ def test_names_of_obstacles_and_fruits_cannot_break_the_panel(robot: Robot, resu
     assert "<b>x" not in markup
     assert "<img" not in markup
     data = data_of(page)
-    assert [phase["name"] for phase in data["phases"]] == list(names)
+    assert [phase["name"] for phase in data["arms"][0]["phases"]] == list(names)
     assert data["clearance"]["pairs"][:4] == [list(pair) for pair in pairs[:4]]
 
 
@@ -191,7 +191,11 @@ plot.dispatchEvent(new PointerEvent("pointerdown", { clientX: box.right - 10, bu
 seen.dragged = player.time();
 seen.charts = document.querySelectorAll("#charts figure").length;
 seen.wide = document.documentElement.scrollWidth - document.documentElement.clientWidth;
-seen.sizes = [...document.querySelectorAll("main button, main select, #time")].map(item => item.offsetHeight);
+const there = words => [...document.querySelectorAll(words)].filter(item => !item.hidden);
+seen.sizes = there("main button, main select, #time").map(item => item.offsetHeight);
+element("least").click();
+seen.nearest = [element("least").textContent, player.time()];
+seen.grey = [...document.querySelectorAll(".dg")].filter(item => item.offsetHeight > 0).length;
 seen.inked = [...document.querySelectorAll(".plot canvas")].map(canvas => {
   const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
   return data.reduce((count, value, k) => count + (k % 4 === 3 && value > 0), 0) / (data.length / 4);
@@ -200,23 +204,29 @@ document.title = JSON.stringify(seen);
 </script>"""
 
 
-@pytest.mark.browser
-def test_play_pause_scrub_and_keys_in_a_browser(page: str, result: PlanResult, tmp_path: Path) -> None:
+def tried(page: str, acts: str, folder: Path) -> dict[str, Any]:
+    """What is seen of a page after some acts, in a window 500 px wide, the least that there is."""
     chromium = shutil.which("chromium")
     if chromium is None:
         pytest.skip("headless chromium is not installed: the player cannot be tried")
-    file = tmp_path / "scene.html"
-    file.write_text(page.replace("</body>", f"{ACTS}</body>"), encoding="utf-8")
+    file = folder / "scene.html"
+    file.write_text(page.replace("</body>", f"{acts}</body>"), encoding="utf-8")
     flags = ["--headless=new", "--no-sandbox", "--disable-background-networking", "--disable-component-update",
              "--disable-sync", "--no-first-run", "--window-size=500,844", "--use-gl=angle", "--use-angle=swiftshader",
              "--enable-unsafe-swiftshader", "--virtual-time-budget=200"]  # fmt: skip
-    profile = f"--user-data-dir={tmp_path / 'profile'}"
+    profile = f"--user-data-dir={folder / 'profile'}"
     run = subprocess.run(
         [chromium, *flags, profile, "--dump-dom", file.as_uri()], capture_output=True, text=True, timeout=60, check=True
     )
     found = re.search(r"<title>(\{.*?\})</title>", run.stdout)
     assert found is not None, run.stderr[-2000:]
-    seen = json.loads(unescape(found.group(1)))
+    seen: dict[str, Any] = json.loads(unescape(found.group(1)))
+    return seen
+
+
+@pytest.mark.browser
+def test_play_pause_scrub_and_keys_in_a_browser(page: str, result: PlanResult, tmp_path: Path) -> None:
+    seen = tried(page, ACTS, tmp_path)
     duration = result.trajectory.duration
     assert (seen["playing"], seen["paused"]) == ("Pause", "Play")
     assert seen["scrubbed"] == [0.5] * len(seen["scrubbed"])
@@ -229,3 +239,56 @@ def test_play_pause_scrub_and_keys_in_a_browser(page: str, result: PlanResult, t
     assert (seen["charts"], seen["wide"]) == (5, 0)
     assert min(seen["sizes"]) >= 44
     assert min(seen["inked"]) > 0.3
+    curve = result.certificate.clearance_curve
+    assert curve is not None
+    words, at = seen["nearest"]
+    assert words == f"look: {at:.2f} s"
+    assert np.interp(at, curve.time, curve.clearance_m) == pytest.approx(np.min(curve.clearance_m), abs=1e-4)
+    assert seen["grey"] == 0
+
+
+TOUR_ACTS = """<script>
+const seen = {};
+const window_ = () => [shown.from, shown.to, Number(element("time").min), Number(element("time").max)];
+player.pause();
+player.seek(0.5);
+seen.first = window_();
+element("next").click();
+seen.next = [player.time(), ...window_()];
+const texts = words => [...document.querySelectorAll(words)].filter(item => !item.hidden).map(item => item.textContent);
+seen.named = texts("#fruits div");
+seen.phases = texts("#phases .row div");
+seen.overview = element("overview").offsetHeight;
+const wheel = { ctrlKey: true, deltaY: -200, clientX: 250, cancelable: true };
+document.querySelector(".plot").dispatchEvent(new WheelEvent("wheel", wheel));
+seen.zoomed = [element("zoom").value, ...window_()];
+element("zoom").value = "all";
+element("zoom").dispatchEvent(new Event("change"));
+seen.all = window_();
+seen.hidden = element("overview").offsetHeight;
+seen.cut = [...document.querySelectorAll("#controls *, #clock *, #certificate *")].filter(
+  item => item.getBoundingClientRect().right > document.documentElement.clientWidth).length;
+document.title = JSON.stringify(seen);
+</script>"""
+
+
+@pytest.mark.browser
+def test_time_line_and_charts_follow_the_leg_of_a_tour_and_zoom(robot: Robot, tmp_path: Path) -> None:
+    scene = load_scene("tour")
+    fruits = [fruit.name for fruit in scene.fruits][:20]
+    parts = (("transit", 0.0, 1.6), ("approach", 1.6, 2.4), ("retreat", 2.4, 3.0))
+    phases = [Phase(name, 3.0 * k + a, 3.0 * k + b) for k in range(len(fruits)) for name, a, b in parts]
+    picked = {fruit: 3.0 * k + 2.4 for k, fruit in enumerate(fruits)}
+    page = render_page(robot, scene, Playback(waving(robot, 3001), picked, phases=phases))
+    seen = tried(page, TOUR_ACTS, tmp_path)
+    assert seen["first"] == [0.0, 3.0, 0.0, 3.0]
+    assert seen["next"] == [3.0, 3.0, 6.0, 3.0, 6.0]
+    assert seen["named"] == [fruits[1]]
+    assert seen["phases"] == ["transit", "approach", "retreat"]
+    mode, begin, end, *_ = seen["zoomed"]
+    assert mode == "free"
+    assert 3.0 <= begin < end <= 6.0
+    assert end - begin == pytest.approx(3.0 * np.exp(-1.0))
+    assert seen["all"][:2] == [0.0, 60.0]
+    assert seen["overview"] > 0 == seen["hidden"]
+    assert seen["cut"] == 0

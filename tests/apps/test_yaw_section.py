@@ -139,7 +139,7 @@ def test_the_view_is_from_where_the_motion_is_seen(axis: int, side: int) -> None
     field = np.where(np.abs(away - 4.0) < 3.5, -0.01, 0.01)
     path = np.linspace([0.3, 0.3, 0.3], [1.2, 1.2, 1.2], 50)
     path[:, axis] = 0.75 - side * 0.1
-    section = YawSection(0.0, grid, field, path, np.zeros(50), np.linspace(0.0, 1.0, 50))
+    section = YawSection(0.0, grid, field, path, np.zeros(50), np.linspace(0.0, 1.0, 50), ("a", "b", "c"))
     azimuth = math.radians(section.view[0])
     assert side * (math.cos(azimuth), math.sin(azimuth))[axis] < 0.0
 
@@ -166,7 +166,9 @@ def test_the_page_holds_region_motion_and_labels(section: YawSection) -> None:
     np.testing.assert_allclose(start["matrix"][12:15], [-1.0] * 3, atol=1e-6)
     np.testing.assert_allclose(goal["matrix"][12:15], np.degrees(GOAL[1:]) / 45.0 - 1.0, atol=1e-6)
     texts = [item["textures"][0]["text"] for path, item in found.items() if path.startswith("/hplan/labels")]
-    assert sorted(texts) == sorted([*("0", "30", "60", "90") * 2, "30", "60", "90", *(f"θ{i} [deg]" for i in "₁₂₃")])
+    assert sorted(texts) == sorted(
+        [*("0", "30", "60", "90") * 2, "30", "60", "90", *(f"{name} [deg]" for name in section.joint_names)]
+    )
     (animation,) = [c for c in commands if c["type"] == "set_animation"]
     (track,) = animation["animations"][0]["clip"]["tracks"]
     np.testing.assert_allclose(track["values"][-3:], goal["matrix"][12:15], atol=1e-6)

@@ -43,7 +43,7 @@ def cspace_at_yaw(section: YawSection, title: str = "") -> Figure:
     colors = LinearSegmentedColormap.from_list("yaw distance", [_NEAR, _FAR])
     norm = Normalize(0.0, max(math.degrees(most), 1e-9))
     behind = _draw_motion(axes, section, towards, lambda distance: colors(norm(math.degrees(distance))))
-    joint_box(axes, grid, 1.04)
+    joint_box(axes, grid, 1.04, section.joint_names)
     turns = most > math.radians(0.5)
     words = "motion, projected" if turns else "motion"
     if behind:

@@ -1,7 +1,7 @@
 """The interactive page of the C-space at one yaw: the forbidden region, the motion, and a ball that runs along it.
 
-The joints' ranges become a cube, theta 1 to the right, theta 2 backwards, theta 3 up; the region's surface is that of
-the figures. Where the motion's yaw is far from the region's, its line is pale.
+The joints' ranges become a cube, the first joint to the right, the second backwards, the third up; the region's
+surface is that of the figures. Where the motion's yaw is far from the region's, its line is pale.
 """
 
 from __future__ import annotations
@@ -43,10 +43,10 @@ def render_cspace_page(section: YawSection, title: str) -> str:
     """
     words = f"C-space at yaw {math.degrees(section.yaw):.1f}°"
     far = math.degrees(float(section.yaw_distance.max()))
-    entries = [("Forbidden", _REGION_COLOR), ("Motion", _MOTION_COLOR)]
+    entries = [("Forbidden", [_REGION_COLOR]), ("Motion", [_MOTION_COLOR])]
     if far > 0.5:
-        entries.append((f"Motion at a yaw {far:.0f}° apart", three.color_of(_FAR)))
-    entries += [("Start", START_COLOR), ("Goal", GOAL_COLOR)]
+        entries.append((f"Motion at a yaw {far:.0f}° apart", [three.color_of(_FAR)]))
+    entries += [("Start", [START_COLOR]), ("Goal", [GOAL_COLOR])]
     return document(title, words, entries, _commands(section))
 
 
@@ -65,7 +65,7 @@ def _commands(section: YawSection) -> list[Json]:
     corners = half * np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
     azimuth, elevation = np.radians(section.view)
     # The labels stand outside of the cube.
-    view = framing.frame(1.15 * corners, float(azimuth), float(elevation))
+    view = framing.frame(1.2 * corners, float(azimuth), float(elevation))
     motion = _place(section, section.grid.position(section.path))
     commands = [
         *framing.lights(view),
@@ -174,10 +174,10 @@ def _labels(section: YawSection) -> list[Json]:
     for axis, place in lines:
         texts = [(f"{tick:g}", _at(section, axis, tick), outside) for tick in _ticks(section, axis)]
         if axis == 2:
-            del texts[:1]  # it would stand where theta 2's end stands
-        texts.append((f"θ{'₁₂₃'[axis]} [deg]", 0.0, outside + 0.16 * half))
+            del texts[:1]  # it would stand where the second joint's end stands
+        texts.append((f"{section.joint_names[axis]} [deg]", 0.0, outside + 0.26 * half))
         for text, along, out in texts:
-            path = f"{ROOT}/labels/{node(f'theta {axis + 1}', text)}"
+            path = f"{ROOT}/labels/{node(f'joint {axis + 1}', text)}"
             commands.append(set_object(path, three.label(text, 0.06)))
             commands.append(set_transform(path, three.transform(position=place(along, out))))
     return commands

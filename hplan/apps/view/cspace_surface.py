@@ -8,6 +8,7 @@ it are found exactly by following the line of sight through the field; hidden pa
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -130,8 +131,10 @@ def draw_cspace_obstacle(axes: Any, grid: Grid, field: FloatArray) -> FloatArray
     return towards
 
 
-def joint_box(axes: Any, grid: Grid, zoom: float) -> None:
-    """Look of 3-D axes over three joint angles."""
+def joint_box(
+    axes: Any, grid: Grid, zoom: float, names: Sequence[str] = (r"$\theta_1$", r"$\theta_2$", r"$\theta_3$")
+) -> None:
+    """Look of 3-D axes over three joint angles; without names they are the paper's."""
     high = np.degrees(grid.coordinates(np.array(grid.shape) - 1))
     low = np.degrees(grid.lower)
     axes.set_xlim(low[0], high[0])
@@ -139,9 +142,9 @@ def joint_box(axes: Any, grid: Grid, zoom: float) -> None:
     axes.set_zlim(low[2], high[2])
     axes.set_box_aspect((1.0, 1.0, 1.0), zoom=zoom)
     panes(axes)
-    axes.set_xlabel(r"$\theta_1$ [deg]", labelpad=2)
-    axes.set_ylabel(r"$\theta_2$ [deg]", labelpad=2)
-    axes.set_zlabel(r"$\theta_3$ [deg]", labelpad=0)
+    axes.set_xlabel(f"{names[0]} [deg]", labelpad=2)
+    axes.set_ylabel(f"{names[1]} [deg]", labelpad=2)
+    axes.set_zlabel(f"{names[2]} [deg]", labelpad=0)
     for axis, first, last in zip((axes.xaxis, axes.yaxis, axes.zaxis), low, high, strict=True):
         axis.set_ticks([tick for tick in np.arange(-360.0, 361.0, 30.0) if first <= tick <= last + 1e-9])
     axes.xaxis.set_ticks([tick for tick in axes.get_xticks() if tick > low[0] + 1e-9])  # it stands where theta2's ends

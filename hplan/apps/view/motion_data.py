@@ -40,23 +40,26 @@ def motion_data(robot: Robot, scene: Scene, playback: Playback) -> Json:
     Args:
         scene: Its clearance is the one to keep.
     """
-    trajectory, phases = playback.trajectory, _phases(playback)
+    trajectory = playback.trajectory
+    arms = playback.arms or {"": playback.phases}
+    rows: list[Json] = [{"name": name, "phases": _phases(phases, playback, name)} for name, phases in arms.items()]
     return {
         "duration": round(trajectory.duration, 6),
         "rest": REST_S,
         "joints": list(robot.joint_names),
-        "phases": phases,
-        "fruits": _fruits(phases) if len(playback.picked) > 1 else [],
+        "arms": rows,
+        "legs": _legs(rows[0]["phases"]) if len(rows) == 1 and len(playback.picked) > 1 else [],
         "charts": _charts(robot, trajectory),
         "clearance": None if playback.curve is None else _clearance(playback.curve, scene.clearance),
     }
 
 
-def _phases(playback: Playback) -> list[Json]:
-    """The phases, and the fruit that each is about."""
+def _phases(phases: Sequence[Phase], playback: Playback, arm: str) -> list[Json]:
+    """Phases of one arm, and the fruit that each is about."""
+    own = {fruit: time for fruit, time in playback.picked.items() if playback.pickers.get(fruit, "") == arm}
     return [
         {"name": phase.name, "start": round(phase.start_s, 6), "end": round(phase.end_s, 6), "fruit": fruit}
-        for phase, fruit in zip(playback.phases, _fruit_of_each(playback.phases, playback.picked), strict=True)
+        for phase, fruit in zip(phases, _fruit_of_each(phases, own), strict=True)
     ]
 
 
@@ -73,8 +76,8 @@ def _fruit_of_each(phases: Sequence[Phase], picked: Mapping[str, float]) -> list
     return found
 
 
-def _fruits(phases: Sequence[Json]) -> list[Json]:
-    """From when to when a tour is about each of its fruits, in order."""
+def _legs(phases: Sequence[Json]) -> list[Json]:
+    """From when to when a tour is about each of its fruits, in order; None for the leg back."""
     spans: list[Json] = []
     for phase in phases:
         name = phase["fruit"]
@@ -82,7 +85,7 @@ def _fruits(phases: Sequence[Json]) -> list[Json]:
             spans[-1]["end"] = phase["end"]
         else:
             spans.append({"name": name, "start": phase["start"], "end": phase["end"]})
-    return [span for span in spans if span["name"] is not None]
+    return spans
 
 
 def _charts(robot: Robot, trajectory: Trajectory) -> list[Json]:

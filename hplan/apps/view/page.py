@@ -47,37 +47,38 @@ def render_page(robot: Robot, scene: Scene, playback: Playback) -> str:
     instance("scene", scene, Scene, "load_scene")
     trajectory = instance("playback", playback, Playback, "Playback.of").trajectory
     moves = trajectory.samples > 1
-    entries = [("Start", START_COLOR), ("Goal", GOAL_COLOR)] if moves else []
-    if moves and any(phase.name == "approach" for phase in playback.phases):
-        entries.append(("Approach", APPROACH_COLOR))
-    for look in scenery.looks(scene):
-        one = look is scenery.OTHER and len(scene.obstacles) == 1
-        entries.append(("Obstacle" if one else look.label, look.color))
+    entries: list[tuple[str, Sequence[int]]] = [("Start", [START_COLOR]), ("Goal", [GOAL_COLOR])] if moves else []
+    if moves and any(phase.name == "approach" for phase in playback.every_phase):
+        entries.append(("Approach", [APPROACH_COLOR]))
+    colors = [look.color for look in scenery.looks(scene)]
+    if colors:
+        entries.append(("Obstacle" if len(scene.obstacles) == 1 else "Obstacles", colors))
     if scene.fruits:
-        entries.append(("Fruit", scenery.FRUIT_COLOR))
+        entries.append(("Fruit", [scenery.FRUIT_COLOR]))
     if scene.goal.fruit is not None and len(playback.picked) < 2:
-        entries.append(("Fruit to pick", scenery.HALO_COLOR))
+        entries.append(("Fruit to pick", [scenery.HALO_COLOR]))
     if moves and playback.picked:
-        entries.append(("Picked", scenery.PICKED_COLOR))
+        entries.append(("Picked", [scenery.PICKED_COLOR]))
     subtitle = f"{robot.name}, {trajectory.duration:.2f} s" if moves else f"{robot.name}, at rest"
     panel = _panel(robot, scene, playback) if moves else ""
     return document(scene.name, subtitle, entries, stage(robot, scene, playback), panel)
 
 
 def document(
-    title: str, subtitle: str, entries: Iterable[tuple[str, int]], commands: Sequence[Json], panel: str = ""
+    title: str, subtitle: str, entries: Iterable[tuple[str, Sequence[int]]], commands: Sequence[Json], panel: str = ""
 ) -> str:
     """A page of meshcat's viewer as HTML text, self-contained.
 
     Args:
+        entries: Of the legend: what is shown, and in which colours.
         panel: HTML below the picture; without it the picture fills the window.
 
     Raises:
         HplanError: meshcat, which brings the viewer, is not installed.
     """
-    legend = "\n".join(
-        f'<span><i style="background: #{color:06x}"></i>{html.escape(text)}</span>' for text, color in entries
-    )
+    dots = '<i style="background: #{:06x}"></i>'.format
+    named = ((html.escape(text), "".join(map(dots, colors))) for text, colors in entries)
+    legend = "\n".join(f"<span>{colored}{text}</span>" for text, colored in named)
     return Template(view_asset("page.html")).substitute(
         title=html.escape(title),
         subtitle=html.escape(subtitle),

@@ -40,7 +40,8 @@ class Playback:
         clearance_curve: Its clearance over time; the certificate's own where this is None.
         begin_s: Time at which it begins, as the tracks of the scene count it [s].
         arms: Of several arms the parts of each one's motion, by its name.
-        tools: Fruit and the frame that picks it; where it is not named, the robot's tool frame.
+        frames: Of several arms the tool frame of each, by its name.
+        pickers: Of several arms the name of the one that picks each fruit.
     """
 
     trajectory: Trajectory
@@ -51,7 +52,8 @@ class Playback:
     clearance_curve: ClearanceCurve | None = None
     begin_s: float = 0.0
     arms: Mapping[str, Sequence[Phase]] = field(default_factory=dict)
-    tools: Mapping[str, str] = field(default_factory=dict)
+    frames: Mapping[str, str] = field(default_factory=dict)
+    pickers: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Check what is to be shown.
@@ -122,15 +124,17 @@ def playable(result: Shown) -> tuple[Robot, Scene, Playback]:
         phases = getattr(given, "phases", ())
         return given.robot, given.scene, Playback(given.trajectory, picked, dropped, phases, given.certificate)
     arms: dict[str, Sequence[Phase]] = {}
-    tools: dict[str, str] = {}
+    pickers: dict[str, str] = {}
     for name, tours in getattr(given, "tours", {}).items():
-        legs, tool = [leg for tour in tours for leg in tour.legs], given.cell.arm(name).robot.tool_frame
+        legs = [leg for tour in tours for leg in tour.legs]
         begins = zip(given.begins_s[name], legs, strict=True)
         arms[name] = tuple(phase.later(begin - leg.begin_s) for begin, leg in begins for phase in leg.phases)
-        tools |= {leg.fruit: f"{name}_{tool}" for leg in legs if leg.fruit is not None}
+        pickers |= {leg.fruit: name for leg in legs if leg.fruit is not None}
+    frames = {arm.name: f"{arm.name}_{arm.robot.tool_frame}" for arm in given.cell.arms}
     # What was shown of all arms, as one certificate, without its course over time.
     least = min(given.parts, key=lambda part: part.min_clearance_m)
     violations = tuple(violation for part in given.parts for violation in part.violations)
     whole = replace(least, verified=all(part.verified for part in given.parts), violations=violations, subject=None)
     scene = given.cell.task(given.trajectory.position[-1], given.trajectory.position[0])
-    return given.cell.robot, scene, Playback(given.trajectory, picked, arms=arms, tools=tools, certificate=whole)
+    motion = Playback(given.trajectory, picked, certificate=whole, arms=arms, frames=frames, pickers=pickers)
+    return given.cell.robot, scene, motion

@@ -26,7 +26,7 @@ from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 from hplan.scene.obstacles import Solid
 from hplan.scene.solids import CUBE_CORNERS
-from hplan.trajectory.trajectory import Trajectory
+from hplan.trajectory.trajectory import Phase, Trajectory
 
 #: Most keyframes for each second of motion, and most of a whole motion: pages of long tours stay small.
 FRAME_RATE_HZ = 60.0
@@ -78,7 +78,10 @@ def stage(robot: Robot, scene: Scene, playback: Playback) -> list[Json]:
             last = _row_at(trajectory, picks[0].since if picks else trajectory.duration)
             commands.extend(_ghost(robot, trajectory.position[0], "start", START_COLOR, 1))
             commands.extend(_ghost(robot, trajectory.position[last], "goal", GOAL_COLOR, 2))
-        commands.append(set_object(f"{ROOT}/tool path", _tool_path(robot, playback)))
+        body = Body()
+        for name, tool in playback.frames.items() or [("", robot.tool_frame)]:
+            _add_tool_path(body, robot, playback, tool, playback.arms.get(name, playback.phases))
+        commands.append(set_object(f"{ROOT}/tool path", body))
         commands.extend(scenery.picked_fruits(picks))
         commands.append(_animation(robot, scene, playback, picks))
     return commands
@@ -181,13 +184,13 @@ def _row_at(trajectory: Trajectory, time: float) -> int:
     return int(np.argmin(np.abs(trajectory.time - time)))
 
 
-def _tool_path(robot: Robot, playback: Playback) -> Body:
-    """The tool's path as a tube that turns from the start's colour to the goal's, approaches apart; a ball each end."""
-    body, trajectory = Body(), playback.trajectory
-    tool = robot.tool_positions(trajectory.position)
+def _add_tool_path(body: Body, robot: Robot, playback: Playback, frame: str, phases: Sequence[Phase]) -> None:
+    """A tool's path as a tube that turns from the start's colour to the goal's, approaches apart; a ball each end."""
+    trajectory = playback.trajectory
+    tool = robot.forward_kinematics(trajectory.position, frame)[:, :3, 3]
     stretches = [
         (phase.name, _row_at(trajectory, phase.start_s), _row_at(trajectory, phase.end_s))
-        for phase in playback.phases
+        for phase in phases
         if phase.name != "retreat"  # the approach's path, backwards
     ] or [("transit", 0, trajectory.samples - 1)]
     last = stretches[-1][2]
@@ -211,7 +214,6 @@ def _tool_path(robot: Robot, playback: Playback) -> Body:
                 colors = np.tile(_rgb(APPROACH_COLOR), (count + 1, 1))
             tube = three.tube(points, 1.2 * radius if name == "approach" else radius, colors, sides=sides)
             body.add(tube, surface, name="way" if name == "transit" else name, shadow=False)
-    return body
 
 
 # Ground and camera.

@@ -225,7 +225,7 @@ def picks(scene: Scene, playback: Playback) -> list[Pick]:
         until = min((retreat.end_s for retreat in retreats if abs(retreat.start_s - time) < 1e-3), default=math.inf)
         until = float(playback.dropped.get(name, until))
         until = until if until < duration - 1e-9 else math.inf
-        result.append(Pick(known[name], float(time), until, playback.tools.get(name)))
+        result.append(Pick(known[name], float(time), until, playback.frames.get(playback.pickers.get(name, ""))))
     for number, pick in enumerate(result):  # a tool holds one fruit
         following = next((other.since for other in result[number + 1 :] if other.tool == pick.tool), math.inf)
         result[number] = replace(pick, until=min(pick.until, following))

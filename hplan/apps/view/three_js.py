@@ -216,9 +216,10 @@ def surface(vertices: FloatArray, faces: IntArray) -> Json:
 
 def label(text: str, height: float) -> Json:
     """A text that always faces the camera, as an object for a node; its letters are about `height` [m] tall."""
-    texture = {"uuid": "text", "type": "_text", "text": text, "font_size": 60, "font_face": "sans-serif"}
+    size = min(60, 420 // max(len(text), 1))  # a square of 256 px is to hold it
+    texture = {"uuid": "text", "type": "_text", "text": text, "font_size": size, "font_face": "sans-serif"}
     look = {"uuid": "look", "type": "SpriteMaterial", "map": "text", "transparent": True, "depthWrite": False}
-    side = round(height * 256.0 / 45.0, 6)  # letters of 60 px are 45 px tall, in a square of 256 px
+    side = round(height * 256.0 / (0.75 * size), 6)  # letters of 60 px are 45 px tall
     return {
         "metadata": {"version": 4.5, "type": "Object"},
         "textures": [texture],

@@ -41,6 +41,7 @@ class YawSection:
         path: (m, 3) planar joints along the motion, evenly spaced, from the start to the goal.
         yaw_distance: (m,) distance of the motion's yaw from `yaw` there.
         times: (m,) when it is there [s].
+        joint_names: Names of the planar joints.
     """
 
     yaw: float
@@ -49,6 +50,7 @@ class YawSection:
     path: FloatArray
     yaw_distance: FloatArray
     times: FloatArray
+    joint_names: tuple[str, ...]
 
     @property
     def view(self) -> tuple[float, float]:
@@ -118,6 +120,7 @@ def yaw_section(
         path=frozen(np.ascontiguousarray(path[:, planar])),
         yaw_distance=frozen(np.abs(path[:, 0] - at) if robot.has_yaw else np.zeros(len(path))),
         times=frozen(np.interp(stations, along[moving], times[moving])),
+        joint_names=robot.joint_names[planar],
     )
 
 

@@ -13,7 +13,7 @@ const PHASES = {
 };
 const colorOf = joint => COLORS[joint % COLORS.length];
 const dashOf = joint => DASHES[Math.floor(joint / COLORS.length) % DASHES.length];
-const phaseAt = time => motion.phases.find(phase => time < phase.end) || motion.phases[motion.phases.length - 1];
+const phaseAt = (phases, time) => phases.find(phase => time < phase.end) || phases[phases.length - 1];
 
 function made(kind, parent, text) {
   const item = document.createElement(kind);
@@ -56,37 +56,125 @@ var player = (() => {
   };
 })();
 
+// The part of the motion that time line and charts show: all of it, the leg that plays, or some seconds that go along.
+const shown = (() => {
+  const followers = [], legs = motion.legs;
+  let from = 0, to = motion.duration, mode = "all";
+  const set = (begin, end) => {
+    const span = Math.min(Math.max(end - begin, 0.05), motion.duration);
+    const first = Math.min(Math.max(begin, 0), motion.duration - span);
+    if (first === from && first + span === to) return;
+    from = first;
+    to = first + span;
+    followers.forEach(follow => follow());
+  };
+  const along = (time, span) => set(time - 0.1 * span, time + 0.9 * span);
+  const legAt = time => Math.max(0, legs.findIndex((leg, k) => time < leg.end || k === legs.length - 1));
+  const follow = time => {
+    if (mode === "leg") set(legs[legAt(time)].start, legs[legAt(time)].end);
+    else if (time < from || time > to) along(time, to - from);
+  };
+  return {
+    get from() { return from; },
+    get to() { return to; },
+    share: time => (time - from) / (to - from),
+    time: share => from + Math.min(Math.max(share, 0), 1) * (to - from),
+    choose: value => {
+      mode = value;
+      if (value === "all") set(0, motion.duration);
+      else if (value === "leg") follow(player.time());
+      else along(player.time(), Number(value));
+    },
+    // Nearer by a factor, with a time kept where it is.
+    zoom: (time, factor) => {
+      mode = element("zoom").value = "free";
+      set(time - (time - from) * factor, time + (to - time) * factor);
+    },
+    leg: by => {
+      const at = legAt(player.time()), again = by < 0 && player.time() > legs[at].start + 0.3;
+      player.seek(legs[Math.min(Math.max(at + (again ? 0 : by), 0), legs.length - 1)].start);
+    },
+    follow,
+    onChange: follower => followers.push(follower),
+  };
+})();
+
 // The picture.
 if (viewer) {
   viewer.animator.pause();
-  viewer.animator.folder.domElement.style.display = "none";  // its buttons would be second ones
   player.follow(time => viewer.animator.seek(time));
 }
+player.follow(shown.follow);
 
 // Controls and time line.
 {
-  const slider = element("time"), play = element("play"), clock = element("clock").children;
-  const share = time => 100 * time / motion.duration + "%";
+  const slider = element("time"), play = element("play"), clock = element("clock").children, zoom = element("zoom");
+  const colorOfPhase = part => PHASES[part.name] || PHASES.return;
+  const placed = [];
   const segments = (parent, parts, words, color) => parts.forEach(part => {
-    const segment = made("div", parent, words(part));
+    const segment = made("div", parent);
     segment.title = `${words(part)}: ${part.start.toFixed(2)} to ${part.end.toFixed(2)} s`;
-    segment.style.left = share(part.start);
-    segment.style.width = share(part.end - part.start);
     if (color) segment.style.background = color(part);
+    placed.push([segment, part, words(part)]);
   });
-  segments(element("fruits"), motion.fruits, part => part.name);
-  segments(element("phases"), motion.phases, part => part.name, part => PHASES[part.name] || PHASES.return);
   // A name that does not fit becomes its last word, then none.
-  const trim = () => document.querySelectorAll("#phases div, #fruits div").forEach(segment => {
-    const name = segment.title.slice(0, segment.title.lastIndexOf(": "));
+  const place = () => placed.forEach(([segment, part, name]) => {
+    const [left, right] = [part.start, part.end].map(time => Math.min(Math.max(shown.share(time), 0), 1));
+    segment.style.left = 100 * left + "%";
+    segment.style.width = 100 * (right - left) + "%";
+    segment.hidden = right <= left;
     segment.textContent = [name, name.split(" ").pop(), ""].find(words => {
       segment.textContent = words;
       return segment.scrollWidth <= segment.clientWidth;
     });
   });
-  window.addEventListener("resize", trim);
-  trim();
-  const kinds = new Set(motion.phases.map(phase => phase.name));
+  segments(element("fruits"), motion.legs, part => part.name || "return");
+  motion.arms.forEach(arm => {
+    const row = made("div", element("phases"));
+    row.className = "row";
+    segments(row, arm.phases, part => (arm.name && part.fruit) || part.name, colorOfPhase);
+    if (arm.name) made("b", row, arm.name);
+  });
+  element("phases").style.setProperty("--rows", motion.arms.length);
+  element("timeline").classList.toggle("several", motion.arms.length > 1);
+  // The whole motion, small, while a part of it is shown.
+  const overview = element("overview"), frame = made("i", overview);
+  motion.arms.slice(0, 1).forEach(arm => arm.phases.forEach(part => {
+    const segment = made("div", overview);
+    segment.style.left = 100 * part.start / motion.duration + "%";
+    segment.style.width = 100 * (part.end - part.start) / motion.duration + "%";
+    segment.style.background = colorOfPhase(part);
+  }));
+  const jump = event => {
+    const box = overview.getBoundingClientRect();
+    player.scrub(motion.duration * (event.clientX - box.left) / box.width);
+  };
+  overview.addEventListener("pointerdown", event => { overview.setPointerCapture(event.pointerId); jump(event); });
+  overview.addEventListener("pointermove", event => { if (event.buttons) jump(event); });
+  const look = () => {
+    slider.min = shown.from;
+    slider.max = shown.to;
+    slider.value = player.time();
+    overview.hidden = shown.to - shown.from > 0.999 * motion.duration;
+    frame.style.left = 100 * shown.from / motion.duration + "%";
+    frame.style.width = 100 * (shown.to - shown.from) / motion.duration + "%";
+    place();
+  };
+  shown.onChange(look);
+  window.addEventListener("resize", place);
+  look();
+  [["all", "all"], ...(motion.legs.length ? [["leg", "leg"]] : []), ...[20, 5, 2, 1].filter(span => span < 0.7 * motion.duration).map(
+    span => [String(span), span + " s"])].forEach(([value, words]) => { made("option", zoom, words).value = value; });
+  const free = made("option", zoom, "zoomed");
+  free.value = "free";
+  free.hidden = true;
+  zoom.addEventListener("change", () => shown.choose(zoom.value));
+  if (motion.legs.length > 2) shown.choose(zoom.value = "leg");
+  ["back", "next"].forEach((id, k) => {
+    element(id).hidden = !motion.legs.length;
+    element(id).addEventListener("click", () => shown.leg(2 * k - 1));
+  });
+  const kinds = new Set(motion.arms.flatMap(arm => arm.phases.map(phase => phase.name)));
   if (kinds.size > 1) kinds.forEach(name => {
     const key = made("span", element("key"));
     made("i", key).style.background = PHASES[name] || PHASES.return;
@@ -94,12 +182,12 @@ if (viewer) {
   });
   const joiners = { drop: " of ", retreat: " from " };
   const aboutFruit = ({ name, fruit }) => (fruit === null ? name : name + (joiners[name] || " to ") + fruit);
-  slider.max = motion.duration;
   slider.addEventListener("input", () => player.scrub(Number(slider.value)));
   play.addEventListener("click", player.toggle);
   element("speed").addEventListener("change", event => player.setSpeed(Number(event.target.value)));
   player.follow((time, playing) => {
-    const words = motion.phases.length ? aboutFruit(phaseAt(time)) : "";
+    const words = motion.arms.filter(arm => arm.phases.length).map(arm => (arm.name ? arm.name + ": " : "")
+      + aboutFruit(phaseAt(arm.phases, time))).join(", ");
     slider.value = time;
     slider.setAttribute("aria-valuetext", `${time.toFixed(2)} s ${words}`);
     play.textContent = playing ? "\u275a\u275a" : "\u25b6\ufe0e";
@@ -110,11 +198,13 @@ if (viewer) {
   document.addEventListener("keydown", event => {
     if (event.target.closest("select, button") && event.key !== "ArrowLeft" && event.key !== "ArrowRight") return;
     if (event.target.closest("select") || event.ctrlKey || event.altKey || event.metaKey) return;
-    const step = motion.duration / (event.shiftKey ? 10 : 100);
+    const step = (shown.to - shown.from) / (event.shiftKey ? 10 : 100);
     const actions = {
       " ": player.toggle,
       ArrowLeft: () => player.scrub(player.time() - step),
       ArrowRight: () => player.scrub(player.time() + step),
+      PageUp: () => motion.legs.length && shown.leg(-1),
+      PageDown: () => motion.legs.length && shown.leg(1),
       Home: () => player.seek(0),
       End: () => player.seek(motion.duration),
     };
@@ -151,7 +241,8 @@ function chart(title, note, yOf, draw, tell) {
   plot.className = "plot";
   now.className = "now";
   let width = 0, height = 0;
-  const xOf = time => EDGE.left + (width - EDGE.left - EDGE.right) * time / motion.duration;
+  const xOf = time => EDGE.left + (width - EDGE.left - EDGE.right) * shown.share(time);
+  const timeAt = event => shown.time((event.clientX - plot.getBoundingClientRect().left - EDGE.left) / (width - EDGE.left - EDGE.right));
   const redraw = () => {
     const ratio = window.devicePixelRatio || 1;
     width = plot.clientWidth;
@@ -161,44 +252,71 @@ function chart(title, note, yOf, draw, tell) {
     const pen = canvas.getContext("2d"), y = value => EDGE.top + (height - EDGE.top - EDGE.bottom) * yOf(value);
     pen.scale(ratio, ratio);
     pen.font = "11px system-ui, 'DejaVu Sans', sans-serif";
-    motion.phases.forEach(phase => {
-      pen.globalAlpha = 0.35;
+    const area = { left: EDGE.left, right: width - EDGE.right, bottom: height - EDGE.bottom };
+    // What follows is drawn inside of the frame only, up to `restore`.
+    const clip = () => {
+      pen.save();
+      pen.beginPath();
+      pen.rect(area.left, 0, area.right - area.left, height);
+      pen.clip();
+    };
+    clip();
+    pen.globalAlpha = 0.35;
+    (motion.arms.length === 1 ? motion.arms[0].phases : []).forEach(phase => {
       pen.fillStyle = PHASES[phase.name] || PHASES.return;
-      pen.fillRect(xOf(phase.start), EDGE.top, xOf(phase.end) - xOf(phase.start), height - EDGE.top - EDGE.bottom);
+      pen.fillRect(xOf(phase.start), EDGE.top, xOf(phase.end) - xOf(phase.start), area.bottom - EDGE.top);
     });
-    pen.globalAlpha = 1;
+    pen.restore();
     pen.fillStyle = QUIET;
     pen.textAlign = "center";
-    const step = steps(motion.duration, Math.max(2, width / 70)), digits = Math.max(0, -Math.floor(Math.log10(step) + 1e-9));
-    for (let time = 0; time <= motion.duration * 0.985; time += step) {
-      pen.fillText(time.toFixed(digits) + (time === 0 ? " s" : ""), xOf(time) + (time === 0 ? 4 : 0), height - 4);
+    const span = shown.to - shown.from, step = steps(span, Math.max(2, width / 70));
+    const digits = Math.max(0, -Math.floor(Math.log10(step) + 1e-9));
+    for (let k = Math.ceil(shown.from / step - 1e-9); k * step <= shown.to - 0.015 * span; k++) {
+      const first = xOf(k * step) < EDGE.left + 12;
+      pen.fillText((k * step).toFixed(digits) + (first ? " s" : ""), xOf(k * step) + (first ? 6 : 0), height - 4);
     }
-    draw(pen, xOf, y, { left: EDGE.left, right: width - EDGE.right, bottom: height - EDGE.bottom });
+    draw(pen, xOf, y, area, clip);
+    pen.restore();
     move(player.time());
   };
   const move = time => {
+    cursor.hidden = time < shown.from - 1e-9 || time > shown.to + 1e-9;
     cursor.style.transform = `translateX(${xOf(time) - 1}px)`;
     tell(time);
   };
-  const scrub = event => {
-    const left = plot.getBoundingClientRect().left + EDGE.left;
-    player.scrub(motion.duration * (event.clientX - left) / (width - EDGE.left - EDGE.right));
-  };
-  // A finger that goes up or down scrolls the page; one that goes along, or taps, moves the time.
+  const scrub = event => player.scrub(timeAt(event));
+  // A finger that goes up or down scrolls the page; one that goes along, or taps, moves the time; two of them zoom, as
+  // the wheel does with Ctrl.
   let down = null;
+  const fingers = new Map();
+  const apart = () => Math.max(10, Math.abs([...fingers.values()].reduce((a, b) => a.clientX - b.clientX)));
+  plot.addEventListener("wheel", event => {
+    if (!event.ctrlKey) return;
+    event.preventDefault();
+    shown.zoom(timeAt(event), Math.exp(0.005 * event.deltaY));
+  }, { passive: false });
+  plot.addEventListener("dblclick", () => shown.choose(element("zoom").value = "all"));
   plot.addEventListener("pointerdown", event => {
+    fingers.set(event.pointerId, event);
+    if (fingers.size > 1) { down = null; return; }
     down = [event.clientX, event.clientY, event.pointerType !== "touch"];
     plot.setPointerCapture(event.pointerId);
     if (down[2]) scrub(event);
   });
   plot.addEventListener("pointermove", event => {
+    if (fingers.size === 2 && fingers.has(event.pointerId)) {
+      const before = apart();
+      fingers.set(event.pointerId, event);
+      shown.zoom(timeAt(event), before / apart());
+    }
     if (down === null) return;
     const along = Math.abs(event.clientX - down[0]);
     down[2] = down[2] || (along > 5 && along > Math.abs(event.clientY - down[1]));
     if (down[2]) scrub(event);
   });
-  plot.addEventListener("pointerup", event => { if (down !== null) scrub(event); down = null; });
-  plot.addEventListener("pointercancel", () => { down = null; });
+  plot.addEventListener("pointerup", event => { fingers.delete(event.pointerId); if (down !== null) scrub(event); down = null; });
+  plot.addEventListener("pointercancel", event => { fingers.delete(event.pointerId); down = null; });
+  shown.onChange(redraw);
   new ResizeObserver(() => { if (plot.clientWidth !== width) redraw(); }).observe(plot);
   player.follow(move);
   return { now, redraw };
@@ -230,12 +348,22 @@ function clearanceChart(data) {
   const low = 10 ** Math.floor(Math.log10(Math.min(Math.max(least, floor), most / 10)));
   const high = most * 1.2, decades = Math.log10(high / low);
   const yOf = value => 1 - Math.min(Math.max(Math.log10(Math.max(value, low) / low) / decades, 0), 1);
-  const unbounded = finite.length === 0;
+  const unbounded = finite.length === 0, known_ = data.certain.map((value, k) => value ?? data.distance[k] ?? Infinity);
+  // Where it is nearest: the sentence about it leads there, a mark shows it.
+  const at = known_.reduce((best, value, k) => (value < known_[best] ? k : best), 0);
+  const least_ = known_[at] < Infinity ? { time: data.time[at], certain: known_[at] } : {};
+  if (least_.time !== undefined) {
+    const button = element("least");
+    button.textContent = `look: ${least_.time.toFixed(2)} s`;
+    button.hidden = false;
+    button.addEventListener("click", () => player.scrub(least_.time));
+  }
   const words = length => (length === null ? "not bounded" : length < 99.95 ? length.toFixed(2) + " mm" : (length / 10).toFixed(1) + " cm");
-  const draw = (pen, xOf, y, area) => {
+  const draw = (pen, xOf, y, area, clip) => {
     for (let tick = low; tick <= high; tick *= 10) {
       rule(pen, area, y(tick), GRID, [], tick < 9.99 ? Number(tick.toPrecision(1)) + " mm" : tick < 999 ? Math.round(tick) / 10 + " cm" : Math.round(tick) / 1000 + " m");
     }
+    clip();
     if (unbounded) {
       pen.textAlign = "center";
       pen.fillStyle = QUIET;
@@ -268,6 +396,13 @@ function clearanceChart(data) {
     line(pen, COLORS[0], 1.8, []);
     path(certain);
     pen.stroke();
+    if (least_.time !== undefined) {
+      const [x, top] = [xOf(least_.time), y(Math.max(least_.certain, low))];
+      pen.fillStyle = COLORS[1];
+      pen.beginPath();
+      [[0, -2], [-5, -11], [5, -11]].forEach(([dx, dy]) => pen.lineTo(x + dx, top + dy));
+      pen.fill();
+    }
     if (data.keep > 0) {
       rule(pen, area, y(data.keep), LIMIT, [5, 3]);
       pen.textAlign = "left";
@@ -293,13 +428,14 @@ function clearanceChart(data) {
 function sharesChart(data) {
   const peak = Math.max(1000, ...data.shares.map(values => values.reduce((most, value) => Math.max(most, Math.abs(value)), 0))) * 1.06;
   const yOf = value => 0.5 - 0.5 * value / peak;
-  const draw = (pen, xOf, y, area) => {
+  const draw = (pen, xOf, y, area, clip) => {
     [-500, 500].forEach(value => rule(pen, area, y(value), GRID, []));
     rule(pen, area, y(0), "#a9b4bf", [], undefined);
     pen.fillStyle = QUIET;
     pen.textAlign = "right";
     pen.fillText("0", area.left - 5, y(0) + 4);
     [-1000, 1000].forEach(value => rule(pen, area, y(value), LIMIT, [5, 3], value / 10 + " %"));
+    clip();
     data.shares.forEach((values, joint) => {
       line(pen, colorOf(joint), 1.6, dashOf(joint));
       values.forEach((value, k) => (k ? pen.lineTo(xOf(data.time[k]), y(value)) : pen.moveTo(xOf(data.time[k]), y(value))));

@@ -16,7 +16,8 @@ if TYPE_CHECKING:
     from hplan.errors import HplanError
     from hplan.online.planner import Planner
     from hplan.online.warm_up import warm_up
-    from hplan.planning.cell import Cell, CellResult, certify_cell, load_cell, plan_cell
+    from hplan.planning.cell import Cell, CellResult, certify_cell, load_cell
+    from hplan.planning.cell_planner import plan_cell
     from hplan.planning.configuration_check import ConfigurationCheck, check
     from hplan.planning.finishing.finish import finish
     from hplan.planning.options import PlanOptions

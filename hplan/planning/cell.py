@@ -1,23 +1,15 @@
-"""Several arms beside one another: planned each by itself, brought together on one clock, certified against each other.
+"""Cells: several arms beside one another, and what is certified of their motions.
 
 A cell is one robot (`hplan.robot.several`): a tree of joints in which every body of one arm against every body of
 another is a pair of its own, so that what is planned, certified, stopped or spliced for any robot holds for all arms
-at once. `plan_cell` looks for the motions in three ways, and takes the first that is as quick as any could be, or else
-the one that is done soonest:
-
-1. each arm by itself, all at the same time;
-2. the same motions, some of them begun later, in the order that is done soonest;
-3. all joints at once, as one robot's, along that path or, where there is none, any other: around each other.
-
-What it gives is certified twice: each arm among the obstacles, with the fruit that it reaches for, and all bodies of
-different arms against one another, over continuous time.
+at once. What is certified is shown twice: each arm among the obstacles, with the fruit that it reaches for, and all
+bodies of different arms against one another, over continuous time.
 """
 
 from __future__ import annotations
 
-import itertools
 import math
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -27,8 +19,7 @@ import numpy as np
 import pinocchio as pin
 
 from hplan.base.arguments import file_path, instance
-from hplan.base.arrays import BoolArray, FloatArray, IntArray, Record, readonly
-from hplan.base.deadline import Cancel, TimeIsUpError, time_limit
+from hplan.base.arrays import FloatArray, IntArray, Record, readonly
 from hplan.base.lazy_import import InNotebook
 from hplan.certificate.certificate import Certificate, GoalContact, certify
 from hplan.certificate.goal_contact import FruitContact
@@ -36,23 +27,9 @@ from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.collision_bodies import collision_bodies
 from hplan.collision.flat_bodies import BODIES
 from hplan.collision.touching_pairs import self_pairs
-from hplan.errors import (
-    CertificationError,
-    ConfigurationInCollisionError,
-    HplanError,
-    InputError,
-    NotFoundError,
-    NotInTimeError,
-    OptionError,
-    PathInContactError,
-    PlanCancelledError,
-    TimingError,
-)
-from hplan.planning.finishing.finish import finish
+from hplan.errors import InputError, OptionError
 from hplan.planning.options import PlanOptions
-from hplan.planning.plan import plan
 from hplan.planning.result import PlanResult
-from hplan.planning.task import Progress, no_progress
 from hplan.robot.model import Robot, load_robot
 from hplan.robot.several import joined_robots
 from hplan.scene.cell import CellRobot, CellScene
@@ -60,31 +37,10 @@ from hplan.scene.file import read_model
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.solids import rpy_rotation
 from hplan.trajectory.cubics import Rows, evaluate
-from hplan.trajectory.trajectory import Retimed, Trajectory, joined, stopped
+from hplan.trajectory.trajectory import Retimed, Trajectory, stopped
 
 #: How a cell's motions were found.
 How = Literal["at once", "one later", "around each other"]
-
-#: Times at which motions are compared before any is certified [s].
-_STEP_S: Final = 0.02
-
-#: Clearance between arms that those comparisons ask for beyond the one to keep [m].
-_SPARE: Final = 2e-3
-
-#: How many times of setting out are certified before others than the soonest are given up.
-_TRIED: Final = 6
-
-#: What is tried before all joints move at once.
-_WAYS: Final = ("all at once", "one after the other")
-
-#: Samples of a motion between which its path is taken for straight [s].
-_ALONG_S: Final = 0.05
-
-#: With a makespan of so many times the longest motion alone nothing quicker is looked for.
-_GOOD: Final = 1.02
-
-#: With more arms than this not every order is tried, but each arm once as the last.
-_ALL_ORDERS: Final = 4
 
 #: Rows nearer to each other than this are one [s].
 _SAME_S: Final = 1e-6
@@ -99,6 +55,7 @@ class CellArm(Record):
         robot: The arm by itself.
         scene: The cell as the arm's base sees it, and the arm's task; its goal is where it starts, if it has none.
         joints: (dof,) which joints of the cell's robot are its own.
+        base: Where the frame of `robot` and `scene` is in the cell's.
         is_waiting: True if it has no goal and stays where it is.
     """
 
@@ -106,7 +63,12 @@ class CellArm(Record):
     robot: Robot
     scene: Scene
     joints: IntArray
+    base: pin.SE3
     is_waiting: bool
+
+    def starting(self, q: FloatArray) -> CellArm:
+        """The arm where it begins at another (dof,) configuration."""
+        return replace(self, scene=self.scene.model_copy(update={"start": Start(joints_rad=tuple(q.tolist()))}))
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,6 +117,11 @@ class Cell(Record):
             raise InputError(f"the cell has no arm {name!r}; it has {', '.join(arm.name for arm in self.arms)}")
         return found
 
+    def starting(self, q: Mapping[str, FloatArray]) -> Cell:
+        """The cell with some of its arms, by name, at other (dof,) configurations at first."""
+        arms = tuple(arm.starting(q[arm.name]) if arm.name in q else arm for arm in self.arms)
+        return replace(self, arms=arms)
+
     def configuration(self, q: Mapping[str, FloatArray]) -> FloatArray:
         """(dof,) configuration of all joints, from those of the arms; where one is not given, its start."""
         found = np.empty(self.robot.dof)
@@ -174,12 +141,11 @@ class Cell(Record):
         found = self.scene.task(Goal(joints_rad=tuple(goal.tolist())), Start(joints_rad=tuple(begin.tolist())))
         return found if obstacles else found.model_copy(update={"obstacles": (), "fruits": ()})
 
-    def together(self, motions: Mapping[str, Trajectory], later_s: Mapping[str, float] | None = None) -> Trajectory:
+    def together(self, motions: Mapping[str, Trajectory]) -> Trajectory:
         """Motions of arms on one clock: who has none stays at its start, who has arrived where it is.
 
         Args:
             motions: The motion of each arm, by name, in its own joints.
-            later_s: By how much the motion of an arm begins later [s].
 
         Raises:
             InputError: No arm of that name, or a motion of other joints.
@@ -189,8 +155,7 @@ class Cell(Record):
             arm, motion = self.arm(name), instance(f"motion of {name}", motion, Trajectory, "plan or read_csv")
             if motion.joint_names != arm.robot.joint_names:
                 raise InputError(f"the motion of arm {name!r} moves {', '.join(motion.joint_names)}", arm=name)
-            later = (later_s or {}).get(name, 0.0)
-            rows[name] = (joined([standing(motion, later), motion]) if later > 0.0 else motion).rows
+            rows[name] = motion.rows
         times = np.unique(np.concatenate([np.zeros(1), *(own.time for own in rows.values())]))
         clock = times[np.concatenate([[True], np.diff(times) > _SAME_S])]
         shape = len(clock), self.robot.dof
@@ -406,210 +371,6 @@ def _covered(options: PlanOptions) -> dict[str, Any]:
     return {key: getattr(options, key) for key in ("tracking_error", "tracking_delay_s", "sigmas")}
 
 
-def plan_cell(
-    cell: Cell,
-    options: PlanOptions | None = None,
-    *,
-    progress: Progress = no_progress,
-    cancel: Cancel | None = None,
-) -> CellResult:
-    """Plan the motions of all arms of a cell, from their starts to their goals.
-
-    Args:
-        cell: Arms, obstacles and tasks; arms without a goal stay.
-        options: How to plan. A deadline is that of all together; without motion by then there is none.
-        progress: Called with the name of each stage as it begins.
-        cancel: As for `plan`.
-
-    Raises:
-        HplanError: As `plan`, of an arm by itself or of all as one: what is in the way, which arm of another too.
-        NotFoundError: No motion of all arms was found, and it was not shown that there is none.
-    """
-    instance("cell", cell, Cell, "load_cell")
-    options = PlanOptions() if options is None else instance("options", options, PlanOptions)
-    if options.bound:
-        raise OptionError("bound", options.bound, "False: motions of several arms have no bound but the longest alone")
-    with time_limit(options.deadline_s, cancel) as limit:
-        try:
-            return _CellPlanner(cell, replace(options, deadline_s=None), progress).result()
-        except TimeIsUpError:
-            raise limit.error(["motions of all arms"]) from None
-
-
-class _CellPlanner:
-    """One search for the motions of a cell."""
-
-    def __init__(self, cell: Cell, options: PlanOptions, progress: Progress) -> None:
-        self._cell, self._options, self._progress = cell, options, progress
-        self._alone: dict[str, PlanResult] = {}
-
-    def result(self) -> CellResult:
-        cell = self._cell
-        for arm in cell.arms:
-            if not arm.is_waiting:
-                self._progress(f"arm {arm.name}")
-                self._alone[arm.name] = plan(arm.robot, arm.scene, self._options)
-        motions = {name: result.trajectory for name, result in self._alone.items()}
-        self._progress("together")
-        found, least_s = self._scheduled(cell, motions), max((m.duration for m in motions.values()), default=0.0)
-        if found is not None and found.trajectory.duration <= _GOOD * least_s:
-            return found
-        self._progress("around each other")
-        try:
-            around = self._around(found)
-        except PlanCancelledError:
-            raise
-        except HplanError as error:
-            if found is None:
-                raise self._told(error) from error
-            around = None
-        each = [result for result in (found, around) if result is not None]
-        if not each:
-            raise NotFoundError(_WAYS)
-        return min(each, key=lambda result: round(result.trajectory.duration, 6))
-
-    def _told(self, error: HplanError) -> HplanError:
-        """An error of all joints as one robot's, as one of the cell's."""
-        if isinstance(error, NotFoundError) and not isinstance(error, NotInTimeError):
-            return NotFoundError([*_WAYS, *error.tried])
-        # Other grasps might do; goals by joints leave nothing to choose.
-        chosen = any(result.grasp for result in self._alone.values())
-        if chosen and isinstance(error, ConfigurationInCollisionError) and error.which == "goal":
-            grasps = f"the grasps of each arm by itself, with which {error.link!r} is in {error.obstacle!r}"
-            return NotFoundError([*_WAYS, grasps])
-        return error
-
-    def _checked(self, motion: Trajectory, how: How, later_s: Mapping[str, float]) -> CellResult:
-        contact = {name: result.certificate.goal_contact or "approach" for name, result in self._alone.items()}
-        certificate = certify_cell(self._cell, motion, self._options, goal_contact=contact)
-        return CellResult(self._cell, motion, certificate, how, self._alone, later_s, self._options)
-
-    def _scheduled(
-        self, cell: Cell, motions: Mapping[str, Trajectory], before: Trajectory | None = None
-    ) -> CellResult | None:
-        """The soonest end with each arm's own motion, begun later where that is needed; None where none is certified.
-
-        Args:
-            cell: The arms where these motions begin.
-            before: A motion of all joints that leads there.
-        """
-        if not motions:
-            raise InputError("plan_cell: no arm of the cell has a goal")
-        sooner = itertools.chain([dict.fromkeys(motions, 0.0)], _later(cell, motions, self._options))
-        for later in itertools.islice(sooner, _TRIED):
-            motion = cell.together(motions, later)
-            how: How = "one later" if any(later.values()) else "at once"
-            if before is not None:
-                motion, how = joined([before, motion]), "around each other"
-            result = self._checked(motion, how, later)
-            if result.certificate.verified:
-                return result
-        return None
-
-    def _around(self, found: CellResult | None) -> CellResult | None:
-        """A motion of all joints at once: to the goals, or to where the approaches to them begin, and these then.
-
-        Args:
-            found: One along whose path a quicker one is sought; None where there is none.
-        """
-        cell = self._cell
-        ends = {name: result.trajectory.position[-1] for name, result in self._alone.items()}
-        reached = {name: result.grasp for name, result in self._alone.items() if result.grasp is not None}
-        for name, grasp in reached.items():
-            ends[name] = grasp.standoff
-        task = cell.task(cell.configuration(ends))
-        if not reached:
-            if found is None:
-                transit = plan(cell.robot, task, self._options)
-            else:
-                clock = np.append(np.arange(0.0, found.trajectory.duration, _ALONG_S), found.trajectory.duration)
-                try:
-                    transit = finish(cell.robot, task, found.trajectory.positions(clock), self._options)
-                except (PathInContactError, CertificationError, TimingError):
-                    return None  # straight between samples it is not clear
-            result = self._checked(transit.trajectory, "around each other", {})
-            return result if result.certificate.verified else None
-        transit, there = plan(cell.robot, task, self._options), _starting(cell, ends)
-        motions = {name: plan(arm.robot, arm.scene, self._options).trajectory
-                   for name, arm in ((name, there.arm(name)) for name in reached)}  # fmt: skip
-        return self._scheduled(there, motions, transit.trajectory)
-
-
-def step_s(options: PlanOptions) -> float:
-    """Times at which arms are compared before they are certified: whole rows [s]."""
-    return max(1, round(_STEP_S * options.rate_hz)) / options.rate_hz
-
-
-def _later(cell: Cell, motions: Mapping[str, Trajectory], options: PlanOptions) -> Iterator[dict[str, float]]:
-    """By how much later each arm might begin, not all at once: the soonest end first, arms apart at samples."""
-    clear = {pair: _apart(cell, motions, *pair) for pair in itertools.combinations(motions, 2)}
-    idle = {name: _apart(cell, motions, name, None) for name in motions}
-    if not all(each.all() for each in idle.values()):
-        return
-    step, names = step_s(options), list(motions)
-    orders = itertools.permutations(names) if len(names) <= _ALL_ORDERS else (
-        [*(n for n in names if n != last), last] for last in names
-    )  # fmt: skip
-    found: dict[tuple[int, ...], float] = {}
-    for order in orders:
-        for extra in range(3):
-            begins = _begins(order, clear, extra)
-            if begins is not None:
-                later = tuple(begins[name] for name in names)
-                if any(later):
-                    found[later] = max(later[k] * step + motions[name].duration for k, name in enumerate(names))
-    for later in sorted(found, key=lambda each: (round(found[each], 6), each)):
-        yield {name: count * step for name, count in zip(names, later, strict=True)}
-
-
-def _begins(order: Sequence[str], clear: Mapping[tuple[str, str], BoolArray], extra: int) -> dict[str, int] | None:
-    """Samples by which each arm begins later, one after the other as soon as it can; None where one never can.
-
-    Args:
-        order: Names of the arms.
-        clear: For each two of them at which samples of the one's motion and the other's they are apart.
-        extra: By how many samples those that must wait begin later still.
-    """
-    begins = {order[0]: 0}
-    for name in order[1:]:
-        last = max(begins[other] + _of(clear, other, name).shape[0] for other in begins)
-        for begin in range(last + 1):
-            if all(_is_clear(_of(clear, other, name), begins[other], begin) for other in begins):
-                begins[name] = begin + (extra if begin else 0)
-                break
-        else:
-            return None
-    return begins
-
-
-def _of(clear: Mapping[tuple[str, str], BoolArray], first: str, second: str) -> BoolArray:
-    return clear[first, second] if (first, second) in clear else clear[second, first].T
-
-
-def _is_clear(apart: BoolArray, first: int, second: int) -> bool:
-    """True if two motions that begin after so many samples are apart at all samples."""
-    rows, columns = apart.shape
-    at = np.arange(max(first + rows, second + columns))
-    return bool(apart[np.clip(at - first, 0, rows - 1), np.clip(at - second, 0, columns - 1)].all())
-
-
-def _apart(cell: Cell, motions: Mapping[str, Trajectory], first: str, second: str | None) -> BoolArray:
-    """(samples, samples) whether two arms are apart at samples of their motions.
-
-    Args:
-        second: The other arm; None for all that wait, in one column.
-    """
-    one = motions[first].positions(_samples(motions[first]))
-    other = np.zeros((1, 0)) if second is None else motions[second].positions(_samples(motions[second]))
-    q = np.tile(cell.configuration({}), (len(one) * len(other), 1))
-    q[:, cell.arm(first).joints] = np.repeat(one, len(other), axis=0)
-    if second is not None:
-        q[:, cell.arm(second).joints] = np.tile(other, (len(one), 1))
-    others = {arm.name for arm in cell.arms if arm.is_waiting} if second is None else {second}
-    found: BoolArray = between(cell, q, first, others) > cell.scene.clearance + _SPARE
-    return found.reshape(len(one), len(other))
-
-
 def between(cell: Cell, q: FloatArray, name: str, others: Collection[str]) -> FloatArray:
     """(n,) least distance of an arm from others at (n, dof) configurations of all [m]; inf from none."""
     field = cell.robot.cached(("between", name, frozenset(others)), lambda: _field_between(cell, name, others))
@@ -626,10 +387,6 @@ def _field_between(cell: Cell, name: str, others: Collection[str]) -> ClearanceF
     field = ClearanceField.of(cell.robot, [])
     before = int(field.base[BODIES])  # capsules that stand for several bodies come before pairs
     return replace(field, chain=readonly(field.chain[[*range(before), *(before + np.flatnonzero(asked))]]))
-
-
-def _samples(motion: Trajectory) -> FloatArray:
-    return np.append(np.arange(0.0, motion.duration, _STEP_S), motion.duration)
 
 
 def _states(rows: Rows, clock: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -656,25 +413,6 @@ def _windows(contacts: Sequence[FruitContact], stop: Retimed | None) -> list[Fru
     return found
 
 
-def standing(motion: Trajectory, seconds: float) -> Trajectory:
-    """Standing for a time where a motion begins."""
-    position, torque = (np.repeat(values[:1], 2, axis=0) for values in (motion.position, motion.torque))
-    still = np.zeros_like(position)
-    rows = Rows(np.array([0.0, seconds]), position, still, still, torque)
-    return Trajectory(motion.joint_names, *rows, motion.slides)
-
-
-def starting(arm: CellArm, q: FloatArray) -> CellArm:
-    """An arm that begins at another configuration."""
-    return replace(arm, scene=arm.scene.model_copy(update={"start": Start(joints_rad=tuple(q.tolist()))}))
-
-
-def _starting(cell: Cell, starts: Mapping[str, FloatArray]) -> Cell:
-    """The cell with some of its arms standing elsewhere."""
-    arms = tuple(starting(arm, starts[arm.name]) if arm.name in starts else arm for arm in cell.arms)
-    return replace(cell, arms=arms)
-
-
 def _arm(scene: CellScene, given: CellRobot, robot: Robot, placement: pin.SE3, whole: Robot) -> CellArm:
     """An arm of a cell; one whose base is tilted is planned for in the cell's frame, where gravity is as it is."""
     goal = given.goal
@@ -682,13 +420,13 @@ def _arm(scene: CellScene, given: CellRobot, robot: Robot, placement: pin.SE3, w
         goal = Goal(**{key: value for key, value in given.start.model_dump().items() if key.startswith("joints")})
     task = scene.task(goal, given.start)
     if placement.rotation[2, 2] < 1.0:
-        robot = joined_robots({given.name: (robot, placement)}, given.name)
+        robot, placement = joined_robots({given.name: (robot, placement)}, given.name), pin.SE3.Identity()
     elif not placement.isIdentity(0.0):
         yaw = math.atan2(placement.rotation[1, 0], placement.rotation[0, 0])
         task = task.shifted(-placement.rotation.T @ placement.translation, -math.degrees(yaw))
     names = [joint.removeprefix(f"{given.name}_") for joint in robot.joint_names]
     joints = readonly([whole.joint_names.index(f"{given.name}_{joint}") for joint in names], np.int64)
-    return CellArm(given.name, robot, task, joints, given.goal is None)
+    return CellArm(given.name, robot, task, joints, placement, given.goal is None)
 
 
 def _placement(arm: CellRobot) -> pin.SE3:

@@ -11,30 +11,25 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
 from hplan.base.arguments import instance
-from hplan.base.arrays import FloatArray, Record
-from hplan.base.deadline import Cancel, TimeIsUpError, check_deadline, time_limit
+from hplan.base.arrays import Record
+from hplan.base.deadline import Cancel, TimeIsUpError, time_limit
 from hplan.base.lazy_import import InNotebook
 from hplan.certificate.certificate import Certificate
 from hplan.errors import CertificationError, HplanError, TourError
-from hplan.planning.cell import Cell, CellArm, between, certify_between, standing, starting, step_s
+from hplan.planning.cell import Cell, CellArm, certify_between
 from hplan.planning.options import PlanOptions
 from hplan.planning.reachable import reachable
 from hplan.planning.task import Progress, no_progress
+from hplan.planning.timetable import SPARES, Timetable
 from hplan.planning.world import World
 from hplan.tour.result import Leg, TourResult
 from hplan.tour.tour import TourOptions, plan_tour
-from hplan.trajectory.trajectory import Trajectory, joined
-
-#: How many steps a leg begins later at a time.
-_LATER: Final = 4
-
-#: Distances between arms that samples have beyond the one to keep, until the whole is certified [m].
-_SPARES: Final = (3e-3, 8e-3, 2e-2)
+from hplan.trajectory.trajectory import Trajectory
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,7 +134,7 @@ def _planned(cell: Cell, options: PlanOptions, progress: Progress) -> CellTour:
                 reasons |= dict(error.reasons)
     if not tours:
         raise TourError(list(reasons.items()))
-    for spare in _SPARES:
+    for spare in SPARES[1:]:
         progress("together")
         found = _Schedule(cell, options, spare).filled(tours, reasons)
         if found.between.verified:
@@ -182,63 +177,33 @@ class _Schedule:
     """When each leg begins."""
 
     def __init__(self, cell: Cell, options: PlanOptions, spare: float) -> None:
-        self._cell, self._options, self._spare = cell, options, spare
-        self._step = step_s(options)
-        start = cell.configuration({})
-        #: Of each arm where it is at multiples of the step, up to where it rests for good, as far as that is decided.
-        self._places = {arm.name: start[arm.joints][None] for arm in cell.arms}
-        self._legs: dict[str, list[tuple[float, Leg]]] = {arm.name: [] for arm in cell.arms}
+        self._cell, self._options = cell, options
+        self._table = Timetable(cell, options, spare)
+        self._legs: dict[str, list[Leg]] = {arm.name: [] for arm in cell.arms}
         self._tours: dict[str, list[TourResult]] = {arm.name: [] for arm in cell.arms}
 
     def filled(self, tours: Mapping[str, TourResult], reasons: Mapping[str, HplanError]) -> CellTour:
         """The tours with all legs set out; a leg that never can is left out, with its fruit."""
         left = {name: list(tour.legs) for name, tour in tours.items()}
-        unreached = dict(reasons)
+        places, unreached = self._table.places, dict(reasons)
         for name, tour in tours.items():
             self._tours[name].append(tour)
             unreached |= {each.fruit: each.error for each in tour.unreached}
         waiting: set[str] = set()
         while any(left.values()):
-            check_deadline()
             able = [name for name in left if left[name] and name not in waiting]
             if not able:  # nobody can go on: the one who is done soonest gives a fruit up
-                name = min((name for name in left if left[name]), key=lambda each: (len(self._places[each]), each))
+                name = min((name for name in left if left[name]), key=lambda each: (len(places[each]), each))
                 left[name] = self._without_next(name, left[name], unreached)
                 waiting.clear()
                 continue
-            name = min(able, key=lambda each: (len(self._places[each]), each))
-            if self._set_out(name, left[name][0]):
-                left[name].pop(0)
+            name = min(able, key=lambda each: (len(places[each]), each))
+            if self._table.set_out(name, left[name][0].trajectory):
+                self._legs[name].append(left[name].pop(0))
                 waiting.clear()
             else:
                 waiting.add(name)
         return self._result(unreached)
-
-    def _set_out(self, name: str, leg: Leg) -> bool:
-        """Let a leg begin as soon as there is room; False where there never is."""
-        own = self._places[name]
-        count = max(1, math.ceil(leg.trajectory.duration / self._step - 1e-9))
-        moving = leg.trajectory.positions(np.minimum(np.arange(1, count + 1) * self._step, leg.trajectory.duration))
-        last = max(len(places) for other, places in self._places.items() if other != name or len(self._places) == 1)
-        for begin in range(len(own), max(len(own), last) + _LATER + 1, _LATER):
-            waited = np.repeat(own[-1:], begin - len(own), axis=0)
-            planned = np.concatenate([waited, moving])
-            if self._is_clear(name, planned, len(own)):
-                self._places[name] = np.concatenate([own, planned])
-                self._legs[name].append(((begin - 1) * self._step, leg))
-                return True
-        return False
-
-    def _is_clear(self, name: str, planned: FloatArray, first: int) -> bool:
-        """True if an arm keeps clear of the others from a sample on, and where it then rests from all they will do."""
-        last = max(first + len(planned), *(len(places) for places in self._places.values()))
-        q = np.empty((last - first, self._cell.robot.dof))
-        for arm in self._cell.arms:
-            places = planned if arm.name == name else self._places[arm.name][first:]
-            places = places if len(places) else self._places[arm.name][-1:]
-            q[:, arm.joints] = places[np.minimum(np.arange(last - first), len(places) - 1)]
-        others = [arm.name for arm in self._cell.arms if arm.name != name]
-        return bool((between(self._cell, q, name, others) > self._cell.scene.clearance + self._spare).all())
 
     def _without_next(self, name: str, legs: Sequence[Leg], unreached: dict[str, HplanError]) -> list[Leg]:
         """The legs of an arm that gives its next fruit up, from where it is."""
@@ -250,7 +215,7 @@ class _Schedule:
         if len(fruits) < 2:
             return []  # it stays where it is
         try:
-            rest = _tour(starting(arm, self._places[name][-1]), self._options, fruits[1:])
+            rest = _tour(arm.starting(self._table.places[name][-1]), self._options, fruits[1:])
         except HplanError as error:
             unreached |= dict.fromkeys(fruits[1:], error)
             return []
@@ -260,26 +225,19 @@ class _Schedule:
 
     def _result(self, unreached: Mapping[str, HplanError]) -> CellTour:
         cell, picked = self._cell, dict[str, float]()
-        motions = {}
+        begins = {name: tuple(begin for begin, _ in legs) for name, legs in self._table.legs.items()}
         for name, legs in self._legs.items():
-            parts: list[Trajectory] = []
-            for begin, leg in legs:
-                now = sum(part.duration for part in parts)
-                if begin > now + 1e-9:
-                    parts.append(standing(leg.trajectory, begin - now))
-                parts.append(leg.trajectory)
+            for begin, leg in zip(begins[name], legs, strict=True):
                 if leg.fruit is not None:
                     reached = max(phase.end_s for phase in leg.phases if phase.name in ("transit", "approach"))
                     picked[leg.fruit] = begin + reached - leg.begin_s
-            if parts:
-                motions[name] = joined(parts)
-        whole = cell.together(motions)
+        whole = cell.together(self._table.motions)
         return CellTour(
             cell,
             whole,
             certify_between(cell, whole, self._options),
             {name: tuple(tours) for name, tours in self._tours.items() if tours},
-            {name: tuple(begin for begin, _ in legs) for name, legs in self._legs.items()},
+            begins,
             picked,
             {fruit: str(error) for fruit, error in unreached.items()},
         )

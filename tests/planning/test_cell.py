@@ -20,7 +20,8 @@ from hplan.errors import (
     OptionError,
     SceneError,
 )
-from hplan.planning.cell import Cell, _CellPlanner, certify_cell, load_cell, plan_cell
+from hplan.planning.cell import Cell, certify_cell, load_cell
+from hplan.planning.cell_planner import _CellPlanner, plan_cell
 from hplan.planning.options import PlanOptions
 from hplan.robot.several import joined_robots
 from hplan.scene.cell import CellRobot, CellScene
@@ -115,12 +116,30 @@ def test_one_begins_later_where_that_is_all_there_is(robot, monkeypatch):
     def none(*_):
         raise CertificationError("none")
 
-    monkeypatch.setattr("hplan.planning.cell._CellPlanner._around", none)
+    monkeypatch.setattr("hplan.planning.cell_planner._CellPlanner._around", none)
     result = plan_cell(facing(robot, 1.1, start=FROM, goal=TO))
     assert result.certificate.verified
     assert result.how == "one later"
     assert apart(result.cell, every(result.trajectory)) > 0.0
     assert result.trajectory.duration < sum(result.report["alone_s"].values())
+
+
+@pytest.mark.parametrize("right", [{"start": FROM, "goal": TO}, {"start": (0.0, 60.0, 60.0, 60.0), "goal": None}])
+def test_arms_go_around_others_that_stand_and_step_aside(robot, monkeypatch, right):
+    """Both are where the other is to be; or one stays in the way of the other."""
+
+    def none(*_):
+        raise CertificationError("none")
+
+    monkeypatch.setattr("hplan.planning.cell_planner._CellPlanner._around", none)
+    result = plan_cell(facing(robot, 0.8, **right))
+    assert result.certificate.verified
+    assert apart(result.cell, every(result.trajectory)) > 0.0
+    assert result.how == "around each other"
+    for arm in result.cell.arms:
+        own = result.trajectories[arm.name].position
+        assert np.allclose(own[0], arm.robot.joints_of(arm.scene.start, "start"))
+        assert np.allclose(own[-1], arm.robot.joints_of(arm.scene.goal, "goal"))
 
 
 def test_grazing_arms_are_not_verified(robot):

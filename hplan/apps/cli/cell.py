@@ -46,7 +46,8 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console, *, tou
         with loading():
             from hplan.apps.view.page import write_page
             from hplan.apps.view.playback import playable
-            from hplan.planning.cell import load_cell, plan_cell
+            from hplan.planning.cell import load_cell
+            from hplan.planning.cell_planner import plan_cell
             from hplan.planning.report import write_report
             from hplan.tour.cell_tour import plan_cell_tour
             from hplan.trajectory.trajectory import write_csv

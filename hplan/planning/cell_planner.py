@@ -1,0 +1,379 @@
+"""Motions of several arms on one clock.
+
+`plan_cell` looks for them in four ways, and takes the first that is as quick as any could be, or else the one that is
+done soonest:
+
+1. each arm by itself, all at the same time;
+2. the same motions, some of them begun later, in the order that is done soonest;
+3. one arm after the other around the others where they stand, who is in the way for good steps aside; then each motion
+   as soon as the others leave room;
+4. all joints at once, as one robot's, along that path or, where there is none, any other.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import Final, TypeAlias
+
+import numpy as np
+import pinocchio as pin
+
+from hplan.base.arguments import instance
+from hplan.base.arrays import FloatArray
+from hplan.base.deadline import Cancel, TimeIsUpError, time_limit
+from hplan.collision.clearance_field import ClearanceField
+from hplan.collision.collision_bodies import collision_bodies
+from hplan.errors import (
+    CertificationError,
+    ConfigurationInCollisionError,
+    HplanError,
+    InputError,
+    NotFoundError,
+    NotInTimeError,
+    OptionError,
+    PathInContactError,
+    PlanCancelledError,
+    TimingError,
+)
+from hplan.planning.cell import Cell, CellResult, How, between, certify_cell
+from hplan.planning.finishing.finish import finish
+from hplan.planning.options import PlanOptions
+from hplan.planning.plan import plan
+from hplan.planning.result import PlanResult
+from hplan.planning.task import Progress, no_progress
+from hplan.planning.timetable import SPARES, Timetable
+from hplan.robot.model import Robot
+from hplan.scene.model import Goal
+from hplan.scene.obstacle_kind import moved
+from hplan.scene.obstacles import AnyObstacle, Capsule, Mesh, Sphere
+from hplan.scene.solids import CUBE_CORNERS, whole_hull
+from hplan.trajectory.trajectory import Trajectory, joined
+
+#: So many orders of setting out are certified before others than the soonest are given up.
+_TRIED: Final = 3
+
+#: What is tried before all joints move at once.
+_WAYS: Final = ("all at once", "one after the other", "around the others where they stand")
+
+#: Samples of a motion between which its path is taken for straight [s].
+_ALONG_S: Final = 0.05
+
+#: With a makespan of so many times the longest motion alone nothing quicker is looked for.
+_GOOD: Final = 1.02
+
+#: With more arms than this not every order is tried, but each arm once as the last, and not all joints at once.
+_ALL_ORDERS: Final = 4
+
+#: By how much arms that stand are thicker where others go around them [m].
+_THICKER: Final = 1e-3
+
+#: With so many motions of each arm no more step aside.
+_MOST_LEGS: Final = 3
+
+#: How far an arm steps aside, each joint, in turn until there is a place [rad, m]; and how many places are looked at.
+_ASIDE: Final = (0.3, 0.6, 1.2, 2.4)
+_PLACES: Final = 64
+
+#: Motions of arms, in the order in which they could be run one after the other.
+Legs: TypeAlias = Sequence[tuple[str, Trajectory]]
+
+
+def plan_cell(
+    cell: Cell,
+    options: PlanOptions | None = None,
+    *,
+    progress: Progress = no_progress,
+    cancel: Cancel | None = None,
+) -> CellResult:
+    """Plan the motions of all arms of a cell, from their starts to their goals.
+
+    Args:
+        cell: Arms, obstacles and tasks; arms without a goal stay.
+        options: How to plan. A deadline is that of all together; without motion by then there is none.
+        progress: Called with the name of each stage as it begins.
+        cancel: As for `plan`.
+
+    Raises:
+        HplanError: As `plan`, of an arm by itself or of all as one: what is in the way, which arm of another too.
+        NotFoundError: No motion of all arms was found, and it was not shown that there is none.
+    """
+    instance("cell", cell, Cell, "load_cell")
+    options = PlanOptions() if options is None else instance("options", options, PlanOptions)
+    if options.bound:
+        raise OptionError("bound", options.bound, "False: motions of several arms have no bound but the longest alone")
+    with time_limit(options.deadline_s, cancel) as limit:
+        try:
+            return _CellPlanner(cell, replace(options, deadline_s=None), progress).result()
+        except TimeIsUpError:
+            raise limit.error(["motions of all arms"]) from None
+
+
+class _CellPlanner:
+    """One search for the motions of a cell."""
+
+    def __init__(self, cell: Cell, options: PlanOptions, progress: Progress) -> None:
+        self._cell, self._options, self._progress = cell, options, progress
+        self._alone: dict[str, PlanResult] = {}
+
+    def result(self) -> CellResult:
+        cell = self._cell
+        for arm in cell.arms:
+            if not arm.is_waiting:
+                self._progress(f"arm {arm.name}")
+                self._alone[arm.name] = plan(arm.robot, arm.scene, self._options)
+        motions = {name: result.trajectory for name, result in self._alone.items()}
+        if not motions:
+            raise InputError("plan_cell: no arm of the cell has a goal")
+        enough = _GOOD * max(motion.duration for motion in motions.values())
+        self._progress("together")
+        found = self._scheduled(cell, _orders(motions))
+        if found is None and len(cell.arms) > 1:
+            self._progress("one after the other")
+            legs = self._in_turn(motions)
+            found = None if legs is None else self._scheduled(cell, [legs])
+        if found is not None and (found.trajectory.duration <= enough or len(motions) > _ALL_ORDERS):
+            return found
+        if found is None and len(motions) > _ALL_ORDERS:
+            raise NotFoundError(_WAYS)
+        self._progress("around each other")
+        try:
+            around = self._around(found)
+        except PlanCancelledError:
+            raise
+        except HplanError as error:
+            if found is None:
+                raise self._told(error) from error
+            around = None
+        each = [result for result in (found, around) if result is not None]
+        if not each:
+            raise NotFoundError(_WAYS)
+        return min(each, key=lambda result: round(result.trajectory.duration, 6))
+
+    def _told(self, error: HplanError) -> HplanError:
+        """An error of all joints as one robot's, as one of the cell's."""
+        if isinstance(error, NotFoundError) and not isinstance(error, NotInTimeError):
+            return NotFoundError([*_WAYS, *error.tried])
+        # Other grasps might do; goals by joints leave nothing to choose.
+        chosen = any(result.grasp for result in self._alone.values())
+        if chosen and isinstance(error, ConfigurationInCollisionError) and error.which == "goal":
+            grasps = f"the grasps of each arm by itself, with which {error.link!r} is in {error.obstacle!r}"
+            return NotFoundError([*_WAYS, grasps])
+        return error
+
+    def _checked(self, motion: Trajectory, how: How, later_s: Mapping[str, float]) -> CellResult:
+        contact = {name: result.certificate.goal_contact or "approach" for name, result in self._alone.items()}
+        certificate = certify_cell(self._cell, motion, self._options, goal_contact=contact)
+        return CellResult(self._cell, motion, certificate, how, self._alone, later_s, self._options)
+
+    def _scheduled(self, cell: Cell, orders: Iterable[Legs], before: Trajectory | None = None) -> CellResult | None:
+        """The soonest end with motions that each begin as soon as there is room; None where none is certified.
+
+        Args:
+            cell: The arms where these motions begin.
+            orders: Motions, in orders in which they may be set out.
+            before: A motion of all joints that leads there.
+        """
+        own = {id(result.trajectory) for result in self._alone.values()}
+        for legs in itertools.islice(self._soonest(cell, orders), _TRIED):
+            for spare in SPARES:
+                table = _filled(cell, self._options, legs, spare)
+                if table is None:
+                    break
+                motion, later = cell.together(table.motions), table.begins_s
+                how: How = "one later" if any(later.values()) else "at once"
+                if before is not None:
+                    motion = joined([before, motion])
+                if before is not None or not all(id(leg) in own for _, leg in legs):
+                    how = "around each other"
+                result = self._checked(motion, how, later)
+                if result.certificate.verified:
+                    return result
+        return None
+
+    def _soonest(self, cell: Cell, orders: Iterable[Legs]) -> Iterator[Legs]:
+        """Orders of motions, the soonest end first."""
+        found: dict[tuple[float, ...], tuple[float, Legs]] = {}
+        for legs in orders:
+            table = _filled(cell, self._options, legs, SPARES[0])
+            if table is not None:
+                begins = tuple(table.begins_s[name] for name in sorted(table.begins_s))
+                found.setdefault(begins, (round(table.duration, 6), legs))
+                if not any(begins) and len(legs) == len(begins):  # nothing ends sooner
+                    break
+        for begins in sorted(found, key=lambda begins: (found[begins][0], begins)):
+            yield found[begins][1]
+
+    def _around(self, found: CellResult | None) -> CellResult | None:
+        """A motion of all joints at once: to the goals, or to where the approaches to them begin, and these then.
+
+        Args:
+            found: One along whose path a quicker one is sought; None where there is none.
+        """
+        cell = self._cell
+        ends = {name: result.trajectory.position[-1] for name, result in self._alone.items()}
+        reached = {name: result.grasp for name, result in self._alone.items() if result.grasp is not None}
+        for name, grasp in reached.items():
+            ends[name] = grasp.standoff
+        task = cell.task(cell.configuration(ends))
+        if not reached:
+            if found is None:
+                transit = plan(cell.robot, task, self._options)
+            else:
+                clock = np.append(np.arange(0.0, found.trajectory.duration, _ALONG_S), found.trajectory.duration)
+                try:
+                    transit = finish(cell.robot, task, found.trajectory.positions(clock), self._options)
+                except (PathInContactError, CertificationError, TimingError):
+                    return None  # straight between samples it is not clear
+            result = self._checked(transit.trajectory, "around each other", {})
+            return result if result.certificate.verified else None
+        transit, there = plan(cell.robot, task, self._options), cell.starting(ends)
+        approaches = ((name, there.arm(name)) for name in reached)
+        motions = {name: plan(arm.robot, arm.scene, self._options).trajectory for name, arm in approaches}
+        return self._scheduled(there, _orders(motions), transit.trajectory)
+
+    def _in_turn(self, alone: Mapping[str, Trajectory]) -> list[tuple[str, Trajectory]] | None:
+        """Motions of one arm after the other around the others where they stand; None where no order is found.
+
+        An arm that would end where another still stands goes after it. Where that other cannot go first, or came there
+        before, it steps aside, and goes to its goal later.
+        """
+        legs: list[tuple[str, Trajectory]] = []
+        waiting, put_behind, put_off = _likely_order(self._cell, alone), set[tuple[str, str]](), 0
+        while waiting:
+            name = waiting.pop(0)
+            there = self._cell.starting({done: motion.position[-1] for done, motion in legs})
+            try:
+                own = self._own(there, name, alone) if name not in dict(legs) else None
+                motion = self._to_goal(there, name) if own is None else own
+            except PlanCancelledError:
+                raise
+            except HplanError as error:
+                solid = str(error.obstacle) if isinstance(error, ConfigurationInCollisionError) else ""
+                blocking = next((other for other in alone if solid.startswith(f"{other}_")), None)
+            else:
+                legs.append((name, motion))
+                put_off = 0
+                continue
+            if blocking in waiting and (name, blocking) not in put_behind:
+                put_behind.add((name, blocking))
+                waiting.insert(waiting.index(blocking) + 1, name)
+            elif blocking is not None and len(legs) < _MOST_LEGS * len(alone):
+                aside = self._aside(there, blocking, name, alone[name].position[-1])
+                if aside is None:
+                    return None
+                legs.append((blocking, aside))
+                waiting = [name, *(other for other in waiting if other != blocking), blocking]
+            elif put_off < len(waiting):
+                put_off += 1
+                waiting.append(name)
+            else:
+                return None
+        return legs
+
+    def _own(self, there: Cell, name: str, alone: Mapping[str, Trajectory]) -> Trajectory | None:
+        """An arm's own motion, where it meets no other that stands."""
+        table = Timetable(there, self._options, SPARES[0])
+        return alone[name] if table.set_out(name, alone[name]) else None
+
+    def _to_goal(self, there: Cell, name: str, goal: Goal | None = None) -> Trajectory:
+        """An arm's motion among the others where they stand, to a goal of its own or another.
+
+        Raises:
+            HplanError: As `plan`.
+        """
+        arm, options = there.arm(name), replace(self._options, effort="quick")
+        scene = arm.scene if goal is None else arm.scene.model_copy(update={"goal": goal})
+        solids = (*scene.obstacles, *_standing(there, name))
+        return plan(arm.robot, scene.model_copy(update={"obstacles": solids}), options).trajectory
+
+    def _aside(self, there: Cell, name: str, other: str, goal: FloatArray) -> Trajectory | None:
+        """A motion of an arm to the nearest place where it is in nobody's way, nor in that of another at its goal."""
+        arm, chance = there.arm(name), np.random.default_rng(0)
+        task = there.task(there.configuration({}))
+        field = ClearanceField.of(there.robot, task.listed_solids, clearance=task.clearance)
+        q = there.configuration({})
+        enough = np.minimum(2.0 * _THICKER, 0.5 * field.along(q[None]))  # what is near and does not move may be so
+        for far in _ASIDE:
+            places = q[arm.joints] + far * chance.uniform(-1.0, 1.0, (_PLACES, arm.robot.dof))
+            places = np.clip(places, arm.robot.lower, arm.robot.upper)
+            whole = np.tile(q, (2 * _PLACES, 1))
+            whole[:, arm.joints] = np.tile(places, (2, 1))
+            whole[_PLACES:, there.arm(other).joints] = goal
+            clear = (field.along(whole) > enough).all(axis=1).reshape(2, -1).all(axis=0)
+            away = np.round(np.abs(places - q[arm.joints]).sum(axis=1), 6)
+            for place in sorted(np.flatnonzero(clear).tolist(), key=lambda each: (away[each], each))[:_TRIED]:
+                try:
+                    return self._to_goal(there, name, Goal(joints_rad=tuple(places[place].tolist())))
+                except PlanCancelledError:
+                    raise
+                except HplanError:
+                    continue
+        return None
+
+
+def _orders(motions: Mapping[str, Trajectory]) -> Iterator[Legs]:
+    """One motion of each arm, in the orders in which they may be set out."""
+    names = list(motions)
+    orders: Iterable[Sequence[str]] = itertools.permutations(names) if len(names) <= _ALL_ORDERS else (
+        [*(name for name in names if name != last), last] for last in names
+    )  # fmt: skip
+    return ([(name, motions[name]) for name in order] for order in orders)
+
+
+def _filled(cell: Cell, options: PlanOptions, legs: Legs, spare: float) -> Timetable | None:
+    """The timetable of motions in an order; None where one never has room."""
+    table = Timetable(cell, options, spare)
+    return table if all(table.set_out(name, motion) for name, motion in legs) else None
+
+
+def _likely_order(cell: Cell, motions: Mapping[str, Trajectory]) -> list[str]:
+    """An order in which the arms are least in each other's way: at their goals, or still at their starts."""
+    paths = {name: motion.positions(np.arange(0.0, motion.duration, _ALONG_S)) for name, motion in motions.items()}
+    begins = {name: motion.position[:1] for name, motion in motions.items()}
+    ends = {name: motion.position[-1:] for name, motion in motions.items()}
+
+    def meet(first: str, path: FloatArray, second: str, place: FloatArray) -> int:
+        q = np.tile(cell.configuration({}), (len(path), 1))
+        q[:, cell.arm(first).joints], q[:, cell.arm(second).joints] = path, place
+        return int((between(cell, q, first, (second,)) <= cell.scene.clearance + _THICKER).any())
+
+    #: How much the first is in the way of the second, or the second of the first, if the first goes before it.
+    cost = {
+        (a, b): len(motions) * meet(a, ends[a], b, begins[b])
+        + meet(a, paths[a], b, begins[b])
+        + meet(b, paths[b], a, ends[a])
+        for a, b in itertools.permutations(motions, 2)
+    }
+    order: list[str] = []
+    while left := [name for name in motions if name not in order]:
+        order.append(min(left, key=lambda name: (sum(cost[name, o] - cost[o, name] for o in left if o != name), name)))
+    return order
+
+
+def _standing(cell: Cell, name: str) -> Iterator[AnyObstacle]:
+    """The arms of a cell but one where they stand, as obstacles in the frame of that one."""
+    robot, base = cell.robot, cell.arm(name).base
+    data = robot.model.createData()
+    pin.forwardKinematics(robot.model, data, cell.configuration({}))
+    for body, solid in zip(collision_bodies(robot), robot.cached("solids", lambda: _solids(robot)), strict=True):
+        if not body.name.startswith(f"{name}_"):
+            place = base.actInv(data.oMi[body.joint + 1])
+            yield solid.model_copy(update=moved(solid, place.rotation, place.translation))
+
+
+def _solids(robot: Robot) -> list[AnyObstacle]:
+    """Obstacles that hold the bodies of a robot, and a little more, each in the frame of its joint."""
+    found: list[AnyObstacle] = []
+    for number, body in enumerate(collision_bodies(robot)):
+        name, radius = f"{body.name} {number}", body.rounding + _THICKER
+        (start, *others) = body.core.tolist()
+        if not others:
+            found.append(Sphere(name=name, center=tuple(start), radius=radius))
+        elif len(others) == 1:
+            found.append(Capsule(name=name, start=tuple(start), end=tuple(others[0]), radius=radius))
+        else:
+            hull = whole_hull((body.core[:, None] + radius * CUBE_CORNERS).reshape(-1, 3))
+            found.append(Mesh.of(name, hull.core, hull.faces))
+    return found

@@ -13,6 +13,7 @@ done soonest:
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Final, TypeAlias
@@ -74,7 +75,7 @@ _MOST_LEGS: Final = 3
 
 #: How far an arm steps aside, each joint, in turn until there is a place [rad, m]; and how many places are looked at.
 _ASIDE: Final = (0.3, 0.6, 1.2, 2.4)
-_PLACES: Final = 64
+_PLACES: Final = 128
 
 #: Motions of arms, in the order in which they could be run one after the other.
 Legs: TypeAlias = Sequence[tuple[str, Trajectory]]
@@ -132,7 +133,7 @@ class _CellPlanner:
         if found is None and len(cell.arms) > 1:
             self._progress("one after the other")
             legs = self._in_turn(motions)
-            found = None if legs is None else self._scheduled(cell, [legs])
+            found = None if legs is None else self._scheduled(cell, [legs], spares=(*SPARES, math.inf))
         if found is not None and (found.trajectory.duration <= enough or len(motions) > _ALL_ORDERS):
             return found
         if found is None and len(motions) > _ALL_ORDERS:
@@ -167,20 +168,27 @@ class _CellPlanner:
         certificate = certify_cell(self._cell, motion, self._options, goal_contact=contact)
         return CellResult(self._cell, motion, certificate, how, self._alone, later_s, self._options)
 
-    def _scheduled(self, cell: Cell, orders: Iterable[Legs], before: Trajectory | None = None) -> CellResult | None:
+    def _scheduled(
+        self,
+        cell: Cell,
+        orders: Iterable[Legs],
+        before: Trajectory | None = None,
+        spares: Sequence[float] = SPARES,
+    ) -> CellResult | None:
         """The soonest end with motions that each begin as soon as there is room; None where none is certified.
 
         Args:
             cell: The arms where these motions begin.
             orders: Motions, in orders in which they may be set out.
             before: A motion of all joints that leads there.
+            spares: Distances between arms at samples, in turn (`Timetable`).
         """
         own = {id(result.trajectory) for result in self._alone.values()}
-        for legs in itertools.islice(self._soonest(cell, orders), _TRIED):
-            for spare in SPARES:
+        for legs in itertools.islice(self._soonest(cell, orders, spares), _TRIED):
+            for spare in spares:
                 table = _filled(cell, self._options, legs, spare)
                 if table is None:
-                    break
+                    continue
                 motion, later = cell.together(table.motions), table.begins_s
                 how: How = "one later" if any(later.values()) else "at once"
                 if before is not None:
@@ -192,11 +200,12 @@ class _CellPlanner:
                     return result
         return None
 
-    def _soonest(self, cell: Cell, orders: Iterable[Legs]) -> Iterator[Legs]:
+    def _soonest(self, cell: Cell, orders: Iterable[Legs], spares: Sequence[float]) -> Iterator[Legs]:
         """Orders of motions, the soonest end first."""
         found: dict[tuple[float, ...], tuple[float, Legs]] = {}
         for legs in orders:
-            table = _filled(cell, self._options, legs, SPARES[0])
+            first = (spare for spare in spares if spare == spares[0] or math.isinf(spare))
+            table = next(filter(None, (_filled(cell, self._options, legs, spare) for spare in first)), None)
             if table is not None:
                 begins = tuple(table.begins_s[name] for name in sorted(table.begins_s))
                 found.setdefault(begins, (round(table.duration, 6), legs))
@@ -260,11 +269,15 @@ class _CellPlanner:
                 put_behind.add((name, blocking))
                 waiting.insert(waiting.index(blocking) + 1, name)
             elif blocking is not None and len(legs) < _MOST_LEGS * len(alone):
-                aside = self._aside(there, blocking, name, alone[name].position[-1])
-                if aside is None:
+                pairs = [(blocking, name), *([(name, blocking)] if blocking in waiting else [])]
+                for mover, other in pairs:
+                    aside = self._aside(there, mover, other, alone[other].position[-1])
+                    if aside is not None:
+                        legs.append((mover, aside))
+                        waiting = [other, *(each for each in waiting if each not in (mover, other)), mover]
+                        break
+                else:
                     return None
-                legs.append((blocking, aside))
-                waiting = [name, *(other for other in waiting if other != blocking), blocking]
             elif put_off < len(waiting):
                 put_off += 1
                 waiting.append(name)

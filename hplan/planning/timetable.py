@@ -43,7 +43,7 @@ class Timetable:
 
         Args:
             options: For the rows of motions: arms set out at one.
-            spare: Distance between arms at samples beyond the one to keep [m].
+            spare: Distance between arms at samples beyond the one to keep [m]; inf lets one move at a time, unseen.
         """
         start = cell.configuration({})
         self._cell, self._least = cell, cell.scene.clearance + spare
@@ -81,10 +81,11 @@ class Timetable:
         count = max(1, math.ceil(motion.duration / self._step - 1e-9))
         moving = motion.positions(np.minimum(np.arange(1, count + 1) * self._step, motion.duration))
         last = max(map(len, self.places.values()))
-        for begin in range(len(own), max(len(own), last) + _LATER + 1, _LATER):
+        one_by_one = math.isinf(self._least)
+        for begin in [last] if one_by_one else range(len(own), max(len(own), last) + _LATER + 1, _LATER):
             check_deadline()
             planned = np.concatenate([np.repeat(own[-1:], begin - len(own), axis=0), moving])
-            if self._is_clear(name, planned, len(own)):
+            if one_by_one or self._is_clear(name, planned, len(own)):
                 self.places[name] = np.concatenate([own, planned])
                 self.legs[name].append(((begin - 1) * self._step, motion))
                 return True

@@ -8,6 +8,7 @@ import importlib.metadata
 import json
 import runpy
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from scipy.spatial import cKDTree
 from small_tree import TREE
 
 import hplan
+from hplan.apps.ros.bag_writer import _Encoder
 from hplan.scene.obstacles import Capsule, PointCloud
 
 MEASURED = Path(__file__).resolve().parents[2] / "shared" / "data" / "measured_trees"
@@ -166,6 +168,35 @@ def test_design_an_arm(tmp_path: Path) -> None:
     result = run("design_an_arm", str(tmp_path / "new.urdf"))
     assert result.certificate.verified
     assert hplan.load_robot(tmp_path / "new.urdf").dof == 4
+
+
+def test_ros2_node() -> None:
+    """What knows of messages, without ROS: points of a padded cloud, joints by name, the goal as rosbags encodes it."""
+    typesys = pytest.importorskip("rosbags.typesys")
+    store = typesys.get_typestore(typesys.Stores.ROS2_JAZZY)
+    node = runpy.run_path(str(EXAMPLES / "ros2_node.py"))
+    points = np.random.default_rng(0).normal(size=(2, 3, 3)).astype(np.float32)
+    points[1, 2] = np.nan
+    data = np.zeros((2, 3 * 20 + 4), dtype=np.uint8)  # 20 bytes a point, x at 4; 4 bytes after each row
+    for row, column in np.ndindex(2, 3):
+        data[row, 20 * column + 4 : 20 * column + 16] = points[row, column].view(np.uint8)
+    field, cloud = (store.types[f"sensor_msgs/msg/{name}"] for name in ("PointField", "PointCloud2"))
+    header = store.types["std_msgs/msg/Header"](store.types["builtin_interfaces/msg/Time"](0, 0), "base_link")
+    fields = [field(name=name, offset=offset, datatype=7, count=1) for name, offset in (("z", 12), ("x", 4), ("y", 8))]
+    message = cloud(header, 2, 3, fields, False, 20, 64, data.ravel(), False)
+    np.testing.assert_array_equal(node["points_of"](message), points.reshape(-1, 3))
+    robot = hplan.load_robot()
+    state = {"name": ["gripper", *reversed(robot.joint_names)], "position": [9.0, 4.0, 3.0, 2.0, 1.0]}
+    assert node["configuration_of"](robot, SimpleNamespace(**state)).tolist() == [1.0, 2.0, 3.0, 4.0]
+    assert node["configuration_of"](robot, SimpleNamespace(name=["wrist"], position=[1.0])) is None
+    motion = hplan.plan(robot, hplan.load_scene(), hplan.PlanOptions(effort="quick"))
+    trajectory = node["goal_of"](motion)["trajectory"]
+    kind = "trajectory_msgs/msg/JointTrajectory"
+    encoded = store.serialize_cdr(_Encoder(store).message(kind, trajectory), kind)
+    decoded = store.deserialize_cdr(encoded, kind)
+    assert decoded.joint_names == list(robot.joint_names)
+    np.testing.assert_array_equal([point.positions for point in decoded.points], motion.trajectory.position)
+    assert all(len(point.effort) == 0 for point in decoded.points)
 
 
 def test_every_example_is_run() -> None:

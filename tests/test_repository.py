@@ -1,0 +1,36 @@
+"""Files beside the package agree with it."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from pathlib import Path
+
+import yaml
+
+import hplan
+
+ROOT = Path(__file__).resolve().parents[1]
+
+#: What PyPI and conda-forge call the same.
+CONDA_NAMES = {"meshcat": "meshcat-python", "pin": "pinocchio"}
+
+
+def test_the_conda_recipe_asks_for_what_the_package_does() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    recipe = yaml.safe_load((ROOT / "conda" / "recipe.yaml").read_text(encoding="utf-8"))
+    asked = [re.split(r"(?=>=)", dependency) for dependency in project["dependencies"]]
+    wanted = {f"{CONDA_NAMES.get(name, name)} {least}" for name, least in asked}
+    assert set(recipe["requirements"]["run"]) == wanted | {f"python {project['requires-python']}"}
+    assert recipe["context"]["version"] == project["version"] == hplan.__version__
+    assert recipe["build"]["python"]["entry_points"] == [f"{k} = {v}" for k, v in project["scripts"].items()]
+
+
+def test_templates_and_hooks_are_what_they_say() -> None:
+    for path in (ROOT / ".github" / "ISSUE_TEMPLATE").glob("*.yml"):
+        form = yaml.safe_load(path.read_text(encoding="utf-8"))
+        assert {"name", "description", "body"} <= set(form), path.name
+    (local,) = yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text(encoding="utf-8"))["repos"]
+    checks = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
+    for hook in local["hooks"][:3]:
+        assert hook["entry"] in checks, hook["id"]

@@ -12,9 +12,12 @@ import ast
 import html
 import importlib
 import inspect
+import json
 import re
+import shutil
 import subprocess
 import sys
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -183,6 +186,8 @@ def _as_rst(_app: Sphinx, what: str, _name: str, _obj: Any, _options: Any, lines
             parts = line.split("`")
             parts[::2] = [re.sub(r"[|*]|(?<=\w)_(?!\w)", r"\\\g<0>", part) for part in parts[::2]]
             lines[number] = "`".join(parts)
+    if what == "property":
+        lines.insert(0, "")  # or napoleon takes the words before a colon for a type
 
 
 # The gallery.
@@ -219,12 +224,15 @@ def _docstring(path: Path) -> tuple[str, str]:
     return text.split("\n")[0], text
 
 
+def _title(name: str) -> str:
+    return name.replace("_", " ").capitalize().replace("ur5", "UR5").replace("Ur5", "UR5")
+
+
 def _card(path: Path) -> str:
     name = path.stem
-    title = name.replace("_", " ")
     return (
         f'<a href="{name}.html"><img src="../../motions/{name}.png" alt="" loading="lazy">'
-        f"<b>{title}</b><span>{html.escape(_docstring(path)[0])}</span></a>\n"
+        f"<b>{_title(name)}</b><span>{html.escape(_docstring(path)[0])}</span></a>\n"
     )
 
 
@@ -235,11 +243,8 @@ def _example_page(path: Path) -> str:
         shown = f'<iframe class="motion" src="../../motions/{name}.html" title="{name}" loading="lazy"></iframe>'
     else:
         shown = f'<img src="../../motions/{name}.png" alt="{name}">'
-    title, source = (
-        name.replace("_", " ").capitalize(),
-        f"```{{literalinclude}} ../../../scripts/examples/{name}.py\n```",
-    )
-    return f"# {title}\n\n{_docstring(path)[0]}\n\n{shown}\n\nIt prints:\n\n```text\n{said}```\n\n{source}\n"
+    source = f"```{{literalinclude}} ../../../scripts/examples/{name}.py\n```"
+    return f"# {_title(name)}\n\n{_docstring(path)[0]}\n\n{shown}\n\nIt prints:\n\n```text\n{said}```\n\n{source}\n"
 
 
 # Formulas and links.
@@ -263,7 +268,7 @@ def check_links(app: Sphinx, exception: Exception | None) -> None:
     """
     if exception is not None or app.builder.format != "html":
         return
-    out = Path(app.outdir)
+    out = Path(app.outdir).resolve()
     pages = {path: path.read_text(encoding="utf-8") for path in out.rglob("*.html") if "motions" not in path.parts}
     names = {path: set(re.findall(r'\s(?:id|name)="([^"]+)"', text)) for path, text in pages.items()}
     dead = []
@@ -282,6 +287,60 @@ def check_links(app: Sphinx, exception: Exception | None) -> None:
         raise SphinxError("dead links:\n" + "\n".join(dead))
 
 
+def check_widths(app: Sphinx, exception: Exception | None) -> None:
+    """Nothing of a page stands out of a desktop's window or a phone's, but what scrolls in itself; needs Chromium.
+
+    Raises:
+        SphinxError: Something does.
+    """
+    if exception is not None or app.builder.format != "html" or shutil.which("chromium") is None:
+        return
+    out = Path(app.outdir).resolve()
+    pages = [path.relative_to(out).as_posix() for path in sorted(out.glob("*.html"))]
+    pages += [path.relative_to(out).as_posix() for path in sorted((out / "generated").rglob("index.html"))]
+    measure = out / "measure.html"
+    measure.write_text(_MEASURE % json.dumps(pages), encoding="utf-8")
+    with tempfile.TemporaryDirectory() as profile:
+        flags = ["--headless=new", "--no-sandbox", "--disable-gpu", "--allow-file-access-from-files", "--no-first-run"]
+        command = ["chromium", *flags, f"--user-data-dir={profile}", "--virtual-time-budget=120000", "--dump-dom"]
+        text = subprocess.run([*command, measure.as_uri()], capture_output=True, text=True, check=True).stdout
+    measure.unlink()
+    found = html.unescape(text.partition("measured:")[2].partition("<")[0]).split("|")
+    if found[0] != str(2 * len(pages)):
+        raise SphinxError(f"Chromium measured {found[0] or 'none'} of {2 * len(pages)} windows")
+    if found[1:]:
+        raise SphinxError("cut off:\n" + "\n".join(found[1:]))
+
+
+#: Opens each page in windows of two widths, one after the other, and writes down what stands out of them.
+_MEASURE = """<!DOCTYPE html><body><script>
+(async () => {
+  const found = [];
+  let count = 0;
+  for (const width of [1280, 390]) for (const page of %s) {
+    const frame = document.createElement("iframe");
+    frame.style.cssText = `width: ${width}px; height: 800px; border: 0`;
+    frame.src = page;
+    document.body.appendChild(frame);
+    await new Promise(done => { frame.onload = done; });
+    const inside = frame.contentDocument, style = item => frame.contentWindow.getComputedStyle(item);
+    const scrolls = item => item.tagName !== "ARTICLE"
+      && (style(item).overflowX !== "visible" || style(item).position === "fixed" || scrolls(item.parentElement));
+    for (const item of inside.querySelectorAll("article *")) {
+      const right = item.getBoundingClientRect().right;
+      if (right > width + 1 && !scrolls(item)) {
+        found.push(`${page} at ${width} px: <${item.tagName}> ends at ${Math.round(right)} px`);
+        break;
+      }
+    }
+    frame.remove();
+    count += 1;
+  }
+  document.body.textContent = "measured:" + [count, ...found].join("|");
+})();
+</script>"""
+
+
 def setup(app: Sphinx) -> dict[str, Any]:
     """Make the parts known to Sphinx."""
     app.add_directive("command", Command)
@@ -290,4 +349,5 @@ def setup(app: Sphinx) -> dict[str, Any]:
     app.connect("builder-inited", write_gallery)
     app.connect("autodoc-process-docstring", _as_rst, priority=400)
     app.connect("build-finished", check_links)
+    app.connect("build-finished", check_widths)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -30,9 +30,9 @@ from PIL import Image, PngImagePlugin
 
 import hplan
 from hplan.apps.view.cspace_figure import cspace_at_yaw
-from hplan.apps.view.figure_style import new_figure, png_bytes, styled
+from hplan.apps.view.figure_style import png_bytes
 from hplan.apps.view.page import render_page
-from hplan.apps.view.playback import Playback
+from hplan.apps.view.playback import Playback, playable
 from hplan.apps.view.row_figure import draw_row
 from hplan.apps.view.study_figure import draw_study
 from hplan.apps.view.yaw_section import yaw_section
@@ -54,7 +54,7 @@ RATE_HZ, SIZE, COLORS = 12.5, (640, 480), 240
 CHROMIUM = (
     "--headless=new", "--no-sandbox", "--disable-background-networking", "--disable-component-update", "--disable-sync",
     "--no-first-run", "--hide-scrollbars", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
-    "--virtual-time-budget=2000",
+    "--virtual-time-budget=200",
 )  # fmt: skip
 
 #: Draws the picture of a page alone, without its words, and keeps what is drawn as the page's text.
@@ -79,12 +79,11 @@ def _alone(page: str, size: tuple[int, int], script: str) -> str:
 
 def still(page: str, script: str = "") -> bytes:
     """A PNG of a page's picture without the panel below it, after a script."""
-    html = _alone(page, (1000, 700), script)
+    html = _alone(page, (800, 560), script)
     with tempfile.TemporaryDirectory() as folder:
         picture = Path(folder) / "picture.png"
-        _browse(html, Path(folder), f"--screenshot={picture}", (1000, 700))
-        few = Image.open(picture).convert("RGB").resize((800, 560), Image.Resampling.LANCZOS).quantize(128)
-    return _png(few)
+        _browse(html, Path(folder), f"--screenshot={picture}", (800, 560))
+        return _png(*few_colors([Image.open(picture).convert("RGB")]))
 
 
 def frames(page: str, times_s: Sequence[float], size: tuple[int, int] = SIZE) -> list[Image.Image]:
@@ -108,6 +107,18 @@ def _browse(html: str, folder: Path, action: str, size: tuple[int, int]) -> str:
     window, profile = "--window-size={},{}".format(*size), f"--user-data-dir={folder / 'profile'}"
     command = [chromium, *CHROMIUM, window, profile, action, page.as_uri()]
     return subprocess.run(command, capture_output=True, text=True, timeout=300, check=True).stdout
+
+
+def few_colors(drawn: list[Image.Image]) -> list[Image.Image]:
+    """Pictures with one palette of `COLORS` for all, so that what stands still takes no room.
+
+    Half of it by area, for the sky, and half of all colours alike, for fruit is small.
+    """
+    some = np.vstack([np.asarray(frame).reshape(-1, 3) for frame in drawn[:: max(1, len(drawn) // 6)]])
+    alike = np.unique(some & 0xF8, axis=0)
+    by_area = np.random.default_rng(1).choice(some, len(alike))
+    palette = Image.fromarray(np.vstack([alike, by_area])[None]).quantize(COLORS)
+    return [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in drawn]
 
 
 def _png(picture: Image.Image, duration_s: float | None = None) -> bytes:
@@ -135,15 +146,9 @@ def _plan(scene: str) -> Callable[[], hplan.PlanResult]:
 def _moving(result: Any) -> bytes:
     """A GIF of a motion, in real time."""
     duration = result.trajectory.duration
-    page = render_page(result.robot, result.scene, Playback.of(result))
+    page = render_page(*playable(result))
     drawn = frames(page, np.arange(0.0, duration, 1.0 / RATE_HZ).tolist())
-    # One palette for all frames, so that what stands still takes no room: half by area, for the sky, and half of all
-    # colours alike, for fruit is small.
-    some = np.vstack([np.asarray(frame).reshape(-1, 3) for frame in drawn[:: len(drawn) // 6]])
-    alike = np.unique(some & 0xF8, axis=0)
-    by_area = np.random.default_rng(1).choice(some, len(alike))
-    palette = Image.fromarray(np.vstack([alike, by_area])[None]).quantize(COLORS)
-    few = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in drawn]
+    few = few_colors(drawn)
     stream, pause_ms = io.BytesIO(), round(1e3 / RATE_HZ)
     few[0].save(
         stream, format="GIF", save_all=True, append_images=few[1:], loop=0, optimize=True,
@@ -154,7 +159,7 @@ def _moving(result: Any) -> bytes:
 
 def _standing(result: Any) -> bytes:
     """A PNG of where a motion is after half of its time."""
-    page = render_page(result.robot, result.scene, Playback.of(result))
+    page = render_page(*playable(result))
     return _png(Image.open(io.BytesIO(still(page, _MIDDLE))), result.trajectory.duration)
 
 
@@ -236,28 +241,11 @@ def _shown(result: Any) -> tuple[str | None, Any]:
     if isinstance(result, hplan.StudyResult):
         return None, draw_study(result)
     if isinstance(result, hplan.RowResult):
-        return _page(max((stop.tour for stop in result.stops), key=lambda tour: len(tour.order))), draw_row(result)
+        tour = max((stop.tour for stop in result.stops), key=lambda tour: len(tour.order))
+        return render_page(*playable(tour)), draw_row(result)
     if isinstance(result, hplan.Trajectory):
-        return None, _plot(result)
-    return _page(result), None
-
-
-@styled
-def _plot(trajectory: hplan.Trajectory) -> Any:
-    """Joints over time."""
-    figure = new_figure(7.0, 4.2, f"{trajectory.duration:.2f} s")
-    axes = figure.add_subplot(xlabel="time [s]", ylabel="position [rad]")
-    axes.plot(trajectory.time, trajectory.position, label=trajectory.joint_names)
-    axes.legend(fontsize="small")
-    return figure
-
-
-def _page(result: Any) -> str:
-    """The page of a plan, a tour or a cell."""
-    if isinstance(result, hplan.CellResult):
-        cell, rows = result.cell, result.trajectory.position
-        return render_page(cell.robot, cell.task(rows[-1], rows[0]), Playback(result.trajectory))
-    return render_page(result.robot, result.scene, Playback.of(result))
+        return None, result.plot()
+    return render_page(*playable(result)), None
 
 
 def main() -> int:

@@ -20,10 +20,10 @@ def main(tree: str | None = None, rows: str | None = None, workers: int | None =
         name="spindle",
         arms=(
             "orchard_harvester",
-            Arm(name="longer", vary={"link_lengths": ((1.1, 0.9, 0.4),), "shoulder_height": (0.6, 0.9)}),
+            Arm(name="shorter", vary={"link_lengths": ((0.8, 0.7, 0.4),), "shoulder_height": (0.6, 0.9)}),
         ),
         trees=(TREE if tree is None else tree,),
-        distances=(1.2, 1.4),
+        distances=(1.2, 1.7),
         turns_deg=(0.0, 180.0),
         yields=(Yields(wood=0.02, fruit=0.02),),
     )

@@ -15,16 +15,16 @@ from hplan.trajectory.cubics import Rows
 from hplan.trajectory.trajectory import Trajectory, joined
 
 #: Times at which arms are compared before they are certified [s].
-_STEP_S: Final = 0.02
+_STEP_S: Final = 0.005
 
 #: How many of them a motion begins later at a time.
-_LATER: Final = 2
+_LATER: Final = 8
 
-#: Of so many samples one is looked at first.
-_COARSE: Final = 8
+#: Of so many samples one is looked at, in turn until a pair is too near.
+_COARSE: Final = (32, 4, 1)
 
 #: Distances between arms that samples have beyond the one to keep, in turn until the whole is certified [m].
-SPARES: Final = (5e-4, 3e-3, 8e-3, 2e-2)
+SPARES: Final = (5e-4, 1.5e-3, 4e-3, 2e-2)
 
 
 class Timetable:
@@ -95,8 +95,8 @@ class Timetable:
         """True if an arm keeps clear of the others from a sample on, and where it then rests from all they will do."""
         last = max(first + len(planned), *(len(places) for places in self.places.values()))
         others = [arm.name for arm in self._cell.arms if arm.name != name]
-        every = np.arange(last - first)
-        for some in (every[::_COARSE], every):
+        for coarse in _COARSE:
+            some = np.arange(0, last - first, coarse)
             q = np.empty((len(some), self._cell.robot.dof))
             for arm in self._cell.arms:
                 places = planned if arm.name == name else self.places[arm.name][first:]

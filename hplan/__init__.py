@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from hplan.online.planner import Planner
     from hplan.online.warm_up import warm_up
     from hplan.planning.cell import Cell, CellResult, certify_cell, load_cell
-    from hplan.planning.cell_planner import plan_cell
+    from hplan.planning.cell_planner import plan_cell, replan_cell
     from hplan.planning.configuration_check import ConfigurationCheck, check
     from hplan.planning.finishing.finish import finish
     from hplan.planning.options import PlanOptions
@@ -71,6 +71,7 @@ __all__ = [
     "plan_tour",
     "reachable",
     "read_csv",
+    "replan_cell",
     "run_study",
     "save_scene",
     "warm_up",

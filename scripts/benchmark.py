@@ -40,6 +40,7 @@ STUDIES = {
     "panda": "arms:PANDA",
     "random": "arms:RANDOM",
     "cells": "cells:CELLS",
+    "cell_pairs": "cell_pairs:PAIRS",
 }
 
 _DESCRIPTION = """\

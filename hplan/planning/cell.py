@@ -122,6 +122,17 @@ class Cell(Record):
         arms = tuple(arm.starting(q[arm.name]) if arm.name in q else arm for arm in self.arms)
         return replace(self, arms=arms)
 
+    def with_goal(self, name: str, goal: Goal) -> Cell:
+        """The cell in which an arm has another goal, in the cell's frame.
+
+        Raises:
+            InputError: No arm of that name.
+        """
+        arm = self.arm(name)
+        start = arm.scene.start
+        changed = replace(arm, scene=_seen_from(arm.base, self.scene.task(goal, start)), is_waiting=False)
+        return replace(self, arms=tuple(changed if each is arm else each for each in self.arms))
+
     def configuration(self, q: Mapping[str, FloatArray]) -> FloatArray:
         """(dof,) configuration of all joints, from those of the arms; where one is not given, its start."""
         found = np.empty(self.robot.dof)
@@ -278,9 +289,20 @@ class CellResult(Record, InNotebook):
         return self._stopped(whole.trajectory, dict.fromkeys(names, whole), names)
 
     def _stopped(self, motion: Trajectory, stops: Mapping[str, Retimed], names: tuple[str, ...]) -> CellResult:
+        return replace(self.running(self.cell, motion, stops, check_ends=False), stopped=names)
+
+    def running(self, cell: Cell, motion: Trajectory, stops: Mapping[str, Retimed], *, check_ends: bool) -> CellResult:
+        """Another motion that has begun as this one, certified.
+
+        Args:
+            cell: The arms, with the goals that they have then.
+            motion: Of all joints.
+            stops: For arms that stop on their paths how; the windows of time in which they may touch fruit follow.
+            check_ends: Whether each arm has to reach its goal.
+        """
         windows = {name: _windows(each.contacts, stops.get(name)) for name, each in self.certificate.arms.items()}
-        certificate = certify_cell(self.cell, motion, self.options, contacts=windows, check_ends=False)
-        return replace(self, trajectory=motion, certificate=certificate, stopped=names)
+        certificate = certify_cell(cell, motion, self.options, contacts=windows, check_ends=check_ends)
+        return replace(self, cell=cell, trajectory=motion, certificate=certificate)
 
     @property
     def report(self) -> dict[str, Any]:
@@ -421,12 +443,18 @@ def _arm(scene: CellScene, given: CellRobot, robot: Robot, placement: pin.SE3, w
     task = scene.task(goal, given.start)
     if placement.rotation[2, 2] < 1.0:
         robot, placement = joined_robots({given.name: (robot, placement)}, given.name), pin.SE3.Identity()
-    elif not placement.isIdentity(0.0):
-        yaw = math.atan2(placement.rotation[1, 0], placement.rotation[0, 0])
-        task = task.shifted(-placement.rotation.T @ placement.translation, -math.degrees(yaw))
+    task = _seen_from(placement, task)
     names = [joint.removeprefix(f"{given.name}_") for joint in robot.joint_names]
     joints = readonly([whole.joint_names.index(f"{given.name}_{joint}") for joint in names], np.int64)
     return CellArm(given.name, robot, task, joints, placement, given.goal is None)
+
+
+def _seen_from(base: pin.SE3, task: Scene) -> Scene:
+    """A task in the cell's frame as an upright base sees it."""
+    if base.isIdentity(0.0):
+        return task
+    yaw = math.atan2(base.rotation[1, 0], base.rotation[0, 0])
+    return task.shifted(-base.rotation.T @ base.translation, -math.degrees(yaw))
 
 
 def _placement(arm: CellRobot) -> pin.SE3:

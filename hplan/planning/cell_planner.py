@@ -50,7 +50,7 @@ from hplan.scene.model import Goal
 from hplan.scene.obstacle_kind import moved
 from hplan.scene.obstacles import AnyObstacle, Capsule, Mesh, Sphere
 from hplan.scene.solids import CUBE_CORNERS, whole_hull
-from hplan.trajectory.trajectory import Trajectory, joined
+from hplan.trajectory.trajectory import Trajectory, joined, stopped
 
 #: So many orders of setting out are certified before others than the soonest are given up.
 _TRIED: Final = 3
@@ -109,6 +109,58 @@ def plan_cell(
             return _CellPlanner(cell, replace(options, deadline_s=None), progress).result()
         except TimeIsUpError:
             raise limit.error(["motions of all arms"]) from None
+
+
+def replan_cell(
+    result: CellResult,
+    t: float,
+    arm: str,
+    goal: Goal | None = None,
+    *,
+    cancel: Cancel | None = None,
+) -> CellResult:
+    """A motion that is being run in which one arm goes elsewhere from an instant on, and the others go on as planned.
+
+    The arm stops on its own path, goes from there around the others where they will stand, and sets out as soon as
+    they leave room. Where that is not certified together with what they do, all of them stop (`CellResult.stop_at`).
+
+    Args:
+        result: The motion.
+        t: The instant, on the clock of the motion [s].
+        arm: Name of the arm.
+        goal: Where it is to go, in the cell's frame; None for the goal that it has, as after a delay.
+        cancel: As for `hplan.plan`.
+
+    Returns:
+        The whole motion, as it is up to `t`; `stopped` names all arms where it is a stop.
+
+    Raises:
+        OptionError: A time before the motion or after it.
+        InputError: No arm of that name, or a goal that is none of its.
+        TimingError: No stop was found.
+    """
+    instance("result", result, CellResult, "plan_cell")
+    cell = result.cell if goal is None else result.cell.with_goal(arm, instance("goal", goal, Goal))
+    mover, options, running = cell.arm(arm), result.options, result.trajectories
+    stop = stopped(running[arm], t, mover.robot)
+    there = cell.starting({name: motion.position[-1] for name, motion in (running | {arm: stop.trajectory}).items()})
+    with time_limit(options.deadline_s, cancel):
+        try:
+            motion = _to_goal(there, arm, options)
+            for spare in SPARES:
+                table = Timetable(cell, options, spare)
+                for name, own in running.items():
+                    table.run(name, stop.trajectory if name == arm else own)
+                if not table.set_out(arm, motion):
+                    continue
+                found = result.running(cell, cell.together(table.motions), {arm: stop}, check_ends=True)
+                if found.certificate.verified:
+                    return replace(found, later_s=result.later_s, stopped=())
+        except HplanError as error:
+            refused = isinstance(error, InputError) and not isinstance(error, ConfigurationInCollisionError)
+            if refused or isinstance(error, PlanCancelledError):
+                raise
+    return result.stop_at(t)
 
 
 class _CellPlanner:
@@ -255,7 +307,7 @@ class _CellPlanner:
             there = self._cell.starting({done: motion.position[-1] for done, motion in legs})
             try:
                 own = self._own(there, name, alone) if name not in dict(legs) else None
-                motion = self._to_goal(there, name) if own is None else own
+                motion = _to_goal(there, name, self._options) if own is None else own
             except PlanCancelledError:
                 raise
             except HplanError as error:
@@ -290,17 +342,6 @@ class _CellPlanner:
         table = Timetable(there, self._options, SPARES[0])
         return alone[name] if table.set_out(name, alone[name]) else None
 
-    def _to_goal(self, there: Cell, name: str, goal: Goal | None = None) -> Trajectory:
-        """An arm's motion among the others where they stand, to a goal of its own or another.
-
-        Raises:
-            HplanError: As `plan`.
-        """
-        arm, options = there.arm(name), replace(self._options, effort="quick")
-        scene = arm.scene if goal is None else arm.scene.model_copy(update={"goal": goal})
-        solids = (*scene.obstacles, *_standing(there, name))
-        return plan(arm.robot, scene.model_copy(update={"obstacles": solids}), options).trajectory
-
     def _aside(self, there: Cell, name: str, other: str, goal: FloatArray) -> Trajectory | None:
         """A motion of an arm to the nearest place where it is in nobody's way, nor in that of another at its goal."""
         arm, chance = there.arm(name), np.random.default_rng(0)
@@ -318,12 +359,25 @@ class _CellPlanner:
             away = np.round(np.abs(places - q[arm.joints]).sum(axis=1), 6)
             for place in sorted(np.flatnonzero(clear).tolist(), key=lambda each: (away[each], each))[:_TRIED]:
                 try:
-                    return self._to_goal(there, name, Goal(joints_rad=tuple(places[place].tolist())))
+                    return _to_goal(there, name, self._options, Goal(joints_rad=tuple(places[place].tolist())))
                 except PlanCancelledError:
                     raise
                 except HplanError:
                     continue
         return None
+
+
+def _to_goal(there: Cell, name: str, options: PlanOptions, goal: Goal | None = None) -> Trajectory:
+    """An arm's motion among the others where they stand, to a goal of its own or another.
+
+    Raises:
+        HplanError: As `plan`.
+    """
+    arm = there.arm(name)
+    scene = arm.scene if goal is None else arm.scene.model_copy(update={"goal": goal})
+    solids = (*scene.obstacles, *_standing(there, name))
+    options = replace(options, effort="quick", deadline_s=None)
+    return plan(arm.robot, scene.model_copy(update={"obstacles": solids}), options).trajectory
 
 
 def _orders(motions: Mapping[str, Trajectory]) -> Iterator[Legs]:

@@ -75,11 +75,19 @@ class Timetable:
             now = begin + motion.duration
         return joined(parts) if len(parts) > 1 else parts[0]
 
+    def run(self, name: str, motion: Trajectory) -> None:
+        """Let an arm run a motion from the begin on, without a look at the others."""
+        self.places[name] = self._sampled(motion)
+        self.legs[name].append((0.0, motion))
+
+    def _sampled(self, motion: Trajectory) -> FloatArray:
+        count = max(1, math.ceil(motion.duration / self._step - 1e-9))
+        return motion.positions(np.minimum(np.arange(count + 1) * self._step, motion.duration))
+
     def set_out(self, name: str, motion: Trajectory) -> bool:
         """Let an arm run a motion from where it is, as soon as there is room; False where there never is."""
         own = self.places[name]
-        count = max(1, math.ceil(motion.duration / self._step - 1e-9))
-        moving = motion.positions(np.minimum(np.arange(1, count + 1) * self._step, motion.duration))
+        moving = self._sampled(motion)[1:]
         last = max(map(len, self.places.values()))
         one_by_one = math.isinf(self._least)
         for begin in [last] if one_by_one else range(len(own), max(len(own), last) + _LATER + 1, _LATER):

@@ -21,7 +21,7 @@ from hplan.errors import (
     SceneError,
 )
 from hplan.planning.cell import Cell, certify_cell, load_cell
-from hplan.planning.cell_planner import _CellPlanner, plan_cell
+from hplan.planning.cell_planner import _CellPlanner, plan_cell, replan_cell
 from hplan.planning.options import PlanOptions
 from hplan.robot.several import joined_robots
 from hplan.scene.cell import CellRobot, CellScene
@@ -178,6 +178,33 @@ def test_stops_are_certified(robot):
         result.stop_at(0.5, "third")
 
 
+@pytest.mark.parametrize("goal", [(30.0, 20.0, 80.0, 60.0), None])
+def test_one_arm_goes_elsewhere_while_the_other_goes_on(robot, goal):
+    result = plan_cell(facing(robot, 1.1))
+    rng = np.random.default_rng(2)
+    for t in rng.uniform(0.0, result.trajectory.duration, 4).tolist():
+        changed = replan_cell(result, t, "left", None if goal is None else Goal(joints_deg=goal))
+        assert changed.certificate.verified
+        assert changed.stopped == ()
+        assert apart(changed.cell, every(changed.trajectory, 2e-3)) > 0.0
+        times = result.trajectory.time
+        right, before = result.trajectories["right"].position, times < t
+        assert np.allclose(changed.trajectories["right"].positions(times), right, atol=1e-9)
+        assert np.allclose(changed.trajectory.positions(times)[before], result.trajectory.position[before], atol=1e-9)
+        assert np.allclose(changed.trajectories["left"].position[-1], np.radians(TO if goal is None else goal))
+
+
+def test_all_stop_where_one_cannot_go_elsewhere(robot):
+    there = (0.0, 60.0, 60.0, 60.0)
+    result = plan_cell(facing(robot, 0.8, start=there, goal=None))
+    stop = replan_cell(result, 0.5, "left", Goal(joints_deg=there))
+    assert stop.certificate.verified
+    assert stop.stopped == ("left",)
+    assert stop.trajectory.duration < result.trajectory.duration
+    with pytest.raises(InputError):
+        replan_cell(result, 0.5, "left", Goal(joints_deg=(0.0, 60.0, 60.0)))
+
+
 def test_each_arm_picks_its_fruit(robot):
     scene = load_scene("trellis")
     low, high = scene.fruits[0], scene.fruits[5]
@@ -307,7 +334,9 @@ def test_the_command_writes_each_arms_file(write, tmp_path, capsys):
 def test_fruits_are_picked_around_each_other(robot, monkeypatch):
     """Without motions at once, or one later: the transits are planned together, the approaches after them."""
     scheduled = _CellPlanner._scheduled
-    monkeypatch.setattr(_CellPlanner, "_scheduled", lambda *given: scheduled(*given) if len(given) > 3 else None)
+    monkeypatch.setattr(
+        _CellPlanner, "_scheduled", lambda *given, **more: scheduled(*given, **more) if len(given) > 3 else None
+    )
     fruits = tuple(Fruit(name=n, center=(1.2, y, 1.6), radius=0.04) for n, y in (("a", 0.3), ("b", -2.3)))
     arms = tuple(
         CellRobot(name=n, position=(0.0, y, 0.0), start=Start(joints_deg=(0.0, 60.0, 60.0, 60.0)), goal=Goal(fruit=f))

@@ -147,7 +147,7 @@ def arm_parts(
     of_links = urdf_shapes(robot) if links == "urdf" else [[shape] for shape in link_shapes(robot, links)]
     contact = self_contact(robot, deviation=deviation, clearance=clearance)
     own = list(link_pairs(robot, contact, of_links))
-    turret, held = {}, SelfPairs((), (), np.zeros(0), np.zeros((0, robot.dof)))
+    turret, held = {}, SelfPairs((), (), np.zeros(0))
     if single_joint_pairs:
         turret, held = turret_shapes(robot), shaped_pairs(robot, deviation)
         own += [*fold_pairs(robot, contact, link_shapes(robot, "capsule")), *turret_pairs(robot, contact)]

@@ -22,6 +22,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from hplan.base.arrays import FloatArray, IntArray
+from hplan.base.deadline import is_up
 from hplan.base.kernels import any_int, inlined, kernel
 from hplan.collision import flat_bodies as flat
 from hplan.collision import obstacle_rows as row
@@ -35,7 +36,7 @@ from hplan.collision.vectors import Pose, Vector, dot, sub, turned_back
 
 _FIRST_ROW = any_int(0)
 
-#: Larger clearances are not looked for [m].
+#: Clearances that are larger are looked for only where that is asked for [m].
 FAR = 0.2
 
 #: By which fraction of itself a clearance may be given too small.
@@ -56,6 +57,7 @@ class BodyArrays(NamedTuple):
 
     Attributes:
         movers: As `hplan.collision.flat_bodies.FlatBodies`.
+        numbers: The same.
         solids: As `hplan.collision.clearance_field.ClearanceField`.
         placed: (bodies, PLACED) each body where it is.
         frames: (dof + 1, 12) frames of joints and base; with their twists where they move.
@@ -75,7 +77,7 @@ class BodyArrays(NamedTuple):
 @kernel
 def _placed_arm(q: FloatArray, field: FieldArrays) -> BodyArrays:
     """The arm at a configuration among obstacles."""
-    movers, numbers, solids, data = field.chain, field.base, field.solids, field.data
+    movers, numbers, solids, data = field.movers, field.numbers, field.solids, field.data
     placed, frames = np.empty((int(numbers[flat.BODIES]), PLACED)), np.empty((len(q) + 1, 12))
     place_bodies(q, movers, numbers, frames, placed)
     return BodyArrays(movers, numbers, solids, data, placed, frames, np.empty(WORK + 6))
@@ -204,8 +206,8 @@ def _body_clearance(arm: BodyArrays, b: int, enough: float) -> float:
             following = int(solids[s, row.NEXT]) if kind >= row.NODE else s + 1
             continue
         following = s + 1
-        if kind == row.LINK_RANGE:
-            if not solids[s, row.FIRST_LINK] <= joint <= solids[s, row.LAST_LINK]:
+        if kind == row.JOINT_RANGE:
+            if not solids[s, row.FIRST_JOINT] <= joint <= solids[s, row.LAST_JOINT]:
                 following = int(solids[s, row.NEXT])
         elif kind == row.NODE or kind == row.LEAF:
             start, along = segment_of(placed, b)
@@ -364,16 +366,25 @@ def _mover_clearance(arm: BodyArrays, k: int, enough: float) -> float:
 
 
 @kernel
-def body_clearances(q: FloatArray, field: FieldArrays, result: FloatArray) -> None:
-    """Clearance of each moving body at a configuration, `FAR` where it is more, or where obstacles do not count."""
+def body_clearances(q: FloatArray, field: FieldArrays, enough: float, result: FloatArray) -> None:
+    """Clearance of each moving body at a configuration, `enough` where there is more, or obstacles do not count."""
     arm = _placed_arm(q, field)
     movers, placed, solids = arm.movers, arm.placed, arm.solids
     for k in range(len(result)):
-        result[k] = FAR
-    k = _near_below(movers, placed, solids, len(result), FAR)
+        result[k] = enough
+    k = _near_below(movers, placed, solids, len(result), enough)
     while k >= 0:
-        result[k] = _mover_clearance(arm, k, FAR)
-        k = _near_below(movers, placed, solids, k, FAR)
+        result[k] = _mover_clearance(arm, k, enough)
+        k = _near_below(movers, placed, solids, k, enough)
+
+
+@kernel
+def clearances_along(points: FloatArray, field: FieldArrays, enough: float, result: FloatArray) -> None:
+    """As `body_clearances`, at (n, dof) configurations, written into (n, bodies)."""
+    for i in range(points.shape[0]):
+        if is_up(field.until):
+            break
+        body_clearances(points[i], field, enough, result[i])
 
 
 @kernel

@@ -34,7 +34,7 @@ _MOST_LOOKS = any_int(1_000_000)
 _APART = 0.8
 
 #: The first part of a motion that is asked for, and a later one in multiples of the one before.
-_FIRST_STEP, _LONGER = 0.25, 2.0
+_FIRST_STEP, _LONGER = 1.0, 2.0
 
 #: How far beyond the verified part the next look is, in multiples of what the last one verified; and, where that was
 #: too far, in multiples of that.
@@ -59,27 +59,15 @@ class Run(NamedTuple):
 
 
 @kernel
-def body_bounds(turns: FloatArray, movers: FloatArray, numbers: FloatArray, result: FloatArray) -> None:
-    """Largest displacement of any point of each moving body while joints move in proportion, by `turns` in all."""
-    dof = len(turns)
-    at = int(numbers[flat.REACHES])
-    for k in range(movers.shape[0]):
-        bound = 0.0
-        for j in range(dof):
-            bound += numbers[at + dof * k + j] * abs(turns[j])
-        result[k] = bound
-
-
-@kernel
 def _run(piece: FloatArray, field: FieldArrays, margin: float) -> Run:
     """A motion, of which nothing is known yet but how fast its points are at most, and how far it bends."""
     dof = piece.shape[1]
-    bends, fastest, changes = np.empty((field.chain.shape[0], 2)), np.empty(dof), np.empty(dof)
+    bends, fastest, changes = np.empty((field.movers.shape[0], 2)), np.empty(dof), np.empty(dof)
     for j in range(dof):
         first, second, third = piece[1, j] - piece[0, j], piece[2, j] - piece[1, j], piece[3, j] - piece[2, j]
         fastest[j] = 3.0 * max(abs(first), max(abs(second), abs(third)))
         changes[j] = 6.0 * max(abs(second - first), abs(third - second))
-    motion_bends(fastest, changes, field.chain, field.base, bends)
+    motion_bends(fastest, changes, field.movers, field.numbers, bends)
     return Run(piece, moving_arm(field, dof, bends, margin), fastest, changes, field.until)
 
 
@@ -96,13 +84,14 @@ def _look(run: Run, t: float, back: float, forward: float) -> Part:
 
 
 @kernel
-def _march(run: Run, middle: Part, looks: int, stride: float) -> tuple[float, int]:
+def _march(run: Run, middle: Part, looks: int, stride: float, least: float) -> tuple[float, int]:
     """Show a motion clear, from its begin on.
 
     Args:
         middle: What is verified about its middle.
         looks: How many are taken at most.
         stride: No step from look to look is shorter than that.
+        least: Where less than that is verified ahead, it is not gone on.
 
     Returns:
         The last place with all before it verified collision-free, 0 without any; and how many looks it took.
@@ -117,7 +106,9 @@ def _march(run: Run, middle: Part, looks: int, stride: float) -> tuple[float, in
             shown, last, covered = at, at, at + part.forward
             if covered >= 0.5 - middle.back:
                 covered = max(covered, 0.5 + middle.forward)
-            if at >= 1.0:
+            if covered >= 1.0:
+                return 1.0, used + 1
+            if part.forward < least:
                 return shown, used + 1
             step = max(part.forward, stride)
             ask, at = _LONGER * step, min(1.0, covered + _NEXT * step)
@@ -130,30 +121,38 @@ def _march(run: Run, middle: Part, looks: int, stride: float) -> tuple[float, in
 
 
 @kernel
-def body_shown_part(
-    piece: FloatArray, field: FieldArrays, margin: float, stride: float, looks: int
-) -> tuple[float, int]:
-    """As `hplan.collision.clearance_kernels.shown_part`; a look at the middle comes first, which may show it all."""
+def shown_part(piece: FloatArray, field: FieldArrays, margin: float, least: float, looks: int) -> tuple[float, int]:
+    """How much of a motion is verified to keep a margin, from its begin on, by conservative advancement.
+
+    Args:
+        piece: (4, dof) Bezier points of the motion.
+        margin: Clearance asked for wherever it is evaluated; half of it is kept all along [m].
+        least: It ends where less than that is verified ahead.
+        looks: Most evaluations of the clearance.
+
+    Returns:
+        The last place, from 0 to 1, with all before it verified, 0 without any; and how many evaluations it took.
+    """
     run = _run(piece, field, margin)
-    middle = _look(run, 0.5, 0.5, 0.5)
-    if middle.back >= 0.5 and middle.forward >= 0.5:
-        return 1.0, 1
-    shown, used = _march(run, middle, looks - 1, stride)
-    return shown, used + 1
+    shown, used = _march(run, Part(-1.0, -1.0), looks, 0.0, least)
+    return shown, used
 
 
 @kernel
-def body_piece_is_clear(piece: FloatArray, field: FieldArrays, margin: float, stride: float) -> bool:
-    """True if a motion along a Bezier piece is verified to keep a margin.
+def piece_is_clear(piece: FloatArray, field: FieldArrays, margin: float, stride: float) -> bool:
+    """True if a motion along a Bezier piece is verified to keep a margin (`shown_part`).
 
-    Most motions that are checked fail, which places far apart show at once: these are looked at first.
+    The middle often shows all of it; and most motions that are checked fail, which places far apart show at once.
+
+    Args:
+        stride: No step is shorter than that: above 0 no proof near contact, but cheap, for optimisers.
     """
     run = _run(piece, field, margin)
     middle = _look(run, 0.5, 0.5, 0.5)
     if middle.forward < 0.0 or (middle.back >= 0.5 and middle.forward >= 0.5):
         return middle.forward >= 0.0
     farthest = 0.0
-    for b in range(int(field.base[flat.BODIES])):
+    for b in range(int(field.numbers[flat.BODIES])):
         farthest = max(farthest, run.moving.bends[b, 0])
     parts = 2
     while farthest > parts * _APART and not is_up(field.until):
@@ -161,14 +160,40 @@ def body_piece_is_clear(piece: FloatArray, field: FieldArrays, margin: float, st
         for part in range(1, parts, 2):
             if _look(run, part / parts, 0.0, 0.0).forward < 0.0:
                 return False
-    shown, _ = _march(run, middle, _MOST_LOOKS, stride)
+    shown, _ = _march(run, middle, _MOST_LOOKS, stride, 0.0)
     return shown == 1.0
 
 
 @kernel
-def mark_near_bodies(path: FloatArray, arrays: FieldArrays, distance: float, near: BoolArray) -> None:
+def straight_piece(start: FloatArray, end: FloatArray) -> FloatArray:
+    """(4, dof) Bezier points of a straight motion at a steady rate."""
+    piece = np.empty((4, len(start)))
+    for i in range(len(start)):
+        third = (end[i] - start[i]) / 3.0
+        piece[0, i], piece[1, i], piece[2, i], piece[3, i] = start[i], start[i] + third, end[i] - third, end[i]
+    return piece
+
+
+@kernel
+def segment_is_clear(start: FloatArray, end: FloatArray, field: FieldArrays, margin: float) -> bool:
+    """True if the straight joint-space motion is verified to keep a margin (`shown_part`)."""
+    return piece_is_clear(straight_piece(start, end), field, margin, 0.0)
+
+
+@kernel
+def path_is_clear(path: FloatArray, field: FieldArrays, margin: float) -> bool:
+    """True if every segment of a polyline is verified to keep a margin (`shown_part`)."""
+    clear, i = True, 0
+    while clear and i < path.shape[0] - 1:
+        clear = segment_is_clear(path[i], path[i + 1], field, margin)
+        i += 1
+    return clear
+
+
+@kernel
+def mark_near(path: FloatArray, arrays: FieldArrays, distance: float, near: BoolArray) -> None:
     """Mark the rows whose bounding ball comes within a distance of a body at some configuration."""
-    movers, numbers, solids = arrays.chain, arrays.base, arrays.solids
+    movers, numbers, solids = arrays.movers, arrays.numbers, arrays.solids
     placed, frames = np.empty((int(numbers[flat.BODIES]), PLACED)), np.empty((path.shape[1] + 1, 12))
     for i in range(path.shape[0]):
         if is_up(arrays.until):

@@ -1,7 +1,8 @@
 """Clearance of the arm in space, and motions verified collision-free over continuous time.
 
-Distances are exact for capsule links against balls, capsules, boxes, hulls and clouds of balls. A motion is verified
-collision-free by a bound on how far each link moves (`hplan.collision.clearance_kernels`).
+Moving bodies are those of the arm, of a planar one the capsules of its links, and pairs of its own that are not to
+touch (`hplan.collision.flat_bodies`). A motion is verified collision-free by how the bodies move
+(`hplan.collision.body_motions`).
 """
 
 from __future__ import annotations
@@ -10,35 +11,25 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import cast
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from hplan.base.arrays import BoolArray, FloatArray, IntArray, Record, frozen, readonly
 from hplan.base.deadline import check_deadline, until
-from hplan.collision.clearance_kernels import (
-    LINK,
-    FieldArrays,
-    clearances_along,
-    link_clearances,
-    mark_near,
-    path_is_clear,
-)
-from hplan.collision.flat_bodies import BODIES, DOF, FlatBodies
+from hplan.collision.body_kernels import FAR, clearances_along
+from hplan.collision.body_motions import mark_near, path_is_clear
+from hplan.collision.flat_bodies import BODIES, DOF, JOINT, FlatBodies, as_ball
 from hplan.collision.obstacle_rows import (
-    FIRST_LINK,
+    FIRST_JOINT,
+    JOINT_RANGE,
     KIND,
-    LAST_LINK,
-    LINK_RANGE,
+    LAST_JOINT,
     NEXT,
-    RANGE,
-    TURNS,
-    BodyFieldArrays,
-    core_rows,
-    own_clearance_of,
+    FieldArrays,
     rows_of,
 )
+from hplan.collision.placed_bodies import place_joints
 from hplan.errors import OptionError
 from hplan.robot.model import Robot
 from hplan.scene.obstacles import Solid
@@ -47,30 +38,22 @@ from hplan.scene.obstacles import Solid
 _NEAR_STEP = 0.05
 
 
-def _of_owners(solids: BoolArray, owner: IntArray, *, arm: bool) -> BoolArray:
-    """(rows,) what is so of each row's owner: of solids, of the arm; of what is everybody's always."""
-    rows: BoolArray = np.concatenate([solids, [True, arm]])[owner]
-    return rows
-
-
 @dataclass(frozen=True, eq=False)
 class ClearanceField(Record):
     """Arm and obstacles as flat arrays, ready for the kernels.
 
     Attributes:
-        chain: (links, 6) rows: length, half-width with the link's sway [m], sign, zero offset, distance from the arm
-            plane and largest distance from the yaw axis [m]; of an arm that is not of the planar family the `movers` of
-            `hplan.collision.flat_bodies`, and in `base` its `numbers`.
-        base: (12,) shoulder position, from the foot of the yaw axis, the plane's horizontal and upward axes, all at
-            yaw 0; 1 where joint 0 is a yaw; where its axis stands.
+        movers: Moving bodies, and pairs of them, as `hplan.collision.flat_bodies.FlatBodies` has them.
+        numbers: What they refer to there.
         solids: (rows, 21) balls, capsules, boxes, hulls and nodes of clouds, grown by the clearance to keep; columns as
             in `hplan.collision.obstacle_rows`.
-        data: Facets and edges of hulls, and points of clouds, one after the other; rows say where.
-        owner: (rows,) index of the solid behind each row; `ARM` or `RANGE` (`hplan.collision.obstacle_rows`).
+        data: Corners of hulls and points of clouds, one after the other; rows say where.
+        owner: (rows,) index of the solid behind each row; -1 of a group of several, `RANGE`
+            (`hplan.collision.obstacle_rows`).
     """
 
-    chain: FloatArray
-    base: FloatArray
+    movers: FloatArray
+    numbers: FloatArray
     solids: FloatArray
     data: FloatArray
     owner: IntArray
@@ -78,10 +61,12 @@ class ClearanceField(Record):
     @property
     def arrays(self) -> FieldArrays:
         """The arrays for kernels, and how long these may take."""
-        planar = FieldArrays(self.chain, self.base, self.solids, self.data, until())
-        if self.chain.shape[1] == LINK:
-            return planar
-        return cast(FieldArrays, BodyFieldArrays(*planar, int(self.base[BODIES])))
+        return FieldArrays(self.movers, self.numbers, self.solids, self.data, until())
+
+    @property
+    def reaches(self) -> FloatArray:
+        """(moving bodies, dof) motion-bound coefficients (`hplan.collision.reach`)."""
+        return FlatBodies(self.movers, self.numbers).reaches
 
     @classmethod
     def of(
@@ -92,7 +77,7 @@ class ClearanceField(Record):
         clearance: ArrayLike = 0.0,
         own_clearance: float | None = None,
         deviation: float = 0.0,
-        links: BoolArray | None = None,
+        joints: BoolArray | None = None,
     ) -> ClearanceField:
         """The field of a robot among obstacles.
 
@@ -100,27 +85,14 @@ class ClearanceField(Record):
             clearance: By how much each of them is grown [m], one number or one for each.
             own_clearance: Clearance that parts of the arm are to keep from one another [m]; None for the smallest of
                 the others.
-            deviation: By how much every joint may be off [rad]; each link is as much thicker as it may then sway.
-            links: (obstacles, links) which links keep clear of each; of a robot that is no planar arm (obstacles, dof),
-                what which joints carry. None for all of all.
+            deviation: By how much every joint may be off [rad]; each body is as much thicker as it may then sway.
+            joints: (obstacles, dof) for each whether what a joint carries keeps clear of it. None for all of all.
         """
-        if robot.planar is None:
-            flat = FlatBodies.of(robot, own_clearance_of(clearance, own_clearance), deviation)
-            solids, data, owner = core_rows(obstacles, clearance, links)
-            return cls(flat.movers, flat.numbers, readonly(solids), readonly(data), readonly(owner, np.int64))
-        arm = robot.arm
-        widths = arm.half_widths + robot.sway(deviation)
-        shoulder = robot.plane_origin - np.append(robot.yaw_axis, 0.0)
-        base = [*shoulder, *robot.plane_axes[0], *robot.plane_axes[1], float(robot.has_yaw), *robot.yaw_axis]
-        chain = [arm.lengths, widths, arm.signs, arm.offsets, arm.lateral, robot.yaw_radius]
-        solids, data, owner = rows_of(robot, obstacles, clearance, own_clearance, deviation, links)
-        return cls(
-            chain=readonly(np.column_stack(chain)),
-            base=readonly(base),
-            solids=readonly(solids),
-            data=readonly(data),
-            owner=readonly(owner, np.int64),
-        )
+        growth = np.asarray(clearance, dtype=np.float64)
+        own = float(growth.min()) if own_clearance is None and growth.size else own_clearance or 0.0
+        flat = FlatBodies.of(robot, own, deviation)
+        solids, data, owner = rows_of(obstacles, growth, joints)
+        return cls(flat.movers, flat.numbers, readonly(solids), readonly(data), readonly(owner, np.int64))
 
     def only(self, kept: BoolArray, *, arm: bool = True) -> ClearanceField:
         """The field of some of the solids, and of the arm itself.
@@ -129,24 +101,20 @@ class ClearanceField(Record):
             kept: (solids,) which of them.
             arm: False leaves the arm itself out.
         """
-        found = self._of_rows(_of_owners(kept, self.owner, arm=arm))
-        if arm or self.chain.shape[1] == LINK:
-            return found
-        # Of general (non-planar) arms their own pairs count as moving bodies, after the bodies.
-        return replace(found, chain=readonly(self.chain[: int(self.base[BODIES])]))
+        found = self._of_rows(np.append(kept, [True, True])[self.owner])
+        return found if arm else replace(found, movers=readonly(self.movers[: int(self.numbers[BODIES])]))
 
     def sparing(self, touched: BoolArray) -> ClearanceField:
-        """The field where the last link may touch some of the solids.
+        """The field where what the last joint carries may touch some of the solids.
 
         Args:
             touched: (solids,) which of them.
         """
-        # The link, or of other arms than planar ones the joint, before the last.
-        last_link = (len(self.chain) if self.chain.shape[1] == LINK else int(self.base[DOF])) - 2
-        if last_link < 0:
+        before_last = int(self.numbers[DOF]) - 2
+        if before_last < 0:
             return self.only(~touched)
-        rows = _of_owners(touched, self.owner, arm=False) & (self.owner != RANGE)
-        first = rows & (np.concatenate([[-2], self.owner[:-1]]) != self.owner)  # a link range comes before it
+        rows = np.append(touched, [False, False])[self.owner]
+        first = rows & (np.concatenate([[-2], self.owner[:-1]]) != self.owner)  # a joint range comes before it
         before = np.concatenate([[0], np.cumsum(first)])
         solids = np.insert(self.solids, np.flatnonzero(first), 0.0, axis=0)
         moved = np.arange(len(rows)) + before[1:]
@@ -154,10 +122,10 @@ class ClearanceField(Record):
         ends = np.append(np.flatnonzero(first), len(rows))[1:]
         for start, end in zip(np.flatnonzero(first).tolist(), ends.tolist(), strict=True):
             last = start + int(np.count_nonzero(self.owner[start:end] == self.owner[start]))
-            links = solids[start + before[start]]
-            links[:] = self.solids[start]
-            links[KIND], links[FIRST_LINK], links[LAST_LINK], links[TURNS] = LINK_RANGE, 0, last_link, 0.0
-            links[NEXT] = last + before[last]
+            joints = solids[start + before[start]]
+            joints[:] = self.solids[start]
+            joints[KIND], joints[FIRST_JOINT], joints[LAST_JOINT] = JOINT_RANGE, 0, before_last
+            joints[NEXT] = last + before[last]
         owner = np.insert(self.owner, np.flatnonzero(first), self.owner[first])
         return replace(self, solids=frozen(solids), owner=frozen(owner))
 
@@ -186,44 +154,43 @@ class ClearanceField(Record):
         solids[:, NEXT] = place[solids[:, NEXT].astype(np.int64)]
         return replace(self, solids=frozen(solids), owner=frozen(self.owner[rows]))
 
-    def link_clearances(self, q: ArrayLike) -> FloatArray:
-        """Clearance of each link at one configuration.
+    def link_clearances(self, q: ArrayLike, enough: float = FAR) -> FloatArray:
+        """Clearance of each moving body at one configuration; as `along`."""
+        found: FloatArray = self.along(np.asarray(q)[None], enough)[0]
+        return found
+
+    def along(self, configurations: ArrayLike, enough: float = FAR) -> FloatArray:
+        """Clearance of each moving body at many configurations.
 
         Args:
-            q: (dof,) configuration.
+            configurations: (n, dof).
+            enough: Larger clearances are not told from it [m].
 
         Returns:
-            (links,) distances to the nearest obstacle [m], inf without obstacles. Negative in contact; the depth is
-            exact for balls and for capsules whose axis is not crossed, a lower bound of the depth otherwise.
+            (n, moving bodies) distances to the nearest obstacle [m]. Negative in contact: the least shift that takes a
+            body out of an obstacle that it is in.
         """
-        check_deadline()
-        result = np.empty(len(self.chain))
-        link_clearances(np.array(q, dtype=np.float64), self.arrays, result)
-        return result
-
-    def along(self, configurations: ArrayLike) -> FloatArray:
-        """Clearances of the links at many configurations, (n, dof) -> (n, links) [m]; as `link_clearances`."""
         points = np.array(configurations, dtype=np.float64, order="C")
-        result = np.empty((len(points), len(self.chain)))
-        clearances_along(points, self.arrays, result)
+        result = np.empty((len(points), len(self.movers)))
+        clearances_along(points, self.arrays, enough, result)
         check_deadline()
         return result
 
-    def of_last_end(self, place: ArrayLike, axes: FloatArray) -> float:
-        """Clearance that a planar arm's last link cannot exceed wherever its end is at a place [m].
-
-        It is that of the end alone, as if all links had no length.
+    def of_point(self, body: int, place: ArrayLike) -> float:
+        """Clearance that a body cannot exceed wherever a point of its axis is at a place, `FAR` where that is more [m].
 
         Args:
+            body: Number of the moving body.
             place: (3,) in `base_link` [m].
-            axes: (3, 3) the arm plane's horizontal and upward axis and its normal there.
         """
-        links = self.chain.copy()
-        links[:, 0] = 0.0
-        base = np.concatenate([np.asarray(place, dtype=np.float64), axes[0], axes[1], np.zeros(3)])
-        solids = self.only(np.ones(int(self.owner.max(initial=-1)) + 1, dtype=np.bool_), arm=False)
-        end = replace(solids, chain=frozen(links), base=frozen(base))
-        return float(end.link_clearances(np.zeros(len(links)))[-1])
+        q = np.zeros(int(self.numbers[DOF]))
+        frames = np.empty((len(q) + 1, 12))
+        place_joints(q, self.numbers, frames)
+        frame = frames[int(self.movers[body, JOINT])]
+        centre = (np.asarray(place) - frame[9:]) @ frame[:9].reshape(3, 3)
+        movers, numbers = as_ball(self.movers[body], self.numbers, centre)
+        ball = replace(self, movers=readonly(movers), numbers=readonly(numbers))
+        return float(ball.link_clearances(q)[0])
 
     def clearance(self, q: ArrayLike) -> float:
         """Least clearance of any link at one configuration [m]."""

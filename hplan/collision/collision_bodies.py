@@ -58,7 +58,8 @@ class CollisionBody(Record):
         kind: `sphere`, `capsule`, `box`, `cylinder`, `mesh` (one that is convex), `mesh hull` or `mesh piece`.
         exact: True where it is the URDF's shape itself, up to rounding errors.
         growth: By how much it may stand out beyond the shape that coal judges by [m]; see `body_shapes`.
-        shape: Place of the URDF's shape among the geometry objects of `Robot.collision_model`; pieces share one.
+        shape: Place of the URDF's shape among the geometry objects of `Robot.collision_model`, -1 for another shape;
+            pieces share one.
     """
 
     name: str
@@ -106,7 +107,7 @@ def _made(robot: Robot) -> list[tuple[CollisionBody, pin.GeometryObject]]:
 def _bodies_from(robot: Robot, first: int) -> Iterator[tuple[CollisionBody, pin.GeometryObject]]:
     """The bodies of a robot's shapes from a number on."""
     for number, shape in list(enumerate(robot.collision_model.geometryObjects))[first:]:
-        yield from _bodies(robot, number, shape)
+        yield from bodies_of(robot, str(robot.model.frames[shape.parentFrame].name), shape, number)
 
 
 class _Solid(NamedTuple):
@@ -120,9 +121,15 @@ class _Solid(NamedTuple):
     judged: coal.CollisionGeometry
 
 
-def _bodies(robot: Robot, number: int, shape: pin.GeometryObject) -> Iterator[tuple[CollisionBody, pin.GeometryObject]]:
-    """The bodies of a shape of the URDF, each with its shape for coal."""
-    name, joint, place = str(robot.model.frames[shape.parentFrame].name), int(shape.parentJoint), shape.placement
+def bodies_of(
+    robot: Robot, name: str, shape: pin.GeometryObject, number: int = -1
+) -> Iterator[tuple[CollisionBody, pin.GeometryObject]]:
+    """The bodies of a shape that a robot's link has, each with its shape for coal.
+
+    Raises:
+        RobotFileError: As `collision_bodies`.
+    """
+    joint, place = int(shape.parentJoint), shape.placement
     solids = _mesh(shape.geometry) if isinstance(shape.geometry, coal.BVHModelBase) else [_primitive(shape.geometry)]
     for piece, solid in enumerate(solids):
         if solid is None:

@@ -76,13 +76,6 @@ def signed_excess(x: float, half: float) -> float:
 
 
 @kernel
-def segment_box(a: Vector, u: Vector, half: Vector) -> float:
-    """Distance of the segment a, a + u from the box of half sizes `half`, in the box's frame."""
-    dx, dy, dz, _ = off_box(a, u, half)
-    return math.sqrt(dx * dx + dy * dy + dz * dz)
-
-
-@kernel
 def off_box(a: Vector, u: Vector, half: Vector) -> Off:
     """From the box of half sizes `half` to the segment a, a + u, in the box's frame.
 

@@ -7,11 +7,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hplan.base.arrays import FloatArray, Record, frozen
-from hplan.collision.collision_bodies import GROUND, CollisionBody, collision_bodies
-from hplan.collision.reach import carriers, joint_axis, points_reach, reach
+from hplan.base.arrays import BoolArray, FloatArray, Record, frozen
+from hplan.collision.coal_shapes import link_shapes
+from hplan.collision.collision_bodies import GROUND, CollisionBody, bodies_of, collision_bodies
+from hplan.collision.obstacle_rows import convex_solid
+from hplan.collision.reach import carriers, joint_axis, points_reach
 from hplan.collision.touching_pairs import self_pairs
+from hplan.robot.base_shapes import TURRET
 from hplan.robot.model import Robot, made_once
+from hplan.robot.self_contact import SelfContact, self_contact
 from hplan.scene.corner_table import corner_table
 
 #: Columns of a body: its joint (`dof` for the ground), first and last place of its points among the numbers (last is
@@ -22,10 +26,10 @@ JOINT, FIRST, LAST, TABLE, ROUNDING, BALL, BALL_RADIUS, AXIS, AXIS_RADIUS, MEETS
 
 #: Columns of a pair: its bodies, the one whose motion is seen from the other first, and the distance of their hulls at
 #: which they touch; then the distances of the centres of their balls, and of their segments, beyond which they are
-#: farther apart than that.
-OUTER, INNER, TOUCHING, BALLS, AXES = 0, 1, 2, 3, 4
+#: farther apart than that; and 1, where a body has 0.
+OUTER, INNER, TOUCHING, BALLS, AXES, IS_PAIR = 0, 1, 2, 3, 4, 17
 
-COLUMNS = 17
+COLUMNS = 18
 
 #: A body of so many coordinates at most is its segment, grown by its radius.
 THIN = 6
@@ -48,13 +52,20 @@ class FlatBodies(Record):
 
     Attributes:
         movers: (bodies + pairs, COLUMNS) each body in the order of `collision_bodies`, then capsules that stand for
-            cylinders with a ball at either end, then each pair of its own that is checked.
-        numbers: Flat: the head, the joints, the reaches ((bodies, dof), row by row), the points of all bodies, each
-            with its table.
+            cylinders with a ball at either end; of a planar arm the capsules of its links, then what of turret and
+            pedestal they can touch. Then each pair of its own that is checked.
+        numbers: Flat: the head, the joints, the reaches ((bodies + pairs, dof), row by row), the points of all bodies,
+            each with its table.
     """
 
     movers: FloatArray
     numbers: FloatArray
+
+    @property
+    def reaches(self) -> FloatArray:
+        """(bodies + pairs, dof) motion-bound coefficients (`hplan.collision.reach`)."""
+        first, dof = int(self.numbers[REACHES]), int(self.numbers[DOF])
+        return self.numbers[first : first + len(self.movers) * dof].reshape(-1, dof)
 
     @classmethod
     def of(cls, robot: Robot, own_clearance: float = 0.0, deviation: float = 0.0) -> FlatBodies:
@@ -64,49 +75,96 @@ class FlatBodies(Record):
             own_clearance: Clearance that pairs are to keep [m].
             deviation: By how much every joint may be off [rad, m]: bodies are as much thicker as it may displace them.
         """
-        still = robot.cached("flat bodies", lambda: cls._still(robot))
-        rows, count, pairs = still.movers.copy(), int(still.numbers[BODIES]), self_pairs(robot)
-        sway = deviation * still.numbers[int(still.numbers[REACHES]) :][: rows.shape[0] * robot.dof]
-        sway = sway.reshape(-1, robot.dof).sum(axis=1)
-        for column in (ROUNDING, BALL_RADIUS, AXIS_RADIUS):
-            rows[:count, column] += sway[:count]
-        for column in (TOUCHING, BALLS, AXES):
-            rows[count:, column] += sway[count:] + pairs.needed(own_clearance)
-        return cls(frozen(rows), still.numbers)
+        if robot.planar is None:
+            still = robot.cached("flat bodies", lambda: _of_any_arm(robot))
+            needed = self_pairs(robot).needed(own_clearance)
+        else:
+            contact = self_contact(robot, deviation=deviation, clearance=own_clearance)
+            which = "flat bodies", contact.links, tuple((body.shape, body.links) for body in contact.bodies)
+            still = robot.cached(which, lambda: _of_planar_arm(robot, contact))
+            needed = np.full(len(still.movers) - int(still.numbers[BODIES]), own_clearance)
+        kept = np.append(np.zeros(int(still.numbers[BODIES])), needed)
+        return cls(frozen(thicker(still.movers, deviation * still.reaches.sum(axis=1) + kept)), still.numbers)
 
-    @classmethod
-    def _still(cls, robot: Robot) -> FlatBodies:
-        """The bodies without deviation, where pairs may touch."""
-        own, pairs = collision_bodies(robot), self_pairs(robot)
-        capsules = list(_capsules(own))
-        bodies = [*own, *(capsule for capsule, _ in capsules)]
-        held = {part for _, parts in capsules for part in parts}
-        of_capsules = [points_reach(robot, body.core, body.joint, body.rounding) for body, _ in capsules]
-        reaches = np.concatenate([reach(robot), *np.reshape(of_capsules, (-1, 1, robot.dof)), pairs.reach])
-        joints = joint_numbers(robot)
-        first = HEAD + joints.size + reaches.size
-        head = [len(bodies), robot.dof, HEAD, HEAD + joints.size]
-        rows, points = np.zeros((len(reaches), COLUMNS)), list[FloatArray]()
-        for row, body in enumerate(bodies):
-            rows[row, JOINT] = robot.dof if body.joint == GROUND else body.joint
-            end = first + body.core.size
-            table = corner_table(body.core, first, end)
-            rows[row, FIRST], rows[row, LAST], rows[row, TABLE] = first, end, end if len(table) else 0
-            points += [body.core.ravel(), table]
-            first = end + len(table)
-            rows[row, ROUNDING] = body.rounding
-            rows[row, BALL:BALL_RADIUS], radius = _ball(body.core)
-            rows[row, BALL_RADIUS] = radius * (1.0 + 1e-12) + body.rounding
-            rows[row, AXIS:AXIS_RADIUS], radius = _axis(body.core)
-            rows[row, AXIS_RADIUS] = radius * (1.0 + 1e-12) + body.rounding
-            rows[row, MEETS] = float(body.joint != GROUND and row not in held)
-        depth = [len(carriers(robot, body.joint)) for body in bodies]
-        for row, (i, j) in enumerate(pairs.checked, start=len(bodies)):
-            rows[row, OUTER], rows[row, INNER] = (i, j) if depth[i] > depth[j] else (j, i)
-            rows[row, TOUCHING] = bodies[i].rounding + bodies[j].rounding
-            rows[row, BALLS] = rows[i, BALL_RADIUS] + rows[j, BALL_RADIUS]
-            rows[row, AXES] = rows[i, AXIS_RADIUS] + rows[j, AXIS_RADIUS]
-        return cls(frozen(rows), frozen(np.concatenate([head, joints.ravel(), reaches.ravel(), *points])))
+
+def thicker(movers: FloatArray, by: FloatArray) -> FloatArray:
+    """Bodies grown, and pairs that are to keep more, by (bodies + pairs,) distances [m]."""
+    movers, is_pair = movers.copy(), movers[:, IS_PAIR] > 0.0
+    for columns, chosen in (((ROUNDING, BALL_RADIUS, AXIS_RADIUS), ~is_pair), ((TOUCHING, BALLS, AXES), is_pair)):
+        for column in columns:
+            movers[chosen, column] += by[chosen]
+    return movers
+
+
+def as_ball(body: FloatArray, numbers: FloatArray, centre: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The row of a body alone, and its numbers, with a (3,) point of the body's frame in place of its core."""
+    row, numbers = body[None].copy(), np.append(numbers, centre)
+    numbers[BODIES], end = 1, len(numbers)
+    row[:, FIRST], row[:, LAST], row[:, TABLE] = end - 3, end, 0
+    row[:, BALL:BALL_RADIUS], row[:, AXIS : AXIS + 3], row[:, AXIS + 3 : AXIS_RADIUS] = centre, centre, 0.0
+    row[:, BALL_RADIUS] = row[:, AXIS_RADIUS] = row[:, ROUNDING]
+    return row, numbers
+
+
+def _of_any_arm(robot: Robot) -> FlatBodies:
+    """The bodies that a URDF has, where pairs may touch."""
+    own, pairs = collision_bodies(robot), self_pairs(robot)
+    capsules = list(_capsules(own))
+    bodies = [*own, *(capsule for capsule, _ in capsules)]
+    held = {part for _, parts in capsules for part in parts}
+    meets = [body.joint != GROUND and number not in held for number, body in enumerate(bodies)]
+    return _flat(robot, bodies, meets, pairs.checked)
+
+
+def _of_planar_arm(robot: Robot, contact: SelfContact) -> FlatBodies:
+    """The capsules of a planar arm's links in their order, then what of turret and pedestal they can touch."""
+    shapes = zip(robot.arm.link_names, link_shapes(robot, "capsule"), strict=True)
+    bodies = [body for name, shape in shapes for body, _ in bodies_of(robot, name, shape)]
+    links, pairs = len(bodies), list(contact.links)
+    turret = robot.model.jointPlacements[1]
+    for number, body in enumerate(contact.bodies, start=links):
+        solid, joint = convex_solid(body.name, body.core, body.rounding), GROUND
+        core = solid.core
+        if body.carrier == TURRET and robot.has_yaw:
+            joint, core = 0, (core - turret.translation) @ turret.rotation
+        bodies.append(CollisionBody(body.name, joint, core, solid.rounding, "mesh", False, 0.0, body.shape))
+        pairs += [(number, link) for link in body.links]
+    return _flat(robot, bodies, np.arange(len(bodies)) < links, pairs)
+
+
+def _flat(
+    robot: Robot, bodies: Sequence[CollisionBody], meets: Sequence[bool] | BoolArray, pairs: Sequence[tuple[int, int]]
+) -> FlatBodies:
+    """Bodies, which of them obstacles are to keep clear of, and pairs of them that are not to touch."""
+    joints, count = joint_numbers(robot), len(bodies)
+    alone = np.array([points_reach(robot, body.core, body.joint) for body in bodies]).reshape(-1, robot.dof)
+    reaches = np.concatenate([alone, np.zeros((len(pairs), robot.dof))])
+    carried = [carriers(robot, body.joint) for body in bodies]
+    first = HEAD + joints.size + reaches.size
+    head = [count, robot.dof, HEAD, HEAD + joints.size]
+    rows, points = np.zeros((len(reaches), COLUMNS)), list[FloatArray]()
+    for row, body in enumerate(bodies):
+        rows[row, JOINT] = robot.dof if body.joint == GROUND else body.joint
+        end = first + body.core.size
+        table = corner_table(body.core, first, end)
+        rows[row, FIRST], rows[row, LAST], rows[row, TABLE] = first, end, end if len(table) else 0
+        points += [body.core.ravel(), table]
+        first = end + len(table)
+        rows[row, ROUNDING] = body.rounding
+        rows[row, BALL:BALL_RADIUS], radius = _ball(body.core)
+        rows[row, BALL_RADIUS] = radius * (1.0 + 1e-12) + body.rounding
+        rows[row, AXIS:AXIS_RADIUS], radius = _axis(body.core)
+        rows[row, AXIS_RADIUS] = radius * (1.0 + 1e-12) + body.rounding
+        rows[row, MEETS] = float(meets[row])
+    for row, (i, j) in enumerate(pairs, start=count):
+        rows[row, OUTER], rows[row, INNER] = (i, j) if len(carried[i]) > len(carried[j]) else (j, i)
+        rows[row, TOUCHING] = bodies[i].rounding + bodies[j].rounding
+        rows[row, BALLS] = rows[i, BALL_RADIUS] + rows[j, BALL_RADIUS]
+        rows[row, AXES] = rows[i, AXIS_RADIUS] + rows[j, AXIS_RADIUS]
+        rows[row, IS_PAIR] = 1.0
+        between = sorted(set(carried[i]) ^ set(carried[j]))
+        reaches[row, between] = (alone[i] + alone[j])[between]
+    return FlatBodies(frozen(rows), frozen(np.concatenate([head, joints.ravel(), reaches.ravel(), *points])))
 
 
 def _capsules(bodies: Sequence[CollisionBody]) -> Iterator[tuple[CollisionBody, tuple[int, ...]]]:

@@ -38,13 +38,12 @@ class LinkedSolids(Record):
     Attributes:
         solids: The solids that do not give way, those that do, and these again.
         growth: (n,) by how much each is grown [m]; negative where it gives way.
-        links: (n, links) which links of a planar arm, or what which joints of another one carry, keep clear of each;
-            None for all of all.
+        joints: (n, dof) for each whether what a joint carries keeps clear of it; None for all of all.
     """
 
     solids: tuple[Solid, ...]
     growth: FloatArray
-    links: BoolArray | None = None
+    joints: BoolArray | None = None
 
     @classmethod
     def of(
@@ -78,9 +77,9 @@ class LinkedSolids(Record):
         smaller = np.broadcast_to(np.asarray(beyond, dtype=np.float64), (len(solids),)) - depth
         order = np.concatenate([firm, soft, soft])
         of_each = (np.ones_like(pushing), ~pushing, pushing)
-        links = np.repeat(of_each, [len(firm), len(soft), len(soft)], axis=0)
+        joints = np.repeat(of_each, [len(firm), len(soft), len(soft)], axis=0)
         growths = np.concatenate([grown[firm], grown[soft], smaller[soft]])
-        return cls(tuple(solids[number] for number in order.tolist()), frozen(growths), frozen(links))
+        return cls(tuple(solids[number] for number in order.tolist()), frozen(growths), frozen(joints))
 
     def field(self, robot: Robot, *, own_clearance: float | None = None, deviation: float = 0.0) -> ClearanceField:
         """The arm among them (`ClearanceField.of`)."""
@@ -90,8 +89,8 @@ class LinkedSolids(Record):
             clearance=self.growth,
             own_clearance=own_clearance,
             deviation=deviation,
-            links=self.links,
-        )  # fmt: skip
+            joints=self.joints,
+        )
 
     def named(self, names: Collection[str]) -> BoolArray:
         """(n,) which of them have one of some names."""
@@ -155,9 +154,9 @@ def _links(robot: Robot) -> dict[str, int]:
 
 
 def _pushing(robot: Robot, names: Sequence[str]) -> BoolArray:
-    """(links,) of a planar arm which may push; of another one, (dof,) which joints carry nothing that may not."""
+    """(dof,) for each joint whether it carries a link, and none that may not push."""
     known = _links(robot)
     found = np.zeros(robot.dof, dtype=np.bool_)
     found[[known[name] for name in names]] = True
     found[[joint for name, joint in known.items() if name not in names]] = False
-    return found if robot.planar is None else found[robot.arm_slice]
+    return found

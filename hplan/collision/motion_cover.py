@@ -42,6 +42,7 @@ from hplan.collision.body_kernels import (
     span_of,
 )
 from hplan.collision.convex_distance import NEAREST, SEPARATING, WORK, Span, Wanted, core_distance
+from hplan.collision.distances import point_segment
 from hplan.collision.obstacle_rows import FieldArrays
 from hplan.collision.placed_bodies import CENTRE, PLACED, place_bodies
 from hplan.collision.sweep import Sweep, used_up
@@ -85,8 +86,8 @@ class Moving(NamedTuple):
 @kernel
 def moving_arm(field: FieldArrays, dof: int, bends: FloatArray, margin: float) -> Moving:
     """An arm in motion, nowhere yet."""
-    placed, frames = np.empty((int(field.base[flat.BODIES]), PLACED)), np.empty((dof + 1, MOVING))
-    arm = BodyArrays(field.chain, field.base, field.solids, field.data, placed, frames, np.empty(WORK + 6))
+    placed, frames = np.empty((int(field.numbers[flat.BODIES]), PLACED)), np.empty((dof + 1, MOVING))
+    arm = BodyArrays(field.movers, field.numbers, field.solids, field.data, placed, frames, np.empty(WORK + 6))
     return Moving(arm, bends, margin)
 
 
@@ -113,12 +114,18 @@ def part_shown_clear(q: FloatArray, rates: FloatArray, moving: Moving, back: flo
             if movers[k, flat.MEETS] > 0.0:
                 # The first row whose ball comes near. (Here, as a call with all arrays costs more than a few rows.)
                 x, y, z = placed[k, CENTRE], placed[k, CENTRE + 1], placed[k, CENTRE + 2]
-                around = movers[k, flat.BALL_RADIUS] + margin + max(part.back, part.forward) * bends[k, 0]
+                ball, axis = movers[k, flat.BALL_RADIUS], movers[k, flat.AXIS_RADIUS]
+                lasts = margin + max(part.back, part.forward) * bends[k, 0]
+                start, along = segment_of(placed, k)
                 s = _FIRST_ROW
                 while s < solids.shape[0]:
-                    dx, dy, dz = solids[s, row.CENTRE] - x, solids[s, row.CENTRE + 1] - y, solids[s, row.CENTRE + 2] - z
-                    within = around + solids[s, row.BOUND]
-                    if dx * dx + dy * dy + dz * dz <= within * within:
+                    centre = (solids[s, row.CENTRE], solids[s, row.CENTRE + 1], solids[s, row.CENTRE + 2])
+                    dx, dy, dz, around = centre[0] - x, centre[1] - y, centre[2] - z, lasts + solids[s, row.BOUND]
+                    within = ball + around
+                    if (
+                        dx * dx + dy * dy + dz * dz <= within * within
+                        and point_segment(centre, start, along) <= axis + around
+                    ):
                         part = _of_body(moving, k, s, part)
                         break
                     s = int(solids[s, row.NEXT]) if solids[s, row.KIND] >= row.NODE else s + 1
@@ -135,14 +142,6 @@ def part_shown_clear(q: FloatArray, rates: FloatArray, moving: Moving, back: flo
         if part.forward < 0.0:
             break
     return part
-
-
-@kernel
-def body_keeps_margin(q: FloatArray, field: FieldArrays, margin: float) -> bool:
-    """True if no moving body's clearance at a configuration is below a margin."""
-    moving = moving_arm(field, len(q), np.zeros((field.chain.shape[0], 2)), margin)
-    still: Part = part_shown_clear(q, np.zeros(len(q)), moving, 0.0, 0.0)
-    return still.forward >= 0.0
 
 
 @inlined
@@ -265,8 +264,8 @@ def _of_body(moving: Moving, b: int, first: int, part: Part) -> Part:
                         continue
                     is_known = thin and shown * shown >= _SURELY * dot(away, away)
             part = _left(motion, away, clear, part) if is_known else _of_row(moving, (b, s), away, motion, part)
-        elif kind == row.LINK_RANGE:
-            if not solids[s, row.FIRST_LINK] <= joint <= solids[s, row.LAST_LINK]:
+        elif kind == row.JOINT_RANGE:
+            if not solids[s, row.FIRST_JOINT] <= joint <= solids[s, row.LAST_JOINT]:
                 following = int(solids[s, row.NEXT])
         elif _is_apart(motion, part, _off_axis(placed, b, solid), solids[s, row.BOUND] + thickness):
             following = int(solids[s, row.NEXT])

@@ -1,17 +1,14 @@
-"""Obstacles, and what the arm can touch of itself, as rows of numbers for the kernels of clearance.
+"""Obstacles as rows of numbers for the kernels of clearance.
 
 The rows of a cloud are the nodes of its tree: where a node's bounding ball is farther than the nearest solid so far,
-all rows below it are skipped. So are those of many balls and capsules, which stand below nodes by neighbourhood. Turret
-and pedestal (`hplan.robot.self_contact`) stand below a range of the links that can touch them, which others skip. A
-shape that turns with the arm plane is given as it stands at yaw 0, and links are then taken as they stand at yaw 0 too;
-its bounding ball is about the yaw axis, so that it holds the shape at every yaw.
+all rows below it are skipped. So are those of many solids that are a row each, which stand below nodes by
+neighbourhood. What only some links keep clear of stands below a range of the joints that carry these.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from functools import lru_cache
 from itertools import groupby
 from typing import NamedTuple, TypeVar, cast
 
@@ -20,38 +17,34 @@ from numpy.typing import ArrayLike
 
 from hplan.base.arrays import BoolArray, FloatArray, IntArray
 from hplan.base.deadline import check_deadline
-from hplan.robot.base_shapes import TURRET
-from hplan.robot.model import Robot
-from hplan.robot.self_contact import BaseBody, pair_sway, self_contact
 from hplan.scene.corner_table import corner_table
 from hplan.scene.obstacles import Box, Capsule, Solid, Sphere
 from hplan.scene.solids import Cloud, whole_hull
 
-#: Kinds of rows. Nodes and leaves are those of a cloud's tree, a leaf has some points; what is below a link range is
-#: for these links alone; a pair is one link of the arm to one after it.
-POINT, SEGMENT, BOX, HULL, NODE, LEAF, LINK_RANGE, PAIR = 0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0
+#: Kinds of rows. Nodes and leaves are those of a cloud's tree, a leaf has some points; what is below a joint range is
+#: for what these joints carry alone.
+POINT, SEGMENT, BOX, HULL, NODE, LEAF, JOINT_RANGE = 0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0
 
 #: Columns of every row: its kind, the radius about its core, its bounding ball (centre (3) and radius), and the row to
 #: go on with where that ball is too far.
 KIND, RADIUS, CENTRE, BOUND, NEXT = 0, 1, 2, 5, 20
 _COLUMNS = 21
 
-#: Owner of rows of the arm itself, and of what says for which links the rows below it are.
-ARM, RANGE = -1, -2
+#: Owner of rows that say for which joints the rows below them are.
+RANGE = -2
 
 #: Columns of one kind, from `SHAPE` on. Point: its place (3). Segment: its two ends (3 each). Box: its half sizes (3),
-#: then its axes (3 rows of 3). Hull: where its facets begin in the data, where its edges begin and end. Leaf: where its
-#: points begin and end there. Node: 1 where it is a tree's first, -1 where it is a group of solids.
+#: then its axes (3 rows of 3). Hull, of `solid_rows` alone: where its facets begin in the data, where its edges begin
+#: and end. Leaf: where its points begin and end there. Node: 1 where it is a tree's first, -1 where it is a group of
+#: solids.
 SHAPE, SECOND_END, AXES, _FACETS, _EDGES, _EDGES_END, POINTS, POINTS_END, IS_ROOT = 6, 9, 9, 6, 7, 8, 6, 7, 8
 
-#: For general (non-planar) arms, every kind that is one hull also has the place of its corners in the data. Two
-#: numbers stand before them: the place of their end, and that of their table (`hplan.scene.corner_table`) behind them,
-#: 0 for none.
+#: Of `rows_of`, every kind that is one hull also has the place of its corners in the data. Two numbers stand before
+#: them: the place of their end, and that of their table (`hplan.scene.corner_table`) behind them, 0 for none.
 CORNERS = 18
 
-#: Link range: its first and its last link, and 1 where the row below turns with them. Pair: its links, and the
-#: distance of their axes at which they touch.
-FIRST_LINK, LAST_LINK, TURNS, INNER, OUTER, TOUCHING = 6, 7, 8, 6, 7, 8
+#: Joint range: its first and its last joint.
+FIRST_JOINT, LAST_JOINT = 6, 7
 
 #: Balls and capsules. (Of hundreds of solids the very type is compared here: `isinstance` of pydantic's models takes
 #: ten times as long, and longer for several types.)
@@ -70,30 +63,11 @@ class FieldArrays(NamedTuple):
     And how long they may take (`hplan.base.deadline`): what is verified by then is; after it nothing is.
     """
 
-    chain: FloatArray
-    base: FloatArray
+    movers: FloatArray
+    numbers: FloatArray
     solids: FloatArray
     data: FloatArray
     until: FloatArray
-
-
-class BodyFieldArrays(NamedTuple):
-    """The arrays of an arm that is not of the planar family: what a kernel is handed says of which kind the arm is.
-
-    A kernel that is compiled for one kind has nothing in it that `len(field) == OF_BODIES` keeps for the other one,
-    where `field` is an argument of its own.
-    """
-
-    chain: FloatArray
-    base: FloatArray
-    solids: FloatArray
-    data: FloatArray
-    until: FloatArray
-    bodies: int
-
-
-#: How many fields tell that kind.
-OF_BODIES = len(BodyFieldArrays._fields)
 
 
 class _Stack:
@@ -124,54 +98,8 @@ class _Stack:
         return np.concatenate(self._rows), np.concatenate(self._data), np.concatenate(self._owner)
 
 
-def rows_of(
-    robot: Robot,
-    obstacles: Sequence[Solid],
-    clearance: ArrayLike,
-    own_clearance: float | None,
-    deviation: float = 0.0,
-    links: BoolArray | None = None,
-) -> tuple[FloatArray, FloatArray, IntArray]:
-    """Rows of obstacles, then of the parts of the arm that can touch it.
-
-    Args:
-        clearance: As for `hplan.collision.clearance_field.ClearanceField.of`.
-        deviation: The same; only pairs of links grow here, as links do not know what they meet.
-        links: The same.
-
-    Returns:
-        `solids`, `data` and `owner` of `hplan.collision.clearance_field.ClearanceField`.
-    """
-    stack = _Stack()
-    growth = np.asarray(clearance, dtype=np.float64)
-    grown = np.broadcast_to(growth, (len(obstacles),)).tolist()
-    own = own_clearance_of(clearance, own_clearance)
-    contact = self_contact(robot, deviation=deviation, clearance=own)
-    concerned = _concerned(len(obstacles), links)
-    kinds = zip(enumerate(obstacles), concerned, strict=True)
-    for (is_round, _), run in groupby(kinds, lambda numbered: (type(numbered[0][1]) in _ROUND, numbered[1])):
-        check_deadline()
-        of_run = [numbered for numbered, _ in run]
-        which = None if links is None else links[of_run[0][0]]
-        if is_round:  # hundreds of them: all at once
-            numbers, solids = zip(*of_run, strict=True)
-            rows = _round_rows(cast(Sequence[Sphere | Capsule], solids), grown[numbers[0] : numbers[-1] + 1])
-            check_deadline()
-            stack.add(*_for_links(*grouped(rows, np.array(numbers)), which))
-            continue
-        for index, solid in of_run:
-            rows, more = _rows(solid, grown[index], stack.numbers)
-            stack.add(*_for_links(rows, np.full(len(rows), index), which), more)
-    for body in contact.bodies:
-        rows, more = _base_rows(body, own, stack.numbers, robot.yaw_axis)
-        stack.add(rows, ARM, more)
-    if contact.links:
-        stack.add(_pair_rows(robot, contact.links, own, deviation), ARM)
-    return stack.arrays
-
-
 def solid_rows(obstacles: Sequence[Solid], clearance: float) -> tuple[FloatArray, FloatArray]:
-    """Rows of obstacles grown by a clearance [m], without those of the arm, and their data."""
+    """Rows of obstacles grown by a clearance [m], with the facets of hulls as their data, for distances of points."""
     stack = _Stack()
     for index, obstacle in enumerate(obstacles):
         rows, more = _rows(obstacle, clearance, stack.numbers)
@@ -179,35 +107,32 @@ def solid_rows(obstacles: Sequence[Solid], clearance: float) -> tuple[FloatArray
     return stack.arrays[:2]
 
 
-def own_clearance_of(clearance: ArrayLike, own_clearance: float | None) -> float:
-    """Clearance that parts of the arm are to keep from one another [m], as for `rows_of`."""
-    growth = np.asarray(clearance, dtype=np.float64)
-    return float(growth.min()) if own_clearance is None and growth.size else own_clearance or 0.0
-
-
-def core_rows(
-    obstacles: Sequence[Solid], clearance: ArrayLike, links: BoolArray | None = None
+def rows_of(
+    obstacles: Sequence[Solid], clearance: ArrayLike, joints: BoolArray | None = None
 ) -> tuple[FloatArray, FloatArray, IntArray]:
-    """As `rows_of`, for general (non-planar) arms: obstacles alone, with the corners of each.
+    """Rows of obstacles, with the corners of each.
 
     Args:
         clearance: By how much each of them is grown [m], one number or one for each.
-        links: (obstacles, joints) whose bodies keep clear of each; None for all of all.
+        joints: (obstacles, dof) for each whether what a joint carries keeps clear of it; None for all of all.
+
+    Returns:
+        `solids`, `data` and `owner` of `hplan.collision.clearance_field.ClearanceField`.
     """
     stack = _Stack()
     grown = np.broadcast_to(np.asarray(clearance, dtype=np.float64), (len(obstacles),)).tolist()
-    kinds = zip(enumerate(obstacles), _concerned(len(obstacles), links), strict=True)
+    kinds = zip(enumerate(obstacles), _concerned(len(obstacles), joints), strict=True)
     for (is_cloud, _), run in groupby(kinds, lambda numbered: (numbered[0][1].is_point_set, numbered[1])):
         check_deadline()
         of_run = [numbered for numbered, _ in run]
-        which = None if links is None else links[of_run[0][0]]
+        which = None if joints is None else joints[of_run[0][0]]
         if is_cloud:
             for index, solid in of_run:
                 rows, data = _rows(solid, grown[index], stack.numbers)
-                stack.add(*_for_links(rows, np.full(len(rows), index), which), data)
+                stack.add(*_for_joints(rows, np.full(len(rows), index), which), data)
             continue
         rows, data = _solid_rows([solid for _, solid in of_run], grown[of_run[0][0] :], stack.numbers)
-        stack.add(*_for_links(*grouped(rows, np.array([index for index, _ in of_run])), which), data)
+        stack.add(*_for_joints(*grouped(rows, np.array([index for index, _ in of_run])), which), data)
     return stack.arrays
 
 
@@ -343,37 +268,22 @@ def _rows(obstacle: Solid, clearance: float, offset: int) -> tuple[FloatArray, F
     return row, data
 
 
-def _base_rows(body: BaseBody, clearance: float, offset: int, axis: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """As `_rows`, below link ranges, one for each run of links that can touch the body."""
-    solid, data = _rows(_base_solid(body), clearance, offset)
-    turns = body.carrier == TURRET and not body.is_round
-    if turns:
-        # About the axis: within the centre's distance from it, and the ball's radius.
-        solid[:, BOUND] += np.hypot(solid[:, CENTRE] - axis[0], solid[:, CENTRE + 1] - axis[1])
-        solid[:, CENTRE : CENTRE + 2] = axis
-    rows, _ = _below_ranges(solid, np.full(len(solid), ARM), np.array(body.links))
-    rows[rows[:, KIND] == LINK_RANGE, TURNS] = float(turns)
-    return rows, data
+def _concerned(count: int, joints: BoolArray | None) -> list[bytes]:
+    """Of each of some obstacles, what which joints carry keeps clear of it, as a word."""
+    return [b""] * count if joints is None else [row.tobytes() for row in joints]
 
 
-def _concerned(count: int, links: BoolArray | None) -> list[bytes]:
-    """Of each of some obstacles, which links keep clear of it, as a word."""
-    return [b""] * count if links is None else [row.tobytes() for row in links]
+def _for_joints(rows: FloatArray, owner: IntArray, joints: BoolArray | None) -> tuple[FloatArray, IntArray]:
+    """Rows, and whose they are, once below each range of the (dof,) joints that they are for; None for all.
 
-
-def _for_links(rows: FloatArray, owner: IntArray, links: BoolArray | None) -> tuple[FloatArray, IntArray]:
-    """Rows, and whose they are, below ranges of the (links,) that keep clear of them; None for all."""
-    if links is None or links.all():
+    The ranges are `RANGE`.
+    """
+    if joints is None or joints.all():
         return rows, owner
-    return _below_ranges(rows, owner, np.flatnonzero(links))
-
-
-def _below_ranges(rows: FloatArray, owner: IntArray, links: IntArray) -> tuple[FloatArray, IntArray]:
-    """Rows, and whose they are, once below each range of links, of some; the ranges are `RANGE`."""
-    blocks, owners, count = [rows[:0]], [owner[:0]], 0
-    for run in np.split(links, np.flatnonzero(np.diff(links) > 1) + 1) if len(links) else []:
+    blocks, owners, count, chosen = [rows[:0]], [owner[:0]], 0, np.flatnonzero(joints)
+    for run in np.split(chosen, np.flatnonzero(np.diff(chosen) > 1) + 1) if len(chosen) else []:
         block = np.concatenate([np.zeros((1, _COLUMNS)), rows])
-        block[0, KIND], block[0, FIRST_LINK], block[0, LAST_LINK] = LINK_RANGE, run[0], run[-1]
+        block[0, KIND], block[0, FIRST_JOINT], block[0, LAST_JOINT] = JOINT_RANGE, run[0], run[-1]
         block[0, CENTRE : BOUND + 1] = _around(rows[:, CENTRE : BOUND + 1], np.zeros(1, dtype=np.int64))[0]
         block[0, NEXT] = len(rows)
         block[:, NEXT] += count + 1
@@ -381,12 +291,6 @@ def _below_ranges(rows: FloatArray, owner: IntArray, links: IntArray) -> tuple[F
         blocks.append(block)
         owners += [np.array([RANGE]), owner]
     return np.concatenate(blocks), np.concatenate(owners)
-
-
-@lru_cache(maxsize=64)
-def _base_solid(body: BaseBody) -> Solid:
-    """A shape of turret or pedestal as a solid."""
-    return convex_solid(body.name, body.core, body.rounding)
 
 
 def convex_solid(name: str, core: FloatArray, rounding: float) -> Solid:
@@ -401,17 +305,6 @@ def convex_solid(name: str, core: FloatArray, rounding: float) -> Solid:
             {"name": name, "from": tuple(a.tolist()), "to": tuple(b.tolist()), "radius": rounding}
         )
     return whole_hull(core, name, rounding)
-
-
-def _pair_rows(robot: Robot, pairs: Sequence[tuple[int, int]], clearance: float, deviation: float) -> FloatArray:
-    """The rows of pairs of links, as if they were the first; they have no place, and are near to everything."""
-    rows, widths = np.zeros((len(pairs), _COLUMNS)), robot.arm.half_widths
-    inner, outer = np.array(pairs).T
-    rows[:, KIND], rows[:, BOUND] = PAIR, np.inf
-    sway = np.array([pair_sway(robot, j, i, deviation) for i, j in pairs])
-    rows[:, INNER], rows[:, OUTER], rows[:, TOUCHING] = inner, outer, widths[inner] + widths[outer] + clearance + sway
-    rows[:, NEXT] = 1 + np.arange(len(pairs))
-    return rows
 
 
 def _cloud_rows(cloud: Cloud, clearance: float, offset: int) -> FloatArray:

@@ -1,26 +1,28 @@
 r"""Motion-bound coefficients: how far each joint can move each body, whatever the configuration.
 
-A point of body :math:`b` that lies at distance :math:`\rho` from the axis of joint :math:`j` moves with speed
-:math:`\rho |\dot q_j|` when that joint alone turns, and with :math:`|\dot q_j|` when it slides. With
-:math:`R_{bj}` the largest such distance over all points of the body and all configurations (1 of a joint that slides, 0
-of one that does not carry the body), no point of the body travels farther than
+A point of the core of body :math:`b` that lies at distance :math:`\rho` from the axis of joint :math:`j` moves with
+speed :math:`\rho |\dot q_j|` when that joint alone turns, and with :math:`|\dot q_j|` when it slides. With
+:math:`R_{bj}` the largest such distance over all points of the core and all configurations (1 of a joint that slides, 0
+of one that does not carry the body), no point of the core travels farther than
 
 .. math:: \sum_j R_{bj} \int |\dot q_j| \, dt.
 
 Since the signed distance of two convex bodies is the largest separation of their supporting planes, it changes by no
-more than both bodies travel.
+more than both bodies travel; and that of bodies with roundings is that of their cores, less both.
 
 **The distance** is found from the body inward. Its points, turned about the axis of the joint that carries it, sweep
-rings; those are the rings of the points' radii and heights, of which the convex hull counts alone. Each ring lies in
-the polygon of `_CORNERS` corners about it; those corners, seen from the joint before, are the points that are turned
-next. Joints that slide move the points to the ends of their range. A distance from an axis is a convex function, so its
-largest value over a hull is that at one of the points. Joint limits of joints that turn are not made use of.
+rings; those are the rings of the points' radii and heights, of which the convex hull counts alone. Turned about a
+parallel axis, a ring sweeps one that is larger by the distance of the axes. Before it is turned about another one, each
+ring is put in the polygon of `_CORNERS` corners about it; those corners, seen from the joint before, are the points
+that are turned. Joints that slide move the points to the ends of their range. A distance from an axis is a convex
+function, so its largest value over a hull is that at one of the points. Joint limits of joints that turn are not made
+use of.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -31,7 +33,10 @@ from hplan.collision.collision_bodies import collision_bodies
 from hplan.robot.model import Robot, made_once
 
 #: Corners of the polygon about a ring.
-_CORNERS: Final = 32
+_CORNERS: Final = 64
+
+#: Axes are parallel that differ in direction by no more than this.
+_PARALLEL: Final = 1e-12
 
 #: Rounding errors of a radius, as a fraction of it.
 _ROUND_OFF: Final = 1e-12
@@ -39,38 +44,35 @@ _ROUND_OFF: Final = 1e-12
 
 @made_once
 def reach(robot: Robot, beyond: float = 0.0) -> FloatArray:
-    """Motion-bound coefficients: upper bounds of the distance of any point of each body from each joint's axis.
+    """Motion-bound coefficients: upper bounds of the distance of any point of each core from each joint's axis.
 
     Args:
         beyond: How far joints that slide may be beyond their limits [m].
 
     Returns:
         (bodies, dof) bounds [m]; 0 where the joint does not move the body, 1 for a joint that slides, so that
-        `reach @ abs(dq)` bounds how far any point of each body moves. Bodies are in the order of `collision_bodies`.
+        `reach @ abs(dq)` bounds how far any point of each core moves. Bodies are in the order of `collision_bodies`.
     """
-    rows = [points_reach(robot, body.core, body.joint, body.rounding, beyond) for body in collision_bodies(robot)]
+    rows = [points_reach(robot, body.core, body.joint, beyond) for body in collision_bodies(robot)]
     return frozen(np.array(rows).reshape(-1, robot.dof))
 
 
-def points_reach(
-    robot: Robot, points: FloatArray, joint: int, rounding: float = 0.0, beyond: float = 0.0
-) -> FloatArray:
+def points_reach(robot: Robot, points: FloatArray, joint: int, beyond: float = 0.0) -> FloatArray:
     """A row of `reach`, of points that a joint carries.
 
     Args:
         points: (n, 3) points in the joint's frame [m].
         joint: The joint; -1 for the ground.
-        rounding: Radius about the points [m].
         beyond: How far joints that slide may be beyond their limits [m].
     """
-    return _carried(robot, points, joint, rounding, beyond)[0]
+    return _carried(robot, points, joint, beyond)[0]
 
 
 @made_once
 def reach_ball(robot: Robot) -> FloatArray:
     """(4,) centre, in `base_link`, and radius of a ball that holds all bodies at all configurations [m]."""
     bodies = collision_bodies(robot)
-    held = [_carried(robot, body.core, body.joint, body.rounding, 0.0)[1] for body in bodies]
+    held = [_carried(robot, body.core, body.joint, 0.0)[1] for body in bodies]
     # Distances from where the first joint is are kept as it turns.
     centre = np.array(robot.model.jointPlacements[1].translation)
     far = [np.linalg.norm(points - centre, axis=1).max() for points in held]
@@ -78,23 +80,57 @@ def reach_ball(robot: Robot) -> FloatArray:
     return frozen(np.append(centre, largest * (1.0 + _ROUND_OFF)))
 
 
-def _carried(
-    robot: Robot, points: FloatArray, joint: int, rounding: float, beyond: float
-) -> tuple[FloatArray, FloatArray]:
+class _Rings(NamedTuple):
+    """Rings about an axis: a place on it and its direction, both (3,), and (n,) radii and heights."""
+
+    place: FloatArray
+    axis: FloatArray
+    radius: FloatArray
+    height: FloatArray
+
+    @classmethod
+    def about(cls, axis: FloatArray, radius: FloatArray, height: FloatArray) -> _Rings:
+        """Those of given ones that hold them all, about an axis through the origin."""
+        profile = np.column_stack([radius, height])
+        profile = _outline(np.vstack([profile, profile * [-1.0, 1.0]]))
+        return cls(np.zeros(3), axis, *profile[profile[:, 0] >= 0.0].T)
+
+    @property
+    def corners(self) -> FloatArray:
+        """Points whose hull holds them."""
+        across = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), self.axis).toRotationMatrix()
+        angles = (np.arange(_CORNERS) + 0.5) * (2.0 * math.pi / _CORNERS)
+        ring = self.radius / math.cos(math.pi / _CORNERS)
+        rings = [np.outer(np.cos(angles), ring), np.outer(np.sin(angles), ring), np.tile(self.height, (_CORNERS, 1))]
+        found: FloatArray = self.place + np.stack(rings, axis=-1).reshape(-1, 3) @ across.T
+        return found
+
+
+def _carried(robot: Robot, points: FloatArray, joint: int, beyond: float) -> tuple[FloatArray, FloatArray]:
     """A row of `reach`, and points in `base_link` whose hull holds the given ones at all configurations."""
-    found = np.zeros(robot.dof)
+    found, rings = np.zeros(robot.dof), None
     for carrier in carriers(robot, joint):
         axis, slides = joint_axis(robot, carrier)
-        if slides:
-            found[carrier] = 1.0
-            ends = np.array([robot.lower[carrier] - beyond, robot.upper[carrier] + beyond])
-            points = (points[:, None] + ends[:, None] * axis).reshape(-1, 3)
+        if rings is not None and not slides and np.linalg.norm(np.cross(rings.axis, axis)) <= _PARALLEL:
+            along = float(rings.place @ axis)
+            away = float(np.linalg.norm(rings.place - along * axis))
+            rings = _Rings.about(axis, rings.radius + away, along + float(rings.axis @ axis) * rings.height)
         else:
-            points, radius = _swept(points, axis)
-            found[carrier] = radius + rounding
+            points = points if rings is None else rings.corners
+            if slides:
+                ends = np.array([robot.lower[carrier] - beyond, robot.upper[carrier] + beyond])
+                points, rings = (points[:, None] + ends[:, None] * axis).reshape(-1, 3), None
+            else:
+                height = points @ axis
+                rings = _Rings.about(axis, np.linalg.norm(points - height[:, None] * axis, axis=1), height)
+        found[carrier] = 1.0 if rings is None else float(rings.radius.max()) * (1.0 + _ROUND_OFF)
         placement = robot.model.jointPlacements[carrier + 1]
-        points = points @ placement.rotation.T + placement.translation
-    return found, points
+        if rings is None:
+            points = points @ placement.rotation.T + placement.translation
+        else:
+            place = placement.rotation @ rings.place + placement.translation
+            rings = rings._replace(place=place, axis=placement.rotation @ rings.axis)
+    return found, points if rings is None else rings.corners
 
 
 def largest_sway(robot: Robot, deviation: FloatArray) -> FloatArray:
@@ -131,21 +167,6 @@ def carriers(robot: Robot, joint: int) -> tuple[int, ...]:
         found.append(joint)
         joint = int(robot.model.parents[joint + 1]) - 1
     return tuple(found)
-
-
-def _swept(points: FloatArray, axis: FloatArray) -> tuple[FloatArray, float]:
-    """Points whose hull holds all that (n, 3) points sweep about an axis through the origin; their largest radius."""
-    height = points @ axis
-    radius = np.linalg.norm(points - height[:, None] * axis, axis=1)
-    profile = np.column_stack([radius, height])
-    profile = _outline(np.vstack([profile, profile * [-1.0, 1.0]]))
-    radius, height = profile[profile[:, 0] >= 0.0].T
-    across = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), axis).toRotationMatrix()
-    angles = (np.arange(_CORNERS) + 0.5) * (2.0 * math.pi / _CORNERS)
-    ring = radius / math.cos(math.pi / _CORNERS)
-    rings = [np.outer(np.cos(angles), ring), np.outer(np.sin(angles), ring), np.tile(height, (_CORNERS, 1))]
-    swept: FloatArray = np.stack(rings, axis=-1).reshape(-1, 3) @ across.T
-    return swept, float(radius.max()) * (1.0 + _ROUND_OFF)
 
 
 def _outline(points: FloatArray) -> FloatArray:

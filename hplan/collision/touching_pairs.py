@@ -26,7 +26,7 @@ import pinocchio as pin
 
 from hplan.base.arrays import BoolArray, FloatArray, Record, frozen
 from hplan.collision.collision_bodies import body_shapes, collision_bodies
-from hplan.collision.reach import carriers, joint_axis, reach
+from hplan.collision.reach import carriers, joint_axis
 from hplan.robot.base_shapes import always, coal_distance, ever
 from hplan.robot.model import Robot, made_once
 
@@ -53,14 +53,11 @@ class SelfPairs(Record):
         allowed: Pairs (i, j), i < j, that are not checked, each with the reason.
         farthest: (checked,) how far apart each pair was seen [m], infinite from 0.25 m on. One that is never farther
             apart than the clearance to keep, or than `_BEARING`, is asked only whether it touches (`needed`).
-        reach: (checked, dof) by how much a joint's motion can bring the two nearer: `reach @ abs(dq)` bounds by how
-            much their distance changes [m/rad, m/m].
     """
 
     checked: tuple[tuple[int, int], ...]
     allowed: tuple[tuple[int, int, str], ...]
     farthest: FloatArray
-    reach: FloatArray
 
     def needed(self, clearance: float) -> FloatArray:
         """(checked,) distance that each pair is to keep where a clearance is asked for [m]."""
@@ -106,25 +103,13 @@ def pairs_among(robot: Robot, chosen: Iterable[tuple[int, int]], beyond: float) 
     ]
     checked = tuple(pair for pair, touches in zip(left, touching.tolist(), strict=True) if not touches)
     far = np.where(farthest >= _FAR, np.inf, farthest)[~touching]
-    return SelfPairs(checked, tuple(sorted(allowed)), frozen(far), frozen(_pair_reach(robot, checked, beyond)))
+    return SelfPairs(checked, tuple(sorted(allowed)), frozen(far))
 
 
 def _between(robot: Robot, first: int, second: int) -> tuple[int, ...]:
     """The joints that say how what one joint carries lies to what another does."""
     a, b = carriers(robot, first), carriers(robot, second)
     return tuple(joint for joint in (*a, *b) if (joint in a) != (joint in b))
-
-
-def _pair_reach(robot: Robot, pairs: tuple[tuple[int, int], ...], beyond: float) -> FloatArray:
-    """`SelfPairs.reach`: joints that carry both bodies do not count."""
-    found = np.zeros((len(pairs), robot.dof))
-    if not pairs:  # as with the harvester, for which nothing is to take time
-        return found
-    bodies, reaches = collision_bodies(robot), reach(robot, beyond)
-    for row, (i, j) in enumerate(pairs):
-        between = list(_between(robot, bodies[i].joint, bodies[j].joint))
-        found[row, between] = (reaches[i] + reaches[j])[between]
-    return found
 
 
 def _by_one_joint(robot: Robot, pair: tuple[int, int], joint: int, beyond: float) -> str | None:

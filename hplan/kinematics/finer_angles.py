@@ -32,7 +32,7 @@ class Measured(Record):
 
     Attributes:
         candidates: The configurations.
-        rooms: (k, links) clearances of their links [m].
+        rooms: (k, moving bodies) clearances, first of their links [m].
     """
 
     candidates: Candidates
@@ -54,7 +54,7 @@ def finer_angles(
     evenly: Measured,
     at: Callable[[FloatArray], Measured | None],
     enough: float,
-    last_length: float,
+    lengths: FloatArray,
     approach_deg: float | tuple[float, float] | None = None,
 ) -> Iterator[Measured]:
     """Configurations at finer and finer approach angles, about those with the largest clearance so far.
@@ -63,13 +63,13 @@ def finer_angles(
         evenly: The evenly spaced ones.
         at: All configurations at (j,) approach angles [rad]; None where there is none.
         enough: Clearance that is enough: angles that cannot have it are not refined [m].
-        last_length: Length of the last link: about the tool, none of its points moves faster than that [m / rad].
+        lengths: (links,) of the links: about the tool, no point of the last one moves faster than its length [m / rad].
         approach_deg: Approach angle or interval that is asked for; None for all [deg].
     """
     window = Window.of(approach_deg)
     angles, rooms = evenly.candidates.approach, evenly.rooms
     rates = np.full(rooms.shape[1], _RATE)
-    rates[-1] = min(_RATE, last_length)
+    rates[len(lengths) - 1] = min(_RATE, float(lengths[-1]))
     spacing = 0.0 if window is not None and window.width == 0.0 else _spacing(angles)
     between = np.arange(1 - _FACTOR, _FACTOR) / _FACTOR
     while spacing > FINEST:

@@ -23,24 +23,18 @@ from hplan.base.arrays import FloatArray, IntArray
 from hplan.base.deadline import is_up
 from hplan.base.kernels import any_int, inlined, kernel
 from hplan.collision.body_kernels import body_slopes
-from hplan.collision.clearance_kernels import link_clearances
-from hplan.collision.obstacle_rows import OF_BODIES, FieldArrays
+from hplan.collision.obstacle_rows import FieldArrays
 from hplan.optimization.interior_point import ProgramRows
 
 #: Places in each piece where the clearance is kept.
 PLACES = any_int(3)
 
-#: Links farther than this from everything are left out of a program; rows are in multiples of it [m].
-NEAR = 0.15
-
-#: Of arms that are no planar chain, which have many more bodies, those farther than this.
-NEAR_OF_BODIES = 0.06
+#: Bodies farther than this from everything are left out of a program; its rows of clearances are in multiples of the
+#: other length [m].
+NEAR, SCALE = 0.06, 0.15
 
 #: Kinematic rows of a joint that the states at the ends have a part in: one, two and three at each end.
 DRIFTING = any_int(12)
-
-#: Step of the differences that give the gradient of a clearance [rad].
-_DIFFERENCE = 1e-5
 
 
 class MotionArrays(NamedTuple):
@@ -289,8 +283,8 @@ def _places(
 ) -> _Places:
     """`PLACES` of each piece.
 
-    Of arms that are no planar chain, what cannot come below a margin while no joint changes by more than a trust, as
-    the gradient tells, counts as far: its row would never be active.
+    What cannot come below a margin while no joint changes by more than a trust, as the gradient tells, counts as far:
+    its row would never be active.
 
     Args:
         control: (n, dof) control points.
@@ -300,11 +294,9 @@ def _places(
     (margin, trust), movable = matters, limits.movable
     n, dof = control.shape
     count = (n - 3) * PLACES
-    q, weight, clear = np.zeros((count, dof)), np.empty((count, 4)), np.full((count, field.chain.shape[0]), np.inf)
+    q, weight, clear = np.zeros((count, dof)), np.empty((count, 4)), np.full((count, field.movers.shape[0]), np.inf)
     speed, velocity = np.zeros((count, 4)), np.zeros(dof)
-    gradient = np.empty((0, 0, 0))
-    if len(field) == OF_BODIES:
-        gradient = np.empty((count, field.chain.shape[0], len(movable)))
+    gradient = np.empty((count, field.movers.shape[0], len(movable)))
     for place in range(count):
         piece = place // PLACES
         basis(knots, piece, (place % PLACES) / PLACES, weight[place])
@@ -313,10 +305,7 @@ def _places(
                 q[place, j] += weight[place, c] * control[piece + c, j]
         if is_up(field.until):
             break
-        if len(field) == OF_BODIES:
-            body_slopes(q[place], field, movable, NEAR_OF_BODIES, clear[place], gradient[place])
-        else:
-            link_clearances(q[place], field, clear[place])
+        body_slopes(q[place], field, movable, NEAR, clear[place], gradient[place])
         if limits.sway.shape[0] > 0:
             _velocity_weights(knots, piece, (place % PLACES) / PLACES, speed[place])
             for j in range(dof):
@@ -326,13 +315,12 @@ def _places(
             for link in range(clear.shape[1]):
                 for j in range(dof):
                     clear[place, link] -= limits.sway[link, j] * abs(velocity[j])
-        if len(field) == OF_BODIES:
-            for link in range(clear.shape[1]):
-                change = 0.0
-                for m in range(len(movable)):
-                    change += abs(gradient[place, link, m])
-                if clear[place, link] >= NEAR_OF_BODIES or clear[place, link] - margin > trust * change:
-                    clear[place, link] = math.inf
+        for link in range(clear.shape[1]):
+            change = 0.0
+            for m in range(len(movable)):
+                change += abs(gradient[place, link, m])
+            if clear[place, link] >= NEAR or clear[place, link] - margin > trust * change:
+                clear[place, link] = math.inf
     return _Places(q, weight, speed, clear, gradient)
 
 
@@ -363,7 +351,7 @@ def _add_clearances(
     field: FieldArrays,
     margin: float,
 ) -> int:
-    """A row for each link that is near something, in multiples of `NEAR`; the number of rows so far is returned.
+    """A row for each link that is near something, in multiples of `SCALE`; the number of rows so far is returned.
 
     Args:
         row: Number of rows so far.
@@ -371,40 +359,22 @@ def _add_clearances(
             control points.
         margin: Clearance asked for.
     """
-    (q, weight, speed, clear, slopes), drift, control = places
+    (_, weight, speed, clear, slopes), drift, control = places
     (count, links), sways = clear.shape, limits.sway.shape[0] > 0
     joints, inner = len(limits.movable), count // PLACES - 3
     entry = rows.starts[row]
-    gradient, ahead, velocity = np.empty((links, joints)), np.empty(links), np.zeros(joints)
-    here_clear = np.empty(links)
+    velocity = np.zeros(joints)
     for place in range(count):
         nearest = math.inf
         for link in range(links):
             nearest = min(nearest, clear[place, link])
         if not nearest < NEAR or is_up(field.until):
             continue
-        if len(field) == OF_BODIES:
-            for link in range(links):
-                for m in range(joints):
-                    gradient[link, m] = slopes[place, link, m]
-        elif sways:
-            link_clearances(q[place], field, here_clear)
-        else:
-            for link in range(links):
-                here_clear[link] = clear[place, link]
         if sways:
             for m in range(joints):
                 velocity[m] = 0.0
                 for c in range(4):
                     velocity[m] += speed[place, c] * control[place // PLACES + c, limits.movable[m]]
-        for m in range(0 if len(field) == OF_BODIES else joints):
-            j = limits.movable[m]
-            here = q[place, j]
-            q[place, j] = here + _DIFFERENCE
-            link_clearances(q[place], field, ahead)
-            q[place, j] = here
-            for link in range(links):
-                gradient[link, m] = (ahead[link] - here_clear[link]) / _DIFFERENCE
         for link in range(links):
             distance = clear[place, link]
             if not distance < NEAR:
@@ -412,25 +382,25 @@ def _add_clearances(
             free, time_scale = 0.0, 0.0
             if sways:  # slower motions sway less
                 for m in range(joints):
-                    time_scale -= limits.sway[link, limits.movable[m]] * abs(velocity[m]) / NEAR
+                    time_scale -= limits.sway[link, limits.movable[m]] * abs(velocity[m]) / SCALE
             for c in range(4):
                 k = place // PLACES + c - 3
                 for m in range(joints):
-                    time_scale -= weight[place, c] * gradient[link, m] * drift[k + 3, limits.movable[m]] / NEAR
+                    time_scale -= weight[place, c] * slopes[place, link, m] * drift[k + 3, limits.movable[m]] / SCALE
                 if 0 <= k < inner:
                     free += weight[place, c]
                     for m in range(joints):
                         rows.columns[entry] = k * joints + m
-                        rows.entries[entry] = -weight[place, c] * gradient[link, m] / NEAR
+                        rows.entries[entry] = -weight[place, c] * slopes[place, link, m] / SCALE
                         if sways:
                             sway = limits.sway[link, limits.movable[m]] * np.sign(velocity[m])
-                            rows.entries[entry] += speed[place, c] * sway / NEAR
+                            rows.entries[entry] += speed[place, c] * sway / SCALE
                         entry += 1
             if entry > rows.starts[row]:
                 rows.time_scale[row] = time_scale
                 # By how much a step has to add to a clearance that is less than the margin, where all control points
                 # may move [m].
-                rows.upper[row] = (distance - min(margin, distance + free * 5e-4)) / NEAR + time_scale
+                rows.upper[row] = (distance - min(margin, distance + free * 5e-4)) / SCALE + time_scale
                 row += 1
                 rows.starts[row] = entry
     return row

@@ -12,8 +12,9 @@ import numpy as np
 from hplan.base.arrays import FloatArray, IntArray, frozen
 from hplan.base.deadline import check_deadline, is_up
 from hplan.base.kernels import any_int, kernel
+from hplan.collision.body_kernels import least_body_clearance
 from hplan.collision.clearance_field import ClearanceField
-from hplan.collision.clearance_kernels import FieldArrays, link_clearances, smallest
+from hplan.collision.obstacle_rows import FieldArrays
 
 #: Where paths are compared, as fractions of their times.
 PARTS = frozen(np.linspace(0.0, 1.0, 14)[1:-1])
@@ -37,19 +38,19 @@ def class_numbers(paths: FloatArray, field: ClearanceField) -> IntArray:
 def _class_numbers(paths: FloatArray, field: FieldArrays) -> IntArray:
     """Each path is compared with the first of every class, in their order."""
     count = paths.shape[0]
-    number, clear, q = np.arange(count), np.empty(field.chain.shape[0]), np.empty(paths.shape[2])
+    number, q = np.arange(count), np.empty(paths.shape[2])
     for path in range(count):
         if is_up(field.until):
             break
         for first in range(path):
-            if number[first] == first and _may_be_moved(paths[path], paths[first], field, clear, q):
+            if number[first] == first and _may_be_moved(paths[path], paths[first], field, q):
                 number[path] = first
                 break
     return number
 
 
 @kernel
-def _may_be_moved(path: FloatArray, other: FloatArray, field: FieldArrays, clear: FloatArray, q: FloatArray) -> bool:
+def _may_be_moved(path: FloatArray, other: FloatArray, field: FieldArrays, q: FloatArray) -> bool:
     """True if no contact is seen between corresponding points."""
     points, dof = path.shape
     for k in range(1, BETWEEN + 1):
@@ -57,7 +58,6 @@ def _may_be_moved(path: FloatArray, other: FloatArray, field: FieldArrays, clear
         for point in range(points):
             for j in range(dof):
                 q[j] = path[point, j] + part * (other[point, j] - path[point, j])
-            link_clearances(q, field, clear)
-            if smallest(clear) < 0.0:
+            if least_body_clearance(q, field, 0.0) < 0.0:
                 return False
     return True

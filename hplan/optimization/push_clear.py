@@ -12,12 +12,12 @@ import numpy as np
 
 from hplan.base.arrays import FloatArray, IntArray, frozen
 from hplan.base.deadline import check_deadline, is_up
-from hplan.base.kernels import inlined, kernel
+from hplan.base.kernels import kernel
 from hplan.base.polyline import stations
 from hplan.collision.body_kernels import FAR, body_slopes, least_body_clearance
+from hplan.collision.body_motions import piece_is_clear
 from hplan.collision.clearance_field import ClearanceField
-from hplan.collision.clearance_kernels import link_clearances, piece_is_clear, smallest
-from hplan.collision.obstacle_rows import OF_BODIES, FieldArrays
+from hplan.collision.obstacle_rows import FieldArrays
 from hplan.optimization.options import JointArrays, PostprocessOptions
 from hplan.trajectory.cubics import bezier_piece
 from hplan.trajectory.spline import STRIDE, MovableSpline, SplinePath
@@ -54,43 +54,10 @@ def clear_spline(
     return spline if pushed and spline.is_clear(field, 0.5 * margin) else None
 
 
-@inlined
+@kernel
 def _worst_point(piece: FloatArray, field: FieldArrays, movable: IntArray, gradient: FloatArray) -> tuple[float, float]:
     """Least clearance at samples of a Bezier piece, the parameter there, and, written, its gradient in the joints."""
-    dof = piece.shape[1]
-    q, worst, clear = np.empty(dof), np.empty(dof), np.empty(field.chain.shape[0])
-    least, at = math.inf, 0.0
-    for sample in range(17):
-        t = sample / 16.0
-        u = 1.0 - t
-        w0, w1, w2, w3 = u * u * u, 3.0 * u * u * t, 3.0 * u * t * t, t * t * t
-        for k in range(dof):
-            q[k] = w0 * piece[0, k] + w1 * piece[1, k] + w2 * piece[2, k] + w3 * piece[3, k]
-        link_clearances(q, field, clear)
-        here = smallest(clear)
-        if here < least:
-            least, at = here, t
-            for k in range(dof):
-                worst[k] = q[k]
-    for k in range(dof):
-        q[k] = worst[k]
-    for j in movable:
-        q[j] = worst[j] + 1e-4
-        link_clearances(q, field, clear)
-        ahead = smallest(clear)
-        q[j] = worst[j] - 1e-4
-        link_clearances(q, field, clear)
-        gradient[j] = (ahead - smallest(clear)) / 2e-4
-        q[j] = worst[j]
-    return least, at
-
-
-@kernel
-def _worst_of_bodies(
-    piece: FloatArray, field: FieldArrays, movable: IntArray, gradient: FloatArray
-) -> tuple[float, float]:
-    """As `_worst_point`, for arms that are no planar chain."""
-    dof, movers = piece.shape[1], field.chain.shape[0]
+    dof, movers = piece.shape[1], field.movers.shape[0]
     q, worst = np.empty(dof), piece[0].copy()
     clear, slopes = np.empty(movers), np.empty((movers, len(movable)))
     least, at = FAR, 0.0
@@ -132,10 +99,7 @@ def push_out(spline: MovableSpline, field: FieldArrays, joints: JointArrays, mar
             if is_up(field.until):
                 return False
             contact = True
-            if len(field) == OF_BODIES:
-                least, at = _worst_of_bodies(piece, field, movable, gradient)
-            else:
-                least, at = _worst_point(piece, field, movable, gradient)
+            least, at = _worst_point(piece, field, movable, gradient)
             square = 0.0
             for j in movable:
                 square += gradient[j] * gradient[j]

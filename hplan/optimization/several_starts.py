@@ -78,7 +78,7 @@ def optimization_starts(paths: Sequence[FloatArray], problem: TimeProblem) -> li
             )
     found = [start for start in found if start.profile.duration < LONGEST_S]
     # Another path than the first is preferred to it only where its smooth path is quicker by more than this part.
-    times = [start.profile.duration * (1.0 - 0.02 * (start.number == 0)) for start in found]
+    times = [start.profile.duration * (1.0 - 0.03 * (start.number == 0)) for start in found]
     return [found[k] for k in ties.argsort(times).tolist()]
 
 

@@ -14,8 +14,9 @@ import numpy as np
 from hplan.base.arrays import FloatArray, frozen
 from hplan.base.deadline import check_deadline, is_up
 from hplan.base.kernels import kernel
+from hplan.collision.body_motions import segment_is_clear
 from hplan.collision.clearance_field import ClearanceField
-from hplan.collision.clearance_kernels import FieldArrays, segment_is_clear
+from hplan.collision.obstacle_rows import FieldArrays
 
 #: Waypoints nearer than this to each other are one [rad].
 _MERGE = 1e-9

@@ -9,8 +9,9 @@ import numpy as np
 
 from hplan.base.arrays import FloatArray, Record, frozen
 from hplan.base.deadline import check_deadline, until
+from hplan.collision.body_motions import piece_is_clear
 from hplan.collision.clearance_field import ClearanceField
-from hplan.collision.clearance_kernels import LINK, piece_is_clear
+from hplan.collision.flat_bodies import thicker
 from hplan.optimization.first_order import MotionArrays, MotionLimits, first_order, least_time_scale
 from hplan.optimization.interior_point import ProgramRows, solve
 from hplan.optimization.options import PostprocessOptions
@@ -66,19 +67,14 @@ class TimeProblem(Record):
         return bool(clear)
 
     def _is_clear_swaying(self, spline: TimedSpline, sway: FloatArray) -> bool:
-        """As `is_clear`: each piece with links that are thicker by what its largest velocity takes."""
+        """As `is_clear`: each piece with bodies that are thicker by what its largest velocity takes."""
         pieces, arrays = spline.path.pieces, self.field.arrays
         velocity = 3.0 * np.abs(np.diff(pieces, axis=1)) / np.diff(spline.path.breaks)[:, None, None]
         swayed = (velocity @ sway.T).max(axis=1)
         margin = _PROVED * self.options.margin
         for piece, grown in zip(np.array(pieces), swayed, strict=True):
-            if arrays.chain.shape[1] == LINK:
-                chain = arrays.chain.copy()
-                # Column of a chain with the half-widths of links.
-                chain[:, 1] += grown
-                clear = piece_is_clear(piece, arrays._replace(chain=frozen(chain)), margin, 0.0)
-            else:
-                clear = piece_is_clear(piece, arrays, margin + float(grown.max()), 0.0)
+            swollen = arrays._replace(movers=frozen(thicker(arrays.movers, grown)))
+            clear = piece_is_clear(piece, swollen, margin, 0.0)
             check_deadline()
             if not clear:
                 return False

@@ -396,7 +396,7 @@ def _covered(options: PlanOptions) -> dict[str, Any]:
 def between(cell: Cell, q: FloatArray, name: str, others: Collection[str]) -> FloatArray:
     """(n,) least distance of an arm from others at (n, dof) configurations of all [m]; inf from none."""
     field = cell.robot.cached(("between", name, frozenset(others)), lambda: _field_between(cell, name, others))
-    pairs = field.along(q)[:, int(field.base[BODIES]) :]
+    pairs = field.along(q)[:, int(field.numbers[BODIES]) :]
     least: FloatArray = pairs.min(axis=1, initial=math.inf)
     return least
 
@@ -407,8 +407,8 @@ def _field_between(cell: Cell, name: str, others: Collection[str]) -> ClearanceF
     arms = [next(arm.name for arm in cell.arms if body.name.startswith(f"{arm.name}_")) for body in bodies]
     asked = [{arms[i], arms[j]} in ({name, other} for other in others) for i, j in self_pairs(cell.robot).checked]
     field = ClearanceField.of(cell.robot, [])
-    before = int(field.base[BODIES])  # capsules that stand for several bodies come before pairs
-    return replace(field, chain=readonly(field.chain[[*range(before), *(before + np.flatnonzero(asked))]]))
+    before = int(field.numbers[BODIES])  # capsules that stand for several bodies come before pairs
+    return replace(field, movers=readonly(field.movers[[*range(before), *(before + np.flatnonzero(asked))]]))
 
 
 def _states(rows: Rows, clock: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -79,7 +79,7 @@ _FINEST = OptimizerEffort((Level(piece_s=0.012, pieces=(60, 300), steps=20, gain
 #: Of planar arms.
 EFFORTS: dict[EffortName, Effort] = {
     "quick": Effort(
-        trees=TreesEffort(2, 12_000),
+        trees=TreesEffort(2, 4_000),
         planar=None,
         grids=(),
         close=CLOSE,
@@ -95,8 +95,8 @@ EFFORTS: dict[EffortName, Effort] = {
         pose_goals=4,
     ),
     "default": Effort(
-        trees=TreesEffort(4, 12_000),
-        planar=TreesEffort(2, 3_000),
+        trees=TreesEffort(4, 4_000),
+        planar=TreesEffort(2, 1_000),
         grids=_GRIDS,
         close=1.08,
         starts=StartsEffort(
@@ -111,8 +111,8 @@ EFFORTS: dict[EffortName, Effort] = {
         pose_goals=8,
     ),
     "best": Effort(
-        trees=TreesEffort(16, 12_000),
-        planar=TreesEffort(16, 12_000),
+        trees=TreesEffort(16, 4_000),
+        planar=TreesEffort(16, 4_000),
         grids=_GRIDS,
         close=1.005,
         starts=StartsEffort(OptimizerEffort((_COARSE, *_FINEST.levels)), rough=8, others=4, finished=2),

@@ -13,7 +13,6 @@ import numpy as np
 
 from hplan.base.arrays import FloatArray, Record, frozen
 from hplan.certificate.certificate import Certificate, Stretch, all_of, certify_among, stretches
-from hplan.collision.reach import largest_sway
 from hplan.errors import CertificationError, TimingError
 from hplan.optimization.minimize_time import Effort, minimize_time
 from hplan.optimization.options import PostprocessOptions
@@ -247,14 +246,11 @@ def smoothing_options(task: PlanningTask, margin: float) -> PostprocessOptions:
 
 
 def sway_of(context: PlanningContext) -> FloatArray | None:
-    """(links, dof) what each link sways by for a unit of each joint's speed [m s/rad]; None if it does not."""
-    robot, delay_s = context.robot, context.options.tracking.delay_s
+    """(moving bodies, dof) what each sways by for a unit of each joint's speed [m s/rad]; None if it does not."""
+    delay_s = context.options.tracking.delay_s
     if delay_s == 0.0:
         return None
-    each = delay_s * np.eye(robot.dof)
-    if robot.planar is not None:
-        return frozen(robot.planar.sway(each).T)
-    return frozen(np.tile(largest_sway(robot, each), (len(context.field.chain), 1)))
+    return frozen(delay_s * context.field.reaches)
 
 
 def time_problem(

@@ -207,11 +207,13 @@ class _PlanarTool(Tool):
             found = reach_at(self._robot, position, angles, start=start, locked=self._locked)
             return None if found is None else Measured(found, clearances(found.configurations))
 
-        return finer_angles(evenly, at, enough, float(self._robot.arm.lengths[-1]), approach_deg)
+        return finer_angles(evenly, at, enough, self._robot.arm.lengths, approach_deg)
 
     def most_clearance(self, field: ClearanceField, position: ArrayLike, configurations: FloatArray) -> float:
         yaws = set(configurations[:, 0].tolist()) if self._robot.has_yaw else {0.0}
-        return max(field.of_last_end(position, self._robot.plane_at(yaw)[1]) for yaw in yaws)
+        last, aside = self._robot.arm.link_count - 1, float(self._robot.arm.lateral[-1])
+        normals = [self._robot.plane_at(yaw)[1][2] for yaw in yaws]
+        return max(field.of_point(last, np.asarray(position) + aside * normal) for normal in normals)
 
     def approaches(self, goals: FloatArray) -> Callable[[float], Approaches]:
         back = Stretches.back_from(self._robot, goals, self._locked)

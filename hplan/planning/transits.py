@@ -49,11 +49,11 @@ WORTHWHILE: Final = 0.7
 
 #: Evaluations of the pairs of trees that look for the first motion of all, and how many of these where the base is
 #: locked: grids find narrow passages there.
-_FIRST_TREES: Final = (3_000, 3_000, 3_000, 3_000, 12_000, 12_000, 12_000, 12_000)
+_FIRST_TREES: Final = (1_500, 1_500, 1_500, 1_500, 6_000, 6_000, 6_000, 6_000)
 _PLANAR_TREES: Final = 2
 
 #: Effort of trees before goals are refused, with so many seeds.
-_LONG_TREES: Final = 120_000
+_LONG_TREES: Final = 60_000
 _LONG_SEEDS: Final = 2
 
 #: The number of a goal, and a motion there.

@@ -109,8 +109,8 @@ class World(Record):
 
     def bodies(self, more: float = 0.0) -> PreparedObstacles:
         """The solids made ready for cutting, grown by the clearance to keep and `more` [m]."""
-        linked = self.linked
-        links = linked.links
+        linked, arm = self.linked, self.robot.arm_slice
+        links = None if linked.joints is None else linked.joints[:, arm]
         if self.touched:
             touched = linked.named(self.touched)
             everything = np.ones((len(touched), self.robot.arm.link_count), dtype=np.bool_)

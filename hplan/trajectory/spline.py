@@ -18,8 +18,8 @@ from hplan.base.arrays import BoolArray, FloatArray, Record, frozen, readonly
 from hplan.base.deadline import check_deadline
 from hplan.base.kernels import kernel
 from hplan.base.polyline import curve_length, stations
+from hplan.collision.body_motions import piece_is_clear
 from hplan.collision.clearance_field import ClearanceField
-from hplan.collision.clearance_kernels import piece_is_clear
 from hplan.collision.obstacle_rows import FieldArrays
 from hplan.errors import InputError
 from hplan.trajectory.cubics import bezier_piece, bezier_pieces, evaluate

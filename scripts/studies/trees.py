@@ -155,26 +155,20 @@ def motions_in(robot: Robot, orchard: Orchard) -> list[TreeProblem]:
 
 def _standoff(robot: Robot, scene: Scene, fruit: Fruit, home: FloatArray) -> FloatArray | str:
     """Where the approach to a fruit begins, or why there is none; the last link alone may touch the fruit."""
-    world, rest, itself = (
-        ClearanceField.of(robot, solids, clearance=scene.clearance)
-        for solids in (
-            scene.solids_with_goal,
-            [solid for solid in scene.solids_with_goal if solid.name != fruit.name],
-            [solid for solid in scene.solids_with_goal if solid.name == fruit.name],
-        )
-    )
+    world = ClearanceField.of(robot, scene.solids_with_goal, clearance=scene.clearance)
+    touching = world.sparing(np.array([solid.name == fruit.name for solid in scene.solids_with_goal]))
     try:
         goals = reach(robot, fruit.center, count=GRASPS, start=home).configurations
     except UnreachableError as error:
         return error.reason
-    goals = goals[[rest.clearance(q) > SPARE and itself.link_clearances(q)[:-1].min() > SPARE for q in goals]]
+    goals = goals[touching.along(goals).min(axis=1) > SPARE]
     if not len(goals):
         return "blocked"
     stages = [standoffs(robot, goals, share * STANDOFF) for share in _LOOKS]
     ways = np.stack([goals, *(stage.configurations for stage in stages)], axis=1)[stages[-1].feasible]
     if not len(ways):
         return "no_approach"
-    clear = [way[-1] for way in ways if world.clearance(way[-1]) > SPARE and rest.is_clear(way, 0.5 * SPARE)]
+    clear = [way[-1] for way in ways if world.clearance(way[-1]) > SPARE and touching.is_clear(way, 0.5 * SPARE)]
     limits = robot.velocity_limit, robot.acceleration_limit
     return min(clear, key=lambda q: least_duration(home, q, *limits), default="blocked")
 

@@ -88,7 +88,7 @@ def test_field_and_coal_agree_on_what_is_left_to_each_link():
     for q in rng.uniform(robot.lower, robot.upper, (300, robot.dof)):
         left = world.checker.pair_distances(q) - world.checker.kept(0.005)
         by_link = left[: 3 * len(solids)].reshape(3, -1).min(axis=1)
-        field = world.field.link_clearances(q)
+        field = world.field.link_clearances(q, 100.0)
         near = (by_link > -0.02) & (field > -0.02)
         np.testing.assert_allclose(field[near], by_link[near], atol=1e-6)
         assert ((by_link <= 1e-6) == (field <= 1e-6)).all()

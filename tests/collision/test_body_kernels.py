@@ -12,9 +12,8 @@ from hypothesis import strategies as st
 
 from hplan.base.arrays import FloatArray
 from hplan.collision.body_kernels import FAR, body_slopes
-from hplan.collision.body_motions import body_bounds
+from hplan.collision.body_motions import piece_is_clear, segment_is_clear
 from hplan.collision.clearance_field import ClearanceField
-from hplan.collision.clearance_kernels import keeps_margin, piece_is_clear, segment_is_clear
 from hplan.collision.coal_shapes import beyond_geometry, solid_shape
 from hplan.collision.collision_bodies import GROUND, body_shapes, collision_bodies
 from hplan.collision.flat_bodies import AXIS, AXIS_RADIUS, BALL, BALL_RADIUS, BODIES, JOINT
@@ -109,13 +108,13 @@ def by_coal(robot: Robot, solids: list[Solid], q: FloatArray) -> FloatArray:
 def test_bodies_are_where_pinocchio_has_them(arm: Robot) -> None:
     field = ClearanceField.of(arm, [])
     bodies = collision_bodies(arm)
-    placed, frames = np.empty((int(field.base[BODIES]), PLACED)), np.empty((arm.dof + 1, 12))
+    placed, frames = np.empty((int(field.numbers[BODIES]), PLACED)), np.empty((arm.dof + 1, 12))
     for q in np.random.default_rng(0).uniform(arm.lower, arm.upper, (20, arm.dof)):
-        place_bodies(q, field.chain, field.base, frames, placed)
-        assert int(field.base[BODIES]) == len(bodies) + len(tubes_of(arm))
+        place_bodies(q, field.movers, field.numbers, frames, placed)
+        assert int(field.numbers[BODIES]) == len(bodies) + len(tubes_of(arm))
         data = arm.model.createData()
         pin.forwardKinematics(arm.model, data, q)
-        for body, row, mover in zip(bodies, placed, field.chain, strict=False):  # capsules and pairs follow
+        for body, row, mover in zip(bodies, placed, field.movers, strict=False):  # capsules and pairs follow
             place = data.oMi[body.joint + 1]
             frame = frames[int(mover[JOINT])]
             assert frame[:9].reshape(3, 3) == pytest.approx(place.rotation, abs=1e-12)
@@ -153,9 +152,7 @@ def test_grown_obstacles_and_deviations_leave_less(arm: Robot, solids: list[Soli
     assert grown[moving] == pytest.approx(plain[moving] - 0.01, abs=1e-9)
     assert grown[bodies:] == pytest.approx(plain[bodies:])
     swaying = ClearanceField.of(arm, solids, deviation=0.01).link_clearances(q)
-    bounds = np.empty(len(near))
-    field = ClearanceField.of(arm, solids)
-    body_bounds(np.full(arm.dof, 0.01), field.chain, field.base, bounds)
+    bounds = 0.01 * ClearanceField.of(arm, solids).reaches.sum(axis=1)
     assert swaying[near] == pytest.approx((plain - bounds)[near], abs=1e-9)
 
 
@@ -174,7 +171,8 @@ def test_motions_shown_clear_are_clear(arm: Robot, solids: list[Solid], seed: in
     assert shown or least < 2e-3
     for margin in (1e-3, 0.05):
         clear = field.clearance(start)
-        assert keeps_margin(start, field.arrays, margin) == (clear >= margin) or abs(clear - margin) < 0.03 * margin
+        stays = bool(segment_is_clear(start, start, field.arrays, margin))
+        assert stays == (clear >= margin) or abs(clear - margin) < 0.03 * margin
         assert segment_is_clear(start, ends[2], field.arrays, margin) or least < 2.0 * margin
     piece = np.stack([start, *ends])
     t = np.linspace(0.0, 1.0, 40)[:, None]
@@ -198,7 +196,7 @@ def test_gradients_are_those_of_differences(arm: Robot, solids: list[Solid], see
     field = ClearanceField.of(arm, solids)
     q = np.random.default_rng(seed).uniform(arm.lower, arm.upper)
     joints = np.array([0, 1, 2, 4, 5] if arm.dof > 4 else [0, 1, 3])
-    clear, gradient = np.empty(len(field.chain)), np.empty((len(field.chain), len(joints)))
+    clear, gradient = np.empty(len(field.movers)), np.empty((len(field.movers), len(joints)))
     body_slopes(q, field.arrays, joints, FAR, clear, gradient)
     assert clear == pytest.approx(field.link_clearances(q), abs=1e-9)
     step = 1e-6

@@ -11,9 +11,7 @@ from hypothesis import strategies as st
 
 from hplan.base.arrays import FloatArray
 from hplan.collision.body_kernels import FAR
-from hplan.collision.body_motions import body_bounds
 from hplan.collision.clearance_field import ClearanceField
-from hplan.collision.clearance_kernels import keeps_margin
 from hplan.collision.collision_bodies import collision_bodies
 from hplan.collision.flat_bodies import BODIES, FIRST, INNER, JOINT, LAST, OUTER
 from hplan.collision.motion_cover import moving_arm, part_shown_clear
@@ -63,8 +61,8 @@ def points_of(arm: Robot, field: ClearanceField, q: FloatArray) -> list[FloatArr
     """The corners of each body, and of capsules that stand for several, in `base_link`."""
     data, found = arm.model.createData(), []
     pin.forwardKinematics(arm.model, data, q)
-    for row in field.chain[: int(field.base[BODIES])]:
-        core, joint = field.base[int(row[FIRST]) : int(row[LAST])].reshape(-1, 3), int(row[JOINT])
+    for row in field.movers[: int(field.numbers[BODIES])]:
+        core, joint = field.numbers[int(row[FIRST]) : int(row[LAST])].reshape(-1, 3), int(row[JOINT])
         place = data.oMi[joint + 1] if joint < arm.dof else pin.SE3.Identity()
         found.append(core @ place.rotation.T + place.translation)
     return found
@@ -85,8 +83,8 @@ def test_twists_are_velocities(arm: Robot, field: ClearanceField, seed: int) -> 
     generator = np.random.default_rng(seed)
     q, rates = generator.uniform(arm.lower, arm.upper), generator.uniform(-1.0, 1.0, arm.dof)
     frames = np.empty((arm.dof + 1, MOVING))
-    place_joints(q, field.base, frames)
-    find_twists(rates, field.base, frames)
+    place_joints(q, field.numbers, frames)
+    find_twists(rates, field.numbers, frames)
     ahead, behind = (points_of(arm, field, q + step * rates) for step in (1e-6, -1e-6))
     for body, here, after, before in zip(collision_bodies(arm), points_of(arm, field, q), ahead, behind, strict=False):
         twist = frames[body.joint if body.joint >= 0 else arm.dof, TWIST:]
@@ -99,11 +97,9 @@ def test_points_are_no_faster_and_bend_no_more_than_is_said(arm: Robot, field: C
     generator = np.random.default_rng(seed)
     q, rates = generator.uniform(arm.lower, arm.upper), generator.uniform(-1.0, 1.0, arm.dof)
     changes = generator.uniform(-1.0, 1.0, arm.dof)
-    bends = np.empty((len(field.chain), 2))
-    motion_bends(np.abs(rates), np.abs(changes), field.chain, field.base, bends)
-    bounds = np.empty(len(field.chain))
-    body_bounds(rates, field.chain, field.base, bounds)
-    assert bends[:, 0] == pytest.approx(bounds)
+    bends = np.empty((len(field.movers), 2))
+    motion_bends(np.abs(rates), np.abs(changes), field.movers, field.numbers, bends)
+    assert bends[:, 0] == pytest.approx(field.reaches @ np.abs(rates))
     step = 1e-4
     times = np.array([-step, 0.0, step])
     along = q + np.outer(times, rates) + 0.5 * np.outer(times**2, changes)
@@ -113,7 +109,7 @@ def test_points_are_no_faster_and_bend_no_more_than_is_said(arm: Robot, field: C
     for k, (speed, bend) in enumerate(bends):
         moved, seen = k, -1
         if k >= len(placed[0]):
-            moved, seen = int(field.chain[k, OUTER]), bodies[int(field.chain[k, INNER])].joint
+            moved, seen = int(field.movers[k, OUTER]), bodies[int(field.movers[k, INNER])].joint
         before, here, after = (
             seen_from(arm, at, seen, points[moved]) for at, points in zip(along, placed, strict=True)
         )
@@ -141,16 +137,14 @@ def test_parts_shown_clear_are_clear(arm: Robot, field: ClearanceField, seed: in
     generator = np.random.default_rng(seed)
     q = generator.uniform(arm.lower, arm.upper)
     rates = generator.uniform(-2.0, 2.0, arm.dof) * generator.choice([0.0, 1.0], arm.dof)
-    bends, bounds = np.empty((len(field.chain), 2)), np.empty(len(field.chain))
-    motion_bends(np.abs(rates), np.zeros(arm.dof), field.chain, field.base, bends)
-    body_bounds(rates, field.chain, field.base, bounds)
+    bends, bounds = np.empty((len(field.movers), 2)), field.reaches @ np.abs(rates)
+    motion_bends(np.abs(rates), np.zeros(arm.dof), field.movers, field.numbers, bends)
     part = part_shown_clear(q, rates, moving_arm(field.arrays, arm.dof, bends, MARGIN), back, forward)
     clear = field.link_clearances(q)
     if part.forward < 0.0:
         assert clear.min() < 1.03 * MARGIN
         return
     assert clear.min() >= MARGIN
-    assert keeps_margin(q, field.arrays, MARGIN)
     assert 0.0 <= part.back <= back
     assert 0.0 <= part.forward <= forward
     along = field.along(q + np.linspace(-part.back, part.forward, 41)[:, None] * rates)
@@ -172,8 +166,8 @@ def test_what_moves_along_a_wall_and_is_turned_to_it_meets_it() -> None:
     # At 0 the ball moves along the wall's face, 20 mm from it.
     wall = Box(name="wall", center=(0.43, 0.0, 0.0), size=(1.0, 4.0, 1.0))
     field = ClearanceField.of(arm, [wall])
-    bends, q, rates = np.empty((len(field.chain), 2)), np.zeros(1), np.ones(1)
-    motion_bends(rates, np.zeros(1), field.chain, field.base, bends)
+    bends, q, rates = np.empty((len(field.movers), 2)), np.zeros(1), np.ones(1)
+    motion_bends(rates, np.zeros(1), field.movers, field.numbers, bends)
     part = part_shown_clear(q, rates, moving_arm(field.arrays, 1, bends, 0.0), 1.0, 1.0)
     meets = float(np.arccos(0.98))
     assert 0.9 * meets < part.forward < meets

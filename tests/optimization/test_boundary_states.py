@@ -10,7 +10,7 @@ from scipy.interpolate import BSpline
 
 from hplan.certificate.limit_use import limit_use
 from hplan.collision.clearance_field import ClearanceField
-from hplan.optimization.first_order import NEAR, PLACES, MotionArrays, MotionLimits, first_order
+from hplan.optimization.first_order import NEAR, PLACES, SCALE, MotionArrays, MotionLimits, first_order
 from hplan.optimization.minimize_time import Effort, Level, minimize_time
 from hplan.optimization.options import PostprocessOptions
 from hplan.optimization.time_problem import TimeProblem
@@ -147,7 +147,7 @@ def test_clearances_follow_the_time_scale_where_an_end_is_in_motion(robot, limit
     change = (clearances(moved(spline, unknowns, time_scale), field) - clearances(spline, field))[near]
     assert near[:3].any()
     program = values_of(rows, unknowns, time_scale)[0] - values_of(rows, 0.0 * unknowns, 1.0)[0]
-    expected = -program[-np.count_nonzero(near) :] * NEAR
+    expected = -program[-np.count_nonzero(near) :] * SCALE
     np.testing.assert_allclose(change, expected, rtol=0, atol=1e-7)
 
 

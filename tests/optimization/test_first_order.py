@@ -10,6 +10,7 @@ from hplan.collision.clearance_field import ClearanceField
 from hplan.optimization.first_order import (
     NEAR,
     PLACES,
+    SCALE,
     MotionArrays,
     MotionLimits,
     basis,
@@ -132,11 +133,11 @@ def test_clearances_follow_the_field(motion, limits, robot):
     assert len(bounds) == len(touched) >= 5
     unknowns = np.random.default_rng(5).uniform(-1e-4, 1e-4, count)
     change = near(moved(control, unknowns, limits.movable)) - here
-    expected = -gradients @ unknowns * NEAR
-    np.testing.assert_allclose(change[touched], expected, atol=1e-7)  # the gradients are one-sided differences
+    expected = -gradients @ unknowns * SCALE
+    np.testing.assert_allclose(change[touched], expected, atol=1e-7)
     # Where there is more than the margin, the margin is asked for.
     clearance = here[touched]
-    np.testing.assert_allclose((clearance - bounds * NEAR)[clearance > 2.0 * MARGIN], MARGIN, atol=1e-12)
+    np.testing.assert_allclose((clearance - bounds * SCALE)[clearance > 2.0 * MARGIN], MARGIN, atol=1e-12)
 
 
 def test_clearances_less_what_tracking_errors_take_follow_step_and_time_scale(motion, limits, robot):
@@ -159,7 +160,7 @@ def test_clearances_less_what_tracking_errors_take_follow_step_and_time_scale(mo
     assert len(rows.upper) - both == len(touched) >= 5
     unknowns = np.random.default_rng(5).uniform(-1e-5, 1e-5, count)
     change = left(moved(control, unknowns, limits.movable), 1.0 + by) - here
-    expected = -(matrix[both:, :-1] @ unknowns + matrix[both:, -1] * by) * NEAR
+    expected = -(matrix[both:, :-1] @ unknowns + matrix[both:, -1] * by) * SCALE
     np.testing.assert_allclose(change[touched], expected, atol=2e-9 + 1e-3 * np.abs(expected).max())
     assert np.abs(matrix[both:, -1]).max() > 0.0
 

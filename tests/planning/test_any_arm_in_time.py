@@ -66,6 +66,6 @@ def test_a_field_without_the_arm_itself_is_of_bodies_alone(robot):
     ball = Sphere(name="ball", center=(0.6, 0.0, 0.5), radius=0.1)
     field = ClearanceField.of(robot, [ball])
     bare, q = field.only(np.array([True]), arm=False), np.array(START)
-    assert (bare.link_clearances(q) == field.link_clearances(q)[: len(bare.chain)]).all()
+    assert (bare.link_clearances(q) == field.link_clearances(q)[: len(bare.movers)]).all()
     own = len(CoalScene(robot, ()).pairs)
-    assert len(field.chain) == len(bare.chain) + own
+    assert len(field.movers) == len(bare.movers) + own

@@ -15,10 +15,6 @@ from hplan.planning import compile_ahead
 #: Modules whose kernels a plan calls only after the path on the grid is found.
 LATER = ("push_clear", "coarse_profile", "shortcut", "spline", "topp", "dynamics", "clearance_proof")
 
-
-#: Modules whose kernels arms call that are not of the planar family, and no planar arm does.
-OF_OTHER_ARMS = ("body_kernels", "body_motions", "motion_cover", "penetration", "placed_bodies", "twists")
-
 #: Says which kernels of hplan's are loaded, and for how many kinds of argument.
 TELL = """
 import gc
@@ -44,7 +40,6 @@ def test_each_process_compiles_its_half_once() -> None:
     assert len(set(everything) - set(later)) > 5
     assert [name for name in set(everything) - set(later) if name.split(".")[0] in LATER] == []
     assert {name for name, kinds in (later | everything).items() if kinds > 1} == set()
-    assert {name for name in later | everything if name.split(".")[0] in OF_OTHER_ARMS} == set()
 
 
 def test_a_first_run_is_one_without_kernels_on_disk(tmp_path: Path) -> None:

@@ -227,7 +227,9 @@ def test_cells_that_are_clear_are_clear_all_the_time(robot):
 def test_what_moves_is_passed_farther_off_where_it_is_uncertain(robot):
     certain = ball(robot, (0.0, (0.0, -1.0, 0.0)), (1.0, (0.0, 1.0, 0.0)))
     away = [
-        MovingField(robot, task(START, GOAL, [item]), sigmas=2.0, tracking_error=0.0).at(0.0).along(np.zeros((1, 4)))
+        MovingField(robot, task(START, GOAL, [item]), sigmas=2.0, tracking_error=0.0)
+        .at(0.0)
+        .along(np.zeros((1, 4)), 9.0)
         for item in (certain, certain.model_copy(update={"sigma": 0.01}))
     ]
     np.testing.assert_allclose(away[0] - away[1], 0.02, atol=1e-9)

@@ -155,10 +155,10 @@ def test_a_narrow_window_is_found_whatever_the_turn(asked: tuple[float, float] |
         return Measured(Candidates(angles[:, None], np.pi - (np.pi - angles) % (2.0 * np.pi)), rooms)
 
     evenly = at(np.linspace(low, high, 42))
-    levels = list(finer_angles(evenly, at, 0.0015, 0.5, asked))
+    levels = list(finer_angles(evenly, at, 0.0015, np.array([1.0, 0.5]), asked))
     assert evenly.most < 0.0015 < max(level.most for level in levels)
     # A link that is slower cannot be as clear: nothing is refined for it.
-    assert not any(len(level.least) for level in finer_angles(evenly, at, 0.0015, 1e-3, asked))
+    assert not any(len(level.least) for level in finer_angles(evenly, at, 0.0015, np.array([1.0, 1e-3]), asked))
 
 
 def test_blocked_says_how_many_were_tried_and_by_how_much(robot: Robot) -> None:

@@ -41,7 +41,7 @@ def test_each_obstacle_grows_by_its_own_uncertainty(robot: Robot) -> None:
         for q in rng.uniform(robot.lower, robot.upper, (20, 4)):
             grown = plain.distances(q) - sigmas * np.array([0.0, 0.01, 0.02])
             np.testing.assert_allclose(world.checker.distances(q), grown, atol=1e-9)
-            np.testing.assert_allclose(world.field.link_clearances(q), grown.min(axis=1) - 0.02, atol=1e-6)
+            np.testing.assert_allclose(world.field.link_clearances(q, 100.0), grown.min(axis=1) - 0.02, atol=1e-6)
 
 
 def test_field_bodies_and_judge_agree(robot: Robot) -> None:

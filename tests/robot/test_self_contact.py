@@ -19,7 +19,7 @@ from hplan.base.planar_geometry import polygon_distances
 from hplan.certificate.certificate import certify
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.coal_scene import CoalScene
-from hplan.collision.obstacle_rows import BOUND, CENTRE, KIND, LINK_RANGE, TURNS
+from hplan.collision.flat_bodies import BODIES, INNER, OUTER
 from hplan.errors import ConfigurationInCollisionError
 from hplan.grid.grid import Grid
 from hplan.grid.occupancy import occupancy
@@ -205,19 +205,6 @@ def test_what_turns_turns_about_the_yaw_axis(tmp_path):
         )
 
 
-def test_the_ball_about_what_turns_holds_it_at_every_yaw(tmp_path):
-    robot = arm_of(tmp_path, -150.0, 150.0, lengths=(0.6, 0.5, 0.4), yaw_axis=(0.7, -0.5), shoulder_offset=0.4)
-    (axle,), rows = turning_shapes(robot), ClearanceField.of(robot, []).solids
-    turning = rows[(rows[:, KIND] == LINK_RANGE) & (rows[:, TURNS] > 0.0)]
-    assert len(turning)
-    for yaw in np.linspace(-3.0, 3.0, 13):
-        turn = pin.utils.rotate("z", yaw)
-        points = axle.axis + (axle.points - axle.axis) @ turn.T
-        for row in turning:
-            away = np.linalg.norm(points - row[CENTRE:BOUND], axis=1)
-            assert (away + axle.rounding <= row[BOUND] + 1e-9).all()
-
-
 def test_distances_from_polygons():
     rng = np.random.default_rng(3)
     square = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
@@ -318,31 +305,33 @@ def test_clearances_of_variants(name, tmp_path):
     rng = np.random.default_rng(11)
     obstacles = random_obstacles(rng)
     field, truth = ClearanceField.of(robot, obstacles), Truth(robot)
+    links = robot.arm.link_count
     for q in rng.uniform(robot.lower, robot.upper, (200, robot.dof)):
-        expected = coal_distances(robot, q, obstacles).min(axis=1)
-        for (link, _), distance in truth.distances(q).items():
-            expected[link] = min(expected[link], 0.5 * distance)
-        found = field.link_clearances(q)
-        apart = expected > TOUCH
-        np.testing.assert_allclose(found[apart], expected[apart], atol=1e-6, rtol=0)
-        assert (found[~apart] <= 2 * TOUCH).all()
+        expected, found = coal_distances(robot, q, obstacles).min(axis=1), field.link_clearances(q, 100.0)
+        for alone, distance in ((expected, found[:links]), own_clearances(robot, field, truth, q, found)):
+            apart = alone > TOUCH
+            np.testing.assert_allclose(distance[apart], alone[apart], atol=1e-6, rtol=0)
+            assert (distance[~apart] <= 2 * TOUCH).all()
+
+
+def own_clearances(robot, field, truth, q, found):
+    """Distances of the arm's own pairs as coal has them, and as they were found."""
+    bodies, distances = self_contact(robot).bodies, truth.distances(q)
+    pairs = field.movers[int(field.numbers[BODIES]) :, [OUTER, INNER]].astype(int).tolist()
+    links = robot.arm.link_count
+    other = [inner if inner < links else str(bodies[inner - links].shape) for _, inner in pairs]
+    expected = np.array([distances[outer, inner] for (outer, _), inner in zip(pairs, other, strict=True)])
+    return expected, found[len(found) - len(pairs) :]
 
 
 def test_distances_from_what_carries_the_arm(tmp_path):
     rng = np.random.default_rng(12)
     near = 0
     for robot in random_arms(rng, tmp_path, 12):
-        contact = self_contact(robot)
         field, truth = ClearanceField.of(robot, [], own_clearance=0.01), Truth(robot)
         for q in rng.uniform(robot.lower, robot.upper, (100, robot.dof)):
-            distances = truth.distances(q)
-            lower = np.full(robot.arm.link_count, np.inf)
-            for i, j in contact.links:
-                lower[j] = min(lower[j], 0.5 * (distances[j, i] - 0.01))
-            for body in contact.bodies:
-                for link in body.links:
-                    lower[link] = min(lower[link], distances[link, str(body.shape)] - 0.01)
-            found = field.link_clearances(q)
+            expected, found = own_clearances(robot, field, truth, q, field.link_clearances(q, 100.0))
+            lower = expected - 0.01
             # Nothing nearer than coal says is missed, and little is made up.
             apart = lower > 0.0
             assert (found[apart] <= lower[apart] + TOUCH).all()

@@ -16,11 +16,15 @@ import numpy as np
 
 from hplan.base.arrays import FloatArray, IntArray, WordArray
 from hplan.base.kernels import kernel
-from hplan.collision.clearance_kernels import FieldArrays, link_clearances
+from hplan.collision.body_kernels import body_clearances
+from hplan.collision.obstacle_rows import FieldArrays
 
 #: What kernels' distances are exact to; a hull that is flat made thicker is in it, and joints that are locked to the
 #: certificate's tolerance [m].
 ACCURACY = 1e-4
+
+#: Larger clearances are not looked for [m].
+_FAR = 1.0
 
 
 class Cells(NamedTuple):
@@ -58,7 +62,7 @@ def free_cells(q: FloatArray, field: FieldArrays, cells: Cells) -> WordArray:
     """
     joints, lower, sizes, counts, parts, sway, reach = cells
     free = np.zeros((counts[1], counts[2], (counts[0] + 63) >> 6), dtype=np.uint64)
-    clear = np.empty(field.chain.shape[0])
+    clear = np.empty(field.movers.shape[0])
     for i in range(counts[1] * parts[1]):
         q[joints[1]] = lower[1] + (i + 0.5) * sizes[1] / parts[1]
         for j in range(counts[2] * parts[2]):
@@ -67,7 +71,7 @@ def free_cells(q: FloatArray, field: FieldArrays, cells: Cells) -> WordArray:
             part, end = 0, counts[0] * parts[0]
             while part < end:
                 q[joints[0]] = lower[0] + (part + 0.5) * sizes[0] / parts[0]
-                link_clearances(q, field, clear)
+                body_clearances(q, field, _FAR, clear)
                 # Parts from here on that are in contact, and that are not shown to be, as far as is known.
                 occupied, unknown = 0.0, np.inf
                 for k in range(len(clear)):

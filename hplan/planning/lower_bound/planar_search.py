@@ -9,6 +9,7 @@ import numpy as np
 
 from hplan.base.arrays import FloatArray, IntArray, Record, WordArray
 from hplan.collision.clearance_field import ClearanceField
+from hplan.collision.flat_bodies import BODIES
 from hplan.planning.lower_bound.joint_tubes import SLACK, JointMotions
 from hplan.planning.lower_bound.occupied_cells import Cells, free_cells
 from hplan.planning.lower_bound.reachability import Samples, is_reachable
@@ -142,5 +143,6 @@ class PlanarSearch(Record):
         cells = Cells(
             joints, grid.lower, grid.sizes, grid.counts, parts, np.cumsum(lengths * np.cumsum(half)), np.cumsum(moved)
         )
-        field = obstacles.arrays
-        return cls(grid, free_cells(q.copy(), field._replace(chain=field.chain[:3].copy()), cells))
+        field, numbers = obstacles.arrays, obstacles.numbers.copy()
+        numbers[BODIES] = 3  # the links alone
+        return cls(grid, free_cells(q.copy(), field._replace(movers=field.movers[:3], numbers=numbers), cells))

@@ -16,7 +16,6 @@ import numpy as np
 
 from hplan.base.arrays import BoolArray, IntArray
 from hplan.collision.clearance_field import ClearanceField
-from hplan.collision.clearance_kernels import motion_bounds
 from hplan.collision.giving_way import LinkedSolids
 from hplan.collision.moving_solids import largest_rates
 from hplan.robot.model import Robot
@@ -102,9 +101,7 @@ class PathInTime:
         self._field, self._half = field, 0.5 * step_s + spare_s
         turns = np.diff(self.configurations, axis=0)
         empty = ClearanceField.of(robot, []).only(np.zeros(0, dtype=np.bool_), arm=False)
-        arrays, bounds = empty.arrays, np.empty((count, len(empty.chain)))
-        for turn, bound in zip(turns, bounds, strict=True):
-            motion_bounds(turn, arrays, bound)
+        bounds = np.abs(turns) @ empty.reaches.T
         self._travel = 0.5 * np.maximum(np.vstack([bounds[:1], bounds]), np.vstack([bounds, bounds[-1:]]))
         self._last: tuple[int, BoolArray] | None = None
 

@@ -18,8 +18,8 @@ import numpy as np
 from hplan.base.arrays import FloatArray, IntArray, frozen
 from hplan.base.deadline import check_deadline, is_up
 from hplan.base.kernels import any_int, kernel
+from hplan.collision.body_motions import shown_part, straight_piece
 from hplan.collision.clearance_field import ClearanceField
-from hplan.collision.clearance_kernels import shown_part, straight_piece
 from hplan.collision.obstacle_rows import FieldArrays
 from hplan.planning.definition import Problem
 
@@ -193,7 +193,8 @@ def _extend(tree: Tree, node: int, target: FloatArray, arm: Surroundings, looks:
     part = min(1.0, EDGE_S / time) if time > 0.0 else 1.0
     for i in range(dof):
         end[i] = target[i] if part == 1.0 else start[i] + part * (target[i] - start[i])
-    shown, used = shown_part(straight_piece(start, end), arm.field, arm.margin, 0.0, LOOKS)
+    least = 0.5 * LEAST_S / (part * time) if time > 0.0 else 0.0
+    shown, used = shown_part(straight_piece(start, end), arm.field, arm.margin, least, LOOKS)
     looks[0] -= used
     if shown * part * time < LEAST_S and not (shown == 1.0 and part == 1.0):
         return -1

@@ -96,9 +96,10 @@ class World(Record):
 
     def touching(self, name: str, hangs_from: Sequence[str] = ()) -> World:
         """The world where the last link may touch the solid of a name, and others push what it hangs from."""
-        touched, hanging = (*self.touched, name), (*self.hanging, *hangs_from)
-        checker = self.checker.touching(name, hangs_from)
-        if not hangs_from:
+        rigid = [solid.name for solid in self.solids if solid.name in hangs_from and not solid.yields]
+        touched, hanging = (*self.touched, name), (*self.hanging, *rigid)
+        checker = self.checker.touching(name, rigid)
+        if not rigid:
             field = self.field.sparing(self.linked.named((name,)))
             return replace(self, field=field, checker=checker, touched=touched)
         whole = self.clearance + self.growth

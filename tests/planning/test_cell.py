@@ -312,7 +312,8 @@ def test_idle_arms_stay(robot):
 
 def test_the_command_writes_each_arms_file(write, tmp_path, capsys):
     scene, out = write("cell.yaml", YAML), tmp_path / "out"
-    assert main(["plan", str(scene), "--out", str(out), "--quiet"]) == 0
+    assert main(["plan", str(scene), "--out", str(out), "--quiet", "--mcap"]) == 0
+    assert (out / "motion.mcap").read_bytes()[1:5] == b"MCAP"
     cell = load_cell(scene)
     motions = {arm.name: read_csv(out / f"trajectory-{arm.name}.csv") for arm in cell.arms}
     assert certify_cell(cell, motions).verified

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from hplan.apps.cli.job_folder import PAGE, REPORT, TOUR, TOUR_REPORT, TRAJECTORY, JobFolder
+from hplan.apps.cli.job_folder import MCAP, PAGE, REPORT, TOUR, TOUR_REPORT, TRAJECTORY, JobFolder, needs_rosbags
 from hplan.apps.cli.options import check_output_file, plan_options, tracking_of
 from hplan.apps.cli.terminal import FAILED, certificate_words, facts_table, hand_out, loading, progress_line, show_title
 from hplan.errors import OptionError
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 _OF_ONE_ROBOT: dict[str, Any] = {
     "robot": None, "limits": None, "hold": [], "tool_frame": None, "srdf": None, "package_dir": [],
     "allow_neighbours": False, "drop_inside": False, "yield_links": None, "bound": False, "view": False,
-    "cspace": False, "cspace_yaw": None, "mcap": False, "certify": True, "fruits": None,
+    "cspace": False, "cspace_yaw": None, "certify": True, "fruits": None,
     "drop_off": None, "drop_off_pose": None, "drop_off_joints": None, "begin": 0.0, "moving_ends": False,
     "every": None, "back": False, "order": "best", "compare": False, "grasps": 4, "csv": "one",
 }  # fmt: skip
@@ -40,8 +40,9 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console, *, tou
     _check_options(arguments)
     csv, name = (TOUR, TOUR_REPORT) if tour else (TRAJECTORY, REPORT)
     of_arm = csv.replace(".csv", "-{}.csv")
-    folder = JobFolder(arguments.out, (csv, of_arm.format("*"), PAGE), name)
-    with progress_line(errors, quiet=arguments.quiet, kernels=1) as show:
+    folder = JobFolder(arguments.out, (csv, of_arm.format("*"), PAGE, MCAP), name)
+    needs_rosbags(arguments)
+    with progress_line(errors, quiet=arguments.quiet) as show:
         show("reading robots and scene")
         with loading():
             from hplan.apps.view.page import write_page
@@ -62,11 +63,15 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console, *, tou
                 for arm, own in result.trajectories.items():
                     write_csv(own, staging / of_arm.format(arm))
                 write_page(*playable(result), staging / PAGE)
+                if arguments.mcap:
+                    from hplan.apps.ros.mcap_file import write_mcap
+
+                    write_mcap(result, staging / MCAP)
                 report = {"status": "ok", "scene": cell.scene.name, "robots": {a.name: a.robot.name for a in cell.arms}}
                 write_report(report | result.report | {"time_ms": milliseconds}, staging / name)
     if not arguments.quiet:
-        files = ", ".join([csv, *(of_arm.format(arm.name) for arm in cell.arms), name, PAGE])
-        _show(console, result, milliseconds, f"{folder.path}: {files}")
+        files = [csv, *(of_arm.format(arm.name) for arm in cell.arms), name, PAGE, *([MCAP] if arguments.mcap else [])]
+        _show(console, result, milliseconds, f"{folder.path}: {', '.join(files)}")
     return 0
 
 

@@ -46,6 +46,8 @@ _ROUND_OFF: Final = 1e-12
 def reach(robot: Robot, beyond: float = 0.0) -> FloatArray:
     """Motion-bound coefficients: upper bounds of the distance of any point of each core from each joint's axis.
 
+    Of a body that is larger than the shape that it stands for, the core and all of the shape are meant.
+
     Args:
         beyond: How far joints that slide may be beyond their limits [m].
 
@@ -53,8 +55,11 @@ def reach(robot: Robot, beyond: float = 0.0) -> FloatArray:
         (bodies, dof) bounds [m]; 0 where the joint does not move the body, 1 for a joint that slides, so that
         `reach @ abs(dq)` bounds how far any point of each core moves. Bodies are in the order of `collision_bodies`.
     """
-    rows = [points_reach(robot, body.core, body.joint, beyond) for body in collision_bodies(robot)]
-    return frozen(np.array(rows).reshape(-1, robot.dof))
+    bodies = collision_bodies(robot)
+    rows = np.array([points_reach(robot, body.core, body.joint, beyond) for body in bodies]).reshape(-1, robot.dof)
+    # The shape that a body stands for has points of its own beyond the core, but where it is the core and a ball.
+    beyond_core = np.array([0.0 if body.exact else body.rounding for body in bodies])[:, None]
+    return frozen(rows + np.where((rows > 0.0) & ~np.array(robot.slides), beyond_core, 0.0))
 
 
 def points_reach(robot: Robot, points: FloatArray, joint: int, beyond: float = 0.0) -> FloatArray:

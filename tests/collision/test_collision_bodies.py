@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import coal
 import numpy as np
 import pinocchio as pin
@@ -146,11 +148,21 @@ def test_meshes_that_are_mirrored_or_inside_out_are_what_their_surface_holds(tmp
         assert sum(shape.geometry.computeVolume() for shape in shapes) < 0.8 * hull
 
 
-@pytest.mark.parametrize("name", [*ARMS, "harvester"])
-def test_reach_is_never_exceeded_and_nearly_attained(load, name):
-    """Distances of the points of the bodies' cores from the joints' axes, at random configurations."""
-    robot, rng = load(name), np.random.default_rng(3)
+def points_of(body, shape):
+    """Points of a body's core, and the vertices by which coal judges a mesh, in the frame of its joint."""
+    if not isinstance(shape.geometry, coal.Convex):
+        return body.core
+    vertices = np.array(shape.geometry.points()) @ shape.placement.rotation.T + shape.placement.translation
+    return np.vstack([body.core, vertices])
+
+
+@pytest.mark.parametrize(("name", "most"), [*((name, MOST_POINTS) for name in [*ARMS, "harvester"]), ("ur5", 24)])
+def test_reach_is_never_exceeded_and_nearly_attained(load, name, most, monkeypatch):
+    """Distances of points from the joints' axes, at random configurations."""
+    monkeypatch.setattr("hplan.collision.collision_bodies.MOST_POINTS", most)
+    robot, rng = replace(load(name)), np.random.default_rng(3)
     bodies, bounds = collision_bodies(robot), reach(robot)
+    judged = [points_of(*each) for each in zip(bodies, body_shapes(robot), strict=True)]
     assert bounds.shape == (len(bodies), robot.dof)
     found = np.zeros_like(bounds)
     data = robot.model.createData()
@@ -159,7 +171,7 @@ def test_reach_is_never_exceeded_and_nearly_attained(load, name):
         pin.forwardKinematics(robot.model, data, q)
         for row, body in enumerate(bodies):
             place = data.oMi[body.joint + 1]
-            points = body.core @ place.rotation.T + place.translation
+            points = judged[row] @ place.rotation.T + place.translation
             for joint in carriers(robot, body.joint):
                 axis, slides = axes[joint]
                 frame = data.oMi[joint + 1]

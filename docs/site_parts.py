@@ -35,7 +35,7 @@ from hplan.apps.cli.main import COMMANDS
 
 DOCS = Path(__file__).parent
 ROOT = DOCS.parent
-PACKAGE = ROOT / "hplan"
+PACKAGE, EXAMPLES = ROOT / "hplan", ROOT / "scripts" / "examples"
 REFERENCE, GALLERY = DOCS / "generated" / "reference", DOCS / "generated" / "gallery"
 #: What goes into the site as it is: pages of motions, pictures.
 EXTRA = DOCS / "generated" / "extra" / "motions"
@@ -117,7 +117,7 @@ def _imported_by_docs() -> set[tuple[str, str]]:
     """What pages and examples import from the package: module and name."""
     pages = "\n".join(path.read_text(encoding="utf-8") for path in [ROOT / "README.md", *DOCS.glob("*.md")])
     texts = [block for _, block in code_blocks(pages, "python")]
-    texts += [path.read_text(encoding="utf-8") for path in (ROOT / "scripts" / "examples").glob("*.py")]
+    texts += [path.read_text(encoding="utf-8") for path in EXAMPLES.glob("*.py")]
     found = set()
     for text in texts:
         for node in ast.walk(ast.parse(text)):
@@ -198,7 +198,8 @@ def write_gallery(_: Any = None) -> None:
     EXTRA.mkdir(parents=True, exist_ok=True)
     GALLERY.mkdir(parents=True, exist_ok=True)
     newest = max(path.stat().st_mtime for path in [*PACKAGE.rglob("*.py"), *PACKAGE.rglob("*.js")])
-    shown = sorted((ROOT / "scripts" / "examples").glob("*.py"))
+    # What needs ROS runs where ROS is.
+    shown = sorted(path for path in EXAMPLES.glob("*.py") if "import rclpy" not in path.read_text(encoding="utf-8"))
     old = [path for path in shown if not _is_newer(EXTRA / f"{path.stem}.png", max(newest, path.stat().st_mtime))]
     draw = [sys.executable, str(ROOT / "scripts" / "make_pictures.py"), "--gallery", str(EXTRA)]
     if old:

@@ -56,7 +56,7 @@ def is_installed(block: str) -> bool:
 
 def run_line(line: str) -> None:
     """Run one command; what it has to return stands behind it, `# exit status 5`, if it is not 0."""
-    words, expected = shlex.split(line, comments=True), re.search(r"# exit status (\d+)", line)
+    words, expected = shlex.split(line, comments=True), re.search(r"#.* exit status (\d+)", line)
     match words:
         case ["hplan", *rest]:
             status = main(rest)

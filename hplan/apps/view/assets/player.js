@@ -129,11 +129,11 @@ player.follow(shown.follow);
     });
   });
   segments(element("fruits"), motion.legs, part => part.name || "return");
-  motion.arms.forEach(arm => {
+  motion.arms.forEach((arm, k) => {
     const row = made("div", element("phases"));
     row.className = "row";
     segments(row, arm.phases, part => (arm.name && part.fruit) || part.name, colorOfPhase);
-    if (arm.name) made("b", row, arm.name);
+    if (arm.name) made("b", element("phases"), arm.name).style.top = `calc(${k} * var(--tall))`;
   });
   element("phases").style.setProperty("--rows", motion.arms.length);
   element("timeline").classList.toggle("several", motion.arms.length > 1);
@@ -170,6 +170,7 @@ player.follow(shown.follow);
   free.hidden = true;
   zoom.addEventListener("change", () => shown.choose(zoom.value));
   if (motion.legs.length > 2) shown.choose(zoom.value = "leg");
+  else if (motion.arms.length > 1 && motion.duration > 8) shown.choose(zoom.value = "5");
   ["back", "next"].forEach((id, k) => {
     element(id).hidden = !motion.legs.length;
     element(id).addEventListener("click", () => shown.leg(2 * k - 1));

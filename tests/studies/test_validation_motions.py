@@ -12,11 +12,14 @@ import numpy as np
 import pytest
 import studies.validation.episodes as episodes
 import studies.validation.grazing as grazing
-from script_loader import load_script
+import studies.validation.yielding as yielding
+from script_loader import SCRIPTS, load_script
 from studies.validation.arms import DrawnArm, draw_arm, named_arm
 from studies.validation.episodes import Tally, run_case, shifted
 from studies.validation.judge import Motion, Moves, Window, contacts, things_of
 from studies.validation.worlds import World, draw_world
+
+from hplan.planning.plan import plan
 
 #: A corner of a cube by its place, and the cube's faces, counter-clockwise from outside.
 CORNERS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
@@ -147,7 +150,25 @@ def test_a_wrong_certificate_is_counted(monkeypatch: pytest.MonkeyPatch, verifie
     assert len(total.faults) == wrong[verified]
 
 
-@pytest.mark.parametrize("what", ["motions", "grazing", "soak"])
+@pytest.mark.parametrize("times", [1.0, 2.0])
+def test_what_is_pushed_too_deep_is_found(monkeypatch: pytest.MonkeyPatch, times: float) -> None:
+    """The planner is told that all gives way twice as much; case 5 pushes what a fruit hangs from."""
+
+    def planned(robot: Any, scene: Any, options: Any) -> Any:
+        more = {
+            key: tuple(item.model_copy(update={"yields": times * item.yields}) for item in getattr(scene, key))
+            for key in ("obstacles", "fruits")
+        }
+        return plan(robot, scene.model_copy(update=more), options)
+
+    monkeypatch.setattr(yielding, "plan", planned)
+    tally = yielding.among_yielding(0, 5, sorted((SCRIPTS / "examples" / "trees").glob("*.csv")))
+    assert bool(tally.faults) == (times > 1.0)
+    assert min(tally.looked_in.values()) > 0
+    assert {"pushes", "grazing", "pushes of what the fruit hangs from"} == set(tally.looked_in)
+
+
+@pytest.mark.parametrize("what", ["motions", "grazing", "yielding", "soak"])
 def test_command(tmp_path: Path, what: str, capsys: pytest.CaptureFixture[str]) -> None:
     script = load_script("validate_motions")
     arguments = [what, "--cases", "1", "--first", str(CASE), "--minutes", "0.02", "--out", str(tmp_path)]

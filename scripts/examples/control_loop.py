@@ -228,7 +228,7 @@ class ControlLoop:
         self.fruit = ""
 
 
-def main(seconds: float = 20.0, *, scene: str = "tour", deadline_s: float | None = AHEAD_S) -> Log:
+def main(seconds: float = 8.0, *, scene: str = "tour", deadline_s: float | None = AHEAD_S) -> Log:
     """Pick for a while, and tell how it went."""
     options = hplan.PlanOptions(deadline_s=deadline_s, tracking_error=TRACKING_ERROR_RAD)
     loop = ControlLoop(hplan.load_scene(scene), options)

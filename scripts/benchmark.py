@@ -41,6 +41,7 @@ STUDIES = {
     "random": "arms:RANDOM",
     "cells": "cells:CELLS",
     "cell_pairs": "cell_pairs:PAIRS",
+    "baxter": "baxter:BAXTER",
 }
 
 _DESCRIPTION = """\

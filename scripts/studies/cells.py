@@ -2,13 +2,14 @@
 
 Problems are those of the repository `yoraish/xecbs_icaps24_experiments`, read from a copy of it (`--files DIR`): Pandas
 in a circle, at bins and at shelves; bases from its xacro, tasks and boxes from its YAML. Hands are mounted as there,
-fingers are closed, the table is 2 mm lower than there, so that the bases do not touch it.
+fingers are closed and their meshes as there, the table is 2 mm lower than there, so that the bases do not touch it.
 """
 
 from __future__ import annotations
 
 import math
 import re
+import xml.etree.ElementTree as ET
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,7 @@ from studies.harness import Asked, Row, Study
 from studies.measure import timed
 
 from hplan.base.arrays import FloatArray
-from hplan.errors import HplanError
+from hplan.errors import HplanError, InputError
 from hplan.planning.cell import Cell
 from hplan.planning.cell_planner import plan_cell
 from hplan.planning.options import PlanOptions
@@ -32,6 +33,8 @@ from hplan.scene.obstacles import Box
 
 #: Folders of the problems.
 SETS = ("scalability-2", "scalability-4", "4-binpick", "8-shelves", "scalability-6", "scalability-8")
+
+_FINGER = "package://example-robot-data/robots/panda_description/meshes/collision/finger.stl"
 
 #: How long one problem may take [s].
 LIMIT_S = 300.0
@@ -69,14 +72,28 @@ def _numbers(text: str) -> tuple[float, ...]:
 
 @cache
 def _panda() -> Robot:
-    """The Panda of these problems, whose hand is mounted without the usual eighth of a turn."""
+    """The Panda of these problems: its hand is mounted without the usual eighth of a turn, fingers are their mesh."""
     files = named_robot("panda")
-    usual = '<origin rpy="0 0 -0.7853981633974483" xyz="0 0 0"/>'
-    text = files.urdf.read_text().replace(usual, '<origin rpy="0 0 0" xyz="0 0 0"/>')
+    root = ET.fromstring(files.urdf.read_text())
+    mount = root.find("joint[@name='panda_hand_joint']/origin")
+    if mount is None:
+        raise InputError("the URDF of the Panda has no panda_hand_joint that is placed")
+    mount.set("rpy", "0 0 0")
+    for name, turn in (("panda_leftfinger", "0 0 0"), ("panda_rightfinger", "0 0 3.141592653589793")):
+        finger = next(link for link in root.iter("link") if link.get("name") == name)
+        for boxes in finger.findall("collision"):
+            finger.remove(boxes)
+        collision = ET.SubElement(finger, "collision")
+        ET.SubElement(collision, "origin", rpy=turn, xyz="0 0 0")
+        ET.SubElement(ET.SubElement(collision, "geometry"), "mesh", filename=_FINGER)
     return load_robot(
-        text, limits="panda", tool_frame=files.tool_frame, srdf=files.srdf, package_dirs=files.package_dirs,
+        ET.tostring(root, encoding="unicode"),
+        limits="panda",
+        tool_frame=files.tool_frame,
+        srdf=files.srdf,
+        package_dirs=files.package_dirs,
         hold={"panda_finger_joint1": 0.0},
-    )  # fmt: skip
+    )
 
 
 def cell_of(asked: Asked, group: str, test: dict[str, Any]) -> Cell:

@@ -195,7 +195,6 @@ def _as_rst(_app: Sphinx, what: str, _name: str, _obj: Any, _options: Any, lines
 
 def write_gallery(_: Any = None) -> None:
     """Run the examples whose page is older than the package, draw them, and write a page for each."""
-    EXTRA.mkdir(parents=True, exist_ok=True)
     GALLERY.mkdir(parents=True, exist_ok=True)
     newest = max(path.stat().st_mtime for path in [*PACKAGE.rglob("*.py"), *PACKAGE.rglob("*.js")])
     # What needs ROS runs where ROS is.
@@ -344,6 +343,7 @@ _MEASURE = """<!DOCTYPE html><body><script>
 
 def setup(app: Sphinx) -> dict[str, Any]:
     """Make the parts known to Sphinx."""
+    EXTRA.mkdir(parents=True, exist_ok=True)  # Sphinx looks for it before there is anything in it
     app.add_directive("command", Command)
     app.add_html_math_renderer("mathml", (_inline, None), (_display, None))
     app.connect("builder-inited", write_reference)

@@ -1,4 +1,4 @@
-"""Distances of a segment in space from a point, a segment, a box and a hull; 0 where the two meet."""
+"""Distances of segments in space from points, segments and boxes, and of points from hulls; 0 where the two meet."""
 
 from __future__ import annotations
 
@@ -25,13 +25,6 @@ def point_segment(c: Vector, a: Vector, u: Vector) -> float:
     if square > 0.0:
         t = min(1.0, max(0.0, (dx * ux + dy * uy + dz * uz) / square))
     dx, dy, dz = dx - t * ux, dy - t * uy, dz - t * uz
-    return math.sqrt(dx * dx + dy * dy + dz * dz)
-
-
-@kernel
-def segment_segment(a: Vector, u: Vector, b: Vector, v: Vector) -> float:
-    """Distance between the segments a, a + u and b, b + v."""
-    dx, dy, dz, _ = off_segment(a, u, b, v)
     return math.sqrt(dx * dx + dy * dy + dz * dz)
 
 
@@ -111,53 +104,31 @@ def off_box(a: Vector, u: Vector, half: Vector) -> Off:
 
 
 @kernel
-def segment_hull(
-    start: Vector, u: Vector, data: FloatArray, first: int, middle: int, last: int, enough: float
-) -> float:
-    """Distance of the segment start, start + u from a hull, or some number from `enough` up where it is not below that.
+def point_hull(point: Vector, data: FloatArray, first: int, middle: int, last: int, enough: float) -> float:
+    """Distance of a point from a hull, or some number from `enough` up where it is not below that.
 
-    Facets stand in data[first:middle], edges in data[middle:last]. The nearest point of the hull lies on an edge, or on
-    the facet above which an end of the segment stands highest.
+    Facets stand in data[first:middle], edges in data[middle:last]. The nearest point of the hull lies on the facet
+    above which the point stands highest, or on an edge.
     """
-    (ax, ay, az), (ux, uy, uz) = start, u
-    bx, by, bz = ax + ux, ay + uy, az + uz
-    enter, leave = 0.0, 1.0
-    apart, top_a, top_b, at_a, at_b = -math.inf, -math.inf, -math.inf, first, first
+    x, y, z = point
+    top, at = -math.inf, first
     for f in range(first, middle, 4):
-        a = data[f] * ax + data[f + 1] * ay + data[f + 2] * az - data[f + 3]
-        b = data[f] * bx + data[f + 1] * by + data[f + 2] * bz - data[f + 3]
-        if a > top_a:
-            top_a, at_a = a, f
-        if b > top_b:
-            top_b, at_b = b, f
-        apart = max(apart, min(a, b))
-        if a > 0.0 and b > 0.0:
-            leave = -1.0
-        elif a > 0.0:
-            enter = max(enter, a / (a - b))
-        elif b > 0.0:
-            leave = min(leave, a / (a - b))
-    if enter <= leave:
-        return 0.0  # part of the segment is below every facet
-    if apart >= enough:
-        return apart
+        above = data[f] * x + data[f + 1] * y + data[f + 2] * z - data[f + 3]
+        if above > top:
+            top, at = above, f
+    if top <= 0.0:
+        return 0.0
+    if top >= enough:
+        return top
+    foot, inside = (x - top * data[at], y - top * data[at + 1], z - top * data[at + 2]), True
+    for f in range(first, middle, 4):
+        if data[f] * foot[0] + data[f + 1] * foot[1] + data[f + 2] * foot[2] - data[f + 3] > 1e-9:
+            inside = False
+            break
+    if inside:
+        return top
     least = enough
-    for end in range(2):
-        height, at = (top_a, at_a) if end == 0 else (top_b, at_b)
-        if height > 0.0:
-            px = (ax if end == 0 else bx) - height * data[at]
-            py = (ay if end == 0 else by) - height * data[at + 1]
-            pz = (az if end == 0 else bz) - height * data[at + 2]
-            inside = True
-            for f in range(first, middle, 4):
-                if data[f] * px + data[f + 1] * py + data[f + 2] * pz - data[f + 3] > 1e-9:
-                    inside = False
-                    break
-            if inside:
-                least = min(least, height)
-    for e in range(middle, last, 7):
-        # No edge that is farther than the nearest so far, by its middle and half its length.
-        x, y, z, vx, vy, vz = data[e], data[e + 1], data[e + 2], data[e + 3], data[e + 4], data[e + 5]
-        if point_segment((x + 0.5 * vx, y + 0.5 * vy, z + 0.5 * vz), start, u) - data[e + 6] < least:
-            least = min(least, segment_segment(start, u, (x, y, z), (vx, vy, vz)))
+    for e in range(middle, last, 6):
+        along = (data[e + 3], data[e + 4], data[e + 5])
+        least = min(least, point_segment(point, (data[e], data[e + 1], data[e + 2]), along))
     return least

@@ -256,8 +256,7 @@ def _rows(obstacle: Solid, clearance: float, offset: int) -> tuple[FloatArray, F
         centre, reach = obstacle.center, 0.5 * math.hypot(*obstacle.size)
     else:
         flat = obstacle.hull
-        edges = np.column_stack([flat.edges, 0.5 * np.linalg.norm(flat.edges[:, 3:], axis=1)])
-        data = np.concatenate([flat.planes.ravel(), edges.ravel()])
+        data = np.concatenate([flat.planes.ravel(), flat.edges.ravel()])
         first[KIND], first[_FACETS], first[_EDGES] = HULL, offset, offset + flat.planes.size
         first[_EDGES_END] = offset + len(data)
         low, high = flat.core.min(axis=0), flat.core.max(axis=0)

@@ -10,7 +10,7 @@ import numpy as np
 from hplan.base.arrays import FloatArray
 from hplan.base.kernels import kernel
 from hplan.collision import obstacle_rows as row
-from hplan.collision.distances import Vector, point_segment, segment_hull
+from hplan.collision.distances import Vector, point_hull, point_segment
 
 
 class Bodies(NamedTuple):
@@ -48,7 +48,7 @@ def distance_from_bodies(point: Vector, rows: FloatArray, data: FloatArray, enou
         elif kind == row.BOX:
             apart = _box_distance((-dx, -dy, -dz), rows[s])
         elif kind == row.HULL:
-            apart = segment_hull(point, still, data, int(ax), int(ay), int(az), limit + rows[s, row.RADIUS])
+            apart = point_hull(point, data, int(ax), int(ay), int(az), limit + rows[s, row.RADIUS])
         elif kind == row.LEAF:
             for p in range(int(rows[s, row.POINTS]), int(rows[s, row.POINTS_END]), 3):
                 apart = min(apart, point_segment((data[p], data[p + 1], data[p + 2]), point, still))

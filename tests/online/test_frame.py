@@ -20,7 +20,7 @@ from hplan.online.frame_kernels import Scratch
 from hplan.robot.base_shapes import base_shapes
 from hplan.robot.model import load_robot
 from hplan.scene.obstacles import Sphere
-from hplan.scene.solids import Cloud, rpy_rotation
+from hplan.scene.solids import Cloud, hull_of, rpy_rotation
 
 RADIUS = 0.005
 TUCKED = np.radians([20.0, 90.0, 90.0, 90.0])
@@ -110,7 +110,8 @@ def test_distances_of_points_from_solids_of_all_kinds(seed):
     rng = np.random.default_rng(seed)
     cloud = Cloud.of("cloud", rng.uniform([0.4, -0.6, 0.5], [1.8, 0.6, 1.7], (90, 3)), 0.02)
     points = rng.uniform([-0.2, -1.2, 0.0], [2.2, 1.2, 2.2], (150, 3))
-    for solids in ([cloud], random_obstacles(rng, 6), [*random_obstacles(rng, 6), cloud]):
+    hull = hull_of(rng.normal(size=(12, 3)) * 0.3 + [1.0, 0.0, 1.1], "hull")
+    for solids in ([cloud], [hull], random_obstacles(rng, 6), [*random_obstacles(rng, 6), hull, cloud]):
         expected, found = apart(points, solids), distances_from_bodies(points, *solid_rows(solids, 0.0))
         outside = expected > 1e-5
         np.testing.assert_allclose(found[outside], expected[outside], atol=3e-6)

@@ -199,7 +199,7 @@ def write_gallery(_: Any = None) -> None:
     newest = max(path.stat().st_mtime for path in [*PACKAGE.rglob("*.py"), *PACKAGE.rglob("*.js")])
     # What needs ROS runs where ROS is.
     shown = sorted(path for path in EXAMPLES.glob("*.py") if "import rclpy" not in path.read_text(encoding="utf-8"))
-    old = [path for path in shown if not _is_newer(EXTRA / f"{path.stem}.png", max(newest, path.stat().st_mtime))]
+    old = [path for path in shown if not _is_newer(EXTRA / f"{path.stem}.txt", max(newest, path.stat().st_mtime))]
     draw = [sys.executable, str(ROOT / "scripts" / "make_pictures.py"), "--gallery", str(EXTRA)]
     if old:
         subprocess.run([*draw, *(path.stem for path in old)], check=True)
@@ -230,10 +230,9 @@ def _title(name: str) -> str:
 
 def _card(path: Path) -> str:
     name = path.stem
-    return (
-        f'<a href="{name}.html"><img src="../../motions/{name}.png" alt="" loading="lazy">'
-        f"<b>{_title(name)}</b><span>{html.escape(_docstring(path)[0])}</span></a>\n"
-    )
+    is_drawn = (EXTRA / f"{name}.png").is_file()  # not where there is no Chromium
+    picture = f'<img src="../../motions/{name}.png" alt="" loading="lazy">' if is_drawn else ""
+    return f'<a href="{name}.html">{picture}<b>{_title(name)}</b><span>{html.escape(_docstring(path)[0])}</span></a>\n'
 
 
 def _example_page(path: Path) -> str:

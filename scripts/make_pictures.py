@@ -231,6 +231,8 @@ def _example(folder: Path, name: str) -> None:
     page, figure = _shown(result)
     if page is not None:
         (folder / f"{name}.html").write_text(page, encoding="utf-8")
+    if figure is None and shutil.which("chromium") is None:
+        return  # the page says it all, and more
     (folder / f"{name}.png").write_bytes(still(page or "", _MIDDLE) if figure is None else png_bytes(figure, dpi=110))
 
 

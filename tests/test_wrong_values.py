@@ -287,6 +287,18 @@ CASES: dict[str, Case] = {
         "cell:object motion:object",
         {"options": NO_OBJECT[1:], "check_ends": NO_OBJECT[1:]},
     ),
+    "replan_cell": (
+        lambda **given: hplan.replan_cell(**given),
+        {"result": None, "t": 0.5, "arm": "a"},
+        "result:object",
+        {},
+    ),
+    "check": (
+        lambda **given: hplan.check(**given),
+        {"robot": None, "scene": None, "q": [0.0, 0.0, 0.0, 0.0]},
+        "robot:object scene:object",
+        {"q": (None, "0", [0.0], [NAN] * 4), "time_s": ("0", NAN), "sigmas": (-1.0, "3", NAN)},
+    ),
     "warm_up": (hplan.warm_up, {"robot": None}, "robot:object", {}),
     "Planner": (hplan.Planner, {"robot": None, "scene": None}, "robot:object scene:object", {"options": NO_OBJECT[1:]}),
     "Planner.add": (a_planner().add, {"obstacle": Sphere(**BALL)}, "obstacle:object", {}),
@@ -697,7 +709,7 @@ def test_every_public_function_is_among_the_cases() -> None:
         "hplan.robot.family.members",
     ]
     names = {name for module in modules for name in getattr(importlib.import_module(module), "__all__", ())}
-    results = {"Cell", "CellResult", "CellTour", "Certificate",
+    results = {"Cell", "CellResult", "CellTour", "Certificate", "ConfigurationCheck",
         "FruitReach", "HplanError", "PlanResult", "Robot", "TourResult", "LimitShares", "Machine",
         "CrossCheck", "Expansions", "SearchResult", "RowResult", "StageTimes", "StudyResult"}  # fmt: skip
     values = {"AT_LIMIT", "DEVIATION", "Fallback", "HARVESTER", "SHIPPED", "TUCKED_DEG"}

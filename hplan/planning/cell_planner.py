@@ -46,7 +46,7 @@ from hplan.planning.result import PlanResult
 from hplan.planning.task import Progress, no_progress
 from hplan.planning.timetable import SPARES, Timetable
 from hplan.robot.model import Robot
-from hplan.scene.model import Goal
+from hplan.scene.model import Goal, Scene
 from hplan.scene.obstacle_kind import moved
 from hplan.scene.obstacles import AnyObstacle, Capsule, Mesh, Sphere
 from hplan.scene.solids import CUBE_CORNERS, whole_hull
@@ -67,7 +67,7 @@ _GOOD: Final = 1.02
 #: With more arms than this not every order is tried, but each arm once as the last, and not all joints at once.
 _ALL_ORDERS: Final = 4
 
-#: By how much arms that stand are thicker where others go around them [m].
+#: By how much arms that stand are thicker where others go around them [m]; where one would touch that, by nothing.
 _THICKER: Final = 1e-3
 
 #: With so many motions of each arm no more step aside.
@@ -375,9 +375,15 @@ def _to_goal(there: Cell, name: str, options: PlanOptions, goal: Goal | None = N
     """
     arm = there.arm(name)
     scene = arm.scene if goal is None else arm.scene.model_copy(update={"goal": goal})
-    solids = (*scene.obstacles, *_standing(there, name))
     options = replace(options, effort="quick", deadline_s=None)
-    return plan(arm.robot, scene.model_copy(update={"obstacles": solids}), options).trajectory
+
+    def among(thicker: float) -> Scene:
+        return scene.model_copy(update={"obstacles": (*scene.obstacles, *_standing(there, name, thicker))})
+
+    try:
+        return plan(arm.robot, among(_THICKER), options).trajectory
+    except ConfigurationInCollisionError:
+        return plan(arm.robot, among(0.0), options).trajectory
 
 
 def _orders(motions: Mapping[str, Trajectory]) -> Iterator[Legs]:
@@ -419,22 +425,23 @@ def _likely_order(cell: Cell, motions: Mapping[str, Trajectory]) -> list[str]:
     return order
 
 
-def _standing(cell: Cell, name: str) -> Iterator[AnyObstacle]:
-    """The arms of a cell but one where they stand, as obstacles in the frame of that one."""
+def _standing(cell: Cell, name: str, thicker: float) -> Iterator[AnyObstacle]:
+    """The arms of a cell but one where they stand, and as much thicker [m], as obstacles in the frame of that one."""
     robot, base = cell.robot, cell.arm(name).base
     data = robot.model.createData()
     pin.forwardKinematics(robot.model, data, cell.configuration({}))
-    for body, solid in zip(collision_bodies(robot), robot.cached("solids", lambda: _solids(robot)), strict=True):
+    solids = robot.cached(("solids", thicker), lambda: _solids(robot, thicker))
+    for body, solid in zip(collision_bodies(robot), solids, strict=True):
         if not body.name.startswith(f"{name}_"):
             place = base.actInv(data.oMi[body.joint + 1])
             yield solid.model_copy(update=moved(solid, place.rotation, place.translation))
 
 
-def _solids(robot: Robot) -> list[AnyObstacle]:
-    """Obstacles that hold the bodies of a robot, and a little more, each in the frame of its joint."""
+def _solids(robot: Robot, thicker: float) -> list[AnyObstacle]:
+    """Obstacles that hold the bodies of a robot, and as much more [m], each in the frame of its joint."""
     found: list[AnyObstacle] = []
     for number, body in enumerate(collision_bodies(robot)):
-        name, radius = f"{body.name} {number}", body.rounding + _THICKER
+        name, radius = f"{body.name} {number}", body.rounding + thicker
         (start, *others) = body.core.tolist()
         if not others:
             found.append(Sphere(name=name, center=tuple(start), radius=radius))

@@ -68,8 +68,9 @@ class Playback:
                 raise OptionError(option, times, "times [s] by the names of fruits")
             for name, time_s in times.items():
                 number(option, time_s, f"a time in seconds for {text(option, name)!r}")
-        for phase in list_of("phases", self.every_phase, Phase, "phases with a name, a begin and an end"):
-            numbers("phases", [phase.start_s, phase.end_s], (2,))
+        for phases in (self.phases, *self.arms.values()):
+            for phase in list_of("phases", phases, Phase, "phases with a name, a begin and an end"):
+                numbers("phases", [phase.start_s, phase.end_s], (2,))
         number("begin_s", self.begin_s, "a time in seconds")
 
     @classmethod

@@ -72,7 +72,7 @@ hplan --help lists the other commands.
 """
 
 #: So many kernels are called for the reference scene, about; less for most others.
-KERNELS = 90
+KERNELS = 124
 
 STAGE_WORDS = {
     "grasps": "finding grasps",

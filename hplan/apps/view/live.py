@@ -7,7 +7,6 @@ arm (`pinocchio.visualize.ViserVisualizer`).
 from __future__ import annotations
 
 import time
-from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from hplan.apps.view import scenery
 from hplan.apps.view.playback import playable
+from hplan.apps.view.server import Closing
 from hplan.base.arguments import instance, number, whole
 from hplan.base.arrays import numbers
 from hplan.base.lazy_import import extra
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from hplan.apps.view.playback import Shown
 
 
-class LiveScene:
+class LiveScene(Closing):
     """A viser server with an arm and a scene; `close` ends it, as does leaving a `with` block.
 
     Attributes:
@@ -109,13 +109,3 @@ class LiveScene:
     def close(self) -> None:
         """End the server."""
         self.server.stop()
-
-    def __enter__(self) -> LiveScene:
-        """Return the view itself."""
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
-        """End the server."""
-        self.close()

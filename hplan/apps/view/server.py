@@ -6,13 +6,29 @@ import threading
 from collections.abc import Mapping
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from types import MappingProxyType, TracebackType
-from typing import Any
+from types import MappingProxyType
+from typing import Any, Self
 
 from hplan.errors import HplanError
 
 
-class LiveView:
+class Closing:
+    """What `close` ends, as does leaving a `with` block."""
+
+    def close(self) -> None:
+        """End it."""
+        raise NotImplementedError
+
+    def __enter__(self) -> Self:
+        """Return it."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """End it."""
+        self.close()
+
+
+class LiveView(Closing):
     """A running server that shows a page and those it leads to; `close` ends it, as does leaving a `with` block.
 
     Attributes:
@@ -51,16 +67,6 @@ class LiveView:
         self._server.shutdown()
         self._server.server_close()
         self._thread.join()
-
-    def __enter__(self) -> LiveView:
-        """Return the view itself."""
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
-        """End the server."""
-        self.close()
 
 
 def _handler(pages: Mapping[str, bytes]) -> type[BaseHTTPRequestHandler]:

@@ -18,7 +18,7 @@ CONDA_NAMES = {"meshcat": "meshcat-python", "pin": "pinocchio"}
 
 def test_the_conda_recipe_asks_for_what_the_package_does() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    recipe = yaml.safe_load((ROOT / "conda" / "recipe.yaml").read_text(encoding="utf-8"))
+    recipe = yaml.safe_load((ROOT / "scripts" / "conda" / "recipe.yaml").read_text(encoding="utf-8"))
     asked = [re.split(r"(?=>=)", dependency) for dependency in project["dependencies"]]
     wanted = {f"{CONDA_NAMES.get(name, name)} {least}" for name, least in asked}
     assert set(recipe["requirements"]["run"]) == wanted | {f"python {project['requires-python']}"}

@@ -117,6 +117,10 @@ class Cell(Record):
             raise InputError(f"the cell has no arm {name!r}; it has {', '.join(arm.name for arm in self.arms)}")
         return found
 
+    def owner(self, link: str) -> str | None:
+        """Name of the arm that a link, or an obstacle called after one, is of; None where it is nobody's."""
+        return next((arm.name for arm in self.arms if link.startswith(f"{arm.name}_")), None)
+
     def starting(self, q: Mapping[str, FloatArray]) -> Cell:
         """The cell with some of its arms, by name, at other (dof,) configurations at first."""
         arms = tuple(arm.starting(q[arm.name]) if arm.name in q else arm for arm in self.arms)
@@ -404,8 +408,9 @@ def between(cell: Cell, q: FloatArray, name: str, others: Collection[str]) -> Fl
 def _field_between(cell: Cell, name: str, others: Collection[str]) -> ClearanceField:
     """The field of all arms without obstacles, and of the pairs of one arm with others alone."""
     bodies = collision_bodies(cell.robot)
-    arms = [next(arm.name for arm in cell.arms if body.name.startswith(f"{arm.name}_")) for body in bodies]
-    asked = [{arms[i], arms[j]} in ({name, other} for other in others) for i, j in self_pairs(cell.robot).checked]
+    arms = [cell.owner(body.name) for body in bodies]
+    pairs: list[set[str | None]] = [{name, other} for other in others]
+    asked = [{arms[i], arms[j]} in pairs for i, j in self_pairs(cell.robot).checked]
     field = ClearanceField.of(cell.robot, [])
     before = int(field.numbers[BODIES])  # capsules that stand for several bodies come before pairs
     return replace(field, movers=readonly(field.movers[[*range(before), *(before + np.flatnonzero(asked))]]))

@@ -137,6 +137,7 @@ def replan_cell(
     Raises:
         OptionError: A time before the motion or after it.
         InputError: No arm of that name, or a goal that is none of its.
+        PlanCancelledError: Nobody wants the motion any more.
         TimingError: No stop was found.
     """
     instance("result", result, CellResult, "plan_cell")
@@ -144,7 +145,7 @@ def replan_cell(
     mover, options, running = cell.arm(arm), result.options, result.trajectories
     stop = stopped(running[arm], t, mover.robot)
     there = cell.starting({name: motion.position[-1] for name, motion in (running | {arm: stop.trajectory}).items()})
-    with time_limit(options.deadline_s, cancel):
+    with time_limit(options.deadline_s, cancel) as limit:
         try:
             motion = _to_goal(there, arm, options)
             for spare in SPARES:
@@ -160,6 +161,8 @@ def replan_cell(
             refused = isinstance(error, InputError) and not isinstance(error, ConfigurationInCollisionError)
             if refused or isinstance(error, PlanCancelledError):
                 raise
+        except TimeIsUpError:
+            limit.check_cancelled()
     return result.stop_at(t)
 
 
@@ -185,7 +188,8 @@ class _CellPlanner:
         if found is None and len(cell.arms) > 1:
             self._progress("one after the other")
             legs = self._in_turn(motions)
-            found = None if legs is None else self._scheduled(cell, [legs], spares=(*SPARES, math.inf))
+            spares = () if legs is None else (*SPARES, math.inf)
+            found = self._certified(cell, (_filled(cell, self._options, legs or (), spare) for spare in spares))
         if found is not None and (found.trajectory.duration <= enough or len(motions) > _ALL_ORDERS):
             return found
         if found is None and len(motions) > _ALL_ORDERS:
@@ -220,51 +224,46 @@ class _CellPlanner:
         certificate = certify_cell(self._cell, motion, self._options, goal_contact=contact)
         return CellResult(self._cell, motion, certificate, how, self._alone, later_s, self._options)
 
-    def _scheduled(
-        self,
-        cell: Cell,
-        orders: Iterable[Legs],
-        before: Trajectory | None = None,
-        spares: Sequence[float] = SPARES,
-    ) -> CellResult | None:
+    def _scheduled(self, cell: Cell, orders: Iterable[Legs], before: Trajectory | None = None) -> CellResult | None:
         """The soonest end with motions that each begin as soon as there is room; None where none is certified.
 
         Args:
             cell: The arms where these motions begin.
             orders: Motions, in orders in which they may be set out.
             before: A motion of all joints that leads there.
-            spares: Distances between arms at samples, in turn (`Timetable`).
         """
-        own = {id(result.trajectory) for result in self._alone.values()}
-        for legs in itertools.islice(self._soonest(cell, orders, spares), _TRIED):
-            for spare in spares:
-                table = _filled(cell, self._options, legs, spare)
-                if table is None:
-                    continue
-                motion, later = cell.together(table.motions), table.begins_s
-                how: How = "one later" if any(later.values()) else "at once"
-                if before is not None:
-                    motion = joined([before, motion])
-                if before is not None or not all(id(leg) in own for _, leg in legs):
-                    how = "around each other"
-                result = self._checked(motion, how, later)
-                if result.certificate.verified:
-                    return result
-        return None
-
-    def _soonest(self, cell: Cell, orders: Iterable[Legs], spares: Sequence[float]) -> Iterator[Legs]:
-        """Orders of motions, the soonest end first."""
-        found: dict[tuple[float, ...], tuple[float, Legs]] = {}
+        soonest: dict[tuple[float, ...], tuple[Legs, Timetable]] = {}
         for legs in orders:
-            first = (spare for spare in spares if spare == spares[0] or math.isinf(spare))
-            table = next(filter(None, (_filled(cell, self._options, legs, spare) for spare in first)), None)
+            table = _filled(cell, self._options, legs, SPARES[0])
             if table is not None:
                 begins = tuple(table.begins_s[name] for name in sorted(table.begins_s))
-                found.setdefault(begins, (round(table.duration, 6), legs))
-                if not any(begins) and len(legs) == len(begins):  # nothing ends sooner
+                soonest.setdefault(begins, (legs, table))
+                if not any(begins):  # nothing ends sooner
                     break
-        for begins in sorted(found, key=lambda begins: (found[begins][0], begins)):
-            yield found[begins][1]
+        for begins in sorted(soonest, key=lambda begins: (round(soonest[begins][1].duration, 6), begins))[:_TRIED]:
+            legs, table = soonest[begins]
+            wider = (_filled(cell, self._options, legs, spare) for spare in SPARES[1:])
+            found = self._certified(cell, itertools.chain([table], wider), before)
+            if found is not None:
+                return found
+        return None
+
+    def _certified(
+        self, cell: Cell, tables: Iterable[Timetable | None], before: Trajectory | None = None
+    ) -> CellResult | None:
+        """The first of timetables that is certified."""
+        own = {id(result.trajectory) for result in self._alone.values()}
+        for table in filter(None, tables):
+            motion, later = cell.together(table.motions), table.begins_s
+            how: How = "one later" if any(later.values()) else "at once"
+            if before is not None:
+                motion = joined([before, motion])
+            if before is not None or not all(id(leg) in own for legs in table.legs.values() for _, leg in legs):
+                how = "around each other"
+            result = self._checked(motion, how, later)
+            if result.certificate.verified:
+                return result
+        return None
 
     def _around(self, found: CellResult | None) -> CellResult | None:
         """A motion of all joints at once: to the goals, or to where the approaches to them begin, and these then.
@@ -311,8 +310,9 @@ class _CellPlanner:
             except PlanCancelledError:
                 raise
             except HplanError as error:
-                solid = str(error.obstacle) if isinstance(error, ConfigurationInCollisionError) else ""
-                blocking = next((other for other in alone if solid.startswith(f"{other}_")), None)
+                met = error.obstacle if isinstance(error, ConfigurationInCollisionError) else None
+                owner = self._cell.owner(str(met))
+                blocking = owner if owner in alone else None
             else:
                 legs.append((name, motion))
                 put_off = 0
@@ -432,7 +432,7 @@ def _standing(cell: Cell, name: str, thicker: float) -> Iterator[AnyObstacle]:
     pin.forwardKinematics(robot.model, data, cell.configuration({}))
     solids = robot.cached(("solids", thicker), lambda: _solids(robot, thicker))
     for body, solid in zip(collision_bodies(robot), solids, strict=True):
-        if not body.name.startswith(f"{name}_"):
+        if cell.owner(body.name) != name:
             place = base.actInv(data.oMi[body.joint + 1])
             yield solid.model_copy(update=moved(solid, place.rotation, place.translation))
 

@@ -12,12 +12,14 @@ import pytest
 
 from hplan import load_robot, plan, read_csv
 from hplan.apps.cli.main import main
+from hplan.base.deadline import TimeIsUpError
 from hplan.errors import (
     CertificationError,
     ConfigurationInCollisionError,
     InputError,
     NotFoundError,
     OptionError,
+    PlanCancelledError,
     SceneError,
 )
 from hplan.planning.cell import Cell, certify_cell, load_cell
@@ -203,6 +205,19 @@ def test_all_stop_where_one_cannot_go_elsewhere(robot):
     assert stop.trajectory.duration < result.trajectory.duration
     with pytest.raises(InputError):
         replan_cell(result, 0.5, "left", Goal(joints_deg=(0.0, 60.0, 60.0)))
+    with pytest.raises(PlanCancelledError):
+        replan_cell(result, 0.5, "left", cancel=lambda: True)
+
+
+def test_all_stop_where_time_is_up(robot, monkeypatch):
+    def late(*_):
+        raise TimeIsUpError
+
+    result = plan_cell(facing(robot, 1.1))
+    monkeypatch.setattr("hplan.planning.cell_planner.Timetable.set_out", late)
+    stop = replan_cell(result, 0.5, "left")
+    assert stop.certificate.verified
+    assert stop.stopped == ("left", "right")
 
 
 def test_each_arm_picks_its_fruit(robot):
@@ -335,9 +350,8 @@ def test_the_command_writes_each_arms_file(write, tmp_path, capsys):
 def test_fruits_are_picked_around_each_other(robot, monkeypatch):
     """Without motions at once, or one later: the transits are planned together, the approaches after them."""
     scheduled = _CellPlanner._scheduled
-    monkeypatch.setattr(
-        _CellPlanner, "_scheduled", lambda *given, **more: scheduled(*given, **more) if len(given) > 3 else None
-    )
+    monkeypatch.setattr(_CellPlanner, "_scheduled", lambda *given: scheduled(*given) if len(given) > 3 else None)
+    monkeypatch.setattr(_CellPlanner, "_in_turn", lambda *_: None)
     fruits = tuple(Fruit(name=n, center=(1.2, y, 1.6), radius=0.04) for n, y in (("a", 0.3), ("b", -2.3)))
     arms = tuple(
         CellRobot(name=n, position=(0.0, y, 0.0), start=Start(joints_deg=(0.0, 60.0, 60.0, 60.0)), goal=Goal(fruit=f))

@@ -124,7 +124,7 @@ EFFORTS: dict[EffortName, Effort] = {
     ),
 }
 
-#: Of general (non-planar) arms, an evaluation of whose clearance takes ten times as long.
+#: Of general (non-planar) arms: they have more joints, no grids and no floods.
 EFFORTS_OF_BODIES: dict[EffortName, Effort] = {
     "quick": replace(EFFORTS["quick"], trees=TreesEffort(1, 6_000), floods=0.0),
     "default": replace(

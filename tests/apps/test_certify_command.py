@@ -100,21 +100,3 @@ def test_folders_that_are_none(job, capsys, content):
     (job / "report.json").unlink() if content is None else (job / "report.json").write_text(content)
     assert cli.main(["certify", str(job)]) == 2
     assert "report.json" in capsys.readouterr().err
-
-
-def test_bad_input(done, capsys, tmp_path):
-    assert cli.main(["certify", str(tmp_path / "none.csv")]) == 2
-    assert cli.main(["certify", str(done), str(tmp_path / "none.yaml")]) == 2
-    assert cli.main(["certify", str(done), "--sigmas", "-1"]) == 2
-    assert cli.main(["certify", str(done), "--tracking-error", "nan"]) == 2
-    with pytest.raises(SystemExit) as ended:
-        cli.main(["certify"])
-    assert ended.value.code == 2
-
-
-def test_a_job_of_a_shipped_scene_needs_no_scene(tmp_path, capsys):
-    """Its report names it, and the digest tells whether it is the same."""
-    assert cli.main(["plan", "dense-canopy", "--out", str(tmp_path), "--quiet"]) == 0
-    status, report = said(capsys, tmp_path)
-    assert (status, report["scene"], report["differs"]) == (0, "dense-canopy", [])
-    assert said(capsys, tmp_path, "table-1")[1]["differs"] == ["scene"]

@@ -183,45 +183,7 @@ def test_summary_fits_80_columns(run: Run, capsys: pytest.CaptureFixture[str], m
     assert err == ""
 
 
-def test_markup_in_names_is_shown_as_it_is(
-    run: Run, scene_file: Callable[..., Path], capsys: pytest.CaptureFixture[str]
-) -> None:
-    ball = {**TABLE_1["obstacles"][0], "name": "[bold]b[/]"}
-    assert run(scene_file(name="[red]r[/]", obstacles=[ball]))[0] == 0
-    out = capsys.readouterr().out
-    assert "[red]r[/] with harvester" in out
-    assert "to [bold]b[/]," in out
-
-
 # Options
-
-
-def test_dense_method_finds_the_same_cost(run: Run, done: Path) -> None:
-    status, folder = run("--method", "dense")
-    planner = report_of(folder)["planner"]
-    assert status == 0
-    assert planner["method"] == "dense"
-    assert planner["cost_deg"] == pytest.approx(report_of(done)["planner"]["cost_deg"], abs=1e-9)
-    assert planner["expansions"]["layers"] == planner["expansions"]["sparse"] == 0
-    assert planner["expansions"]["fallback"] > 100_000
-
-
-def test_objective(run: Run, done: Path) -> None:
-    """The shortest path is not the fastest."""
-    status, folder = run("--objective", "length")
-    short, fast = report_of(folder), report_of(done)
-    assert status == 0
-    assert short["path"]["length_deg"] < fast["path"]["length_deg"]
-    assert short["trajectory"]["duration_s"] > fast["trajectory"]["duration_s"]
-
-
-def test_speed(run: Run, done: Path, robot: Robot) -> None:
-    status, folder = run("--speed", 0.5)
-    _, table = table_of(folder)
-    velocity = table[:, 2::4]
-    assert status == 0
-    assert (np.abs(velocity) <= 0.5 * robot.velocity_limit * 1.001).all()
-    assert report_of(folder)["trajectory"]["duration_s"] > 1.8 * report_of(done)["trajectory"]["duration_s"]
 
 
 @pytest.mark.parametrize(
@@ -233,14 +195,6 @@ def test_options_out_of_range(run: Run, option: str, value: str, capsys: pytest.
     assert status == 2
     assert re.search(rf"error \(OptionError\): (--)?{name}\w* = .*: expected ", capsys.readouterr().err)
     assert not folder.exists()
-
-
-@pytest.mark.parametrize("arguments", [("--rate", "fast"), ("--method", "magic"), ("--colour",), ("a", "b")])
-def test_usage_errors(run: Run, arguments: tuple[str, ...], capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as exit_:
-        run(*arguments)
-    assert exit_.value.code == 2
-    assert "usage:" in capsys.readouterr().err
 
 
 # Failures: one message, one status, one report and no trajectory
@@ -335,22 +289,6 @@ def test_uncertified_writes_and_says_so(run: Run, capsys: pytest.CaptureFixture[
     assert "NOT VERIFIED" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(
-    ("name", "content", "reason"),
-    [("missing.urdf", None, "No such file"), ("broken.urdf", "<robot name='r'><link", "malformed XML")],
-)
-def test_robot_files_that_cannot_be_read(
-    fails: Fails, tmp_path: Path, name: str, content: str | None, reason: str
-) -> None:
-    path = tmp_path / name
-    if content is not None:
-        path.write_text(content)
-    error, message = fails(2, "--robot", path)
-    assert error["kind"] == "RobotFileError"
-    assert name in message
-    assert reason in message
-
-
 def ball(**changes: Any) -> list[dict[str, Any]]:
     return [{**TABLE_1["obstacles"][0], **changes}]
 
@@ -384,22 +322,6 @@ def test_scenes_that_are_refused(
     assert [word for word in says if word not in message] == []
 
 
-@pytest.mark.parametrize(
-    ("which", "joints", "center", "link"),
-    [("start", [0, 0, 0, 0], [2.0, 0.0, 0.6], "hand"), ("goal", [0, 45, 60, 70], [0.3, 0.0, 0.9], "upper_arm")],
-)
-def test_start_or_goal_in_collision(
-    fails: Fails, scene_file: SceneFile, which: str, joints: list[float], center: list[float], link: str
-) -> None:
-    error, message = fails(2, scene_file(**{which: {"joints_deg": joints}}, obstacles=ball(center=center, radius=0.1)))
-    assert error["kind"] == "ConfigurationInCollisionError"
-    assert (error["which"], error["link"], error["obstacle"]) == (which, link, "ball")
-    # The ball's centre lies on the link's axis.
-    half_width = {"hand": 0.03, "upper_arm": 0.05}[link]
-    assert error["depth_m"] == pytest.approx(0.1 + half_width, abs=1e-9)
-    assert f"{1e3 * error['depth_m']:.3g} mm" in message
-
-
 @pytest.mark.parametrize("inside", ["", "below"])
 def test_output_where_a_file_stands(tmp_path: Path, inside: str, capsys: pytest.CaptureFixture[str]) -> None:
     taken = tmp_path / "taken"
@@ -420,29 +342,6 @@ def test_output_where_a_folder_has_a_files_name(tmp_path: Path, name: str, capsy
 # Other scenes and robots
 
 
-def test_start_equal_to_goal_is_an_empty_motion(run: Run, scene_file: SceneFile) -> None:
-    status, folder = run(scene_file(goal=TABLE_1["start"]))
-    _, table = table_of(folder)
-    report = report_of(folder)
-    assert status == 0
-    assert table.shape == (1, 17)
-    assert (table[0, 0], report["trajectory"]["duration_s"], report["path"]["length_deg"]) == (0.0, 0.0, 0.0)
-    assert (table[0, 2::4] == 0.0).all()
-    assert table[0, 4::4][1] == pytest.approx(101.043, abs=1e-6)  # the shoulder still carries the arm
-    assert report["certificate"]["verified"] is True
-
-
-def test_scene_without_obstacles(run: Run, scene_file: SceneFile, capsys: pytest.CaptureFixture[str]) -> None:
-    status, folder = run(scene_file(obstacles=None))
-    report = report_of(folder)
-    assert status == 0
-    assert report["certificate"]["min_clearance_m"] is None
-    assert report["certificate"]["nearest"] is None
-    straight = float(np.linalg.norm([45, 60, 70]))
-    assert straight - 1e-6 <= report["path"]["length_deg"] <= 1.01 * straight
-    assert "no obstacles" in capsys.readouterr().out
-
-
 def member(folder: Path, links: int, has_yaw: bool) -> Path:
     """Another arm of the family, 2 m long."""
     joints = links + has_yaw
@@ -461,24 +360,6 @@ def member(folder: Path, links: int, has_yaw: bool) -> Path:
         has_yaw=has_yaw,
     )
     return write_robot(spec, folder / f"{spec.name}.urdf")[0]
-
-
-@pytest.mark.parametrize(("links", "has_yaw", "step"), [(1, True, 1), (5, False, 12)])
-def test_other_members_of_the_family(
-    run: Run, scene_file: SceneFile, tmp_path: Path, links: int, has_yaw: bool, step: float
-) -> None:
-    yaw = [0.3] if has_yaw else []
-    start, goal = yaw + [-0.5] * links, yaw + [0.9] + [0.2] * (links - 1)
-    post = ball(center=[-1.2, 0.0, 0.6])
-    scene = scene_file(
-        start={"joints_rad": start}, goal={"joints_rad": goal}, obstacles=post, locked_joints=["base_yaw"][: len(yaw)]
-    )
-    status, folder = run(scene, "--robot", member(tmp_path, links, has_yaw), "--step", step)
-    header, table = table_of(folder)
-    assert status == 0
-    assert len(header) == 1 + 4 * (links + has_yaw)
-    np.testing.assert_allclose(table[[0, -1], 1::4], [start, goal], rtol=0, atol=1e-12)
-    assert report_of(folder)["certificate"]["verified"] is True
 
 
 def test_a_grid_too_large_for_memory_is_no_fault(

@@ -139,20 +139,6 @@ def test_help_loads_nothing_heavy(arguments: list[str]) -> None:
 # Terminals and signals
 
 
-@pytest.mark.parametrize(
-    ("command", "terminal", "said"),
-    [
-        ("certify", "> /dev/full", "cannot write to standard output: No space left on device\n"),
-        ("time", ">&-", ""),
-    ],
-)
-def test_a_command_needs_no_terminal(command: str, terminal: str, said: str, folder: Path) -> None:
-    """What it says goes nowhere; the status is that of the job."""
-    line = ["bash", "-c", f'"$0" -m hplan.apps.cli "$@" {terminal}', sys.executable, *GOOD[command]]
-    done = subprocess.run(line, cwd=folder, capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stderr) == (0, said)
-
-
 @pytest.mark.parametrize("command", [name for name in GOOD if name not in ("completion", "execute", "certify")])
 def test_quiet(command: str, folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.chdir(folder)

@@ -88,15 +88,6 @@ def recorded(picked: PlanResult, tmp_path_factory: pytest.TempPathFactory) -> Re
     return Recorded(path)
 
 
-def as_dict(content: Any) -> Any:
-    """A decoded message as a dict."""
-    if hasattr(content, "__slots__") and not isinstance(content, str):
-        return {name.lstrip("_"): as_dict(getattr(content, name)) for name in content.__slots__}
-    if isinstance(content, (list, tuple)) or type(content).__name__ == "array":
-        return [as_dict(item) for item in content]
-    return content
-
-
 def stamp_of(header: Any) -> int:
     return int(header.stamp.sec) * 10**9 + int(header.stamp.nanosec)
 
@@ -187,19 +178,6 @@ def test_markers_fill_the_obstacles(recorded: Recorded, robot: Robot) -> None:
     ]
     assert fruits[0].color.g != fruits[1].color.g
     assert len(scene_markers(scene)) == len(message.markers)
-
-
-def test_the_fruit_goes_with_the_tool(recorded: Recorded, picked: PlanResult, robot: Robot) -> None:
-    _, (taken, held), *gone = recorded.messages["/scene"]
-    time = picked.picked["ripe"]
-    assert taken == 5_250_000_000 + round(1e9 * time)
-    (marker,) = held.markers
-    assert (marker.ns, marker.id, marker.header.frame_id, marker.action) == ("fruits", 0, "tool0", 0)
-    frames = LinkFrames(robot)
-    frames.place(picked.trajectory.positions(np.array([time]))[0])
-    place = frames.pose("tool0").act(np.array(xyz(marker.pose.position)))
-    np.testing.assert_allclose(place, FRUITS[0].center, atol=1e-9)
-    assert gone == []  # the tool has it still when the motion ends
 
 
 def test_fruit_keeps_its_place_in_the_tool(picked: PlanResult) -> None:

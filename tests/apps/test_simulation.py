@@ -16,7 +16,7 @@ from hplan.apps.execution import simulation
 from hplan.apps.execution.recorded_motion import RecordedMotion, read_motion
 from hplan.apps.execution.simulation import HOLD, Execution, execute
 from hplan.collision.coal_scene import CoalScene
-from hplan.errors import ConfigurationInCollisionError, InputError, NoPathError
+from hplan.errors import InputError
 from hplan.planning.plan import plan
 from hplan.planning.result import PlanResult
 from hplan.robot.family.members import ArmSpec, write_robot
@@ -108,33 +108,6 @@ def test_the_exported_reference_plan(robot: Robot, scene: Scene, planned: PlanRe
     assert result.position.shape == (len(result.time), robot.dof)
     assert result.time[-1] == pytest.approx(result.duration_s + HOLD, abs=2e-3)
     assert not result.position.flags.writeable
-
-
-@needs_mujoco
-def test_random_planar_scenes(robot: Robot) -> None:
-    rng = np.random.default_rng(7)
-    done = 0
-    for _ in range(60):
-        balls = tuple(
-            Sphere(name=f"ball {i}", center=(x, 0.0, 0.6 + z), radius=r)
-            for i, (x, z, r) in enumerate(
-                zip(rng.uniform(-0.2, 1.9, 4), rng.uniform(0.1, 1.9, 4), rng.uniform(0.05, 0.2, 4), strict=True)
-            )
-        )
-        start, goal = ((0.0, *rng.uniform(0.0, 90.0, 3)) for _ in range(2))
-        scene = Scene(name="random", start=Start(joints_deg=start), goal=Goal(joints_deg=goal), obstacles=balls)
-        try:
-            motion = plan(robot, scene).trajectory
-        except (ConfigurationInCollisionError, NoPathError):
-            continue
-        result = execute(robot, scene, motion)
-        assert result.ok, (scene, result.contacts, result.final_error_rad)
-        assert off_deg(result) < 0.5
-        assert result.torque_exceeded == ()
-        done += 1
-        if done == 5:
-            return
-    pytest.fail(f"only {done} of the random scenes could be planned")
 
 
 # What is wrong is caught
@@ -286,14 +259,6 @@ def test_the_reference_is_the_hermite_cubic(robot: Robot) -> None:
     np.testing.assert_array_equal(q[0], cubic(time, 0)[-1])
     assert not v.any()
     assert not a.any()
-
-
-def test_reading_our_own_file(planned: PlanResult, csv_file: Path) -> None:
-    motion = read_motion(csv_file)
-    assert motion.joint_names == planned.trajectory.joint_names
-    np.testing.assert_array_equal(motion.time, planned.trajectory.time)
-    np.testing.assert_array_equal(motion.position, planned.trajectory.position)
-    np.testing.assert_array_equal(motion.velocity, planned.trajectory.velocity)
 
 
 def test_reading_positions_alone(tmp_path: Path) -> None:

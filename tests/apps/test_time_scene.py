@@ -101,15 +101,3 @@ def test_files_that_are_read_are_not_removed(tmp_path: Path, name: str) -> None:
     words = ["time", "harvester", *read, "--out", str(out), "--quiet"]
     assert main(words) == 2
     assert {file: file.read_bytes() for file in out.iterdir()} == before
-
-
-def test_nothing_of_an_earlier_plan_stays(tmp_path: Path) -> None:
-    way = waypoints(tmp_path / "way.csv", [START, (0.4, *START[1:])])
-    given = scene(tmp_path / "ball.yaml", 0.05)
-    out = tmp_path / "job"
-    out.mkdir()
-    for name in ("motion.mcap", "cspace.html", "cspace.png", "report.json"):
-        (out / name).write_text('{"status": "ok"}', encoding="utf-8")
-    words = ["--scene", str(given), "--out", str(out), "--effort", "quick", "--quiet"]
-    assert main(["time", "harvester", str(way), *words]) == 0
-    assert {path.name for path in out.iterdir()} == FILES

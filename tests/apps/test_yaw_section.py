@@ -16,14 +16,12 @@ from PIL import Image
 from hplan.apps.cli.main import main
 from hplan.apps.view.cspace_figure import cspace_at_yaw
 from hplan.apps.view.cspace_page import render_cspace_page, write_cspace_page
-from hplan.apps.view.cspace_surface import surface_net
 from hplan.apps.view.figure_style import png_bytes, write_png
 from hplan.apps.view.playback import Playback
 from hplan.apps.view.yaw_section import YawSection, yaw_section
 from hplan.collision.body_kernels import FAR
 from hplan.collision.coal_scene import CoalScene
 from hplan.errors import InputError, OutputError
-from hplan.grid.grid import Grid
 from hplan.planning.options import PlanOptions
 from hplan.robot.family.members import HARVESTER, write_robot
 from hplan.robot.model import Robot, load_robot
@@ -116,15 +114,6 @@ def test_clearance_uncertainty_and_tracking_error_grow_the_region(robot: Robot, 
     assert (is_point_set.field[near] < sure.field[near]).all()
 
 
-def test_without_obstacles_nothing_is_forbidden(robot: Robot) -> None:
-    free = yaw_section(robot, scene(obstacles=(), fruits=(), goal=Goal(position=(1, 0, 1))), Playback(motion(robot)))
-    assert np.isfinite(free.field).all()
-    assert (free.field > 0.0).all()
-    assert len(surface_net(free.field)[1]) == 0
-    assert "/hplan/forbidden" not in render_cspace_page(free, "free")
-    assert png_bytes(cspace_at_yaw(free), dpi=30)
-
-
 def test_an_arm_of_two_links_and_a_foreign_trajectory(robot: Robot, tmp_path: Path) -> None:
     names = ("link_lengths", "link_half_widths", "link_masses")
     names += ("lower", "upper", "velocity", "effort", "acceleration", "jerk")
@@ -134,19 +123,6 @@ def test_an_arm_of_two_links_and_a_foreign_trajectory(robot: Robot, tmp_path: Pa
         yaw_section(load_robot(urdf, limits=limits), scene(), Playback(motion(robot)))
     with pytest.raises(InputError, match="the trajectory moves a, b, c, d"):
         yaw_section(robot, scene(), Playback(replace(motion(robot), joint_names=("a", "b", "c", "d"))))
-
-
-@pytest.mark.parametrize(("axis", "side"), [(0, 1), (0, -1), (1, 1), (1, -1)])
-def test_the_view_is_from_where_the_motion_is_seen(axis: int, side: int) -> None:
-    """A wall across the space: the viewer stands on the motion's side of it."""
-    grid = Grid.over(np.zeros(3), np.full(3, 1.5), 0.05)
-    away = side * (np.moveaxis(np.indices(grid.shape), 0, -1)[..., axis] - 15.0)
-    field = np.where(np.abs(away - 4.0) < 3.5, -0.01, 0.01)
-    path = np.linspace([0.3, 0.3, 0.3], [1.2, 1.2, 1.2], 50)
-    path[:, axis] = 0.75 - side * 0.1
-    section = YawSection(0.0, grid, field, path, np.zeros(50), np.linspace(0.0, 1.0, 50), ("a", "b", "c"))
-    azimuth = math.radians(section.view[0])
-    assert side * (math.cos(azimuth), math.sin(azimuth))[axis] < 0.0
 
 
 def commands_of(page: str) -> list[dict[str, Any]]:

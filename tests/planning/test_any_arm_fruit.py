@@ -146,21 +146,6 @@ def test_what_is_out_of_reach_and_what_is_blocked_are_told_apart(picker: Robot) 
     assert {one.fruit: one.reason for one in found.values()} == {"apple 0": "blocked", "apple 1": None, "apple 2": None}
 
 
-def test_a_tracking_error_is_covered_and_locked_joints_stay(picker: Robot) -> None:
-    scene = scene_of(picker, Goal(fruit="apple 1"), locked_joints=("wrist_3",))
-    found = plan(picker, scene, PlanOptions(effort="quick", tracking_error=0.003))
-    assert found.certificate.verified
-    assert np.ptp(found.trajectory.position[:, 5]) < 1e-9
-    assert certify(picker, scene, found.trajectory, tracking_error=0.003).verified
-
-
-def test_the_same_plan_every_time_and_one_before_a_deadline(picker: Robot) -> None:
-    scene = scene_of(picker, Goal(fruit="apple 0"))
-    first, second = (plan(picker, scene, QUICK).trajectory.position for _ in range(2))
-    assert (first == second).all()
-    assert plan(picker, scene, PlanOptions(deadline_s=20.0)).certificate.verified
-
-
 def test_how_far_a_tool_stands_out(picker: Robot) -> None:
     assert tool_of(picker).thickness(0.0) == pytest.approx(0.0, abs=1e-9)
     world = World.of(picker, [])

@@ -10,8 +10,6 @@ import pinocchio as pin
 import pytest
 from any_arms import loaded_arm
 
-from hplan.collision.clearance_field import ClearanceField
-from hplan.collision.coal_scene import CoalScene
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
 from hplan.planning.result import PlanResult
@@ -59,13 +57,3 @@ def test_it_waits_for_a_ball_that_leaves_its_path(robot, leaves_s):
     result = plan(robot, scene, PlanOptions(effort="quick"))
     assert result.certificate.verified
     assert least_distance(robot, ball, result) >= result.certificate.min_clearance_m - 1e-6 > 0.005 - 1e-6
-
-
-def test_a_field_without_the_arm_itself_is_of_bodies_alone(robot):
-    """Pairs of its own bodies are no part of what is looked at in time: they do not move by themselves."""
-    ball = Sphere(name="ball", center=(0.6, 0.0, 0.5), radius=0.1)
-    field = ClearanceField.of(robot, [ball])
-    bare, q = field.only(np.array([True]), arm=False), np.array(START)
-    assert (bare.link_clearances(q) == field.link_clearances(q)[: len(bare.movers)]).all()
-    own = len(CoalScene(robot, ()).pairs)
-    assert len(field.movers) == len(bare.movers) + own

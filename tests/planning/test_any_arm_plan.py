@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from any_arms import LIFT, loaded_arm
 
 from hplan.certificate.certificate import certify
-from hplan.errors import ConfigurationInCollisionError, InputError, NotFoundError, OptionError, RobotFileError
-from hplan.planning import transits
-from hplan.planning.effort import EFFORTS_OF_BODIES
+from hplan.errors import ConfigurationInCollisionError, InputError, OptionError, RobotFileError
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
-from hplan.planning.sampling.several_trees import TreesEffort
 from hplan.robot.limits import Limits
 from hplan.robot.model import Robot, load_robot
 from hplan.scene.model import Scene
@@ -68,19 +64,6 @@ def test_locked_joints_stay(arm: Robot) -> None:
 def test_a_start_in_an_obstacle_is_refused(arm: Robot) -> None:
     with pytest.raises(ConfigurationInCollisionError):
         plan(arm, scene_of(Sphere(name="ball", center=(0.0, 0.1, 0.3), radius=0.1)), QUICK)
-
-
-def test_where_nothing_is_found_nothing_is_claimed(arm: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
-    few = replace(EFFORTS_OF_BODIES["quick"], trees=TreesEffort(1, 20))
-    monkeypatch.setitem(EFFORTS_OF_BODIES, "quick", few)
-    monkeypatch.setattr(transits, "_by_long_trees", lambda tasks: iter(()))
-    # From the pedestal outward, higher than the arm reaches, between start and goal.
-    along = np.array([np.cos(0.9), np.sin(0.9)])
-    centre = (*(1.4 * along).tolist(), 1.0)
-    wall = Box(name="wall", center=centre, size=(2.0, 0.02, 2.4), rpy_deg=(0.0, 0.0, np.degrees(0.9)))
-    with pytest.raises(NotFoundError) as refused:
-        plan(arm, scene_of(wall), QUICK)
-    assert "trees" in str(refused.value)
 
 
 def test_the_dense_search_is_refused_where_there_is_no_grid(arm: Robot) -> None:

@@ -136,31 +136,6 @@ def test_where_the_stop_is_as_quick_the_arm_stops(plans: Any) -> None:
         assert (found is not None) is is_blended
 
 
-def test_more_lead_is_more_speed(plans: Any) -> None:
-    _, _, told = plans["dense-canopy"]
-    pick, speeds, durations = told.approach, [0.0], [told.approach.from_rest.trajectory.duration]
-    for lead in LEADS:
-        passing = pick.non_stop(lead)
-        assert passing is not None
-        assert pick.certified(passing) is not None
-        assert not passing.velocity[-1].any()
-        speeds.append(float(np.linalg.norm(passing.velocity[0])))
-        durations.append(passing.duration)
-    assert speeds == sorted(speeds)
-    assert durations == sorted(durations, reverse=True)
-    assert pick.non_stop(LEADS[0]) is pick.non_stop(LEADS[0])
-
-
-def test_there_is_no_lead_into_obstacles(plans: Any) -> None:
-    """Behind the stand-off before the trellis' fruit there are few millimetres of room."""
-    _, _, told = plans["trellis"]
-    pick = told.approach
-    assert pick.grasp.distance < pick.farthest < 1.1 * pick.grasp.distance
-    assert pick.non_stop(LEADS[-1]) is pick.non_stop(LEADS[-2])
-    narrow = replace(pick, grasp=replace(pick.grasp, distance=pick.farthest))
-    assert narrow.non_stop(LEADS[-1]) is None
-
-
 def test_at_few_rows_a_second_approaches_in_motion_are_straight_too(robot: Robot, plans: Any) -> None:
     _, _, told = plans["dense-canopy"]
     pick = told.approach

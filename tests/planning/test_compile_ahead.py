@@ -6,7 +6,6 @@ import os
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -56,16 +55,6 @@ def begun(code: str) -> subprocess.Popen[bytes]:
     return subprocess.Popen([sys.executable, "-c", code])
 
 
-@pytest.mark.parametrize("code", ["pass", "raise SystemExit(1)"], ids=["done", "failed"])
-def test_the_plan_waits_for_the_other_process(code: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    other = begun(code)
-    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1})
-    monkeypatch.setattr(compile_ahead, "_start", lambda: other)
-    with compile_ahead.compiling_ahead(True) as compiled:
-        compiled()
-        assert other.returncode is not None
-
-
 def test_the_other_process_does_not_outlive_the_plan(monkeypatch: pytest.MonkeyPatch) -> None:
     other = begun("import time; time.sleep(600)")
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1})
@@ -81,24 +70,6 @@ def test_the_other_process_does_not_outlive_the_plan(monkeypatch: pytest.MonkeyP
     with pytest.raises(KeyboardInterrupt):
         interrupted()
     assert other.returncode is not None
-
-
-@pytest.mark.parametrize(
-    ("first", "processors", "kept"),
-    [(False, 2, True), (True, 1, True), (True, 2, False)],
-    ids=["later run", "one processor", "nowhere to keep what it compiles"],
-)
-def test_no_other_process_where_it_would_not_help(
-    first: bool, processors: int, kept: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def start() -> Any:
-        raise AssertionError
-
-    monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(processors)))
-    monkeypatch.setattr(compile_ahead, "can_be_kept", lambda _: kept)
-    monkeypatch.setattr(compile_ahead, "_start", start)
-    with compile_ahead.compiling_ahead(first) as compiled:
-        compiled()
 
 
 def test_the_other_process_runs_nothing_of_the_working_directory(

@@ -93,14 +93,6 @@ def test_the_base_counts_by_its_own_fastest_motion_with_jerk(robot: Robot) -> No
         assert 0.9999 * exact < bound.seconds <= exact
 
 
-@pytest.mark.usefixtures("coarse")
-def test_slower_motions_have_larger_bounds(robot: Robot, scene: Scene) -> None:
-    fast, slow = (plan(robot, scene, PlanOptions(bound=True, speed=speed)).bound for speed in (1.0, 0.5))
-    assert fast is not None
-    assert slow is not None
-    assert slow.seconds == pytest.approx(2.0 * fast.seconds, rel=0.02)
-
-
 def test_a_motion_that_is_too_fast_to_exist_is_an_error(robot: Robot, scene: Scene) -> None:
     result = plan(robot, scene)
     for duration in (1.0, 1.4):  # by the slowest joint alone, by reachability

@@ -3,45 +3,17 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 import hplan
 from hplan.errors import OptionError
-from hplan.planning.effort import EFFORTS
 from hplan.planning.options import PlanOptions
 from hplan.robot.family import ArmSpec, write_robot
 from hplan.robot.model import Robot
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Sphere
-
-
-def test_best_falls_back_on_what_the_default_finds(robot: Robot, scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
-    default = hplan.plan(robot, scene)
-    # With nothing spent on optimisation, `best` finds no more than `quick`.
-    monkeypatch.setitem(EFFORTS, "best", replace(EFFORTS["best"], starts=None))
-    assert hplan.plan(robot, scene, PlanOptions(effort="best")).trajectory.duration == default.trajectory.duration
-
-
-def test_coarse_grids_give_paths_where_fine_ones_are_too_large(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The base locked, wide joints: what sampling does not find is on a coarse grid."""
-    robot = hplan.load_robot("orchard_harvester")
-    tip = robot.tool_positions(np.array([0.0, 0.6, -0.6, 0.3]))
-    scene = Scene(
-        name="ball",
-        start=Start(joints_rad=(0.0, 1.4, -0.6, 0.3)),
-        goal=Goal(joints_rad=(0.0, -0.2, -0.6, 0.3)),
-        obstacles=(Sphere(name="ball", center=tuple(tip.tolist()), radius=0.2),),
-        locked_joints=("base_yaw",),
-    )
-    monkeypatch.setattr(hplan.planning.transits, "promising_paths", lambda *_: [])
-    result = hplan.plan(robot, scene)
-    assert result.motion.origin == "search"
-    assert result.motion.route is None
-    assert result.certificate.verified
 
 
 def test_coarse_grids_that_are_too_large_are_left_out(tmp_path: Path) -> None:

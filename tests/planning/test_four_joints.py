@@ -89,15 +89,6 @@ def test_base_moves_whenever_that_is_better(robot: Robot, turned_deg: float) -> 
     assert free.trajectory.duration < 1.3
 
 
-def test_a_locked_joint_in_the_plane(robot: Robot) -> None:
-    scene = task(
-        (0.0, 30.0, 20.0, 20.0), (60.0, 60.0, 20.0, 50.0), [post("post", 30.0, 1.2, 0.0, 2.0)], locked_joints=("elbow",)
-    )
-    result = plan(robot, scene, COARSE)
-    assert_sound(robot, scene, result)
-    np.testing.assert_allclose(result.trajectory.position[:, 2], math.radians(20.0), atol=1e-12)
-
-
 @pytest.mark.parametrize(("enclosed", "step_deg"), [("start", 1.0), ("start", 3.0), ("goal", 3.0)])
 def test_no_path_whatever_the_yaw(robot: Robot, enclosed: str, step_deg: float) -> None:
     """A frame of four bars about the upper arm: it cannot be drawn out, and the proof is quick."""
@@ -249,17 +240,10 @@ def test_to_a_point(robot: Robot) -> None:
     assert [phase.name for phase in short.phases] == ["transit"]
 
 
-@pytest.mark.parametrize("standoff", [0.0, 0.05, 0.2])
-def test_standoff(robot: Robot, standoff: float) -> None:
-    scene = task(FOLDED, Goal(fruit="apple"), fruits=(fruit("apple", 40.0, 1.2, 1.9),))
-    result = plan(robot, scene, PlanOptions(step_deg=2.0, standoff=standoff))
-    assert_sound(robot, scene, result)
-    assert result.grasp is not None
-    assert result.grasp.distance == pytest.approx(max(standoff, 0.04 + 0.03 + 0.002), abs=1e-12)
-
-
-@pytest.mark.parametrize("locked", [("base_yaw",), ("elbow",), ("wrist",), ("base_yaw", "shoulder")])
-@pytest.mark.parametrize("goal", ["fruit", "position"])
+@pytest.mark.parametrize(
+    ("goal", "locked"),
+    [("fruit", ("base_yaw",)), ("fruit", ("elbow",)), ("position", ("wrist",)), ("fruit", ("base_yaw", "shoulder"))],
+)
 def test_locked_joints(robot: Robot, goal: str, locked: tuple[str, ...]) -> None:
     there = np.array([40.0, 60.0, 45.0, 20.0])
     start = tuple(float(there[k]) if name in locked else FOLDED[k] for k, name in enumerate(robot.joint_names))
@@ -276,10 +260,8 @@ def test_locked_joints(robot: Robot, goal: str, locked: tuple[str, ...]) -> None
 @pytest.mark.parametrize(
     ("start", "locked"),
     [
-        ((40.0, 0.0, 90.0, 30.0), ()),
         ((40.0, 0.0, 20.0, 90.0), ("base_yaw",)),
         ((0.0, 90.0, 45.0, 90.0), ()),
-        ((40.0, 90.0, 45.0, 90.0), ()),
         ((40.0, 90.0, 45.0, 90.0), ("base_yaw",)),
     ],
 )
@@ -319,13 +301,6 @@ def test_fruit_inside_a_trunk(robot: Robot) -> None:
     assert {item["obstacle"] for item in caught.value.obstacles} == {"trunk"}
 
 
-def test_fruit_inside_another(robot: Robot) -> None:
-    scene = task(FOLDED, Goal(fruit="apple"), fruits=(APPLE, APPLE.model_copy(update={"name": "twin"})))
-    with pytest.raises(BlockedError) as caught:
-        plan(robot, scene)
-    assert {item["obstacle"] for item in caught.value.obstacles} == {"twin"}
-
-
 def test_start_at_the_fruit(robot: Robot) -> None:
     """The start touches what is to be picked: refused as any other collision."""
     start = (40.0, 60.0, 45.0, 20.0)
@@ -339,7 +314,7 @@ def test_start_at_the_fruit(robot: Robot) -> None:
 
 
 #: Scenes of random obstacles without a motion, by their seeds: fruits and paths that are not to be had, and no others.
-NONE = dict.fromkeys((3, 6, 9, 51, 57), UnreachableError) | {31: NoPathError}
+NONE = dict.fromkeys((3, 6, 9), UnreachableError)
 
 
 @pytest.mark.parametrize("seed", range(30))

@@ -70,15 +70,6 @@ def test_of_nodes_equally_far_the_first_comes_first(robot, grid):
             assert (place[i, j, k] < place[other]) == ((i, j, k) < other) or other == (i, j, k)
 
 
-def test_no_node_beyond_the_limits(robot, grid):
-    for q in (np.array([0.2, 0.4, 9.7]) * STEP, np.array([9.9, 9.99, 0.01]) * STEP):
-        found = joined(robot, grid, q)
-        assert found
-        assert min(map(min, found)) == 0
-        assert max(map(max, found)) == 10
-        assert found[0] == tuple(np.rint(q / STEP).astype(int))
-
-
 def test_occupied_nodes_are_left_out(robot, grid):
     q = np.array([4.3, 5.2, 6.8]) * STEP
     every = joined(robot, grid, q)
@@ -107,33 +98,3 @@ def test_motions_in_contact_are_left_out(robot, grid):
             assert least < MARGIN + 1e-3
     # With the base turned away nothing is in the way.
     assert joined(robot, grid, q, [ball], yaw=1.0) == every
-
-
-def test_blocked_nearest_node(robot, grid):
-    """The nearest node is in contact though the mask calls it free; others are not."""
-    nearest = np.array([4, 2, 2])
-    q = (nearest + np.array([-0.4, 0.0, 0.0])) * STEP
-    there = np.array([0, *grid.coordinates(nearest)])
-    tip = robot.tool_positions(there)
-    ball = Sphere(name="ball", center=(float(tip[0]) - 0.02, 0.0, float(tip[2]) + 0.06), radius=0.04)
-    checker = CoalScene(robot, [ball])
-    assert checker.distances(there).min() < 0.0
-    assert checker.distances([0, *q]).min() > 0.01
-    every, found = joined(robot, grid, q), joined(robot, grid, q, [ball])
-    assert every[0] == tuple(nearest)
-    assert found
-    assert found[0] != tuple(nearest)
-
-
-def test_configuration_in_contact_is_joined_to_nothing(robot, grid):
-    q = np.array([4.4, 2.2, 2.2]) * STEP
-    tip = robot.tool_positions(np.array([0, *q]))
-    assert joined(robot, grid, q, [Sphere(name="ball", center=tuple(map(float, tip)), radius=0.05)]) == []
-
-
-def test_one_joint(robot):
-    """A single planar joint moves, the others are locked: their axes have one node each."""
-    lower, upper = np.array([0.0, 0.3, 0.4]), np.array([1.0, 0.3, 0.4])
-    grid = Grid.over(lower, upper, 0.1)
-    found = joined(robot, grid, np.array([0.52, 0.3, 0.4]))
-    assert found == [(5, 0, 0), (6, 0, 0), (4, 0, 0), (7, 0, 0)]

@@ -33,25 +33,6 @@ def test_a_grid_that_is_too_large_gets_a_larger_step(robot: Robot) -> None:
     assert one.fitting(widest, 10.0) is None
 
 
-@pytest.mark.parametrize(("step_deg", "largest_deg"), [(0.2, 6.4), (1.0, 8.0), (20.0, 20.0)])
-def test_a_fine_step_gives_way_to_as_coarse_a_one_as_others(robot: Robot, step_deg: float, largest_deg: float) -> None:
-    """However small the step asked for: up to `COARSEST_DEG`, and never a grid that is finer than what fits."""
-    one = turned_by(robot, 60.0, step_deg)
-    widest = GridAttempt(1.0, 360.0)
-    most = one.cells(replace(widest, step_factor=largest_deg / step_deg))
-    fitting = one.fitting(widest, most)
-    assert fitting is not None
-    assert one.step_deg(fitting) == pytest.approx(largest_deg)
-    assert one.fitting(widest, 0.9 * most) is None
-
-
-def test_a_row_of_few_yaws_counts_as_a_longer_one(robot: Robot) -> None:
-    """It takes whole words, and its coordinates: a grid of three yaws is no tenth of one of 30."""
-    one = turned_by(robot, 2.0)
-    assert one.cells(GridAttempt(1.0)) == one.cells(GridAttempt(1.0, 10.0))
-    assert one.cells(GridAttempt(1.0)) < one.cells(GridAttempt(1.0, 20.0))
-
-
 @pytest.mark.parametrize("attempt", [GridAttempt(2.0, 4.0), GridAttempt(4.0, 45.0), GridAttempt(4.0, 360.0)])
 def test_cells_are_those_of_the_grid(robot: Robot, attempt: GridAttempt) -> None:
     one = turned_by(robot, 60.0)

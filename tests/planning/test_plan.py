@@ -16,7 +16,7 @@ from hplan.grid.grid import Grid
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
 from hplan.robot.model import Robot
-from hplan.scene.model import Fruit, Goal, Scene, Start
+from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Box, Capsule, Cylinder, Sphere
 
 START, GOAL = (0.0, 0.0, 0.0, 0.0), (0.0, 45.0, 60.0, 70.0)
@@ -71,20 +71,7 @@ def test_reference_scene(robot: Robot, scene: Scene) -> None:
     assert result.report["trajectory"]["samples"] == result.trajectory.samples
 
 
-def test_same_input_same_output(robot: Robot, scene: Scene) -> None:
-    first, second = plan(robot, scene), plan(robot, scene)
-    for name in ("time", "position", "velocity", "acceleration", "torque"):
-        assert getattr(first.trajectory, name).tobytes() == getattr(second.trajectory, name).tobytes()
-
-
 # Scenes
-
-
-def test_fruit_is_an_obstacle(robot: Robot) -> None:
-    scene = task(fruits=(Fruit(name="apple", center=(1.0, 0.0, 1.9), radius=0.15),))
-    result = plan(robot, scene)
-    assert_sound(robot, scene, result)
-    assert result.certificate.nearest.obstacle == "apple"
 
 
 def test_start_and_goal_beside_the_grid(robot: Robot, scene: Scene) -> None:
@@ -111,23 +98,6 @@ def test_locked_joint_does_not_move(robot: Robot) -> None:
     result = plan(robot, scene)
     assert_sound(robot, scene, result)
     np.testing.assert_allclose(result.trajectory.position[:, 2], math.radians(30), rtol=0, atol=1e-12)
-
-
-def test_single_joint_that_may_move(robot: Robot) -> None:
-    scene = task(
-        [disc("ball", 0.1, 120.0, 1.0)],
-        (0.0, 0.0, 30.0, 20.0),
-        (0.0, 45.0, 30.0, 20.0),
-        locked_joints=("elbow", "wrist"),
-    )
-    assert_sound(robot, scene, plan(robot, scene))
-
-
-def test_way_back(robot: Robot, scene: Scene) -> None:
-    back = task(scene.obstacles, GOAL, START)
-    result = plan(robot, back)
-    assert_sound(robot, back, result)
-    assert 145.2149 < math.degrees(result.search.cost) < 1.02 * 145.2150
 
 
 def test_start_equal_to_goal(robot: Robot, scene: Scene) -> None:

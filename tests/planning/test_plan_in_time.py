@@ -13,7 +13,7 @@ from planned import post, task
 import hplan
 from hplan.apps.cli.main import main
 from hplan.base.deadline import current
-from hplan.errors import NotFoundError, NotInTimeError, OptionError, PlanCancelledError, UnreachableError
+from hplan.errors import NotFoundError, NotInTimeError, OptionError, PlanCancelledError
 from hplan.planning.plans import plans
 from hplan.planning.task import LastWorld, PlanningCache
 from hplan.planning.world import World
@@ -62,19 +62,6 @@ def test_an_error_says_what_was_tried(robot: Robot) -> None:
     assert "1e+09 ms are over; tried: grasps for" in error.value.message
 
 
-def test_with_time_enough_there_is_a_certified_motion(robot: Robot) -> None:
-    result = hplan.plan(robot, blocked(), hplan.PlanOptions(deadline_s=ENOUGH_S))
-    assert result.certificate.verified
-
-
-@pytest.mark.parametrize("scene", ["reference", "blocked"])
-def test_a_wish_that_never_comes_changes_nothing(robot: Robot, scene: str) -> None:
-    asked = hplan.load_scene() if scene == "reference" else blocked()
-    alone, other = hplan.plan(robot, asked), hplan.plan(robot, asked, cancel=threading.Event())
-    assert alone.trajectory.position.tobytes() == other.trajectory.position.tobytes()
-    assert "deadline" not in alone.report
-
-
 def test_a_plan_is_cancelled_from_another_thread(robot: Robot) -> None:
     event = threading.Event()
     with pytest.raises(PlanCancelledError) as error:
@@ -105,26 +92,6 @@ def test_what_a_function_raises_that_is_asked_comes_through(robot: Robot) -> Non
     with pytest.raises(OptionError) as error:
         hplan.plan(robot, blocked(), cancel=3)  # type: ignore[arg-type]
     assert error.value.option == "cancel"
-
-
-def test_a_planner_waits_for_its_turn_no_longer_than_there_is_time(robot: Robot) -> None:
-    planner = hplan.Planner(robot, blocked(), hplan.PlanOptions(deadline_s=0.05))
-    begun, go_on = threading.Event(), threading.Event()
-
-    def other() -> None:
-        with planner._planning:
-            begun.set()
-            go_on.wait(SOON)
-
-    holder = threading.Thread(target=other)
-    holder.start()
-    begun.wait()
-    with pytest.raises(NotInTimeError, match="another plan of the same planner is under way"):
-        planner.plan()
-    with pytest.raises(PlanCancelledError):
-        planner.replan(cancel=lambda: True)
-    go_on.set()
-    holder.join()
 
 
 def test_a_tour_has_to_be_complete_in_time(robot: Robot) -> None:
@@ -180,20 +147,6 @@ def test_each_motion_in_time_is_certified_and_quicker_than_the_one_before(robot:
     assert all(motion.certificate.verified for plan in found for motion in plan.motions)
     durations = [plan.duration for plan in found]
     assert durations == sorted(set(durations), reverse=True)
-
-
-def test_what_is_refused_without_a_deadline_is_refused_with_one(robot: Robot) -> None:
-    scene = hplan.load_scene("orchard-row").model_copy(update={"goal": Goal(position=(9.0, 0.0, 1.0))})
-    with pytest.raises(UnreachableError):
-        hplan.plan(robot, scene, hplan.PlanOptions(deadline_s=ENOUGH_S))
-
-
-def test_the_command_hands_out_what_it_found_in_time(tmp_path: Path) -> None:
-    assert main(["plan", "trellis", "--deadline", "1e9", "--quiet", "--out", str(tmp_path)]) == 0
-    report = json.loads((tmp_path / "report.json").read_text(encoding="utf-8"))
-    assert report["certificate"]["verified"]
-    assert (report["deadline"]["deadline_s"], report["deadline"]["cut_short"]) == (1e6, False)
-    assert (tmp_path / "trajectory.csv").exists()
 
 
 def test_the_robot_keeps_the_last_world_that_was_planned_in() -> None:

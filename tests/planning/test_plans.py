@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 import pytest
 from arm_variants import load_variant
-from planned import assert_sound, between_rows, frame_about_upper_arm, post, task
+from planned import assert_sound, between_rows, frame_about_upper_arm, task
 from test_grid_route import posed
 
 import hplan.planning.plans
@@ -21,15 +20,11 @@ from hplan.errors import BlockedError, CertificationError, NoPathError, NotFound
 from hplan.kinematics.approach_angles import Candidates
 from hplan.kinematics.finer_angles import FINEST, Measured, finer_angles
 from hplan.kinematics.planar_inverse_kinematics import reach
-from hplan.planning.approach import Approach
-from hplan.planning.effort import GridAttempt
-from hplan.planning.failures import EnclosedError, FailuresError, enclosed_goals, without_path
+from hplan.planning.failures import FailuresError, without_path
 from hplan.planning.grasps import SPARE, Grasp, Target, grasps, promising
-from hplan.planning.grid_route import find_route
-from hplan.planning.motion import Motion
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
-from hplan.planning.task import PlanningCache, PlanningTask
+from hplan.planning.task import PlanningCache
 from hplan.planning.transits import one_transit
 from hplan.robot.model import Robot
 from hplan.scene.model import Fruit, Goal, Scene, Start
@@ -89,23 +84,13 @@ def grasps_of(robot: Robot, scene: Scene) -> tuple[tuple[Grasp, ...], list[Grasp
     return found, promising(found, target, start)
 
 
-def test_all_grasps_are_tried(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_all_grasps_are_tried(robot: Robot) -> None:
     ways, likely = grasps_of(robot, BRANCH)
     assert len(likely) < len(ways)
     result = plan(robot, BRANCH, COARSE)
     assert_sound(robot, BRANCH, result)
     assert result.grasp is not None
     assert not any(np.array_equal(result.grasp.goal, grasp.goal) for grasp in likely)
-    monkeypatch.setattr("hplan.planning.plans.grasps", lambda *_, **__: tuple(likely))
-    monkeypatch.setattr(hplan.planning.plans, "promising", lambda found, *_: found)
-    with pytest.raises(NoPathError):
-        plan(robot, BRANCH, COARSE)
-
-
-def test_all_grasps_are_tried_in_a_tour(robot: Robot) -> None:
-    tour = plan_tour(robot, BRANCH, COARSE)
-    assert tour.order == ("apple",)
-    assert tour.certificate.verified
 
 
 @pytest.mark.parametrize("name", TIGHT)
@@ -119,25 +104,6 @@ def test_finer_angles_before_blocked(robot: Robot, name: str, monkeypatch: pytes
         least = min(grasp.room for grasp in grasps_of(robot, scene)[0])
     assert found.grasp is not None
     assert found.grasp.room > least
-
-
-def test_finer_angles_keep_to_the_interval_asked_for(robot: Robot) -> None:
-    scene = TIGHT["turning"]
-    found = plan(robot, scene, COARSE).grasp
-    assert found is not None
-    angle = math.degrees(found.approach)
-    for low, high in ((angle - 20.0, angle + 20.0), (angle + 350.0, angle + 365.0)):
-        narrow = scene.model_copy(update={"goal": Goal(fruit="apple", approach_deg=(low, high))})
-        grasp = plan(robot, narrow, COARSE).grasp
-        assert grasp is not None
-        assert (math.degrees(grasp.approach) - low + 1e-7) % 360.0 <= high - low + 2e-7
-    for low, high in ((angle - 40.0, angle - 5.0), (angle, angle)):
-        aside = scene.model_copy(update={"goal": Goal(fruit="apple", approach_deg=(low, high))})
-        if low == high:
-            assert plan(robot, aside, COARSE).certificate.verified
-            continue
-        with pytest.raises(BlockedError):
-            plan(robot, aside, COARSE)
 
 
 @pytest.mark.parametrize("asked", [None, (100.0, 460.0), (100.0, 250.0), (-300.0, -100.0)])
@@ -198,58 +164,6 @@ def test_no_path_is_said_of_all_grasps(robot: Robot) -> None:
     assert error.blockers
 
 
-def test_some_not_certified_is_no_no_path(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The likely grasps cannot be certified, and no path is shown for all of the others, or the other way round."""
-    ways, likely = grasps_of(robot, BRANCH)
-    none = NoPathError("no path exists on the grid", reached_cells=7)
-    doubt = CertificationError("no path on the grid can be shown clear as a motion")
-    failing = doubt
-
-    def fail(tasks: Sequence[PlanningTask]) -> NoReturn:
-        raise FailuresError((failing,) * len(tasks))
-
-    monkeypatch.setattr(hplan.planning.plans, "transits", fail)
-    monkeypatch.setattr(hplan.planning.plans, "without_path", lambda tasks: [none] * len(tasks))
-    with pytest.raises(CertificationError) as caught:
-        plan(robot, BRANCH, COARSE)
-    rest = len(ways) - len(likely)
-    assert caught.value.exit_status == 5
-    assert caught.value.data["reasons"] == [
-        {"reason": none.message, "goals": rest},
-        {"reason": doubt.message, "goals": len(likely)},
-    ]
-    assert f"any of {len(ways)} grasps of fruit 'apple': {rest} x no path exists on the grid; " in caught.value.message
-    failing = none
-    monkeypatch.setattr(hplan.planning.plans, "without_path", lambda tasks: [None] * len(tasks))
-    with pytest.raises(NoPathError):
-        plan(robot, BRANCH, COARSE)
-
-
-def test_a_grasp_whose_approach_fails_is_left_for_another(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
-    scene = task(
-        (20.0, 80.0, 80.0, 80.0), Goal(fruit="a"), fruits=({"name": "a", "center": (1.0, 0.8, 1.6), "radius": 0.04},)
-    )
-    first = plan(robot, scene, COARSE).grasp
-    asked: list[Grasp] = []
-
-    class FailsAtFirst(Approach):
-        @property
-        def motions(self) -> tuple[Motion, ...]:
-            asked.append(self.grasp)
-            if len(asked) == 1:
-                raise CertificationError("the approach is not certified")
-            return super().motions
-
-    monkeypatch.setattr("hplan.planning.plans.Approach", FailsAtFirst)
-    other = plan(robot, scene, COARSE)
-    assert_sound(robot, scene, other)
-    assert other.grasp is asked[1] is not asked[0]
-    assert first is not None
-    np.testing.assert_array_equal(asked[0].goal, first.goal)
-    likely = grasps_of(robot, scene)[1]
-    assert any(np.array_equal(asked[1].goal, grasp.goal) for grasp in likely)
-
-
 def test_the_error_of_several_goals() -> None:
     none, doubt = NoPathError("no path exists on the grid: here", reached_cells=7), CertificationError("doubt")
     late = TimingError("late", joint="elbow", cause="torque")
@@ -273,32 +187,6 @@ def test_the_error_of_several_goals() -> None:
 # Goals decided together
 
 
-@pytest.mark.parametrize("locked", [(), ("base_yaw",)])
-@pytest.mark.parametrize("seed", range(6))
-def test_enclosed_goals_are_those_to_which_no_route_is_found(robot: Robot, seed: int, locked: tuple[str, ...]) -> None:
-    rng = np.random.default_rng(seed)
-    bars = frame_about_upper_arm(0.0 if locked else 30.0, float(rng.uniform(10.0, 40.0)), 0.16)
-    yaws = (0.0,) if locked else (0.0, 30.0)
-    ends: list[Any] = []
-    while len(ends) < 7:
-        q = [float(rng.choice(yaws)), *rng.uniform(5.0, 85.0, 3).tolist()]
-        if CoalScene(robot, bars).distances(np.radians(q)).min() > 0.005:
-            ends.append(tuple(q))
-    tasks = [posed(robot, task(ends[0], end, bars, locked_joints=locked)) for end in ends[1:]]
-    grid_attempt = GridAttempt(3.0, yaw_range_deg=360.0)
-    found = enclosed_goals(tasks, grid_attempt, [1e-4] * len(tasks))
-    for one, component in zip(tasks, found, strict=True):
-        try:
-            find_route(one, grid_attempt, 1e-4)
-        except EnclosedError:
-            assert component is not None
-            assert component.reached_cells > 0
-        except CertificationError:
-            pass
-        else:
-            assert component is None
-
-
 def test_no_path_to_any_in_a_pocket(robot: Robot) -> None:
     bars = frame_about_upper_arm(60.0, 20.0)
     scenes = [task((0.0, 70.0, 20.0, 20.0), (60.0, 20.0, wrist, 20.0), bars) for wrist in (20.0, 30.0, 40.0, 50.0)]
@@ -318,30 +206,6 @@ def test_no_path_to_any_in_a_pocket(robot: Robot) -> None:
     number, motion = one_transit([*tasks, outside])
     assert number == 4
     assert motion.certificate.verified
-
-
-def test_more_yaws_may_open_what_is_closed_over_few(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A bar between start and goal, both at one yaw: closed over no other yaw, open over more."""
-    scene = task(
-        (0.0, 10.0, 20.0, 20.0), (0.0, 80.0, 20.0, 20.0), [bar("bar", (0.7, -0.3, 1.4), (0.7, 0.3, 1.4), 0.03)]
-    )
-    there = posed(robot, scene, PlanOptions(step_deg=4.0))
-    shown = enclosed_goals([there], GridAttempt(), [1e-4])[0]
-    assert shown is not None
-    assert shown.open_ended
-    monkeypatch.setattr("hplan.planning.failures.WIDTHS", (0.0,))
-    assert without_path([there]) == [None]
-
-
-def test_detour_is_to_the_goal_that_it_leads_to(robot: Robot) -> None:
-    """The second of three goals is worth a detour, the first is not, the third has a straight motion."""
-    start = (0.0, 30.0, 20.0, 20.0)
-    posts = [post("low", 15.0, 1.2, 0.0, 1.65, 0.03), post("behind", -120.0, 1.2, 0.0, 1.65, 0.03)]
-    goals = [(-140.0, 30.0, 20.0, 20.0), (30.0, 30.0, 20.0, 20.0), (-100.0, 30.0, 20.0, 20.0)]
-    tasks = [posed(robot, task(start, goal, posts), COARSE) for goal in goals]
-    number, motion = one_transit(tasks)
-    assert number == 1
-    np.testing.assert_array_equal(motion.waypoints[-1], tasks[number].problem.goal)
 
 
 # Stand-off, approach and transit

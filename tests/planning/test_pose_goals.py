@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,7 +17,6 @@ from hplan.certificate.digests import scene_digest
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
 from hplan.robot.model import Robot
-from hplan.scene.file import dump_scene, load_scene, parse_scene, save_scene
 from hplan.scene.model import Scene
 from hplan.scene.obstacles import Box, Obstacle, Sphere
 from hplan.scene.solids import quaternion_rotation
@@ -97,16 +95,6 @@ def test_other_arms(name: str, tmp_path_factory: pytest.TempPathFactory) -> None
     found = plan(robot, scene, QUICK)
     assert found.certificate.verified
     assert reached(robot, scene, found.trajectory.position[-1])
-
-
-def test_scenes_keep_the_pose(tmp_path: Path) -> None:
-    goal = {"position": (0.5, 0.1, 0.4), "quaternion_xyzw": (0.0, HALF, 0.0, HALF), "frame": "wrist"}
-    scene = scene_of(goal)
-    assert parse_scene(dump_scene(scene)) == scene
-    path = save_scene(scene, tmp_path / "scene.yaml")
-    assert load_scene(path) == scene
-    assert scene.goal.pose is not None
-    assert scene.goal.pose[:3, :3] == pytest.approx(np.array([[0, 0, 1], [0, 1, 0], [-1, 0, 0.0]]), abs=1e-12)
 
 
 def test_digests_tell_poses_apart() -> None:

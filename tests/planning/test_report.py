@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from scipy.stats import chi
 
-from hplan.errors import JointLimitError, NoPathError, OutputError
+from hplan.errors import JointLimitError, OutputError
 from hplan.planning.report import beyond_sigmas, failure_report, uncertainty_report, write_report
 from hplan.scene.file import load_scene
 from hplan.scene.obstacles import Sphere
@@ -41,14 +41,6 @@ def test_failure_report_carries_the_facts(tmp_path: Path) -> None:
         "upper_rad": math.pi / 2,
     }
     assert json.loads(write_report(report, tmp_path / "r.json").read_text()) == report
-
-
-def test_failure_report_of_no_path(tmp_path: Path) -> None:
-    blocker = {"obstacle": "ball", "link": "hand", "cells": 3, "slices_deg": [0.0, 4.0]}
-    report = failure_report(NoPathError("none", reached_cells=7, blockers=[blocker]), scene=None, robot=None)
-    written = json.loads(write_report(report, tmp_path / "r.json").read_text())
-    assert written["error"]["reached_cells"] == 7
-    assert written["error"]["blockers"] == [blocker]
 
 
 @pytest.mark.parametrize("sigmas", [0.0, 1.0, 3.0, 4.5])

@@ -74,24 +74,3 @@ def test_locked_joints_stay(robot: Robot, scene: Scene) -> None:
     path = path_of(robot, problem, world, TreeEffort(100_000))
     assert path is not None
     assert (path[:, 0] == problem.start[0]).all()
-
-
-def test_less_effort_than_it_takes(robot: Robot, blocked: tuple[Problem, World]) -> None:
-    problem, world = blocked
-    assert path_of(robot, problem, world, TreeEffort(5)) is None
-
-
-def test_evaluations_are_counted(robot: Robot, blocked: tuple[Problem, World]) -> None:
-    problem, world = blocked
-
-    def spent(evaluations: int) -> tuple[FloatArray | None, int]:
-        return tree_path(problem, world.field, robot.velocity_limit, MARGIN, TreeEffort(evaluations))
-
-    path, least = spent(50_000)
-    assert path is not None
-    again, same = spent(least)
-    assert again is not None
-    assert same == least
-    missed, few = spent(5)
-    assert missed is None
-    assert 5 <= few < least  # an edge that was begun is gone along to its end

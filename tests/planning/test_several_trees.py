@@ -5,13 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hplan.optimization.path_classes import class_numbers
 from hplan.optimization.shortcut import shorten
 from hplan.optimization.smooth_path import START_SHORTCUTS
 from hplan.planning.definition import Problem, check_problem
-from hplan.planning.sampling import several_trees
 from hplan.planning.sampling.rrt_connect import TreeEffort, tree_path
-from hplan.planning.sampling.several_trees import OF_A_CLASS, PromisingPath, TreesEffort, path_time, promising_paths
+from hplan.planning.sampling.several_trees import PromisingPath, TreesEffort, path_time, promising_paths
 from hplan.planning.world import World
 from hplan.robot.model import Robot
 from hplan.scene import Sphere
@@ -40,32 +38,3 @@ def test_anywhere_each_pair_is_one_that_grows_alone(robot: Robot, blocked: tuple
     paths = found(robot, blocked, ALONE)
     assert [path.seconds for path in paths] == pytest.approx(sorted(times), abs=1e-9)
     assert all(any(np.array_equal(path.waypoints, other) for other in alone) for path in paths)
-
-
-def test_pairs_that_have_grown_are_not_grown_again(robot: Robot, blocked: tuple[Problem, World]) -> None:
-    problem, field, velocity = blocked[0], blocked[1].field, robot.velocity_limit
-    effort = TreesEffort(3, 50_000)
-    first = found(robot, blocked, TreesEffort(1, 50_000))
-    whole, rest = found(robot, blocked, effort), promising_paths(problem, field, velocity, MARGIN, effort, first, 1)
-    assert len(first) == 1
-    assert any(path is first[0] for path in rest)
-    for one, other in zip(whole, rest, strict=True):
-        np.testing.assert_array_equal(one.waypoints, other.waypoints)
-
-
-def test_the_quickest_of_every_class(
-    robot: Robot, blocked: tuple[Problem, World], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    effort = TreesEffort(12, 50_000)
-    some = found(robot, blocked, effort)
-    monkeypatch.setattr(several_trees, "OF_A_CLASS", 100)
-    every = found(robot, blocked, effort)
-    number = class_numbers(np.stack([path.points for path in every]), blocked[1].field)
-    expected = [path for k, path in enumerate(every) if (number[:k] == number[k]).sum() < OF_A_CLASS]
-    assert len(expected) < len(every)
-    assert [path.seconds for path in some] == [path.seconds for path in expected]
-    assert all(np.array_equal(path.waypoints, other.waypoints) for path, other in zip(some, expected, strict=True))
-
-
-def test_effort_ends(robot: Robot, blocked: tuple[Problem, World]) -> None:
-    assert found(robot, blocked, TreesEffort(3, 5)) == []

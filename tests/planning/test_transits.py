@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from typing import Any
 
@@ -14,9 +13,8 @@ from test_grid_route import ABOVE, BAR, BELOW, posed
 from hplan.certificate.certificate import certify
 from hplan.collision.coal_scene import CoalScene
 from hplan.errors import CertificationError, NoPathError
-from hplan.planning.motion import Transit, certificate_of, required, timed
+from hplan.planning.motion import Transit, certificate_of, required
 from hplan.planning.options import PlanOptions
-from hplan.planning.plan import plan
 from hplan.planning.transits import WORTHWHILE, least_duration, one_transit, reused
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
@@ -34,14 +32,6 @@ def assert_motion(robot: Robot, scene: Scene, motion: Transit) -> None:
     q = between_rows(motion.trajectory, np.arange(motion.trajectory.samples))
     assert not checker.obstacle_names or min(checker.distances(each).min() for each in q) > 0.0
     np.testing.assert_array_equal(motion.waypoints[[0, -1]], [motion.task.problem.start, motion.task.problem.goal])
-
-
-def test_least_duration(robot: Robot) -> None:
-    found = posed(robot, task(START, (30.0, 60.0, 25.0, 20.0)))
-    assert (robot.velocity_limit[1], robot.acceleration_limit[1]) == (1.2, 3.0)
-    # By hand: 30 deg of the shoulder at full speed, and what speeding up and slowing down take longer.
-    assert least_duration(found) == pytest.approx(math.radians(30.0) / 1.2 + 1.2 / 3.0, rel=1e-12)
-    assert least_duration(posed(robot, task(START, START))) == 0.0
 
 
 def test_first_goal_with_a_straight_motion(robot: Robot) -> None:
@@ -93,15 +83,6 @@ def test_what_is_not_certified_is_refused_unless_wanted(robot: Robot) -> None:
     assert required(lax, certificate_of(lax, motion.trajectory)) == shown
 
 
-def test_speed_and_rate(robot: Robot) -> None:
-    motion = one_transit([posed(robot, task(START, FAR))])[1]
-    assert motion.path is not None
-    slow = timed(posed(robot, task(START, FAR), PlanOptions(speed=0.5, rate_hz=100.0)), motion.path)
-    assert slow.time[1] == pytest.approx(0.01)
-    assert (np.abs(slow.velocity) <= 0.5005 * robot.velocity_limit).all()
-    assert slow.duration > motion.trajectory.duration
-
-
 # Earlier motions
 
 
@@ -142,28 +123,3 @@ def test_another_range_of_a_joint_is_another_task(robot: Robot, joint: str) -> N
         limits[place] = limits[place] - value  # narrower by a little
         problem = replace(changed.problem, **{name: limits})
         assert reused([replace(changed, problem=problem)], before) is None
-
-
-def test_a_joint_locked_since_does_not_move(robot: Robot) -> None:
-    obstacles = [post("post", 30.0, 1.2, 0.0, 2.0, 0.05)]
-    scene = task(START, (60.0, 30.0, 20.0, 20.0), obstacles)
-    before = one_transit([posed(robot, scene, OPTIONS)])[1]
-    assert np.ptp(before.trajectory.position[:, 1]) > 0.05
-    locked = task(START, (60.0, 30.0, 20.0, 20.0), obstacles, locked_joints=("shoulder",))
-    assert after(robot, before, locked) is None
-
-
-def test_detours_are_given_up(robot: Robot) -> None:
-    scene = task(START, (60.0, 30.0, 20.0, 20.0), [post("post", 30.0, 1.2, 0.0, 2.0, 0.05)])
-    before = one_transit([posed(robot, scene, OPTIONS)])[1]
-    assert after(robot, before, scene.with_obstacles([])) is None
-    straight = one_transit([posed(robot, scene.with_obstacles([]), OPTIONS)])[1]
-    assert after(robot, straight, scene.with_obstacles([])).origin == "kept"
-
-
-def test_what_cannot_be_repaired(robot: Robot) -> None:
-    scene = task(START, (60.0, 30.0, 20.0, 20.0))
-    before = one_transit([posed(robot, scene, OPTIONS)])[1]
-    wall = [post(f"p{i}", 30.0, 0.5 + 0.2 * i, 0.0, 3.0, 0.12) for i in range(8)]
-    assert after(robot, before, scene.with_obstacles(wall)) is None
-    assert plan(robot, scene.with_obstacles(wall[:3]), OPTIONS).certificate.verified

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hplan.apps.cli.job_folder import prepare_folder
-from hplan.apps.cli.options import add_robot, command_parser, robot_of
+from hplan.apps.cli.options import add_shared, command_parser, robot_of
 from hplan.apps.cli.terminal import FAILED, run_command
 from hplan.errors import InputError, OptionError
 
@@ -102,7 +102,7 @@ def _parser() -> argparse.ArgumentParser:
     add("--improve", action="store_true", help="fastest: keep what is faster than the best known in the project's file")
     add("--compare", nargs=2, type=Path, metavar=("OLD", "NEW"), help="compare the rows of two folders, problem by "
         "problem, instead of measuring")  # fmt: skip
-    add_robot(parser)
+    add_shared(parser, "robot", "parts")
     return parser
 
 

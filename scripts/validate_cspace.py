@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hplan.apps.cli.job_folder import prepare_folder
-from hplan.apps.cli.options import add_robot, add_scene, command_parser, robot_of
+from hplan.apps.cli.options import add_shared, command_parser, robot_of
 from hplan.apps.cli.terminal import FAILED, run_command
 from hplan.errors import OptionError, OutputError
 
@@ -84,8 +84,8 @@ def _run(arguments: argparse.Namespace, console: Console, errors: Console) -> in
 
 def _parser() -> argparse.ArgumentParser:
     parser = command_parser(_DESCRIPTION, _EPILOG)
-    add_scene(parser)
-    add_robot(parser)
+    add_shared(parser, "scene")
+    add_shared(parser, "robot", "parts")
     add = parser.add_argument
     add("--step", type=float, metavar="DEG", help="spacing of the joint grid (default: 1)")
     add("--yaw", type=float, metavar="DEG", help="yaw of the arm plane (default: that of the scene's start)")

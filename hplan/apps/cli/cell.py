@@ -4,13 +4,31 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
-from hplan.apps.cli.job_folder import MCAP, PAGE, REPORT, TOUR, TOUR_REPORT, TRAJECTORY, JobFolder, needs_rosbags
-from hplan.apps.cli.options import check_output_file, plan_options, tracking_of
-from hplan.apps.cli.terminal import FAILED, certificate_words, facts_table, hand_out, loading, progress_line, show_title
-from hplan.errors import OptionError
+from hplan.apps.cli.job_folder import (
+    MCAP,
+    PAGE,
+    REPORT,
+    TOUR,
+    TOUR_REPORT,
+    TRAJECTORY,
+    JobFolder,
+    needs_rosbags,
+    write_result,
+)
+from hplan.apps.cli.options import OF_PLANS, check_output_file, plan_options, refuse, tracking_of
+from hplan.apps.cli.terminal import (
+    FAILED,
+    certificate_words,
+    escape,
+    facts_table,
+    hand_out,
+    loading,
+    progress_line,
+    show,
+)
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -18,17 +36,13 @@ if TYPE_CHECKING:
     from hplan.planning.cell import CellCertificate, CellResult
     from hplan.tour.cell_tour import CellTour
 
-#: Options that are of one robot, as the parsers name them, and their defaults.
-_OF_ONE_ROBOT: dict[str, Any] = {
-    "robot": None, "limits": None, "hold": [], "tool_frame": None, "srdf": None, "package_dir": [],
-    "allow_neighbours": False, "drop_inside": False, "yield_links": None, "bound": False, "view": False,
-    "cspace": False, "cspace_yaw": None, "certify": True, "fruits": None,
-    "drop_off": None, "drop_off_pose": None, "drop_off_joints": None, "begin": 0.0, "moving_ends": False,
-    "every": None, "back": False, "order": "best", "compare": False, "grasps": 4, "csv": "one",
-}  # fmt: skip
-
-#: Those of `PlanOptions` that the parsers have.
-_OF_PLANS = ("method", "step_deg", "objective", "effort", "link_model", "sigmas", "standoff")
+#: Options that are of one robot, and what is said of one that is given.
+_OF_ONE_ROBOT = (
+    *("robot", "limits", "hold", "tool_frame", "srdf", "package_dir", "allow_neighbours", "drop_inside", "yield_links"),
+    *("bound", "view", "cspace", "cspace_yaw", "certify", "fruits", "drop_off", "drop_off_pose", "drop_off_joints"),
+    *("begin", "moving_ends", "every", "back", "order", "compare", "grasps", "csv"),
+)
+_REFUSED = "none: the scene has several robots, with their own"
 
 
 def run(arguments: argparse.Namespace, console: Console, errors: Console, *, tour: bool = False) -> int:
@@ -37,41 +51,34 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console, *, tou
     Raises:
         OptionError: An option that is of one robot.
     """
-    _check_options(arguments)
+    refuse(arguments, _OF_ONE_ROBOT, _REFUSED)
     csv, name = (TOUR, TOUR_REPORT) if tour else (TRAJECTORY, REPORT)
     of_arm = csv.replace(".csv", "-{}.csv")
     folder = JobFolder(arguments.out, (csv, of_arm.format("*"), PAGE, MCAP), name)
     needs_rosbags(arguments)
-    with progress_line(errors, quiet=arguments.quiet) as show:
-        show("reading robots and scene")
+    with progress_line(errors, quiet=arguments.quiet) as progress:
+        progress("reading robots and scene")
         with loading():
-            from hplan.apps.view.page import write_page
-            from hplan.apps.view.playback import playable
             from hplan.planning.cell import load_cell
             from hplan.planning.cell_planner import plan_cell
             from hplan.planning.report import write_report
             from hplan.tour.cell_tour import plan_cell_tour
-            from hplan.trajectory.trajectory import write_csv
-        options = plan_options(arguments, *(option for option in _OF_PLANS if hasattr(arguments, option)))
+        options = plan_options(arguments, *(option for option in OF_PLANS if hasattr(arguments, option)))
         cell = load_cell(arguments.scene)
         with folder.job(cell.scene.name, cell.robot.name):
             begin = time.perf_counter()
-            result = plan_cell_tour(cell, options, progress=show) if tour else plan_cell(cell, options, progress=show)
+            plan = plan_cell_tour if tour else plan_cell
+            result = plan(cell, options, progress=progress)
             milliseconds = 1e3 * (time.perf_counter() - begin)
+            motions = {csv: result.trajectory}
+            motions |= {of_arm.format(arm): own for arm, own in result.trajectories.items()}
             with folder.filling() as staging:
-                write_csv(result.trajectory, staging / csv)
-                for arm, own in result.trajectories.items():
-                    write_csv(own, staging / of_arm.format(arm))
-                write_page(*playable(result), staging / PAGE)
-                if arguments.mcap:
-                    from hplan.apps.ros.mcap_file import write_mcap
-
-                    write_mcap(result, staging / MCAP)
+                files = [*motions, name, *write_result(result, motions, staging, mcap=arguments.mcap)]
                 report = {"status": "ok", "scene": cell.scene.name, "robots": {a.name: a.robot.name for a in cell.arms}}
                 write_report(report | result.report | {"time_ms": milliseconds}, staging / name)
     if not arguments.quiet:
-        files = [csv, *(of_arm.format(arm.name) for arm in cell.arms), name, PAGE, *([MCAP] if arguments.mcap else [])]
-        _show(console, result, milliseconds, f"{folder.path}: {', '.join(files)}")
+        facts = facts_table(_facts(result, milliseconds, f"{folder.path}: {', '.join(files)}"))
+        show(console, cell.scene.name, ", ".join(arm.name for arm in cell.arms), facts)
     return 0
 
 
@@ -81,7 +88,7 @@ def certify(arguments: argparse.Namespace, console: Console) -> int:
     Raises:
         OptionError: An option that is of one robot.
     """
-    _check_options(arguments)
+    refuse(arguments, _OF_ONE_ROBOT, _REFUSED)
     with loading():
         from hplan.planning.cell import certify_cell, load_cell
         from hplan.planning.options import PlanOptions
@@ -110,54 +117,36 @@ def certify(arguments: argparse.Namespace, console: Console) -> int:
 
 
 def _show_certificate(console: Console, scene: str, found: CellCertificate) -> None:
-    table = facts_table()
-    table.add_row("certificate", certificate_words(found.verified))
-    for violation in found.violations:
-        table.add_row("", violation)
     distances = {"between arms": found.between, **found.arms}
-    table.add_row("clearance", ", ".join(f"{n} {1e3 * own.min_clearance_m:.2f} mm" for n, own in distances.items()))
-    show_title(console, scene, ", ".join(found.arms))
-    console.print(table)
-    console.print()
+    facts = [
+        ("certificate", certificate_words(found.verified)),
+        *(("", violation) for violation in found.violations),
+        ("clearance", ", ".join(f"{name} {1e3 * own.min_clearance_m:.2f} mm" for name, own in distances.items())),
+    ]
+    show(console, scene, ", ".join(found.arms), facts_table(facts))
 
 
-def _check_options(arguments: argparse.Namespace) -> None:
-    for name, default in _OF_ONE_ROBOT.items():
-        if getattr(arguments, name, default) != default:
-            option = "--uncertified" if name == "certify" else f"--{name.replace('_', '-')}"
-            raise OptionError(option, getattr(arguments, name), "none: the scene has several robots, with their own")
-
-
-def _show(console: Console, result: CellResult | CellTour, milliseconds: float, files: str) -> None:
-    from rich.markup import escape
-
+def _facts(result: CellResult | CellTour, milliseconds: float, files: str) -> Iterator[tuple[str, str]]:
     from hplan.planning.cell import CellResult
 
     report = result.report
-    table = facts_table()
-    add: Callable[[str, str], Any] = table.add_row
     if isinstance(result, CellResult):
-        add("motion", f"[bold]{report['makespan_s']:.3f} s[/], {result.how}")
+        yield "motion", f"[bold]{report['makespan_s']:.3f} s[/], {result.how}"
         alone = ", ".join(f"{escape(name)} {seconds:.3f} s" for name, seconds in report["alone_s"].items())
-        add("alone", f"{alone}; one after the other {report['one_after_the_other_s']:.3f} s")
+        yield "alone", f"{alone}; one after the other {report['one_after_the_other_s']:.3f} s"
         if any(result.later_s.values()):
-            add(
-                "later",
-                ", ".join(f"{escape(name)} by {later:.2f} s" for name, later in result.later_s.items() if later),
-            )
+            later = (f"{escape(name)} by {later:.2f} s" for name, later in result.later_s.items() if later)
+            yield "later", ", ".join(later)
     else:
         faster = report["speed_up_over_one_arm"]
         picked = f"[bold]{report['picked']}[/] in [bold]{report['makespan_s']:.2f} s[/]"
-        add("picked", f"{picked}, {report['s_per_fruit']:.2f} s each, {faster:.2f} times as fast as one arm")
-        add("idle", ", ".join(f"{escape(name)} {seconds:.2f} s" for name, seconds in report["idle_s"].items()))
+        yield "picked", f"{picked}, {report['s_per_fruit']:.2f} s each, {faster:.2f} times as fast as one arm"
+        yield "idle", ", ".join(f"{escape(name)} {seconds:.2f} s" for name, seconds in report["idle_s"].items())
         for fruit, reason in result.unreached.items():
-            add("not picked", escape(f"{fruit}: {reason}"))
+            yield "not picked", escape(f"{fruit}: {reason}")
     distances = {"between arms": report["between_arms_mm"], **report.get("arms_mm", {})}
     shown = (f"{escape(name)} {'nothing near' if d is None else f'{d:.2f} mm'}" for name, d in distances.items())
-    add("clearance", ", ".join(shown) + "; or more, shown for all times")
-    add("certificate", certificate_words(report["verified"]))
-    add("time", f"[bold]{milliseconds:,.0f} ms[/], loading of compiled code included")
-    add("files", escape(files))
-    show_title(console, result.cell.scene.name, ", ".join(arm.name for arm in result.cell.arms))
-    console.print(table)
-    console.print()
+    yield "clearance", ", ".join(shown) + "; or more, shown for all times"
+    yield "certificate", certificate_words(report["verified"])
+    yield "time", f"[bold]{milliseconds:,.0f} ms[/], loading of compiled code included"
+    yield "files", escape(files)

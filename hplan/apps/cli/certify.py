@@ -10,10 +10,7 @@ from typing import TYPE_CHECKING, Any
 from hplan.apps.cli.finished_job import FinishedJob
 from hplan.apps.cli.job_folder import REPORT
 from hplan.apps.cli.options import (
-    add_drop_inside,
-    add_robot,
-    add_scene,
-    add_tracking,
+    add_shared,
     check_output_file,
     command_parser,
     names_robots,
@@ -21,7 +18,7 @@ from hplan.apps.cli.options import (
     scene_among,
     tracking_of,
 )
-from hplan.apps.cli.terminal import FAILED, certificate_words, facts_table, hand_out, loading, percent, show_title
+from hplan.apps.cli.terminal import FAILED, certificate_words, escape, facts_table, hand_out, loading, percent, show
 from hplan.base.files import is_folder
 
 if TYPE_CHECKING:
@@ -46,16 +43,7 @@ def parser(prog: str) -> argparse.ArgumentParser:
     parser = command_parser(_DESCRIPTION, _EXIT_STATUS, prog=prog)
     add = parser.add_argument
     add("trajectory", type=Path, help="CSV, or the folder of a job")
-    add_scene(parser)
-    add_robot(parser)
-    add_drop_inside(parser)
-    add_tracking(parser)
-    add(
-        "--sigmas",
-        type=float,
-        metavar="K",
-        help="an uncertain obstacle grows by K sigma (default: 3, which leave 2.9 %% of its places)",
-    )
+    add_shared(parser, "scene", "robot", "parts", "contacts", "tracking", "sigmas")
     add("--goal-contact", choices=("approach", "motion"), help="when the last link may touch the fruit that is "
         "the goal: on a straight approach, or during the whole motion (default: approach)")  # fmt: skip
     add("--begin", type=float, default=0.0, metavar="S", help="time at which the motion begins, as the tracks of what "
@@ -66,7 +54,7 @@ def parser(prog: str) -> argparse.ArgumentParser:
     add("--json", action="store_true", help="print it as JSON instead of a summary")
     add("--quiet", action="store_true", help="no summary")
     # A folder's report gives what is not given here.
-    parser.set_defaults(tracking_error=None, tracking_error_m=None, tracking_delay=None)
+    parser.set_defaults(tracking_error=None, tracking_error_m=None, tracking_delay=None, sigmas=None)
     return parser
 
 
@@ -143,10 +131,7 @@ def _fill_in(arguments: argparse.Namespace, job: FinishedJob | None) -> None:
 
 def _show(console: Console, report: dict[str, Any], error: str) -> None:
     """Rows that fit 80 columns, unless names are long."""
-    from rich.markup import escape
-
-    proof = report["certificate"]
-    table = facts_table()
+    proof, table = report["certificate"], facts_table()
     clearance = "inf" if proof["nearest"] is None else f"{1e3 * proof['min_clearance_m']:.3f}"
     table.add_row("certificate", certificate_words(proof["verified"]))
     for violation in proof["violations"]:
@@ -179,6 +164,4 @@ def _show(console: Console, report: dict[str, Any], error: str) -> None:
         table.add_row("differs", f"[bold red]the {what} is not the one of {REPORT}[/]")
     for what, digest in proof["digests"].items():
         table.add_row(what, digest[:23])
-    show_title(console, report["scene"], report["robot"])
-    console.print(table)
-    console.print()
+    show(console, report["scene"], report["robot"], table)

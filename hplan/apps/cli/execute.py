@@ -6,8 +6,8 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hplan.apps.cli.options import add_robot, add_scene, add_tracking, command_parser, robot_of, tracking_of
-from hplan.apps.cli.terminal import FAILED, facts_table, number_table
+from hplan.apps.cli.options import add_shared, command_parser, robot_of, tracking_of
+from hplan.apps.cli.terminal import FAILED, escape, facts_table, number_table
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -63,30 +63,25 @@ def parser(prog: str) -> argparse.ArgumentParser:
     """The parser of the command's arguments."""
     parser = command_parser(_DESCRIPTION, _EPILOG, prog=prog)
     parser.add_argument("trajectory", type=Path, metavar="TRAJECTORY.csv", help="the motion")
-    add_scene(parser)
-    add_robot(parser)
+    add_shared(parser, "scene", "robot", "parts")
     add = parser.add_argument
     add(
         "--mass-factor", type=float, default=1.0, metavar="F", help="masses, as multiples of those the controller knows"
     )
     add("--command-delay", type=float, default=0.0, metavar="MS", help="by how much the controller is late")
     add("--bandwidth", type=float, default=40.0, metavar="RAD/S", help="of the position loop (default: 40)")
-    add_tracking(parser)
+    add_shared(parser, "tracking")
     return parser
 
 
 def _show(console: Console, path: Path, scene: Scene, result: Execution) -> None:
     """Show what happened, joint by joint, and the verdict."""
-    from rich.markup import escape
-
     from hplan.base.units import joint_unit
 
     units = [joint_unit(slides) for slides in result.slides]
-    console.print(f"\n[bold]{escape(str(path))}[/] in [bold]{escape(scene.name)}[/]\n", soft_wrap=True)
-    table = number_table()
-    table.add_column("joint")
-    for heading in ("off the path", "off the goal", "torque needed", "asked", "limit"):
-        table.add_column(heading, justify="right", no_wrap=True)
+    console.print(f"\n[bold]{escape(path)}[/] in [bold]{escape(scene.name)}[/]\n", soft_wrap=True)
+    headings = "joint", "off the path", "off the goal", "torque needed", "asked", "limit"
+    table = number_table(headings, (), texts=("joint",))
     for joint, (name, unit) in enumerate(zip(result.joint_names, units, strict=True)):
         peak, limit = result.peak_torque_nm[joint], result.torque_limit_nm[joint]
         table.add_row(

@@ -12,16 +12,20 @@ import contextlib
 import json
 import os
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from hplan.base.files import ByteBudget, check_replaceable, inputs
 from hplan.errors import HplanError, InputError, OptionError, OutputError
 
-#: Where files go unless something else is said.
-OUT = Path("out")
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from rich.console import Console
+
+    from hplan.apps.view.playback import Shown
+    from hplan.trajectory.trajectory import Trajectory
 
 #: Files of a finished job: of one motion, of a tour, of a row, of all.
 TRAJECTORY, REPORT = "trajectory.csv", "report.json"
@@ -184,6 +188,43 @@ def needs_rosbags(arguments: argparse.Namespace) -> None:
         from hplan.apps.ros.bag_writer import import_rosbags
 
         import_rosbags()
+
+
+def write_result(
+    result: Shown, motions: Mapping[str, Trajectory], folder: Path, *, mcap: bool = False, page: str = PAGE
+) -> list[str]:
+    """Write motions as CSV, the page of a result and, where that is wanted, its messages.
+
+    Returns:
+        The names of the last two.
+
+    Raises:
+        OutputError: A file cannot be written.
+    """
+    from hplan.apps.view.page import write_page
+    from hplan.apps.view.playback import playable
+    from hplan.trajectory.trajectory import write_csv
+
+    for name, motion in motions.items():
+        write_csv(motion, folder / name)
+    write_page(*playable(result), folder / page)
+    if not mcap:
+        return [page]
+    from hplan.apps.ros.mcap_file import write_mcap
+
+    write_mcap(result, folder / MCAP)
+    return [page, MCAP]
+
+
+def write_figure(draw: Callable[[], Figure], path: Path, errors: Console) -> list[str]:
+    """Write a figure, or say why there is none, as where matplotlib is missing; gives the names of what is written."""
+    from hplan.apps.view.figure_style import write_png
+
+    try:
+        return [write_png(draw(), path).name]
+    except InputError as error:
+        errors.print(f"no {path.name}: {error.message}", markup=False, soft_wrap=True)
+        return []
 
 
 def prepare_folder(folder: Path) -> None:

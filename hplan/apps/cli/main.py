@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import difflib
 import os
 import sys
@@ -65,5 +66,6 @@ def run_subcommand(name: str, prog: str, argv: Sequence[str] | None = None) -> i
         argv: The arguments; None for the program's own.
     """
     command = import_module(f"hplan.apps.cli.{name}")
-    arguments = command.parser(prog).parse_args(argv)
+    parser = command.parser(prog)
+    arguments = parser.parse_args(argv, argparse.Namespace(parser=parser))
     return run_command(lambda console, errors: command.run(arguments, console, errors))

@@ -6,8 +6,9 @@ import argparse
 import math
 import re
 import textwrap
+from collections.abc import Collection
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import hplan
 from hplan.base.files import inputs, is_folder
@@ -21,6 +22,10 @@ if TYPE_CHECKING:
     from hplan.robot.model import Robot
     from hplan.robot.tracking import TrackingModel
     from hplan.scene.model import Scene
+
+
+#: Where files go unless something else is said.
+OUT = Path("out")
 
 
 def command_parser(
@@ -39,9 +44,74 @@ def command_parser(
     return parser
 
 
-def add_scene(parser: argparse.ArgumentParser, default: str = "the paper's reference scene, Table 1") -> None:
-    """Add the argument `scene`: a text, for `hplan.scene.file.load_scene` tells files and shipped scenes apart."""
-    parser.add_argument("scene", nargs="?", help=f"scene file, or name of a shipped scene (default: {default})")
+#: Options of `hplan plan` that are `PlanOptions`, of plans with one robot or several.
+OF_PLANS = ("method", "step_deg", "objective", "effort", "link_model", "sigmas", "standoff")
+
+#: Options that several commands have: the group of each, its name and help, and what else argparse takes.
+_SHARED: tuple[tuple[str, str, str, dict[str, Any]], ...] = (
+    ("scene", "scene", "scene file, or name of a shipped scene (default: {scene})", {"nargs": "?"}),
+    ("out", "--out", "folder to write into (default: out)", {"type": Path, "default": OUT, "metavar": "DIR"}),
+    ("robot", "--robot", "robot, or name of one: a shipped one, panda, ur5 ... (default: the scene's, else harvester)",
+        {"type": Path, "metavar": "URDF"}),
+    ("robot", "--limits", "acceleration limits, or name of a robot whose ship, as ur5 (default: NAME.limits.yaml in "
+        "the URDF's folder)", {"type": Path, "metavar": "YAML"}),
+    ("parts", "--hold", "where joints that do not move stand",
+        {"nargs": "+", "action": "extend", "default": [], "metavar": "NAME=RAD"}),
+    ("parts", "--tool-frame", "frame at the end of the arm (default: tool0, or the named robot's)",
+        {"metavar": "NAME"}),
+    ("parts", "--srdf", "which links may touch, for robots beyond the planar family",
+        {"type": Path, "metavar": "FILE"}),
+    ("parts", "--allow-neighbours", "links with one joint between them may touch", {"action": "store_true"}),
+    ("parts", "--package-dir", "where package:// meshes are looked for first",
+        {"action": "append", "type": Path, "default": [], "metavar": "DIR"}),
+    ("contacts", "--drop-inside", "leave out obstacles and fruits that stand in pedestal or turret, and say which; "
+        "they are in no proof", {"action": "store_true"}),
+    ("contacts", "--yield-links", "links that may push what gives way (default: the scene's, else those of the last "
+        "two joints)", {"nargs": "+", "metavar": "LINK"}),
+    ("pace", "--rate", "rows per second in the CSV (default: 250)",
+        {"dest": "rate_hz", "type": float, "default": 250.0, "metavar": "HZ"}),
+    ("pace", "--speed", "fraction of full speed, in (0, 1] (default: 1)",
+        {"type": float, "default": 1.0, "metavar": "FRACTION"}),
+    ("effort", "--effort", "what to spend on a faster motion; quick: the first that is certified (default: default)",
+        {"choices": ("quick", "default", "best"), "default": "default"}),
+    ("seed", "--seed", "of the samples by which trees grow; another may lead to another motion (default: 0)",
+        {"type": int, "default": 0, "metavar": "N"}),
+    ("sigmas", "--sigmas", "an uncertain obstacle grows by K sigma (default: 3, which leaves 2.9 %% of its places)",
+        {"type": float, "default": 3.0, "metavar": "K"}),
+    ("tracking", "--tracking-error", "deviation of each joint that is allowed for",
+        {"type": float, "default": 0.0, "metavar": "DEG"}),
+    ("tracking", "--tracking-error-m", "that of each that slides; one number is covered, the larger of both in radians "
+        "and metres", {"type": float, "default": 0.0, "metavar": "M"}),
+    ("tracking", "--tracking-delay", "the same, for each unit of joint velocity",
+        {"type": float, "default": 0.0, "metavar": "MS"}),
+    ("deadline", "--deadline", "time that planning may take, without what is loaded before",
+        {"dest": "deadline_ms", "type": float, "metavar": "MS"}),
+    ("mcap", "--mcap", "write motion.mcap too, for Foxglove and RViz (needs the extra ros)", {"action": "store_true"}),
+    ("quiet", "--quiet", "no progress, no summary", {"action": "store_true"}),
+)  # fmt: skip
+
+
+def add_shared(
+    parser: argparse.ArgumentParser, *groups: str, scene: str = "the paper's reference scene, Table 1"
+) -> None:
+    """Add groups of options that several commands have; `scene` says which one is taken by default."""
+    for group in groups:
+        for name, words, settings in (row[1:] for row in _SHARED if row[0] == group):
+            parser.add_argument(name, help=words.replace("{scene}", scene), **settings)
+
+
+def refuse(arguments: argparse.Namespace, names: Collection[str], expected: str) -> None:
+    """Refuse options that are given and have no effect.
+
+    Args:
+        names: Their names in the arguments; such that the command does not have are left out.
+
+    Raises:
+        OptionError: There is one.
+    """
+    for action in arguments.parser._actions:
+        if action.dest in names and getattr(arguments, action.dest) != action.default:
+            raise OptionError(action.option_strings[-1], getattr(arguments, action.dest), expected)
 
 
 def names_robots(scene: str) -> bool:
@@ -53,72 +123,23 @@ def names_robots(scene: str) -> bool:
         return False
 
 
-def add_drop_inside(parser: argparse.ArgumentParser) -> None:
-    """Add the options `--drop-inside` and `--yield-links`."""
-    parser.add_argument("--drop-inside", action="store_true", help="leave out obstacles and fruits that stand in "
-        "pedestal or turret, and say which; they are in no proof")  # fmt: skip
-    parser.add_argument("--yield-links", nargs="+", metavar="LINK", help="links that may push what gives way (default: "
-        "the scene's, else those of the last two joints)")  # fmt: skip
-
-
-def add_deadline(parser: argparse.ArgumentParser) -> None:
-    """Add the option `--deadline`; loading does not count."""
-    parser.add_argument(
-        "--deadline",
-        dest="deadline_ms",
-        type=float,
-        metavar="MS",
-        help="time that planning may take, without what is loaded before",
-    )
-
-
-def scene_among(arguments: argparse.Namespace, robot: Robot, scene: Scene, errors: Console) -> tuple[Scene, list[str]]:
-    """The scene as `--yield-links` and `--drop-inside` want it, and what is left out, which the console prints."""
+def scene_among(
+    arguments: argparse.Namespace, robot: Robot, scene: Scene, errors: Console
+) -> tuple[Scene, dict[str, list[str]]]:
+    """The scene as `--yield-links` and `--drop-inside` want it, and for the report `left_out`, which is printed too."""
     if arguments.yield_links is not None:
         scene = scene.model_copy(update={"yield_links": tuple(arguments.yield_links)})
     if not arguments.drop_inside:
-        return scene, []
+        return scene, {}
     from hplan.planning.world import without_inside
 
     smaller, names = without_inside(robot, scene)
-    if names:
-        goal = "" if smaller.goal == scene.goal else f"; the goal is {smaller.goal.fruit} instead"
-        left_out = f"left out, standing in pedestal or turret: {', '.join(names)}{goal}"
-        errors.print(left_out, markup=False, soft_wrap=True)
-    return smaller, list(names)
-
-
-def add_robot(parser: argparse.ArgumentParser) -> None:
-    """Add the options `--robot`, `--limits`, `--hold`, and those of `add_robot_parts`."""
-    add = parser.add_argument
-    add("--robot", type=Path, metavar="URDF", help="robot, or name of one: a shipped one, panda, ur5 ... (default: "
-        "the scene's, else harvester)")  # fmt: skip
-    add("--limits", type=Path, metavar="YAML", help="acceleration limits, or name of a robot whose ship, as ur5 "
-        "(default: NAME.limits.yaml in the URDF's folder)")  # fmt: skip
-    add_hold(parser)
-    add_robot_parts(parser)
-
-
-def add_robot_parts(parser: argparse.ArgumentParser) -> None:
-    """Add the options `--tool-frame`, `--srdf`, `--allow-neighbours` and `--package-dir`."""
-    add = parser.add_argument
-    add("--tool-frame", metavar="NAME", help="frame at the end of the arm (default: tool0, or the named robot's)")
-    add("--srdf", type=Path, metavar="FILE", help="which links may touch, for robots beyond the planar family")
-    add("--allow-neighbours", action="store_true", help="links with one joint between them may touch")
-    add("--package-dir", action="append", type=Path, default=[], metavar="DIR", help="where package:// meshes are "
-        "looked for first")  # fmt: skip
-
-
-def add_hold(parser: argparse.ArgumentParser) -> None:
-    """Add the option `--hold`."""
-    parser.add_argument(
-        "--hold",
-        nargs="+",
-        action="extend",
-        default=[],
-        metavar="NAME=RAD",
-        help="where joints that do not move stand",
-    )
+    if not names:
+        return smaller, {}
+    goal = "" if smaller.goal == scene.goal else f"; the goal is {smaller.goal.fruit} instead"
+    told = f"left out, standing in pedestal or turret: {', '.join(names)}{goal}"
+    errors.print(told, markup=False, soft_wrap=True)
+    return smaller, {"left_out": list(names)}
 
 
 def held_joints(arguments: argparse.Namespace) -> dict[str, float]:
@@ -140,7 +161,7 @@ def held_joints(arguments: argparse.Namespace) -> dict[str, float]:
 
 
 def robot_of(arguments: argparse.Namespace, scene: Scene | None = None, job: FinishedJob | None = None) -> Robot:
-    """The robot that the options of `add_robot` name, else the one that the scene is meant for, else the job's.
+    """The robot that `--robot` and its companions name, else the one that the scene is meant for, else the job's.
 
     Raises:
         HplanError: As `hplan.robot.model.load_robot` and `FinishedJob.robot`.
@@ -163,53 +184,6 @@ def robot_of(arguments: argparse.Namespace, scene: Scene | None = None, job: Fin
     )
     _check_tracking(arguments, robot)
     return robot
-
-
-def add_pace(parser: argparse.ArgumentParser) -> None:
-    """Add the options `--rate` and `--speed`."""
-    add = parser.add_argument
-    add(
-        "--rate",
-        dest="rate_hz",
-        type=float,
-        default=250.0,
-        metavar="HZ",
-        help="rows per second in the CSV (default: 250)",
-    )
-    add("--speed", type=float, default=1.0, metavar="FRACTION", help="fraction of full speed, in (0, 1] (default: 1)")
-
-
-def add_effort(parser: argparse.ArgumentParser) -> None:
-    """Add the options `--effort` and `--seed`."""
-    parser.add_argument("--effort", choices=("quick", "default", "best"), default="default", help="what to spend on a "
-        "faster motion; quick: the first that is certified (default: default)")  # fmt: skip
-    add_seed(parser)
-
-
-def add_seed(parser: argparse.ArgumentParser) -> None:
-    """Add the option `--seed`."""
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the samples by which trees grow; another "
-        "may lead to another motion (default: 0)")  # fmt: skip
-
-
-def add_sigmas(parser: argparse.ArgumentParser) -> None:
-    """Add the option `--sigmas`."""
-    parser.add_argument(
-        "--sigmas",
-        type=float,
-        default=3.0,
-        metavar="K",
-        help="an uncertain obstacle grows by K sigma (default: 3, which leaves 2.9 %% of its places)",
-    )
-
-
-def add_tracking(parser: argparse.ArgumentParser) -> None:
-    """Add the options `--tracking-error`, `--tracking-error-m` and `--tracking-delay`."""
-    add = parser.add_argument
-    add("--tracking-error", type=float, default=0.0, metavar="DEG", help="deviation of each joint that is allowed for")
-    add("--tracking-error-m", type=float, default=0.0, metavar="M", help="that of each that slides; one number is "
-        "covered, the larger of both in radians and metres")  # fmt: skip
-    add("--tracking-delay", type=float, default=0.0, metavar="MS", help="the same, for each unit of joint velocity")
 
 
 def tracking_of(arguments: argparse.Namespace) -> TrackingModel:

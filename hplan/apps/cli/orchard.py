@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hplan.apps.cli.options import check_output_file, command_parser
-from hplan.apps.cli.terminal import facts_table
+from hplan.apps.cli.options import check_output_file, command_parser, refuse
+from hplan.apps.cli.terminal import escape, facts_table
 from hplan.errors import OptionError
 
 if TYPE_CHECKING:
@@ -108,17 +107,18 @@ def _made(arguments: argparse.Namespace, console: Console) -> Scene:
     if arguments.shipped is not None:
         if arguments.shipped not in SHIPPED:
             raise OptionError("--shipped", arguments.shipped, f"one of {', '.join(SHIPPED)}")
-        _refuse(arguments, "--shipped", ("name", *_COMMON, "fruit_heights", "fruit_reach", *_GROWN, *_MEASURED))
+        others = ("name", *_COMMON, "fruit_heights", "fruit_reach", *_GROWN, *_MEASURED)
+        refuse(arguments, others, "nothing together with --shipped")
         return generate(SHIPPED[arguments.shipped], **start)
     wanted = {option: getattr(arguments, option) for option in _COMMON}
     wanted["name"] = arguments.out.stem if arguments.name is None else arguments.name
     if arguments.files:
-        _refuse(arguments, "--import", _GROWN)
+        refuse(arguments, _GROWN, "nothing together with --import")
         wanted |= {"yaw_deg": arguments.turn, "height": arguments.height}
         if arguments.fruit_heights is not None or arguments.fruit_reach is not None:
             wanted["fruit_zone"] = _zone(arguments, FruitZone())
         return _beside_base(measured_orchard(arguments.files, MeasuredOptions(**_given(wanted)), **start), console)
-    _refuse(arguments, None, _MEASURED)
+    refuse(arguments, _MEASURED, "measured trees, by --import")
     wanted |= {option: getattr(arguments, option) for option in _GROWN}
     wanted["fruit_zone"] = _zone(arguments, REACHED.get(arguments.robot, OrchardOptions.fruit_zone))
     return generate(OrchardOptions(**_given(wanted)), **start)
@@ -142,15 +142,6 @@ def _given(options: dict[str, Any]) -> dict[str, Any]:
     return {option: value for option, value in options.items() if value is not None}
 
 
-def _refuse(arguments: argparse.Namespace, source: str | None, options: Sequence[str]) -> None:
-    """Refuse options that would have no effect."""
-    for option in options:
-        value = getattr(arguments, option)
-        if value is not None:
-            expected = "measured trees, by --import" if source is None else f"nothing together with {source}"
-            raise OptionError(f"--{option.replace('_', '-')}", value, expected)
-
-
 def _zone(arguments: argparse.Namespace, usual: FruitZone) -> FruitZone:
     """Zone of the fruit: what was given, the usual for the rest."""
     from hplan.scene.orchard import FruitZone
@@ -161,14 +152,13 @@ def _zone(arguments: argparse.Namespace, usual: FruitZone) -> FruitZone:
 
 def _show(console: Console, scene: Scene, out: Path) -> None:
     """Show what the scene holds; fits 80 columns, unless names are long."""
-    from rich.markup import escape
-
     heights = [fruit.center[2] for fruit in scene.fruits]
-    table = facts_table()
-    table.add_row("obstacles", f"{len(scene.obstacles):,}")
-    table.add_row("fruits", f"{len(scene.fruits):,}, {min(heights):.2f} to {max(heights):.2f} m high")
-    table.add_row("goal", escape(str(scene.goal.fruit)))
-    table.add_row("file", escape(str(out)))
+    facts = (
+        ("obstacles", f"{len(scene.obstacles):,}"),
+        ("fruits", f"{len(scene.fruits):,}, {min(heights):.2f} to {max(heights):.2f} m high"),
+        ("goal", escape(scene.goal.fruit)),
+        ("file", escape(out)),
+    )
     console.print(f"\n[bold]{escape(scene.name)}[/]\n")
-    console.print(table)
+    console.print(facts_table(facts))
     console.print()

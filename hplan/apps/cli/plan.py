@@ -12,38 +12,23 @@ from typing import TYPE_CHECKING, Any
 from hplan.apps.cli.job_folder import (
     CSPACE_FIGURE,
     CSPACE_PAGE,
-    MCAP,
-    OUT,
-    PAGE,
     PLAN_FILES,
     REPORT,
     TRAJECTORY,
     JobFolder,
     needs_rosbags,
+    write_result,
 )
 from hplan.apps.cli.options import (
-    add_deadline,
-    add_drop_inside,
-    add_effort,
-    add_pace,
-    add_robot,
-    add_scene,
-    add_sigmas,
-    add_tracking,
+    OF_PLANS,
+    add_shared,
     command_parser,
     names_robots,
     plan_options,
     robot_of,
     scene_among,
 )
-from hplan.apps.cli.terminal import (
-    certificate_words,
-    facts_table,
-    loading,
-    percent,
-    progress_line,
-    show_title,
-)
+from hplan.apps.cli.terminal import certificate_words, escape, facts_table, loading, percent, progress_line, show
 from hplan.errors import InputError
 
 if TYPE_CHECKING:
@@ -94,37 +79,32 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int
 
         return run_cell(arguments, console, errors)
     folder = JobFolder(arguments.out, PLAN_FILES, REPORT)
-    robot, scene, result = _made(arguments, folder, errors)
+    result, files = _made(arguments, folder, errors)
     if not arguments.quiet:
-        show_summary(console, result, folder.path)
+        show_summary(console, result, folder.path, files)
     if arguments.view:
         from hplan.apps.cli.view import serve_page
-        from hplan.apps.view.playback import Playback
+        from hplan.apps.view.playback import playable
 
-        serve_page(console, robot, scene, Playback.of(result))
+        serve_page(console, *playable(result))
     return 0
 
 
 def parser(prog: str) -> argparse.ArgumentParser:
     """The parser of the command's arguments."""
     parser = command_parser(_DESCRIPTION, _EXIT_STATUS, prog=prog)
-    add_scene(parser)
     add = parser.add_argument
-    add("--out", type=Path, default=OUT, metavar="DIR", help="folder to write into (default: out)")
-    add_robot(parser)
-    add_drop_inside(parser)
+    add_shared(parser, "scene", "out", "robot", "parts", "contacts")
     add("--method", choices=("two-level", "dense"), default="two-level", help="search (default: two-level)")
     add(
         "--objective", choices=("duration", "length"), default="duration", help="what to make small (default: duration)"
     )
-    add_effort(parser)
+    add_shared(parser, "effort", "seed")
     add("--link-model", choices=("capsule", "paper", "rectangle"), default="capsule", help="default: capsule")
     add(
         "--step", dest="step_deg", type=float, default=1.0, metavar="DEG", help="spacing of the joint grid (default: 1)"
     )
-    add_pace(parser)
-    add_tracking(parser)
-    add_sigmas(parser)
+    add_shared(parser, "pace", "tracking", "sigmas")
     add(
         "--standoff",
         type=float,
@@ -134,43 +114,26 @@ def parser(prog: str) -> argparse.ArgumentParser:
     add("--uncertified", dest="certify", action="store_false", help="write the motion even if it is not certified; "
         "the report says so")  # fmt: skip
     add("--bound", action="store_true", help="also show how much faster any motion could be at most")
-    add_deadline(parser)
+    add_shared(parser, "deadline")
     add("--view", action="store_true", help="serve the animated scene until interrupted")
     add("--cspace", action="store_true", help="write cspace.html: the forbidden joint angles and the motion; "
         "cspace.png too where matplotlib is installed")  # fmt: skip
     add("--cspace-yaw", type=float, metavar="DEG", help="the same for a yaw of choice (default: the goal's)")
-    add("--mcap", action="store_true", help="write motion.mcap too, for Foxglove and RViz (needs the extra ros)")
-    add("--quiet", action="store_true", help="no progress, no summary")
+    add_shared(parser, "mcap", "quiet")
     return parser
 
 
-def _made(arguments: argparse.Namespace, folder: JobFolder, errors: Console) -> tuple[Robot, Scene, PlanResult]:
-    """Load, plan and write."""
-    with progress_line(errors, quiet=arguments.quiet, kernels=KERNELS) as show:
-        show("reading robot and scene")
+def _made(arguments: argparse.Namespace, folder: JobFolder, errors: Console) -> tuple[PlanResult, list[str]]:
+    """Load, plan and write; gives the plan and the names of its files."""
+    with progress_line(errors, quiet=arguments.quiet, kernels=KERNELS) as status:
+        status("reading robot and scene")
         with loading():
-            import math
-
-            from hplan.apps.view.page import write_page
-            from hplan.apps.view.playback import Playback
             from hplan.apps.view.yaw_section import check_yaw
             from hplan.planning.plan import with_export_time
             from hplan.planning.report import curve_report, write_report
             from hplan.scene.file import load_scene
-            from hplan.trajectory.trajectory import write_csv
 
-        options = plan_options(
-            arguments,
-            "method",
-            "step_deg",
-            "objective",
-            "effort",
-            "link_model",
-            "sigmas",
-            "standoff",
-            "certify",
-            "bound",
-        )
+        options = plan_options(arguments, *OF_PLANS, "certify", "bound")
         needs_rosbags(arguments)
         given = load_scene(arguments.scene)
         robot = robot_of(arguments, given)
@@ -181,25 +144,19 @@ def _made(arguments: argparse.Namespace, folder: JobFolder, errors: Console) -> 
         scene, left_out = scene_among(arguments, robot, given, errors)
 
         def progress(stage: str) -> None:
-            show(STAGE_WORDS.get(stage, stage))
+            status(STAGE_WORDS.get(stage, stage))
 
         with folder.job(scene.name, robot.name):
             result = _planned(robot, scene, options, progress)
             progress("export")
             begin = time.perf_counter()
             with folder.filling() as staging:
-                write_csv(result.trajectory, staging / TRAJECTORY)
-                write_page(robot, scene, Playback.of(result), staging / PAGE)
-                if arguments.mcap:
-                    from hplan.apps.ros.mcap_file import write_mcap
-
-                    write_mcap(result, staging / MCAP)
+                files = write_result(result, {TRAJECTORY: result.trajectory}, staging, mcap=arguments.mcap)
                 if wants_cspace:
-                    _write_cspace(robot, scene, options, result, yaw, staging)
+                    files += _write_cspace(options, result, yaw, staging)
                 result = with_export_time(result, time.perf_counter() - begin)
-                curve = curve_report(result.certificate) | ({"left_out": left_out} if left_out else {})
-                write_report(result.report | curve, staging / REPORT)
-    return robot, scene, result
+                write_report(result.report | curve_report(result.certificate) | left_out, staging / REPORT)
+    return result, [TRAJECTORY, REPORT, *files]
 
 
 def _planned(robot: Robot, scene: Scene, options: PlanOptions, progress: Callable[[str], None]) -> PlanResult:
@@ -220,10 +177,11 @@ def _planned(robot: Robot, scene: Scene, options: PlanOptions, progress: Callabl
         return plan(robot, scene, options, progress=stage)
 
 
-def _write_cspace(
-    robot: Robot, scene: Scene, options: PlanOptions, result: PlanResult, yaw: float | None, folder: Path
-) -> None:
+def _write_cspace(options: PlanOptions, result: PlanResult, yaw: float | None, folder: Path) -> list[str]:
     """Write the C-space at one yaw with the motion: a page, and a figure where matplotlib is installed.
+
+    Returns:
+        The names of the files.
 
     Raises:
         OutputError: A file cannot be written.
@@ -234,19 +192,19 @@ def _write_cspace(
     from hplan.apps.view.playback import Playback
     from hplan.apps.view.yaw_section import yaw_section
 
-    section = yaw_section(robot, scene, Playback.of(result), options, yaw=yaw)
-    write_cspace_page(section, scene.name, folder / CSPACE_PAGE)
+    title = result.scene.name
+    section = yaw_section(result.robot, result.scene, Playback.of(result), options, yaw=yaw)
+    write_cspace_page(section, title, folder / CSPACE_PAGE)
     try:
         require_matplotlib()
     except InputError:
-        return
-    write_png(cspace_at_yaw(section, scene.name), folder / CSPACE_FIGURE)
+        return [CSPACE_PAGE]
+    write_png(cspace_at_yaw(section, title), folder / CSPACE_FIGURE)
+    return [CSPACE_PAGE, CSPACE_FIGURE]
 
 
-def show_summary(console: Console, result: PlanResult, folder: Path, more: Sequence[str] = ()) -> None:
-    """What came of a plan, with names of more files: rows that fit 80 columns, unless names are long."""
-    from rich.markup import escape
-
+def show_summary(console: Console, result: PlanResult, folder: Path, files: Sequence[str]) -> None:
+    """What came of a plan, with the names of its files: rows that fit 80 columns, unless names are long."""
     from hplan.base.units import joint_length
 
     report = result.report
@@ -305,17 +263,12 @@ def show_summary(console: Console, result: PlanResult, folder: Path, more: Seque
     for violation in proof["violations"]:
         add("", escape(violation))
     add("time", _time_words(report["time_ms"]))
-    written = [name for name in (MCAP, CSPACE_PAGE, CSPACE_FIGURE) if (folder / name).exists()]
-    add("files", f"{escape(str(folder))}: {', '.join([TRAJECTORY, REPORT, PAGE, *written, *more])}")
-    show_title(console, report["scene"], report["robot"])
-    console.print(table)
-    console.print()
+    add("files", f"{escape(folder)}: {', '.join(files)}")
+    show(console, report["scene"], report["robot"], table)
 
 
 def _bound_words(bound: dict[str, Any] | None, phases: int) -> str:
     """How far the motion, or its first phases, is from the fastest one that is not excluded, rounded up."""
-    import math
-
     if bound is None:
         return "none, as the motion is not certified"
     gap = math.ceil(1e3 * bound["gap"] - 1e-6) / 10.0

@@ -5,13 +5,11 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable
 from html import escape as html_escape
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hplan.apps.cli.job_folder import OUT, PAGE, ROW_REPORT, JobFolder
-from hplan.apps.cli.options import add_effort, add_pace, add_robot, add_tracking, command_parser, plan_options, robot_of
-from hplan.apps.cli.terminal import certificate_words, facts_table, number_table, percent, progress_line, show_title
-from hplan.errors import InputError
+from hplan.apps.cli.job_folder import PAGE, ROW_REPORT, JobFolder, write_figure, write_result
+from hplan.apps.cli.options import add_shared, command_parser, plan_options, robot_of
+from hplan.apps.cli.terminal import certificate_words, escape, facts_table, number_table, percent, progress_line, show
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -47,8 +45,7 @@ def parser(prog: str) -> argparse.ArgumentParser:
     parser = command_parser(_DESCRIPTION, _EPILOG, prog=prog)
     add = parser.add_argument
     add("scene", help="scene file, or name of a shipped scene")
-    add("--out", type=Path, default=OUT, metavar="DIR", help="folder to write into (default: out)")
-    add_robot(parser)
+    add_shared(parser, "out", "robot", "parts")
     add("--distance", type=float, default=1.4, metavar="M", help="from the base's axis to the row (default: 1.4)")
     add("--one-side", action="store_true", help="stop on the first side only (default: on both)")
     add("--step", type=float, default=0.1, metavar="M", help="spacing of candidate stops (default: 0.1)")
@@ -62,10 +59,7 @@ def parser(prog: str) -> argparse.ArgumentParser:
     add("--detaching", type=float, default=1.0, metavar="S", help="what detaching a fruit takes (default: 1)")
     add("--carried", nargs="+", default=[], metavar="NAME", help="obstacles that stand on the vehicle")
     add("--workers", type=int, default=1, metavar="N", help="processes that look at candidates (default: 1)")
-    add_effort(parser)
-    add_pace(parser)
-    add_tracking(parser)
-    add("--quiet", action="store_true", help="no progress, no summary")
+    add_shared(parser, "effort", "seed", "pace", "tracking", "quiet")
     return parser
 
 
@@ -85,15 +79,11 @@ def _made(
     """Load, plan and write; gives the row and the names of its files."""
     progress("reading robot and scene")
 
-    from hplan.apps.view.figure_style import write_png
-    from hplan.apps.view.page import write_page
-    from hplan.apps.view.playback import Playback
     from hplan.apps.view.row_figure import draw_row
     from hplan.base.files import write_text
     from hplan.planning.report import write_report
     from hplan.scene.file import load_scene
     from hplan.tour.row import RowOptions, plan_row
-    from hplan.trajectory.trajectory import write_csv
 
     row = RowOptions(
         both=not arguments.one_side,
@@ -111,14 +101,9 @@ def _made(
         names = [f"stop-{number:0{digits}}" for number in range(1, len(result.stops) + 1)]
         with folder.filling() as staging:
             for name, stop in zip(names, result.stops, strict=True):
-                write_csv(stop.tour.trajectory, staging / f"{name}.csv")
-                write_page(robot, stop.tour.scene, Playback.of(stop.tour), staging / f"{name}.html")
+                write_result(stop.tour, {f"{name}.csv": stop.tour.trajectory}, staging, page=f"{name}.html")
             write_text(staging / PAGE, _index(result, names))
-            try:
-                figure = [write_png(draw_row(result), staging / FIGURE).name]
-            except InputError as error:
-                errors.print(f"no {FIGURE}: {error.message}", markup=False, soft_wrap=True)
-                figure = []
+            figure = write_figure(lambda: draw_row(result), staging / FIGURE, errors)
             write_report({**result.report, "files": [f"{name}.csv" for name in names]}, staging / ROW_REPORT)
     return result, [*(f"{name}.csv" for name in names), ROW_REPORT, PAGE, *figure]
 
@@ -142,40 +127,36 @@ def _index(result: RowResult, names: list[str]) -> str:
 
 def _show(console: Console, result: RowResult, files: str) -> None:
     """The stops and the whole; fits 80 columns."""
-    from rich.markup import escape
-
     report = result.report
-    show_title(console, report["scene"], report["robot"])
-    table = number_table()
-    for heading in ("", "side", "along", "height", "fruits", "arrival", "motion", "a fruit", "clearance"):
-        table.add_column(heading, justify="right", no_wrap=True)
+    rows = []
     for number, stop in enumerate(report["stops"], start=1):
         count, clearance = len(stop["picked"]), 1e3 * stop["min_clearance_m"]
-        table.add_row(
-            str(number),
-            str(stop["side"]),
-            f"{stop['along']:.2f} m",
-            f"{stop['height']:.2f} m",
-            str(count),
-            f"{stop['arrival_s']:.1f} s",
-            f"{stop['motion_s']:.1f} s",
-            f"{stop['motion_s'] / count:.2f} s",
-            f"{clearance:.1f} mm",
+        rows.append(
+            (
+                str(number),
+                str(stop["side"]),
+                f"{stop['along']:.2f} m",
+                f"{stop['height']:.2f} m",
+                str(count),
+                f"{stop['arrival_s']:.1f} s",
+                f"{stop['motion_s']:.1f} s",
+                f"{stop['motion_s'] / count:.2f} s",
+                f"{clearance:.1f} mm",
+            )
         )
-    console.print(table)
-    console.print()
-    facts = facts_table(indent=0)
+    headings = "", "side", "along", "height", "fruits", "arrival", "motion", "a fruit", "clearance"
     of = f"{report['picked']} of {report['fruits']}, of {report['reachable']} that some stop can pick"
-    facts.add_row("picked", f"[bold]{percent(report['share_picked'])} %[/]: {of}")
+    facts = [("picked", f"[bold]{percent(report['share_picked'])} %[/]: {of}")]
     if len(report["trees"]) > 1:
         told = ", ".join(f"{name} {one['picked']} of {one['fruits']}" for name, one in report["trees"].items())
-        facts.add_row("trees", escape(told))
+        facts.append(("trees", escape(told)))
     parts = ", ".join(f"{name[:-2]} {report[name]:.1f} s" for name in ("motion_s", "driving_s", "detaching_s"))
-    facts.add_row("time", f"{report['total_s']:.1f} s: {parts}")
     with_drive = f"{report['total_s_per_fruit']:.2f} s with driving and detaching"
-    facts.add_row("a fruit", f"{report['motion_s_per_fruit']:.2f} s of motion, [bold]{with_drive}[/]")
-    facts.add_row("an hour", f"{report['fruit_per_hour']:.0f} fruits")
-    facts.add_row("certificate", certificate_words(all(stop["verified"] for stop in report["stops"])))
-    facts.add_row("files", escape(files))
-    console.print(facts)
-    console.print()
+    facts += [
+        ("time", f"{report['total_s']:.1f} s: {parts}"),
+        ("a fruit", f"{report['motion_s_per_fruit']:.2f} s of motion, [bold]{with_drive}[/]"),
+        ("an hour", f"{report['fruit_per_hour']:.0f} fruits"),
+        ("certificate", certificate_words(all(stop["verified"] for stop in report["stops"]))),
+        ("files", escape(files)),
+    ]
+    show(console, report["scene"], report["robot"], number_table(headings, rows), facts_table(facts, 0))

@@ -8,9 +8,9 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hplan.apps.cli.job_folder import OUT, prepare_folder
-from hplan.apps.cli.options import command_parser
-from hplan.apps.cli.terminal import number_table, percent, progress_line
+from hplan.apps.cli.job_folder import prepare_folder, write_figure
+from hplan.apps.cli.options import OUT, add_shared, command_parser
+from hplan.apps.cli.terminal import escape, number_table, percent, progress_line
 from hplan.base.arguments import instance
 from hplan.errors import InputError
 
@@ -55,7 +55,7 @@ def parser(prog: str) -> argparse.ArgumentParser:
     add("--out", type=Path, default=OUT, metavar="DIR", help="folder to write into, and to go on in (default: out)")
     add("--workers", type=int, metavar="N", help="designs measured at once (default: one on each processor)")
     add("--scheduler", metavar="ADDRESS", help="Dask's, as tcp://host:8786 (needs the extra cluster)")
-    add("--quiet", action="store_true", help="no progress, no summary")
+    add_shared(parser, "quiet")
     return parser
 
 
@@ -64,7 +64,6 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int
     with progress_line(errors, quiet=arguments.quiet) as progress:
         progress("reading the study")
 
-        from hplan.apps.view.figure_style import write_png
         from hplan.apps.view.study_figure import draw_study
         from hplan.planning.report import write_report
         from hplan.study.definition import load_study
@@ -81,11 +80,7 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int
         )
         report = {"status": "ok", "study": study.name, "measured": result.measured, "seconds": result.seconds}
         write_report(report | {"choices": list(map(asdict, result.choices))}, arguments.out / STUDY_REPORT)
-        files = [ROWS, STUDY_REPORT]
-        try:
-            files.append(write_png(draw_study(result), arguments.out / FIGURE).name)
-        except InputError as error:
-            errors.print(f"no {FIGURE}: {error.message}", markup=False, soft_wrap=True)
+        files = [ROWS, STUDY_REPORT, *write_figure(lambda: draw_study(result), arguments.out / FIGURE, errors)]
     if not arguments.quiet:
         _show(console, result, f"{arguments.out}: {', '.join(files)}")
     return 0
@@ -113,10 +108,7 @@ def _executor(address: str | None) -> Pool | None:
 
 def _show(console: Console, result: StudyResult, files: str) -> None:
     """A line for each choice, the best marked."""
-    from rich.markup import escape
-
     console.print(f"\n[bold]{escape(result.name)}[/], {len(result.rows)} designs\n")
-    table = number_table()
     cells: dict[str, Callable[[Choice], str]] = {
         "arm": lambda one: f"{'[bold green]*[/]' if one.is_best else ' '} {escape(one.arm)}",
         "distance": lambda one: f"{one.distance_m:g} m",
@@ -130,11 +122,7 @@ def _show(console: Console, result: StudyResult, files: str) -> None:
     ranked = sorted(result.choices, key=lambda choice: (-choice.share, choice.cost))
     lines = {heading: [cell(one) for one in ranked] for heading, cell in cells.items()}
     shown = [heading for heading in lines if heading in ("arm", "picked", "CPU") or len(set(lines[heading])) > 1]
-    for heading in shown:
-        table.add_column(heading, justify="left" if heading == "arm" else "right", no_wrap=heading != "arm")
-    for line in zip(*map(lines.__getitem__, shown), strict=True):
-        table.add_row(*line)
-    console.print(table)
+    console.print(number_table(shown, zip(*map(lines.__getitem__, shown), strict=True), texts=("arm",)))
     failed = [row for row in result.rows if row.error]
     for row in failed[:5]:
         where = f"{row.arm}, {row.tree} at {row.distance_m:g} m"

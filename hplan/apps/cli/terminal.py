@@ -11,7 +11,7 @@ import sys
 import threading
 import time
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
@@ -180,8 +180,6 @@ def loading() -> Iterator[None]:
 
 def show_error(console: Console, error: HplanError) -> None:
     """Say what went wrong and, where no path exists, the first of what is in the way."""
-    from rich.markup import escape
-
     console.print(f"[bold red]error[/] ({error.kind}): {escape(error.message)}", soft_wrap=True)
     for blocker in error.data.get("blockers", ())[:5]:
         low, high = blocker["slices_deg"]
@@ -232,29 +230,45 @@ def progress_line(console: Console, *, quiet: bool, kernels: int | None = None) 
         LISTENERS.remove(compiling)
 
 
-def facts_table(indent: int = 2) -> Table:
-    """An empty table of facts, each a name and what is said of it."""
+def escape(text: object) -> str:
+    """A text that stands for itself among markup."""
+    from rich.markup import escape as escaped
+
+    return escaped(str(text))
+
+
+def facts_table(facts: Iterable[tuple[str, str]] = (), indent: int = 2) -> Table:
+    """A table of facts, each a name and what is said of it."""
     from rich.table import Table
 
     table = Table.grid(padding=(0, 2, 0, indent))
     table.add_column(style="dim", no_wrap=True)
     table.add_column()
+    for fact in facts:
+        table.add_row(*fact)
     return table
 
 
-def number_table() -> Table:
-    """An empty table with a line below its headings."""
+def number_table(headings: Iterable[str], rows: Iterable[Iterable[str]], *, texts: Collection[str] = ()) -> Table:
+    """A table of numbers with a line below its headings; columns of texts stand to the left, and may be wrapped."""
     from rich import box
     from rich.table import Table
 
-    return Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), show_edge=False)
+    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), show_edge=False)
+    for heading in headings:
+        is_text = heading in texts
+        table.add_column(heading, justify="left" if is_text else "right", no_wrap=not is_text)
+    for row in rows:
+        table.add_row(*row)
+    return table
 
 
-def show_title(console: Console, what: str, robot: str) -> None:
-    """Say what a summary is about: a scene or file, and the robot in it."""
-    from rich.markup import escape
-
+def show(console: Console, what: str, robot: str, *tables: Table) -> None:
+    """Show a summary: what it is about, a scene or file, and the robot in it; then its tables."""
     console.print(f"\n[bold]{escape(what)}[/] with [bold]{escape(robot)}[/]\n")
+    for table in tables:
+        console.print(table)
+        console.print()
 
 
 def hand_out(arguments: argparse.Namespace, console: Console, report: dict[str, Any], show: Callable[[], None]) -> None:

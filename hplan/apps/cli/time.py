@@ -10,23 +10,18 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hplan.apps.cli.job_folder import OUT as FOLDER
-from hplan.apps.cli.job_folder import PAGE, PLAN_FILES, REPORT, SCENE, TRAJECTORY, JobFolder
+from hplan.apps.cli.job_folder import PLAN_FILES, REPORT, SCENE, TRAJECTORY, JobFolder, write_result
+from hplan.apps.cli.options import OUT as FOLDER
 from hplan.apps.cli.options import (
-    add_deadline,
-    add_effort,
-    add_hold,
-    add_pace,
-    add_robot_parts,
-    add_sigmas,
-    add_tracking,
+    add_shared,
     check_output_file,
     command_parser,
     held_joints,
     plan_options,
+    refuse,
     robot_of,
 )
-from hplan.apps.cli.terminal import facts_table, loading, number_table, progress_line, show_title
+from hplan.apps.cli.terminal import escape, facts_table, loading, number_table, progress_line, show
 from hplan.base.files import is_file
 from hplan.errors import OptionError
 
@@ -42,22 +37,12 @@ if TYPE_CHECKING:
 #: Where the motion goes unless something else is said.
 OUT = Path("timed.csv")
 
-#: Options, with their defaults, that take a scene, and such that do not.
-_WITH_SCENE: dict[str, object] = {
-    "keep_path": False,
-    "effort": "default",
-    "seed": 0,
-    "sigmas": 3.0,
-    "tracking_error": 0.0,
-    "tracking_error_m": 0.0,
-    "tracking_delay": 0.0,
-    "deadline_ms": None,
-    "tool_frame": None,
-    "srdf": None,
-    "allow_neighbours": False,
-    "package_dir": [],
-}
-_WITHOUT_SCENE: dict[str, object] = {"acceleration": None, "no_torque": False, "joints": None}
+#: Options that take a scene, and such that do not.
+_WITH_SCENE = (
+    *("keep_path", "effort", "seed", "sigmas", "tracking_error", "tracking_error_m", "tracking_delay", "deadline_ms"),
+    *("tool_frame", "srdf", "allow_neighbours", "package_dir"),
+)
+_WITHOUT_SCENE = ("acceleration", "no_torque", "joints")
 
 _DESCRIPTION = """\
 Time the fastest motion through waypoints, from rest to rest, under the URDF's velocity and torque limits and given
@@ -104,7 +89,6 @@ def parser(prog: str) -> argparse.ArgumentParser:
     limits.add_argument("--acceleration", type=float, metavar="RAD_S2", help="one acceleration limit for all joints")
     add("--no-torque", action="store_true", help="do not limit the torque")
     add("--joints", nargs="+", metavar="NAME", help="the joints that move")
-    add_hold(parser)
     add(
         "--deviation",
         type=float,
@@ -112,23 +96,13 @@ def parser(prog: str) -> argparse.ArgumentParser:
         metavar="DEG",
         help="largest distance from the polyline; of joints that slide 17.5 mm for each degree (default: 1)",
     )
-    add_pace(parser)
+    add_shared(parser, "pace")
     add("--out", type=Path, metavar="FILE.csv", help="file to write (default: timed.csv); with --scene a folder")
     add("--quiet", action="store_true", help="no summary")
-    _add_scene(parser)
-    return parser
-
-
-def _add_scene(parser: argparse.ArgumentParser) -> None:
-    """Add the options that take a scene."""
-    parser.add_argument("--scene", metavar="SCENE", help="obstacles: a scene file, or name of a shipped scene")
-    add = parser.add_argument
+    add("--scene", metavar="SCENE", help="obstacles: a scene file, or name of a shipped scene")
     add("--keep-path", action="store_true", help="keep the path's shape within --deviation; else it is shortened")
-    add_effort(parser)
-    add_sigmas(parser)
-    add_robot_parts(parser)
-    add_tracking(parser)
-    add_deadline(parser)
+    add_shared(parser, "effort", "seed", "sigmas", "parts", "tracking", "deadline")
+    return parser
 
 
 def _check_options(arguments: argparse.Namespace) -> None:
@@ -137,13 +111,10 @@ def _check_options(arguments: argparse.Namespace) -> None:
     Raises:
         OptionError: There is one.
     """
-    with_scene = arguments.scene is not None
-    out_of_place = _WITHOUT_SCENE if with_scene else _WITH_SCENE
-    how = "left out with --scene: limits are the robot's, or of --limits" if with_scene else "left out, or --scene"
-    for name, default in out_of_place.items():
-        value = getattr(arguments, name)
-        if value != default:
-            raise OptionError(f"--{name.replace('_', '-').removesuffix('-ms')}", value, how)
+    if arguments.scene is None:
+        refuse(arguments, _WITH_SCENE, "left out, or --scene")
+    else:
+        refuse(arguments, _WITHOUT_SCENE, "left out with --scene: limits are the robot's, or of --limits")
 
 
 def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int:
@@ -152,28 +123,25 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int
         arguments.out = OUT if arguments.out is None else arguments.out
         return _timed(arguments, console)
     folder = JobFolder(FOLDER if arguments.out is None else arguments.out, (*PLAN_FILES, SCENE), REPORT)
-    result = _finished(arguments, folder, errors)
+    result, files = _finished(arguments, folder, errors)
     if not arguments.quiet:
         from hplan.apps.cli.plan import show_summary
 
-        show_summary(console, result, folder.path, [SCENE])
+        show_summary(console, result, folder.path, files)
     return 0
 
 
-def _finished(arguments: argparse.Namespace, folder: JobFolder, errors: Console) -> PlanResult:
-    """Finish the path among the obstacles of the scene, and write what came of it."""
+def _finished(arguments: argparse.Namespace, folder: JobFolder, errors: Console) -> tuple[PlanResult, list[str]]:
+    """Finish the path among the obstacles of the scene, and write what came of it; gives the names of its files."""
     _check_options(arguments)
-    with progress_line(errors, quiet=arguments.quiet) as show:
-        show("reading robot and scene")
+    with progress_line(errors, quiet=arguments.quiet) as status:
+        status("reading robot and scene")
         with loading():
             from hplan.apps.cli.plan import STAGE_WORDS
-            from hplan.apps.view.page import write_page
-            from hplan.apps.view.playback import Playback
             from hplan.planning.finishing.finish import finish
             from hplan.planning.report import curve_report, write_report
             from hplan.scene.file import load_scene, save_scene
             from hplan.trajectory import read_waypoints
-            from hplan.trajectory.trajectory import write_csv
         options = plan_options(arguments, "effort", "sigmas")
         scene = load_scene(arguments.scene)
         arguments.robot = arguments.urdf
@@ -187,15 +155,14 @@ def _finished(arguments: argparse.Namespace, folder: JobFolder, errors: Console)
                 waypoints,
                 options,
                 keep_within_rad=within_rad,
-                progress=lambda stage: show(STAGE_WORDS.get(stage, stage)),
+                progress=lambda stage: status(STAGE_WORDS.get(stage, stage)),
             )
-            show("writing files")
+            status("writing files")
             with folder.filling() as staging:
-                write_csv(result.trajectory, staging / TRAJECTORY)
-                write_page(robot, result.scene, Playback.of(result), staging / PAGE)
+                files = write_result(result, {TRAJECTORY: result.trajectory}, staging)
                 save_scene(result.scene, folder.path / SCENE)  # where it stands, for it may name files
                 write_report(result.report | curve_report(result.certificate), staging / REPORT)
-    return result
+    return result, [TRAJECTORY, REPORT, *files, SCENE]
 
 
 def _timed(arguments: argparse.Namespace, console: Console) -> int:
@@ -258,38 +225,40 @@ def _show(
 ) -> None:
     """Facts, then a row for each joint; fits 80 columns, unless names are long."""
     import numpy as np
-    from rich.markup import escape
 
     from hplan.base.units import joint_length
     from hplan.robot.dynamics import joints_that_slide
     from hplan.trajectory import AT_LIMIT, largest_deviation, limit_shares
 
     full, paced = limit_shares(trajectory, limits), limit_shares(trajectory, limits.scaled(arguments.speed))
-    facts = facts_table()
     length = float(np.linalg.norm(np.diff(waypoints, axis=0), axis=1).sum())
     slides = joints_that_slide(machine.model)
-    facts.add_row("waypoints", f"{len(waypoints):,}, {joint_length(length, slides)} along the lines between them")
-    rows = "1 row: nothing to move" if trajectory.samples == 1 else f"{trajectory.samples:,} rows"
-    facts.add_row("motion", f"[bold]{trajectory.duration:.3f} s[/], {rows} at {arguments.rate_hz:g} Hz")
+    samples = "1 row: nothing to move" if trajectory.samples == 1 else f"{trajectory.samples:,} rows"
     deviation = joint_length(largest_deviation(trajectory.position, waypoints), slides, ".4f")
     allowed = joint_length(math.radians(arguments.deviation), slides, "g")
-    facts.add_row("deviation", f"{deviation} from the lines at most, {allowed} allowed")
-    facts.add_row("at a limit", f"{100.0 * paced.bound:.1f} % of the time")
-    for name, value in machine.held.items():
-        facts.add_row("held", f"{escape(name)} at {'its neutral position' if value is None else f'{value:g} rad'}")
-    facts.add_row("file", escape(str(arguments.out)))
-    table = number_table()
-    table.add_column("use of limits, %", no_wrap=True)
+    facts = [
+        ("waypoints", f"{len(waypoints):,}, {joint_length(length, slides)} along the lines between them"),
+        ("motion", f"[bold]{trajectory.duration:.3f} s[/], {samples} at {arguments.rate_hz:g} Hz"),
+        ("deviation", f"{deviation} from the lines at most, {allowed} allowed"),
+        ("at a limit", f"{100.0 * paced.bound:.1f} % of the time"),
+        *(
+            ("held", f"{escape(name)} at {'its neutral position' if value is None else f'{value:g} rad'}")
+            for name, value in machine.held.items()
+        ),
+        ("file", escape(arguments.out)),
+    ]
     columns = {"velocity": full.velocity, "acceleration": full.acceleration, "torque": full.torque, "jerk": full.jerk}
     shown = {name: values for name, values in columns.items() if values is not None}
-    for heading in (*shown, "holds the motion back"):
-        table.add_column(heading, justify="right", no_wrap=True)
-    for joint, name in enumerate(machine.joint_names):
-        shares = (f"{100.0 * values[joint]:.1f}" for values in shown.values())
-        table.add_row(escape(name), *shares, f"{100.0 * paced.binding[joint]:.1f} % of the time")
-    show_title(console, arguments.waypoints.name, machine.model.name)
-    console.print(facts)
-    console.print()
-    console.print(table)
+    first = "use of limits, %"
+    rows = (
+        (
+            escape(name),
+            *(f"{100.0 * values[joint]:.1f}" for values in shown.values()),
+            f"{100.0 * paced.binding[joint]:.1f} % of the time",
+        )
+        for joint, name in enumerate(machine.joint_names)
+    )
+    show(console, arguments.waypoints.name, machine.model.name, facts_table(facts))
+    console.print(number_table((first, *shown, "holds the motion back"), rows, texts=(first,)))
     torque = "" if full.torque is not None else "; torque is not limited"
     console.print(f"\nholds the motion back: uses {100.0 * AT_LIMIT:g} % or more of a limit{torque}\n", style="dim")

@@ -4,26 +4,13 @@ from __future__ import annotations
 
 import argparse
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hplan.apps.cli.job_folder import MCAP, OUT, PAGE, TOUR, TOUR_REPORT, JobFolder, needs_rosbags
-from hplan.apps.cli.options import (
-    add_deadline,
-    add_drop_inside,
-    add_pace,
-    add_robot,
-    add_scene,
-    add_seed,
-    add_tracking,
-    command_parser,
-    names_robots,
-    plan_options,
-    robot_of,
-    scene_among,
-)
-from hplan.apps.cli.terminal import certificate_words, facts_table, number_table, progress_line, show_title
+from hplan.apps.cli.job_folder import MCAP, PAGE, TOUR, TOUR_REPORT, JobFolder, needs_rosbags, write_result
+from hplan.apps.cli.options import add_shared, command_parser, names_robots, plan_options, robot_of, scene_among
+from hplan.apps.cli.terminal import certificate_words, escape, facts_table, number_table, progress_line, show
 from hplan.base.files import cut
 from hplan.errors import OptionError
 
@@ -65,11 +52,8 @@ KERNELS = 80
 def parser(prog: str) -> argparse.ArgumentParser:
     """The parser of the command's arguments."""
     parser = command_parser(_DESCRIPTION, _EPILOG, prog=prog)
-    add_scene(parser, "tour")
+    add_shared(parser, "scene", "out", "robot", "parts", "contacts", scene="tour")
     add = parser.add_argument
-    add("--out", type=Path, default=OUT, metavar="DIR", help="folder to write into (default: out)")
-    add_robot(parser)
-    add_drop_inside(parser)
     add("--fruits", nargs="+", metavar="NAME", help="fruits to pick (default: all)")
     add("--drop-off", type=float, nargs=3, metavar=("X", "Y", "Z"), help="drop-off: a place of the tool")
     add(
@@ -92,12 +76,7 @@ def parser(prog: str) -> argparse.ArgumentParser:
         help="one CSV, or one for each fruit, from rest to rest (default: one)",
     )
     add("--standoff", type=float, metavar="M", help="length of straight approaches (default: 0.1)")
-    add_pace(parser)
-    add_tracking(parser)
-    add_deadline(parser)
-    add_seed(parser)
-    add("--mcap", action="store_true", help="write motion.mcap too, for Foxglove and RViz (needs the extra ros)")
-    add("--quiet", action="store_true", help="no progress, no summary")
+    add_shared(parser, "pace", "tracking", "deadline", "seed", "mcap", "quiet")
     return parser
 
 
@@ -121,13 +100,10 @@ def _made(
     """Load, plan and write; gives the tour and the names of its files."""
     progress("reading robot and scene")
 
-    from hplan.apps.view.page import write_page
-    from hplan.apps.view.playback import Playback
     from hplan.base.data_files import shipped_scene
     from hplan.planning.report import curve_report, write_report
     from hplan.scene.file import load_scene
     from hplan.tour.tour import plan_tour
-    from hplan.trajectory.trajectory import write_csv
 
     options = plan_options(arguments, "standoff")
     tour = _tour_options(arguments)
@@ -146,16 +122,10 @@ def _made(
                 for number, leg in enumerate(result.legs, start=1)
             }
         with folder.filling() as staging:
-            for name, motion in motions.items():
-                write_csv(motion, staging / name)
-            write_page(robot, scene, Playback.of(result), staging / PAGE)
-            if arguments.mcap:
-                from hplan.apps.ros.mcap_file import write_mcap
-
-                write_mcap(result, staging / MCAP)
-            curve = curve_report(result.certificate) | ({"left_out": left_out} if left_out else {})
-            write_report({**result.report, **curve, "files": list(motions)}, staging / TOUR_REPORT)
-    return result, [*motions, TOUR_REPORT, PAGE, *([MCAP] if arguments.mcap else [])]
+            files = write_result(result, motions, staging, mcap=arguments.mcap)
+            curve = curve_report(result.certificate)
+            write_report(result.report | curve | left_out | {"files": list(motions)}, staging / TOUR_REPORT)
+    return result, [*motions, TOUR_REPORT, *files]
 
 
 def _tour_options(arguments: argparse.Namespace) -> TourOptions:
@@ -195,32 +165,26 @@ def _file_word(name: str) -> str:
 
 def _show(console: Console, result: TourResult, folder: Path, files: Sequence[str]) -> None:
     """The legs, the whole, and what is not picked; fits 80 columns, unless names are long."""
-    from rich.markup import escape
-
-    show_title(console, result.report["scene"], result.report["robot"])
-    table = number_table()
-    table.add_column("", justify="right")
-    table.add_column("fruit")
     kinds = [
         kind for kind in ("transit", "approach", "retreat", "drop") if any(_times(leg, kind) for leg in result.legs)
     ]
-    for heading in (*kinds, "at the fruit", "clearance"):
-        table.add_column(heading, justify="right", no_wrap=True)
+    rows = []
     for number, leg in enumerate(result.legs, start=1):
         times = {kind: _times(leg, kind) for kind in kinds}
         if leg.fruit is None:
             times["transit"] = leg.trajectory.duration
         clearance = 1e3 * leg.certificate.min_clearance_m
-        table.add_row(
-            str(number),
-            escape(leg.name) if leg.fruit is not None else "[dim]back to the start[/]",
-            *(f"{seconds:.3f} s" if seconds else "" for seconds in times.values()),
-            "" if leg.fruit is None else f"{result.picked[leg.fruit]:.2f} s",
-            f"{clearance:.2f} mm" if clearance < float("inf") else "no obstacles",
+        rows.append(
+            (
+                str(number),
+                escape(leg.name) if leg.fruit is not None else "[dim]back to the start[/]",
+                *(f"{seconds:.3f} s" if seconds else "" for seconds in times.values()),
+                "" if leg.fruit is None else f"{result.picked[leg.fruit]:.2f} s",
+                f"{clearance:.2f} mm" if clearance < float("inf") else "no obstacles",
+            )
         )
-    console.print(table)
-    console.print()
-    _show_facts(console, result, folder, files)
+    legs = number_table(("", "fruit", *kinds, "at the fruit", "clearance"), rows, texts=("fruit",))
+    show(console, result.report["scene"], result.report["robot"], legs, facts_table(_facts(result, folder, files), 0))
 
 
 def _times(leg: Leg, kind: str) -> float:
@@ -228,24 +192,19 @@ def _times(leg: Leg, kind: str) -> float:
     return sum(phase.end_s - phase.start_s for phase in leg.phases if phase.name == kind)
 
 
-def _show_facts(console: Console, result: TourResult, folder: Path, files: Sequence[str]) -> None:
+def _facts(result: TourResult, folder: Path, files: Sequence[str]) -> Iterator[tuple[str, str]]:
     """Facts of the whole tour."""
-    from rich.markup import escape
-
     report = result.report
-    facts = facts_table(indent=0)
     fruits = len(result.order)
-    facts.add_row("tour", f"[bold]{result.duration:.3f} s[/], {fruits} fruit{'s' if fruits != 1 else ''}")
+    yield "tour", f"[bold]{result.duration:.3f} s[/], {fruits} fruit{'s' if fruits != 1 else ''}"
     totals = {order: seconds for order, seconds in report["totals_s"].items() if order != "fruits"}
     if len(totals) > 1:
         compared = ", ".join(f"{order} {seconds:.2f} s" for order, seconds in totals.items())
-        facts.add_row("orders", f"{compared} ({report['totals_s']['fruits']} fruits)")
-    facts.add_row("certificate", certificate_words(result.certificate.verified))
+        yield "orders", f"{compared} ({report['totals_s']['fruits']} fruits)"
+    yield "certificate", certificate_words(result.certificate.verified)
     planner = report["planner"]
-    facts.add_row("time", f"{1e-3 * planner['time_ms']:.1f} s, {planner['motions_planned']} motions planned")
+    yield "time", f"{1e-3 * planner['time_ms']:.1f} s, {planner['motions_planned']} motions planned"
     shown = files if len(files) <= 4 else [files[0], "...", *files[-3:]]
-    facts.add_row("files", f"{escape(str(folder))}: {escape(', '.join(shown))}")
+    yield "files", f"{escape(folder)}: {escape(', '.join(shown))}"
     for item in result.unreached:
-        facts.add_row("[yellow]not picked[/]", f"{escape(item.fruit)}: {escape(item.error.message)}")
-    console.print(facts)
-    console.print()
+        yield "[yellow]not picked[/]", f"{escape(item.fruit)}: {escape(item.error.message)}"

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from hplan.apps.cli.finished_job import FinishedJob
 from hplan.apps.cli.job_folder import PAGE, REPORT, ROW_REPORT, TOUR_REPORT, written_s
-from hplan.apps.cli.options import add_robot, add_scene, check_output_file, command_parser, robot_of
+from hplan.apps.cli.options import add_shared, check_output_file, command_parser, robot_of
 from hplan.apps.cli.terminal import FAILED
 from hplan.base.files import ByteBudget, is_folder
 from hplan.errors import InputError, OptionError
@@ -45,8 +45,7 @@ def parser(prog: str) -> argparse.ArgumentParser:
     parser = command_parser(_DESCRIPTION, _EPILOG, prog=prog)
     add = parser.add_argument
     add("motion", type=Path, metavar="FOLDER_OR_CSV", help="the folder of a job, or a trajectory")
-    add_scene(parser, "the job's, or the paper's reference scene")
-    add_robot(parser)
+    add_shared(parser, "scene", "robot", "parts", scene="the job's, or the paper's reference scene")
     add("--out", type=Path, metavar="FILE", help="write the page here and serve nothing (default: scene.html in the "
         "folder; of a CSV, NAME.html in its folder)")  # fmt: skip
     add("--no-serve", action="store_true", help="only write the page")

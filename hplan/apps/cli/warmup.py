@@ -17,7 +17,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 import hplan
-from hplan.apps.cli.options import command_parser
+from hplan.apps.cli.options import add_shared, command_parser
 from hplan.apps.cli.terminal import FAILED, progress_line
 from hplan.base.child_process import import_environment, python_module
 from hplan.base.kernel_turns import LISTENERS
@@ -117,7 +117,7 @@ def parser(prog: str) -> argparse.ArgumentParser:
     """The parser of the command's arguments."""
     parser = command_parser(_DESCRIPTION, _EPILOG, prog=prog)
     parser.add_argument("--processes", type=int, metavar="N", help="how many at a time (default: one for each core)")
-    parser.add_argument("--quiet", action="store_true", help="no progress, no summary")
+    add_shared(parser, "quiet")
     return parser
 
 

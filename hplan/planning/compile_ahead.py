@@ -1,18 +1,18 @@
 """Kernels compiled ahead by a second process, on the first run after hplan was installed.
 
-numba compiles a kernel when it is first called, one after the other, and keeps it on disk. What a plan calls up to the
-path on the grid takes about as long to compile as what it calls from there on. So another process calls the latter
-meanwhile, on a path through the reference scene, and the plan waits for it before it gets there. Without that process,
-or where kernels cannot be kept on disk, a plan compiles all of them itself.
+numba compiles a kernel when it is first called, one after the other, and keeps it on disk. So another process begins
+with what a plan calls from the path on the grid on, on a path through the reference scene. The plan compiles what leads
+to that path, then the certificate, and finds the rest compiled, or comes to what the other process is at. Without that
+process, or where kernels cannot be kept on disk, a plan compiles all of them itself.
 """
 
 from __future__ import annotations
 
-import contextlib
 import os
 import subprocess
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,8 +20,9 @@ from hplan.base.child_process import import_environment, python_module
 from hplan.base.kernels import can_be_kept, is_kept
 from hplan.optimization.interior_point import solve
 
-#: Longest wait for the other process [s].
-PATIENCE_S = 120.0
+if TYPE_CHECKING:
+    from hplan.base.arrays import FloatArray
+    from hplan.planning.task import PlanningTask
 
 #: Elbow and wrist while the shoulder turns, on a path that avoids the ball of the reference scene [deg].
 _FOLDED_DEG = (80.0, 80.0)
@@ -40,18 +41,12 @@ def compiling_ahead(first_run: bool) -> Iterator[Callable[[], None]]:
         first_run: What `is_first_run` says.
 
     Yields:
-        A function that waits until they are.
+        A function that compiles the last of them, if so, for when the path on the grid is found.
     """
     useful = first_run and can_be_kept(solve) and len(os.sched_getaffinity(0)) > 1
     other = _start() if useful else None
-
-    def wait() -> None:
-        if other is not None:
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                other.wait(PATIENCE_S)
-
     try:
-        yield wait
+        yield compile_certificate if other is not None else lambda: None
     finally:
         if other is not None:
             other.kill()
@@ -69,20 +64,35 @@ def _start() -> subprocess.Popen[bytes] | None:
 
 def compile_from_postprocessing_on() -> None:
     """Optimise and certify a motion through the reference scene, and time its path."""
-    from hplan.planning.motion import Polyline, quickest, timed
+    from hplan.planning.motion import Polyline, quickest
+    from hplan.planning.task import MARGIN
+
+    task, waypoints = _reference()
+    quickest(task, [Polyline(waypoints, "search")], MARGIN)
+    compile_certificate()
+
+
+def compile_certificate() -> None:
+    """Time a path through the reference scene and certify its motion: what the optimiser does not call."""
+    from hplan.planning.motion import certificate_of, timed
+    from hplan.trajectory.spline import SplinePath
+
+    task, waypoints = _reference()
+    certificate_of(task, timed(task, SplinePath.through(waypoints)))
+
+
+def _reference() -> tuple[PlanningTask, FloatArray]:
+    """Arm and scene of a first run, and waypoints past the ball."""
     from hplan.planning.options import PlanOptions
-    from hplan.planning.task import MARGIN, PlanningCache
+    from hplan.planning.task import PlanningCache
     from hplan.robot.model import load_robot
     from hplan.scene.file import load_scene
-    from hplan.trajectory.spline import SplinePath
 
     scene = load_scene()
     start, goal = scene.start.configuration, scene.goal.configuration
     waypoints = np.stack([start, start, goal, goal])
     waypoints[1:3, -2:] = np.radians(_FOLDED_DEG)
-    task = PlanningCache(load_robot()).context(scene, PlanOptions()).task(start, goal)
-    motion = quickest(task, [Polyline(waypoints, "search")], MARGIN)
-    timed(task, SplinePath.through(motion.trajectory.position[:: motion.trajectory.samples // 8]))
+    return PlanningCache(load_robot()).context(scene, PlanOptions()).task(start, goal), waypoints
 
 
 if __name__ == "__main__":

@@ -425,7 +425,7 @@ def test_an_installation_that_nobody_may_write_to(tmp_path: Path) -> None:
         "from hplan.planning.compile_ahead import compiling_ahead, is_first_run\n"
         "from hplan.robot.model import load_robot\n"
         "assert 'site' in sys.modules['hplan'].__file__\n"
-        "with compiling_ahead(is_first_run()) as wait:\n"
+        "with compiling_ahead(is_first_run()):\n"
         "    print(is_first_run(), load_robot().dynamics.gravity([[0.0] * 4]).round(3).tolist())\n"
     )
     said, warned = run(site, code, PYTHONPATH=str(site), **NOWHERE)

@@ -59,11 +59,10 @@ def test_the_other_process_does_not_outlive_the_plan(monkeypatch: pytest.MonkeyP
     other = begun("import time; time.sleep(600)")
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1})
     monkeypatch.setattr(compile_ahead, "_start", lambda: other)
-    monkeypatch.setattr(compile_ahead, "PATIENCE_S", 0.01)
 
     def interrupted() -> None:
-        with compile_ahead.compiling_ahead(True) as compiled:
-            compiled()
+        with compile_ahead.compiling_ahead(True) as compile_last:
+            compile_last()
             assert other.returncode is None
             raise KeyboardInterrupt
 
@@ -88,5 +87,5 @@ def test_the_other_process_runs_nothing_of_the_working_directory(
 def test_where_no_process_can_be_started(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1})
     monkeypatch.setattr(sys, "executable", "/nowhere/python")
-    with compile_ahead.compiling_ahead(True) as compiled:
-        compiled()
+    with compile_ahead.compiling_ahead(True) as compile_last:
+        compile_last()

@@ -165,12 +165,12 @@ def _planned(robot: Robot, scene: Scene, options: PlanOptions, progress: Callabl
     from hplan.planning.compile_ahead import compiling_ahead, is_first_run
     from hplan.planning.plan import plan
 
-    with compiling_ahead(is_first_run()) as wait:
+    with compiling_ahead(is_first_run()) as compile_last:
 
         def stage(name: str) -> None:
             progress(name)
             if name == "postprocess":
-                wait()
+                compile_last()
 
         if options.deadline_s is not None:
             warm_up(robot)

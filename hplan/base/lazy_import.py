@@ -1,4 +1,4 @@
-"""What a package imports only when it is used: public names, rooms after its own, extras."""
+"""Modules that a package imports but seldom uses, imported only when it does."""
 
 from __future__ import annotations
 
@@ -8,7 +8,39 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from types import ModuleType
 from typing import Any
+
+
+class _Deferred(ModuleType):
+    """Stands for a module until one of its attributes is asked for."""
+
+    def __getattr__(self, name: str) -> Any:
+        """The module's attribute."""
+        if sys.modules.get(self.__name__) is self:
+            del sys.modules[self.__name__]
+        return getattr(importlib.import_module(self.__name__), name)
+
+
+@contextmanager
+def deferred(*names: str) -> Iterator[None]:
+    """Import these modules inside the block, as `import name`, only when they are used.
+
+    Args:
+        names: Full names of modules, parents before what they contain. Modules that are there already stay.
+    """
+    made = {name: _Deferred(name) for name in names if name not in sys.modules}
+    for name, module in made.items():
+        parent, _, child = name.rpartition(".")
+        if parent in made:
+            setattr(made[parent], child, module)
+    sys.modules.update(made)
+    try:
+        yield
+    finally:
+        for name, module in made.items():
+            if sys.modules.get(name) is module:
+                del sys.modules[name]
 
 
 def lazy_names(package: str) -> Callable[[str], Any]:

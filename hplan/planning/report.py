@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from hplan.trajectory.trajectory import Trajectory
 
 #: Packages whose versions a report names.
-_PACKAGES = ("hplan", "pin", "coal", "numba", "numpy")
+_PACKAGES = ("hplan", "pin", "coal", "toppra", "numba", "numpy")
 
 
 @functools.cache

@@ -1,4 +1,4 @@
-r"""The fastest path speed by toppra's two passes, compiled, with limits at the middle of each grid interval.
+r"""toppra with limits at the middle of each grid interval, and its two passes compiled.
 
 Between grid points the path acceleration :math:`u = \ddot s` is constant and :math:`x = \dot s^2` linear in s. A
 limit of the form :math:`|a u + b x + c| \le g` enforced at grid points (collocation) is passed in between, and
@@ -8,24 +8,35 @@ and its average over an interval is of second order. The rows of a trajectory ar
 (`hplan.trajectory.retime`), so there the limits are used in full and kept to within a fraction that timing then takes
 back.
 
-Limits are half-planes of (u, x): accelerations are :math:`q' u + q'' x`, torques the same in the inverse dynamics. From
-the end backward, the set of x from which the end can be reached is an interval, whose two ends are linear programs in
-two variables; forward, the largest u that stays in these intervals is taken. These are the passes of toppra (Pham and
-Pham, IEEE Transactions on Robotics 34, 2018), which has a call from Python for each program; the tests hold ours
-against it.
+toppra's constraints state the problem: in their canonical form they give half-planes of (u, x). From the end backward,
+the set of x from which the end can be reached is an interval, whose two ends are linear programs in two variables;
+forward, the largest u that stays in these intervals is taken. `toppra.algorithm.TOPPRA` does so with a call from Python
+for each program, which takes many times what solving it takes, and its constraint of torque with one for each point;
+here both passes are one compiled call, and torques come from one. The tests hold the passes against toppra's own.
+
+This module is imported lazily: toppra, with scipy, takes a quarter of a second.
 """
 
 from __future__ import annotations
+
+import logging
+from dataclasses import dataclass
 
 import numpy as np
 
 from hplan.base.arrays import FloatArray
 from hplan.base.kernels import kernel
+from hplan.base.lazy_import import deferred
 from hplan.errors import TimingError
 from hplan.robot.dynamics import InverseDynamics
 from hplan.robot.limits import GeometricPath, Limits
 
-#: What stands for a limit of zero, which only joints that do not move may have.
+with deferred("matplotlib", "matplotlib.pyplot"):  # toppra wants it for plots that nobody asks for here
+    from toppra import constraint
+
+logging.getLogger("toppra").setLevel(logging.ERROR)
+
+#: What toppra is given for a limit of zero, which only joints that do not move may have.
 _TINY = 1e-9
 
 #: toppra's bounds of u and x, its tolerances of a half-plane and of parallel lines, its weight of u in the programs of
@@ -44,37 +55,51 @@ def fastest_speed(path: GeometricPath, dynamics: InverseDynamics, limits: Limits
     Raises:
         TimingError: There is no motion within the limits; `cause` is toppra's code.
     """
-    # Tolerances are absolute; where a path is shorter than 0.01 rad, a longer parameter brings ds/dt to about 10.
+    # toppra's tolerances are absolute; where a path is shorter than 0.01 rad, a longer parameter brings ds/dt to
+    # about 10.
     span = float(grid[-1] - grid[0])
     scale = 10.0 / np.sqrt(max(float(limits.acceleration.max()), _TINY) * span) if span < 0.01 else 1.0
-    speed, _, _ = passes(half_planes(path, dynamics, limits, grid, scale), np.diff(scale * grid), np.zeros(2))
+    scaled = scale * grid
+    rows = half_planes(PathView(path, len(limits.velocity), scale), dynamics, limits, scaled)
+    speed, _, _ = passes(rows, np.diff(scaled), np.zeros(2))
     return np.maximum(speed, 0.0) / scale
 
 
-def half_planes(
-    path: GeometricPath, dynamics: InverseDynamics, limits: Limits, grid: FloatArray, scale: float = 1.0
-) -> FloatArray:
-    """(n, 6 + m, 3) half-planes a u + b x + c <= 0 at each grid point, u and x of the parameter times `scale`.
+@dataclass(frozen=True)
+class PathView:
+    """A path as toppra's constraints ask for it; its parameter is the path's times `scale`."""
+
+    path: GeometricPath
+    dof: int
+    scale: float
+
+    def __call__(self, positions: FloatArray, order: int = 0) -> FloatArray:
+        """Points or derivatives at (n,) parameters, (n, dof)."""
+        return self.path.evaluate(positions / self.scale, order) / self.scale**order
+
+
+def half_planes(view: PathView, dynamics: InverseDynamics, limits: Limits, grid: FloatArray) -> FloatArray:
+    """(n, 6 + m, 3) half-planes a u + b x + c <= 0 at each grid point.
 
     Four are the bounds of u and x, two are left for the interval of the next grid point. The last grid point has no
     interval after it, and so no limit of acceleration or torque.
     """
-    half = 0.5 * np.diff(scale * grid)
-    middle = (scale * grid[:-1] + half) / scale
-    bounds = np.tile([-_BOUND, _BOUND, 0.0, _BOUND], (len(grid), 1))
-    moves = np.abs(path.evaluate(grid, 1) / scale)
-    fastest = np.divide(np.maximum(limits.velocity, _TINY), moves, out=np.full_like(moves, _BOUND), where=moves > 0.0)
-    bounds[:, 3] = np.minimum(fastest.min(axis=1) ** 2, _BOUND)
+    half = 0.5 * np.diff(grid)
+    middle = grid[:-1] + half
+    bounds = np.tile([-_BOUND, _BOUND, -_BOUND, _BOUND], (len(grid), 1))
+    velocity = constraint.JointVelocityConstraint(np.maximum(limits.velocity, _TINY))
+    bounds[:, 2:] = np.clip(velocity.compute_constraint_params(view, grid)[6], 0.0, _BOUND)
     fixed = np.zeros((len(grid), 6, 3))
     fixed[:, 0:4, 0], fixed[:, 0:4, 1] = (-1.0, 1.0, 0.0, 0.0), (0.0, 0.0, -1.0, 1.0)
     fixed[:, 0:4, 2] = bounds * (1.0, -1.0, 1.0, -1.0)
     found = [fixed]
-    a, b = path.evaluate(middle, 1) / scale, path.evaluate(middle, 2) / scale**2
-    still = np.zeros_like(a)
-    linear = [(a, b, still, np.maximum(limits.acceleration, _TINY))]
+    collocation = constraint.DiscretizationType.Collocation
+    acceleration = constraint.JointAccelerationConstraint(np.maximum(limits.acceleration, _TINY), collocation)
+    a, b, c = acceleration.compute_constraint_params(view, middle)[:3]
+    linear = [(a, b, c, np.maximum(limits.acceleration, _TINY))]
     if limits.torque is not None:
-        # M(q) q' u + (M(q) q'' + C(q, q') q') x + g(q).
-        q = path.evaluate(middle)
+        # M(q) q' u + (M(q) q'' + C(q, q') q') x + g(q), in toppra's form.
+        q, still = view(middle), np.zeros_like(a)
         gravity = dynamics.torques(q, still, still)
         inertia, moving = dynamics.torques(q, still, a) - gravity, dynamics.torques(q, a, b) - gravity
         linear.append((inertia, moving, gravity, np.maximum(limits.torque, _TINY)))

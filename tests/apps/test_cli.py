@@ -128,7 +128,7 @@ def test_report_has_every_key_of_the_contract(done: Path) -> None:
         "path": {"length_deg_grid", "length_deg"},
         "trajectory": {"duration_s", "rate_hz", "samples"},
         "certificate": {"verified", "min_clearance_m", "limit_use"},
-        "versions": {"hplan", "pin", "coal", "numba", "numpy"},
+        "versions": {"hplan", "pin", "coal", "toppra", "numba", "numpy"},
     }
     assert {"status", "scene", "robot", *contract} <= set(report)
     for key, names in contract.items():
@@ -381,7 +381,7 @@ def test_a_grid_too_large_for_memory_is_no_fault(
 
 @pytest.mark.parametrize("statement", ["import hplan", "import hplan.apps.cli.plan as p; p.parser(None).format_help()"])
 def test_nothing_heavy_is_imported_before_it_is_needed(statement: str) -> None:
-    heavy = ["yourdfpy", "numba", "meshcat", "matplotlib", "pinocchio", "numpy", "rich"]
+    heavy = ["toppra", "yourdfpy", "numba", "meshcat", "matplotlib", "pinocchio", "numpy", "rich"]
     code = f"{statement}\nimport sys\nprint([name for name in {heavy} if name in sys.modules])"
     process = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert process.stdout == "[]\n"

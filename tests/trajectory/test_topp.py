@@ -15,7 +15,7 @@ from hplan.errors import TimingError
 from hplan.robot.dynamics import InverseDynamics
 from hplan.robot.limits import Limits
 from hplan.trajectory.spline import SplinePath
-from hplan.trajectory.topp import fastest_speed, half_planes, passes
+from hplan.trajectory.topp import PathView, fastest_speed, half_planes, passes
 
 
 @pytest.fixture(scope="module")
@@ -99,7 +99,7 @@ def test_passes_are_toppras(dynamics, limits, seed, span, locked, torque, faster
     static = np.abs(dynamics.gravity(path.evaluate(np.linspace(0.0, path.end, 200)))).max(axis=0)
     most = None if torque is None else np.maximum(torque * static, 3.0)
     kept, grid = Limits(limits.velocity, faster * limits.acceleration, most), cosine(path.end, points)
-    rows = half_planes(path, dynamics, kept, grid)
+    rows = half_planes(PathView(path, 4, 1.0), dynamics, kept, grid)
     ours, own = compared(rows, grid, np.array(rates))
     assert ours == own or own != "Ok"
 
@@ -110,7 +110,7 @@ def test_outcomes_of_many_paths(dynamics, limits):
     for _ in range(60):
         path, rates = spline(rng, 1.0, None), rng.choice([0.0, 0.0, 0.5, 50.0], 2)
         kept, grid = replace(limits, torque=rng.uniform(0.2, 1.0) * limits.torque), cosine(path.end, 60)
-        outcomes.add(compared(half_planes(path, dynamics, kept, grid), grid, rates))
+        outcomes.add(compared(half_planes(PathView(path, 4, 1.0), dynamics, kept, grid), grid, rates))
     assert outcomes >= {("Ok", "Ok"), ("FailUncontrollable", "FailUncontrollable")}
 
 
@@ -142,7 +142,7 @@ def test_half_planes_without_a_point(dynamics, limits, a, c, at):
     """a u + c <= 0 and -a u + c <= 0, everywhere or at one point."""
     path = SplinePath.through(np.linspace(np.zeros(4), np.full(4, 0.5), 5))
     grid = cosine(path.end, 20)
-    rows = half_planes(path, dynamics, limits, grid)
+    rows = half_planes(PathView(path, 4, 1.0), dynamics, limits, grid)
     rows[at, 6:8, 0], rows[at, 6:8, 1], rows[at, 6:8, 2] = (a, -a), 0.0, c
     with pytest.raises(TimingError) as caught:
         passes(rows, np.diff(grid), np.zeros(2))

@@ -7,17 +7,9 @@ body may travel that far, less the clearance shown so far (at most half of the s
 pair is asked again; so at least the clearance shown remains at all times. Places are counted in rows. Where the proof
 has to give up, the rest of the motion is searched for the worst.
 
-**The bound.** With :math:`\varphi_i` the absolute angle of link i in the arm plane, :math:`\psi` the yaw and
-:math:`r_k` the largest distance of link k from the yaw axis, a point of the axis of link k travels within a piece of
-the motion no farther than
-
-.. math:: \sum_{i \le k} L_i \max |\varphi_i'| + r_k \max |\psi'|,
-
-by the hulls of the derivatives' Bezier points (`hplan.certificate.motion_bound`; of a motion seen from another part of
-the arm `hplan.robot.self_contact.pair_rates`). With the joints' deviations the same sum is the tracking-error
-displacement bound (`Robot.sway`, `pair_sway`). Of a general (non-planar) arm the bound of each of its bodies, and of
-each pair of them, is in `hplan.certificate.motion_bound`; such a pair that can never be as far apart as is asked for
-must not touch (`hplan.collision.touching_pairs`).
+How far a moving body travels within a piece of the motion, and how far tracking errors displace it, is bounded in
+`hplan.certificate.motion_bound`. Two parts that can never be as far apart as is asked for must not touch
+(`hplan.collision.touching_pairs`).
 
 **Tracking.** Joints that are off by their deviations bring a pair nearer by its displacement bound, at most :math:`m_r`
 in piece :math:`r` of the motion. It is replaced by the piecewise linear :math:`\tilde m` with the values

@@ -1,9 +1,6 @@
 r"""Motion bounds: how far a checker's moving bodies travel, and how far tracking errors displace them.
 
-Of a planar arm the bound of a link, and of two parts of the arm as one is seen from the other, is in
-`hplan.certificate.clearance_proof`.
-
-**A general (non-planar) arm.** A body's points are at most :math:`R_{bj}` from the axis of joint j, whatever the
+A body's points are at most :math:`R_{bj}` from the axis of joint j, whatever the
 configuration (`hplan.collision.reach`). About the middle of a piece of the motion they are at most :math:`\rho_{bj}`
 from it, by a ball that holds the body; and what lies between the joint and the body changes that, within the piece, by
 no more than the body travels by the joints after j alone. So within the piece it is at most
@@ -18,28 +15,20 @@ more than :math:`\sum_j R_{bj} \delta_j`. (Of joints that slide, a deviation in 
 
 from __future__ import annotations
 
-import itertools
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
-from hplan.base.arrays import FloatArray, IntArray, Record, frozen
+from hplan.base.arrays import FloatArray, IntArray
 from hplan.base.kernels import kernel
 from hplan.collision import flat_bodies as flat
-from hplan.collision.arm_pairs import moving_bodies
+from hplan.collision.arm_pairs import ArmParts, arm_parts
 from hplan.collision.coal_scene import CoalScene
-from hplan.collision.collision_bodies import collision_bodies
-from hplan.collision.flat_bodies import FlatBodies
+from hplan.collision.flat_bodies import joints_alone
 from hplan.collision.placed_bodies import place_joints
-from hplan.collision.reach import carriers, reach
-from hplan.collision.touching_pairs import SelfPairs
 from hplan.collision.vectors import cross, dot, sub
-from hplan.robot.base_shapes import GROUND, TURRET
-from hplan.robot.model import Robot, made_once
-from hplan.robot.self_contact import pair_rates, pair_sway
+from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel
 from hplan.scene.limits import FARTHEST_M
 
@@ -67,60 +56,22 @@ def fastest(bezier: FloatArray, duration: FloatArray) -> FloatArray:
 
 def pair_sways(checker: CoalScene, deviations: FloatArray) -> FloatArray:
     """Tracking-error displacement bound of each pair, of (k, dof) deviations [rad] -> (pairs, k) [m]."""
-    if checker.own_bodies is not None:
-        moving = _moving_bodies(checker.robot, checker.own_bodies)
-        return moving.sways(checker.robot, deviations)[moving.of_pairs(checker)]
-    mover_of, others = movers(checker)
-    return sways(checker.robot, others, deviations)[mover_of]
+    _, reaches = _reaches(checker.parts, deviations)
+    sways: FloatArray = reaches @ deviations.T
+    return sways[_mover_of(checker)]
 
 
 def largest_pair_sway(robot: Robot, deviation: FloatArray) -> float:
     """By how much anything of a robot may come nearer to anything, itself too, with joints off by (dof,) [m]."""
-    if robot.planar is None:
-        return 2.0 * float((reach(robot, _beyond(robot, deviation)) @ deviation).max(initial=0.0))
-    own = robot.cached("movers of its own", lambda: movers(CoalScene(robot, ()))[1])
-    turning = [(TURRET, GROUND)] if robot.has_yaw else []
-    return float(sways(robot, [*own, *turning], deviation[None]).max())
+    parts = arm_parts(robot, "capsule", float(deviation.max(initial=0.0)), 0.0)
+    _, reaches = _reaches(parts, deviation)
+    return float((reaches @ deviation).max(initial=0.0))
 
 
-def sways(robot: Robot, others: Sequence[tuple[int, int]], deviations: FloatArray) -> FloatArray:
-    """(bodies, k) tracking-error displacement bounds of the moving bodies [m]: of the links, then of the others."""
-    found = [pair_sway(robot, part, other, deviations) for part, other in others]
-    return np.column_stack([robot.sway(deviations), *found]).T
-
-
-def off_axis(checker: CoalScene, others: Sequence[tuple[int, int]], turns: FloatArray) -> FloatArray:
-    """(bodies, k) how much farther than its axis a link that is no capsule moves as joints turn by (k, dof) [m].
-
-    A ball about a point of the axis moves as that point does; what is at most r from the axis by r times the link's
-    turn more, which is at most the sum of the turns of the joints before it. Seen from another link, that one's own
-    turn comes to it.
-    """
-    arm = checker.robot.arm
-    reach = arm.half_widths * {"capsule": 0.0, "urdf": 1.0, "box": math.sqrt(2.0)}[checker.links]
-    turned = np.cumsum(np.abs(turns), axis=1)[:, checker.robot.arm_slice].T
-    found = [reach[link] * turned[link] for link in range(arm.link_count)]
-    for part, other in others:
-        own = reach[part] * turned[part] if part >= 0 else np.zeros(len(turns))
-        found.append(own + (reach[part] * turned[other] if part >= 0 and other >= 0 else 0.0))
-    return np.array(found)
-
-
-def movers(checker: CoalScene) -> tuple[IntArray, list[tuple[int, int]]]:
-    """The moving body of each pair, and those after the links: a part, and the body from which its motion is seen.
-
-    The links as seen from the ground come first.
-    """
-    first, links, obstacles = len(checker.pairs) - len(checker.own_others), len(checker.link_names), checker.own_first
-    # Each shape meets all obstacles, one after the other: the first pair of each says what the moving body is.
-    shapes = [checker.pairs[pair][0] for pair in range(0, first, max(obstacles, 1))]
-    own = zip((mover for mover, _ in checker.pairs[first:]), checker.own_others, strict=True)
-    parts = [(mover if mover < links else TURRET, other) for mover, other in (*((m, GROUND) for m in shapes), *own)]
-    movers = list(dict.fromkeys([*((link, GROUND) for link in range(links)), *parts]))
-    numbers = {mover: number for number, mover in enumerate(movers)}
-    mover_of = np.array([numbers[part] for part in parts], dtype=np.int64)
-    counts = np.repeat([obstacles, 1], [len(shapes), len(checker.own_others)])
-    return np.repeat(mover_of, counts), movers[links:]
+def _mover_of(checker: CoalScene) -> IntArray:
+    """(pairs,) what moves of each pair of a checker, as `ArmParts.movers` has it."""
+    alone, own = len(checker.parts.shapes), len(checker.parts.own)
+    return np.concatenate([np.repeat(np.arange(alone), checker.own_first), np.arange(alone, alone + own)])
 
 
 def at_rows(sway: FloatArray, pieces: int) -> FloatArray:
@@ -147,9 +98,9 @@ def with_obstacles(
     if checker.moving is None:
         return mover_of, moved, nearer
     travels, group_of = checker.moving.travels(clock)
-    first = len(checker.pairs) - len(checker.own_others)
+    first = len(checker.pairs) - len(checker.parts.own)
     obstacles = np.array([obstacle for _, obstacle in checker.pairs[:first]], dtype=np.int64)
-    groups = np.concatenate([group_of[obstacles], np.full(len(checker.own_others), -1)])
+    groups = np.concatenate([group_of[obstacles], np.full(len(checker.parts.own), -1)])
     together = np.column_stack([mover_of, groups])
     added, number = np.unique(together[groups >= 0], axis=0, return_inverse=True)
     mover_of = mover_of.copy()
@@ -161,135 +112,38 @@ def with_obstacles(
 def motion_of_movers(
     checker: CoalScene, bezier: FloatArray, deviations: FloatArray
 ) -> tuple[IntArray, FloatArray, FloatArray]:
-    """The moving bodies of a checker's pairs along a motion, and what tracking errors do.
+    """What moves of a checker's pairs along a motion, and what tracking errors do.
 
     Args:
         bezier: (pieces, 4, dof) Bezier points of the motion's cubics.
         deviations: (k, dof) largest deviations of the joints [rad, m].
 
     Returns:
-        (pairs,) the moving body of each pair; (bodies, pieces) how far each travels in each piece; (bodies, k) by how
-        much deviations may bring its pairs nearer [m].
+        (pairs,) what moves of each pair; (movers, pieces) how far each travels in each piece; (movers, k) by how much
+        deviations may bring its pairs nearer [m].
     """
-    robot = checker.robot
-    if checker.own_bodies is not None:
-        moving = _moving_bodies(robot, checker.own_bodies)
-        return moving.of_pairs(checker), moving.travels(robot, bezier, deviations), moving.sways(robot, deviations)
-    mover_of, others = movers(checker)
-    rates = 3.0 * np.diff(bezier, axis=1)
-    bounds = [link_bounds(robot, rates), *(pair_rates(robot, part, other, rates) for part, other in others)]
-    moved, nearer = np.column_stack(bounds).T, sways(robot, others, deviations)
-    if checker.links != "capsule":
-        moved = moved + off_axis(checker, others, np.abs(rates).max(axis=1))
-        nearer = nearer + off_axis(checker, others, deviations)
-    return mover_of, moved, nearer
+    parts, robot = checker.parts, checker.robot
+    rates = 3.0 * np.abs(np.diff(bezier, axis=1)).max(axis=1)
+    middles = 0.125 * (bezier[:, 0] + bezier[:, 3]) + 0.375 * (bezier[:, 1] + bezier[:, 2])
+    of_bodies, reaches = _reaches(parts, deviations)
+    found = _body_travels(np.ascontiguousarray(middles), rates, of_bodies, parts.rows, joints_alone(robot))
+    both, counts = parts.movers
+    travels = np.empty((len(both), len(bezier)))
+    _of_movers(found, both, counts, travels)
+    return _mover_of(checker), travels, reaches @ deviations.T
 
 
-def link_bounds(robot: Robot, rates: FloatArray) -> FloatArray:
-    """(pieces, links) largest distance that any axis point of a link can travel within each cubic [m].
-
-    The bound of `hplan.certificate.clearance_proof`; `rates` are the (pieces, 3, dof) Bezier points of the derivative.
-    """
-    arm = robot.arm
-    return _travels(rates, robot.yaw_joints, arm.signs, arm.lengths, robot.yaw_radius)
+def _reaches(parts: ArmParts, deviations: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """As `ArmParts.reaches`, where joints are off by (..., dof) deviations: sliding ones by one of few numbers."""
+    largest = float(deviations.max(initial=0.0)) if any(parts.robot.slides) else 0.0
+    return parts.reaches(2.0 ** math.ceil(math.log2(max(largest, 1e-3))) if largest > 0.0 else 0.0)
 
 
 @kernel
-def _travels(
-    rates: FloatArray, first: int, signs: FloatArray, lengths: FloatArray, yaw_radius: FloatArray
-) -> FloatArray:
-    """The compiled part of `link_bounds`; what is no number stays none."""
-    result, turned = np.empty((rates.shape[0], len(lengths))), np.empty(rates.shape[1])
-    for piece in range(rates.shape[0]):
-        swing = 0.0
-        for i in range(len(turned)):
-            turned[i] = 0.0
-            if first:
-                swing = _larger(swing, abs(rates[piece, i, 0]))
-        bound = 0.0
-        for k in range(len(lengths)):
-            turn = 0.0
-            for i in range(len(turned)):
-                turned[i] += signs[k] * rates[piece, i, first + k]
-                turn = _larger(turn, abs(turned[i]))
-            bound += lengths[k] * turn
-            result[piece, k] = bound + swing * yaw_radius[k] if first else bound
-    return result
-
-
-@kernel
-def _larger(first: float, second: float) -> float:
-    """The larger of two numbers; none where one of them is none."""
-    return second if second > first or second != second else first
-
-
-@dataclass(frozen=True, eq=False)
-class _MovingBodies(Record):
-    """Moving bodies of a general (non-planar) arm: each that joints move, then each pair of the robot's own.
-
-    Attributes:
-        alone: How many are one body; in the order in which checkers have them.
-        first: (bodies,) the body; of a pair one of the two.
-        second: (bodies,) the other body of a pair; -1 where there is none.
-        counts: (bodies, dof) 1 for the joints that move the first and not the second, or the other way; else 0.
-    """
-
-    alone: int
-    first: IntArray
-    second: IntArray
-    counts: FloatArray
-
-    def of_pairs(self, checker: CoalScene) -> IntArray:
-        """(pairs,) the moving body of each pair of a checker."""
-        among = np.repeat(np.arange(self.alone), checker.own_first)
-        return np.concatenate([among, np.arange(self.alone, len(self.first))])
-
-    def travels(self, robot: Robot, bezier: FloatArray, deviations: FloatArray) -> FloatArray:
-        """(bodies, pieces) how far each travels in each of (pieces, 4, dof) cubics at most [m]."""
-        rates = 3.0 * np.abs(np.diff(bezier, axis=1)).max(axis=1)
-        middles = 0.125 * (bezier[:, 0] + bezier[:, 3]) + 0.375 * (bezier[:, 1] + bezier[:, 2])
-        bodies, bounds = FlatBodies.of(robot), reach(robot, _beyond(robot, deviations))
-        found = _body_travels(np.ascontiguousarray(middles), rates, bounds, bodies.movers, bodies.numbers)
-        travels = np.empty((len(self.first), len(bezier)))
-        _of_movers(found, self.first, self.second, self.counts, travels)
-        return travels
-
-    def sways(self, robot: Robot, deviations: FloatArray) -> FloatArray:
-        """(bodies, k) how far (k, dof) deviations displace each at most [m]."""
-        sways: FloatArray = self._counted(reach(robot, _beyond(robot, deviations))) @ deviations.T
-        return sways
-
-    def _counted(self, by_body: FloatArray) -> FloatArray:
-        """(..., moving bodies, dof) what joints do to those, from (..., bodies, dof) what they do to bodies."""
-        second = np.where((self.second >= 0)[:, None], by_body[..., self.second, :], 0.0)
-        counted: FloatArray = np.where(self.counts > 0.0, by_body[..., self.first, :] + second, 0.0)
-        return counted
-
-
-@made_once
-def _moving_bodies(robot: Robot, pairs: SelfPairs) -> _MovingBodies:
-    """The moving bodies of a robot with these pairs of its own; found once."""
-    bodies = collision_bodies(robot)
-    alone = [(body, -1) for body in itertools.chain(*moving_bodies(robot).values())]
-    both = np.array([*alone, *pairs.checked], dtype=np.int64).reshape(-1, 2)
-    counts = np.zeros((len(both), robot.dof))
-    for row, pair in enumerate(both.tolist()):
-        first, second = (set(carriers(robot, bodies[body].joint)) if body >= 0 else set[int]() for body in pair)
-        counts[row, sorted(first ^ second)] = 1.0
-    return _MovingBodies(len(alone), frozen(both[:, 0].copy()), frozen(both[:, 1].copy()), frozen(counts))
-
-
-def _beyond(robot: Robot, deviations: FloatArray) -> float:
-    """How far joints that slide may be beyond their limits: one of few numbers, for which `reach` is known [m]."""
-    largest = float(deviations.max(initial=0.0)) if any(robot.slides) else 0.0
-    return 2.0 ** math.ceil(math.log2(max(largest, 1e-3))) if largest > 0.0 else 0.0
-
-
-@kernel
-def _of_movers(found: FloatArray, first: IntArray, second: IntArray, counts: FloatArray, travels: FloatArray) -> None:
+def _of_movers(found: FloatArray, both: IntArray, counts: FloatArray, travels: FloatArray) -> None:
     """Fill in (movers, pieces) how far each travels, from (pieces, bodies, dof) how far joints move bodies."""
-    for mover in range(len(first)):
-        one, other = first[mover], second[mover]
+    for mover in range(len(both)):
+        one, other = both[mover, 0], both[mover, 1]
         for piece in range(len(found)):
             total = 0.0
             for j in range(found.shape[2]):
@@ -308,8 +162,8 @@ def _body_travels(
         middles: (pieces, dof) configurations in the middle of the pieces.
         rates: (pieces, dof) largest rates of the joints within them.
         reach: (bodies, dof) motion-bound coefficients R.
-        bodies: As `FlatBodies.movers`.
-        numbers: As `FlatBodies`.
+        bodies: As `ArmParts.rows`.
+        numbers: As `joints_alone`.
     """
     pieces, dof = middles.shape
     joints = int(numbers[flat.JOINTS])
@@ -317,8 +171,8 @@ def _body_travels(
     for piece in range(pieces):
         place_joints(middles[piece], numbers, frames)
         for b in range(len(reach)):
-            x, y, z = bodies[b, flat.BALL], bodies[b, flat.BALL + 1], bodies[b, flat.BALL + 2]
-            j, outer = int(bodies[b, flat.JOINT]), 0.0
+            x, y, z = bodies[b, 1], bodies[b, 2], bodies[b, 3]
+            j, outer = int(bodies[b, 0]), 0.0
             of_body = frames[j]
             at = (
                 of_body[9] + of_body[0] * x + of_body[1] * y + of_body[2] * z,
@@ -337,7 +191,7 @@ def _body_travels(
                         f[6] * tx + f[7] * ty + f[8] * tz,
                     )
                     off = cross(axis, sub(at, (f[9], f[10], f[11])))
-                    radius = math.sqrt(dot(off, off)) + bodies[b, flat.BALL_RADIUS] + 0.5 * outer
+                    radius = math.sqrt(dot(off, off)) + bodies[b, 4] + 0.5 * outer
                     result[piece, b, j] = min(reach[b, j], radius) * rates[piece, j]
                 outer += reach[b, j] * rates[piece, j]
                 j = int(numbers[own + flat.PARENT])

@@ -1,8 +1,15 @@
-"""Pairs of parts of the arm in coal, and the bodies of the turret that meet obstacles.
+"""Parts of the arm in coal: what of it meets obstacles, which pairs of its own may touch, and what joints do to them.
 
-The turret's shapes that are round about the yaw axis, and the pedestal, stand still: they are no part of any motion,
-and checked once (`hplan.collision.coal_scene.base_contacts`). So is an obstacle that no point of a turning shape
-comes down to: a horizontal plane between the two stays between them, whatever the yaw.
+Of a planar arm the parts are the capsules of its links, and shapes of turret and pedestal. The turret's shapes that are
+round about the yaw axis, and the pedestal, stand still: they are no part of any motion, and checked once
+(`hplan.collision.coal_scene.base_contacts`). So is an obstacle that no point of a turning shape comes down to: a
+horizontal plane between the two stays between them, whatever the yaw.
+
+**Neighbours of a planar arm** overlap about the joint that they share, and that is their own. What of a link is
+farther from it than `_FOLD_REACH` times the distance that their axes have to keep, both half-widths and the clearance,
+must keep that distance from the whole of the other link: a link ends in a cap as wide as it is thick, and links that
+meet at an angle overlap up to 1 / sin(angle) times their half-widths. So all angles down to 19.5 degrees are left to
+the two.
 
 Of a general (non-planar) arm the parts are its collision bodies (`hplan.collision`), each link's by the link's name.
 """
@@ -13,21 +20,23 @@ import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property, lru_cache, partial
+from typing import Final
 
 import coal
 import numpy as np
 import pinocchio as pin
 
-from hplan.base.arrays import BoolArray
+from hplan.base.arrays import BoolArray, FloatArray, IntArray, Record, frozen, readonly
 from hplan.collision.coal_cloud import distance_from
 from hplan.collision.coal_shapes import LinkShapes, link_shapes, urdf_shapes
-from hplan.collision.collision_bodies import body_shapes, collision_bodies
-from hplan.collision.reach import carriers
-from hplan.collision.touching_pairs import BEYOND, SelfPairs, pairs_among, self_pairs
+from hplan.collision.collision_bodies import CollisionBody, body_shapes, collision_bodies
+from hplan.collision.flat_bodies import ball_about
+from hplan.collision.reach import carriers, reach_of
+from hplan.collision.touching_pairs import BEYOND, SelfPairs, one_joint, pairs_among, self_pairs
 from hplan.errors import RobotFileError
 from hplan.robot.base_shapes import (
     BASE_DEPTH,
-    GROUND,
     TURRET,
     BaseShape,
     always,
@@ -36,65 +45,203 @@ from hplan.robot.base_shapes import (
     filled_shape,
     turning_shapes,
 )
+from hplan.robot.family_reader import outline
 from hplan.robot.model import Robot, made_once
-from hplan.robot.self_contact import SHAPED, SelfContact, held_apart, is_held, self_contact
+from hplan.robot.self_contact import SLACK, SelfContact, held_apart, is_held, rounded_up, self_contact
 from hplan.scene.obstacles import Solid
 
 #: Heights that differ by less are the same [m].
-_ROUNDING = 1e-9
+_ROUNDING: Final = 1e-9
+
+#: Neighbours may overlap up to this many times the distance that they keep from their joint.
+_FOLD_REACH: Final = 3.0
 
 
 @dataclass(frozen=True, eq=False)
 class ArmPair:
-    """Two parts of the arm.
+    """Two parts of the arm by name, the moving one first, and their shapes.
 
     Attributes:
-        mover: The link, or `TURRET`.
-        other: The body from which the motion is seen: a link before it, `TURRET`, or `GROUND`, with `SHAPED` added
-            where both are as the URDF has them; of a general (non-planar) arm, the number of the other body.
+        farthest: How far apart they were seen at most [m]; infinite where they may be as far as is asked for.
     """
 
-    mover: int
-    other: int
     mover_name: str
     other_name: str
     shapes: tuple[pin.GeometryObject, pin.GeometryObject]
+    farthest: float = math.inf
 
 
-def link_pairs(robot: Robot, contact: SelfContact, shapes: Sequence[Sequence[pin.GeometryObject]]) -> Iterator[ArmPair]:
+@dataclass(frozen=True, eq=False)
+class ArmParts(Record):
+    """What of an arm meets obstacles, and which parts of it may touch each other.
+
+    Attributes:
+        links: The shapes of each link that moves, by its name.
+        turret: By body, the shapes of the turret that are not round about the yaw axis, and the same in coal.
+        tool_joint: The joint of the shapes that may touch a fruit which is picked, as Pinocchio counts them.
+        own: Pairs of parts.
+    """
+
+    robot: Robot
+    links: dict[str, list[pin.GeometryObject]]
+    turret: dict[str, tuple[list[BaseShape], list[pin.GeometryObject]]]
+    tool_joint: int
+    own: tuple[ArmPair, ...]
+
+    @cached_property
+    def shapes(self) -> list[pin.GeometryObject]:
+        """The shapes that meet obstacles: links, then turret."""
+        of_turret = (placed for _, placed in self.turret.values())
+        return list(itertools.chain(*self.links.values(), *of_turret))
+
+    @cached_property
+    def bodies(self) -> tuple[CollisionBody, ...]:
+        """The `shapes` as bodies, then all others that are of pairs."""
+        known = dict(zip(map(id, body_shapes(self.robot)), collision_bodies(self.robot), strict=True))
+        return tuple(known.get(id(shape)) or _body(shape) for shape in self._every.values())
+
+    @cached_property
+    def _every(self) -> dict[int, pin.GeometryObject]:
+        return {id(shape): shape for shape in (*self.shapes, *itertools.chain(*(pair.shapes for pair in self.own)))}
+
+    @cached_property
+    def movers(self) -> tuple[IntArray, FloatArray]:
+        """What moves: each of the `shapes`, then each of the pairs as one of the two is seen from the other.
+
+        Returns:
+            (movers, 2) bodies, -1 for no second one; (movers, dof) 1 for the joints that move it, else 0.
+        """
+        alone, numbers = len(self.shapes), {shape: number for number, shape in enumerate(self._every)}
+        both = [(body, -1) for body in range(alone)]
+        both += [(numbers[id(first)], numbers[id(second)]) for first, second in (pair.shapes for pair in self.own)]
+        counts = np.zeros((len(both), self.robot.dof))
+        for row, pair in enumerate(both):
+            for body in pair:
+                joints = list(carriers(self.robot, self.bodies[body].joint)) if body >= 0 else []
+                counts[row, joints] = 1.0 - counts[row, joints]
+        return readonly(np.array(both).reshape(-1, 2), np.int64), frozen(counts)
+
+    @cached_property
+    def rows(self) -> FloatArray:
+        """(bodies, 5) joint of each (`dof` for the ground), and centre and radius of a ball that holds it."""
+        found = np.empty((len(self.bodies), 5))
+        for row, body in zip(found, self.bodies, strict=True):
+            row[1:4], radius = ball_about(body.core)
+            row[0], row[4] = body.joint % (self.robot.dof + 1), radius * (1.0 + 1e-12) + body.rounding
+        return frozen(found)
+
+    def reaches(self, beyond: float = 0.0) -> tuple[FloatArray, FloatArray]:
+        """Motion-bound coefficients (`hplan.collision.reach`); found once.
+
+        Args:
+            beyond: How far joints that slide may be beyond their limits [m].
+
+        Returns:
+            (bodies, dof) those of bodies, and (movers, dof) of what moves.
+        """
+        if beyond not in self._reaches:
+            both, counts = self.movers
+            alone = reach_of(self.robot, self.bodies, beyond)
+            found = np.vstack([alone, np.zeros(self.robot.dof)])
+            self._reaches[beyond] = alone, counts * found[both].sum(axis=1)
+        return self._reaches[beyond]
+
+    @cached_property
+    def _reaches(self) -> dict[float, tuple[FloatArray, FloatArray]]:
+        return {}
+
+
+def _body(shape: pin.GeometryObject) -> CollisionBody:
+    """A shape as a body that holds it."""
+    (points, rounding), place = outline(shape, rim_from_outside=True), shape.placement
+    core = frozen(points @ place.rotation.T + place.translation)
+    return CollisionBody(shape.name, int(shape.parentJoint) - 1, core, rounding, "", True, 0.0, -1)
+
+
+def arm_parts(
+    robot: Robot, links: LinkShapes, deviation: float, clearance: float, *, single_joint_pairs: bool = True
+) -> ArmParts:
+    """The parts of an arm; the same ones for the same pairs.
+
+    Args:
+        links: Shape of the links; of a general (non-planar) arm it is always the URDF's.
+        deviation: How far joints may be beyond their limits [rad].
+        clearance: Distance to be kept [m].
+        single_joint_pairs: Whether those of a planar arm are among them that depend on one joint alone.
+    """
+    if robot.planar is None:
+        return _parts_of_bodies(robot, _beyond(deviation))
+    most_known = 32
+    decide = robot.cached("arm_parts", lambda: lru_cache(most_known)(partial(_planar_parts, robot)))
+    return decide(links, rounded_up(deviation), float(clearance), single_joint_pairs)
+
+
+@made_once
+def _parts_of_bodies(robot: Robot, deviation: float) -> ArmParts:
+    """The parts of a general (non-planar) arm."""
+    shapes = body_shapes(robot)
+    by_link = {name: [shapes[body] for body in bodies] for name, bodies in moving_bodies(robot).items()}
+    own = tuple(_as_shaped(robot, self_pairs(robot, deviation)))
+    return ArmParts(robot, by_link, {}, robot.tool_joint, own)
+
+
+def _planar_parts(robot: Robot, links: LinkShapes, deviation: float, clearance: float, single: bool) -> ArmParts:
+    names = robot.arm.link_names
+    of_links = urdf_shapes(robot) if links == "urdf" else [[shape] for shape in link_shapes(robot, links)]
+    own = list(_link_pairs(robot, self_contact(robot, deviation=deviation, clearance=clearance), of_links))
+    turret = {}
+    if single:
+        turret = turret_shapes(robot)
+        own += [*_fold_pairs(robot, deviation, clearance), *_turret_pairs(robot, deviation, clearance)]
+        own += _as_shaped(robot, shaped_pairs(robot, deviation))
+    return ArmParts(robot, dict(zip(names, of_links, strict=True)), turret, robot.dof, tuple(own))
+
+
+def _link_pairs(
+    robot: Robot, contact: SelfContact, shapes: Sequence[Sequence[pin.GeometryObject]]
+) -> Iterator[ArmPair]:
     """Links against one another and against pedestal and turret, where they can touch."""
     names = robot.arm.link_names
     for i, j in contact.links:
         for pair in itertools.product(shapes[j], shapes[i]):
-            yield ArmPair(j, i, names[j], names[i], pair)
+            yield ArmPair(names[j], names[i], pair)
     for body in contact.bodies:
         placed = _placed(robot, body.shape)
         for link in body.links:
             for shape in shapes[link]:
-                yield ArmPair(link, body.carrier, names[link], body.name, (shape, placed))
+                yield ArmPair(names[link], body.name, (shape, placed))
 
 
-def fold_pairs(robot: Robot, contact: SelfContact, capsules: Sequence[pin.GeometryObject]) -> Iterator[ArmPair]:
-    """Neighbours that can fold into one another: the part of one beyond the joint's own reach, and the whole other one.
+def _fold_pairs(robot: Robot, deviation: float, clearance: float) -> Iterator[ArmPair]:
+    """Neighbours that can fold into one another: of one what the joint's own reach leaves, and the whole other one."""
+    arm, capsules = robot.arm, link_shapes(robot, "capsule")
+    for inner in range(arm.link_count - 1):
+        outer, joint = inner + 1, robot.arm_slice.start + inner + 1
+        own_reach = _FOLD_REACH * (float(arm.half_widths[inner] + arm.half_widths[outer]) + clearance)
+        for trimmed in (inner, outer):
+            if arm.lengths[trimmed] > own_reach:
+                pair = (_beyond_joint(capsules[outer], own_reach, 1.0), capsules[inner])
+                if trimmed == inner:
+                    pair = (capsules[outer], _beyond_joint(capsules[inner], own_reach, -1.0))
+                if one_joint(robot, pair, joint, deviation).ever(SLACK + clearance):
+                    yield ArmPair(arm.link_names[outer], arm.link_names[inner], pair)
 
-    Args:
-        capsules: Capsule of each link, z from its joint to the next.
-    """
-    names = robot.arm.link_names
-    for fold in contact.folds:
-        inner, outer = capsules[fold.inner], capsules[fold.inner + 1]
-        for trimmed in fold.trims:
-            pair = (_beyond_joint(outer, fold.own_reach, 1.0), inner)
-            if trimmed == fold.inner:
-                pair = (outer, _beyond_joint(inner, fold.own_reach, -1.0))
-            yield ArmPair(fold.inner + 1, fold.inner, names[fold.inner + 1], names[fold.inner], pair)
 
-
-def turret_pairs(robot: Robot, contact: SelfContact) -> Iterator[ArmPair]:
-    """Turning shapes of the turret against those of the pedestal."""
-    for shape, other in contact.turret:
+def _turret_pairs(robot: Robot, deviation: float, clearance: float) -> Iterator[ArmPair]:
+    """Turning shapes of the turret against those of the pedestal, where they can touch as the base turns."""
+    for shape, other in itertools.product(turning_shapes(robot), base_shapes(robot)):
+        if other.carrier == TURRET or other.is_round:
+            continue
+        # A horizontal plane between them stays between them.
+        if shape.bottom >= other.top - BASE_DEPTH or other.bottom >= shape.top - BASE_DEPTH:
+            continue
         pair = (_placed(robot, shape.number), _placed(robot, other.number))
-        yield ArmPair(TURRET, GROUND, shape.name, other.name, pair)
+        turn = one_joint(robot, pair, 0, deviation)
+        if turn.always(0.0):
+            continue
+        held = clearance > 0.0 and turn.always(clearance)
+        if turn.ever(SLACK + (0.0 if held else clearance)):
+            yield ArmPair(shape.name, other.name, pair)
 
 
 def turret_shapes(robot: Robot) -> dict[str, tuple[list[BaseShape], list[pin.GeometryObject]]]:
@@ -107,66 +254,16 @@ def turret_shapes(robot: Robot) -> dict[str, tuple[list[BaseShape], list[pin.Geo
     return found
 
 
-@dataclass(frozen=True, eq=False)
-class ArmParts:
-    """What of an arm meets obstacles, and which parts of it may touch each other.
-
-    Attributes:
-        links: The shapes of each link that moves, by its name.
-        turret: By body, the shapes of the turret that are not round about the yaw axis, and the same in coal.
-        tool_joint: The joint of the shapes that may touch a fruit which is picked, as Pinocchio counts them.
-        held: Those of them, the last ones, that are asked as the URDF has them.
-        shaped: Shape of the links.
-        own_bodies: All pairs of a general (non-planar) arm; None of a planar one.
-    """
-
-    links: dict[str, list[pin.GeometryObject]]
-    turret: dict[str, tuple[list[BaseShape], list[pin.GeometryObject]]]
-    tool_joint: int
-    own: Sequence[ArmPair]
-    held: SelfPairs
-    shaped: LinkShapes
-    own_bodies: SelfPairs | None = None
-
-
-def arm_parts(
-    robot: Robot, links: LinkShapes, deviation: float, clearance: float, *, single_joint_pairs: bool = True
-) -> ArmParts:
-    """The parts of an arm.
-
-    Args:
-        links: Shape of the links; of a general (non-planar) arm it is always the URDF's.
-        deviation: How far joints may be beyond their limits [rad].
-        clearance: Distance to be kept [m].
-        single_joint_pairs: Whether those of a planar arm are among them that depend on one joint alone.
-    """
-    if robot.planar is None:
-        shapes, held = body_shapes(robot), own_pairs(robot, deviation)
-        by_link = {name: [shapes[body] for body in bodies] for name, bodies in moving_bodies(robot).items()}
-        return ArmParts(by_link, {}, robot.tool_joint, body_pairs(robot, held), held, "urdf", held)
-    of_links = urdf_shapes(robot) if links == "urdf" else [[shape] for shape in link_shapes(robot, links)]
-    contact = self_contact(robot, deviation=deviation, clearance=clearance)
-    own = list(link_pairs(robot, contact, of_links))
-    turret, held = {}, SelfPairs((), (), np.zeros(0))
-    if single_joint_pairs:
-        turret, held = turret_shapes(robot), shaped_pairs(robot, deviation)
-        own += [*fold_pairs(robot, contact, link_shapes(robot, "capsule")), *turret_pairs(robot, contact)]
-        own += _as_shaped(robot, held)
-    by_link = dict(zip(robot.arm.link_names, of_links, strict=True))
-    return ArmParts(by_link, turret, robot.dof, own, held, links)
-
-
 def shaped_pairs(robot: Robot, deviation: float) -> SelfPairs:
     """The pairs of a planar arm's bodies that its capsules say nothing of, and that can touch as the URDF has them.
 
     Those are links that others between hold near together, and links that begin in a shape of turret or pedestal, or
-    near it: as capsules they always touch. What of neighbours is near their joint is their own
-    (`hplan.robot.folding`).
+    near it: as capsules they always touch. What of neighbours is near their joint is their own.
 
     Args:
         deviation: How far joints may be beyond their limits [rad].
     """
-    beyond = _rounded_up(deviation)
+    beyond = _beyond(deviation)
     return robot.cached(("shaped_pairs", beyond), lambda: pairs_among(robot, _held_pairs(robot), beyond))
 
 
@@ -187,14 +284,11 @@ def _held_pairs(robot: Robot) -> Iterator[tuple[int, int]]:
 
 
 def _as_shaped(robot: Robot, pairs: SelfPairs) -> Iterator[ArmPair]:
-    bodies, shapes, names = collision_bodies(robot), body_shapes(robot), robot.arm.link_names
-    for pair in pairs.checked:
-        inner, outer = sorted(pair, key=lambda body: bodies[body].joint)
-        first, last = (bodies[body].joint - robot.yaw_joints for body in (inner, outer))
-        other, name = (first, names[first]) if first >= 0 else (GROUND, bodies[inner].name)
-        if first < 0 and bodies[inner].joint >= 0:
-            other = TURRET
-        yield ArmPair(last, SHAPED + other, names[last], name, (shapes[outer], shapes[inner]))
+    """Pairs of a robot's bodies, in their order; the one that more joints carry is the moving body."""
+    bodies, shapes = collision_bodies(robot), body_shapes(robot)
+    for pair, farthest in zip(pairs.checked, pairs.farthest.tolist(), strict=True):
+        still, moved = sorted(pair, key=lambda body: len(carriers(robot, bodies[body].joint)))
+        yield ArmPair(bodies[moved].name, bodies[still].name, (shapes[moved], shapes[still]), farthest)
 
 
 def moving_bodies(robot: Robot) -> dict[str, list[int]]:
@@ -226,26 +320,9 @@ def base_bodies(robot: Robot) -> Iterator[tuple[str, pin.GeometryObject]]:
             yield name, pin.GeometryObject(name, shape.parentJoint, shape.placement, filled_shape(robot, number))
 
 
-def own_pairs(robot: Robot, deviation: float) -> SelfPairs:
-    """The pairs of a robot's bodies where joints are beyond their limits by a deviation at most [rad]."""
-    return self_pairs(robot, _rounded_up(deviation))
-
-
-def _rounded_up(deviation: float) -> float:
-    """A deviation that is no less, one of few for which pairs are found."""
+def _beyond(deviation: float) -> float:
+    """A deviation that is no less, one of few for which pairs of bodies are found."""
     return BEYOND * max(1, math.ceil(deviation / BEYOND - 1e-9))
-
-
-@made_once
-def body_pairs(robot: Robot, pairs: SelfPairs) -> tuple[ArmPair, ...]:
-    """Pairs of a robot's bodies, in their order; the one that more joints carry is the moving body. Made once."""
-    bodies, shapes, links = collision_bodies(robot), body_shapes(robot), list(moving_bodies(robot))
-    found = []
-    for pair in pairs.checked:
-        still, moved = sorted(pair, key=lambda body: len(carriers(robot, bodies[body].joint)))
-        names = bodies[moved].name, bodies[still].name
-        found.append(ArmPair(links.index(names[0]), still, *names, (shapes[moved], shapes[still])))
-    return tuple(found)
 
 
 def below(robot: Robot, shape: BaseShape, obstacles: Sequence[Solid]) -> BoolArray:

@@ -15,17 +15,17 @@ from numpy.typing import ArrayLike
 from hplan.base import ties
 from hplan.base.arrays import BoolArray, FloatArray, IntArray
 from hplan.base.deadline import check_deadline
-from hplan.collision.arm_pairs import arm_parts, base_bodies, below, own_pairs, shaped_pairs
+from hplan.collision.arm_pairs import arm_parts, base_bodies, below
 from hplan.collision.coal_accuracy import distance_errors
 from hplan.collision.coal_cloud import distance_from, obstacle_shapes
 from hplan.collision.coal_shapes import LINK_SHAPES, LinkShapes, beyond_geometry, bounding_balls
 from hplan.collision.geometry_pairs import GeometryPairs
 from hplan.collision.giving_way import pushing_links, yielded
 from hplan.collision.moving_solids import MovingSolids
+from hplan.collision.touching_pairs import needed
 from hplan.errors import MovingObstacleError, OptionError
-from hplan.robot.base_shapes import TURRET, base_joints
+from hplan.robot.base_shapes import base_joints
 from hplan.robot.model import Robot
-from hplan.robot.self_contact import self_contact
 from hplan.scene.obstacles import Solid
 from hplan.scene.tracks import Movement
 
@@ -86,11 +86,10 @@ class CoalScene:
         obstacle_names: Names of the obstacles; from `own_first` on of the parts of the arm that another can touch.
         link_shapes: Shapes of the links, link by link.
         pairs: Moving body, by its place in `mover_names`, and obstacle or part, in `obstacle_names`, of each pair.
-        own_others: The body from which the motion of each of the last of `pairs` is seen: a link, `TURRET` or `GROUND`.
+        parts: What of the arm meets obstacles, and the pairs of its own, the last of `pairs`.
         deviation: How far joints may be beyond their limits [rad]; parts of the arm that touch up to there are pairs.
         clearance: Distance that parts of the arm are to keep from each other [m]; those that come nearer are pairs.
         moving: Those of the obstacles that move, and how; None where none does.
-        own_bodies: The pairs of its own of a general (non-planar) arm, the last of `pairs`; None of a planar arm.
     """
 
     def __init__(
@@ -138,14 +137,14 @@ class CoalScene:
         self._touched: tuple[tuple[str, tuple[str, ...]], ...] = ()
         self.deviation, self.clearance = float(deviation), float(clearance)
         parts = arm_parts(robot, links, self.deviation, self.clearance, single_joint_pairs=single_joint_pairs)
-        self.links, self._held, self.own_bodies = parts.shaped, parts.held, parts.own_bodies
+        self.parts = parts
         self.link_names = tuple(parts.links)
         self.mover_names = (*self.link_names, *parts.turret)
         movers = [*parts.links.values(), *(placed for _, placed in parts.turret.values())]
         # The shapes of moving body k are the rows from `_first_shape[k]` on.
         self._first_shape = np.cumsum([0, *(len(of_mover) for of_mover in movers[:-1])])
         self.link_shapes = list(chain(*parts.links.values()))
-        self._mover_shapes = list(chain(*movers))
+        self._mover_shapes = parts.shapes
         self._last = np.flatnonzero([shape.parentJoint == parts.tool_joint for shape in self.link_shapes])
         # To be taken off coal's distance of each shape from each obstacle [m].
         beyond = np.array([beyond_geometry(obstacle) for obstacle in obstacles], dtype=np.float64)
@@ -157,17 +156,17 @@ class CoalScene:
                 never = self.moving.keep_below(never, shape.bottom)
             self._beyond[row, never] = -np.inf
         check_deadline()
-        self.own_others = [pair.other for pair in parts.own]
         self._own_shapes = [pair.shapes for pair in parts.own]
+        self._farthest = np.array([pair.farthest for pair in parts.own])
         self.own_first = len(obstacles)
         own_names = tuple(dict.fromkeys(pair.other_name for pair in parts.own))
         self.obstacle_names = (*(obstacle.name for obstacle in obstacles), *own_names)
         mover_of = [mover for mover, of_mover in enumerate(movers) for _ in of_mover]
         self.pairs = [(mover, obstacle) for mover in mover_of for obstacle in range(len(obstacles))]
-        for pair in parts.own:
-            turns = pair.mover == TURRET
-            mover = self.mover_names.index(pair.mover_name, len(parts.links)) if turns else pair.mover
-            self.pairs.append((mover, self.own_first + own_names.index(pair.other_name)))
+        self.pairs += [
+            (self.mover_names.index(pair.mover_name), self.own_first + own_names.index(pair.other_name))
+            for pair in parts.own
+        ]
         self._yielded = self._depths(yielded(robot, obstacles, yield_links), yield_links)
         # Parts of the arm do not grow.
         self._taken_off: FloatArray = np.append(self._beyond, np.zeros(len(parts.own)))
@@ -192,15 +191,11 @@ class CoalScene:
         """The scene with the pairs that a tracking error [rad] and a clearance [m] require."""
         if deviation <= self.deviation and clearance == self.clearance:
             return self
-        if self.own_bodies is not None:
-            if own_pairs(self.robot, max(deviation, self.deviation)) is self.own_bodies:
-                return self
-        elif not any(
-            self_contact(self.robot, deviation=more, clearance=keep).possible or shaped_pairs(self.robot, more).checked
-            for more, keep in ((deviation, clearance), (self.deviation, self.clearance))
-        ):
+        most, single = max(deviation, self.deviation), self._built["single_joint_pairs"]
+        parts = arm_parts(self.robot, self._built["links"], most, clearance, single_joint_pairs=single)
+        if parts is self.parts or not (parts.own or self.parts.own):
             return self
-        built = {**self._built, "deviation": max(deviation, self.deviation), "clearance": clearance}
+        built = {**self._built, "deviation": most, "clearance": clearance}
         return _rebuilt(built, self._touched)
 
     def touching(self, name: str, hangs_from: Sequence[str] = ()) -> CoalScene:
@@ -228,7 +223,7 @@ class CoalScene:
         if yielded is None:
             return None
         names = pushing_links(self.robot, yield_links)
-        own, shapes = len(self.own_others), self.pairs[: self._beyond.size : self.own_first]
+        own, shapes = len(self.parts.own), self.pairs[: self._beyond.size : self.own_first]
         pushes = np.array([self.mover_names[mover] in names for mover, _ in shapes])
         return np.append(np.where(pushes[:, None], yielded, 0.0), np.zeros(own))
 
@@ -243,11 +238,10 @@ class CoalScene:
         Bodies as the URDF has them may be nearer to each other where they can never be as far apart. What gives way
         may be pushed: it is negative then, whatever the clearance.
         """
-        held = self._held.needed(clearance)
-        if self._yielded is None and not len(held):
+        if self._yielded is None and not np.isfinite(self._farthest).any():
             return clearance
         found = np.full(len(self.pairs), clearance)
-        found[len(found) - len(held) :] = held
+        found[self._beyond.size :] = needed(self._farthest, clearance)
         return self._but_pushed(found)
 
     def _but_pushed(self, kept: FloatArray) -> FloatArray:
@@ -267,10 +261,10 @@ class CoalScene:
         takes a time where obstacles move, and only there.
         """
         found = self.pair_distances(q, time_s)
-        table = (found[: self._beyond.size] if self.own_others else found).reshape(self._beyond.shape)
+        table = (found[: self._beyond.size] if self.parts.own else found).reshape(self._beyond.shape)
         if len(self._mover_shapes) != len(self.mover_names):
             table = np.minimum.reduceat(table, self._first_shape)
-        if not self.own_others:
+        if not self.parts.own:
             return table
         whole = np.full((len(self.mover_names), len(self.obstacle_names)), np.inf)
         whole[:, : self.own_first] = table

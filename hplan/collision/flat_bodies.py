@@ -151,7 +151,7 @@ def _flat(
         points += [body.core.ravel(), table]
         first = end + len(table)
         rows[row, ROUNDING] = body.rounding
-        rows[row, BALL:BALL_RADIUS], radius = _ball(body.core)
+        rows[row, BALL:BALL_RADIUS], radius = ball_about(body.core)
         rows[row, BALL_RADIUS] = radius * (1.0 + 1e-12) + body.rounding
         rows[row, AXIS:AXIS_RADIUS], radius = _axis(body.core)
         rows[row, AXIS_RADIUS] = radius * (1.0 + 1e-12) + body.rounding
@@ -195,6 +195,12 @@ def joint_numbers(robot: Robot) -> FloatArray:
     return frozen(np.array([_of_joint(robot, j) for j in range(robot.dof)]))
 
 
+@made_once
+def joints_alone(robot: Robot) -> FloatArray:
+    """Numbers of a robot without bodies: the head and the joints."""
+    return frozen(np.concatenate([[0.0, robot.dof, HEAD, HEAD], joint_numbers(robot).ravel()]))
+
+
 def _of_joint(robot: Robot, joint: int) -> FloatArray:
     """(JOINT_SIZE,) numbers of a joint."""
     model = robot.model
@@ -215,8 +221,11 @@ def _of_joint(robot: Robot, joint: int) -> FloatArray:
     return numbers
 
 
-def _ball(core: FloatArray) -> tuple[FloatArray, float]:
+def ball_about(core: FloatArray) -> tuple[FloatArray, float]:
     """Centre and radius of a ball that holds some points, not much larger than the smallest."""
+    centre = core.mean(axis=0)
+    if len(core) <= 2:
+        return centre, float(np.linalg.norm(core - centre, axis=1).max())
     centre = 0.5 * (core.min(axis=0) + core.max(axis=0))
     for step in range(1, 200):
         # Towards the farthest point, by ever less (Badoiu and Clarkson 2003).

@@ -22,6 +22,7 @@ use of.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -29,7 +30,7 @@ import pinocchio as pin
 
 from hplan.base.arrays import FloatArray, frozen
 from hplan.base.planar_geometry import convex_hull
-from hplan.collision.collision_bodies import collision_bodies
+from hplan.collision.collision_bodies import CollisionBody, collision_bodies
 from hplan.robot.model import Robot, made_once
 
 #: Corners of the polygon about a ring.
@@ -55,22 +56,28 @@ def reach(robot: Robot, beyond: float = 0.0) -> FloatArray:
         (bodies, dof) bounds [m]; 0 where the joint does not move the body, 1 for a joint that slides, so that
         `reach @ abs(dq)` bounds how far any point of each core moves. Bodies are in the order of `collision_bodies`.
     """
-    bodies = collision_bodies(robot)
+    return frozen(reach_of(robot, collision_bodies(robot), beyond))
+
+
+def reach_of(robot: Robot, bodies: Sequence[CollisionBody], beyond: float = 0.0) -> FloatArray:
+    """As `reach`, of some bodies."""
     rows = np.array([points_reach(robot, body.core, body.joint, beyond) for body in bodies]).reshape(-1, robot.dof)
     # The shape that a body stands for has points of its own beyond the core, but where it is the core and a ball.
     beyond_core = np.array([0.0 if body.exact else body.rounding for body in bodies])[:, None]
-    return frozen(rows + np.where((rows > 0.0) & ~np.array(robot.slides), beyond_core, 0.0))
+    found: FloatArray = rows + np.where((rows > 0.0) & ~np.array(robot.slides), beyond_core, 0.0)
+    return found
 
 
 def points_reach(robot: Robot, points: FloatArray, joint: int, beyond: float = 0.0) -> FloatArray:
-    """A row of `reach`, of points that a joint carries.
+    """A row of `reach`, of points that a joint carries; found once for the same ones.
 
     Args:
         points: (n, 3) points in the joint's frame [m].
         joint: The joint; -1 for the ground.
         beyond: How far joints that slide may be beyond their limits [m].
     """
-    return _carried(robot, points, joint, beyond)[0]
+    key = "reach", points.tobytes(), joint, beyond
+    return robot.cached(key, lambda: frozen(_carried(robot, points, joint, beyond)[0]))
 
 
 @made_once

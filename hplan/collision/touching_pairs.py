@@ -16,10 +16,9 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from functools import partial
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -29,6 +28,7 @@ from hplan.collision.collision_bodies import body_shapes, collision_bodies
 from hplan.collision.reach import carriers, joint_axis
 from hplan.robot.base_shapes import always, coal_distance, ever
 from hplan.robot.model import Robot, made_once
+from hplan.robot.self_contact import SLACK
 
 #: Sides of a joint may be this far apart, and are still its own; so are bodies with one link between them [m].
 _BEARING: Final = 0.02
@@ -61,7 +61,12 @@ class SelfPairs(Record):
 
     def needed(self, clearance: float) -> FloatArray:
         """(checked,) distance that each pair is to keep where a clearance is asked for [m]."""
-        return np.where(self.farthest > max(clearance, _BEARING), clearance, min(clearance, 0.0))
+        return needed(self.farthest, clearance)
+
+
+def needed(farthest: FloatArray, clearance: float) -> FloatArray:
+    """Distances that pairs are to keep where a clearance is asked for, by how far apart they were seen at most [m]."""
+    return np.where(farthest > max(clearance, _BEARING), clearance, min(clearance, 0.0))
 
 
 @made_once
@@ -112,13 +117,38 @@ def _between(robot: Robot, first: int, second: int) -> tuple[int, ...]:
     return tuple(joint for joint in (*a, *b) if (joint in a) != (joint in b))
 
 
-def _by_one_joint(robot: Robot, pair: tuple[int, int], joint: int, beyond: float) -> str | None:
-    """Why two bodies that one joint moves to each other may touch, or never do; None where they are to be checked."""
+class OneJoint(NamedTuple):
+    """How far apart two shapes are that one joint alone moves to each other, over its range.
+
+    Attributes:
+        distance: The distance where the joint is at a place [m].
+        low: Where its range begins, with what it may be beyond.
+        high: Where it ends.
+        rate: How fast the distance changes with the joint at most.
+    """
+
+    distance: Callable[[float], float]
+    low: float
+    high: float
+    rate: float
+
+    def ever(self, level: float) -> bool:
+        """True if they come within a distance [m], or nearly so; False is certain."""
+        return ever(*self, level)
+
+    def always(self, level: float) -> bool:
+        """True if they are within a distance all over [m]; True is certain."""
+        return always(*self, level)
+
+
+def one_joint(
+    robot: Robot, shapes: tuple[pin.GeometryObject, pin.GeometryObject], joint: int, beyond: float
+) -> OneJoint:
+    """Two shapes that one joint alone moves to each other; `beyond` as in `self_pairs`."""
     axis, slides = joint_axis(robot, joint)
-    shapes = [body_shapes(robot)[body] for body in pair]
-    if collision_bodies(robot)[pair[0]].joint == joint:
-        shapes = shapes[::-1]
     still, moved = shapes
+    if still.parentJoint == joint + 1:
+        still, moved = moved, still
     at = robot.model.jointPlacements[joint + 1].inverse() * still.placement
     # Where the joint turns, either may be taken to move.
     rate = 1.0 if slides else min(_radius(still, at, axis), _radius(moved, moved.placement, axis))
@@ -132,16 +162,19 @@ def _by_one_joint(robot: Robot, pair: tuple[int, int], joint: int, beyond: float
 
     # A whole turn farther on bodies are where they were.
     beyond = beyond if slides else min(beyond, math.tau)
-    low, high = float(robot.lower[joint]) - beyond, float(robot.upper[joint]) + beyond
-    decided = partial(always, distance, low, high, rate)
-    name = robot.joint_names[joint]
-    if decided(0.0):
+    return OneJoint(distance, float(robot.lower[joint]) - beyond, float(robot.upper[joint]) + beyond, rate)
+
+
+def _by_one_joint(robot: Robot, pair: tuple[int, int], joint: int, beyond: float) -> str | None:
+    """Why two bodies that one joint moves to each other may touch, or never do; None where they are to be checked."""
+    first, second = (body_shapes(robot)[body] for body in pair)
+    decided, name = one_joint(robot, (first, second), joint, beyond), robot.joint_names[joint]
+    if decided.always(0.0):
         return f"they touch wherever joint {name!r} is"
-    if decided(_BEARING):
+    if decided.always(_BEARING):
         return f"they are the two sides of joint {name!r}, never farther apart than {1e3 * _BEARING:g} mm"
     # Bodies apart by less than this count as touching: no proof shows so little [m].
-    slack = 1e-4
-    if not ever(distance, low, high, rate, slack):
+    if not decided.ever(SLACK):
         return f"they cannot touch wherever joint {name!r} is"
     return None
 

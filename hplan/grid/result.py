@@ -6,9 +6,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
-import numpy as np
-
-from hplan.base.arrays import BoolArray, FloatArray, IntArray, Record
+from hplan.base.arrays import BoolArray, IntArray, Record
 from hplan.grid.slice_search import SlicePaths
 
 #: Stage that found the path, or that there is none: the union of the slices between start and goal (`none`); the union
@@ -90,8 +88,3 @@ class SearchResult(Record):
     def slice_paths(self) -> dict[int, IntArray]:
         """For each slice searched that has a path, that path as (m, d) node indices; empty for the dense search."""
         return {} if self.layers is None else self.layers.paths()
-
-
-def path_cost(path: IntArray, step: FloatArray) -> float:
-    """Length of a path over (m, d) node indices, each axis weighed by its step."""
-    return float(np.linalg.norm(np.diff(path, axis=0) * step, axis=1).sum())

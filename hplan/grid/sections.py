@@ -34,7 +34,7 @@ from hplan.grid.cutting_arrays import ArmPlane, LinkExtents
 from hplan.grid.prepared_obstacles import PreparedObstacles, prepare_obstacles
 from hplan.grid.section_kernels import cut_balls, cut_hulls
 from hplan.robot.model import Robot
-from hplan.robot.self_contact import BaseBody, SelfContact, pair_sway, radius_in_plane, self_contact
+from hplan.robot.self_contact import BaseBody, SelfContact, radius_in_plane, self_contact
 
 #: How a link is modelled: the capsule, the paper's three cases to the letter, or the exact rectangle.
 LinkModel: TypeAlias = Literal["capsule", "paper", "rectangle"]
@@ -186,7 +186,8 @@ def _with_own_pairs(
     """Sections with the pairs of links that can touch; whatever the model, as capsules."""
     arm, count = robot.arm, len(sections.obstacle_names)
     touched = sorted({i for i, _ in contact.links})
-    sways = (pair_sway(robot, j, i, obstacles.deviation) for i, j in contact.links)
+    # A link as seen from one before it: each between turns it, with all that comes after.
+    sways = [obstacles.deviation * float(arm.lengths[i + 1 : j + 1] @ range(1, j - i + 1)) for i, j in contact.links]
     return replace(
         sections,
         obstacle_names=(*sections.obstacle_names, *(arm.link_names[i] for i in touched)),

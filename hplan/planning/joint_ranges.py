@@ -9,7 +9,6 @@ grid.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final, NamedTuple
@@ -19,11 +18,8 @@ import numpy as np
 
 from hplan.base import ties
 from hplan.base.arrays import BoolArray, FloatArray, IntArray, frozen
-from hplan.collision.coal_scene import CoalScene, Contact, OwnContact
+from hplan.collision.coal_scene import CoalScene, Contact
 from hplan.errors import NoPathError
-from hplan.robot.base_shapes import GROUND, TURRET, turret_radius
-from hplan.robot.folding import folded_angles
-from hplan.robot.self_contact import SHAPED, self_contact
 
 #: Clearance that intervals leave beyond the one to keep, at most [m]; less where start or goal have less.
 MARGIN: Final = 1e-3
@@ -103,24 +99,6 @@ def joint_ranges(scene: CoalScene, q: FloatArray, margin: float = MARGIN) -> Joi
             end[joint], contact = _known_free(scene, turn, q, float(end[joint]), margin)
             if contact is not None:
                 walls.append(Wall(joint, float(end[joint]), end is upper, contact))
-    arm, first = robot.arm, robot.arm_slice.start
-    for fold in self_contact(robot, deviation=scene.deviation, clearance=scene.clearance).folds:
-        inner, outer = fold.inner, fold.inner + 1
-        joint = first + outer
-        # Of a joint that is off by the tracking error, no point of the outer link is farther off than its length times
-        # that: what the proof takes from the distance.
-        kept = scene.clearance + scene.deviation * float(arm.lengths[outer]) + margin
-        radius = float(arm.half_widths[inner] + arm.half_widths[outer]) + kept
-        folded = OwnContact(arm.link_names[outer], arm.link_names[inner], margin)
-        angles = folded_angles(arm, fold, radius)
-        below = max((high for _, high in angles if high <= q[joint]), default=-math.inf)
-        above = min((low for low, high in angles if low >= q[joint]), default=math.inf)
-        if below > lower[joint]:
-            lower[joint] = below
-            walls.append(Wall(joint, below, False, folded))
-        if above < upper[joint]:
-            upper[joint] = above
-            walls.append(Wall(joint, above, True, folded))
     return JointRanges(frozen(lower), frozen(upper), tuple(walls))
 
 
@@ -163,30 +141,24 @@ def _no_path(scene: CoalScene, wall: Wall, other: float) -> NoPathError:
 
 
 class _Turn(NamedTuple):
-    """A joint, the numbers of the pairs that it alone decides, and the largest distance from its axis of what turns."""
+    """A joint, the (k,) numbers of the pairs that it alone decides, and by how much each comes nearer as it turns."""
 
     joint: int
     pairs: IntArray
-    radius: float
+    radii: FloatArray
 
 
 def _turns_that_decide(scene: CoalScene) -> Iterator[_Turn]:
-    """The yaw, with the pairs of the turret; the first joint of the arm, with those of its link and what carries it."""
-    robot, arm = scene.robot, scene.robot.arm
-    turret = []
-    if len(scene.mover_names) > arm.link_count:
-        turret = [number for number, (mover, _) in enumerate(scene.pairs) if mover >= arm.link_count]
-    if turret:
-        yield _Turn(0, np.array(turret, dtype=np.int64), turret_radius(robot))
-    own, carrier = len(scene.pairs) - len(scene.own_others), SHAPED + (TURRET if robot.has_yaw else GROUND)
-    carried = [
-        own + number
-        for number, other in enumerate(scene.own_others)
-        if other == carrier and scene.pairs[own + number][0] == 0
-    ]
-    if carried:
-        radius = float(arm.lengths[0] + arm.half_widths[0])
-        yield _Turn(robot.arm_slice.start, np.array(carried, dtype=np.int64), radius)
+    """The joints that alone decide some pairs: of the turret with obstacles, and of parts of the arm."""
+    _, counts = scene.parts.movers
+    (_, reaches), alone = scene.parts.reaches(), len(scene.parts.shapes)
+    decided = np.repeat(np.arange(len(counts)), np.repeat([scene.own_first, 1], [alone, len(counts) - alone]))
+    one = counts.sum(axis=1) == 1.0
+    one[: len(scene.link_shapes)] = False  # obstacles of the first link are the trees' matter
+    for joint in np.flatnonzero(counts[one].any(axis=0)).tolist():
+        pairs = np.flatnonzero((one & (counts[:, joint] > 0.0))[decided])
+        if len(pairs):
+            yield _Turn(joint, pairs, np.maximum(reaches[decided[pairs], joint], _ROUNDING))
 
 
 #: Ends of free intervals that were found before, by joint, its value, end of the range and margin: every grasp of a
@@ -210,12 +182,12 @@ def _known_free(
 def _free(scene: CoalScene, turn: _Turn, q: FloatArray, end: float, margin: float) -> tuple[float, Contact | None]:
     """The value up to which a joint can turn towards an end of its range, and what stops it before, if anything.
 
-    Conservative advancement, each pair with steps of its own: no point moves farther than the turn times its radius, so
-    the joint may turn by d / radius before a pair that is d apart, and more, is asked again.
+    Conservative advancement, each pair with steps of its own: none comes nearer by more than the turn times its radius,
+    so the joint may turn by d / radius before a pair that is d apart, and more, is asked again.
     """
     pairs, joint = turn.pairs, turn.joint
     kept = np.broadcast_to(scene.kept(scene.clearance), len(scene.pairs))[pairs]
-    kept = kept + scene.deviation * turn.radius + margin
+    kept = kept + scene.deviation * turn.radii + margin
     at, length, direction = q.copy(), abs(end - float(q[joint])), 1.0 if end >= q[joint] else -1.0
     turned, due = 0.0, np.zeros(len(pairs))
     # An interval ends where the clearance left is less than this fraction of its margin.
@@ -229,7 +201,7 @@ def _free(scene: CoalScene, turn: _Turn, q: FloatArray, end: float, margin: floa
         if left[least] <= enough * margin:
             mover, obstacle = scene.pairs[int(pairs[asked[least]])]
             return float(at[joint]), scene.contact(mover, obstacle, float(left[least]))
-        due[asked] = turned + left / turn.radius
+        due[asked] = turned + left / turn.radii[asked]
         turned = float(due.min())
         if turned >= length:
             return end, None

@@ -230,7 +230,7 @@ def check_clear(checker: CoalScene, q: FloatArray, clearance: float, which: str,
         error = ConfigurationInCollisionError(
             which, nearest.link, nearest.obstacle, -beyond, float(kept[worst] + sways[worst]), other=nearest.other
         )
-        if isinstance(nearest, OwnContact) and checker.own_bodies is not None:
+        if isinstance(nearest, OwnContact) and checker.robot.planar is None:
             _name_neighbours(error, checker, q)
         raise error
     return beyond
@@ -239,7 +239,7 @@ def check_clear(checker: CoalScene, q: FloatArray, clearance: float, which: str,
 def _name_neighbours(error: ConfigurationInCollisionError, checker: CoalScene, q: FloatArray) -> None:
     """Say which of the links that touch one another have one joint between them: most robots mean them to."""
     neighbours = {frozenset(pair[:2]) for pair in neighbouring_links(checker.robot.model)}
-    apart = checker.pair_distances(q)[len(checker.pairs) - len(checker.own_others) :].tolist()
+    apart = checker.pair_distances(q)[len(checker.pairs) - len(checker.parts.own) :].tolist()
     touching = dict.fromkeys(
         (checker.obstacle_names[other], checker.mover_names[mover])
         for (mover, other), distance in zip(checker.pairs[-len(apart) :], apart, strict=True)

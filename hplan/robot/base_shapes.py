@@ -81,10 +81,6 @@ class BaseShape:
         turn = pin.utils.rotate("z", yaw)
         return pin.SE3(turn, self.axis - turn @ self.axis) * self.placement
 
-    def distance_to(self, yaw: float, other: coal.CollisionGeometry, placement: pin.SE3) -> float:
-        """Signed distance from what stands still where the turret is at a yaw [m]."""
-        return coal_distance(self.geometry, self.placed_at(yaw), other, placement)
-
 
 #: Radius of the ball that stands for a point [m].
 _SPECK = 1e-3
@@ -101,11 +97,6 @@ def turning_shapes(robot: Robot) -> tuple[BaseShape, ...]:
     """The shapes that stand elsewhere at every yaw: of the turret, and not round about the yaw axis; of others none."""
     shapes = base_shapes(robot) if base_joints(robot) else ()
     return tuple(shape for shape in shapes if shape.carrier == TURRET and not shape.is_round)
-
-
-def turret_radius(robot: Robot) -> float:
-    """Largest distance from the yaw axis of any point of the `turning_shapes` [m]; 0 without any."""
-    return max((shape.radius for shape in turning_shapes(robot)), default=0.0)
 
 
 def base_joints(robot: Robot) -> int:

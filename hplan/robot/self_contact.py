@@ -1,4 +1,4 @@
-r"""Pairs of parts of an arm that can touch: link and link, links or turret and the base that carries the arm.
+"""Which links of a planar arm can touch each other as capsules, and which what carries the arm.
 
 Two parts are left out where their capsules *always* touch: neighbours about their joint, parts that what lies between
 holds so near together, and a link and the shape that carries the joint it turns about. Of the last two kinds those are
@@ -6,18 +6,8 @@ checked as the URDF has them that then can touch and do not always (`hplan.colli
 others those are pairs that can touch within the joint limits, beyond these by the tracking error, or come nearer
 than the clearance to keep. Where none can, as with the harvester, nothing is checked anywhere.
 
-**Links** :math:`i < j`: how they lie to each other depends on the joints :math:`i + 1 \ldots j` alone. Seen from link
-:math:`i` a point of link :math:`j` moves no farther than
-
-.. math:: \sum_{m = i + 1}^{j} L_m \, |\Delta \varphi_m - \Delta \varphi_i|,
-
-with :math:`\varphi` the absolute angles in the plane. **The turret** turns with the arm plane: it is as a link
-before the first, of angle 0. **The pedestal** stands still; to the motion seen from it comes that of the yaw.
-
-**Neighbours** overlap at their joint; the parts of them far from it must not touch (`hplan.robot.folding`).
-
-**The turret against the pedestal** depends on the yaw alone. Shapes of which one is round about the yaw axis are to
-each other what they are at any yaw, and so are those that a horizontal plane separates: they are left out.
+How two links lie to each other depends on the joints between them alone. The turret turns with the arm plane; seen from
+the pedestal, which stands still, links move with the yaw too.
 
 Which links can touch is decided by bisection of the joint ranges: a box of joint angles cannot hold a contact if the
 links are farther apart at its middle than its half-widths can move them. Where that takes too long, they can touch.
@@ -31,30 +21,20 @@ from functools import lru_cache, partial
 from typing import Final, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from hplan.base.arrays import FloatArray, frozen
 from hplan.base.planar_geometry import convex_hull, polygon_distances
 from hplan.robot.base_shapes import (
-    BASE_DEPTH,
-    GROUND,
     TURRET,
     BaseShape,
     always,
     base_shapes,
-    ever,
-    turning_shapes,
-    turret_radius,
 )
-from hplan.robot.folding import Fold, folds
 from hplan.robot.model import Robot
 from hplan.robot.planar_family import PlanarArm
 
-#: Added to the body from which a part's motion is seen, where both are as the URDF has them and not as capsules.
-SHAPED: Final = -1000
-
 #: Parts are taken to be able to touch if they come this near [m]: positions are kept to 1e-6 rad, distances to 1e-5 m.
-_SLACK: Final = 1e-4
+SLACK: Final = 1e-4
 
 #: Corners of the polygon that stands for a circle, drawn around it.
 _CORNERS: Final = 32
@@ -98,19 +78,10 @@ class SelfContact:
     Attributes:
         links: Pairs (i, j) of links, i < j, that are no neighbours.
         bodies: Shapes of turret and pedestal that links can touch.
-        folds: Neighbours that can fold into one another.
-        turret: Pairs of a shape of the turret and one of the pedestal.
     """
 
     links: tuple[tuple[int, int], ...] = ()
     bodies: tuple[BaseBody, ...] = ()
-    folds: tuple[Fold, ...] = ()
-    turret: tuple[tuple[BaseShape, BaseShape], ...] = ()
-
-    @property
-    def possible(self) -> bool:
-        """True if any pair can touch."""
-        return bool(self.links or self.bodies or self.folds or self.turret)
 
 
 #: Tracking errors are rounded up to multiples of this [rad].
@@ -128,7 +99,7 @@ def self_contact(robot: Robot, *, deviation: float = 0.0, clearance: float = 0.0
     # So many pairs of tracking error and clearance are kept of a robot.
     most_known = 32
     decide = robot.cached("self_contact", lambda: lru_cache(most_known)(partial(_decided, robot)))
-    return decide(_rounded_up(deviation), float(clearance))
+    return decide(rounded_up(deviation), float(clearance))
 
 
 def _decided(robot: Robot, deviation: float, clearance: float) -> SelfContact:
@@ -136,73 +107,14 @@ def _decided(robot: Robot, deviation: float, clearance: float) -> SelfContact:
     return SelfContact(
         links=_link_pairs(arm, clearance),
         bodies=tuple(_bodies(robot, arm, deviation, clearance)),
-        folds=folds(arm, clearance, _SLACK),
-        turret=tuple(_turret_pairs(robot, deviation, clearance)),
     )
 
 
-def _rounded_up(deviation: float) -> float:
+def rounded_up(deviation: float) -> float:
     """A tracking error that is no less, one of few: that of a motion depends on how fast it is [rad]."""
     if not deviation < math.tau:
         return math.tau  # a whole turn either way is all that there is
     return _DEVIATION_STEP * math.ceil(deviation / _DEVIATION_STEP - 1e-9)
-
-
-def pair_sway(robot: Robot, link: int, other: int, deviation: ArrayLike) -> FloatArray:
-    """Tracking-error displacement bound of a link as seen from another part, with joints off by `deviation` at most.
-
-    Args:
-        link: The link, or `TURRET` for the turret against what stands still.
-        other: A link before it, `TURRET` or `GROUND`; with `SHAPED` added of the link's shapes, which turn as well.
-        deviation: One number for all joints, or (..., dof) [rad].
-
-    Returns:
-        (...) distances [m].
-    """
-    off = np.asarray(deviation, dtype=np.float64)
-    off = off if off.ndim else np.full(robot.dof, off)
-    if link == TURRET:
-        turned: FloatArray = off[..., 0] * turret_radius(robot)
-        return turned
-    other, radius = _seen_from(robot, link, other)
-    after = max(other, TURRET) + 1
-    turns = np.cumsum(off[..., robot.arm_slice][..., after : link + 1], axis=-1)
-    sway: FloatArray = turns @ robot.arm.lengths[after : link + 1] + radius * turns[..., -1]
-    if robot.has_yaw and other == GROUND:
-        sway = sway + off[..., 0] * (robot.yaw_radius[link] + radius)
-    return sway
-
-
-def _seen_from(robot: Robot, link: int, other: int) -> tuple[int, float]:
-    """The body without `SHAPED`, and how far points of the link may be from its axis that turn with it [m]."""
-    return (other - SHAPED, float(robot.arm.half_widths[link])) if other < GROUND else (other, 0.0)
-
-
-def pair_rates(robot: Robot, link: int, other: int, rates: FloatArray) -> FloatArray:
-    """Largest speeds of points of a link, seen from another part of the arm.
-
-    Args:
-        link: The link, or `TURRET` for the turret against what stands still.
-        other: A link before it, `TURRET` or `GROUND`; with `SHAPED` added of the link's shapes, which turn as well.
-        rates: (pieces, c, dof) joint rates of each piece of a motion; every rate within it lies in the hull of its c.
-
-    Returns:
-        (pieces,) speeds, metres in the unit of the rates.
-    """
-    if link == TURRET:
-        # The yaw alone moves it, each point about the axis: at no more than the turn times its distance from there.
-        turret: FloatArray = np.abs(rates[..., 0]).max(axis=1) * turret_radius(robot)
-        return turret
-    other, radius = _seen_from(robot, link, other)
-    arm, after = robot.arm, max(other, TURRET) + 1
-    turns = np.cumsum(arm.signs * rates[..., robot.arm_slice], axis=2)
-    if after > 0:
-        turns = turns - turns[..., after - 1 : after]
-    turned = np.abs(turns[..., after : link + 1]).max(axis=1)
-    speeds: FloatArray = turned @ arm.lengths[after : link + 1] + radius * turned[:, -1]
-    if robot.has_yaw and other == GROUND:
-        speeds = speeds + np.abs(rates[..., 0]).max(axis=1) * (robot.yaw_radius[link] + radius)
-    return speeds
 
 
 def part_of_arm(arm: PlanarArm, first: int, last: int) -> PlanarArm:
@@ -229,7 +141,7 @@ def _link_pairs(arm: PlanarArm, clearance: float) -> tuple[tuple[int, int], ...]
         for j in range(i + 2, arm.link_count):
             radius, aside = float(arm.half_widths[i] + arm.half_widths[j]), float(arm.lateral[j] - arm.lateral[i])
             held = held_apart(arm, i, j)
-            reach = radius_in_plane(radius + _SLACK + (clearance if held > clearance else 0.0), aside)
+            reach = radius_in_plane(radius + SLACK + (clearance if held > clearance else 0.0), aside)
             if held > 0.0 and reach > 0.0 and _can_touch(part_of_arm(arm, i + 1, j), before, reach):
                 pairs.append((i, j))
     return tuple(pairs)
@@ -251,7 +163,7 @@ def _bodies(robot: Robot, arm: PlanarArm, deviation: float, clearance: float) ->
             held = partial(is_held, robot, shape, deviation, link)
             if held(0.0):
                 continue  # it carries the shoulder, or the links between are too short to leave it
-            reach = _SLACK + (0.0 if clearance > 0.0 and held(clearance) else clearance)
+            reach = SLACK + (0.0 if clearance > 0.0 and held(clearance) else clearance)
             lateral = float(arm.lateral[link])
             off_plane = max(float(aside.min()) - lateral, lateral - float(aside.max()), 0.0)
             if off_plane <= radius + reach and _can_touch(part_of_arm(arm, 0, link), shadow, radius + reach):
@@ -301,29 +213,6 @@ def _swept(shape: BaseShape) -> FloatArray:
     rings = [np.outer(np.cos(angles), ring), np.outer(np.sin(angles), ring), np.tile(height, (_CORNERS, 1))]
     swept: FloatArray = shape.axis + np.stack(rings, axis=-1).reshape(-1, 3)
     return swept
-
-
-def _turret_pairs(robot: Robot, deviation: float, clearance: float) -> list[tuple[BaseShape, BaseShape]]:
-    """Shapes of the turret and of the pedestal that can touch as the base turns."""
-    if not robot.has_yaw:
-        return []
-    low, high = robot.lower[0] - deviation, robot.upper[0] + deviation
-    found = []
-    for shape in turning_shapes(robot):
-        for other in base_shapes(robot):
-            if other.carrier == TURRET or other.is_round:
-                continue
-            # A horizontal plane between them stays between them.
-            if shape.bottom >= other.top - BASE_DEPTH or other.bottom >= shape.top - BASE_DEPTH:
-                continue
-            distance = partial(shape.distance_to, other=other.geometry, placement=other.placement)
-            rate = min(shape.radius, other.radius)  # either may be taken to turn
-            if always(distance, low, high, rate, 0.0):
-                continue
-            held = clearance > 0.0 and always(distance, low, high, rate, clearance)
-            if ever(distance, low, high, rate, _SLACK + (0.0 if held else clearance)):
-                found.append((shape, other))
-    return found
 
 
 def _can_touch(arm: PlanarArm, polygon: FloatArray, radius: float) -> bool:

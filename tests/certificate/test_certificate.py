@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -10,8 +11,10 @@ import pytest
 from planned import on_cubics
 
 from hplan.certificate import certificate as certificates
-from hplan.certificate.motion_bound import link_bounds, off_axis
+from hplan.certificate.clearance_proof import point_at
+from hplan.certificate.motion_bound import motion_of_movers
 from hplan.collision.coal_scene import CoalScene
+from hplan.robot.family_reader import outline
 from hplan.scene.obstacles import Box, Capsule, Sphere
 from hplan.trajectory.trajectory import Trajectory
 
@@ -172,28 +175,30 @@ def test_no_more_is_certified_than_what_is_left_when_the_motion_ends_before_the_
         assert 0.25 * true < certificate.min_clearance_m <= true
 
 
-def test_links_that_are_no_capsules_are_bounded_off_their_axes(robot, scene):
-    """Corners of beams against the bound of their travel, joint by joint; that of the axes alone is not enough."""
-    beams = CoalScene(robot, scene.solids, links="box")
-    data, step, beyond = robot.model.createData(), 1e-3, []
+@pytest.mark.parametrize("links", ["capsule", "box", "urdf"])
+def test_no_point_of_a_link_travels_farther_than_its_bound(robot, scene, links):
+    """Points of the shapes along random lines; of capsules of the ends of their axes, about which they are balls."""
+    checker, rng = CoalScene(robot, scene.solids, links=links), np.random.default_rng(3)
+    lines = np.linspace(0.0, 1.0, 4)[:, None] * 0.3 * rng.normal(size=(30, 1, 4))
+    bezier = rng.uniform(robot.lower, robot.upper, (30, 1, 4)) + lines
+    deviations = np.full((1, 4), 1e-3)
+    mover_of, moved, sways = motion_of_movers(checker, bezier, deviations)
+    data, used = robot.model.createData(), 0.0
 
-    def corners(q, shape):
+    def placed(q, shape):
         pin.forwardKinematics(robot.model, data, q)
-        half = shape.geometry.halfSide
-        local = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * half
-        return np.array([(data.oMi[shape.parentJoint] * shape.placement).act(corner) for corner in local])
+        local, _ = outline(shape, rim_from_outside=False)
+        return np.array([(data.oMi[shape.parentJoint] * shape.placement).act(point) for point in local])
 
-    start = np.array([0.2, 0.5, 0.4, 0.3])
-    for joint in range(4):
-        turn = step * np.eye(4)[joint]
-        rates = np.tile(turn, (1, 3, 1))
-        axes = link_bounds(robot, rates)[0]
-        off = off_axis(beams, [], turn[None])[:, 0]
-        for link, shape in enumerate(beams.link_shapes):
-            moved = np.linalg.norm(corners(start + turn, shape) - corners(start, shape), axis=1).max()
-            assert moved <= axes[link] + off[link] + 1e-12
-            beyond.append(moved > axes[link] + 1e-9)
-    assert any(beyond)
+    for piece, off in itertools.product(range(30), rng.uniform(-1e-3, 1e-3, (2, 4))):
+        start, end = (point_at(bezier[piece : piece + 1], at) for at in (0.0, 1.0))
+        for number, shape in enumerate(checker.link_shapes):
+            mover, here = mover_of[number * len(scene.solids)], placed(start, shape)
+            went = np.linalg.norm(placed(end, shape) - here, axis=1).max()
+            assert went <= moved[mover, piece] + 1e-9
+            assert np.linalg.norm(placed(start + off, shape) - here, axis=1).max() <= sways[mover, 0] + 1e-9
+            used = max(used, went / max(moved[mover, piece], 1e-12))
+    assert used > 0.4
 
 
 @pytest.mark.parametrize("turn_deg", [5.0, 10.0, 15.0, 20.0, 25.0, 29.0])
@@ -362,14 +367,3 @@ def test_column_beyond_the_limit_is_refused(robot, scene, column):
     values[7, 2] = 1e4
     certificate = certify(robot, scene, replace(motion, **{column: values}))
     assert [violation.split()[0] for violation in certificate.violations] == [column]
-
-
-@pytest.mark.parametrize("spoilt", [None, np.nan, np.inf])
-def test_travel_of_links_is_that_of_plain_numpy(robot, spoilt):
-    rng = np.random.default_rng(7)
-    rates = rng.normal(size=(40, 3, robot.dof)) * 10.0 ** rng.uniform(-3.0, 3.0, size=(40, 1, 1))
-    if spoilt is not None:
-        rates[5, 1, 2] = rates[9, 0, 0] = spoilt
-    turns = np.abs(np.cumsum(robot.arm.signs * rates[..., robot.arm_slice], axis=2)).max(axis=1)
-    expected = np.cumsum(robot.arm.lengths * turns, axis=1) + np.abs(rates[..., :1]).max(axis=1) * robot.yaw_radius
-    np.testing.assert_array_equal(link_bounds(robot, rates), expected)

@@ -162,7 +162,7 @@ def test_grazing_motions_are_never_verified(load, name):
             ball = Sphere(name="ball", center=tuple(centre), radius=radius)
             looks = np.linspace(0.0, len(bezier), 1500)
             checker = CoalScene(robot, [ball])
-            first = len(checker.pairs) - len(checker.own_others)
+            first = len(checker.pairs) - len(checker.parts.own)
             least = min(float(checker.pair_distances(point_at(bezier, at))[:first].min()) for at in looks)
             if not 1e-3 < least < 0.3:
                 continue
@@ -178,7 +178,7 @@ def test_no_body_travels_farther_than_its_bound(load, name):
     """Points of the bodies, and those of one seen from another, along random cubics."""
     robot, rng = load(name), np.random.default_rng(12)
     checker = CoalScene(robot, [Sphere(name="far", center=(9.0, 0.0, 0.0), radius=0.1)])
-    bodies, pairs = collision_bodies(robot), checker.own_bodies
+    bodies, pairs = collision_bodies(robot), self_pairs(robot)
     bezier = rng.uniform(robot.lower, robot.upper)[None, None] + rng.normal(size=(12, 4, robot.dof)) * 0.3
     bezier[::2] = bezier[::2, :1] + np.linspace(0.0, 1.0, 4)[:, None] * (bezier[::2, -1:] - bezier[::2, :1])
     bezier = np.clip(bezier, robot.lower, robot.upper)
@@ -238,7 +238,7 @@ def test_clouds_and_what_stands_still(load):
     bezier, _ = cubic_pieces(trajectory)
     checker = CoalScene(robot, [cloud])
     proof = prove_clearance(bezier, checker, np.zeros((1, robot.dof)), 0.0)
-    first = len(checker.pairs) - len(checker.own_others)
+    first = len(checker.pairs) - len(checker.parts.own)
     seen = min(checker.pair_distances(point_at(bezier, at))[:first].min() for at in np.linspace(0.0, len(bezier), 100))
     assert proof.shown == (seen > 0.0)
     pole = Sphere(name="pole", center=(0.0, 0.0, -0.1), radius=0.05)
@@ -345,7 +345,7 @@ def test_obstacles_that_move(load, name):
         for part in np.linspace(0.0, 1.0, 200):
             there = Sphere(name="ball", center=tuple(middle - way + 2.0 * part * way), radius=0.05)
             checker = CoalScene(robot, [there])
-            of_ball = len(checker.pairs) - len(checker.own_others)
+            of_ball = len(checker.pairs) - len(checker.parts.own)
             q = point_at(bezier, float(np.interp(part * duration, trajectory.time, np.arange(trajectory.samples))))
             least = min(least, float(checker.pair_distances(q)[:of_ball].min()))
         clear = not [line for line in certificate.violations if "comes" in line]

@@ -11,12 +11,12 @@ import pinocchio as pin
 import pytest
 
 from hplan.certificate.certificate import certify
+from hplan.certificate.motion_bound import motion_of_movers
 from hplan.collision.arm_pairs import shaped_pairs
 from hplan.collision.coal_scene import CoalScene
 from hplan.errors import ConfigurationInCollisionError, NoPathError
 from hplan.planning.plan import plan
 from hplan.robot.model import Robot, load_robot
-from hplan.robot.self_contact import SHAPED, pair_rates, pair_sway
 from hplan.scene.model import Goal, Scene, Start
 from hplan.trajectory.trajectory import Trajectory
 
@@ -130,16 +130,18 @@ def test_the_way_under_the_plate_is_barred():
 def test_motion_and_sway_of_what_is_as_it_is(turns):
     """No point of the boom travels farther, seen from the plate."""
     robot, random = ROBOTS[turns], np.random.default_rng(1)
-    (row,) = np.flatnonzero(np.array(CoalScene(robot, ()).own_others) < SHAPED // 2)
-    other = CoalScene(robot, ()).own_others[row]
     assert len(shaped_pairs(robot, 0.0).checked) == 1
+    checker = CoalScene(robot, ())
+    (row,) = np.flatnonzero(np.isfinite([pair.farthest for pair in checker.parts.own]))
     for _ in range(200):
         q = lifted(robot, random.uniform(-2.5, 2.5))
         turn = np.zeros(robot.dof)
         turn[robot.arm_slice.start] = random.uniform(-0.3, 0.3)
         changed = abs(depth(robot, q + turn) - depth(robot, q))
-        assert changed <= pair_sway(robot, 0, other, np.abs(turn)) + 1e-6
-        assert changed <= pair_rates(robot, 0, other, np.array([[turn]]))[0] + 1e-6
+        bezier = q + np.linspace(0.0, 1.0, 4)[None, :, None] * turn
+        mover_of, moved, sways = motion_of_movers(checker, bezier, np.abs(turn)[None])
+        assert changed <= moved[mover_of[row], 0] + 1e-6
+        assert changed <= sways[mover_of[row], 0] + 1e-6
 
 
 def test_a_clearance_is_kept_as_far_as_it_can_be():

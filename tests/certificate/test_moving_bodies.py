@@ -23,9 +23,8 @@ from hplan.planning.joint_ranges import MARGIN, joint_ranges
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
 from hplan.planning.world import World
-from hplan.robot.base_shapes import BASE_DEPTH, GROUND, TURRET, always, base_shapes, ever, turret_radius
-from hplan.robot.folding import Fold, folded_angles
-from hplan.robot.self_contact import pair_rates, pair_sway, self_contact
+from hplan.robot.base_shapes import BASE_DEPTH, GROUND, TURRET, always, base_shapes, coal_distance, ever, turning_shapes
+from hplan.robot.self_contact import self_contact
 from hplan.scene.obstacles import Box, Capsule, Sphere
 
 COUNTERWEIGHT = box((0.5, 0.1, 0.1), (-0.3, 0.0, 0.45))
@@ -52,6 +51,17 @@ def solids_of(obstacles):
         else:
             placed.append((coal.Box(*obstacle.size), coal.Transform3s(obstacle.rotation, np.array(obstacle.center))))
     return placed
+
+
+def own(robot, mover="", **made):
+    """Names of the arm's own pairs of which a part of a name moves; of all without one."""
+    pairs = CoalScene(robot, [], **made).parts.own
+    return [(pair.mover_name, pair.other_name) for pair in pairs if mover in ("", pair.mover_name)]
+
+
+def turret_radius(robot):
+    """Largest distance of what turns with the turret from the yaw axis [m]."""
+    return max((shape.radius for shape in turning_shapes(robot)), default=0.0)
 
 
 # Turret and obstacles
@@ -195,8 +205,7 @@ def test_what_the_turret_may_not_touch_counts_with_its_uncertainty(tmp_path):
 def test_turret_and_pedestal_are_pairs_where_they_can_touch(tmp_path):
     stop = box((0.1, 0.1, 0.3), (0.0, -0.4, 0.4))
     robot = fitted(tmp_path, {"turret": [COUNTERWEIGHT], "base_link": [stop]})
-    ((turning, standing),) = self_contact(robot).turret
-    assert (turning.name, standing.name) == ("turret", "base_link")
+    assert own(robot, "turret") == [("turret", "base_link")]
     certificate = certify(robot, scene_of(REST), quintic(robot, REST, FAR))
     assert not shown(certificate)
     assert (certificate.nearest.link, certificate.nearest.obstacle) == ("turret", "base_link")
@@ -217,23 +226,25 @@ def test_turret_and_pedestal_that_always_or_never_touch_are_left_out(tmp_path):
     }
     for name, (turret, base) in cases.items():
         robot = fitted(tmp_path, {"turret": turret, "base_link": base}, name=name.replace(" ", "_"))
-        assert self_contact(robot).turret == (), name
+        assert own(robot, "turret") == [], name
     # Only within the limits: a stop at the back that the base never reaches.
     stop = box((0.1, 0.1, 0.3), (0.4, 0.0, 0.4))
     for yaw_deg, expected in ((180.0, 1), (100.0, 0), (166.0, 1)):
         robot = fitted(
             tmp_path, {"turret": [COUNTERWEIGHT], "base_link": [stop]}, yaw_deg=yaw_deg, name=f"yaw{yaw_deg:g}"
         )
-        assert len(self_contact(robot).turret) == expected
+        assert len(own(robot, "turret")) == expected
     # A tracking error and a clearance bring them together.
     robot = fitted(tmp_path, {"turret": [COUNTERWEIGHT], "base_link": [stop]}, yaw_deg=157.0, name="nearly")
     turning, standing = base_shapes(robot)[-1], base_shapes(robot)[1]
     ends = (robot.lower[0], robot.upper[0])
-    gap = min(turning.distance_to(yaw, standing.geometry, standing.placement) for yaw in ends)
+    gap = min(
+        coal_distance(turning.geometry, turning.placed_at(yaw), standing.geometry, standing.placement) for yaw in ends
+    )
     assert 0.0 < gap < 0.05
-    assert len(self_contact(robot).turret) == 0
-    assert len(self_contact(robot, clearance=gap + 1e-3).turret) == 1
-    assert len(self_contact(robot, deviation=gap / 0.3).turret) == 1
+    assert len(own(robot, "turret")) == 0
+    assert len(own(robot, "turret", clearance=gap + 1e-3)) == 1
+    assert len(own(robot, "turret", deviation=gap / 0.3)) == 1
 
 
 def test_always_and_ever_are_sure():
@@ -350,12 +361,10 @@ def test_distances_and_sections_of_what_is_on_the_base_are_those_of_coal(tmp_pat
 def test_neighbours_fold_up_to_the_convention(tmp_path):
     """From 19.5 degrees between them on; a wide elbow of 150 degrees folds into nothing."""
     wide = fitted(tmp_path, low=-150.0, high=150.0, name="wide")
-    assert self_contact(wide).folds == ()
+    assert not {("forearm", "upper_arm"), ("hand", "forearm")} & set(own(wide))
     robot = fitted(tmp_path, low=0.0, high=(90.0, 178.0), lengths=(1.0, 0.7), widths=(0.05, 0.04), name="fold")
-    (fold,) = self_contact(robot).folds
-    assert fold == Fold(0, pytest.approx(0.27), (0, 1))
-    ((low, _),) = folded_angles(robot.arm, fold, 0.09)
-    assert math.degrees(low) == pytest.approx(180.0 - math.degrees(math.asin(1.0 / 3.0)))
+    assert own(robot) == [("link_2", "link_1")] * 2  # what of either is beyond the joint's own reach
+    low = math.pi - math.asin(1.0 / 3.0)
     goal = (0.0, 80.0, 177.0)
     with pytest.raises(ConfigurationInCollisionError, match=r"'link_2' is .* mm deep in link 'link_1'"):
         plan(robot, scene_of((0.0, 80.0, 60.0), goal))
@@ -375,9 +384,9 @@ def test_folded_angles_are_those_of_coal(tmp_path, lengths, aside):
     robot = fitted(tmp_path, low=-179.0, high=(90.0, 179.0), lengths=lengths, widths=(0.05, 0.04))
     robot = robot.with_arm(replace(robot.arm, lateral=np.array([0.0, aside])))
     checker, reach = CoalScene(robot, []), 0.27
-    found_folds = self_contact(robot).folds
-    assert bool(found_folds) == (max(lengths) > reach and min(lengths) > reach - math.sqrt(0.09**2 - aside**2))
-    assert len(found_folds) == bool(found_folds)
+    folds = ("link_2", "link_1") in own(robot)
+    assert folds == (max(lengths) > reach and min(lengths) > reach - math.sqrt(0.09**2 - aside**2))
+    free = joint_ranges(checker, np.array([0.3, 0.4, 0.0]))
     for angle in np.radians(np.arange(-179.0, 180.0, 0.5)):
         points = axis_points(robot, np.array([0.3, 0.4, angle]))
         expected = math.inf
@@ -388,12 +397,11 @@ def test_folded_angles_are_those_of_coal(tmp_path, lengths, aside):
                 t = np.clip(((beyond - joint) @ (other - joint)) / ((other - joint) @ (other - joint)), 0.0, 1.0)
                 in_plane = np.linalg.norm(beyond - joint - t[:, None] * (other - joint), axis=1).min()
                 expected = min(expected, np.hypot(in_plane, aside) - 0.09)
-        if found_folds:
+        if folds:
             found = float(checker.distances([0.3, 0.4, angle])[1, checker.obstacle_names.index("link_1")])
             assert found == pytest.approx(expected, abs=1e-6)
-            blocked = any(low < angle < high for low, high in folded_angles(robot.arm, found_folds[0], 0.09))
-            if abs(expected) > 1e-6:
-                assert blocked == (expected < 0.0)
+            assert expected > 0.0 or not free.lower[2] < angle < free.upper[2]
+            assert expected < 2.0 * MARGIN or free.lower[2] < angle < free.upper[2]
 
 
 def test_an_elbow_does_not_pass_through_its_fold(tmp_path):
@@ -449,11 +457,11 @@ def test_what_a_deviation_or_a_clearance_brings_together_is_asked(tmp_path):
 
 
 def test_pairs_of_the_turret_move_with_the_yaw_alone(tmp_path):
-    robot = fitted(tmp_path, {"turret": [COUNTERWEIGHT]})
-    rates = np.random.default_rng(1).uniform(-1.0, 1.0, (5, 3, 4))
-    radius = math.hypot(0.55, 0.05)
-    np.testing.assert_allclose(pair_rates(robot, TURRET, GROUND, rates), radius * np.abs(rates[..., 0]).max(axis=1))
-    assert pair_sway(robot, TURRET, GROUND, 0.01) == pytest.approx(0.01 * radius)
+    stop = box((0.1, 0.1, 0.3), (0.0, -0.4, 0.4))
+    parts = CoalScene(fitted(tmp_path, {"turret": [COUNTERWEIGHT], "base_link": [stop]}), []).parts
+    _, reaches = parts.reaches()
+    assert parts.own[-1].mover_name == "turret"
+    np.testing.assert_allclose(reaches[-1], [math.hypot(0.55, 0.05), 0.0, 0.0, 0.0])
 
 
 # Random members
@@ -502,6 +510,6 @@ def test_fixed_links_count_wherever_they_hang(tmp_path):
     by_name = {base.name: base for base in base_shapes(robot)}
     assert {name: by_name[name].carrier for name in ("cabinet", "mast")} == {"cabinet": GROUND, "mast": TURRET}
     assert turret_radius(robot) == pytest.approx(math.hypot(0.05, 0.55))
-    assert [(a.name, b.name) for a, b in self_contact(robot).turret] == [("mast", "cabinet")]
+    assert own(robot, "mast") == [("mast", "cabinet")]
     ball = Sphere(name="ball", center=(-0.5, 0.0, 0.3), radius=0.05)
     assert not shown(certify(robot, scene_of(REST, obstacles=[ball]), quintic(robot, (0, 0, 0, 0), (140, 0, 0, 0))))

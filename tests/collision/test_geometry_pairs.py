@@ -46,7 +46,7 @@ def test_models_of_few_obstacles_answer_as_one_of_all(wide, links, count, monkey
     monkeypatch.setattr(module, "_CHUNK", 3)
     parts = CoalScene(wide, obstacles, links=links, growth=growth)
     assert parts.pairs == whole.pairs
-    assert len(parts.own_others) > 0
+    assert len(parts.parts.own) > 0
     configurations = rng.uniform(wide.lower, wide.upper, (80, wide.dof))
     if count:
         name = obstacles[-1].name

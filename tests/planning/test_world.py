@@ -20,7 +20,6 @@ from hplan.planning.world import BASE_DEPTH, World, without_inside
 from hplan.robot.family.members import write_robot
 from hplan.robot.family.spec import ArmSpec
 from hplan.robot.model import Robot, load_robot
-from hplan.robot.self_contact import pair_sway
 from hplan.scene.model import Fruit, Goal, Scene, Start
 from hplan.scene.obstacles import Box, Capsule, PointCloud, Sphere
 
@@ -76,7 +75,7 @@ def test_the_arm_keeps_the_clearance_from_itself_too(tmp_path: Path) -> None:
     for solids in ([], [far]):
         world = World.of(bendy, solids, clearance=0.03, tracking_error=0.001, sigmas=3.0)
         # From the pedestal a link keeps its own sway; two links keep what the outer one may sway, seen from the inner.
-        keep = world.clearance + float(pair_sway(bendy, 2, 0, 0.001))
+        keep = world.clearance + 0.001 * float(bendy.arm.lengths[1:] @ [1, 2])
         most = world.clearance + float(bendy.sway(0.001).max())
         # The first link, too, is asked against the pedestal, which does not carry its joint: it sways least.
         least = world.clearance + float(bendy.sway(0.001)[0])

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from hplan.planning.finishing.finish import finish
     from hplan.planning.options import PlanOptions
     from hplan.planning.plan import plan
+    from hplan.planning.pose_sequence import plan_poses
     from hplan.planning.reachable import FruitReach, reachable
     from hplan.planning.result import PlanResult
     from hplan.robot.model import Robot, load_robot
@@ -67,6 +68,7 @@ __all__ = [
     "plan",
     "plan_cell",
     "plan_cell_tour",
+    "plan_poses",
     "plan_row",
     "plan_tour",
     "reachable",

@@ -39,6 +39,7 @@ STUDIES = {
     "finishing": "arms:FINISHING",
     "panda": "arms:PANDA",
     "random": "arms:RANDOM",
+    "poses": "poses:POSE_SEQUENCES",
     "cells": "cells:CELLS",
     "cell_pairs": "cell_pairs:PAIRS",
     "baxter": "baxter:BAXTER",
@@ -66,6 +67,7 @@ studies:
   finishing   paths of OMPL, finished
   panda       MotionBenchMaker's problems (--files)
   random      random scenes of any arm (--robot)
+  poses       sequences of tool poses, upright (a UR5, or --robot)
 
 writes into DIR: STUDY.jsonl, what was asked for and on what in its first line, then a row a line as they come; and
 benchmark.md

@@ -256,6 +256,12 @@ CASES: dict[str, Case] = {
         "robot:object scene:object waypoints:matrix",
         {"options": NO_OBJECT[1:], "keep_within_rad": (*NO_POSITIVE[1:], 1e-5)},
     ),
+    "plan_poses": (
+        lambda **given: hplan.plan_poses(**given),
+        {"robot": None, "scene": None, "poses": None},
+        "robot:object scene:object",
+        {"options": NO_OBJECT[1:]},
+    ),
     "plan_tour": (
         lambda **given: hplan.plan_tour(**given),
         {"robot": None, "scene": None},

@@ -131,10 +131,10 @@ def _is_straight(robot: Robot, bezier: FloatArray, rows: FloatArray, row: int) -
     if robot.has_yaw:
         turn = turn + np.abs(bezier[..., 0] - rows[row, 0]).max(axis=1)
     # Per piece, h times the rate and h^2 times its derivative.
-    rates, pushes = _largest_rates(angles)
+    rates, pushes = largest_rates(angles)
     reach = _bent(arm.lengths, rates, pushes)
     if robot.has_yaw:
-        yaw_rate, yaw_push = _largest_rates(bezier[..., :1])
+        yaw_rate, yaw_push = largest_rates(bezier[..., :1])
         reach += 2.0 * yaw_rate[:, 0] * (rates @ arm.lengths)
         reach += robot.tool_radius * (yaw_push[:, 0] + yaw_rate[:, 0] ** 2)
     tool = robot.tool_positions(rows)
@@ -156,16 +156,16 @@ def _is_straight_along_z(robot: Robot, bezier: FloatArray, rows: FloatArray, row
     """`_is_straight` of a general (non-planar) arm: line and direction are those of the tool frame's z axis."""
     poses = robot.forward_kinematics(rows)
     tool, along = poses[:, :3, 3], poses[:, :3, 2]
-    rates, pushes = _largest_rates(bezier)
-    bent, turned = _bent_along_z(robot, rates, pushes)
+    rates, pushes = largest_rates(bezier)
+    bent, turned = tool_bends(robot, rates, pushes)
     off, lean = _off_line(tool, row, along[row]), np.linalg.norm(along - along[row], axis=1)
     kept: BoolArray = np.maximum(off[:-1], off[1:]) + bent / 8.0 <= OFFSET
     kept &= np.maximum(lean[:-1], lean[1:]) + turned / 8.0 <= 2.0 * np.sin(0.5 * TURN)
     return kept
 
 
-def _bent_along_z(robot: Robot, rates: FloatArray, pushes: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(pieces,) bounds of the second derivatives of tool position and direction, from those of the joints."""
+def tool_bends(robot: Robot, rates: FloatArray, pushes: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(pieces,) bounds of the second derivatives of the tool's position and of a direction fixed in it."""
     place = robot.model.frames[robot.model.getFrameId(robot.tool_frame)].placement.translation[None]
     reach = points_reach(robot, place, robot.tool_joint - 1)
     bent, turn, turn_push = (np.zeros(len(rates)) for _ in range(3))
@@ -180,7 +180,7 @@ def _bent_along_z(robot: Robot, rates: FloatArray, pushes: FloatArray) -> tuple[
     return bent, turn_push + turn * turn
 
 
-def _largest_rates(bezier: FloatArray) -> tuple[FloatArray, FloatArray]:
+def largest_rates(bezier: FloatArray) -> tuple[FloatArray, FloatArray]:
     """(pieces, n) largest first and second derivatives of cubics in their own parameter, from (pieces, 4, n) points."""
     return 3.0 * np.abs(np.diff(bezier, axis=1)).max(axis=1), 6.0 * np.abs(np.diff(bezier, 2, axis=1)).max(axis=1)
 

@@ -6,7 +6,7 @@ Marquardt, which grows where a step makes the error larger; joints at a limit th
 
 Where there is more than one configuration, the one that is found is near the start: steps lie in the space of the rows
 of the Jacobian, but for the damping. So a frame that is drawn along a line by short steps takes the joints with it
-without a jump (`draw_back`).
+without a jump (`follow`).
 """
 
 from __future__ import annotations
@@ -33,8 +33,12 @@ _DAMPING, _LESS, _MORE, _MOST = 1e-3, 0.2, 8.0, 1e9
 #: The least damping, against a singular matrix.
 _LEAST = 1e-12
 
-#: What of a frame's orientation is given: all of it, the direction of its z axis, or nothing.
-KEPT, ABOUT_Z, ANY_TURN = 0.0, 1.0, 2.0
+#: What of a frame's pose is given: all of it, all but the turn about its z axis, its place alone, or the direction of
+#: its z axis alone, up to an angle.
+KEPT, ABOUT_Z, ANY_TURN, UPRIGHT = 0.0, 1.0, 2.0, 3.0
+
+#: What is farther from upright is brought to this fraction of the angle that is allowed.
+_INSIDE = 0.9
 
 
 class Chain(NamedTuple):
@@ -48,7 +52,7 @@ class Chain(NamedTuple):
         carrier: (1,) the joint that carries the frame; `dof` for the base.
         placement: (12,) the frame on its joint: a turn, row by row, and a place.
         pose: (12,) where the frame is to be in `base_link`.
-        free_turn: (1,) `KEPT`, or `ABOUT_Z` if it may turn about its z axis, or `ANY_TURN`.
+        free_turn: (2,) `KEPT`, `ABOUT_Z`, `ANY_TURN` or `UPRIGHT`; how far the z axis of the last may lean [rad].
     """
 
     numbers: FloatArray
@@ -94,25 +98,48 @@ def draw_back(
         reached: (k,) how many of the distances are reached.
     """
     frames, tool, back = np.empty((goals.shape[1] + 1, 12)), np.empty(12), np.empty(3)
+    poses = np.empty((distances.shape[0], 12))
     for k in range(goals.shape[0]):
         write(goals[k], rows[k, 0])
         place_frame(chain, goals[k], frames, tool)
-        write(tool, chain.pose)
         for r in range(3):
             back[r] = -tool[3 * r + 2]
-        reached[k] = distances.shape[0]
-        for i in range(1, distances.shape[0]):
-            write(rows[k, i - 1], rows[k, i])
-            if i >= reached[k]:
-                continue
+        for i in range(distances.shape[0]):
+            write(tool, poses[i])
             for r in range(3):
-                chain.pose[9 + r] = tool[9 + r] + distances[i] * back[r]
-            kept = solve(chain, rows[k, i])
-            for j in range(goals.shape[1]):
-                kept = kept and abs(rows[k, i, j] - rows[k, i - 1, j]) <= most[i, j]
-            if not kept:
-                reached[k] = i
-                write(rows[k, i - 1], rows[k, i])
+                poses[i, 9 + r] = tool[9 + r] + distances[i] * back[r]
+        reached[k] = follow(poses, most, goals[k], 0.0, chain, rows[k])
+
+
+@kernel
+def follow(
+    poses: FloatArray, most: FloatArray, towards: FloatArray, drawn: float, chain: Chain, rows: FloatArray
+) -> int:
+    """Take a frame from pose to pose, each configuration found from the one before; how many are reached.
+
+    Args:
+        poses: (m, 12) poses, as the chain's, which is overwritten.
+        most: (m, dof) the most that each joint may change in the step up to each pose.
+        towards: (dof,) where joints go beside, if `drawn` is 1: by an even part of the rest with each step.
+        rows: (m, dof) the configurations, of which the first is given; those not reached are as the last one that is.
+    """
+    count = len(poses)
+    reached = count
+    for i in range(1, count):
+        write(rows[i - 1], rows[i])
+        if i >= reached:
+            continue
+        for j in range(rows.shape[1]):
+            if chain.moves[j] > 0.0:
+                rows[i, j] += drawn * (towards[j] - rows[i, j]) / (count - i)
+        write(poses[i], chain.pose)
+        kept = solve(chain, rows[i])
+        for j in range(rows.shape[1]):
+            kept = kept and abs(rows[i, j] - rows[i - 1, j]) <= most[i, j]
+        if not kept:
+            reached = i
+            write(rows[i - 1], rows[i])
+    return reached
 
 
 @kernel
@@ -219,13 +246,18 @@ def cholesky_solve(matrix: FloatArray, right: FloatArray, solution: FloatArray) 
 def linearise(chain: Chain, q: FloatArray, frames: FloatArray, error: FloatArray, jacobian: FloatArray) -> None:
     """Write the frames of all joints, the (6,) error of the pose and how joints change the frame, (6, dof)."""
     numbers, moves, pose = chain.numbers, chain.moves, chain.pose
-    free, turned, joints = chain.free_turn[0] == ABOUT_Z, chain.free_turn[0] != ANY_TURN, int(numbers[flat.JOINTS])
+    given, joints = chain.free_turn[0], int(numbers[flat.JOINTS])
+    free, turned, placed = given in (ABOUT_Z, UPRIGHT), given != ANY_TURN, given != UPRIGHT
     tool = np.empty(12)
     place_frame(chain, q, frames, tool)
     for r in range(3):
-        error[r], error[3 + r] = pose[9 + r] - tool[9 + r], 0.0
+        error[r], error[3 + r] = (pose[9 + r] - tool[9 + r] if placed else 0.0), 0.0
     if turned:
         turn_left(tool, pose, free, error)
+    if not placed:
+        lean = math.sqrt(squared(error))
+        for r in range(3, 6):
+            error[r] = error[r] * (1.0 - _INSIDE * chain.free_turn[1] / lean) if lean > chain.free_turn[1] else 0.0
     zx, zy, zz = tool[2], tool[5], tool[8]
     for j in range(q.shape[0]):
         for r in range(6):
@@ -236,6 +268,8 @@ def linearise(chain: Chain, q: FloatArray, frames: FloatArray, error: FloatArray
         below = frames[int(numbers[at + flat.PARENT])]
         ax, ay, az = numbers[at + flat.TURN], numbers[at + flat.TURN + 1], numbers[at + flat.TURN + 2]
         if ax == 0.0 and ay == 0.0 and az == 0.0:
+            if not placed:
+                continue
             ax, ay, az = numbers[at + flat.SHIFT], numbers[at + flat.SHIFT + 1], numbers[at + flat.SHIFT + 2]
             for r in range(3):
                 jacobian[r, j] = below[3 * r] * ax + below[3 * r + 1] * ay + below[3 * r + 2] * az
@@ -244,7 +278,8 @@ def linearise(chain: Chain, q: FloatArray, frames: FloatArray, error: FloatArray
         y = frame[3] * ax + frame[4] * ay + frame[5] * az
         z = frame[6] * ax + frame[7] * ay + frame[8] * az
         px, py, pz = tool[9] - frame[9], tool[10] - frame[10], tool[11] - frame[11]
-        jacobian[0, j], jacobian[1, j], jacobian[2, j] = y * pz - z * py, z * px - x * pz, x * py - y * px
+        if placed:
+            jacobian[0, j], jacobian[1, j], jacobian[2, j] = y * pz - z * py, z * px - x * pz, x * py - y * px
         if not turned:
             continue
         along = zx * x + zy * y + zz * z if free else 0.0

@@ -72,7 +72,7 @@ def inverse_kinematics(
     count = whole("seeds", seeds, 1, MOST_SEEDS)
     free = truth("free_turn", free_turn)
     keeps = robot.locked_mask(list_of("locked", locked, str, "names"))
-    chain = chain_of(robot, _checked_pose(pose), ABOUT_Z if free else KEPT, frame)
+    chain = chain_of(robot, checked_pose(pose), ABOUT_Z if free else KEPT, frame)
     chain.moves[keeps] = 0.0
     starts = spread_starts(robot, begin, chain, count, whole("seed", seed, 0))
     solutions, found = np.empty(starts.shape), np.zeros(len(starts), dtype=np.bool_)
@@ -96,19 +96,22 @@ def spread_starts(robot: Robot, begin: FloatArray, chain: Chain, count: int, see
     return np.where(chain.moves > 0.0, starts, begin)
 
 
-def _checked_pose(pose: ArrayLike) -> FloatArray:
+def checked_pose(pose: ArrayLike, name: str = "pose") -> FloatArray:
     """The pose as an array.
+
+    Args:
+        name: What it is called.
 
     Raises:
         InputError: It is no homogeneous matrix of a rotation and a place.
     """
-    matrix = numbers("pose", pose, (4, 4))
+    matrix = numbers(name, pose, (4, 4))
     turn = matrix[:3, :3]
     with np.errstate(over="ignore", invalid="ignore"):
         off = float(np.abs(turn.T @ turn - np.eye(3)).max())
         right_handed = off <= _ROTATION and float(np.linalg.det(turn)) > 0.0
     if not right_handed or np.abs(matrix[3] - [0.0, 0.0, 0.0, 1.0]).max() > 0.0:
-        raise InputError("pose: expected a (4, 4) homogeneous matrix of a rotation and a place", option="pose")
+        raise InputError(f"{name}: expected a (4, 4) homogeneous matrix of a rotation and a place", option=name)
     return matrix
 
 
@@ -117,7 +120,7 @@ def chain_of(robot: Robot, pose: FloatArray, turn: float, name: str | None = Non
 
     Args:
         pose: (4, 4) homogeneous matrix in `base_link`.
-        turn: What of its rotation counts: `KEPT`, `ABOUT_Z` or `ANY_TURN`.
+        turn: What of it counts: `KEPT`, `ABOUT_Z`, `ANY_TURN` or `UPRIGHT`.
         name: Name of the frame; None for the tool frame.
     """
     frame = robot.model.frames[robot.frame_number(robot.tool_frame if name is None else name)]
@@ -133,7 +136,7 @@ def chain_of(robot: Robot, pose: FloatArray, turn: float, name: str | None = Non
         carrier=np.array([float(robot.dof if carrier < 0 else carrier)]),
         placement=np.concatenate([np.array(frame.placement.rotation).ravel(), frame.placement.translation]),
         pose=np.concatenate([pose[:3, :3].ravel(), pose[:3, 3]]),
-        free_turn=np.array([turn]),
+        free_turn=np.array([turn, 0.0]),
     )
 
 

@@ -1,4 +1,4 @@
-"""The straight approach of any robot: the tool moves to its goal along the z axis of its frame, which does not turn.
+"""Straight lines of any robot's tool: to its goal along the z axis of its frame, which does not turn, or to a pose.
 
 The tool is drawn back from the goal along the axis by short steps (`hplan.kinematics.damped_steps.draw_back`); about
 the axis it may turn, or keeps its turn. Cubic splines lead through the configurations, as functions of the distance,
@@ -15,13 +15,13 @@ from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from hplan.base.arrays import FloatArray, IntArray, Record, frozen
 from hplan.base.polyline import curve_length
-from hplan.collision.reach import joint_axis
 from hplan.errors import ApproachError
-from hplan.kinematics.damped_steps import ABOUT_Z, KEPT, draw_back
+from hplan.kinematics.damped_steps import ABOUT_Z, KEPT, draw_back, follow
 from hplan.kinematics.inverse_kinematics import chain_of
 from hplan.robot.model import Robot
 
@@ -33,6 +33,9 @@ STEP_M, _STEPS = 5e-3, 4
 
 #: The most that a joint may change for each metre of the tool: turning [rad/m], sliding [m/m].
 TURNING, _SLIDING = 25.0, 10.0
+
+#: Longest step of a tool that turns [rad]; it counts as `STEP_M`.
+_STEP_RAD = 0.03
 
 
 class Lines(NamedTuple):
@@ -66,11 +69,40 @@ def lines_back(
     distances: FloatArray = distance * np.arange(count + 1) / count
     chain = chain_of(robot, np.eye(4), KEPT if keeps_turn else ABOUT_Z)
     chain.moves[robot.locked_mask(locked)] = 0.0
-    slides = np.array([joint_axis(robot, joint)[1] for joint in range(robot.dof)])
-    most = np.diff(distances, prepend=0.0)[:, None] * np.where(slides, _SLIDING, TURNING)
+    most = np.diff(distances, prepend=0.0)[:, None] * np.where(robot.slides, _SLIDING, TURNING)
     rows, reached = np.empty((len(goals), count + 1, robot.dof)), np.zeros(len(goals), dtype=np.int64)
     draw_back(np.array(goals, dtype=np.float64), distances, most, chain, rows, reached)
     return Lines(distances, rows, reached)
+
+
+def line_to(
+    robot: Robot, start: FloatArray, pose: FloatArray, towards: FloatArray | None = None, *, locked: Sequence[str] = ()
+) -> tuple[FloatArray, float]:
+    """Configurations with the tool on the straight line from where it is to a pose; its turn goes evenly with it.
+
+    Args:
+        start: (dof,) configuration within the limits.
+        pose: (4, 4) homogeneous matrix in `base_link`.
+        towards: (dof,) configuration to which joints go that the pose leaves free; None where they move least.
+
+    Returns:
+        (m, dof) configurations close together, m >= 2, as many as are reached; and what fraction of the line that is.
+    """
+    here = robot.forward_kinematics(start)
+    shift, turn = pose[:3, 3] - here[:3, 3], pin.log3(here[:3, :3].T @ pose[:3, :3])
+    steps = max(_STEPS, math.ceil(np.linalg.norm(shift) / STEP_M), math.ceil(np.linalg.norm(turn) / _STEP_RAD))
+    on_line = [
+        (here[:3, :3] @ pin.exp3(part * turn), here[:3, 3] + part * shift) for part in np.arange(steps + 1) / steps
+    ]
+    poses = np.array([np.append(rotation.ravel(), place) for rotation, place in on_line])
+    poses[-1] = np.append(pose[:3, :3].ravel(), pose[:3, 3])
+    chain = chain_of(robot, pose, KEPT)
+    chain.moves[robot.locked_mask(locked)] = 0.0
+    most = np.full((steps + 1, 1), STEP_M) * np.where(robot.slides, _SLIDING, TURNING)
+    rows = np.repeat(start[None], steps + 1, axis=0)
+    ends = np.array(start if towards is None else towards)
+    reached = follow(poses, most, ends, float(towards is not None), chain, rows)
+    return rows[: max(reached, 2)], (reached - 1) / steps
 
 
 @dataclass(frozen=True, eq=False)

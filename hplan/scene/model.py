@@ -29,7 +29,7 @@ from hplan.scene.tracks import Movement
 FORMAT: Final = "hplan-scene/1"
 
 #: How far the length of a quaternion may be from 1; it is taken as if it were 1.
-_QUATERNION_LENGTH: Final = 1e-3
+QUATERNION_LENGTH: Final = 1e-3
 
 
 def _listed(names: Any) -> Any:
@@ -155,7 +155,7 @@ class Goal(JointValues):
         if self.approach_deg is not None:
             raise fault("approach_deg and quaternion_xyzw exclude one another", "approach_deg")
         length = math.hypot(*self.quaternion_xyzw)
-        if not abs(length - 1.0) <= _QUATERNION_LENGTH:
+        if not abs(length - 1.0) <= QUATERNION_LENGTH:
             raise fault(f"expected a quaternion (x, y, z, w) of length 1, got length {length:.6g}", "quaternion_xyzw")
         return self
 

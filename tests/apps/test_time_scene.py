@@ -6,7 +6,9 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 import pytest
+from toy_urdf import SIX_AXIS_LIMITS, six_axis_picker
 
 from hplan.apps.cli.main import main
 from hplan.robot.model import load_robot
@@ -59,6 +61,26 @@ def test_a_path_becomes_a_job(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert report["trajectory"]["duration_s"] > kept_s
 
 
+def test_poses_become_a_job(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    urdf, given, way = tmp_path / "six.urdf", tmp_path / "scene.yaml", tmp_path / "poses.csv"
+    urdf.write_text(six_axis_picker(), encoding="utf-8")
+    urdf.with_suffix(".limits.yaml").write_text(SIX_AXIS_LIMITS, encoding="utf-8")
+    start = "{joints_rad: [0, 0.3, 1.2, 0.1, -1.5, 0]}"
+    given.write_text(f"format: hplan-scene/1\nname: poses\nstart: {start}\ngoal: {start}\n", encoding="utf-8")
+    pose = load_robot(urdf).forward_kinematics(np.array([0.0, 0.3, 1.2, 0.1, -1.5, 0.0]))
+    pose[2, 3] -= 0.1
+    numbers = [*pose[:3, 3], *pin.Quaternion(pose[:3, :3]).coeffs()]
+    way.write_text("x,y,z,qx,qy,qz,qw\n" + ",".join(map(str, numbers)) + "\n", encoding="utf-8")
+    words = ["time", str(urdf), str(way), "--scene", str(given), "--out", str(tmp_path / "job"), "--poses"]
+    assert main([*words, "--tilt", "5"]) == 0
+    report = json.loads((tmp_path / "job" / "report.json").read_text(encoding="utf-8"))
+    (phase,) = report["poses"]["phases"]
+    assert phase["deviation_m"] < 1e-3
+    assert phase["tilt_deg"] < 5.0
+    assert main([*words, "--keep-path"]) == 2
+    assert "--poses" in capsys.readouterr().err
+
+
 def test_a_path_in_contact_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     way = waypoints(tmp_path / "way.csv", [START, (0.4, *START[1:])])
     given = scene(tmp_path / "ball.yaml", 0.44)
@@ -79,6 +101,7 @@ def test_a_path_in_contact_is_told(tmp_path: Path, capsys: pytest.CaptureFixture
         ["--scene", "table-1", "--acceleration", "3"],
         ["--scene", "table-1", "--joints", "yaw"],
         ["--keep-path"],
+        ["--poses"],
         ["--deadline", "5"],
     ],
 )

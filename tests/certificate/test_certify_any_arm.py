@@ -315,8 +315,8 @@ def test_bends_of_the_tool_are_bounded(load, name):
     robot, rng = load(name), np.random.default_rng(19)
     for scale in (0.02, 0.3):
         bezier = rng.uniform(0.5 * robot.lower, 0.5 * robot.upper) + scale * rng.normal(size=(6, 4, robot.dof))
-        rates, pushes = goal_contact._largest_rates(bezier)
-        bent, turned = goal_contact._bent_along_z(robot, rates, pushes)
+        rates, pushes = goal_contact.largest_rates(bezier)
+        bent, turned = goal_contact.tool_bends(robot, rates, pushes)
         for piece in range(len(bezier)):
             places = np.linspace(0.0, 1.0, 401)
             poses = robot.forward_kinematics(

@@ -37,10 +37,13 @@ if TYPE_CHECKING:
 #: Where the motion goes unless something else is said.
 OUT = Path("timed.csv")
 
+#: Columns of poses.
+_POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
+
 #: Options that take a scene, and such that do not.
 _WITH_SCENE = (
     *("keep_path", "effort", "seed", "sigmas", "tracking_error", "tracking_error_m", "tracking_delay", "deadline_ms"),
-    *("tool_frame", "srdf", "allow_neighbours", "package_dir"),
+    *("poses", "free", "tilt", "tool_frame", "srdf", "allow_neighbours", "package_dir"),
 )
 _WITHOUT_SCENE = ("acceleration", "no_torque", "joints")
 
@@ -101,6 +104,15 @@ def parser(prog: str) -> argparse.ArgumentParser:
     add("--quiet", action="store_true", help="no summary")
     add("--scene", metavar="SCENE", help="obstacles: a scene file, or name of a shipped scene")
     add("--keep-path", action="store_true", help="keep the path's shape within --deviation; else it is shortened")
+    add("--poses", action="store_true", help="with --scene: the lines are poses of the tool in base_link, in columns "
+        "x,y,z [m] and qx,qy,qz,qw, passed from the scene's start on")  # fmt: skip
+    add("--free", action="store_true", help="with --poses: not on straight lines from pose to pose")
+    add(
+        "--tilt",
+        type=float,
+        metavar="DEG",
+        help="with --poses: what of the tool is up at the start stays so within this",
+    )
     add_shared(parser, "effort", "seed", "sigmas", "parts", "tracking", "deadline")
     return parser
 
@@ -115,6 +127,10 @@ def _check_options(arguments: argparse.Namespace) -> None:
         refuse(arguments, _WITH_SCENE, "left out, or --scene")
     else:
         refuse(arguments, _WITHOUT_SCENE, "left out with --scene: limits are the robot's, or of --limits")
+    if arguments.poses:
+        refuse(arguments, ["keep_path"], "left out with --poses")
+    else:
+        refuse(arguments, ["free", "tilt"], "left out, or --poses")
 
 
 def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int:
@@ -139,6 +155,7 @@ def _finished(arguments: argparse.Namespace, folder: JobFolder, errors: Console)
         with loading():
             from hplan.apps.cli.plan import STAGE_WORDS
             from hplan.planning.finishing.finish import finish
+            from hplan.planning.pose_sequence import plan_poses, pose_matrices
             from hplan.planning.report import curve_report, write_report
             from hplan.scene.file import load_scene, save_scene
             from hplan.trajectory import read_waypoints
@@ -146,17 +163,20 @@ def _finished(arguments: argparse.Namespace, folder: JobFolder, errors: Console)
         scene = load_scene(arguments.scene)
         arguments.robot = arguments.urdf
         robot = robot_of(arguments, scene)
-        waypoints = read_waypoints(arguments.waypoints, robot.joint_names, robot.slides)
+        names, slides = (_POSE, (False,) * 7) if arguments.poses else (robot.joint_names, robot.slides)
+        waypoints = read_waypoints(arguments.waypoints, names, slides)
         within_rad = math.radians(arguments.deviation) if arguments.keep_path else None
+
+        def progress(stage: str) -> None:
+            status(STAGE_WORDS.get(stage, stage))
+
         with folder.job(scene.name, robot.name):
-            result = finish(
-                robot,
-                scene,
-                waypoints,
-                options,
-                keep_within_rad=within_rad,
-                progress=lambda stage: status(STAGE_WORDS.get(stage, stage)),
-            )
+            if arguments.poses:
+                tilt = None if arguments.tilt is None else math.radians(arguments.tilt)
+                poses, straight = pose_matrices(waypoints), not arguments.free
+                result = plan_poses(robot, scene, poses, options, straight=straight, tilt_rad=tilt, progress=progress)
+            else:
+                result = finish(robot, scene, waypoints, options, keep_within_rad=within_rad, progress=progress)
             status("writing files")
             with folder.filling() as staging:
                 files = write_result(result, {TRAJECTORY: result.trajectory}, staging)

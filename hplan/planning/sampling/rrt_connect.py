@@ -21,6 +21,7 @@ from hplan.base.kernels import any_int, kernel
 from hplan.collision.body_motions import shown_part, straight_piece
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.obstacle_rows import FieldArrays
+from hplan.kinematics.damped_steps import Chain, solve
 from hplan.planning.definition import Problem
 
 #: Samples drawn at a time, and nodes that a tree may have.
@@ -70,22 +71,36 @@ class Tree(NamedTuple):
     size: IntArray
 
 
+class Held(NamedTuple):
+    """What all nodes of trees keep.
+
+    Attributes:
+        chain: With `hplan.kinematics.damped_steps.UPRIGHT`.
+        edge_s: Longest edge, in time at the velocity limits, between whose ends it is kept well enough [s].
+    """
+
+    chain: Chain
+    edge_s: float
+
+
 class Surroundings(NamedTuple):
     """Arm and obstacles that edges are checked with.
 
     Attributes:
         slowness: (dof,) times for a unit of each joint at its velocity limit [s/rad].
         margin: Clearance asked for wherever a motion is evaluated [m].
+        edge_s: Longest edge, in time at the velocity limits [s].
     """
 
     slowness: FloatArray
     field: FieldArrays
     margin: float
+    edge_s: float
 
 
 def tree_path(
     problem: Problem, field: ClearanceField, velocity: FloatArray, margin: float, effort: TreeEffort,
-    *, goals: FloatArray | None = None,
+    *, goals: FloatArray | None = None, held: Held | None = None,
 ) -> tuple[FloatArray | None, int]:  # fmt: skip
     """A clear path of straight motions from start to goal.
 
@@ -94,18 +109,20 @@ def tree_path(
         velocity: (dof,) velocity limits [rad/s]; distances are times at these.
         margin: Clearance asked for wherever a motion is evaluated [m].
         goals: (k, dof) configurations of which one is to be reached, whichever comes first; None for the problem's.
+        held: What all nodes keep, as start and goals do; None for nothing.
 
     Returns:
         (m, dof) waypoints, m >= 2, or None where none was found; and the evaluations that it took.
     """
     ends = np.array(problem.goal[None] if goals is None else goals)
     first, second = _tree(problem.start[None]), _tree(ends)
-    arm = Surroundings(1.0 / velocity, field.arrays, margin)
+    arm = Surroundings(1.0 / velocity, field.arrays, margin, EDGE_S if held is None else held.edge_s)
+    chain = () if held is None else held.chain
     generator = np.random.Generator(np.random.PCG64(effort.seed))
     looks = np.array([effort.evaluations], dtype=np.int64)
     path = None
     while path is None and looks[0] > 0 and max(first.size[0], second.size[0]) < _MOST_NODES - _CHUNK:
-        joined = _grow(_samples(generator, problem, ends), first, second, arm, looks)
+        joined = _grow(_samples(generator, problem, ends), first, second, arm, chain, looks)
         check_deadline()
         if joined[0] >= 0:
             there = np.concatenate([_branch(first, int(joined[0]))[::-1], _branch(second, int(joined[1]))])
@@ -145,7 +162,9 @@ def _branch(tree: Tree, node: int) -> FloatArray:
 
 
 @kernel
-def _grow(samples: FloatArray, first: Tree, second: Tree, arm: Surroundings, looks: IntArray) -> IntArray:
+def _grow(
+    samples: FloatArray, first: Tree, second: Tree, arm: Surroundings, chain: Chain | tuple[()], looks: IntArray
+) -> IntArray:
     """Grow both trees by some samples; the nodes at which they meet, or -1."""
     joined = np.full(2, -1, dtype=np.int64)
     for s in range(samples.shape[0]):
@@ -153,7 +172,7 @@ def _grow(samples: FloatArray, first: Tree, second: Tree, arm: Surroundings, loo
             break
         forward = first.size[0] <= second.size[0]
         tree, towards = (first, second) if forward else (second, first)
-        new = _extend(tree, _nearest(tree, samples[s], arm), samples[s], arm, looks)
+        new = _extend(tree, _nearest(tree, samples[s], arm), samples[s], arm, chain, looks)
         if new < 0:
             continue
         target = tree.points[new]
@@ -161,7 +180,7 @@ def _grow(samples: FloatArray, first: Tree, second: Tree, arm: Surroundings, loo
         while (
             here >= 0 and not is_up(arm.field.until) and motion_time(towards.points[here], target, arm.slowness) > 0.0
         ):
-            here = _extend(towards, here, target, arm, looks)
+            here = _extend(towards, here, target, arm, chain, looks)
         if here >= 0:
             joined[0], joined[1] = (new, here) if forward else (here, new)
             break
@@ -182,17 +201,24 @@ def _nearest(tree: Tree, target: FloatArray, arm: Surroundings) -> int:
 
 
 @kernel
-def _extend(tree: Tree, node: int, target: FloatArray, arm: Surroundings, looks: IntArray) -> int:
-    """Add a node on the way from a node to a target, as far as an edge is verified; -1 without progress."""
+def _extend(
+    tree: Tree, node: int, target: FloatArray, arm: Surroundings, chain: Chain | tuple[()], looks: IntArray
+) -> int:
+    """Add a node on the way from a node to a target, as far as an edge is verified; -1 without progress.
+
+    With a chain its end is first brought to what the chain holds, by no more than half of the way.
+    """
     if tree.size[0] >= tree.points.shape[0]:
         return -1
     dof = len(target)
     start = tree.points[node]
     end = np.empty(dof)
     time = motion_time(start, target, arm.slowness)
-    part = min(1.0, EDGE_S / time) if time > 0.0 else 1.0
+    part = min(1.0, arm.edge_s / time) if time > 0.0 else 1.0
     for i in range(dof):
         end[i] = target[i] if part == 1.0 else start[i] + part * (target[i] - start[i])
+    if len(chain) > 0 and (not solve(chain, end) or motion_time(end, target, arm.slowness) > time * (1.0 - 0.5 * part)):
+        return -1
     least = 0.5 * LEAST_S / (part * time) if time > 0.0 else 0.0
     shown, used = shown_part(straight_piece(start, end), arm.field, arm.margin, least, LOOKS)
     looks[0] -= used

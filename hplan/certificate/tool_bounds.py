@@ -1,0 +1,75 @@
+r"""How far a tool leaves a straight line, and how far it tilts, at all times of a motion.
+
+Between two places of the motion :math:`h` apart the tool's point leaves their chord by at most
+:math:`h^2 / 8 \max |\ddot p|`, and so does a direction fixed in the tool (`hplan.certificate.goal_contact` has both
+bounds). Points within a distance of a line segment are a convex set; of a direction, the component along another one
+is linear. So the largest of both at some places, with what is between them, bounds them at all times.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from hplan.base.arrays import FloatArray
+from hplan.certificate.goal_contact import largest_rates, tool_bends
+from hplan.certificate.motion_bound import fastest, largest_deviations
+from hplan.collision.reach import carriers, joint_axis, points_reach
+from hplan.robot.model import Robot
+from hplan.robot.tracking import TrackingModel
+from hplan.trajectory.trajectory import Trajectory, cubic_pieces
+
+#: Places that are looked at in each cubic of a motion.
+_LOOKS = 4
+
+
+class ToolBounds(NamedTuple):
+    """Upper bounds at all times, with what the tracking error adds.
+
+    Attributes:
+        deviation_m: Of the tool's distance from the straight line between its places at both ends.
+        tilt_rad: Of the angle between a direction fixed in the tool and one fixed in `base_link`.
+    """
+
+    deviation_m: float
+    tilt_rad: float
+
+
+def tool_bounds(
+    robot: Robot, trajectory: Trajectory, direction: FloatArray, upright: FloatArray, tracking: TrackingModel
+) -> ToolBounds:
+    """Bounds of how far the tool of a general (non-planar) arm leaves its line and tilts along a motion.
+
+    Args:
+        direction: (3,) unit vector in the tool frame.
+        upright: (3,) unit vector in `base_link` from which it tilts.
+    """
+    pieces, duration = cubic_pieces(trajectory)
+    rates, pushes = largest_rates(pieces)
+    bent, turned = (bends / (8.0 * _LOOKS**2) for bends in tool_bends(robot, rates, pushes))
+    looks = np.arange(_LOOKS * len(pieces) + 1) / _LOOKS
+    poses = robot.forward_kinematics(
+        trajectory.positions(np.interp(looks, np.arange(len(pieces) + 1), trajectory.time))
+    )
+    off, along = _off_segment(poses[:, :3, 3]), poses[:, :3, :3] @ direction @ upright
+    deviations = largest_deviations(robot, tracking, fastest(pieces, duration))
+    turns = [joint for joint in carriers(robot, robot.tool_joint - 1) if not joint_axis(robot, joint)[1]]
+    place = robot.model.frames[robot.frame_number(robot.tool_frame)].placement.translation[None]
+    away = _largest(off) + bent + deviations @ points_reach(robot, place, robot.tool_joint - 1)
+    lean = np.arccos(np.clip(-_largest(-along) - turned, -1.0, 1.0)) + deviations[:, turns].sum(axis=1)
+    return ToolBounds(float(away.max()), float(lean.max()))
+
+
+def _largest(values: FloatArray) -> FloatArray:
+    """(pieces,) the largest value at the places of each cubic, its ends among them."""
+    inner: FloatArray = np.maximum(values[:-1], values[1:]).reshape(-1, _LOOKS).max(axis=1)
+    return inner
+
+
+def _off_segment(places: FloatArray) -> FloatArray:
+    """(n,) distances of (n, 3) places from the segment between the first and the last [m]."""
+    away, line = places - places[0], places[-1] - places[0]
+    along = np.clip(away @ line / max(float(line @ line), 1e-300), 0.0, 1.0)
+    off: FloatArray = np.linalg.norm(away - along[:, None] * line, axis=1)
+    return off

@@ -1,0 +1,484 @@
+"""Certified motions along poses of the tool: straight or free between them, upright within an angle.
+
+Straight from pose to pose the joints follow the tool, from the configuration before; where they have a choice (seven
+joints, or several configurations at the end of a free motion before), one is taken with which all straight lines up to
+the next free motion can be had. A free motion is that of `hplan.planning.transits`; where the tool is to stay upright,
+one of trees whose nodes do (`hplan.kinematics.damped_steps.UPRIGHT`). The arm stops at each pose. Deviation and tilt of
+the timed motion are bounded at all times (`hplan.certificate.tool_bounds`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike
+from scipy.interpolate import make_interp_spline
+
+from hplan.base.arguments import number as checked_number
+from hplan.base.arguments import truth
+from hplan.base.arrays import FloatArray, frozen, numbers, readonly
+from hplan.base.deadline import Cancel, TimeIsUpError, check_deadline, time_limit
+from hplan.base.polyline import path_length, stations
+from hplan.certificate.tool_bounds import ToolBounds, tool_bounds
+from hplan.errors import (
+    BlockedError,
+    CertificationError,
+    ConfigurationInCollisionError,
+    HplanError,
+    InputError,
+    MovingObstacleError,
+    NotFoundError,
+    TimingError,
+)
+from hplan.kinematics.damped_steps import UPRIGHT, Chain, follow
+from hplan.kinematics.inverse_kinematics import chain_of, checked_pose
+from hplan.kinematics.straight_line import line_to
+from hplan.optimization.smooth_path import SMALLEST_FRACTION
+from hplan.planning.finishing.given_path import given_path, scene_along
+from hplan.planning.motion import Motion, Origin, Plan, Transit, certified_trajectory
+from hplan.planning.options import PlanOptions
+from hplan.planning.plan import check_task, plan_result
+from hplan.planning.pose_goal import configurations_at
+from hplan.planning.result import PlanResult
+from hplan.planning.sampling.rrt_connect import Held, TreeEffort, tree_path
+from hplan.planning.stages import StageClock
+from hplan.planning.task import PlanningCache, PlanningContext, PlanningTask, Progress, no_progress
+from hplan.planning.transits import one_transit
+from hplan.robot.model import Robot
+from hplan.scene.model import QUATERNION_LENGTH, Goal, Scene
+from hplan.scene.solids import quaternion_rotation
+from hplan.trajectory.spline import SplinePath
+
+#: Most poses.
+_MOST_POSES = 10_000
+
+#: Nodes of trees, and the paths between them, lean by this fraction of the tilt at most; what is between has the rest.
+_OF_TILT = 0.7
+
+#: Longest edge of trees that stay upright, for a tilt of one radian [s]; it goes with the root of the tilt.
+_EDGE_S = 0.1
+
+#: Rows of an upright motion are about so far apart [rad]; smoother paths of fewer of them are tried first.
+_ROW, _COARSER = 0.05, (12, 6, 3, 1)
+
+#: So many shortcuts are tried in a path of trees, and so many trees with an effort grow.
+_SHORTCUTS, _TREES = 100, (2_000, 2_000, 8_000, 30_000)
+
+#: Joints that change by less from pose to pose stand still [rad, m].
+_STILL = 1e-9
+
+
+class _Leg(NamedTuple):
+    """From a pose to the next: rows to be timed, or the motion itself."""
+
+    number: int
+    task: PlanningTask
+    rows: FloatArray
+    motion: Transit | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class _Poses:
+    """What is asked.
+
+    Attributes:
+        upright: What is up in `base_link`.
+        direction: What of the tool is up at the start, in its frame.
+        chain: What is upright, for the kernels; None where that is not asked for.
+    """
+
+    context: PlanningContext
+    poses: tuple[FloatArray, ...]
+    straight: tuple[bool, ...]
+    deviation_m: float
+    tilt_rad: float | None
+    upright: FloatArray
+    direction: FloatArray
+    chain: Chain | None
+
+
+def plan_poses(
+    robot: Robot,
+    scene: Scene,
+    poses: ArrayLike,
+    options: PlanOptions | None = None,
+    *,
+    straight: bool | Sequence[bool] = True,
+    tilt_rad: float | None = None,
+    deviation_m: float = 1e-3,
+    progress: Progress = no_progress,
+    cancel: Cancel | None = None,
+) -> PlanResult:
+    """The certified motion from the scene's start through poses of the tool, in turn.
+
+    Args:
+        robot: An arm that is not of the planar family.
+        scene: Start, obstacles, clearance to keep, locked joints; its goal does not matter, and a fruit that is its
+            goal is an obstacle like the others.
+        poses: (n, 4, 4) poses of the tool frame in `base_link` [m].
+        options: How to plan.
+        straight: Whether the tool goes straight to each pose, turning evenly meanwhile, or as it likes; one for each,
+            or one for all.
+        tilt_rad: How far the tool may tilt: the largest angle at any time between what of it is up at the start and
+            up; how it turns about that does not count. None where it may be turned at will.
+        deviation_m: How far the tool may leave the straight lines.
+        progress: Called with the name of each stage as it begins.
+        cancel: A function or an event that says whether the motion is cancelled.
+
+    Returns:
+        The motion as of a plan, a phase `pose N` to each pose, for the scene with its ends as start and goal. Its
+        report has in `poses`, for each phase, the bounds shown of deviation and tilt at all times, tracking errors
+        among them.
+
+    Raises:
+        InputError: Poses that are none, or tilted by more than is allowed; the start is not clear, or in motion.
+        UnreachableError: No configuration with the tool at a pose was found.
+        BlockedError: Obstacles are in the way at a pose.
+        NotFoundError: No motion was found.
+        TimingError: It cannot be timed.
+        CertificationError: It could not be certified, or leaves a line, or tilts, by more than is allowed.
+        MovingObstacleError: Something in the scene moves.
+        NotInTimeError: None was found before the deadline.
+        PlanCancelledError: Nobody wants the motion any more.
+    """
+    check_task(robot, scene, options, progress)
+    options = PlanOptions() if options is None else options
+    if robot.planar is not None:
+        raise InputError(
+            f"robot {robot.name!r} is a planar arm, whose tool cannot be turned at will: it takes no poses"
+        )
+    if scene.moves:
+        raise MovingObstacleError(scene.first_moving)
+    matrices = numbers("poses", poses, (None, 4, 4))
+    if not 0 < len(matrices) <= _MOST_POSES:
+        raise InputError(f"poses: expected 1 to {_MOST_POSES}, got {len(matrices)}", count=len(matrices))
+    ways = [straight] * len(matrices) if isinstance(straight, bool) else list(straight)
+    if len(ways) != len(matrices):
+        raise InputError(f"straight: expected one for each of {len(matrices)} poses, got {len(ways)}")
+    if tilt_rad is not None:
+        checked_number("tilt_rad", tilt_rad, "None, or an angle in (0, pi/2)", lambda tilt: 0.0 < tilt < 0.5 * math.pi)
+    checked_number("deviation_m", deviation_m, "a number of metres >= 1e-5", lambda off: 1e-5 <= off <= 1.0)
+    clock = StageClock()
+    with time_limit(options.deadline_s, cancel) as limit:
+        try:
+            context = PlanningCache(robot).context(scene, options, progress, clock)
+            begin = robot.check_configuration(robot.joints_of(scene.start, "start"), "start")
+            context.world.check_base(robot.yaw_of(begin))
+            context.world.check_clear(begin, "start")
+            checked = tuple(checked_pose(matrix, f"poses[{k}]") for k, matrix in enumerate(matrices))
+            gravity = np.array(robot.model.gravity.linear)
+            up = -gravity / np.linalg.norm(gravity) if gravity.any() else np.array([0.0, 0.0, 1.0])
+            direction = robot.forward_kinematics(begin)[:3, :3].T @ up
+            chain = None if tilt_rad is None else _upright_chain(robot, scene, up, direction, _OF_TILT * tilt_rad)
+            task = _Poses(
+                context, checked, tuple(truth("straight", way) for way in ways), deviation_m, tilt_rad,
+                up, direction, chain,
+            )  # fmt: skip
+            _check_upright(task)
+            return _timed(task, _through(task, begin, 0))
+        except TimeIsUpError:
+            raise limit.error(clock.told()) from None
+
+
+def pose_matrices(rows: FloatArray) -> FloatArray:
+    """(n, 4, 4) matrices of (n, 7) rows of a place and a quaternion (x, y, z, w).
+
+    Raises:
+        InputError: A quaternion that is not of length 1.
+    """
+    lengths = np.linalg.norm(rows[:, 3:], axis=1)
+    for row in np.flatnonzero(~(np.abs(lengths - 1.0) <= QUATERNION_LENGTH)).tolist():
+        raise InputError(f"pose {row + 1}: expected a quaternion of length 1, got length {lengths[row]:.6g}", pose=row)
+    poses = np.tile(np.eye(4), (len(rows), 1, 1))
+    for pose, row in zip(poses, rows, strict=True):
+        pose[:3, :3], pose[:3, 3] = quaternion_rotation(row[3:].tolist()), row[:3]
+    return poses
+
+
+def _upright_chain(robot: Robot, scene: Scene, up: FloatArray, direction: FloatArray, lean: float) -> Chain:
+    """The tool's frame turned so that its z axis is the direction, which is to be up."""
+    z = np.array([0.0, 0.0, 1.0])
+    pose = np.eye(4)
+    pose[:3, :3] = pin.Quaternion.FromTwoVectors(z, up).toRotationMatrix()
+    chain = chain_of(robot, pose, UPRIGHT)
+    placed = chain.placement[:9].reshape(3, 3) @ pin.Quaternion.FromTwoVectors(z, direction).toRotationMatrix()
+    moves = np.where(robot.locked_mask(scene.locked_joints), 0.0, chain.moves)
+    return chain._replace(
+        placement=np.append(placed.ravel(), chain.placement[9:]), moves=moves, free_turn=np.array([UPRIGHT, lean])
+    )
+
+
+def _check_upright(task: _Poses) -> None:
+    """Refuse poses that are tilted by more than trees may tilt.
+
+    Raises:
+        InputError: There is one.
+    """
+    if task.chain is None or task.tilt_rad is None:
+        return
+    for k, pose in enumerate(task.poses):
+        lean = math.acos(min(1.0, float(task.upright @ pose[:3, :3] @ task.direction)))
+        if lean > _OF_TILT * task.tilt_rad:
+            raise InputError(
+                f"poses[{k}]: tilted by {math.degrees(lean):.4g} deg from how the tool stands at the start; at poses "
+                f"no more than {_OF_TILT:g} of the tilt, {math.degrees(_OF_TILT * task.tilt_rad):.4g} deg, leaves room",
+                pose=k,
+                tilt_rad=lean,
+            )
+
+
+def _through(task: _Poses, begin: FloatArray, number: int) -> list[_Leg]:
+    """The legs from a configuration to all poses from one on.
+
+    Raises:
+        HplanError: There are none; why the first that was tried does not go on.
+    """
+    if number == len(task.poses):
+        return []
+    failure: HplanError | None = None
+    for leg in (_lines if task.straight[number] else _free)(task, begin, number):
+        try:
+            return [leg, *_through(task, leg.rows[-1], number + 1)]
+        except (NotFoundError, BlockedError, TimingError, CertificationError) as error:
+            failure = failure or error
+    raise failure or NotFoundError(
+        [f"motions {'straight' if task.straight[number] else 'of trees'} to pose {number + 1}"], pose=number
+    )
+
+
+def _lines(task: _Poses, begin: FloatArray, number: int) -> Iterator[_Leg]:
+    """Straight to a pose: as the joints move least, then towards each configuration there."""
+    context, pose = task.context, task.poses[number]
+    locked = context.scene.locked_joints
+    longest = 0.0
+    for towards in _ways_there(task, begin, number):
+        check_deadline()
+        with context.stage("grasps"):
+            rows, part = line_to(context.robot, begin, pose, towards, locked=locked)
+        longest = max(longest, part)
+        if part < 1.0:
+            continue
+        with suppress(ConfigurationInCollisionError):
+            leg = _Leg(number, context.task(begin, rows[-1]), rows)
+            if len(_moving(rows)) < 2 or _interpolated(rows).is_clear(context.field, _margin(leg.task)):
+                yield leg
+    if longest < 1.0:
+        raise NotFoundError(
+            [f"the straight line to pose {number + 1}, of which {longest:.3g} was reached"], pose=number
+        )
+
+
+def _ways_there(task: _Poses, begin: FloatArray, number: int) -> Iterator[FloatArray | None]:
+    yield None
+    with suppress(HplanError):
+        yield from _ends(task, begin, number)
+
+
+def _free(task: _Poses, begin: FloatArray, number: int) -> Iterator[_Leg]:
+    """To configurations at a pose from which the straight lines that follow can be had, the nearest ones first."""
+    context = task.context
+    ends = [end for end in _ends(task, begin, number) if _goes_on(task, end, number + 1)]
+    if not ends:
+        tried = f"configurations at pose {number + 1}, from none of which the straight lines after it were found"
+        raise NotFoundError([tried], pose=number)
+    tasks = []
+    for end in ends[: context.effort.pose_goals]:
+        with suppress(ConfigurationInCollisionError):
+            tasks.append(context.task(begin, end))
+    while tasks:
+        still = next((to for to in tasks if to.problem.is_empty), None)
+        if still is not None:
+            leg = _Leg(number, still, np.stack([begin, still.problem.goal]))
+        elif task.chain is None:
+            at, motion = one_transit(tasks)
+            leg = _Leg(number, tasks[at], motion.trajectory.position[[0, -1]], motion)
+        else:
+            leg = _upright(task, tasks, number)
+        yield leg
+        tasks = [to for to in tasks if to is not leg.task]
+
+
+def _goes_on(task: _Poses, begin: FloatArray, number: int) -> bool:
+    """Whether the straight lines up to the next free motion can be had."""
+    if number == len(task.poses) or not task.straight[number]:
+        return True
+    with suppress(NotFoundError):
+        return any(_goes_on(task, leg.rows[-1], number + 1) for leg in _lines(task, begin, number))
+    return False
+
+
+def _ends(task: _Poses, begin: FloatArray, number: int) -> FloatArray:
+    """Clear configurations at a pose, those nearest first; errors as `configurations_at`."""
+    context, pose = task.context, task.poses[number]
+    quaternion = tuple(pin.Quaternion(pose[:3, :3]).coeffs().tolist())
+    goal = Goal(position=tuple(pose[:3, 3].tolist()), quaternion_xyzw=quaternion)
+    with context.stage("grasps"):
+        return configurations_at(context.world, goal, begin, context.scene.locked_joints)
+
+
+def _upright(task: _Poses, tasks: Sequence[PlanningTask], number: int) -> _Leg:
+    """A path to whichever configuration can be reached upright: as the joints go there, or of trees.
+
+    Raises:
+        NotFoundError: None was found.
+    """
+    field, robot = task.context.field, task.context.robot
+    for to in tasks:
+        rows = _followed(task, to, to.problem.start, to.problem.goal)
+        if rows is not None and field.is_clear(rows, 0.1 * to.margin()):
+            return _Leg(number, to, rows)
+    first, goals, least = tasks[0], np.array([to.problem.goal for to in tasks]), 0.1 * min(to.margin() for to in tasks)
+    held = Held(_chain(task, first), _EDGE_S * math.sqrt(_OF_TILT * (task.tilt_rad or 1.0)))
+    for seed, evaluations in enumerate(_TREES):
+        effort = TreeEffort(evaluations, first.effort.trees.seed + seed)
+        with first.stage("trees"):
+            path, _ = tree_path(first.problem, field, robot.velocity_limit, least, effort, goals=goals, held=held)
+        if path is not None:
+            to = tasks[int((goals == path[-1]).all(axis=1).argmax())]
+            return _Leg(number, to, _shorter(task, to, path))
+    raise NotFoundError([f"trees that stay upright, with {sum(_TREES)} evaluations, to pose {number + 1}"], pose=number)
+
+
+def _chain(task: _Poses, to: PlanningTask) -> Chain:
+    """What is upright, within the joint ranges of a motion."""
+    assert task.chain is not None
+    return task.chain._replace(lower=np.array(to.problem.lower), upper=np.array(to.problem.upper))
+
+
+def _followed(task: _Poses, to: PlanningTask, begin: FloatArray, end: FloatArray) -> FloatArray | None:
+    """(m, dof) configurations from one to another, upright and close together; None where they are not."""
+    count = max(2, math.ceil(float(np.abs(end - begin).max()) / _ROW) + 1)
+    chain = _chain(task, to)
+    rows, poses = np.repeat(begin[None], count, axis=0), np.repeat(chain.pose[None], count, axis=0)
+    most = np.full(rows.shape, 4.0 * _ROW)
+    reached = follow(poses, most, np.array(end), 1.0, chain, rows)
+    if reached < count or np.abs(rows[-1] - end).max() > _STILL:
+        return None
+    rows[-1] = end
+    return rows
+
+
+def _shorter(task: _Poses, to: PlanningTask, path: FloatArray) -> FloatArray:
+    """The path with shortcuts that stay upright."""
+    parts = [np.linspace(*pair, max(2, math.ceil(float(np.abs(pair[1] - pair[0]).max()) / _ROW) + 1))[1:]
+             for pair in pairwise(path)]  # fmt: skip
+    rows, draw = np.vstack([path[:1], *parts]), np.random.Generator(np.random.PCG64(0))
+    with to.stage("postprocess"):
+        for _ in range(_SHORTCUTS):
+            low, high = np.sort(draw.integers(0, len(rows), 2))
+            if high - low < 2:
+                continue
+            between = _followed(task, to, rows[low], rows[high])
+            if (
+                between is not None
+                and path_length(between) < path_length(rows[low : high + 1])
+                and to.field.is_clear(between, 0.1 * to.margin())
+            ):
+                rows = np.vstack([rows[:low], between, rows[high + 1 :]])
+    return rows
+
+
+def _margin(to: PlanningTask) -> float:
+    return 0.5 * SMALLEST_FRACTION * to.margin()
+
+
+def _moving(rows: FloatArray) -> FloatArray:
+    """The rows that differ from the one before."""
+    moving: FloatArray = rows[np.append(True, np.abs(np.diff(rows, axis=0)).max(axis=1) > _STILL)]
+    return moving
+
+
+def _interpolated(rows: FloatArray) -> SplinePath:
+    """The smooth path through configurations."""
+    points = _moving(rows)
+    if len(points) < 4:
+        points = np.vstack([np.linspace(low, high, 4)[:-1] for low, high in pairwise(points)] + [points[-1:]])
+    spline = make_interp_spline(stations(points), points, k=3)
+    return SplinePath(readonly(spline.c), readonly(spline.t))
+
+
+def _smooth(task: _Poses, leg: _Leg) -> Iterator[SplinePath]:
+    """Paths to be timed, the smoothest first; straight lines have one."""
+    if task.straight[leg.number]:
+        yield _interpolated(leg.rows)
+        return
+    points = _moving(leg.rows)
+    for coarser in _COARSER:
+        count = max(4, math.ceil((len(points) - 1) / coarser) + 1)
+        station = stations(points)
+        even = np.linspace(0.0, station[-1], count)
+        control = np.stack([np.interp(even, station, joint) for joint in points.T], axis=1)
+        with suppress(InputError):
+            path = SplinePath.through(control)
+            if path.is_clear(leg.task.field, _margin(leg.task)):
+                yield path
+
+
+def _timed(task: _Poses, legs: Sequence[_Leg]) -> PlanResult:
+    """The legs timed, certified, and bounded."""
+    robot, rows = task.context.robot, np.vstack([leg.rows for leg in legs])
+    along = scene_along(robot, task.context.scene, given_path(robot, rows))
+    motions: list[Transit] = []
+    told: list[dict[str, Any]] = []
+    for leg in legs:
+        if len(_moving(leg.rows)) < 2 and leg.motion is None:
+            continue  # the arm is there
+        motion, bounds = _leg_motion(task, leg._replace(task=replace(leg.task, scene=along)))
+        motions.append(motion)
+        is_straight = task.straight[leg.number]
+        told.append(
+            {
+                "phase": motion.name,
+                "straight": is_straight,
+                "deviation_m": bounds.deviation_m if is_straight else None,
+                "tilt_deg": math.degrees(bounds.tilt_rad),
+            }
+        )
+    others = [Motion(motion.name, motion.trajectory, motion.certificate) for motion in motions[1:]]
+    allowed = None if task.tilt_rad is None else math.degrees(task.tilt_rad)
+    found = {"allowed_deviation_m": task.deviation_m, "allowed_tilt_deg": allowed, "phases": told}
+    return replace(plan_result(Plan(motions[0], tuple(others))), told={"poses": found})
+
+
+def _leg_motion(task: _Poses, leg: _Leg) -> tuple[Transit, ToolBounds]:
+    """A leg's certified motion, within what is allowed.
+
+    Raises:
+        TimingError: It cannot be timed.
+        CertificationError: None was certified, or kept what is allowed.
+    """
+    to, name, failure = leg.task, f"pose {leg.number + 1}", None
+    if leg.motion is not None:
+        return replace(leg.motion, name=name, task=to), _bounds(task, leg.motion)
+    for path in _smooth(task, leg):
+        try:
+            trajectory, certificate = certified_trajectory(to, path)
+        except (TimingError, CertificationError) as error:
+            failure = failure or error
+            continue
+        origin: Origin = "direct" if task.straight[leg.number] else "trees"
+        motion = Transit(name, trajectory, certificate, to, frozen(np.array(leg.rows)), path, origin)
+        with to.stage("certificate"):
+            bounds = _bounds(task, motion)
+        tilted = task.tilt_rad is not None and bounds.tilt_rad > task.tilt_rad
+        if not tilted and (not task.straight[leg.number] or bounds.deviation_m <= task.deviation_m):
+            return motion, bounds
+        failure = failure or CertificationError(
+            f"to pose {leg.number + 1} the tool is shown to keep within {1e3 * bounds.deviation_m:.4g} mm of its line "
+            f"and {math.degrees(bounds.tilt_rad):.4g} deg of upright, which is more than allowed",
+            pose=leg.number,
+            **bounds._asdict(),
+        )
+    raise failure or CertificationError(f"the path to pose {leg.number + 1} cannot be made smooth within its clearance")
+
+
+def _bounds(task: _Poses, motion: Motion) -> ToolBounds:
+    options = task.context.options
+    return tool_bounds(task.context.robot, motion.trajectory, task.direction, task.upright, options.certified_tracking)

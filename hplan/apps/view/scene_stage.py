@@ -5,13 +5,11 @@ The commands are plain dictionaries, the same for the page in a file and for the
 
 from __future__ import annotations
 
-import math
 from collections import defaultdict
 from collections.abc import Sequence
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from hplan.apps.view import framing, scenery
 from hplan.apps.view import three_js as three
@@ -21,7 +19,7 @@ from hplan.apps.view.playback import Playback
 from hplan.apps.view.three_js import Body, Json
 from hplan.base.arrays import FloatArray
 from hplan.collision.collision_bodies import collision_bodies
-from hplan.collision.reach import reach_ball
+from hplan.online.arm_shape import reach_ball
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 from hplan.scene.obstacles import Solid
@@ -235,14 +233,14 @@ def _floor(robot: Robot, stands: Sequence[Scene]) -> float:
         return 0.0
     solids = [_outline(solid) for scene in stands for item in scene.obstacles for solid in item.solids]
     lowest = min((float(core[:, 2].min()) for core in solids if not _is_ground(robot, core)), default=0.0)
-    return min(0.0, max(lowest, -_reach(robot)[0]))
+    return min(0.0, max(lowest, -reach_ball(robot)[3]))
 
 
 def _is_ground(robot: Robot, corners: FloatArray) -> bool:
     """True of what does not reach above the arm's foot; for arms of other kinds only where the arm cannot span it."""
     if corners[:, 2].max() > 0.0:
         return False
-    wide = np.ptp(corners[:, :2], axis=0).max() > 2.0 * _reach(robot)[0]
+    wide = np.ptp(corners[:, :2], axis=0).max() > 2.0 * reach_ball(robot)[3]
     return robot.planar is not None or bool(wide)
 
 
@@ -263,32 +261,23 @@ def _frame(robot: Robot, stands: Sequence[Scene], trajectory: Trajectory, picks:
     before, widths = (np.concatenate(values) for values in zip(*blocking, strict=True))
     sides = yaw + np.radians([turn for side in (-90.0, 90.0) for turn in (side + _AZIMUTH_DEG, side - _AZIMUTH_DEG)])
     hidden = [framing.covered(arm, before, widths, azimuth, elevation) for azimuth in sides]
-    width = _reach(robot)[2]
-    moving = [arm - width, arm + width] if robot.planar is not None else [arm, _corners(robot, configurations)]
-    visible = _visible_points(robot, stands, np.vstack(moving), floor)
+    visible = _visible_points(robot, stands, np.vstack([arm, _corners(robot, configurations)]), floor)
     return framing.frame(visible, float(sides[int(np.argmin(hidden))]), elevation)
 
 
 def _arm_points(robot: Robot, configurations: FloatArray) -> FloatArray:
     """Joints, tool and middles of links of each configuration, (n, 3) [m]."""
-    points: list[NDArray[np.float64]] = []
-    if robot.planar is None:
-        model, data = robot.model, robot.model.createData()
-        for q in configurations:
-            pin.framesForwardKinematics(model, data, q)
-            tool = data.oMf[model.getFrameId(robot.tool_frame)].translation
-            joints = np.array([*(data.oMi[joint].translation for joint in range(1, model.njoints)), tool])
-            points += [joints, 0.5 * (joints[1:] + joints[:-1])]
-        return np.vstack(points)
+    points, (model, data) = [np.zeros((0, 3))], (robot.model, robot.model.createData())
     for q in configurations:
-        origin, axes = robot.plane_at(robot.yaw_of(q))
-        joints = robot.arm.joint_points(q[robot.arm_slice])
-        points.append(origin + np.vstack([joints, 0.5 * (joints[1:] + joints[:-1])]) @ axes[:2])
+        pin.framesForwardKinematics(model, data, q)
+        tool = data.oMf[model.getFrameId(robot.tool_frame)].translation
+        joints = np.array([*(data.oMi[joint].translation for joint in range(1, model.njoints)), tool])
+        points += [joints, 0.5 * (joints[1:] + joints[:-1])]
     return np.vstack(points)
 
 
 def _corners(robot: Robot, configurations: FloatArray) -> FloatArray:
-    """Corners of boxes about the bodies of an arm of any kind at each configuration, (n, 3) [m]."""
+    """Corners of boxes about the bodies of the arm at each configuration, (n, 3) [m]."""
     bodies = [body for body in collision_bodies(robot) if body.joint >= 0]
     ends = [(body.core.min(axis=0) - body.rounding, body.core.max(axis=0) + body.rounding) for body in bodies]
     boxes = [np.where(CUBE_CORNERS < 0.0, low, high) for low, high in ends]
@@ -318,8 +307,9 @@ def _blocking_points(scene: Scene) -> tuple[FloatArray, FloatArray]:
 
 def _visible_points(robot: Robot, stands: Sequence[Scene], arm: FloatArray, floor: float) -> FloatArray:
     """Points that the picture must hold, (n, 3) [m]: the moving arm, its foot, obstacles near the arm, fruits."""
-    reach, middle, _width = _reach(robot)
-    points = [arm, _footprint(robot)]
+    ball = reach_ball(robot)
+    # A square on the ground about the foot.
+    points = [arm, 0.16 * np.array([(x, y, 0.0) for x in (-1, 1) for y in (-1, 1)])]
     for core, rounding in (
         *((_outline(solid), solid.rounding) for scene in stands for item in scene.obstacles for solid in item.solids),
         *((np.array([fruit.center]), fruit.radius) for scene in stands for fruit in scene.fruits),
@@ -328,37 +318,15 @@ def _visible_points(robot: Robot, stands: Sequence[Scene], arm: FloatArray, floo
         if _is_ground(robot, corners):
             continue  # as wide as it likes
         # A long wire or a distant wall may leave the picture; what the arm can touch may not.
-        points.append(np.clip(corners, middle - reach, middle + reach))
+        points.append(np.clip(corners, ball[:3] - ball[3], ball[:3] + ball[3]))
     result = np.vstack(points)
     result[:, 2] = np.maximum(result[:, 2], floor)
     return result
 
 
-def _reach(robot: Robot) -> tuple[float, FloatArray, float]:
-    """How far the arm reaches [m] from where, (3,) [m], and about how thick it is at most [m]."""
-    if robot.planar is None:
-        ball = reach_ball(robot)
-        # For the picture: how thick an arm of any kind is taken to be about its joints [m].
-        return float(ball[3]), ball[:3], 0.08
-    reach, middle = float(robot.arm.lengths.sum()), robot.plane_origin
-    if robot.has_yaw:
-        reach += math.hypot(*robot.shoulder_from_axis)
-        middle = np.append(robot.yaw_axis, robot.plane_origin[2])
-    return reach, middle, float(robot.arm.half_widths.max())
-
-
 def _outline(solid: Solid) -> FloatArray:
     """Points of a solid that speak for its extent, (k, 3) [m]."""
     return np.stack([solid.core.min(axis=0), solid.core.max(axis=0)]) if solid.is_point_set else solid.core
-
-
-def _footprint(robot: Robot) -> FloatArray:
-    """A square on the ground about the foot, (4, 3) [m]."""
-    side = 0.16 * np.array([(x, y, 0.0) for x in (-1, 1) for y in (-1, 1)])
-    if robot.planar is None:
-        return side
-    square: FloatArray = side * max(1.0, float(robot.arm.lengths[0])) + np.append(robot.yaw_axis, 0.0)
-    return square
 
 
 def _rgb(color: int) -> FloatArray:

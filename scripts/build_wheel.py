@@ -43,7 +43,7 @@ _TRIED = (
 )
 
 #: What is tried besides: the README's program, and an arm that is not planar.
-_ANY_ARM = "import hplan.apps.cli.warmup as warmup; warmup.JOBS['any arm']()"
+_ANY_ARM = "import hplan.apps.cli.warmup as warmup; warmup.warm_up_any_arm()"
 
 
 def main(argv: Sequence[str] | None = None) -> int:

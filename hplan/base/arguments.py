@@ -1,7 +1,8 @@
-"""Checks of what public functions are given: each returns the value as it is used, or says what it should be.
+"""Checks of what public functions are given: each returns the value as it is used, or raises an `OptionError`.
 
-Values, not calls: a wrong number of arguments is Python's own `TypeError`. Arrays are checked by
-`hplan.base.arrays.numbers`, as commands check paths before NumPy is loaded.
+The error names the option, the value that it got and what it should be. Values, not calls: a wrong number of arguments
+is Python's own `TypeError`. Arrays are checked by `hplan.base.arrays.numbers`, as commands check paths before NumPy is
+loaded.
 """
 
 from __future__ import annotations
@@ -33,31 +34,19 @@ def is_number(value: object) -> bool:
 
 
 def number(option: str, value: Any, expected: str, accepts: Callable[[float], bool] = lambda _: True) -> float:
-    """A finite number that `accepts` lets pass.
-
-    Raises:
-        OptionError: It is none.
-    """
+    """A finite number that `accepts` lets pass."""
     if not (is_number(value) and accepts(float(value))):
         raise OptionError(option, value, expected)
     return float(value)
 
 
 def between(option: str, value: Any, low: float, high: float) -> float:
-    """A number in a range, its ends included.
-
-    Raises:
-        OptionError: It is none.
-    """
+    """A number in a range, its ends included."""
     return number(option, value, f"a number between {low:g} and {high:g}", lambda value: low <= value <= high)
 
 
 def whole(option: str, value: Any, least: int, most: int | None = None) -> int:
-    """A whole number in a range.
-
-    Raises:
-        OptionError: It is none.
-    """
+    """A whole number in a range."""
     is_whole = isinstance(value, Integral) and not isinstance(value, bool)
     if not is_whole or value < least or (most is not None and value > most):
         raise OptionError(option, value, f"a whole number >= {least}" + ("" if most is None else f" and <= {most}"))
@@ -65,66 +54,42 @@ def whole(option: str, value: Any, least: int, most: int | None = None) -> int:
 
 
 def truth(option: str, value: Any) -> bool:
-    """True or False.
-
-    Raises:
-        OptionError: It is neither.
-    """
+    """True or False."""
     if not isinstance(value, bool):
         raise OptionError(option, value, "True or False")
     return bool(value)
 
 
 def text(option: str, value: Any, expected: str = "a text that is not empty") -> str:
-    """A text that is not empty.
-
-    Raises:
-        OptionError: It is none.
-    """
+    """A text that is not empty."""
     if not (isinstance(value, str) and value):
         raise OptionError(option, value, expected)
     return value
 
 
 def one_of(option: str, value: Any, choices: Sequence[str]) -> str:
-    """One of a few words.
-
-    Raises:
-        OptionError: It is none of them.
-    """
+    """One of a few words."""
     if not (isinstance(value, str) and value in choices):
         raise OptionError(option, value, f"one of {', '.join(choices)}")
     return value
 
 
 def instance(option: str, value: Any, kind: type[_T], where_from: str = "") -> _T:
-    """An object of a class.
-
-    Raises:
-        OptionError: It is none; `where_from` says where one comes from.
-    """
+    """An object of a class; `where_from` says where one comes from."""
     if not isinstance(value, kind):
         raise OptionError(option, value, f"a {kind.__name__}{f', as from {where_from}' if where_from else ''}")
     return value
 
 
 def function(option: str, value: Any) -> Any:
-    """Something that can be called.
-
-    Raises:
-        OptionError: It cannot.
-    """
+    """Something that can be called."""
     if not callable(value):
         raise OptionError(option, value, "a function")
     return value
 
 
 def file_path(option: str, value: Any) -> Path:
-    """A path.
-
-    Raises:
-        OptionError: It is no text or path, empty, or holds a null character.
-    """
+    """A path."""
     text = os.fspath(value) if isinstance(value, os.PathLike) else value
     if not isinstance(text, str) or not text or "\0" in text:
         raise OptionError(option, value, "the path of a file")
@@ -139,11 +104,7 @@ def decimal(text: str) -> float | None:
 
 
 def each(option: str, values: Any, expected: str, check: Callable[[str, Any], _T]) -> tuple[_T, ...]:
-    """A list of values that `check` lets pass, each by its place; a text is not taken letter by letter.
-
-    Raises:
-        OptionError: It is no list, or `check` refuses one of them.
-    """
+    """A list of values that `check` lets pass, each by its place; a text is not taken letter by letter."""
     if isinstance(values, str | bytes) or not isinstance(values, Iterable):
         raise OptionError(option, values, expected)
     try:
@@ -154,20 +115,12 @@ def each(option: str, values: Any, expected: str, check: Callable[[str, Any], _T
 
 
 def list_between(option: str, values: Any, low: float, high: float) -> tuple[float, ...]:
-    """A list of numbers in a range, its ends included.
-
-    Raises:
-        OptionError: It is no list, or one of them is out of the range.
-    """
+    """A list of numbers in a range, its ends included."""
     return each(option, values, "a list of numbers", lambda name, value: between(name, value, low, high))
 
 
 def list_of(option: str, values: Any, kind: Any, what: str) -> tuple[Any, ...]:
-    """Several objects of a class.
-
-    Raises:
-        OptionError: It is no list, or something else is in it.
-    """
+    """Several objects of a class."""
 
     def check(place: str, item: Any) -> Any:
         if not isinstance(item, kind):
@@ -183,9 +136,6 @@ def keep_checked(record: Any, checks: Mapping[str, tuple[Any, ...]]) -> None:
     Args:
         record: The dataclass, in its `__post_init__`.
         checks: For each field a function of this module, and what that takes after the field's name and value.
-
-    Raises:
-        OptionError: A value is refused.
     """
     for option, (check, *limits) in checks.items():
         object.__setattr__(record, option, check(option, getattr(record, option), *limits))

@@ -80,11 +80,7 @@ class CloudOptions:
     most_remembered: int = 100_000
 
     def __post_init__(self) -> None:
-        """Check the values.
-
-        Raises:
-            OptionError: One that cannot be.
-        """
+        """Check the values; what is wrong is an `OptionError`."""
         between("growth_m", self.growth_m, 1e-4, 1.0)
         for name in ("arm_padding_m", "ignore_padding_m", "reach_margin_m", "neighbour_m"):
             between(name, getattr(self, name), 0.0, FARTHEST_M)

@@ -74,11 +74,7 @@ class PlanOptions:
     deadline_s: float | None = None
 
     def __post_init__(self) -> None:
-        """Check every value.
-
-        Raises:
-            OptionError: A value is of the wrong kind or out of its range.
-        """
+        """Check every value; what is wrong is an `OptionError`."""
         keep_checked(self, _CHECKS)
         if self.standoff is not None:
             keep_checked(self, {"standoff": (number, "a finite number >= 0", lambda value: value >= 0.0)})

@@ -67,11 +67,7 @@ class TourOptions:
     grasps: int = 4
 
     def __post_init__(self) -> None:
-        """Check every value.
-
-        Raises:
-            OptionError: A value is of the wrong kind or out of its range, or `every` stands without a drop-off.
-        """
+        """Check every value; what is wrong is an `OptionError`."""
         if self.drop_off is not None and instance("drop_off", self.drop_off, Goal).fruit is not None:
             raise OptionError("drop_off", self.drop_off.fruit, "joints or a position, not a fruit")
         if self.every is not None:

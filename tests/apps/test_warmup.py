@@ -28,10 +28,6 @@ def the_same() -> None:
     arctan2(np.ones(1), np.ones(1))
 
 
-def no_scene() -> None:
-    warmup._command("plan", "missing.yaml")
-
-
 def a_fault() -> None:
     raise ValueError("of the job")
 
@@ -40,7 +36,8 @@ def nothing() -> None:
     """Do it."""
 
 
-JOBS = {"angles": angles, "the same": the_same, "no scene": no_scene, "a fault": a_fault}
+JOBS = {name: f"test_warmup:{name.replace(' ', '_')}" for name in ("angles", "the same", "a fault")}
+JOBS["no scene"] = "plan missing.yaml"
 
 
 def test_jobs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
@@ -58,7 +55,7 @@ def test_jobs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capfd: pytest.Cap
         assert "no scene failed: exit status 2" in lines
         assert max(map(len, lines)) <= 80
     assert len(list(tmp_path.rglob("*.nbc"))) == 2
-    monkeypatch.setattr(warmup, "JOBS", {"nothing": nothing})
+    monkeypatch.setattr(warmup, "JOBS", {"nothing": "test_warmup:nothing"})
     assert main(["warmup", "--quiet"]) == 0
     assert capfd.readouterr() == ("", "")
     assert main(["warmup", "--processes", "0"]) == 2

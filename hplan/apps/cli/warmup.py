@@ -38,69 +38,31 @@ exit status:
 """
 
 
-def _command(*words: str) -> None:
-    from hplan.apps.cli.main import main
-
-    if status := main(words):
-        raise SystemExit(f"exit status {status}")
-
-
-def _certified_motion() -> None:
-    from hplan.planning.compile_ahead import compile_from_postprocessing_on
-
-    compile_from_postprocessing_on()
-
-
-def _plan_and_certify() -> None:
-    _command("plan", "--out", "a")
-    _command("certify", "a")
-
-
-def _fruit() -> None:
-    _command("plan", "dense-canopy")
-
-
-def _orchards() -> None:
-    _command("plan", "orchard-row")
-    _command("plan", "orchard-arm-row")
-
-
-def _tour() -> None:
-    _command("tour", "tour")
-
-
-def _bound() -> None:
-    _command("plan", "--bound")
-
-
-def _dense_search() -> None:
-    _command("plan", "--method", "dense", "--objective", "length")
-
-
-def _controller() -> None:
+def warm_up_controller() -> None:
+    """Compile for the default arm what a controller's program calls."""
     hplan.warm_up(hplan.load_robot())
 
 
-def _any_arm() -> None:
-    """The default arm with its wrist turned: no planar arm, and nothing but its own file is needed."""
+def warm_up_any_arm() -> None:
+    """That for the default arm with its wrist turned: no planar arm, and nothing but its own file is needed."""
     from hplan.base.data_files import urdf_dir
 
     first, _, last = (urdf_dir() / "harvester.urdf").read_text(encoding="utf-8").rpartition('xyz="0 -1 0"')
     hplan.warm_up(hplan.load_robot(f'{first}xyz="1 0 0"{last}', limits="harvester"))
 
 
-#: What is done, each by a process of its own in a folder of its own. The first two compile most of what the others
-#: need, and go before them.
-JOBS: dict[str, Callable[[], None]] = {
-    "certified motion": _certified_motion,
-    "plan": _plan_and_certify,
-    "fruit": _fruit,
-    "orchard": _orchards,
-    "tour": _tour,
-    "bound": _bound,
-    "dense search": _dense_search,
-    "controller": _controller,
-    "any arm": _any_arm,
+#: What is done, commands or functions, each by a process of its own in a folder of its own. The first two compile most
+#: of what the others need, and go before them.
+JOBS = {
+    "certified motion": "hplan.planning.compile_ahead:compile_from_postprocessing_on",
+    "plan": "plan --out a; certify a",
+    "fruit": "plan dense-canopy",
+    "orchard": "plan orchard-row; plan orchard-arm-row",
+    "tour": "tour tour",
+    "bound": "plan --bound",
+    "dense search": "plan --method dense --objective length",
+    "controller": "hplan.apps.cli.warmup:warm_up_controller",
+    "any arm": "hplan.apps.cli.warmup:warm_up_any_arm",
 }
 
 #: So many kernels are compiled, about: `scripts/build_wheel.py` holds that.
@@ -164,8 +126,7 @@ def compile_all(
     failed, lock = dict[str, str](), threading.Lock()
 
     def do(job: str) -> None:
-        function = JOBS[job]
-        command = python_module("hplan.apps.cli.warmup", function.__module__, function.__qualname__)
+        command = python_module("hplan.apps.cli.warmup", JOBS[job])
         with tempfile.TemporaryDirectory() as folder, tempfile.TemporaryFile("w+") as said:
             process = subprocess.Popen(
                 command, cwd=folder, env={**import_environment(), **environment}, stdin=subprocess.DEVNULL,
@@ -189,12 +150,19 @@ def compile_all(
     return failed
 
 
-def _do(module: str, function: str) -> None:
+def _do(job: str) -> None:
     """Do a job in this process, and say what was compiled."""
+    from hplan.apps.cli.main import main
+
     LISTENERS.append(lambda kernel, _: print(f"{_COMPILED}{kernel}", file=sys.__stdout__, flush=True))
     with contextlib.redirect_stdout(io.StringIO()):
-        getattr(import_module(module), function)()
+        for part in job.split("; "):
+            module, _, function = part.partition(":")
+            if function:
+                getattr(import_module(module), function)()
+            elif status := main(part.split()):
+                raise SystemExit(f"exit status {status}")
 
 
 if __name__ == "__main__":
-    _do(*sys.argv[1:])
+    _do(sys.argv[1])

@@ -39,11 +39,7 @@ class FruitZone:
     reach: float = 2.0 * FARTHEST
 
     def __post_init__(self) -> None:
-        """Check every value.
-
-        Raises:
-            OptionError: A value is no finite number, the heights are swapped, the reach is not positive.
-        """
+        """Check every value; what is wrong is an `OptionError`."""
         height = between, -FARTHEST, FARTHEST
         keep_checked(self, {"low": height, "high": height, "reach": (between, 1e-3, 2.0 * FARTHEST)})
         if not self.low < self.high:
@@ -128,11 +124,7 @@ class OrchardOptions:
     hangs_within: float | None = None
 
     def __post_init__(self) -> None:
-        """Check every value.
-
-        Raises:
-            OptionError: A value is of the wrong kind or out of its range.
-        """
+        """Check every value; what is wrong is an `OptionError`."""
         keep_checked(self, _CHECKS)
         _keep_given(self, "hangs_within")
         _check_names(self.robot, self.goal)
@@ -193,11 +185,7 @@ class MeasuredOptions:
     hangs_within: float | None = None
 
     def __post_init__(self) -> None:
-        """Check every value.
-
-        Raises:
-            OptionError: A value is of the wrong kind or out of its range.
-        """
+        """Check every value; what is wrong is an `OptionError`."""
         keep_checked(self, _MEASURED_CHECKS)
         _keep_given(self, *_FRUIT_CHECKS)
         _check_names(self.robot, self.goal)

@@ -51,13 +51,9 @@ class CsvFile:
             InputError: Missing or unreadable file, too large, not UTF-8, or malformed.
         """
         path = file_path("path", path)
-        try:
-            text = ByteBudget(_MOST_CSV_BYTES).read(path).decode("utf-8-sig")
-        except OSError as error:
-            raise InputError(f"{what} file {path}: {error.strerror}", path=str(path)) from error
-        except ValueError as error:
-            reason = "it is not UTF-8 text" if isinstance(error, UnicodeDecodeError) else str(error)
-            raise InputError(f"{what} file {path}: {reason}", path=str(path)) from error
+        text = ByteBudget(_MOST_CSV_BYTES).text(
+            path, lambda reason: InputError(f"{what} file {path}: {reason}", path=str(path))
+        )
         rows = _rows(path, what, text)
         if blank:
             rows = ((line, row) for line, row in rows if any(map(str.strip, row)))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import secrets
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
@@ -49,6 +49,22 @@ class ByteBudget:
         if is_input:
             note_input(path)
         return content
+
+    def text(self, path: Path, fault: Callable[[str], Exception], *, is_input: bool = True) -> str:
+        """Read a file of UTF-8 text, with or without a byte order mark.
+
+        Args:
+            fault: The error to raise, for a reason.
+            is_input: As for `read`.
+        """
+        try:
+            return self.read(path, is_input=is_input).decode("utf-8-sig")
+        except OSError as error:
+            raise fault(error.strerror or str(error)) from error
+        except UnicodeDecodeError as error:
+            raise fault("it is not UTF-8 text") from error
+        except ValueError as error:
+            raise fault(str(error)) from error
 
 
 @contextmanager

@@ -70,12 +70,6 @@ def _since(certificate: Certificate, time_s: float) -> Certificate:
     return replace(certificate, nearest_s=nearest_s, clear_until_s=clear_until_s, contacts=contacts)
 
 
-def _as_it_is(trajectory: Trajectory) -> Retimed:
-    """A motion as a timing of its own path."""
-    still = np.zeros(trajectory.position.shape[1])
-    return Retimed(trajectory, trajectory.samples - 1, trajectory.time, still, 0.0)
-
-
 class RunningMotion:
     """A motion that runs, among obstacles as they are now.
 
@@ -157,10 +151,12 @@ class RunningMotion:
         seam = int(np.searchsorted(time, self._since_begin("at", at, self._now) - self._same_s))
         self._world.check_base(self.plan.robot.yaw_of(self.plan.trajectory.position[seam]))
         if self._may_stay():
-            certificate = self._certificate(_as_it_is(self.plan.trajectory), self.row, rest=True)
+            certificate = self._certificate(
+                Retimed.cut(self.plan.trajectory, self.plan.trajectory.samples - 1), self.row, rest=True
+            )
             if certificate.verified:
                 return self._kept(certificate)
-        until = self._certificate(_as_it_is(self.plan.trajectory.until(seam)), self.row)
+        until = self._certificate(Retimed.cut(self.plan.trajectory, seam), self.row)
         if not until.verified:
             raise self._blocked(until.violations)
         scene = self._scene.since(float(time[seam])).model_copy(update={"start": _state_at(self.plan.trajectory, seam)})
@@ -225,7 +221,7 @@ class RunningMotion:
         parts = _since(until, self.begins_s), _since(new.certificate, -seam_s)
         contacts = tuple(contact for part in parts for contact in part.contacts if contact.end_s > contact.begin_s)
         certificate = replace(all_of(parts), goal_contact=new.certificate.goal_contact, contacts=contacts)
-        phases = [Phase(phase.name, phase.start_s + seam_s, phase.end_s + seam_s) for phase in new.phases]
+        phases = [phase.later(seam_s) for phase in new.phases]
         phases[0] = replace(phases[0], start_s=0.0)
         return self._result(new, phases, whole, certificate, seam_s, is_kept=False)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import itertools
 import os
 from collections.abc import Collection, Sequence
@@ -68,15 +69,10 @@ def read_model(kind: type[_Model], path: Path, *, hint: str = "") -> _Model:
     Raises:
         SceneError: As `load_scene`; of the kind's own class.
     """
-    try:
-        text = ByteBudget(MOST_SCENE_BYTES).read(path).decode("utf-8")
-    except OSError as error:
-        reason = error.strerror or str(error)
-        raise kind.error(reason + hint * isinstance(error, FileNotFoundError), path=path) from error
-    except UnicodeDecodeError as error:
-        raise kind.error("it is not UTF-8 text", path=path) from error
-    except ValueError as error:
-        raise kind.error(str(error), path=path) from error
+    missing = os.strerror(errno.ENOENT)
+    text = ByteBudget(MOST_SCENE_BYTES).text(
+        path, lambda reason: kind.error(reason + hint * (reason == missing), path=path)
+    )
     return parse_model(kind, text, path)
 
 
@@ -121,33 +117,24 @@ def dump_scene(scene: Scene) -> str:
         if isinstance(obstacle, Mesh | PointCloud) and obstacle.file is None:
             reason = f"{obstacle.name!r} was made of arrays and has no file; save_scene writes one"
             raise SceneError(reason, where=f"obstacles[{index}].file")
-    dumped = scene.model_dump(mode="json", by_alias=True, exclude_none=True)
-    robot = {} if scene.robot is None else {"robot": scene.robot}
-    content = {"format": dumped["format"], "name": dumped["name"], **robot, **dumped}
-    content["start"] |= {key: list(values) for key, values in scene.start.rates.items()}
-    oriented = scene.goal.orientation
-    content["goal"] |= {key: list(value) if key == "quaternion_xyzw" else value for key, value in oriented.items()}
-    for item, listed in zip(
-        (*content["obstacles"], *content["fruits"]), (*scene.obstacles, *scene.fruits), strict=True
-    ):
-        if item["sigma"] == 0.0:
-            del item["sigma"]
-        item |= _dumped(listed, ("track", "sway"))
-        if listed.yields:
-            item["yields"] = listed.yields
-    for item, fruit in zip(content["fruits"], scene.fruits, strict=True):
-        if fruit.hangs_from:
-            item["hangs_from"] = list(fruit.hangs_from)
-    content |= _dumped(scene, ("base_track",))
-    if scene.yield_links is not None:
-        content["yield_links"] = list(scene.yield_links)
+    content: dict[str, Any] = {"format": scene.format, "name": scene.name}
+    content |= {} if scene.robot is None else {"robot": scene.robot}
+    content |= _dumped(scene, exclude={"start", "goal", "obstacles", "fruits"})
+    content |= {"start": _dumped(scene.start), "goal": _dumped(scene.goal)}
+    for key, items in (("obstacles", scene.obstacles), ("fruits", scene.fruits)):
+        content[key] = [_dumped(item, exclude={"sigma"} if item.sigma == 0.0 else None) for item in items]
     return write_yaml(content)
 
 
-def _dumped(part: BaseModel, keys: Sequence[str]) -> dict[str, Any]:
-    """What a part of a scene holds of how things move, by key."""
-    values = {key: getattr(part, key) for key in keys}
-    return {k: value.model_dump(mode="json", exclude_none=True) for k, value in values.items() if value is not None}
+def _dumped(part: BaseModel, exclude: set[str] | None = None) -> dict[str, Any]:
+    """A part of a scene as a file has it, with what Pydantic leaves out of dumps where it is given, for digests."""
+    content = part.model_dump(mode="json", by_alias=True, exclude_none=True, exclude=exclude)
+    for key, field in type(part).model_fields.items():
+        value = getattr(part, key)
+        if field.exclude and value != field.default:
+            dumped = value.model_dump(mode="json", exclude_none=True) if isinstance(value, BaseModel) else value
+            content[key] = list(dumped) if isinstance(dumped, tuple) else dumped
+    return content
 
 
 def save_scene(scene: Scene, path: Path | str) -> Path:

@@ -229,7 +229,7 @@ class Retimed(Record):
 
     @classmethod
     def cut(cls, trajectory: Trajectory, row: int) -> Retimed:
-        """The motion up to a row at which it is at rest."""
+        """The motion itself, up to a row."""
         kept = trajectory if row == trajectory.samples - 1 else trajectory.until(row)
         return cls(kept, row, kept.time, np.zeros(len(trajectory.joint_names)), 0.0)
 

@@ -156,18 +156,19 @@ def read_report(path: Path, *, is_input: bool = True) -> dict[str, Any]:
     Raises:
         InputError: It cannot be read.
     """
+
+    def fault(reason: str) -> InputError:
+        return InputError(f"report file {path}: {reason}", path=str(path))
+
+    most_report_bytes = 64_000_000
+    text = ByteBudget(most_report_bytes).text(path, fault, is_input=is_input)
     try:
-        most_report_bytes = 64_000_000
-        content = json.loads(ByteBudget(most_report_bytes).read(path, is_input=is_input))
-    except OSError as error:
-        reason = error.strerror or str(error)
+        content = json.loads(text)
     except (ValueError, RecursionError) as error:
-        reason = f"it is no JSON: {error}"
-    else:
-        if isinstance(content, dict):
-            return content
-        reason = "it is no mapping of keys"
-    raise InputError(f"report file {path}: {reason}", path=str(path))
+        raise fault(f"it is no JSON: {error}") from error
+    if not isinstance(content, dict):
+        raise fault("it is no mapping of keys")
+    return content
 
 
 def written_s(path: Path) -> float:

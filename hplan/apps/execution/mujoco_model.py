@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from itertools import product
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-import numpy as np
 import pinocchio as pin
 
 from hplan.base.lazy_import import extra
@@ -101,13 +101,10 @@ def _shapes(mujoco: ModuleType, spec: Any, obstacle: Solid, number: int) -> list
     if isinstance(obstacle, Sphere):
         return [{"type": kinds.mjGEOM_SPHERE, "pos": obstacle.center, "size": [obstacle.radius, 0.0, 0.0]}]
     if isinstance(obstacle, Capsule):
-        start, end = np.array(obstacle.start), np.array(obstacle.end)
-        length, middle = float(np.linalg.norm(end - start)), 0.5 * (start + end)
-        if length < 1e-9:
-            return [{"type": kinds.mjGEOM_SPHERE, "pos": middle, "size": [obstacle.radius, 0.0, 0.0]}]
-        turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), (end - start) / length)
-        size, quat = [obstacle.radius, 0.5 * length, 0.0], [turn.w, turn.x, turn.y, turn.z]
-        return [{"type": kinds.mjGEOM_CAPSULE, "pos": middle, "quat": quat, "size": size}]
+        size = [obstacle.radius, 0.0, 0.0]
+        if math.dist(obstacle.start, obstacle.end) < 1e-9:
+            return [{"type": kinds.mjGEOM_SPHERE, "pos": obstacle.start, "size": size}]
+        return [{"type": kinds.mjGEOM_CAPSULE, "fromto": [*obstacle.start, *obstacle.end], "size": size}]
     if isinstance(obstacle, Box | Cylinder):
         turn = pin.Quaternion(obstacle.rotation)
         if isinstance(obstacle, Box):

@@ -32,8 +32,7 @@ def head(*, frame_id: str, ns: str, number: int, stamp_ns: int = 0) -> Marker:
 
 def color(rgb: int, opacity: float = 1.0) -> dict[str, float]:
     """A `std_msgs/msg/ColorRGBA` of a number such as 0xFF8800."""
-    red, green, blue = ((rgb >> shift & 0xFF) / 255.0 for shift in (16, 8, 0))
-    return {"r": red, "g": green, "b": blue, "a": opacity}
+    return dict(zip("rgb", (part / 255.0 for part in rgb.to_bytes(3)), strict=True)) | {"a": opacity}
 
 
 def pose(position: ArrayLike = (0.0, 0.0, 0.0), rotation: ArrayLike | None = None) -> dict[str, Any]:

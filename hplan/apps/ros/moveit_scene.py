@@ -57,14 +57,7 @@ def read_moveit_scene(
     """
     path = file_path("path", path)
     base = planning_frame(position, rpy_deg, prefix, open_meshes)
-    try:
-        text = ByteBudget(MOST_SHAPE_BYTES).read(path).decode("utf-8")
-    except OSError as error:
-        raise SceneError(error.strerror or str(error), path=path) from error
-    except UnicodeDecodeError as error:
-        raise SceneError("it is not UTF-8 text", path=path) from error
-    except ValueError as error:
-        raise SceneError(str(error), path=path) from error
+    text = ByteBudget(MOST_SHAPE_BYTES).text(path, lambda reason: SceneError(reason, path=path))
     return tuple(_SceneText(path, text, open_meshes).obstacles(base, prefix))
 
 

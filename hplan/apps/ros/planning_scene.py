@@ -69,16 +69,12 @@ def read_planning_scene(
 
 
 def _read(path: Path) -> Mapping[str, Any]:
+    text = ByteBudget(MOST_SCENE_BYTES).text(path, lambda reason: SceneError(reason, path=path))
     try:
-        content, _ = read_yaml(ByteBudget(MOST_SCENE_BYTES).read(path).decode("utf-8"))
-    except OSError as error:
-        raise SceneError(error.strerror or str(error), path=path) from error
+        content, _ = read_yaml(text)
     except yaml.MarkedYAMLError as error:
         line = None if error.problem_mark is None else error.problem_mark.line + 1
         raise SceneError(f"malformed YAML: {error.problem}", path=path, line=line) from error
-    except ValueError as error:
-        reason = "it is not UTF-8 text" if isinstance(error, UnicodeDecodeError) else str(error)
-        raise SceneError(reason, path=path) from error
     if not isinstance(content, Mapping):
         raise SceneError("expected a planning scene: a mapping with world", path=path)
     return content

@@ -21,6 +21,7 @@ from hplan.apps.view.three_js import Body, Json
 from hplan.apps.view.yaw_section import YawSection
 from hplan.base.arrays import FloatArray
 from hplan.base.files import write_text
+from hplan.base.polyline import stations
 
 _REGION_COLOR = 0xE07B39
 _MOTION_COLOR = 0x22303C
@@ -100,12 +101,12 @@ def _motion(section: YawSection, motion: FloatArray) -> Body:
     body = Body()
     for name, point, color in (("start", motion[0], START_COLOR), ("goal", motion[-1], GOAL_COLOR)):
         body.add(three.sphere(0.045), three.material(color), three.transform(position=point), name=name, shadow=False)
-    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(motion, axis=0), axis=1))])
+    along = stations(motion)
     if along[-1] > 1e-3:
-        stations = np.linspace(0.0, along[-1], _RINGS + 1)
-        points = np.column_stack([np.interp(stations, along, axis) for axis in motion.T])
+        evenly = np.linspace(0.0, along[-1], _RINGS + 1)
+        points = np.column_stack([np.interp(evenly, along, axis) for axis in motion.T])
         farthest = max(float(section.yaw_distance.max()), math.radians(0.5))
-        fraction = np.interp(stations, along, section.yaw_distance / farthest)
+        fraction = np.interp(evenly, along, section.yaw_distance / farthest)
         colors = _NEAR + fraction[:, None] * (_FAR - _NEAR)
         look = three.material(0xFFFFFF, kind="MeshLambertMaterial", vertexColors=True)
         body.add(three.tube(points, 0.014, colors), look, name="way", shadow=False)

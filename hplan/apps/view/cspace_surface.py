@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from hplan.apps.view.figure_style import FAINT, QUIET
+from hplan.apps.view.framing import view_axes
 from hplan.base.arrays import BoolArray, FloatArray, IntArray
 from hplan.grid.grid import Grid
 
@@ -107,10 +108,7 @@ def draw_cspace_obstacle(axes: Any, grid: Grid, field: FloatArray) -> FloatArray
     from matplotlib.colors import to_rgb
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
-    elevation, azimuth = math.radians(axes.elev), math.radians(axes.azim)
-    towards = np.array(
-        [math.cos(elevation) * math.cos(azimuth), math.cos(elevation) * math.sin(azimuth), math.sin(elevation)]
-    )
+    towards = view_axes(math.radians(axes.azim), math.radians(axes.elev))[2]
     vertices, faces = surface_net(field)
     corners = vertices[faces]
     normal = np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])

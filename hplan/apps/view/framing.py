@@ -44,7 +44,7 @@ class Frame:
 
 def frame(points: FloatArray, azimuth: float, elevation: float) -> Frame:
     """The camera, looking from a direction, as near as all of (n, 3) points [m] are in the picture."""
-    right, up, toward = _axes(azimuth, elevation)
+    right, up, toward = view_axes(azimuth, elevation)
     # A camera at (a0, b0, d) in the axes (right, up, toward) sees the point (a, b, c) within half-angle tangents t, u
     # exactly if |a - a0| <= (d - c) t and |b - b0| <= (d - c) u: the smallest d has a closed form.
     a, b, c = points @ right, points @ up, points @ toward
@@ -75,7 +75,7 @@ def covered(points: FloatArray, before: FloatArray, widths: FloatArray, azimuth:
     """
     if not len(before):
         return 0.0
-    right, up, toward = _axes(azimuth, elevation)
+    right, up, toward = view_axes(azimuth, elevation)
     flat = np.column_stack([right, up])
     seen, others = points @ flat, before @ flat
     apart = np.hypot(*(seen[:, None, axis] - others[None, :, axis] for axis in range(2)))
@@ -83,7 +83,7 @@ def covered(points: FloatArray, before: FloatArray, widths: FloatArray, azimuth:
     return float((nearer & (apart < _BESIDE + widths)).any(axis=1).mean())
 
 
-def _axes(azimuth: float, elevation: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+def view_axes(azimuth: float, elevation: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Unit vectors to the right and up in the picture, and to the camera."""
     cos = np.cos(elevation)
     toward = np.array([np.cos(azimuth) * cos, np.sin(azimuth) * cos, np.sin(elevation)])

@@ -73,7 +73,7 @@ class LiveScene(Closing):
         draw.add_frame("/scene", show_axes=False)
         for item in still.obstacles:
             look, name = scenery.look_of(item.name), f"/scene/{item.name.replace('/', ' ')}"
-            color = look.color >> 16 & 255, look.color >> 8 & 255, look.color & 255
+            color = tuple(look.color.to_bytes(3))
             if isinstance(item, PointCloud):
                 points = np.concatenate([solid.core for solid in item.solids])
                 size = 2.0 * max(solid.rounding for solid in item.solids)

@@ -18,6 +18,7 @@ from hplan.apps.view.framing import Frame
 from hplan.apps.view.playback import Playback
 from hplan.apps.view.three_js import Body, Json
 from hplan.base.arrays import FloatArray
+from hplan.base.polyline import stations
 from hplan.collision.collision_bodies import collision_bodies
 from hplan.online.arm_shape import reach_ball
 from hplan.robot.model import Robot
@@ -194,7 +195,7 @@ def _add_tool_path(body: Body, robot: Robot, playback: Playback, frame: str, pha
     last = stretches[-1][2]
     for name, point, color in (("start", tool[0], START_COLOR), ("goal", tool[last], GOAL_COLOR)):
         body.add(three.sphere(0.022), three.material(color), three.transform(position=point), name=name, shadow=False)
-    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(tool, axis=0), axis=1))])
+    along = stations(tool)
     surface = three.material(0xFFFFFF, kind="MeshLambertMaterial", vertexColors=True)
     # The many paths of a tour are thinner.
     radius, sides = (0.009, 10) if len(stretches) <= 3 else (0.005, 6)
@@ -203,13 +204,13 @@ def _add_tool_path(body: Body, robot: Robot, playback: Playback, frame: str, pha
         if length > 1e-3:
             # Evenly spaced along the path: slow stretches do not crowd.
             count = max(int(np.ceil(length / max(_RING_SPACING, along[-1] / _RINGS))), 8)
-            stations = np.linspace(along[first], along[end], count + 1)
+            evenly = np.linspace(along[first], along[end], count + 1)
             rows = slice(first, end + 1)
-            points = np.column_stack([np.interp(stations, along[rows], axis) for axis in tool[rows].T])
-            fraction = stations[:, None] / along[last]
-            colors = (1.0 - fraction) * _rgb(START_COLOR) + fraction * _rgb(GOAL_COLOR)
+            points = np.column_stack([np.interp(evenly, along[rows], axis) for axis in tool[rows].T])
+            fraction = evenly[:, None] / along[last]
+            colors = (1.0 - fraction) * three.rgb(START_COLOR) + fraction * three.rgb(GOAL_COLOR)
             if name == "approach":
-                colors = np.tile(_rgb(APPROACH_COLOR), (count + 1, 1))
+                colors = np.tile(three.rgb(APPROACH_COLOR), (count + 1, 1))
             tube = three.tube(points, 1.2 * radius if name == "approach" else radius, colors, sides=sides)
             body.add(tube, surface, name="way" if name == "transit" else name, shadow=False)
 
@@ -233,7 +234,7 @@ def _floor(robot: Robot, stands: Sequence[Scene]) -> float:
         return 0.0
     solids = [_outline(solid) for scene in stands for item in scene.obstacles for solid in item.solids]
     lowest = min((float(core[:, 2].min()) for core in solids if not _is_ground(robot, core)), default=0.0)
-    return min(0.0, max(lowest, -reach_ball(robot)[3]))
+    return min(0.0, max(lowest, -float(reach_ball(robot)[3])))
 
 
 def _is_ground(robot: Robot, corners: FloatArray) -> bool:
@@ -327,7 +328,3 @@ def _visible_points(robot: Robot, stands: Sequence[Scene], arm: FloatArray, floo
 def _outline(solid: Solid) -> FloatArray:
     """Points of a solid that speak for its extent, (k, 3) [m]."""
     return np.stack([solid.core.min(axis=0), solid.core.max(axis=0)]) if solid.is_point_set else solid.core
-
-
-def _rgb(color: int) -> FloatArray:
-    return np.array([(color >> shift & 0xFF) / 255.0 for shift in (16, 8, 0)])

@@ -51,6 +51,11 @@ def color_of(rgb: Sequence[float] | NDArray[np.float64]) -> int:
     return (red << 16) | (green << 8) | blue
 
 
+def rgb(color: int) -> FloatArray:
+    """(3,) red, green and blue of a colour in 0..1."""
+    return np.array([(color >> shift & 0xFF) / 255.0 for shift in (16, 8, 0)])
+
+
 def material(color: int, *, opacity: float = 1.0, kind: str = "MeshStandardMaterial", **properties: Any) -> Json:
     """A surface; anything of three.js's material can be added by its name there."""
     see_through = {"transparent": True, "opacity": round(opacity, 3)} if opacity < 1.0 else {}

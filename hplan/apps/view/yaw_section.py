@@ -13,8 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from hplan.apps.view.cspace_surface import hidden
+from hplan.apps.view.framing import view_axes
 from hplan.apps.view.playback import Playback
 from hplan.base.arrays import FloatArray, frozen
+from hplan.base.polyline import stations
 from hplan.errors import InputError, OptionError
 from hplan.grid.grid import Grid
 from hplan.planning.options import PlanOptions
@@ -64,8 +66,7 @@ class YawSection:
         best, chosen = math.inf, (0.0, 0.0)
         for elevation in _ELEVATIONS:
             for azimuth in _AZIMUTHS:
-                a, e = math.radians(azimuth), math.radians(elevation)
-                towards = np.array([math.cos(a) * math.cos(e), math.sin(a) * math.cos(e), math.sin(e)])
+                towards = view_axes(math.radians(azimuth), math.radians(elevation))[2]
                 behind = float(weights @ hidden(self.field, nodes, towards) / weights.sum())
                 across = size - np.outer(size @ towards, towards)
                 cost = behind - 0.2 * float(np.sqrt(np.square(across).sum(axis=1)).max())
@@ -107,11 +108,11 @@ def yaw_section(
         yield_links=scene.yield_links,
     )
     planar = robot.arm_slice
-    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(motion, axis=0), axis=1))])
+    along = stations(motion)
     # Where the arm rests, rows stand at one place.
     moving = np.concatenate([[True], np.diff(along) > 0.0])
-    stations = np.linspace(0.0, along[-1], _POINTS)
-    path = np.column_stack([np.interp(stations, along[moving], column) for column in motion[moving].T])
+    evenly = np.linspace(0.0, along[-1], _POINTS)
+    path = np.column_stack([np.interp(evenly, along[moving], column) for column in motion[moving].T])
     grid = _grid(robot)
     return YawSection(
         yaw=at,
@@ -119,7 +120,7 @@ def yaw_section(
         field=_field(robot, world, grid, at),
         path=frozen(np.ascontiguousarray(path[:, planar])),
         yaw_distance=frozen(np.abs(path[:, 0] - at) if robot.has_yaw else np.zeros(len(path))),
-        times=frozen(np.interp(stations, along[moving], times[moving])),
+        times=frozen(np.interp(evenly, along[moving], times[moving])),
         joint_names=robot.joint_names[planar],
     )
 

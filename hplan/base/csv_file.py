@@ -86,26 +86,18 @@ class CsvFile:
             raise self.fault(self.first, f"no {self.row_word}s follow the header")
 
     def timed_rows(self, columns: Sequence[int]) -> Iterator[tuple[int, list[str], list[float]]]:
-        """The rows one after the other, each checked before it is handed out.
-
-        Args:
-            columns: Which columns hold the numbers wanted; the first of them is time.
-
-        Yields:
-            The row's line, the texts in its columns and their numbers.
+        """As `number_rows`; the first column wanted is time.
 
         Raises:
-            InputError: No row, a row of another length than the header, a cell that is no finite number, time no
-                later than in the row before.
+            InputError: As there, and time no later than in the row before.
         """
         before = -math.inf
         for line, row, numbers in self.number_rows(columns):
-            texts = [row[column] for column in columns]
             if not numbers[0] > before:
-                name = self.header[columns[0]].strip()
-                raise self.fault(line, f"{name} is {texts[0]}, no later than in the {self.row_word} before")
+                name, text = self.header[columns[0]].strip(), row[columns[0]]
+                raise self.fault(line, f"{name} is {text}, no later than in the {self.row_word} before")
             before = numbers[0]
-            yield line, texts, numbers
+            yield line, row, numbers
 
     def _number(self, line: int, name: str, text: str) -> float:
         value = decimal(text)

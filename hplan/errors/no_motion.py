@@ -184,7 +184,7 @@ class NotInTimeError(NotFoundError):
 
 
 class PlanCancelledError(HplanError):
-    """Whoever asked for a plan does not want it any more, `elapsed_s` after it was begun."""
+    """A plan was cancelled, `elapsed_s` after it was begun."""
 
     exit_status = 6
     elapsed_s: float

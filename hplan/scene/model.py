@@ -8,7 +8,7 @@ becomes (`hplan.scene.solids`).
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Annotated, Any, ClassVar, Final, Literal, Self
 
 import numpy as np
@@ -328,13 +328,8 @@ class Scene(StrictModel):
             InputError: A time that is none.
         """
         poses = {name: (turns[0], shifts[0]) for name, (turns, shifts) in self.poses_at([time_s]).items()}
-        obstacles, fruits = (
-            tuple(
-                item.model_copy(update=moved(item, *poses[item.name])) if item.name in poses else item for item in items
-            )
-            for items in (self.obstacles, self.fruits)
-        )
-        return self.model_copy(update={"obstacles": obstacles, "fruits": fruits, "base_track": None})
+        changed = self._each(lambda item: moved(item, *poses[item.name]) if item.name in poses else {})
+        return self.model_copy(update=changed | {"base_track": None})
 
     def since(self, time_s: float) -> Scene:
         """The scene with the times of all tracks counted from a time on [s].
@@ -348,15 +343,17 @@ class Scene(StrictModel):
         number("time_s", time_s, "a finite number of seconds")
         if time_s == 0.0 or not self.moves:
             return self
-        items: dict[str, Any] = {
-            key: tuple(
-                item if item.track is None else item.model_copy(update={"track": item.track.since(time_s)})
-                for item in getattr(self, key)
-            )
-            for key in ("obstacles", "fruits")
-        }
+        changed = self._each(lambda item: {} if item.track is None else {"track": item.track.since(time_s)})
         base_track = None if self.base_track is None else self.base_track.since(time_s)
-        return self.model_copy(update=items | {"base_track": base_track})
+        return self.model_copy(update=changed | {"base_track": base_track})
+
+    def _each(self, changes: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
+        """Obstacles and fruits, each with the values that are others."""
+        found: dict[str, Any] = {}
+        for key in ("obstacles", "fruits"):
+            pairs = [(item, changes(item)) for item in getattr(self, key)]
+            found[key] = tuple(item.model_copy(update=update) if update else item for item, update in pairs)
+        return found
 
     def shifted(self, shift: ArrayLike, yaw_deg: float = 0.0) -> Scene:
         """The scene as a base sees it that stands elsewhere: all of it turned about the base's z axis, then shifted.
@@ -385,11 +382,7 @@ class Scene(StrictModel):
                 cos, sin = math.cos(0.5 * math.radians(yaw_deg)), math.sin(0.5 * math.radians(yaw_deg))
                 place["quaternion_xyzw"] = cos * x - sin * y, cos * y + sin * x, cos * z + sin * w, cos * w - sin * z
             goal = goal.model_copy(update=place)
-        found: dict[str, Any] = {
-            key: tuple(item.model_copy(update=moved(item, turn, by)) for item in getattr(self, key))
-            for key in ("obstacles", "fruits")
-        }
-        return self.model_copy(update={**found, "goal": goal})
+        return self.model_copy(update=self._each(lambda item: moved(item, turn, by)) | {"goal": goal})
 
     def cropped(self, reach: float, centre: ArrayLike = (0.0, 0.0, 0.0)) -> Scene:
         """The scene without what is farther from a point than a reach; what moves stays, and so does the goal's fruit.

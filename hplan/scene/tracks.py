@@ -241,10 +241,7 @@ def rotation_vectors(rotations: FloatArray) -> FloatArray:
 
 def _rotations(vectors: FloatArray) -> FloatArray:
     """(k, 3, 3) rotations by (k, 3) rotation vectors."""
-    angle = np.linalg.norm(vectors, axis=1)
-    x, y, z = (vectors / np.where(angle > 0.0, angle, 1.0)[:, None]).T
-    zero = np.zeros_like(x)
-    cross = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=1).reshape(-1, 3, 3)
-    sine, rest = np.sin(angle)[:, None, None], 2.0 * np.sin(0.5 * angle)[:, None, None] ** 2
-    rotations: FloatArray = np.eye(3) + sine * cross + rest * (cross @ cross)
+    from scipy.spatial.transform import Rotation
+
+    rotations: FloatArray = Rotation.from_rotvec(vectors).as_matrix()
     return rotations

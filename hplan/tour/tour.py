@@ -116,7 +116,7 @@ def plan_tour(
         NoPathError: No path from the start to the drop-off exists on the grid; names what blocks it.
         CertificationError: No motion to the drop-off could be certified.
         NotInTimeError: The deadline came before the tour was complete: there is no part of one.
-        PlanCancelledError: Nobody wants the tour any more.
+        PlanCancelledError: It was cancelled.
     """
     check_task(robot, scene, options, progress)
     if tour is not None:

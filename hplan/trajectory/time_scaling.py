@@ -220,17 +220,7 @@ def speed_factors(profile: Profile) -> tuple[Callable[[FloatArray], FloatArray],
         raise OptionError("profile", profile, expected) from error
     if len(rows) == 0 or not (np.diff(rows[:, 0]) >= 0.0).all() or (rows < 0.0).any():
         raise OptionError("profile", profile, f"{expected}; times must not decrease")
-    return lambda clock: _between_rows(rows, clock), float(rows[-1, 0]), float(rows[-1, 1])
-
-
-def _between_rows(rows: FloatArray, clock: FloatArray) -> FloatArray:
-    """Factors at times, linear between rows; at a time given twice the later row counts."""
-    at = np.searchsorted(rows[:, 0], clock, side="right")
-    before, after = rows[np.maximum(at - 1, 0)], rows[np.minimum(at, len(rows) - 1)]
-    width = after[:, 0] - before[:, 0]
-    part = np.where(width > 0.0, (clock - before[:, 0]) / np.where(width > 0.0, width, 1.0), 0.0)
-    values: FloatArray = before[:, 1] + np.clip(part, 0.0, 1.0) * (after[:, 1] - before[:, 1])
-    return values
+    return lambda clock: np.interp(clock, *rows.T), float(rows[-1, 0]), float(rows[-1, 1])
 
 
 def check_factors(motion: Rows, robot: Robot, factor: float) -> None:

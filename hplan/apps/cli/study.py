@@ -12,6 +12,7 @@ from hplan.apps.cli.job_folder import prepare_folder, write_figure
 from hplan.apps.cli.options import OUT, add_shared, command_parser
 from hplan.apps.cli.terminal import escape, number_table, percent, progress_line
 from hplan.base.arguments import instance
+from hplan.base.lazy_import import extra
 from hplan.errors import InputError
 
 if TYPE_CHECKING:
@@ -94,10 +95,8 @@ def _executor(address: str | None) -> Pool | None:
     """
     if address is None:
         return None
-    try:
+    with extra("cluster", "--scheduler needs Dask"):
         from distributed import Client
-    except ImportError as error:
-        raise InputError("--scheduler needs the extra: pip install 'hplan[cluster]'", extra="cluster") from error
     from concurrent.futures import Executor
 
     try:

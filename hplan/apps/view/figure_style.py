@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 from hplan.base.files import write_bytes
-from hplan.errors import InputError
+from hplan.base.lazy_import import extra
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -74,10 +74,8 @@ def require_matplotlib() -> None:
     Raises:
         InputError: It is not installed.
     """
-    try:
+    with extra("figures", "figures need matplotlib"):
         import matplotlib  # noqa: F401
-    except ImportError as error:
-        raise InputError("figures need the extra: pip install 'hplan[figures]'", extra="figures") from error
 
 
 def styled(draw: Callable[_P, _R]) -> Callable[_P, _R]:
@@ -95,22 +93,14 @@ def styled(draw: Callable[_P, _R]) -> Callable[_P, _R]:
     return wrapper
 
 
-def new_figure(width: float, height: float, title: str, *, placed: bool = False) -> Figure:
-    """An empty figure with a title and a canvas of its own.
-
-    Args:
-        width: [inch].
-        height: [inch].
-        title: Title; may be empty.
-        placed: The axes will be placed by hand; else they are laid out without overlaps.
-    """
+def new_figure(width: float, height: float, title: str) -> Figure:
+    """An empty figure [inch] with a title, which may be empty, and a canvas of its own; axes do not overlap."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 
     figure = Figure(figsize=(width, height))
-    if not placed:
-        figure.set_layout_engine(ConstrainedLayoutEngine(w_pad=0.09, h_pad=0.09, wspace=0.04, hspace=0.04))
+    figure.set_layout_engine(ConstrainedLayoutEngine(w_pad=0.09, h_pad=0.09, wspace=0.04, hspace=0.04))
     FigureCanvasAgg(figure)
     figure.suptitle(title, x=0.012, ha="left")
     figure._repr_png_ = functools.partial(png_bytes, figure, 100)  # type: ignore[attr-defined]  # for notebooks

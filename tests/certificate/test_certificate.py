@@ -317,14 +317,6 @@ def test_velocity_column_that_leads_into_the_obstacle(robot, scene):
     assert any("above" in violation for violation in certificate.violations)
 
 
-def test_single_row(robot, scene):
-    certificate = certify(robot, scene, rows(robot, [0.0], np.zeros((1, 4)), np.zeros((1, 4))))
-    assert certificate.verified
-    expected = CoalScene(robot, scene.solids).distances(np.zeros(4)).min()
-    assert 0.4 * expected < certificate.min_clearance_m <= expected + 1e-12
-    assert certificate.limit_use.velocity == 0.0
-
-
 # Rest and the columns that a controller may feed forward
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
@@ -13,7 +12,6 @@ from any_arms import ARMS, loaded_arm
 from hplan.certificate import goal_contact
 from hplan.certificate.certificate import certify
 from hplan.certificate.clearance_proof import point_at, prove_clearance
-from hplan.certificate.digests import robot_digest
 from hplan.certificate.goal_contact import OFFSET, TURN, contact_window, instant_at
 from hplan.certificate.motion_bound import motion_of_movers
 from hplan.collision.coal_scene import CoalScene
@@ -21,7 +19,6 @@ from hplan.collision.coal_shapes import solid_shape
 from hplan.collision.collision_bodies import body_shapes, collision_bodies
 from hplan.collision.reach import reach_ball
 from hplan.collision.touching_pairs import self_pairs
-from hplan.errors import InputError
 from hplan.online.arm_shape import arm_solids
 from hplan.robot.model import Robot
 from hplan.scene.model import Goal, Scene, Start
@@ -244,21 +241,6 @@ def test_clouds_and_what_stands_still(load):
     pole = Sphere(name="pole", center=(0.0, 0.0, -0.1), radius=0.05)
     certificate = certify(robot, scene_of(robot, trajectory, [pole], 0.0), trajectory)
     assert any("'pole'" in line and "'base_link', which does not move" in line for line in certificate.violations)
-
-
-def test_digest_says_what_may_touch_and_how_joints_are(load):
-    robot = load("toy")
-    assert robot_digest(robot) == robot_digest(replace(robot))
-    assert robot_digest(robot) != robot_digest(replace(robot, may_touch=(("a", "b", "Default"),)))
-    assert robot_digest(robot) != robot_digest(replace(robot, upper=robot.upper + 1e-6))
-
-
-def test_other_joints_are_refused(load):
-    robot = load("toy")
-    start, end = free_configurations(robot, 2, seed=18)
-    trajectory = motion_between(robot, start, end)
-    with pytest.raises(InputError, match="the trajectory moves"):
-        certify(load("lift"), scene_of(robot, trajectory, [], 0.0), trajectory)
 
 
 def straight_in(robot: Robot, grasp: np.ndarray, length: float, aside: float = 0.0) -> Trajectory:

@@ -182,23 +182,6 @@ def test_where_obstacles_move_it_is_nowhere_above_their_distances_at_that_time(r
     np.testing.assert_array_less(curve.clearance_m, curve.distance_m)
 
 
-def test_nothing_to_meet_is_infinitely_clear(robot: Robot) -> None:
-    random = np.random.default_rng(1)
-    scene = random_scene(random)
-    certificate, curve = certified(robot, scene.with_obstacles(()), random_motion(robot, random, 1.0))
-    assert certificate.nearest is None
-    assert (curve.clearance_m == np.inf).all()
-    assert (curve.nearest == -1).all()
-    assert (curve.thinned(2).clearance_m == np.inf).all()
-
-
-def test_an_arm_that_stands_still_has_one_station(robot: Robot) -> None:
-    row = np.zeros((1, 4))
-    _, curve = certified(robot, load_scene(), Trajectory(robot.joint_names, [0.0], row, row, row, row))
-    assert curve.time.tolist() == [0.0]
-    assert 0.0 < curve.clearance_m[0] < curve.distance_m[0]
-
-
 def test_of_a_motion_too_fast_to_be_bounded_nothing_is_certain(robot: Robot) -> None:
     motion = random_motion(robot, np.random.default_rng(3), 1.0)
     velocity = motion.velocity.copy()

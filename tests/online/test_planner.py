@@ -12,7 +12,6 @@ from planned import (
     assert_sound,
     at,
     between_rows,
-    frame_about_upper_arm,
     fruit,
     post,
     random_scene,
@@ -22,14 +21,14 @@ from shapes import blocks
 
 from hplan.certificate.certificate import certify
 from hplan.collision.coal_scene import CoalScene
-from hplan.errors import ConfigurationInCollisionError, InputError, NoPathError, SceneError
+from hplan.errors import ConfigurationInCollisionError, InputError, SceneError
 from hplan.online.planner import Planner
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
 from hplan.planning.result import PlanResult
 from hplan.robot.model import Robot
-from hplan.scene.model import Goal, Scene, Start
-from hplan.scene.obstacles import Box, Mesh, PointCloud, Sphere
+from hplan.scene.model import Goal, Start
+from hplan.scene.obstacles import Mesh, PointCloud, Sphere
 
 START, GOAL = (0.0, 30.0, 20.0, 20.0), (60.0, 30.0, 20.0, 20.0)
 POST = post("post", 30.0, 1.2, 0.0, 2.0, 0.05)
@@ -73,17 +72,6 @@ def test_plan_is_that_of_the_function(robot: Robot) -> None:
         assert_fresh(robot, planner, result)
 
 
-def test_options_have_defaults(robot: Robot) -> None:
-    planner = Planner(robot, task(START, GOAL))
-    assert planner.options == PlanOptions()
-    assert planner.last is None
-
-
-def test_first_replan_is_a_plan(robot: Robot) -> None:
-    planner = planner_for(robot, [POST])
-    assert_same(planner.replan(), plan(robot, planner.scene, OPTIONS))
-
-
 # Motions kept, mended, planned anew
 
 
@@ -100,16 +88,6 @@ def test_motion_stays_while_it_can_be_certified(robot: Robot) -> None:
     assert method(planner.replan()) == "kept"
 
 
-def test_straight_motion_stays(robot: Robot) -> None:
-    planner = planner_for(robot)
-    first = planner.plan()
-    assert method(first) == "direct"
-    planner.add(AWAY)
-    second = planner.replan()
-    assert method(second) == "kept"
-    assert_same(first, second)
-
-
 def test_motion_is_mended_where_an_obstacle_grazes_it(robot: Robot) -> None:
     planner = planner_for(robot, [POST])
     first = planner.plan()
@@ -120,32 +98,6 @@ def test_motion_is_mended_where_an_obstacle_grazes_it(robot: Robot) -> None:
     second = planner.replan()
     assert method(second) == "mended"
     assert_fresh(robot, planner, second)
-
-
-def test_new_motion_where_mending_fails(robot: Robot) -> None:
-    planner = planner_for(robot)
-    planner.plan()
-    planner.add(post("tall", 30.0, 0.9, 0.0, 3.0, 0.15))
-    result = planner.replan()
-    assert method(result) not in ("kept", "direct")
-    assert_fresh(robot, planner, result)
-
-
-def test_straight_again_once_the_way_is_free(robot: Robot) -> None:
-    planner = planner_for(robot)
-    straight = planner.plan()
-    planner.add(POST)
-    world = planner.replan()
-    assert method(world) != "direct"
-    assert_fresh(robot, planner, world)
-    planner.remove("post")
-    again = planner.replan()
-    assert method(again) == "direct"
-    assert_same(again, straight)
-    planner.add(POST)
-    planner.replan()
-    planner.move("post", start=AWAY.start, end=AWAY.end)
-    assert method(planner.replan()) == "direct"
 
 
 def test_obstacle_that_wanders_through(robot: Robot) -> None:
@@ -191,25 +143,6 @@ def test_fruit_is_planned_anew(robot: Robot) -> None:
     # From a fruit to joints.
     planner.aim(goal=Goal(joints_deg=GOAL))
     assert_sound(robot, planner.scene, planner.replan())
-
-
-def test_start_equal_to_goal(robot: Robot) -> None:
-    planner = Planner(robot, task(START, START, [POST]), OPTIONS)
-    assert planner.plan().trajectory.samples == 1
-    assert planner.replan().trajectory.samples == 1
-    planner.add(Sphere(name="far", center=at(-120.0, 1.5, 1.0), radius=0.2))
-    assert planner.replan().trajectory.samples == 1
-
-
-def test_locked_base(robot: Robot, scene: Scene) -> None:
-    planner = Planner(robot, scene, OPTIONS)
-    first = planner.plan()
-    planner.add(Sphere(name="far", center=(-1.5, 0.0, 1.0), radius=0.2))
-    second = planner.replan()
-    assert method(second) == "kept"
-    assert_same(first, second)
-    planner.move("ball", center=(1.0, 0.0, 1.85))
-    assert_fresh(robot, planner, planner.replan())
 
 
 def test_uncertainty_counts_when_it_is_judged_again(robot: Robot) -> None:
@@ -261,19 +194,6 @@ def test_random_changes(robot: Robot, seed: int) -> None:
 # Changes
 
 
-def test_obstacles_come_and_go(robot: Robot) -> None:
-    planner = planner_for(robot, [POST])
-    before = planner.scene
-    ball = Sphere(name="ball", center=(1.0, -1.0, 1.0), radius=0.1)
-    planner.add(ball)
-    assert planner.scene.obstacles == (POST, ball)
-    planner.move("ball", center=(1.0, -1.0, 2.0), sigma=0.01)
-    assert planner.scene.obstacles[1] == Sphere(name="ball", center=(1.0, -1.0, 2.0), radius=0.1, sigma=0.01)
-    planner.remove("post")
-    assert [obstacle.name for obstacle in planner.scene.obstacles] == ["ball"]
-    assert before.obstacles == (POST,)
-
-
 def test_meshes_and_clouds_move_with_their_data(robot: Robot) -> None:
     shape = blocks(np.ones((1, 1, 1), dtype=bool), *(np.array([-0.1, 0.1]) for _ in range(3)))
     box = Mesh.of("crate", *shape, position=(1.0, -1.0, 0.1))
@@ -322,24 +242,6 @@ def test_unknown_names(robot: Robot) -> None:
     assert planner.scene is before
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"centre": (0.0, 0.0, 1.0)}, "a sphere has no 'centre'; it has"),
-        ({"rpy_deg": (0.0, 0.0, 1.0)}, "a sphere has no 'rpy_deg'"),
-        ({"radius": 0.0}, r"radius: .*greater than 0 \(got 0.0\)"),
-        ({"sigma": -0.1}, "sigma"),
-        ({"center": (0.0, 0.0, math.inf)}, r"center\[2\]"),
-    ],
-)
-def test_values_that_cannot_be(robot: Robot, changes: dict[str, Any], message: str) -> None:
-    planner = planner_for(robot, [Sphere(name="ball", center=(1.0, -1.0, 1.0), radius=0.1)])
-    before = planner.scene
-    with pytest.raises(InputError, match=message):
-        planner.move("ball", **changes)
-    assert planner.scene is before
-
-
 def test_aim_at_what_is_not_there(robot: Robot) -> None:
     planner = planner_for(robot, fruits=(fruit("apple", 0, 1.0, 2.0),))
     before = planner.scene
@@ -351,30 +253,6 @@ def test_aim_at_what_is_not_there(robot: Robot) -> None:
     planner.aim(goal=Goal(joints_deg=(0.0, 0.0)))
     with pytest.raises(InputError, match="goal: expected 4 joint values"):
         planner.plan()
-
-
-def test_enclosed_goal(robot: Robot) -> None:
-    """Replanning says so, too, and finds the way again once the goal is free."""
-    planner = Planner(robot, task((0.0, 70.0, 20.0, 20.0), (60.0, 20.0, 20.0, 20.0)), PlanOptions(step_deg=3.0))
-    planner.plan()
-    bars = frame_about_upper_arm(60.0, 20.0)
-    for bar in bars:
-        planner.add(bar)
-    with pytest.raises(NoPathError) as caught:
-        planner.replan()
-    assert {wall["obstacle"] for wall in caught.value.blockers} <= {bar.name for bar in bars}
-    for bar in bars:
-        planner.remove(bar.name)
-    assert method(planner.replan()) in ("kept", "direct")
-
-
-def test_unused_box(robot: Robot) -> None:
-    """Changing one box leaves the others alone."""
-    boxes = [Box(name=f"b{i}", center=(-1.5, 0.3 * i, 0.5), size=(0.1, 0.1, 0.1)) for i in range(3)]
-    planner = planner_for(robot, boxes)
-    planner.move("b1", rpy_deg=(0.0, 0.0, 45.0))
-    assert planner.scene.obstacles[0] is boxes[0]
-    assert planner.scene.obstacles[2] is boxes[2]
 
 
 def test_a_fruit_is_taken_away_once_it_is_not_the_goal(robot: Robot) -> None:

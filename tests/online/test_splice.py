@@ -10,7 +10,7 @@ from planned import assert_clear, at, between_rows, fruit, post, task
 from spliced import assert_goes_on
 
 from hplan.certificate.certificate import certify
-from hplan.errors import InputError, NotInTimeError, RunningMotionBlockedError
+from hplan.errors import NotInTimeError, RunningMotionBlockedError
 from hplan.online.planner import Planner
 from hplan.online.splice import SplicedResult
 from hplan.planning.options import PlanOptions
@@ -54,8 +54,10 @@ def assert_spliced(robot: Robot, scene: Scene, before: PlanResult, result: Splic
     assert result.motion.task.scene is now
 
 
-@pytest.mark.parametrize("effort", ["quick", "default"])
-@pytest.mark.parametrize(("now", "ahead"), [(0.0, 0.0), (0.0, 0.3), (0.3, 0.1), (0.45, 0.0012)])
+@pytest.mark.parametrize(
+    ("effort", "now", "ahead"),
+    [("quick", 0.0, 0.0), ("default", 0.0, 0.3), ("default", 0.3, 0.1), ("quick", 0.45, 0.0012)],
+)
 def test_to_another_goal(robot, effort, now, ahead):
     planner, before = a_planner(robot, effort=effort)
     planner.aim(goal=BACK)
@@ -139,14 +141,6 @@ def test_while_the_arm_goes_back_from_a_fruit(robot):
     assert result.picked == {"apple": 0.0}
 
 
-def test_at_the_end_it_begins_at_rest(robot):
-    planner, before = a_planner(robot)
-    planner.aim(goal=BACK)
-    end = before.trajectory.duration
-    result = planner.replan(at=end, now=end - 0.1)
-    assert_spliced(robot, planner.scene, before, result)
-
-
 def test_what_is_in_the_way_at_once(robot):
     """The running motion is not clear up to the seam: the stop before it, if there is one."""
     planner, before = a_planner(robot)
@@ -183,18 +177,3 @@ def test_stops_of_the_running_motion(robot):
     assert not planner.stop_at(0.6).certificate.verified
     late = 0.6 * before.trajectory.duration
     assert planner.stop_at(late, now=late).certificate.verified
-
-
-def test_before_anything_runs(robot, scene):
-    planner = Planner(robot, scene)
-    with pytest.raises(InputError, match="plan one first"):
-        planner.replan(at=0.1)
-    with pytest.raises(InputError, match="plan one first"):
-        planner.stop_at(0.1)
-
-
-def test_the_start_of_a_later_scene_is_left_alone(robot):
-    planner, _ = a_planner(robot, effort="quick")
-    start = planner.scene.start
-    planner.replan(at=0.3, now=0.2)
-    assert planner.scene.start == start

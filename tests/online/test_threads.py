@@ -88,23 +88,6 @@ def test_queries_of_one_collision_scene(robot: Robot) -> None:
         np.testing.assert_allclose(found, np.tile(alone, (300, 1)), rtol=0, atol=1e-9)
 
 
-def test_certificates_by_one_judge(robot: Robot) -> None:
-    scene = scenes()[0]
-    motions = [hplan.plan(robot, scene).trajectory]
-    motions += [motions[0].reversed]
-    checker = CoalScene(robot, scene.solids)
-    expected = [
-        hplan.certify(robot, scene, motion, checker=checker, check_ends=False).min_clearance_m for motion in motions
-    ]
-    jobs = [
-        lambda motion=motion: hplan.certify(robot, scene, motion, checker=checker, check_ends=False)
-        for motion in motions * 2
-    ]
-    for found, alone in zip(at_once(jobs), expected * 2, strict=True):
-        assert found.verified
-        assert found.min_clearance_m == pytest.approx(alone, abs=1e-12)
-
-
 def test_one_planner(robot: Robot) -> None:
     """Every plan is of a scene that there was, whole; none is of one that was being changed."""
     start = scenes()[0]

@@ -13,12 +13,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.spatial import cKDTree
 from small_tree import TREE
 
 import hplan
 from hplan.apps.ros.bag_writer import _Encoder
-from hplan.scene.obstacles import Capsule, PointCloud
 
 MEASURED = Path(__file__).resolve().parents[2] / "shared" / "data" / "measured_trees"
 EXAMPLES = Path(__file__).resolve().parents[1] / "scripts" / "examples"
@@ -76,26 +74,6 @@ def test_control_loop() -> None:
     assert log.stops >= 1
     assert log.contacts == ()
     assert log.farthest_off_rad < 0.0002  # what the certificates cover
-
-
-def test_control_loop_sees_the_wood_about_the_fruit() -> None:
-    pytest.importorskip("mujoco", reason="the extra `execution` is not installed")
-    scene = hplan.load_scene("tour")
-    loop = runpy.run_path(str(EXAMPLES / "control_loop.py"))["ControlLoop"](scene, hplan.PlanOptions())
-    loop.look()
-    clouds = [item for item in loop.planner.scene.obstacles if isinstance(item, PointCloud)]
-    trees = [(cKDTree(solid.core), solid.rounding) for cloud in clouds for solid in cloud.solids]
-    fruits = cKDTree([fruit.center for fruit in scene.fruits])
-    hidden, count = 0, 0
-    for wood in scene.obstacles:
-        if isinstance(wood, Capsule):
-            start, end = np.array(wood.start), np.array(wood.end)
-            axis = start + np.linspace(0.0, 1.0, 40)[:, None] * (end - start)
-            axis = axis[fruits.query(axis)[0] < 0.12]
-            seen = [tree.query(axis)[0] <= wood.radius + radius for tree, radius in trees]
-            count, hidden = count + len(axis), hidden + (~np.any(seen, axis=0)).sum()
-    assert count > 500
-    assert hidden < 0.01 * count
 
 
 def test_panda_shelf(capsys: pytest.CaptureFixture[str]) -> None:

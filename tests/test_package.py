@@ -16,7 +16,7 @@ import hplan
 from hplan.base.data_files import scenes_dir, urdf_dir
 from hplan.robot.files import NAMED_ROBOTS
 from hplan.robot.model import load_robot
-from hplan.scene.file import default_scene_path, load_scene
+from hplan.scene.file import load_scene
 
 ROOT = Path(__file__).parents[1]
 
@@ -51,12 +51,6 @@ def test_wheel_holds_what_a_user_runs_and_nothing_else(project: dict[str, Any], 
     assert f"hplan = {project['project']['scripts']['hplan']}" in points.splitlines()
 
 
-def test_resources_are_found() -> None:
-    assert urdf_dir().is_dir()
-    assert default_scene_path() == scenes_dir() / "table-1.yaml"
-    assert default_scene_path().is_file()
-
-
 def test_installed_urdf_goes_before_the_checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("hplan.base.data_files._PACKAGE", tmp_path / "hplan")
     (tmp_path / "hplan").mkdir()
@@ -76,10 +70,6 @@ def test_every_robot_that_ships_loads(path: Path) -> None:
     assert load_robot(path).name == path.stem
 
 
-def test_type_information_ships() -> None:
-    assert (Path(hplan.__file__).parent / "py.typed").is_file()
-
-
 def test_version(project: dict[str, Any]) -> None:
     assert project["project"]["version"] == hplan.__version__
 
@@ -87,8 +77,3 @@ def test_version(project: dict[str, Any]) -> None:
 def test_command_is_there(project: dict[str, Any]) -> None:
     module, function = project["project"]["scripts"]["hplan"].split(":")
     assert callable(getattr(importlib.import_module(module), function))
-
-
-@pytest.mark.parametrize("name", ["README.md", "CHANGELOG.md", "LICENSE"])
-def test_documents_are_there(name: str) -> None:
-    assert (ROOT / name).read_text(encoding="utf-8").strip()

@@ -5,9 +5,10 @@ from __future__ import annotations
 import importlib
 import math
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from functools import cache
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -136,57 +137,58 @@ NO_LENGTH = (*NO_POSITIVE, 1e308)
 #: Values that are none of a kind.
 KINDS: dict[str, tuple[Any, ...]] = {"number": NO_NUMBER, "positive": NO_POSITIVE, "vector": NO_VECTOR,
     "name": NO_NAME, "path": NO_PATH, "file": NO_FILE, "whole": NO_WHOLE, "matrix": NO_MATRIX, "object": NO_OBJECT,
-    "length": NO_LENGTH, "size": (*NO_NUMBER, -1.0)}  # fmt: skip
+    "length": NO_LENGTH, "size": (*NO_NUMBER, -1.0), "other": NO_OBJECT[1:], "real": NO_NUMBER[1:],
+    "count": NO_WHOLE[1:], "place": NO_VECTOR[1:], "turn": NO_VECTOR[:-3]}  # fmt: skip
 A_STUDY = {"name": "small", "arms": ("harvester",), "trees": ("tree.csv",)}
-#: A function, what it is given, the kind of each argument, and values that others cannot have.
-Case = tuple[Callable[..., Any], dict[str, Any], str, dict[str, tuple[Any, ...]]]
+#: A function, what it is given, and values that each argument cannot have.
+Case = tuple[Callable[..., Any], dict[str, Any], dict[str, tuple[Any, ...]]]
+
+
+def case(
+    function: Callable[..., Any], kinds: str, bad: Mapping[str, tuple[Any, ...]] = MappingProxyType({}), **good: Any
+) -> Case:
+    """A function with good arguments, the kinds of some of them, and values that others cannot have."""
+    of_kinds = {argument: KINDS[kind] for argument, _, kind in (word.partition(":") for word in kinds.split())}
+    return function, good, {**of_kinds, **bad}
+
+
 CASES: dict[str, Case] = {
-    "Sphere": (
-        Sphere,
-        BALL,
-        "name:name center:vector radius:length sigma:size",
-        {"kind": ("box", None), "colour": ("red",)},
+    "Sphere": case(
+        Sphere, "name:name center:vector radius:length sigma:size", {"kind": ("box", None), "colour": ("red",)}, **BALL
     ),
-    "Capsule": (Capsule, ROD, "name:name start:vector end:vector radius:length", {}),
-    "Box": (Box, BOX, "name:name center:vector size:vector", {"rpy_deg": NO_VECTOR[:-3]}),
-    "Cylinder": (Cylinder, CAN, "name:name center:vector length:length radius:length", {"rpy_deg": NO_VECTOR[:-3]}),
-    "Track": (
+    "Capsule": case(Capsule, "name:name start:vector end:vector radius:length", **ROD),
+    "Box": case(Box, "name:name center:vector size:vector rpy_deg:turn", **BOX),
+    "Cylinder": case(Cylinder, "name:name center:vector length:length radius:length rpy_deg:turn", **CAN),
+    "Track": case(
         Track,
-        {"times_s": (0.0, 1.0), "shifts_m": ((0.0, 0.0, 0.0), (0.0, 1.0, 0.0))},
-        "",
+        "about:place",
         {
             "times_s": (*NO_VECTOR[:2], 1.0, ()),
             "shifts_m": (None, "12", ()),
             "rpy_deg": ("up", ((0.0, 0.0, 0.0),), ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))),
-            "about": NO_VECTOR[1:],
             "speed": (1.0,),
         },
+        times_s=(0.0, 1.0),
+        shifts_m=((0.0, 0.0, 0.0), (0.0, 1.0, 0.0)),
     ),
-    "Sway": (Sway, {"direction": (0.0, 1.0, 0.0), "amplitude_m": 0.1}, "direction:vector amplitude_m:length", {}),
-    "Fruit": (Fruit, BALL, "name:name center:vector radius:length", {}),
-    "Mesh.of": (
+    "Sway": case(Sway, "direction:vector amplitude_m:length", direction=(0.0, 1.0, 0.0), amplitude_m=0.1),
+    "Fruit": case(Fruit, "name:name center:vector radius:length", **BALL),
+    "Mesh.of": case(
         Mesh.of,
-        {"name": "m", "vertices": TETRA[0], "faces": TETRA[1]},
         "name:name vertices:matrix faces:matrix scale:length position:vector",
         {"colour": ("red",)},
+        name="m",
+        vertices=TETRA[0],
+        faces=TETRA[1],
     ),
-    "PointCloud.of": (
-        PointCloud.of,
-        {"name": "p", "points": TETRA[0], "radius": 0.1},
-        "points:matrix name:name radius:length",
-        {},
+    "PointCloud.of": case(
+        PointCloud.of, "points:matrix name:name radius:length", name="p", points=TETRA[0], radius=0.1
     ),
-    "Mesh.write": (Mesh.of("m", *TETRA).write, {"path": "m.ply"}, "path:path", {}),
-    "Start": (Start, {"joints_deg": (0.0,)}, "", {"joints_deg": (None, "0", 1.0), "joints_rad": ((0.0,),)}),
-    "Goal": (
-        Goal,
-        {"fruit": "apple"},
-        "",
-        {"fruit": (None, 1), "position": NO_VECTOR[1:], "approach_deg": NO_NUMBER[1:5]},
-    ),
-    "Scene": (
+    "Mesh.write": case(Mesh.of("m", *TETRA).write, "path:path", path="m.ply"),
+    "Start": case(Start, "", {"joints_deg": (None, "0", 1.0), "joints_rad": ((0.0,),)}, joints_deg=(0.0,)),
+    "Goal": case(Goal, "position:place", {"fruit": (None, 1), "approach_deg": NO_NUMBER[1:5]}, fruit="apple"),
+    "Scene": case(
         a_scene,
-        {},
         "name:name",
         {
             "start": (None, "start", (0.0,)),
@@ -197,15 +199,11 @@ CASES: dict[str, Case] = {
             "locked_joints": (None, "yaw", (1,)),
         },
     ),
-    "Scene.with_obstacles": (
-        a_scene().with_obstacles,
-        {"obstacles": ()},
-        "",
-        {"obstacles": (("post",), (None,), (START,))},
+    "Scene.with_obstacles": case(
+        a_scene().with_obstacles, "", {"obstacles": (("post",), (None,), (START,))}, obstacles=()
     ),
-    "PlanOptions": (
+    "PlanOptions": case(
         hplan.PlanOptions,
-        {},
         "step_deg:positive rate_hz:length speed:positive tracking_error:size tracking_delay_s:size sigmas:size",
         {
             "method": (None, "fast", 1),
@@ -215,10 +213,9 @@ CASES: dict[str, Case] = {
             "certify": (None, "no", 1.0),
         },
     ),
-    "TrackingModel": (TrackingModel, {}, "still_rad:size delay_s:size", {}),
-    "TourOptions": (
+    "TrackingModel": case(TrackingModel, "still_rad:size delay_s:size"),
+    "TourOptions": case(
         TourOptions,
-        {"drop_off": GOAL},
         "grasps:whole",
         {
             "drop_off": ("there", 1.0, Goal(fruit="apple")),
@@ -227,98 +224,74 @@ CASES: dict[str, Case] = {
             "back": (None, "yes"),
             "compare": (None, 1.0),
         },
+        drop_off=GOAL,
     ),
-    "Trajectory": (
+    "Trajectory": case(
         a_trajectory,
-        {},
-        "",
-        {
-            "joint_names": (None, "abcd", 1),
-            "time": (None, "01", []),
-            **dict.fromkeys(("position", "velocity", "acceleration", "torque"), NO_MATRIX),
-        },
+        "position:matrix velocity:matrix acceleration:matrix torque:matrix",
+        {"joint_names": (None, "abcd", 1), "time": (None, "01", [])},
     ),
-    "RecordedMotion.from_positions": (
+    "RecordedMotion.from_positions": case(
         RecordedMotion.from_positions,
-        {"joint_names": ["a"], "time": [0.0, 1.0], "position": [[0.0], [1.0]]},
         "position:matrix",
         {"joint_names": (None, "a", [1]), "time": (None, [], [1.0, 0.0])},
+        joint_names=["a"],
+        time=[0.0, 1.0],
+        position=[[0.0], [1.0]],
     ),
-    "plan": (
-        lambda **given: hplan.plan(**given),
-        {"robot": None, "scene": None},
-        "robot:object scene:object",
-        {"options": NO_OBJECT[1:]},
+    "plan": case(hplan.plan, "robot:object scene:object options:other", robot=None, scene=None),
+    "finish": case(
+        hplan.finish,
+        "robot:object scene:object waypoints:matrix options:other",
+        {"keep_within_rad": (*NO_POSITIVE[1:], 1e-5)},
+        robot=ROBOT,
+        scene=a_scene(),
+        waypoints=([0.0] * 4, [0.1] * 4),
     ),
-    "finish": (
-        lambda **given: hplan.finish(**given),
-        {"robot": ROBOT, "scene": a_scene(), "waypoints": ([0.0] * 4, [0.1] * 4)},
-        "robot:object scene:object waypoints:matrix",
-        {"options": NO_OBJECT[1:], "keep_within_rad": (*NO_POSITIVE[1:], 1e-5)},
+    "plan_tour": case(
+        hplan.plan_tour,
+        "robot:object scene:object options:other tour:other",
+        {"fruits": ("apple", 1, [1])},
+        robot=None,
+        scene=None,
     ),
-    "plan_poses": (
-        lambda **given: hplan.plan_poses(**given),
-        {"robot": None, "scene": None, "poses": None},
-        "robot:object scene:object",
-        {"options": NO_OBJECT[1:]},
+    "plan_poses": case(hplan.plan_poses, "robot:object scene:object options:other", robot=None, scene=None, poses=None),
+    "reachable": case(
+        hplan.reachable,
+        "robot:object scene:object options:other",
+        {"motions": ("yes", 2, None)},
+        robot=None,
+        scene=None,
+        motions=False,
     ),
-    "plan_tour": (
-        lambda **given: hplan.plan_tour(**given),
-        {"robot": None, "scene": None},
-        "robot:object scene:object",
-        {"options": NO_OBJECT[1:], "tour": NO_OBJECT[1:], "fruits": ("apple", 1, [1])},
+    "load_cell": case(hplan.load_cell, "path:file", path="cell.yaml"),
+    "plan_cell": case(hplan.plan_cell, "cell:object options:other", cell=a_cell()),
+    "plan_cell_tour": case(hplan.plan_cell_tour, "cell:object options:other", cell=a_cell()),
+    "certify_cell": case(
+        hplan.certify_cell,
+        "cell:object motion:object options:other check_ends:other",
+        cell=a_cell(),
+        motion=a_cell().together({}),
     ),
-    "reachable": (
-        lambda **given: hplan.reachable(**given),
-        {"robot": None, "scene": None, "motions": False},
-        "robot:object scene:object",
-        {"options": NO_OBJECT[1:], "motions": ("yes", 2, None)},
-    ),
-    "load_cell": (hplan.load_cell, {"path": "cell.yaml"}, "path:file", {}),
-    "plan_cell": (
-        lambda **given: hplan.plan_cell(**given),
-        {"cell": a_cell()},
-        "cell:object",
-        {"options": NO_OBJECT[1:]},
-    ),
-    "plan_cell_tour": (
-        lambda **given: hplan.plan_cell_tour(**given),
-        {"cell": a_cell()},
-        "cell:object",
-        {"options": NO_OBJECT[1:]},
-    ),
-    "certify_cell": (
-        lambda **given: hplan.certify_cell(**given),
-        {"cell": a_cell(), "motion": a_cell().together({})},
-        "cell:object motion:object",
-        {"options": NO_OBJECT[1:], "check_ends": NO_OBJECT[1:]},
-    ),
-    "replan_cell": (
-        lambda **given: hplan.replan_cell(**given),
-        {"result": None, "t": 0.5, "arm": "a"},
-        "result:object",
-        {},
-    ),
-    "check": (
-        lambda **given: hplan.check(**given),
-        {"robot": None, "scene": None, "q": [0.0, 0.0, 0.0, 0.0]},
+    "replan_cell": case(hplan.replan_cell, "result:object", result=None, t=0.5, arm="a"),
+    "check": case(
+        hplan.check,
         "robot:object scene:object",
         {"q": (None, "0", [0.0], [NAN] * 4), "time_s": ("0", NAN), "sigmas": (-1.0, "3", NAN)},
+        robot=None,
+        scene=None,
+        q=[0.0, 0.0, 0.0, 0.0],
     ),
-    "warm_up": (hplan.warm_up, {"robot": None}, "robot:object", {}),
-    "Planner": (hplan.Planner, {"robot": None, "scene": None}, "robot:object scene:object", {"options": NO_OBJECT[1:]}),
-    "Planner.add": (a_planner().add, {"obstacle": Sphere(**BALL)}, "obstacle:object", {}),
-    "Planner.remove": (a_planner().remove, {"name": "ball"}, "name:name", {}),
-    "Planner.move": (
-        a_planner().move,
-        {"name": "ball"},
-        "name:name center:vector radius:length",
-        {"size": (1.0,), "kind": ("box",)},
+    "warm_up": case(hplan.warm_up, "robot:object", robot=None),
+    "Planner": case(hplan.Planner, "robot:object scene:object options:other", robot=None, scene=None),
+    "Planner.add": case(a_planner().add, "obstacle:object", obstacle=Sphere(**BALL)),
+    "Planner.remove": case(a_planner().remove, "name:name", name="ball"),
+    "Planner.move": case(
+        a_planner().move, "name:name center:vector radius:length", {"size": (1.0,), "kind": ("box",)}, name="ball"
     ),
-    "Planner.set_cloud": (
+    "Planner.set_cloud": case(
         a_planner().set_cloud,
-        {"name": "seen", "points": [[1.0, 0.5, 1.0]], "radius": 0.01},
-        "name:name radius:length",
+        "name:name radius:length options:other",
         {
             "points": ("points", 1.0, [1.0]),
             "pose": ("pose", 1.0, [1.0] * 5),
@@ -326,70 +299,54 @@ CASES: dict[str, Case] = {
             "ignore": ("ball", 1, [1]),
             "keep_s": (-1.0, float("nan"), "1"),
             "time_s": (float("nan"), "1"),
-            "options": NO_OBJECT[1:],
         },
+        name="seen",
+        points=[[1.0, 0.5, 1.0]],
+        radius=0.01,
     ),
-    "Planner.aim": (
+    "Planner.aim": case(
         a_planner().aim,
-        {},
         "",
         {"start": ("start", 1.0, GOAL.model_copy(update={"joints_deg": None})), "goal": ("goal", 1.0, (0.0,) * 4)},
     ),
-    "Planner.replan": (
+    "Planner.replan": case(
         lambda **given: a_running_planner().replan(**given),
-        {"at": 0.1},
         "",
         {"at": (*NO_NUMBER[1:], -1.0, 99.0), "now": (*NO_NUMBER[1:], -1.0, 0.2), "cancel": (1.0, "stop")},
+        at=0.1,
     ),
-    "Planner.stop_at": (
-        lambda **given: a_running_planner().stop_at(**given),
-        {"t": 0.1},
-        "t:size",
-        {"now": (*NO_NUMBER[1:], -1.0, 99.0)},
+    "Planner.stop_at": case(
+        lambda **given: a_running_planner().stop_at(**given), "t:size", {"now": (*NO_NUMBER[1:], -1.0, 99.0)}, t=0.1
     ),
-    "Trajectory.stop_at": (a_trajectory().stop_at, {"t": 0.5, "robot": ROBOT}, "t:size robot:object", {}),
-    "Trajectory.scaled": (
-        a_trajectory().scaled,
-        {"profile": 0.5, "robot": ROBOT},
-        "profile:positive robot:object",
-        {},
+    "Trajectory.stop_at": case(a_trajectory().stop_at, "t:size robot:object", t=0.5, robot=ROBOT),
+    "Trajectory.scaled": case(a_trajectory().scaled, "profile:positive robot:object", profile=0.5, robot=ROBOT),
+    "certify": case(
+        hplan.certify,
+        "robot:object scene:object trajectory:object tracking_error:size tracking_delay_s:size sigmas:size "
+        "checker:other",
+        {"rest_to_rest": (None, "no", 1.0), "check_ends": (None, "no"), "goal_contact": (None, "never", [])},
+        robot=None,
+        scene=None,
+        trajectory=None,
     ),
-    "certify": (
-        lambda **given: hplan.certify(**given),
-        {"robot": None, "scene": None, "trajectory": None},
-        "robot:object scene:object trajectory:object tracking_error:size tracking_delay_s:size sigmas:size",
-        {
-            "checker": NO_OBJECT[1:],
-            "rest_to_rest": (None, "no", 1.0),
-            "check_ends": (None, "no"),
-            "goal_contact": (None, "never", []),
-        },
+    "execute": case(execute, "robot:object scene:object motion:object", robot=None, scene=None, motion=None),
+    "load_robot": case(hplan.load_robot, "path:file limits:file srdf:file", {"tool_frame": (*NO_NAME[1:], "nothing")}),
+    "load_scene": case(hplan.load_scene, "path:file"),
+    "parse_scene": case(parse_scene, "", {"text": (None, b"", 1)}, text=""),
+    "dump_scene": case(dump_scene, "scene:object", scene=a_scene()),
+    "save_scene": case(hplan.save_scene, "scene:object path:path", scene=a_scene(), path="a.yaml"),
+    "read_csv": case(hplan.read_csv, "path:file", path="a"),
+    "read_motion": case(read_motion, "path:file", path="a"),
+    "write_csv": case(
+        hplan.write_csv, "trajectory:object path:path robot:other", trajectory=a_trajectory(), path="a.csv"
     ),
-    "execute": (execute, {"robot": None, "scene": None, "motion": None}, "robot:object scene:object motion:object", {}),
-    "load_robot": (hplan.load_robot, {}, "path:file limits:file srdf:file", {"tool_frame": (*NO_NAME[1:], "nothing")}),
-    "load_scene": (hplan.load_scene, {}, "path:file", {}),
-    "parse_scene": (parse_scene, {"text": ""}, "", {"text": (None, b"", 1)}),
-    "dump_scene": (dump_scene, {"scene": a_scene()}, "scene:object", {}),
-    "save_scene": (hplan.save_scene, {"scene": a_scene(), "path": "a.yaml"}, "scene:object path:path", {}),
-    "read_csv": (hplan.read_csv, {"path": "a"}, "path:file", {}),
-    "read_motion": (read_motion, {"path": "a"}, "path:file", {}),
-    "write_csv": (
-        hplan.write_csv,
-        {"trajectory": a_trajectory(), "path": "a.csv"},
-        "trajectory:object path:path",
-        {"robot": NO_OBJECT[1:]},
+    "write_text": case(write_text, "path:path", {"text": ("\ud800", None, b"")}, path="a", text=""),
+    "Robot.check_configuration": case(
+        ROBOT.check_configuration, "", {"q": (None, "0000", 1.0)}, q=[0.0] * 4, which="start"
     ),
-    "write_text": (write_text, {"path": "a", "text": ""}, "path:path", {"text": ("\ud800", None, b"")}),
-    "Robot.check_configuration": (
-        ROBOT.check_configuration,
-        {"q": [0.0] * 4, "which": "start"},
-        "",
-        {"q": (None, "0000", 1.0)},
-    ),
-    "FruitZone": (FruitZone, {}, "low:number high:number reach:length", {}),
-    "OrchardOptions": (
+    "FruitZone": case(FruitZone, "low:number high:number reach:length"),
+    "OrchardOptions": case(
         OrchardOptions,
-        {},
         "name:name seed:whole trees:whole spacing:length fruit_zone:object clearance:size",
         {
             "form": (None, "bush", []),
@@ -400,36 +357,33 @@ CASES: dict[str, Case] = {
             "posts": (None, 1),
         },
     ),
-    "generate": (generate, {}, "", {"options": NO_OBJECT[1:], "start_deg": (None, "0", 1.0)}),
-    "MeasuredOptions": (
+    "generate": case(generate, "options:other", {"start_deg": (None, "0", 1.0)}),
+    "MeasuredOptions": case(
         MeasuredOptions,
-        {},
         "name:name distance:number spacing:number height:number yaw_deg:number seed:whole clearance:number "
-        "wood_yields:size yields_below:size fruit_yields:size",
-        {"goal": (1, ""), "fruits": NO_WHOLE[1:], "fruit_radius": NO_LENGTH[1:], "fruit_zone": NO_OBJECT[1:]},
+        "wood_yields:size yields_below:size fruit_yields:size fruits:count fruit_zone:other",
+        {"goal": (1, ""), "fruit_radius": NO_LENGTH[1:]},
     ),
-    "measured_orchard": (
+    "measured_orchard": case(
         measured_orchard,
-        {"paths": None, "options": MeasuredOptions(fruits=2)},
-        "",
-        {"paths": (None, "p1.csv", []), "options": NO_OBJECT[1:], "start_deg": (None, "0")},
+        "options:other",
+        {"paths": (None, "p1.csv", []), "start_deg": (None, "0")},
+        paths=None,
+        options=MeasuredOptions(fruits=2),
     ),
-    "import_capsules": (
-        import_capsules,
-        {"path": "p.csv"},
-        "path:file position:vector yaw_deg:number",
-        {"prefix": (None, 1)},
+    "import_capsules": case(
+        import_capsules, "path:file position:vector yaw_deg:number", {"prefix": (None, 1)}, path="p.csv"
     ),
-    "import_tree": (import_tree, {"path": "p.csv"}, "path:file position:vector yaw_deg:number", {"prefix": (None, 1)}),
-    "fruit_at_tips": (
+    "import_tree": case(import_tree, "path:file position:vector yaw_deg:number", {"prefix": (None, 1)}, path="p.csv"),
+    "fruit_at_tips": case(
         fruit_at_tips,
-        {"capsules": [Capsule(**ROD)], "count": 1},
-        "count:whole radius:length seed:whole",
-        {"capsules": (None, "rod", [None]), "zone": NO_OBJECT[1:]},
+        "count:whole radius:length seed:whole zone:other",
+        {"capsules": (None, "rod", [None])},
+        capsules=[Capsule(**ROD)],
+        count=1,
     ),
-    "ArmSpec": (
+    "ArmSpec": case(
         ArmSpec,
-        SPEC,
         "name:name",
         {
             "link_lengths": (None, "12", 1.0),
@@ -438,132 +392,118 @@ CASES: dict[str, Case] = {
             "shoulder_height": (*NO_POSITIVE[:6], 0.0, -1.0),
             "base_mass": NO_POSITIVE[:6],
         },
+        **SPEC,
     ),
-    "write_robot": (write_robot, {"spec": HARVESTER, "urdf_path": "a.urdf"}, "spec:object urdf_path:path", {}),
-    "load_member": (load_member, {"spec": HARVESTER}, "spec:object", {}),
-    "Study": (Study, A_STUDY, "name:name", {"arms": (None, "arm", 1.0, ()), "trees": (None, "tree", 1.0, ((),))}),
-    "run_study": (
-        run_study,
-        {"study": None},
-        "rows:path",
-        {"workers": NO_WHOLE[1:], "study": (3, "missing.yaml", ()), "executor": (3, "pool")},
+    "write_robot": case(write_robot, "spec:object urdf_path:path", spec=HARVESTER, urdf_path="a.urdf"),
+    "load_member": case(load_member, "spec:object", spec=HARVESTER),
+    "Study": case(Study, "name:name", {"arms": (None, "arm", 1.0, ()), "trees": (None, "tree", 1.0, ((),))}, **A_STUDY),
+    "run_study": case(
+        run_study, "rows:path workers:count", {"study": (3, "missing.yaml", ()), "executor": (3, "pool")}, study=None
     ),
-    "RowOptions": (
+    "RowOptions": case(
         hplan.RowOptions,
-        {},
-        "distance:positive step:positive speed:positive acceleration:positive lift_speed:positive",
+        "distance:positive step:positive speed:positive acceleration:positive lift_speed:positive share:positive "
+        "settling:number detaching:number",
         {
-            "share": NO_POSITIVE,
-            "settling": NO_NUMBER,
-            "detaching": NO_NUMBER,
             "heights": (None, "up", (), (NAN,)),
             "objective": (None, "best"),
             "both": (None, 1),
             "carried": (None, "vehicle", (1,)),
         },
     ),
-    "plan_row": (
+    "plan_row": case(
         hplan.plan_row,
-        {"robot": None, "scene": None},
-        "robot:object scene:object",
-        {"row": (3, "row"), "tour": (3, "tour"), "workers": NO_WHOLE[1:], "executor": (3, "pool")},
+        "robot:object scene:object workers:count",
+        {"row": (3, "row"), "tour": (3, "tour"), "executor": (3, "pool")},
+        robot=None,
+        scene=None,
     ),
-    "cross_check": (cross_check, {"urdf_path": "a.urdf"}, "urdf_path:file samples:whole seed:whole", {}),
-    "Grid.over": (
+    "cross_check": case(cross_check, "urdf_path:file samples:whole seed:whole", urdf_path="a.urdf"),
+    "Grid.over": case(
         Grid.over,
-        {"lower": [0.0], "upper": [1.0], "step": 0.1},
         "",
         {"lower": (None, "0", 1.0), "upper": (None, [NAN], [INF]), "step": (None, "1", NAN)},
+        lower=[0.0],
+        upper=[1.0],
+        step=0.1,
     ),
-    "Occupancy.from_mask": (
+    "Occupancy.from_mask": case(
         Occupancy.from_mask,
-        {"grid": free().grid, "occupied": np.zeros((3, 3), dtype=np.bool_)},
         "grid:object",
         {"occupied": (None, np.zeros((3, 3)), [[False]])},
+        grid=free().grid,
+        occupied=np.zeros((3, 3), dtype=np.bool_),
     ),
     **{
-        function.__name__: (
+        function.__name__: case(
             function,
-            {"occupancy": free(), "start": (0, 0), **({} if function is reachable else {"goal": (2, 2)})},
             "occupancy:object",
             {"start": (None, "00", (0,), (0.0, 0.0), (9, 9), (NAN, 0), [[0], [0, 1]], 0, NoArray())},
+            occupancy=free(),
+            start=(0, 0),
+            **({} if function is reachable else {"goal": (2, 2)}),
         )
         for function in (dense_search, reachable, slices_with_path, two_level_search)
     },
-    "rounded_path": (
-        rounded_path,
-        {"waypoints": [[0.0] * 4], "deviation_rad": 0.1},
-        "waypoints:matrix deviation_rad:positive",
-        {},
+    "rounded_path": case(
+        rounded_path, "waypoints:matrix deviation_rad:positive", waypoints=[[0.0] * 4], deviation_rad=0.1
     ),
-    "largest_deviation": (
-        largest_deviation,
-        {"positions": [[0.0] * 4], "waypoints": [[0.0] * 4]},
-        "positions:matrix waypoints:matrix",
-        {},
+    "largest_deviation": case(
+        largest_deviation, "positions:matrix waypoints:matrix", positions=[[0.0] * 4], waypoints=[[0.0] * 4]
     ),
-    "limits_of": (
+    "limits_of": case(
         limits_of,
-        {"model": ROBOT.model, "acceleration": 1.0},
         "model:object",
         {"acceleration": (None, "a", NAN), "jerk": ("a", NAN, -1.0), "torque": (None, "no")},
+        model=ROBOT.model,
+        acceleration=1.0,
     ),
-    "limit_shares": (
-        limit_shares,
-        {"trajectory": a_trajectory(), "limits": limits_of(ROBOT.model, 1.0)},
-        "trajectory:object limits:object",
-        {},
+    "limit_shares": case(
+        limit_shares, "trajectory:object limits:object", trajectory=a_trajectory(), limits=limits_of(ROBOT.model, 1.0)
     ),
-    "time_waypoints": (
+    "time_waypoints": case(
         time_waypoints,
-        {
-            "model": ROBOT.model,
-            "waypoints": [[0.0] * 4, [0.1] * 4],
-            "limits": limits_of(ROBOT.model, 1.0),
-        },
         "model:object waypoints:matrix limits:object deviation_rad:positive rate_hz:positive speed:positive",
-        {},
+        model=ROBOT.model,
+        waypoints=[[0.0] * 4, [0.1] * 4],
+        limits=limits_of(ROBOT.model, 1.0),
     ),
-    "read_machine": (
+    "read_machine": case(
         read_machine,
-        {"path": str(ROBOT.urdf_path)},
         "path:file",
         {"joints": ("wrist", 1, [1]), "hold": (1, "wrist", {"wrist": "a"})},
+        path=str(ROBOT.urdf_path),
     ),
-    "read_waypoints": (
-        read_waypoints,
-        {"path": "w.csv", "joint_names": ["a"]},
-        "path:file",
-        {"joint_names": (None, "a", [1])},
+    "read_waypoints": case(
+        read_waypoints, "path:file", {"joint_names": (None, "a", [1])}, path="w.csv", joint_names=["a"]
     ),
-    "Trajectory.since": (a_trajectory().since, {"row": 1}, "row:whole", {}),
-    "Trajectory.until": (a_trajectory().until, {"row": 1}, "row:whole", {}),
-    "Trajectory.positions": (
-        a_trajectory().positions,
-        {"clock": [0.0]},
-        "",
-        {"clock": (*NO_MATRIX[:3], [NAN], [[0.0]])},
+    "Trajectory.since": case(a_trajectory().since, "row:whole", row=1),
+    "Trajectory.until": case(a_trajectory().until, "row:whole", row=1),
+    "Trajectory.positions": case(
+        a_trajectory().positions, "", {"clock": (*NO_MATRIX[:3], [NAN], [[0.0]])}, clock=[0.0]
     ),
-    "Robot.tool_positions": (ROBOT.tool_positions, {"q": [0.0] * 4}, "", {"q": (None, "1234", 1.0)}),
-    "Robot.yaw_of": (ROBOT.yaw_of, {"q": [0.0] * 4}, "", {"q": (None, "0000", 1.0)}),
-    "Robot.plane_at": (ROBOT.plane_at, {"yaw": 0.0}, "yaw:number", {}),
-    "Robot.sway": (ROBOT.sway, {"deviation": 0.1}, "", {"deviation": (None, "0.1", NAN)}),
-    "plan progress": (hplan.plan, {"robot": None, "scene": None}, "", {"progress": (None, 5, "print")}),
-    "Playback.of": (Playback.of, {"result": None}, "result:object", {}),
-    "Playback": (
+    "Robot.tool_positions": case(ROBOT.tool_positions, "", {"q": (None, "1234", 1.0)}, q=[0.0] * 4),
+    "Robot.yaw_of": case(ROBOT.yaw_of, "", {"q": (None, "0000", 1.0)}, q=[0.0] * 4),
+    "Robot.plane_at": case(ROBOT.plane_at, "yaw:number", yaw=0.0),
+    "Robot.sway": case(ROBOT.sway, "", {"deviation": (None, "0.1", NAN)}, deviation=0.1),
+    "plan progress": case(hplan.plan, "", {"progress": (None, 5, "print")}, robot=None, scene=None),
+    "Playback.of": case(Playback.of, "result:object", result=None),
+    "Playback": case(
         Playback,
-        {"trajectory": None},
         "trajectory:object begin_s:number",
         {"picked": (None, [], {1: 0.0}), "phases": (None, 1.0, [None])},
+        trajectory=None,
     ),
-    "write_page": (
+    "write_page": case(
         write_page,
-        {"robot": None, "scene": None, "playback": Playback(a_trajectory()), "path": "a.html"},
         "robot:object scene:object playback:object path:path",
-        {},
+        robot=None,
+        scene=None,
+        playback=Playback(a_trajectory()),
+        path="a.html",
     ),
-    "corner_grid": (corner_grid, {}, "path:object", {}),
-    "read_planning_scene": (read_planning_scene, {"source": {"world": {}}}, "source:file", {}),
+    "corner_grid": case(corner_grid, "path:object"),
+    "read_planning_scene": case(read_planning_scene, "source:file", source={"world": {}}),
 }
 
 
@@ -590,9 +530,8 @@ def _names(error: HplanError, argument: str, value: Any) -> bool:
 
 
 def calls() -> Iterator[Any]:
-    for name, (function, good, kinds, bad) in CASES.items():
-        of_kinds = {argument: KINDS[kind] for argument, _, kind in (word.partition(":") for word in kinds.split())}
-        for argument, values in {**of_kinds, **bad}.items():
+    for name, (function, good, bad) in CASES.items():
+        for argument, values in bad.items():
             yield pytest.param(function, good, argument, values, id=f"{name} {argument}")
 
 

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hplan.base.arguments import one_of
-from hplan.base.arrays import FloatArray, readonly
+from hplan.base.arrays import BoolArray, FloatArray, readonly
 from hplan.base.planar_geometry import convex_hull
+from hplan.collision.coal_scene import CoalScene
 from hplan.grid.grid import Grid
 from hplan.grid.prepared_obstacles import ConvexObstacle, prepare_obstacles
 from hplan.grid.sections import LINK_MODELS, ArmSections, LinkModel, balls_only, sections_at
@@ -54,6 +55,13 @@ def arm_sections(
     """
     prepared = prepare_obstacles(obstacles, clearance=clearance)
     return sections_at(robot, prepared, yaw, link_model=link_model, within_reach=False)
+
+
+def sampled_occupancy(checker: CoalScene, grid: Grid, yaw: float = 0.0) -> BoolArray:
+    """Mask of a grid over the planar joints: True where coal finds some link in contact with an obstacle."""
+    nodes = grid.coordinates(np.stack(np.unravel_index(np.arange(grid.size), grid.shape), axis=-1))
+    q = np.column_stack([np.full(len(nodes), yaw), nodes]) if checker.robot.has_yaw else nodes
+    return checker.in_collision(q).reshape(grid.shape)
 
 
 @dataclass(frozen=True, eq=False)

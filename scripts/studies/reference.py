@@ -21,8 +21,7 @@ from studies.peers import (
     world_of,
 )
 from studies.planar import without_jerk
-from studies.planar_cspace import arm_sections, joint_grid
-from studies.validation.cspace import sampled_occupancy
+from studies.planar_cspace import arm_sections, joint_grid, sampled_occupancy
 
 from hplan.base.arrays import FloatArray, IntArray
 from hplan.base.polyline import path_length

@@ -10,6 +10,7 @@ import pytest
 import studies.validation.kinds as validation_kinds
 import studies.validation.scenes as validation_scenes
 from arm_variants import load_variant
+from script_loader import load_script
 from studies.validation.kinds import (
     CONTACT_TOLERANCE,
     EXAMPLES,
@@ -27,6 +28,8 @@ from hplan.grid.prepared_obstacles import prepare_obstacles
 from hplan.grid.sections import sections_at
 from hplan.planning.report import write_report
 from hplan.robot.model import Robot
+
+script = load_script("validate_cspace")
 
 #: A bucket, a ring and a notched plate that are cut in a moment.
 _QUICK_SHAPES = (3, 1, 17)
@@ -129,3 +132,20 @@ def test_a_blind_cspace_is_caught(robot: Robot, monkeypatch: pytest.MonkeyPatch,
     assert content["ok"] is False
     assert content["results"][0]["missed"] == result.results[0].missed
     assert len(content["results"][0]["examples"][0]["joints_rad"]) == 4
+
+
+# The command
+
+
+def test_command_on_kinds(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["--kinds", "sphere", "box", "--scenes", "2", "--configurations", "2000", "--seed", "3"]
+    assert script.main([*arguments, "--out", str(tmp_path)]) == 0
+    text = capsys.readouterr().out
+    assert "2 random scenes of each kind" in text
+    assert "nothing missed" in text
+    rows = [line.split()[:2] for line in text.splitlines() if line.split()[:1] in (["sphere"], ["box"])]
+    assert rows == [["sphere", "4,000"], ["box", "4,000"]]
+    content = json.loads((tmp_path / script.RESULT).read_text())
+    assert content["ok"] is True
+    assert (content["scenes"], content["configurations"], content["seed"]) == (2, 2000, 3)
+    assert [(row["kind"], row["missed"]) for row in content["results"]] == [("sphere", 0), ("box", 0)]

@@ -14,10 +14,10 @@ import studies.validation.episodes as episodes
 import studies.validation.grazing as grazing
 import studies.validation.yielding as yielding
 from script_loader import SCRIPTS, load_script
-from studies.validation.arms import DrawnArm, draw_arm, named_arm
+from studies.validation.arms import DrawnArm, named_arm
 from studies.validation.episodes import Tally, run_case, shifted
 from studies.validation.judge import Motion, Moves, Window, contacts, things_of
-from studies.validation.worlds import World, draw_world
+from studies.validation.worlds import World
 
 from hplan.planning.plan import plan
 
@@ -110,20 +110,6 @@ def test_fruit_may_be_touched_in_its_window_by_the_last_link_alone(harvester: Dr
     k = next(k for k, body in enumerate(harvester.arm.bodies) if body.joint == harvester.arm.last_joint - 1)
     on_link = things_of([placed(ITEMS[0], elbow[k].act(harvester.arm.bodies[k].middle))])
     assert contacts(harvester.arm, motion, on_link, windows=[Window("o", 0.0, 1.0)])
-
-
-@pytest.mark.parametrize("number", range(3))
-def test_skipped_ticks_hold_no_contact(tmp_path: Path, number: int) -> None:
-    """Of lines through random worlds, the same pairs touch, at the same times, where every tick is looked at."""
-    rng = np.random.default_rng(number)
-    drawn = draw_arm(tmp_path, rng)
-    world = draw_world(drawn, rng, moving=number % 2 == 0, camera=number % 4 < 2)
-    assert world is not None
-    motion = line(drawn, world.start, world.goal + rng.uniform(-1.0, 1.0, len(world.goal)), 0.1)
-    found, all_ticks = (
-        contacts(drawn.arm, motion, world.things, base=world.moves, begin_s=0.3, skip=skip) for skip in (True, False)
-    )
-    assert found == all_ticks
 
 
 def test_what_hplan_is_not_told_is_found(monkeypatch: pytest.MonkeyPatch) -> None:

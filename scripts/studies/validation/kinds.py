@@ -22,7 +22,6 @@ from typing import Any, Final
 
 import numpy as np
 import pinocchio as pin
-from studies.validation.cspace import CONTACT_TOLERANCE
 from studies.validation.scenes import KINDS, Kind, RandomScene, random_scene
 
 from hplan.base.arrays import BoolArray, FloatArray
@@ -40,6 +39,9 @@ from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 from hplan.scene.obstacles import Mesh, PointCloud
 from hplan.scene.solids import Cloud
+
+#: A configuration whose distance is this close to the clearance is in contact, which may be decided either way [m].
+CONTACT_TOLERANCE: Final = 1e-9
 
 #: Free by more than this, a configuration should be free for the planner [m].
 SPARE: Final = 2e-3

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 
-import numpy as np
 import pytest
 from any_arms import LIFT, limb, loaded_arm
 from toy_urdf import six_axis_arm
@@ -70,17 +69,6 @@ def test_joints_beside_the_chain_move_when_asked(tmp_path):
     with pytest.raises(InputError, match="joints: left, column, right; expected in the robot's order: column, left, r"):
         load_robot(TREE, joints=["left", "column", "right"])
     assert whole.tool_joint == 2
-
-
-def test_lift_is_a_robot_and_no_planar_arm():
-    robot = load_robot(LIFT)
-    assert robot.joint_names == ("column", "turn", "out", "wrist")
-    assert robot.upper[0] == 0.6
-    q = robot.lower + 0.3 * (robot.upper - robot.lower)
-    higher = q + np.array([0.1, 0.0, 0.0, 0.0])
-    assert np.linalg.norm(robot.tool_positions(higher) - robot.tool_positions(q)) == pytest.approx(0.1)
-    with pytest.raises(RobotFamilyError, match="robot 'lift' is not a planar arm"):
-        assert robot.yaw_radius
 
 
 def test_srdf(tmp_path):

@@ -293,19 +293,6 @@ def test_axes_off_by_a_little_are_refused_and_say_what_to_do(load_edited, tmp_pa
     assert load_robot(path).has_yaw
 
 
-@pytest.mark.parametrize(("angle", "taken"), [("1.5708", False), ("1.5707963", False), ("1.570796327", True)])
-def test_right_angles_are_to_be_written_in_full(load_edited, angle, taken):
-    """A shoulder turned onto its side by `rpy`, as CAD programs write it."""
-    edit = origin_of("upper_arm", f'xyz="0 0 0.6" rpy="{angle} 0 0"')
-    axis = ('<axis xyz="0 -1 0"/>', '<axis xyz="0 0 1"/>')
-    elbow = origin_of("forearm", 'xyz="1 0 0" rpy="-1.5707963267948966 0 0"')
-    if taken:
-        assert load_edited(edit, axis, elbow).arm.signs[0] in (-1.0, 1.0)
-        return
-    with pytest.raises(RobotFamilyError, match=r"a right one as 1\.5707963267948966"):
-        assert load_edited(edit, axis, elbow).has_yaw
-
-
 def test_yaw_axis_beside_the_origin(load_edited, tmp_path):
     load_edited()
     old = re.search(r'<child link="turret"/>\s*<origin xyz="0 0 0"/>', SHIPPED).group()
@@ -352,20 +339,6 @@ def test_six_axis_arm_with_offsets_is_no_planar_arm(tmp_path):
         "robot 'six_axes' is not a planar arm on an optional yaw: joint 'wrist_2': it is not parallel to joint "
         "'shoulder_lift'; hold={'wrist_2': 0.0} (--hold wrist_2=0) lets it stand still"
     )
-
-
-def test_tool_of_any_arm_is_pinocchios(tmp_path):
-    (tmp_path / "six.urdf").write_text(six_axis_arm())
-    (tmp_path / "six.limits.yaml").write_text(SIX_AXIS_LIMITS)
-    robot = load_robot(tmp_path / "six.urdf")
-    q = np.random.default_rng(0).uniform(robot.lower, robot.upper, (2, 3, robot.dof))
-    poses = robot.forward_kinematics(q)
-    data = robot.model.createData()
-    for place in np.ndindex(2, 3):
-        pin.framesForwardKinematics(robot.model, data, q[place])
-        expected = data.oMf[robot.model.getFrameId("tool0")].homogeneous
-        np.testing.assert_array_equal(poses[place], expected)
-        np.testing.assert_array_equal(robot.tool_positions(q)[place], expected[:3, 3])
 
 
 # Files that cannot be read
@@ -419,14 +392,6 @@ format: hplan-limits/1
 acceleration_rad_s2: {a: 1, b: 2.5}
 jerk_rad_s3: {b: 20, a: 1e1}
 """
-
-
-def test_limits_in_the_order_of_the_joints(tmp_path):
-    path = tmp_path / "limits.yaml"
-    path.write_text(GOOD_LIMITS)
-    acceleration, jerk = read_limits(path, ("b", "a"), (False, False))
-    assert acceleration.tolist() == [2.5, 1.0]
-    assert jerk.tolist() == [20.0, 10.0]
 
 
 @pytest.mark.parametrize(

@@ -3,8 +3,6 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-import coal
-import numpy as np
 import pinocchio as pin
 import pytest
 import yaml
@@ -15,7 +13,7 @@ from hplan.base.data_files import urdf_dir
 from hplan.certificate.digests import robot_digest
 from hplan.errors import OptionError
 from hplan.robot.base_shapes import turning_shapes
-from hplan.robot.family import HARVESTER, ORCHARD_HARVESTER, ArmSpec, Gripper, cross_check, write_robot
+from hplan.robot.family import HARVESTER, ORCHARD_HARVESTER, ArmSpec, cross_check, write_robot
 from hplan.robot.model import load_robot
 
 URDF = urdf_dir() / "harvester.urdf"
@@ -49,17 +47,6 @@ def test_shipped_robots_are_what_the_writer_writes(tmp_path, spec):
     assert [shape.placement for shape in seen] == [shape.placement for shape in checked]
 
 
-def test_gripper_has_mass_and_shape(tmp_path):
-    """It is fixed to the last link: its capsule widens that link's, its mass hangs on the wrist."""
-    with_gripper, without = load_robot("orchard_harvester"), load_robot()
-    assert with_gripper.arm.half_widths == pytest.approx([0.05, 0.04, ORCHARD_HARVESTER.gripper.half_width])
-    straight = np.zeros((1, 4))
-    more = with_gripper.dynamics.gravity(straight) - without.dynamics.gravity(straight)
-    assert abs(more[0, 3]) == pytest.approx(0.7 * 9.81 * (0.4 - 0.07), rel=1e-6)
-    urdf, _ = write_robot(replace(HARVESTER, name="thin", gripper=Gripper(1.0, 0.1, 0.01)), tmp_path / "thin.urdf")
-    assert load_robot(urdf).arm.half_widths[2] == pytest.approx(0.03)
-
-
 def test_shipped_robot_reads_alike_everywhere():
     check = cross_check(URDF)
     assert check.frames == ("base_link", "turret", "upper_arm", "forearm", "hand", "tool0")
@@ -68,53 +55,6 @@ def test_shipped_robot_reads_alike_everywhere():
     assert check.max_rotation_deviation < 1e-12
     assert check.limits_equal
     assert check.masses_equal
-
-
-# Geometry
-
-
-def segment_distance(point: np.ndarray, start: np.ndarray, end: np.ndarray) -> float:
-    along = end - start
-    part = np.clip((point - start) @ along / (along @ along), 0.0, 1.0)
-    return float(np.linalg.norm(point - start - part * along))
-
-
-def test_collision_shapes_of_a_link_are_its_exact_capsule():
-    model, collision_model, _ = pin.buildModelsFromUrdf(str(URDF))
-    data, collision_data = model.createData(), collision_model.createData()
-    rng = np.random.default_rng(1)
-    radius = 0.1
-    ball = coal.Sphere(radius)
-    lengths, half_widths = HARVESTER.link_lengths, HARVESTER.link_half_widths
-    for _ in range(100):
-        q = rng.uniform(model.lowerPositionLimit, model.upperPositionLimit)
-        pin.updateGeometryPlacements(model, data, collision_model, collision_data, q)
-        pin.updateFramePlacements(model, data)
-        for link, length, half_width in zip(HARVESTER.arm_link_names, lengths, half_widths, strict=True):
-            placement = data.oMf[model.getFrameId(link)]
-            start, end = placement.translation, placement.act(np.array([length, 0.0, 0.0]))
-            center = start + rng.uniform(0.5, 2.0) * direction(rng) + rng.random() * (end - start)
-            expected = segment_distance(center, start, end) - half_width - radius
-            if expected <= 0:
-                continue
-            measured = min(
-                coal.distance(
-                    shape.geometry,
-                    coal.Transform3s(pose.rotation, pose.translation),
-                    ball,
-                    coal.Transform3s(np.eye(3), center),
-                    coal.DistanceRequest(),
-                    coal.DistanceResult(),
-                )
-                for shape, pose in zip(collision_model.geometryObjects, collision_data.oMg, strict=True)
-                if shape.name.startswith(f"{link}_")
-            )
-            assert measured == pytest.approx(expected, abs=1e-9)
-
-
-def direction(rng: np.random.Generator) -> np.ndarray:
-    vector = rng.normal(size=3)
-    return vector / np.linalg.norm(vector)
 
 
 # The family

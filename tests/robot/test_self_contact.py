@@ -24,14 +24,13 @@ from hplan.collision.flat_bodies import BODIES, INNER, OUTER
 from hplan.errors import ConfigurationInCollisionError
 from hplan.grid.grid import Grid
 from hplan.grid.occupancy import occupancy
-from hplan.grid.sections import only
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
 from hplan.robot.base_shapes import coal_distance, turning_shapes
 from hplan.robot.family.members import write_robot
 from hplan.robot.family.spec import ArmSpec
 from hplan.robot.model import Robot, load_robot
-from hplan.robot.self_contact import radius_in_plane, self_contact
+from hplan.robot.self_contact import self_contact
 from hplan.scene.obstacles import Sphere
 
 #: A section of what carries the arm stands out by no more than this [m].
@@ -171,26 +170,6 @@ def test_pairs_are_those_that_sampling_finds(tmp_path):
     assert apart > 5
 
 
-def test_limits_decide(tmp_path):
-    # Three links of 0.5 m make a triangle when both joints between turn by 120 deg.
-    lengths, widths = (0.5, 0.5, 0.5), (0.02, 0.02, 0.02)
-    free = arm_of(tmp_path, [0, -100, -100], [60, 100, 100], lengths=lengths, widths=widths)
-    assert self_contact(free).links == ()
-    folds = arm_of(tmp_path, [0, -120, -120], [60, 120, 120], lengths=lengths, widths=widths)
-    assert self_contact(folds).links == ((0, 2),)
-    assert self_contact(folds) is self_contact(folds)
-
-
-def test_what_is_held_together_is_left_out(tmp_path):
-    # The link between is shorter than the others are thick.
-    wrist = arm_of(tmp_path, [0, -30, -30], [30, 30, 30], lengths=(0.8, 0.06, 0.4), widths=(0.05, 0.04, 0.03))
-    assert self_contact(wrist).links == ()
-    longer = arm_of(tmp_path, [0, -30, -30], [30, 30, 30], lengths=(0.8, 0.09, 0.4), widths=(0.05, 0.04, 0.03))
-    assert self_contact(longer).links == ()
-    folds = arm_of(tmp_path, [0, -150, -150], [30, 150, 150], lengths=(0.8, 0.09, 0.4), widths=(0.05, 0.04, 0.03))
-    assert self_contact(folds).links == ((0, 2),)
-
-
 def test_what_turns_turns_about_the_yaw_axis(tmp_path):
     """An axle that carries a shoulder beside the axis, as Pinocchio turns it."""
     robot = arm_of(tmp_path, 0.0, 90.0, yaw_axis=(0.7, -0.5), shoulder_offset=0.4)
@@ -249,21 +228,6 @@ def test_cspace_against_coal(tmp_path):
 
 def nodes_of(grid):
     return grid.coordinates(np.stack(np.unravel_index(np.arange(grid.size), grid.shape), axis=-1))
-
-
-def test_links_in_the_cspace_are_exact(wide):
-    # Pairs of links alone, by the distance at nodes.
-    grid = joint_grid(wide.arm, math.radians(12.0))
-    sections = arm_sections(wide, [])
-    hand = only(sections, 2, sections.obstacle_names.index("upper_arm"))
-    ours = occupancy(wide.arm, hand, grid).occupied
-    some, truth = np.random.default_rng(0).permutation(grid.size)[:4000], Truth(wide)
-    theirs = np.array([truth.distances([0.0, *node])[2, 0] for node in nodes_of(grid)[some]])
-    clear_cut = np.abs(theirs) > TOUCH
-    np.testing.assert_array_equal(ours.ravel()[some][clear_cut], (theirs < 0.0)[clear_cut])
-    assert 0 < ours.sum() < ours.size
-    # They lie to each other as the joints between them say, whatever the first.
-    assert (ours == ours[:1]).all()
 
 
 @pytest.mark.parametrize("lengths", [(0.5, 0.6, 0.6, 0.4), (0.9, 0.5, 0.5, 0.3), (0.4, 0.8, 0.7, 0.9)])
@@ -514,8 +478,3 @@ def test_an_arm_goes_around_itself(tmp_path, start, goal, locked):
     result = plan(robot, scene_of(start, goal, locked_joints=locked), PlanOptions(step_deg=5.0))
     assert result.certificate.verified
     assert min(truth.clearance(q) for q in result.trajectory.position[::5]) >= result.certificate.min_clearance_m > 0.0
-
-
-@pytest.mark.parametrize(("aside", "left"), [(0.0, 0.05), (0.03, 0.04), (-0.04, 0.03), (0.05, 0.0), (0.06, 0.0)])
-def test_links_beside_each_other_are_too_near_only_as_far_as_a_ball_reaches_into_the_plane(aside, left):
-    assert radius_in_plane(0.05, aside) == pytest.approx(left, abs=1e-12)

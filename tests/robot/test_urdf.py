@@ -20,7 +20,6 @@ from hplan.robot.model import load_robot
 from hplan.robot.urdf_check import check_models
 from hplan.robot.urdf_file import Urdf, read_urdf
 from hplan.robot.urdf_xml import read_urdf_xml
-from hplan.trajectory.trajectory import Trajectory, read_csv, write_csv
 
 SHIPPED = (urdf_dir() / "harvester.urdf").read_text()
 TOOL = (
@@ -116,18 +115,6 @@ def test_names_that_break_lines_are_refused(tmp_path, what, name):
     old = {"joint": '"wrist"', "link": '"hand"', "robot": '"harvester"'}[what]
     with pytest.raises(RobotFileError, match=r"has no name|a name holds no line break"):
         load_robot(write(tmp_path, SHIPPED.replace(old, f'"{name}"')))
-
-
-def test_commas_and_quotes_in_a_name_survive_a_csv(tmp_path):
-    name = "wrist, the 'last' &quot;one&quot;"
-    path = write(tmp_path, SHIPPED.replace('"wrist"', f'"{name}"'))
-    limits = path.with_suffix(".limits.yaml")
-    limits.write_text(re.sub(r"wrist:", '"wrist, the \'last\' \\"one\\"":', limits.read_text()))
-    robot = load_robot(path)
-    assert robot.joint_names[-1] == "wrist, the 'last' \"one\""
-    zeros = np.zeros((2, 4))
-    trajectory = Trajectory(robot.joint_names, np.array([0.0, 1.0]), *([zeros] * 4))
-    assert read_csv(write_csv(trajectory, tmp_path / "t.csv")).joint_names == robot.joint_names
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,6 @@ from hplan.base.data_files import urdf_dir
 from hplan.certificate.certificate import certify
 from hplan.certificate.digests import robot_digest
 from hplan.errors import InputError, JointLimitError, RobotFamilyError, RobotFileError
-from hplan.kinematics.planar_inverse_kinematics import reach
 from hplan.robot.model import Robot, load_robot
 from hplan.robot.urdf_adaptation import CONTINUOUS_RANGE
 from hplan.scene.model import Goal, Scene, Start
@@ -264,26 +263,6 @@ def test_a_range_that_no_joint_has_is_that_of_a_continuous_joint(load, plain, lo
         robot.check_configuration((40.0, 1.5, 1.5, 1.5), "start")
 
 
-def test_a_rail_has_an_end(load, plain):
-    rail = SHIPPED.replace('name="base_yaw" type="revolute"', 'name="base_yaw" type="prismatic"')
-    one = 'lower="-3.141592653589793" upper="3.141592653589793"'
-    assert load(rail.replace(one, 'lower="-9000" upper="0"')).lower[0] == -9000.0
-    with pytest.raises(RobotFileError, match=r"joint 'base_yaw': its range is -1e\+16 to 1e\+16 m"):
-        load(rail.replace(one, 'lower="-1e16" upper="1e16"'))
-
-
-def test_many_turns_are_kept_as_they_are_and_planned_with(load, plain):
-    joint = 'lower="-3.141592653589793" upper="3.141592653589793"'
-    robot = load(SHIPPED.replace(joint, 'lower="-900" upper="900"'))
-    assert (robot.lower[0], robot.upper[0], robot.continuous[0]) == (-900.0, 900.0, False)
-    found = hplan.plan(robot, scene_of((800.0, 1.5, 1.5, 1.5), (801.0, 1.5, 1.5, 1.2)))
-    assert found.certificate.verified
-    tool = robot.tool_positions([800.3, 1.2, 1.2, 1.4])
-    near = reach(robot, tool, start=(800.0, 1.5, 1.5, 1.5)).configurations[:, 0]
-    assert len(near) < 2000
-    assert np.abs(near - 800.0).max() <= 2.0 * TAU
-
-
 @pytest.mark.parametrize(
     ("start", "goal", "reached"),
     [(0.0, 350.0, -10.0), (0.0, 170.0, 170.0), (170.0, -170.0, 190.0), (300.0, 30.0, 30.0), (-350.0, 350.0, -10.0),
@@ -403,23 +382,6 @@ def test_a_text_is_a_urdf(plain):
         assert robot_digest(robot) == robot_digest(plain)
 
 
-#: Where the upper arm's radius stands in the shipped URDF.
-LINE = SHIPPED[: SHIPPED.index('radius="0.05"')].count("\n") + 1
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        (SHIPPED, "URDF text: it has no acceleration limits: write acceleration (and jerk) into every <limit>"),
-        (SHIPPED.replace('radius="0.05"', 'radius="0,05"'), f"URDF text: line {LINE}: link 'upper_arm'"),
-    ],
-)
-def test_faults_of_a_text(text, message):
-    with pytest.raises(RobotFileError) as caught:
-        load_robot(text)
-    assert message in str(caught.value)
-
-
 def with_limits(jerk: bool = True) -> str:
     return re.sub("<limit ", '<limit acceleration="2.5" ' + ('jerk="90" ' if jerk else ""), SHIPPED)
 
@@ -430,34 +392,6 @@ def test_limits_of_urdf_1_2():
     assert robot.jerk_limit.tolist() == [90.0] * 4
     assert load_robot(with_limits(jerk=False)).jerk_limit is None
     assert load_robot(with_limits(), limits=LIMITS).acceleration_limit.tolist() == [3.0, 3.0, 4.0, 6.0]
-
-
-def test_a_limits_file_wins(load, tmp_path):
-    assert load(with_limits()).acceleration_limit.tolist() == [3.0, 3.0, 4.0, 6.0]
-    (tmp_path / "robot.limits.yaml").unlink()
-    assert load_robot(tmp_path / "robot.urdf").acceleration_limit.tolist() == [2.5] * 4
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
-        ('acceleration="2.5" ', "", "joint 'base_yaw': <limit> has no acceleration, as others have"),
-        ('"2.5"', '"0"', "joint 'base_yaw': acceleration of <limit> is '0', expected a finite number that is positive"),
-        ("acceleration", "accelerations", "accelerations of <limit> means nothing"),
-    ],
-)
-def test_faults_of_such_limits(old, new, message):
-    with pytest.raises(RobotFileError) as caught:
-        load_robot(with_limits().replace(old, new, 1))
-    assert message in str(caught.value)
-
-
-def test_the_limits_file_may_name_joints_that_are_held(load, tmp_path):
-    robot = load(SHIPPED, hold={"base_yaw": 0.2})
-    assert robot.acceleration_limit.tolist() == [3.0, 4.0, 6.0]
-    (tmp_path / "robot.limits.yaml").write_text(LIMITS.read_text().replace("wrist", "paw"))
-    with pytest.raises(RobotFileError, match=r"joints missing \['wrist'\], unknown \['paw'\]"):
-        load_robot(tmp_path / "robot.urdf", hold={"base_yaw": 0.2})
 
 
 def test_xacro_without_its_package(tmp_path, monkeypatch):
@@ -478,21 +412,6 @@ def test_xacro_itself(tmp_path):
 
 
 # Where robots go
-
-
-def test_mujoco_has_the_adapted_robot(load, tmp_path):
-    mujoco = pytest.importorskip("mujoco")
-    from hplan.apps.execution.mujoco_model import mujoco_model
-
-    write_stl(tmp_path / "meshes" / "hand.stl")
-    robot = load(MESH.replace("</robot>", f"{FINGERS}{WORLD}</robot>").replace(*CONTINUOUS))
-    model, _ = mujoco_model(mujoco, robot, scene_of((0.0,) * 4, (0.1,) * 4), timestep_s=1e-3)
-    assert model.nv == 4
-    data, rng = mujoco.MjData(model), np.random.default_rng(5)
-    for _ in range(5):
-        data.qpos[:] = rng.uniform(0.0, 1.0, 4)
-        mujoco.mj_forward(model, data)
-        np.testing.assert_allclose(data.qfrc_bias, robot.dynamics.gravity(data.qpos[None].copy())[0], atol=1e-6)
 
 
 def run(*arguments: object) -> int:

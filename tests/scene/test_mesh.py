@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from shapes import blocks, crate, torus
+from shapes import crate, torus
 
 from hplan.errors import SceneError
 from hplan.scene.file import dump_scene, load_scene, parse_scene, save_scene
@@ -64,27 +64,6 @@ def test_placement():
     assert not hull.core.flags.writeable
 
 
-def test_pieces_are_cut_once(monkeypatch):
-    calls = []
-    from hplan.scene import shape_data
-
-    cut = shape_data.convex_pieces
-    monkeypatch.setattr(shape_data, "convex_pieces", lambda *given: (calls.append(1), cut(*given))[1])
-    block = np.ones((2, 2, 1), dtype=bool)
-    block[1, 1] = False
-    mesh = Mesh.of("crate", *blocks(block, *(np.array(x) for x in ([0.0, 0.1, 0.5], [0.0, 0.1, 0.4], [0.0, 0.3]))))
-    scene = a_scene(mesh)
-    assert {solid.name for solid in scene.solids} == {"crate"}
-    assert scene.solids[0] is scene.solids[0] is scene.with_obstacles([mesh]).solids[0]
-    moved = mesh.model_copy(update={"position": (1.0, 0.0, 0.0), "name": "other"})
-    assert moved.solids[0].name == "other"
-    np.testing.assert_allclose(moved.solids[0].core, mesh.solids[0].core + np.array([1, 0, 0]))
-    assert len(calls) == 1
-    larger = mesh.model_copy(update={"scale": 2.0})
-    np.testing.assert_allclose(np.vstack([s.core for s in larger.solids]).max(axis=0), [1.0, 0.8, 0.6])
-    assert len(calls) == 2
-
-
 def faulty():
     vertices, faces = torus(n=8)
     nan = vertices.copy()
@@ -119,18 +98,6 @@ def test_faulty_arrays(name):
     with pytest.raises(SceneError, match=message) as caught:
         Mesh.of("ring", vertices, faces)
     assert caught.value.where == "ring" or "m across" in caught.value.reason
-
-
-@pytest.mark.parametrize("name", ["open", "inside out", "flat"])
-@pytest.mark.parametrize("kind", ["stl", "ply"])
-def test_faulty_files(name, kind, tmp_path):
-    vertices, faces, message = faulty()[name]
-    path = export(kind, tmp_path, vertices, faces)
-    text = HEAD + f"- name: ring\n  kind: mesh\n  file: {path.name}\n"
-    with pytest.raises(SceneError, match=message) as caught:
-        parse_scene(text, path=tmp_path / "scene.yaml")
-    assert (caught.value.line, caught.value.where) == (8, "obstacles[0].file")
-    assert caught.value.path == tmp_path / "scene.yaml"
 
 
 @pytest.mark.parametrize(

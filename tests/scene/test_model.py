@@ -21,26 +21,6 @@ APPLE = Fruit(name="apple", center=(1.0, 0.0, 1.0), radius=0.04)
 PEAR = Fruit(name="pear", center=(1.2, 0.0, 1.0), radius=0.05)
 
 
-def test_reference_scene(scene):
-    assert scene.name == "table-1"
-    assert scene.start.joints().tolist() == [0.0, 0.0, 0.0, 0.0]
-    np.testing.assert_allclose(np.degrees(scene.goal.joints()), [0.0, 45.0, 60.0, 70.0])
-    assert scene.locked_joints == ("base_yaw",)
-    assert scene.clearance == 0.0
-    assert scene.solids == (Sphere(name="ball", center=(1.0, 0.0, 1.9), radius=0.15),)
-
-
-def test_cores():
-    assert BALL.core.tolist() == [[1.0, 2.0, 3.0]]
-    assert BALL.rounding == 0.5
-    branch = Capsule(name="branch", start=(0.0, 0.0, 0.0), end=(0.0, 0.0, 1.0), radius=0.02)
-    assert branch.core.tolist() == [[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
-    assert branch.rounding == 0.02
-    post = Box(name="post", center=(1.0, 2.0, 3.0), size=(2.0, 4.0, 6.0))
-    assert sorted(map(tuple, post.core.tolist())) == [(x, y, z) for x in (0, 2) for y in (0, 4) for z in (0, 6)]
-    assert post.rounding == 0.0
-
-
 def test_box_turns_as_urdf_does():
     rng = np.random.default_rng(0)
     for rpy in np.vstack([np.eye(3) * 90.0, rng.uniform(-180, 180, (20, 3))]):

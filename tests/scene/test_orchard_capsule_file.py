@@ -14,8 +14,6 @@ from hplan.scene.orchard import MeasuredOptions, import_capsules, import_tree, m
 HEADER = "kind,x1,y1,z1,x2,y2,z2,radius\n"
 TREE = HEADER + "trunk,0,0,0,0,0,1.2,0.02\nbranch,0,0,0.5,0.3,0,0.6,0.005\ntrunk,0,0,1.2,0.1,0,2,0.01\n"
 
-MEASURED = Path(__file__).parents[3] / "shared" / "data" / "measured_trees"
-
 
 @pytest.fixture
 def write(tmp_path):
@@ -25,21 +23,6 @@ def write(tmp_path):
         return path
 
     return write
-
-
-def test_as_it_stands(write):
-    capsules = import_capsules(write(TREE))
-    assert [capsule.name for capsule in capsules] == ["trunk 1", "branch 1", "trunk 2"]
-    assert capsules[1].start == (0.0, 0.0, 0.5)
-    assert capsules[1].end == (0.3, 0.0, 0.6)
-    assert [capsule.radius for capsule in capsules] == [0.02, 0.005, 0.01]
-
-
-def test_turned_then_moved(write):
-    _, branch, top = import_capsules(write(TREE), position=(1.4, -2.0, 0.1), yaw_deg=90.0, prefix="tree 2 ")
-    assert branch.name == "tree 2 branch 1"
-    np.testing.assert_allclose(branch.core, [[1.4, -2.0, 0.6], [1.4, -1.7, 0.7]], atol=1e-12)
-    np.testing.assert_allclose(top.core, [[1.4, -2.0, 1.3], [1.4, -1.9, 2.1]], atol=1e-12)
 
 
 @settings(max_examples=50)
@@ -84,17 +67,6 @@ def test_faults_name_the_line(write, text, line, message):
     with pytest.raises(InputError, match=rf"capsule file .*tree\.csv, line {line}: {message}") as caught:
         import_capsules(write(text))
     assert caught.value.data["line"] == line
-
-
-@pytest.mark.skipif(not MEASURED.is_dir(), reason="the measured trees are not beside the project")
-def test_measured_trees():
-    files = sorted(MEASURED.glob("*.csv"))
-    assert files
-    for path in files:
-        capsules = import_capsules(path, position=(1.4, 0.0, 0.0), yaw_deg=30.0)
-        assert len(capsules) == len(path.read_text().splitlines()) - 1
-        assert {capsule.name.split()[0] for capsule in capsules} == {"trunk", "branch"}
-        assert capsules[0].start == (1.4, 0.0, 0.0)
 
 
 def test_fruit_that_hung_on_a_tree_is_read_with_it(write):

@@ -9,7 +9,7 @@ from script_loader import load_script
 
 from hplan.scene.file import load_scene
 from hplan.scene.model import Scene
-from hplan.scene.orchard import FruitZone, MeasuredOptions, OrchardOptions, generate, measured_orchard
+from hplan.scene.orchard import FruitZone, MeasuredOptions, measured_orchard
 
 TREE = (
     "kind,x1,y1,z1,x2,y2,z2,radius\ntrunk,0,0,0,0,0,2,0.02\n"
@@ -39,51 +39,6 @@ def tree(tmp_path: Path) -> Path:
     path = tmp_path / "tree.csv"
     path.write_text(TREE)
     return path
-
-
-def test_defaults(make: Callable[..., Scene], capsys: pytest.CaptureFixture[str]) -> None:
-    assert make() == generate(OrchardOptions(name="out"))
-    shown = capsys.readouterr().out
-    assert "24, 1.4" in shown
-    assert "fruit 01" in shown
-
-
-def test_every_option_of_a_grown_row(make: Callable[..., Scene], capsys: pytest.CaptureFixture[str]) -> None:
-    text = (
-        "--name row --seed 7 --form trellis --trees 2 --spacing 1 --distance 1.5 --tree-height 2.5 --branches 20 "
-        "--branch-length 0.4 --shoots 1 --fruits 5 --fruit-radius 0.035 --fruit-heights 1 2 --fruit-reach 1.8 "
-        "--vehicle --ground --clearance 0.01 --start 0 80 80 80 --quiet"
-    )
-    options = OrchardOptions(
-        name="row",
-        seed=7,
-        form="trellis",
-        trees=2,
-        spacing=1.0,
-        distance=1.5,
-        tree_height=2.5,
-        branches=20,
-        branch_length=0.4,
-        shoots=1,
-        fruits=5,
-        fruit_radius=0.035,
-        fruit_zone=FruitZone(1.0, 2.0, 1.8),
-        vehicle=True,
-        ground=True,
-        clearance=0.01,
-        goal="fruit 03",
-    )
-    assert make(*text.split(), "--goal", "fruit 03") == generate(options, start_deg=(0, 80, 80, 80))
-    assert capsys.readouterr().out == ""
-
-
-def test_robot_gives_the_heights(make: Callable[..., Scene]) -> None:
-    scene = make("--robot", "orchard_harvester", "--fruits", "30")
-    assert scene.robot == "orchard_harvester"
-    assert min(fruit.center[2] for fruit in scene.fruits) < OrchardOptions().fruit_zone.low
-    assert make("--robot", "harvester", "--fruits", "9") == generate(
-        OrchardOptions(name="out", robot="harvester", fruits=9)
-    )
 
 
 def test_measured_trees(make: Callable[..., Scene], tree: Path) -> None:

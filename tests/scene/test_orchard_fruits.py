@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import itertools
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,11 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hplan.errors import OptionError
-from hplan.scene.orchard import FruitZone, fruit_at_tips, import_capsules
+from hplan.scene.orchard import FruitZone, fruit_at_tips
 from hplan.scene.orchard.fruits import Canopy
 from hplan.scene.orchard.pieces import capsule
-
-MEASURED = Path(__file__).parents[3] / "shared" / "data" / "measured_trees"
 
 #: A trunk with four level branches, a rung of the ladder each.
 TRUNK = capsule("trunk 1", (0.0, 0.0, 0.0), (0.0, 0.0, 2.0), 0.03)
@@ -58,25 +55,6 @@ def test_one_at_each_tip():
         )
     assert apart(fruits)
     assert [math.hypot(*f.center[:2]) for f in fruits] == sorted(math.hypot(*f.center[:2]) for f in fruits)
-
-
-def test_more_fruits_than_tips_hang_behind():
-    fruits = fruit_at_tips(TREE, 14)
-    assert apart(fruits)
-    for fruit in fruits:
-        gaps = [gap(fruit, wood) for wood in TREE]
-        assert TOUCHING[0] <= min(gaps) <= TOUCHING[1]
-    # Those behind hang beneath.
-    hanging = [f for f in fruits if min(math.dist(f.center, b.end) for b in BRANCHES) > 0.06]
-    assert len(hanging) == 10
-    assert all(f.center[2] % 0.4 == pytest.approx(0.4 - 0.0461, abs=2e-4) for f in hanging)
-
-
-def test_seed_chooses_the_tips():
-    chosen = {seed: fruit_at_tips(TREE, 2, seed=seed) for seed in range(12)}
-    assert chosen[3] == fruit_at_tips(TREE, 2, seed=3)
-    assert len(set(chosen.values())) > 3
-    assert fruit_at_tips(TREE, 2, seed=10**40) == fruit_at_tips(TREE, 2, seed=10**40)
 
 
 def test_other_wood_is_avoided_where_that_can_be():
@@ -147,14 +125,3 @@ def test_random_wood(pieces, count, seed):
     assert len(fruits) == count
     assert apart(fruits)
     assert all(min(gap(fruit, piece) for piece in wood) <= TOUCHING[1] for fruit in fruits)
-
-
-@pytest.mark.skipif(not MEASURED.is_dir(), reason="the measured trees are not beside the project")
-def test_twenty_on_every_measured_tree():
-    for path in sorted(MEASURED.glob("*.csv")):
-        wood = import_capsules(path, position=(1.4, 0.0, 0.0))
-        fruits = fruit_at_tips(wood, 20)
-        assert len(fruits) == 20
-        assert apart(fruits)
-        gaps = [min(gap(fruit, piece) for piece in wood) for fruit in fruits]
-        assert TOUCHING[0] <= min(gaps) <= max(gaps) <= TOUCHING[1]

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from hplan.certificate.digests import scene_digest
 from hplan.errors import OutputError, SceneError
-from hplan.scene.file import default_scene_path, dump_scene, load_scene, parse_scene, save_scene
+from hplan.scene.file import dump_scene, load_scene, parse_scene, save_scene
 from hplan.scene.limits import FARTHEST_M
 from hplan.scene.model import Fruit, Goal, Scene, Start
 from hplan.scene.obstacles import Box, Capsule, Cylinder, Sphere
@@ -25,11 +25,6 @@ BALL = "  - {name: ball, kind: sphere, center: [1, 0, 1.9], radius: 0.15}\n"
 
 
 # Good files
-
-
-def test_default_is_table_1():
-    assert default_scene_path().name == "table-1.yaml"
-    assert load_scene() == load_scene(str(default_scene_path()))
 
 
 def test_robot_of_a_scene(tmp_path):
@@ -246,24 +241,6 @@ def test_bad_content(case):
     assert error.message == f"scene file my.yaml, line {line}, {where}: {error.reason}"
     assert len(error.message) < 200
     json.dumps(error.as_dict(), allow_nan=False)
-
-
-@pytest.mark.parametrize(
-    ("line", "text", "where", "message"),
-    [
-        (1, "format: hplan-scene/2", "format", "'hplan-scene/1' (got 'hplan-scene/2')"),
-        (3, "start: {}", "start", "give exactly one of joints_deg, joints_rad; got none"),
-        (3, "start: {joints_deg: [0, x]}", "start.joints_deg[1]", "valid number (got 'x')"),
-        (4, "goal: {fruit: plum}", "goal.fruit", "'plum' is not among the fruits"),
-    ],
-)
-def test_bad_head(line, text, where, message):
-    lines = HEAD.splitlines()
-    lines[line - 1] = text
-    with pytest.raises(SceneError) as caught:
-        parse_scene("\n".join(lines))
-    assert message in caught.value.reason
-    assert (caught.value.where, caught.value.line) == (where, line)
 
 
 # Text that is no scene at all

@@ -10,7 +10,7 @@ from hplan.base import yaml_text
 from hplan.errors import SceneError
 from hplan.scene import file as scene_file
 from hplan.scene.file import load_scene, parse_scene, save_scene
-from hplan.scene.limits import FARTHEST_M, MOST_OBSTACLES, MOST_SCENE_BYTES
+from hplan.scene.limits import FARTHEST_M, MOST_OBSTACLES
 from hplan.scene.model import Fruit, Goal, Scene, Start
 from hplan.scene.obstacles import Capsule, Mesh, PointCloud, Sphere
 
@@ -23,21 +23,6 @@ goal: {joints_deg: [0, 45, 60, 70]}
 
 def ball(index: int) -> Sphere:
     return Sphere(name=f"b{index}", center=(2.0, 0.0, 1.0), radius=0.01)
-
-
-def test_a_scene_file_has_a_largest_size(tmp_path, monkeypatch):
-    path = tmp_path / "scene.yaml"
-    with path.open("wb") as file:
-        file.truncate(MOST_SCENE_BYTES + 1)
-    with pytest.raises(SceneError, match=r"has 8,000,001 bytes or more; at most 8,000,000 are read"):
-        load_scene(path)
-    monkeypatch.setattr(scene_file, "MOST_SCENE_BYTES", len(HEAD))
-    path.write_text(HEAD)
-    assert load_scene(path) == parse_scene(HEAD)
-    path.write_text(HEAD + "#")
-    for read in (lambda: load_scene(path), lambda: parse_scene(HEAD + "#")):
-        with pytest.raises(SceneError, match="at most"):
-            read()
 
 
 def test_a_scene_has_a_largest_number_of_obstacles():

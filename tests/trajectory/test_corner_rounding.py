@@ -82,16 +82,3 @@ def test_parameter_is_the_length_and_curvature_is_continuous():
     for at in path.breaks[1:-1]:
         sides = path.evaluate([at - 1e-9, at + 1e-9], 2)
         np.testing.assert_allclose(sides[0], sides[1], atol=1e-5)
-
-
-def test_waypoints_in_line_and_noise_are_left_out():
-    line = np.linspace(0, 1, 30)[:, None] * [1.0, 2.0]
-    assert len(rounded_path(line, 0.01).control) == 4
-    noisy = line + 0.0005 * np.random.default_rng(0).uniform(-1, 1, line.shape)
-    assert len(rounded_path(noisy, 0.01).control) == 4
-    assert len(rounded_path(noisy, 1e-4).control) > 30
-
-
-def test_equal_waypoints_are_a_constant_path():
-    path = rounded_path([[1.0, 2.0]] * 3, 0.1)
-    np.testing.assert_array_equal(path.evaluate([0.0, 0.5, 1.0]), [[1.0, 2.0]] * 3)

@@ -20,18 +20,6 @@ def load(write):
     return lambda *joints, **options: read_machine(write("robot.urdf", urdf(*joints)), **options)
 
 
-def test_machine_has_the_joints_in_order(toy):
-    assert toy.joint_names == ("a", "b")
-    assert toy.held == {}
-    np.testing.assert_array_equal(toy.model.velocityLimit, [2, 2])
-
-
-def test_prismatic_joint_moves(load):
-    machine = load(f'<joint name="slide" type="prismatic">{LIMIT}', f'<joint name="turn" type="revolute">{LIMIT}')
-    motion = time_waypoints(machine.model, [[0, 0], [0.5, 1]], limits_of(machine.model, 5.0))
-    np.testing.assert_array_equal(motion.position[-1], [0.5, 1.0])
-
-
 def test_continuous_joint_counts_past_a_turn(load):
     machine = load('<joint name="spin" type="continuous"><limit velocity="2" effort="60"/>')
     assert (machine.model.nq, machine.model.nv) == (1, 1)

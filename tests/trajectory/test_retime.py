@@ -146,12 +146,6 @@ def test_reference_motion(robot, limits, smooth_limits, reference_path, jerk):
     assert (trajectory.position[:, 0] == trajectory.position[0, 0]).all()
 
 
-def test_reference_motion_is_at_a_limit_nearly_all_the_time(robot, limits, reference_path):
-    use = row_uses(time_path(reference_path, robot.model, limits), limits)
-    assert (use >= 0.99).mean() >= 0.8
-    assert (use >= 0.999).mean() >= 0.7
-
-
 @settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.integers(0, 10**6), st.integers(4, 12), st.sampled_from([60.0, 250.0, 1000.0]), st.booleans())
 def test_random_motions_keep_their_limits(robot, limits, smooth_limits, seed, count, rate, with_jerk):
@@ -159,13 +153,6 @@ def test_random_motions_keep_their_limits(robot, limits, smooth_limits, seed, co
     kept = limits if with_jerk else smooth_limits
     trajectory = time_path(path, robot.model, kept, rate_hz=rate)
     assert_sound(trajectory, robot.model, kept, rate=rate, path=path, jerk=False)
-
-
-@pytest.mark.parametrize("angle", [1e-3, 0.02, 0.3, 1.2])
-@pytest.mark.parametrize("joint", range(4))
-def test_jerk_of_straight_motions(robot, limits, joint, angle):
-    trajectory = time_path(joint_turn(robot, joint, angle), robot.model, limits)
-    assert jerk_uses(trajectory, limits).max() <= 1.001
 
 
 @pytest.mark.parametrize("rate", [60.0, 250.0, 1000.0])
@@ -284,50 +271,6 @@ def test_a_path_whose_parameter_stands_still_is_refused(robot, limits, where, sh
         time_path(Path(), robot.model, limits)
 
 
-# What cannot be timed
-
-
-@pytest.mark.parametrize("quantity", ["velocity", "acceleration", "jerk"])
-@pytest.mark.parametrize("joint", [0, 2])
-def test_limit_of_zero_for_a_joint_that_must_move(robot, limits, quantity, joint):
-    values = np.array(getattr(limits, quantity))
-    values[joint] = 0.0
-    with pytest.raises(TimingError) as caught:
-        time_path(straight(START, GOAL), robot.model, replace(limits, **{quantity: values}))
-    error = caught.value
-    assert error.joint == robot.joint_names[joint]
-    assert error.cause == f"{quantity} limit of zero"
-    assert repr(error.joint) in error.message
-    assert error.exit_status == 4
-
-
-def test_limits_of_zero_for_joints_that_stay(robot, limits):
-    end = START.copy()
-    end[1:3] += 0.5
-    idle = np.array([0.0, 1.0, 1.0, 0.0])
-    kept = Limits(limits.velocity * idle, limits.acceleration * idle, limits.torque, limits.jerk * idle)
-    trajectory = time_path(straight(START, end), robot.model, kept)
-    assert (trajectory.position[:, [0, 3]] == START[[0, 3]]).all()
-    assert trajectory.duration == time_path(straight(START, end), robot.model, limits).duration
-
-
-@pytest.mark.parametrize("torque", [60.0, 0.0])
-def test_torque_that_cannot_hold_the_arm(robot, limits, torque):
-    values = np.array(limits.torque)
-    values[1] = torque
-    with pytest.raises(TimingError) as caught:
-        time_path(straight(START, GOAL), robot.model, replace(limits, torque=values))
-    error = caught.value
-    assert error.joint == "shoulder"
-    assert error.cause == "static torque exceeds the limit"
-    data = robot.model.createData()
-    path = straight(START, GOAL)
-    static = [
-        abs(pin.computeGeneralizedGravity(robot.model, data, q)[1]) for q in path.evaluate(np.linspace(0, path.end, 99))
-    ]
-    assert f"{max(static):.3g}"[:3] in error.message
-
-
 # Small, closed and awkward motions
 
 
@@ -338,37 +281,6 @@ def test_tiny_motion(robot, limits, joint, angle):
     trajectory = time_path(path, robot.model, limits)
     assert_sound(trajectory, robot.model, limits, path=path)
     assert 0.0 < trajectory.duration < 0.05
-
-
-@pytest.mark.parametrize("angle", [0.0, 1e-9])
-def test_no_motion_rests(robot, limits, angle):
-    end = START + np.array([0, angle, 0, 0])
-    points = np.linspace(START, end, 5)
-    knots = SplinePath.through(np.linspace(0.0, 1.0, 5)[:, None]).knots
-    trajectory = time_path(SplinePath(points, knots), robot.model, limits)
-    assert_rests(robot, trajectory, START)
-
-
-def assert_rests(robot, trajectory, q):
-    assert trajectory.joint_names == robot.joint_names
-    assert trajectory.time.tolist() == [0.0]
-    assert trajectory.duration == 0.0
-    np.testing.assert_array_equal(trajectory.position, [q])
-    assert not trajectory.velocity.any()
-    assert not trajectory.acceleration.any()
-    gravity = pin.computeGeneralizedGravity(robot.model, robot.model.createData(), q)
-    np.testing.assert_allclose(trajectory.torque, [gravity], atol=1e-12)
-
-
-@pytest.mark.parametrize("with_jerk", [False, True])
-def test_closed_path_is_a_motion(robot, limits, smooth_limits, with_jerk):
-    away = START + np.array([[0, 0.3, 0.1, 0], [0.2, 0.3, 0.4, 0.2], [0.2, 0.1, 0.4, 0.2], [0.0, -0.1, 0.1, 0.1]])
-    path = SplinePath.through(np.vstack([START, away, START]))
-    kept = limits if with_jerk else smooth_limits
-    trajectory = time_path(path, robot.model, kept)
-    assert_sound(trajectory, robot.model, kept, path=path, jerk=False)
-    assert trajectory.duration > 0.8
-    np.testing.assert_array_equal(trajectory.position[0], trajectory.position[-1])
 
 
 def there_and_back():

@@ -162,18 +162,6 @@ def test_more_than_full_speed_where_there_is_room(robot):
         scaled(slow, 3.0, robot)
 
 
-def test_rows_far_apart_get_denser_ones_for_the_stop(robot):
-    motion = motions()[1]
-    rows = np.append(np.arange(0, motion.samples - 1, 10), motion.samples - 1)
-    fields = (getattr(motion, name)[rows] for name in ("time", "position", "velocity", "acceleration", "torque"))
-    sparse = Trajectory(motion.joint_names, *fields)
-    found = stopped(sparse, 0.4, robot)
-    assert found.trajectory.duration < sparse.duration
-    assert found.off_path_m <= OFF_PATH
-    assert np.diff(found.trajectory.time)[-1] < 0.01
-    assert not found.trajectory.velocity[-1].any()
-
-
 def test_how_far_it_is_off_the_path_whatever_the_accelerations_say(robot):
     """A file of another program may have zeros there."""
     motion = motions()[1]

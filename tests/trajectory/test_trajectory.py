@@ -30,18 +30,6 @@ def assert_equal(one: Trajectory, other: Trajectory) -> None:
 # The trajectory
 
 
-@pytest.mark.parametrize("row", [0, 3, 6])
-def test_a_motion_from_a_row_on(row):
-    trajectory = some_trajectory(7)
-    rest = trajectory.since(row)
-    assert rest.samples == 7 - row
-    assert rest.time[0] == 0.0
-    np.testing.assert_array_equal(rest.velocity, trajectory.velocity[row:])
-    if row:
-        begin = Trajectory(trajectory.joint_names, *(getattr(trajectory, field)[: row + 1] for field in FIELDS))
-        np.testing.assert_allclose(joined([begin, rest]).time, trajectory.time, rtol=0, atol=1e-12)
-
-
 def test_positions_between_rows_are_on_the_cubics():
     from scipy.interpolate import CubicHermiteSpline
 
@@ -179,11 +167,6 @@ def test_round_trip_is_exact(tmp_path_factory, content):
 def test_odd_joint_names_are_quoted(tmp_path, name):
     trajectory = some_trajectory(joints=(name, "b"))
     assert_equal(read_csv(write_csv(trajectory, tmp_path / "t.csv")), trajectory)
-
-
-def test_no_negative_zero(tmp_path):
-    trajectory = Trajectory(("a",), np.array([0.0, 1.0]), *np.full((4, 2, 1), -0.0))
-    assert "-0.0" not in write_csv(trajectory, tmp_path / "t.csv").read_text()
 
 
 @pytest.mark.parametrize("text", [f"{HEADER}\n0,1,2,3,4\n1,1,2,3,4\n", f"\ufeff{HEADER}\r\n0,1,2,3,4\r\n1,1,2,3,4"])

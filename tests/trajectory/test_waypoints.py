@@ -10,7 +10,7 @@ import pinocchio as pin
 import pytest
 from toy_urdf import urdf
 
-from hplan.errors import OptionError, TimingError
+from hplan.errors import TimingError
 from hplan.robot.limits import Limits
 from hplan.trajectory import largest_deviation, limit_shares, limits_of, read_machine, read_waypoints, time_waypoints
 from hplan.trajectory.trajectory import read_csv
@@ -69,31 +69,6 @@ def test_motion_keeps_its_limits_and_is_fast(toy, deviation):
     np.testing.assert_array_equal(motion.position[[0, -1]], CORNERS[[0, -1]])
     assert largest_deviation(motion.position, CORNERS) <= deviation
     assert limit_shares(motion, limits).bound >= 0.9
-
-
-def test_torque_limits_the_motion(toy):
-    free = limits_of(toy.model, 40.0)
-    tight = Limits(free.velocity, free.acceleration, np.array([12.0, 4.0]))
-    waypoints = [[-1.0, 0.0], [1.0, 1.0], [1.0, -1.0]]
-    slow, fast = (time_waypoints(toy.model, waypoints, limits) for limits in (tight, free))
-    check_by_differencing(toy.model, slow, tight)
-    assert slow.duration > fast.duration
-    assert limit_shares(slow, tight).torque.max() == pytest.approx(1.0, abs=2e-3)
-
-
-def test_jerk_is_kept(toy):
-    limits = limits_of(toy.model, 4.0, 80.0)
-    motion = time_waypoints(toy.model, CORNERS, limits)
-    assert limit_shares(motion, limits).jerk.max() <= 1.001
-    check_by_differencing(toy.model, motion, limits)
-
-
-def test_speed_scales_the_duration(toy):
-    limits = limits_of(toy.model, 4.0)
-    full, half = (time_waypoints(toy.model, CORNERS, limits, speed=speed) for speed in (1.0, 0.5))
-    assert half.duration == pytest.approx(2.0 * full.duration, rel=0.02)
-    with pytest.raises(OptionError, match="speed"):
-        time_waypoints(toy.model, CORNERS, limits, speed=1.5)
 
 
 @pytest.mark.parametrize("waypoints", [[[0.3, 0.2]], [[0.3, 0.2]] * 4, [[0.3, 0.2], [0.3, 0.2 + 1e-9]]])
@@ -203,18 +178,6 @@ def test_script_does_not_overwrite_what_it_reads(script, capsys, files, tmp_path
         assert status == 2
         assert reason in text
     assert files[1].read_bytes() == before
-
-
-def test_a_robot_by_its_name_has_its_own_limits(script, capsys, write, tmp_path):
-    names = ("base_yaw", "shoulder", "elbow", "wrist")
-    rows = write("way.csv", f"{','.join(names)}\n0,0.3,0.3,0.3\n0.5,0.8,0.2,0.4\n")
-    assert run(script, capsys, "harvester", rows, "--out", tmp_path / "a.csv", "--quiet")[0] == 0
-    assert (
-        run(script, capsys, "harvester", rows, "--out", tmp_path / "b.csv", "--quiet", "--limits", "harvester")[0] == 0
-    )
-    assert (tmp_path / "a.csv").read_bytes() == (tmp_path / "b.csv").read_bytes()
-    assert run(script, capsys, "harvester", rows, "--out", tmp_path / "c.csv", "--quiet", "--limits", "ur5")[0] == 2
-    assert run(script, capsys, "harvestr", rows, "--out", tmp_path / "c.csv", "--quiet")[0] == 2
 
 
 # Robots of others

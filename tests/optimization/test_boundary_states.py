@@ -18,7 +18,7 @@ from hplan.optimization.timed_spline import BoundaryState, TimedSpline
 from hplan.optimization.torque_rows import TorqueUse, torque_rows
 from hplan.robot.limits import Limits
 from hplan.scene.obstacles import Sphere
-from hplan.trajectory.trajectory import Trajectory, cubic_pieces
+from hplan.trajectory.trajectory import cubic_pieces
 
 PIECES, STEP = 12, 1e-6
 
@@ -63,14 +63,6 @@ def test_drift_is_the_change_of_the_control_points_with_the_time_scale(seed):
         2.0 * STEP
     )
     np.testing.assert_allclose(spline.drift, change, rtol=0, atol=1e-9)
-
-
-def test_rest_is_the_state_without_motion():
-    spline = random_spline(1, speed=0.0)
-    assert not any(end.velocity.any() or end.acceleration.any() for end in spline.ends)
-    assert (spline.control[:3] == spline.control[0]).all()
-    assert (spline.control[-3:] == spline.control[-1]).all()
-    assert not spline.drift.any()
 
 
 def moved(spline, unknowns, time_scale):
@@ -243,11 +235,3 @@ def test_a_state_beyond_the_limits_has_no_motion(robot):
     rest = BoundaryState.at_rest(START)
     fast = BoundaryState(START + TURN, 4.0 * TURN, 0.0 * TURN)
     assert fastest(robot, (rest, fast)) is None
-
-
-def test_rows_of_a_motion_hold_its_states(robot):
-    motion = fastest(robot, None).trajectory(robot.dynamics, 250.0)
-    state = BoundaryState.of_row(motion, 40)
-    assert isinstance(motion, Trajectory)
-    np.testing.assert_array_equal(state.velocity, motion.velocity[40])
-    np.testing.assert_array_equal(state.acceleration, motion.acceleration[40])

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from any_arms import loaded_arm
 
-import hplan.optimization.minimize_time as optimization
 from hplan.base.arrays import FloatArray
 from hplan.collision.clearance_field import ClearanceField
 from hplan.optimization.coarse_profile import coarse_profile
@@ -14,7 +13,7 @@ from hplan.optimization.first_order import MotionArrays, MotionLimits, first_ord
 from hplan.optimization.minimize_time import minimize_time, rough_motion
 from hplan.optimization.time_problem import TimeProblem
 from hplan.planning.effort import EFFORTS_OF_BODIES
-from hplan.planning.motion import certificate_of, motion_limits, smoothing_options
+from hplan.planning.motion import motion_limits, smoothing_options
 from hplan.planning.options import PlanOptions
 from hplan.planning.task import PlanningCache, PlanningTask
 from hplan.scene.model import Scene
@@ -60,17 +59,6 @@ def test_no_motion_falls_below_what_its_pieces_allow(task: PlanningTask, seed: i
         assert least <= spline.duration * (1.0 + 1e-6)
         assert spline.duration <= (1.0 + 2.0 * level.enough) * least + 1.0 / problem.rate_hz
     assert problem.least_duration(turn, 20) > problem.least_duration(turn, 50) > 0.0
-
-
-def test_pieces_may_meet_between_rows(task: PlanningTask, monkeypatch: pytest.MonkeyPatch) -> None:
-    problem = problem_of(task)
-    monkeypatch.setattr(optimization, "_on_rows", lambda *_: None)
-    found = minimize_time(bent(task, 3), problem, EFFORT)
-    assert found is not None
-    assert found.duration * problem.rate_hz == pytest.approx(round(found.duration * problem.rate_hz), abs=1e-6)
-    assert certificate_of(task, found.trajectory(problem.dynamics, problem.rate_hz)).verified
-    monkeypatch.setattr(optimization, "_of_level", lambda *_: None)
-    assert minimize_time(bent(task, 3), problem, EFFORT) is None
 
 
 def test_rows_that_cannot_be_active_are_left_out(tmp_path_factory: pytest.TempPathFactory) -> None:

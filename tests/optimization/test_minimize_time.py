@@ -38,12 +38,6 @@ def test_limits_are_kept_from_row_to_row_and_between(plans, robot):
         assert use.position <= 1.0 + 1e-6
 
 
-def test_half_speed_takes_its_time(robot, scene, plans):
-    slow = hplan.plan(robot, scene, PlanOptions(speed=0.5))
-    assert slow.certificate.verified
-    assert slow.trajectory.duration > 1.2 * plans["default"].trajectory.duration
-
-
 def test_torque_limits_are_kept(robot, scene):
     weak = np.array(robot.torque_limit)
     largest = np.abs(hplan.plan(robot, scene).trajectory.torque).max(axis=0)

@@ -63,39 +63,6 @@ def test_out_between_obstacles_that_hold_two_links_from_two_sides(robot, locked)
     assert field.clearance(ways[-1][-1]) >= 0.01
 
 
-def test_no_way_out_is_needed_where_there_is_room(robot) -> None:
-    field = ClearanceField.of(robot, [Sphere(name="far", center=(0.0, 5.0, 5.0), radius=0.1)])
-    assert list(leave_contact(np.full(4, 0.5), field, robot.lower, robot.upper, MARGIN)) == []
-
-
-def test_a_motion_through_a_ball_is_mended(robot) -> None:
-    """Straight on it is in contact; joint by joint, or pushed aside, it is not."""
-    first, last = np.array([-0.15, 0.3, 0.3, 0.3]), np.array([0.15, 0.32, 0.3, 0.3])
-    middle = 0.5 * (first + last)
-    tip = robot.tool_positions(middle)
-    ball = [Sphere(name="ball", center=tuple(np.add(tip, (0.0, 0.0, 0.05))), radius=0.03)]
-    field = ClearanceField.of(robot, ball)
-    assert not field.is_clear(np.stack([first, last]), MARGIN)
-    path, contacts = repaired(np.stack([first, last]), field, robot.lower, robot.upper, MARGIN)
-    assert contacts == []
-    np.testing.assert_array_equal(path[[0, -1]], [first, last])
-    assert len(path) > 2
-    assert_clear(robot, ball, path)
-    nothing = ClearanceField.of(robot, [])
-    plain, _ = repaired(np.stack([first, last]), nothing, robot.lower, robot.upper, MARGIN)
-    np.testing.assert_array_equal(plain, [first, last])
-
-
-def test_what_cannot_be_mended_is_named(robot) -> None:
-    """A wall of a ball between two configurations of the yaw alone."""
-    path = np.array([[-0.5, 0.3, 0.3, 0.3], [-0.4, 0.3, 0.3, 0.3], [0.4, 0.3, 0.3, 0.3]])
-    ball = [Sphere(name="ball", center=tuple(robot.tool_positions(np.array([0.0, 0.3, 0.3, 0.3]))), radius=0.3)]
-    lower, upper = robot.lower.copy(), robot.upper.copy()
-    lower[1:] = upper[1:] = 0.3
-    _, contacts = repaired(path, ClearanceField.of(robot, ball), lower, upper, MARGIN)
-    assert contacts == [1]
-
-
 # Whatever is between the nodes
 
 ROBOT = load_robot()
@@ -129,21 +96,6 @@ def assert_repaired(robot: Robot, solids: Any, path: np.ndarray, found: np.ndarr
             assert min(checker.distances(q).min() for q in np.linspace(a, b, count)) > 0.0
 
 
-def test_what_is_clear_stays(robot: Robot) -> None:
-    path = np.array([[0, 0.1, 0.1, 0.1], [0.5, 0.4, 0.2, 0.3], [0.6, 0.8, 0.2, 0.9]])
-    for solids in ([], [Sphere(name="far", center=(0.0, -2.0, 2.0), radius=0.1)]):
-        found, contacts = mend(path, solids)
-        np.testing.assert_array_equal(found, path)
-        assert contacts == []
-        assert not found.flags.writeable
-
-
-def test_a_single_point_stays(robot: Robot) -> None:
-    found, contacts = mend(np.zeros((1, 4)), [])
-    assert found.shape == (1, 4)
-    assert contacts == []
-
-
 def test_joints_one_after_the_other() -> None:
     """Lifting first and turning then passes a low post that the straight motion would hit."""
     low = Capsule(name="low", start=(0.9, 0.25, 0.0), end=(0.9, 0.25, 0.9), radius=0.03)
@@ -153,18 +105,6 @@ def test_joints_one_after_the_other() -> None:
     assert contacts == []
     np.testing.assert_array_equal(found, [path[0], [0.0, 0.5, 0.0, 0.0], path[1]])
     assert_repaired(ROBOT, [low], path, found, contacts)
-
-
-def test_pushed_over_an_obstacle() -> None:
-    """No order of the joints helps where one joint alone has to move: the middle is pushed out."""
-    for side in (0.0, 0.35):
-        solids = [Sphere(name="ball", center=(1.7 * np.cos(side), 1.7 * np.sin(side), 0.54), radius=0.05)]
-        path = np.array([[side - 0.2, 0.0, 0.0, 0.0], [side + 0.2, 0.0, 0.0, 0.0]])
-        assert not ClearanceField.of(ROBOT, solids).is_clear(path, FAR)
-        found, contacts = mend(path, solids)
-        assert contacts == []
-        assert len(found) > 2
-        assert_repaired(ROBOT, solids, path, found, contacts)
 
 
 def test_locked_joints_do_not_move() -> None:

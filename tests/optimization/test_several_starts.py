@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from hplan.collision.clearance_field import ClearanceField
-from hplan.optimization import several_starts
 from hplan.optimization.minimize_time import Effort, Level
 from hplan.optimization.options import PostprocessOptions
 from hplan.optimization.several_starts import StartsEffort, fastest_motions, optimization_starts
@@ -47,27 +45,6 @@ def test_the_faster_class_wins_whatever_comes_first(problem):
     assert max(alone) > 1.01 * min(alone)
     for order in (starts, starts[::-1]):
         assert fastest_motions(order, EFFORT)[0][1].duration == pytest.approx(min(alone), rel=0.005)
-
-
-def test_one_rough_motion_for_each_class(problem, monkeypatch):
-    starts = optimization_starts(paths(), problem)
-    made = []
-    original = several_starts.rough_motion
-    monkeypatch.setattr(several_starts, "rough_motion", lambda *given: made.append(given) or original(*given))
-    fastest_motions(starts, EFFORT)
-    assert len(made) == 2
-    made.clear()
-    fastest_motions(starts, replace(EFFORT, others=3))
-    assert len(made) == 3
-    made.clear()
-    fastest_motions(starts[:1], EFFORT)
-    assert not made
-
-
-def test_what_cannot_be_of_use_is_not_finished(problem):
-    starts = optimization_starts(paths(), problem)
-    assert fastest_motions(starts, EFFORT, quicker_than_s=0.3) == []
-    assert fastest_motions([], EFFORT) == []
 
 
 def test_paths_in_contact_give_no_start(problem):

@@ -98,25 +98,6 @@ def test_length(control):
     assert path.length <= polygon * (1 + 2e-2)
 
 
-def test_length_of_a_path_without_cusps():
-    s = np.linspace(0.0, 1.0, 12)
-    path = SplinePath.through(np.column_stack([s, np.sin(2 * s), 0.5 * np.cos(3 * s)]))
-    points = path.evaluate(np.linspace(0.0, path.end, 20001))
-    chords = np.linalg.norm(np.diff(points, axis=0), axis=1).sum()
-    assert path.length == pytest.approx(chords, rel=1e-8)
-
-
-def test_straight_path_runs_as_its_length():
-    start, end = np.array([0.1, -0.3]), np.array([1.3, 0.2])
-    path = SplinePath.through(start + np.linspace(0.0, 1.0, 9)[:, None] * (end - start))
-    length = np.linalg.norm(end - start)
-    assert path.end == pytest.approx(length, rel=1e-14)
-    assert path.length == pytest.approx(length, rel=1e-12)
-    inner = np.linspace(path.breaks[3], path.breaks[-4], 50)
-    speed = np.linalg.norm(path.evaluate(inner, 1), axis=1)
-    np.testing.assert_allclose(speed, 1.0, rtol=1e-9)
-
-
 def test_evaluate_clips_and_keeps_shapes():
     path = SplinePath.through(np.random.default_rng(1).uniform(size=(6, 3)))
     np.testing.assert_array_equal(path.evaluate([-1.0, 99.0]), path.control[[0, -1]])
@@ -124,14 +105,6 @@ def test_evaluate_clips_and_keeps_shapes():
     assert path.evaluate(np.zeros((2, 5)), 2).shape == (2, 5, 3)
     for array in (path.control, path.knots, path.breaks, path.pieces):
         assert not array.flags.writeable
-
-
-def test_joint_that_stands_still_stays_to_rounding():
-    control = np.random.default_rng(2).uniform(size=(9, 3))
-    control[:, 1] = 0.7
-    path = SplinePath.through(control)
-    assert np.ptp(path.pieces[:, :, 1]) <= 1e-15
-    assert np.abs(path.evaluate(np.linspace(0, path.end, 200))[:, 1] - 0.7).max() <= 5e-16
 
 
 # Pieces in the world

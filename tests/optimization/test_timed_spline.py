@@ -46,10 +46,3 @@ def test_rows_are_the_motion(robot):
     bezier, durations = cubic_pieces(rows)
     middle = (bezier * np.array([1.0, 3.0, 3.0, 1.0])[:, None] / 8.0).sum(axis=1)
     np.testing.assert_allclose(middle, spline.path.evaluate(rows.time[:-1] + 0.5 * durations), atol=1e-13)
-
-
-def test_time_scale_stretches_time_alone():
-    spline = TimedSpline.near(swing, even_breaks(1.0, 20))
-    slower = spline.at_time_scale(1.5)
-    assert slower.duration == 1.5
-    np.testing.assert_allclose(slower.path.evaluate(0.9), spline.path.evaluate(0.6), atol=1e-12)

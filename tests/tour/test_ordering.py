@@ -157,13 +157,6 @@ def test_nearest_never_carries_more_than_it_can(seed: int, capacity: int) -> Non
     assert loads == [capacity] * (13 // capacity) + [13 % capacity] * (13 % capacity > 0)
 
 
-def test_nearest_takes_the_drop_off_where_nothing_leads_on() -> None:
-    onward = np.full((2, 2), np.inf)
-    costs = Costs(np.arange(3), np.array([1.0, 2.0]), onward, np.ones(2), np.ones(2), np.ones(2), 2)
-    assert nearest(costs).dropped.tolist() == [True, False]
-    assert nearest(costs).cost == 4.0
-
-
 @pytest.mark.parametrize("find", [best, nearest, lambda costs: along(costs, [1, 0, 2])])
 def test_no_tour_costs_infinity(find: object) -> None:
     none = np.full(3, np.inf)
@@ -171,10 +164,3 @@ def test_no_tour_costs_infinity(find: object) -> None:
     found = find(costs)  # type: ignore[operator]
     assert found.cost == math.inf
     assert sorted(found.places) == [0, 1, 2]
-
-
-def test_one_fruit_and_none() -> None:
-    costs = Costs(np.array([0, 2]), np.array([2.0, 1.0]), np.zeros((2, 2)), *[np.zeros(2)] * 3, 0)
-    assert best(costs).places.tolist() == [1]
-    assert best(costs).cost == 1.0
-    assert along(costs, []).cost == 0.0

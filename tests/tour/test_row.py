@@ -85,11 +85,6 @@ def test_covers_are_those_of_trying_all(seed: int) -> None:
             assert paid == pytest.approx(cost, rel=1e-4)
 
 
-def test_where_greed_takes_one_set_too_many() -> None:
-    costs = [dict.fromkeys(names, 1.0) for names in ("abcd", "abe", "cdf")]
-    assert {i: "".join(names) for i, names in cover(costs, math.inf)[0].items()} == {1: "abe", 2: "cdf"}
-
-
 # Places
 
 
@@ -111,15 +106,6 @@ def test_what_the_vehicle_carries_stays_with_the_base(scene: Scene) -> None:
     bin_ = Box(name="bin", center=(-0.9, 0.0, 0.2), size=(0.4, 0.4, 0.4))
     seen = Place(2, 1.0, 0.0).seen(scene.with_obstacles([*scene.obstacles, bin_]), replace(COARSE, carried=("bin",)))
     assert [one for one in seen.obstacles if one.name == "bin"] == [bin_]
-
-
-def test_driving_takes_what_a_trapezoid_of_velocity_takes() -> None:
-    options = RowOptions(speed=0.5, acceleration=0.5, lift_speed=0.1)
-    assert options.drive_s(0.5) == pytest.approx(2.0)  # a second up, a second down
-    assert options.drive_s(-2.5) == pytest.approx(6.0)
-    assert options.drive_s(0.125) == pytest.approx(1.0)
-    assert options.drive_s(0.5, 0.4) == pytest.approx(4.0)
-    assert options.drive_s(0.0) == 0.0
 
 
 def test_fruit_behind_others_can_be_picked_once_they_are(arm: Robot, scene: Scene) -> None:

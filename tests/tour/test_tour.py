@@ -19,13 +19,12 @@ from hplan.base import ties
 from hplan.certificate.certificate import Certificate
 from hplan.certificate.limit_use import LimitUse
 from hplan.collision.coal_scene import CoalScene
-from hplan.errors import BlockedError, ConfigurationInCollisionError, InputError, TourError, UnreachableError
+from hplan.errors import BlockedError, InputError, TourError, UnreachableError
 from hplan.planning.motion import Motion
 from hplan.planning.options import PlanOptions
 from hplan.planning.task import PlanningCache
-from hplan.robot.limits import rest_to_rest
 from hplan.robot.model import Robot
-from hplan.scene.file import load_scene, save_scene
+from hplan.scene.file import save_scene
 from hplan.scene.model import Fruit, Goal, Scene, Start
 from hplan.scene.obstacles import Box, Sphere
 from hplan.tour.carried import carrying
@@ -162,13 +161,6 @@ def test_order_is_best_and_certified(robot: Robot, scene: Scene, tour: TourResul
     assert tour.order[:2] in {("b", "d"), ("d", "b"), ("a", "c"), ("c", "a")}
 
 
-def test_no_other_order_is_faster(robot: Robot, scene: Scene, tour: TourResult) -> None:
-    for order in (tour.order[::-1], (*tour.order[1:], tour.order[0]), (*tour.order[2:], *tour.order[:2])):
-        other = plan_tour(robot, scene, OPTIONS, fruits=order, tour=TourOptions(order="given"))
-        assert other.order == order
-        assert other.duration >= tour.duration - 1e-9
-
-
 def test_costs_are_on_a_raster(robot: Robot, scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
     """Motions last whole periods, so that sums of them tie: no order of adding them up may decide."""
     seen: list[Costs] = []
@@ -247,36 +239,6 @@ def test_gap_that_only_the_empty_arm_fits_into(robot: Robot) -> None:
     assert {o["obstacle"] for o in result.unreached[0].error.obstacles} <= {"side -1", "side 1"}
 
 
-def test_each_fruit_on_its_own(robot: Robot, scene: Scene) -> None:
-    x, y, z = robot.tool_positions(DROP.joints()).tolist()
-    result = plan_tour(
-        robot, scene, OPTIONS, fruits=["b", "a"], tour=TourOptions(drop_off=Goal(position=(x, y, z)), order="given")
-    )
-    assert_sound(robot, scene, result)
-    assert result.order == ("b", "a")
-    for leg in result.legs:
-        assert leg.phases[-1].name == "drop"
-        end = leg.trajectory.position[-1]
-        np.testing.assert_allclose(robot.tool_positions(end), (x, y, z), rtol=0, atol=1e-6)
-    assert result.report["tour"]["every"] == 1
-
-
-def test_drop_off_at_the_start_and_back(robot: Robot, scene: Scene) -> None:
-    start = Goal(joints_rad=tuple(scene.start.configuration.tolist()))
-    result = plan_tour(robot, scene, OPTIONS, fruits=["a"], tour=TourOptions(drop_off=start, back=True))
-    assert [leg.name for leg in result.legs] == ["a", "return"]
-    assert result.legs[-1].trajectory.duration == 0.0
-    assert result.duration == result.legs[0].trajectory.duration
-    assert_sound(robot, scene, result)
-
-
-def test_back_to_the_start(robot: Robot, scene: Scene) -> None:
-    result = plan_tour(robot, scene, OPTIONS, fruits=["a", "c"], tour=TourOptions(back=True, grasps=1))
-    assert [leg.name for leg in result.legs[2:]] == ["return"]
-    assert result.report["totals_s"]["best"] == pytest.approx(result.duration, abs=1e-6)
-    assert_sound(robot, scene, result)
-
-
 # What is not picked
 
 
@@ -325,24 +287,6 @@ def test_no_fruit_at_all_is_an_error_with_all_reasons(robot: Robot) -> None:
     assert error.value.exit_status == 3
     assert [name for name, _ in error.value.reasons] == [item.name for item in far]
     assert json.loads(json.dumps(error.value.as_dict()))["unreached"][4]["error"]["reason"] == "too_far"
-
-
-def test_where_no_direct_motion_is_found_the_way_is_over_the_start(
-    robot: Robot, scene: Scene, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    plan = Moves._plan
-
-    def none_between_places(self: Moves, key: tuple[int, int, bool], found: Any) -> None:
-        plan(self, key, found if key[0] == 0 else None)
-
-    monkeypatch.setattr(Moves, "_plan", none_between_places)
-    result = plan_tour(robot, scene, OPTIONS, fruits=["a", "b"])
-    assert_sound(robot, scene, result)
-    assert [phase.name for phase in result.legs[1].phases] == ["transit", "transit", "approach", "retreat"]
-    monkeypatch.setattr(Moves, "_plan", lambda self, key, found: plan(self, key, None))
-    result = plan_tour(robot, scene, OPTIONS, fruits=["a", "b"], tour=TourOptions(drop_off=DROP, every=2))
-    assert set(result.order) == {"a", "b"}
-    assert all(leg.phases[-1].name == "drop" for leg in result.legs)
 
 
 def moves_of_seconds(robot: Robot, seconds: dict[tuple[int, int], float], stops: Sequence[Stop]) -> Moves:
@@ -404,13 +348,6 @@ def test_joins_are_those_over_all_stops_at_once() -> None:
                 assert sum(direct[pair] for pair in itertools.pairwise(way)) <= joins.between(a, b) + 1e-9
 
 
-def test_unplanned_motions_cost_what_none_can_undercut(robot: Robot, tour: TourResult) -> None:
-    limits = robot.velocity_limit, robot.acceleration_limit, robot.jerk_limit
-    for begin, end in itertools.pairwise(rests_of(tour)):
-        turned = np.abs(np.diff(tour.trajectory.position[rows_at(tour.trajectory, (begin, end))], axis=0)[0])
-        assert rest_to_rest(turned, *limits).max() <= end - begin + 1e-9
-
-
 def test_motions_flow_where_that_is_quicker(robot: Robot, scene: Scene, tour: TourResult) -> None:
     stopping = plan_tour(
         robot, scene, replace(OPTIONS, effort="quick"), fruits=list(tour.order), tour=TourOptions(order="given")
@@ -452,32 +389,6 @@ def test_approaches_and_retreats_in_motion_are_straight(robot: Robot, tour: Tour
             off = np.linalg.norm(tool - tip - along[:, None] * line, axis=1)
             assert off.max() < 1e-4
             assert along.max() >= leg.grasp.distance - 1e-4
-
-
-def test_other_grasps_take_the_place_of_those_that_are_not_used(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
-    scene, fruits = load_scene("tour"), ["fruit 19", "fruit 02", "fruit 16", "fruit 08", "fruit 13"]
-
-    def durations(of: int) -> tuple[float, float]:
-        """With that many grasps of each fruit at a time, and with no others in their place."""
-        options = TourOptions(grasps=of)
-        with monkeypatch.context() as patch:
-            patch.setattr("hplan.tour.motions.WIDENINGS", 0)
-            before = plan_tour(robot, scene, OPTIONS, fruits=fruits, tour=options).duration
-        return plan_tour(robot, scene, OPTIONS, fruits=fruits, tour=options).duration, before
-
-    wider, before = durations(3)
-    assert wider < before
-    wider, before = durations(1)
-    assert wider == before
-
-
-# Refusals
-
-
-def test_start_in_collision(robot: Robot) -> None:
-    scene = orchard(robot, obstacles=[Sphere(name="ball", center=(0.0, 0.0, 1.6), radius=0.3)])
-    with pytest.raises(ConfigurationInCollisionError, match="start is in collision"):
-        plan_tour(robot, scene, OPTIONS)
 
 
 # The command

@@ -14,14 +14,6 @@ from hplan.grid.grid import MAX_NODES, Grid, Occupancy, words_for
 # Nodes
 
 
-def test_one_degree_over_a_right_angle():
-    grid = Grid.over([0.0, 0.0, 0.0], [math.pi / 2] * 3, math.radians(1.0))
-    assert grid.shape == (91, 91, 91)
-    assert grid.size == 753_571
-    np.testing.assert_allclose(np.degrees(grid.step), 1.0, rtol=1e-14)
-    np.testing.assert_allclose(np.degrees(grid.axis(1)), np.arange(91), atol=1e-12)
-
-
 @given(st.floats(-10, 10), st.floats(1e-3, 20), st.floats(0.01, 30))
 def test_first_and_last_node_are_the_limits(lower, width, step):
     grid = Grid.over([lower], [lower + width], step)
@@ -30,13 +22,6 @@ def test_first_and_last_node_are_the_limits(lower, width, step):
     assert axis[-1] == pytest.approx(lower + width, abs=1e-12)
     assert len(axis) == grid.shape[0] >= 2
     assert np.diff(axis).max() <= step * (1 + 1e-6)
-
-
-def test_equal_limits_are_one_node():
-    grid = Grid.over([0.0, 0.7], [1.0, 0.7], 0.5)
-    assert grid.shape == (3, 1)
-    assert grid.axis(1).tolist() == [0.7]
-    assert (grid.step > 0.0).all()
 
 
 def test_coordinates_and_places_are_inverse():

@@ -3,7 +3,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields
 
-import coal
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -165,13 +164,6 @@ def test_any_capsule(seed):
     check(core, radius, lambda p: point_segment(p, core[0], core[1]), rng)
 
 
-@pytest.mark.parametrize("height", [0.0, 0.1, 0.2, -0.2499])
-def test_sphere_is_exact(height):
-    section = plane_section(np.array([[1.0, 2.0, height]]), 0.25)
-    assert section.vertices.tolist() == [[1.0, 2.0]]
-    assert section.radius == pytest.approx(math.sqrt(0.25**2 - height**2), abs=1e-15)
-
-
 @pytest.mark.parametrize("side", [1.0, -1.0])
 @pytest.mark.parametrize("core", [[[0, 0, 1], [1, 0, 2]], [[0, 0, 1]], [[0, 0, 1], [1, 0, 1], [0, 1, 1], [0, 0, 3]]])
 def test_plane_that_just_touches(core, side):
@@ -184,27 +176,6 @@ def test_plane_that_just_touches(core, side):
     assert np.ptp(touched.vertices, axis=0).max() <= spread + 2e-3
     near = plane_section(core, 1.0 + 1e-9)
     assert np.ptp(near.vertices, axis=0).max() <= spread + 2e-3
-
-
-@pytest.mark.parametrize("size", [1e-9, 1e-4, 1e3, 1e6])
-def test_any_size_ends(size):
-    core = size * np.array([[-1.0, 0.3, -1.0], [1.0, 0.1, 1.0], [0.2, -0.7, 0.4], [0.3, 0.2, -0.5]])
-    for count in (1, 2, 4):
-        solid = Solid(core[-count:] - core[-1] * [0.0, 1.0, 0.0], 0.1 * size)
-        (section,) = cut(solid)
-        assert np.isfinite(section.vertices).all()
-        assert len(section.vertices) <= 256
-
-
-def test_many_core_points():
-    """More than are searched for a rounding; a ball as a hull."""
-    rng = np.random.default_rng(5)
-    points = rng.normal(size=(400, 3))
-    points *= 0.2 / np.linalg.norm(points, axis=1)[:, None]
-    section = plane_section(points, 0.05)
-    directions = unit(np.linspace(0.0, 7.0, 99))
-    stands_out = support_of(section, directions) - supports(points, 0.05, directions)
-    assert 0.0 <= stands_out.min() <= stands_out.max() <= SECTION_ERROR
 
 
 # Sections for an arm
@@ -228,56 +199,6 @@ def random_solid(kind, rng, yaw=0.0):
         return Cylinder(name="can", center=center, length=length, radius=radius, rpy_deg=rpy)
     size, rpy = tuple(rng.uniform(0.02, 0.6, 3)), tuple(rng.uniform(-180.0, 180.0, 3))
     return Box(name="crate", center=center, size=size, rpy_deg=rpy)
-
-
-def coal_model(robot, obstacle):
-    """The robot's arm links and one obstacle, in coal."""
-    geometry = robot.collision_model.copy()
-    if isinstance(obstacle, Sphere):
-        shape, rotation, centre = coal.Sphere(obstacle.radius), np.eye(3), obstacle.center
-    elif isinstance(obstacle, Box):
-        shape, rotation, centre = coal.Box(*obstacle.size), obstacle.rotation, obstacle.center
-    elif isinstance(obstacle, Cylinder):
-        shape = coal.Cylinder(obstacle.radius, obstacle.length)
-        rotation, centre = obstacle.rotation, obstacle.center
-    else:
-        axis = np.subtract(obstacle.end, obstacle.start)
-        shape = coal.Capsule(obstacle.radius, float(np.linalg.norm(axis)))
-        rotation = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), axis).matrix()
-        centre = 0.5 * np.add(obstacle.start, obstacle.end)
-    placement = pin.SE3(rotation, np.array(centre))
-    index = geometry.addGeometryObject(pin.GeometryObject(obstacle.name, 0, placement, shape))
-    for other, shape in enumerate(geometry.geometryObjects):
-        if shape.parentJoint > (1 if robot.has_yaw else 0):
-            geometry.addCollisionPair(pin.CollisionPair(other, index))
-    return geometry
-
-
-def coal_occupied(robot, obstacle, yaw, grid):
-    geometry = coal_model(robot, obstacle)
-    index = np.stack(np.meshgrid(*(np.arange(n) for n in grid.shape), indexing="ij"), axis=-1).reshape(-1, 3)
-    q = np.column_stack([np.full(len(index), yaw), grid.coordinates(index)])
-    pool = pin.GeometryPool(robot.model, geometry, 1)
-    return np.array(pin.computeCollisionsInParallel(1, pool, q.T, True, False), dtype=bool).reshape(grid.shape)
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_coal_finds_no_collision_in_a_free_node(robot, kind):
-    rng = np.random.default_rng(7)
-    grid = joint_grid(robot.arm, math.radians(6.0))
-    collisions = refused = free = 0
-    for _ in range(60):
-        yaw = rng.uniform(-math.pi, math.pi)
-        obstacle = random_solid(kind, rng, yaw)
-        ours = occupancy(robot.arm, arm_sections(robot, [obstacle], yaw=yaw), grid).occupied
-        theirs = coal_occupied(robot, obstacle, yaw, grid)
-        assert not (theirs & ~ours).any(), obstacle
-        collisions += theirs.sum()
-        refused += (ours & ~theirs).sum()
-        free += (~theirs).sum()
-    assert collisions > 10_000
-    # Balls agree node for node; polygons stand out by up to SECTION_ERROR and so refuse a few free nodes.
-    assert refused <= (0 if kind == "sphere" else 2e-3 * free)
 
 
 def test_rectangle_takes_a_ball_beside_its_flank_as_nearer(robot):

@@ -360,22 +360,6 @@ def _shifted(x: float) -> float:
     return x + SHIFT
 
 
-def test_what_numba_has_no_machine_code_of_is_not_kept(folder: Path) -> None:
-    """It is used all the same, and compiled again by the next program."""
-    lost = """
-from numba.core.codegen import CPUCodeLibrary
-
-def serialize(self):
-    raise RuntimeError("no compiled object yet")
-
-CPUCodeLibrary.serialize_using_object_code = serialize
-"""
-    said, warned = run(folder, lost + USE)
-    assert said == "False True 4.0 6.0"
-    assert "a compiled kernel cannot be kept: no compiled object yet" in warned
-    assert run(folder) == ("False True 4.0 6.0", "")
-
-
 def test_what_is_not_known_is_not_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(nb.config, "CACHE_DIR", str(tmp_path))
     monkeypatch.setattr(kernels, "_GIVEN", set())

@@ -110,16 +110,6 @@ def test_largest_standoff_against_dense_sampling(variants, name, seed):
             assert beyond.largest[0] == pytest.approx(largest, abs=1e-9)
 
 
-def test_joint_in_the_way(robot):
-    """The shoulder meets its limit where the tool says so."""
-    goal = np.array([0.0, 0.2, 0.2, 0.8])
-    found = standoffs(robot, goal[None], 1.0)
-    assert not found.feasible[0]
-    assert 0.0 < found.largest[0] < 1.0
-    start = ApproachPath(robot, goal, found.largest[0]).evaluate(0.0)
-    assert start[1] == pytest.approx(0.0, abs=1e-9)
-
-
 def test_elbow_in_the_way(variants):
     """Backwards towards the stretched arm; and a goal with the arm stretched has no approach."""
     robot = variants["upright on a yaw"]
@@ -147,15 +137,6 @@ def test_standoffs_of_candidates(robot):
     assert standoffs(robot, np.empty((0, 4)), 0.1).feasible.shape == (0,)
 
 
-def test_locked_joints_stand_still(variants):
-    robot = variants["five links on a yaw"]
-    goal = np.array([0.2, 0.4, 0.6, -0.5, 0.7, 0.3])
-    path = ApproachPath(robot, goal, 0.1, locked=("j0", "j4"))
-    assert_straight(path)
-    q = path.evaluate(np.linspace(0.0, path.end, 11))
-    assert (np.ptp(q, axis=0) > 0.0).tolist() == [False, False, True, True, True, False]
-
-
 # Timing
 
 
@@ -174,6 +155,3 @@ def test_timed(robot, goal):
     away = robot.tool_positions(motion.position) - robot.tool_positions(goal)
     beside = away - (away @ direction)[:, None] * direction
     assert np.linalg.norm(beside, axis=1).max() < 1e-3
-
-
-# What is no question

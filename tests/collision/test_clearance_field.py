@@ -14,7 +14,7 @@ from hplan.collision import obstacle_rows
 from hplan.collision.body_kernels import FAR
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.coal_scene import CoalScene
-from hplan.scene.obstacles import Box, Capsule, Cylinder, Sphere
+from hplan.scene.obstacles import Box, Cylinder, Sphere
 from hplan.scene.solids import Cloud, hull_of
 
 #: Clearances beyond all of the scenes [m].
@@ -137,38 +137,6 @@ def test_cylinders_from_outside(robot):
             assert (found[true < 0.0] < can.excess).all()
             excess += [*(true - found)[apart] / can.excess]
     assert max(excess) > 0.9
-
-
-def test_links_in_line_with_and_across_obstacles(robot):
-    """Parallel segments, capsules of no length, a box whose faces the arm runs along."""
-    obstacles = [
-        Capsule(name="above", start=(0.3, 0, 1.0), end=(0.7, 0, 1.0), radius=0.05),
-        Capsule(name="ahead", start=(2.5, 0, 0.6), end=(3.0, 0, 0.6), radius=0.05),
-        Capsule(name="long", start=(-5, 0.4, 0.6), end=(5, 0.4, 0.6), radius=0.1),
-        Capsule(name="backwards", start=(2.0, 0, 0.2), end=(-1.0, 0, 0.2), radius=0.1),
-        Capsule(name="point", start=(1.2, 0.1, 0.9), end=(1.2, 0.1, 0.9), radius=0.1),
-        Box(name="block", center=(1.4, 0.0, 0.3), size=(0.6, 0.4, 0.2)),
-        Box(name="turned", center=(0.5, 0.6, 0.6), size=(0.2, 0.3, 0.4), rpy_deg=(0, 0, 90)),
-    ]
-    flat = np.zeros(4)
-    for obstacle in obstacles:
-        assert_clearances_match(robot, [obstacle], [flat, [np.pi / 2, 0, 0, 0], [0, np.pi / 2, 0, 0]])
-    for some in itertools.combinations(obstacles, 3):
-        assert_clearances_match(robot, some, [flat])
-    field = ClearanceField.of(robot, obstacles[:1])
-    ends = np.hypot([0.0, 0.3, 1.1], 0.4)  # of the capsule from the links' nearest points
-    np.testing.assert_allclose(field.link_clearances(flat, ALL), ends - 0.05 - robot.arm.half_widths, atol=1e-12)
-
-
-def test_nearest_of_many_is_not_culled(robot):
-    """A wire far longer than the others has its middle far away; big obstacles hide small ones."""
-    rng = np.random.default_rng(4)
-    wire = Capsule(name="wire", start=(-40, 0.5, 1.0), end=(90, 0.7, 1.2), radius=0.002)
-    wall = Box(name="wall", center=(0, -5, 0), size=(30, 0.1, 30), rpy_deg=(3, 2, 1))
-    for _ in range(10):
-        obstacles = [wall, wire, *random_obstacles(rng, 30)]
-        rng.shuffle(obstacles)
-        assert_clearances_match(robot, obstacles, rng.uniform(robot.lower, robot.upper, (3, 4)))
 
 
 def crowd(rng):
@@ -331,19 +299,6 @@ def test_contact_for_a_moment_is_refused(robot):
             field = ClearanceField.of(robot, [bead])
             assert field.is_clear([start, end], 0.5e-4) is clear
             assert field.is_clear([end, start], 0.5e-4) is clear
-
-
-def test_every_segment_of_a_path_counts(robot):
-    obstacle = Sphere(name="ball", center=(1.0, 0.0, 1.9), radius=0.15)
-    field = ClearanceField.of(robot, [obstacle])
-    free, blocked = np.radians([[0, 0, 0, 0], [0, 20, 0, 0]]), np.radians([[0, 0, 0, 0], [0, 90, 0, 0]])
-    assert field.is_clear(free, 1e-3)
-    assert not field.is_clear(blocked, 1e-3)
-    assert not field.is_clear(np.vstack([free, blocked[1]]), 1e-3)
-    assert not field.is_clear(np.vstack([blocked, free[1]]), 1e-3)
-    assert field.is_clear(free[:1], 1e-3)
-    assert field.is_clear(free[[0, 0]], 1e-3)
-    assert not field.is_clear(blocked[[1, 1]] * [0, 0.62, 0, 0], 1e-3)  # standing in contact
 
 
 @pytest.mark.parametrize("joint", [0, 1, 3])

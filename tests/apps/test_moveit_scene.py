@@ -16,7 +16,7 @@ from hplan.apps.ros import read_moveit_scene
 from hplan.errors import SceneError
 from hplan.scene.file import load_scene, save_scene
 from hplan.scene.model import Scene
-from hplan.scene.obstacles import Box, Cylinder, Mesh, Sphere
+from hplan.scene.obstacles import Box, Cylinder, Sphere
 from hplan.scene.prism import ERROR
 
 NEW = """\
@@ -160,18 +160,6 @@ def test_poses_of_object_and_shape_one_after_the_other(
     assert isinstance(box, Box)
     np.testing.assert_allclose(box.center, expected, atol=1e-9)
     np.testing.assert_allclose(box.rotation, outer.rotation @ inner.rotation, atol=1e-9)
-
-
-def test_a_mesh(read: Any) -> None:
-    (wedge,) = read(one(PYRAMID, "1 0 0\n0 0 1 0\n"))
-    assert isinstance(wedge, Mesh)
-    vertices, _ = wedge.surface
-    assert sorted(np.round(vertices, 9).tolist()) == [
-        [0.8, 0.0, 0.0],
-        [1.0, -0.2, 0.0],
-        [1.0, 0.0, 0.0],
-        [1.0, 0.0, 0.2],
-    ]
 
 
 def test_an_open_mesh(read: Any) -> None:

@@ -41,16 +41,6 @@ def around_a_post(robot: Robot) -> PlanResult:
 
 
 @needs_mujoco
-def test_the_machine_that_the_controller_knows(robot: Robot, around_a_post: PlanResult) -> None:
-    scene, motion = around_a_post.motion.task.scene, around_a_post.trajectory
-    plain, same = execute(robot, scene, motion), execute(robot, scene, motion, Plant())
-    np.testing.assert_array_equal(plain.position, same.position)
-    assert plain.is_within(MODEL)
-    assert not plain.is_within(TrackingModel())
-    np.testing.assert_allclose(plain.reference[-1], motion.position[-1])
-
-
-@needs_mujoco
 def test_a_late_command_is_a_lag_of_as_long(robot: Robot, around_a_post: PlanResult) -> None:
     """Every joint is behind by its velocity times the delay, and so within a model of that delay alone."""
     delay = 5e-3

@@ -19,7 +19,6 @@ from hplan.collision.coal_scene import CoalScene
 from hplan.errors import InputError
 from hplan.planning.plan import plan
 from hplan.planning.result import PlanResult
-from hplan.robot.family.members import ArmSpec, write_robot
 from hplan.robot.model import Robot, load_robot
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Box, Capsule, Cylinder, Mesh, PointCloud, Sphere
@@ -114,23 +113,6 @@ def test_the_exported_reference_plan(robot: Robot, scene: Scene, planned: PlanRe
 
 
 @needs_mujoco
-def test_straight_through_the_obstacle(robot: Robot, scene: Scene) -> None:
-    motion = straight(robot, scene, 4.0)
-    result = execute(robot, scene, motion)
-    assert not result.ok
-    assert not result.ended_at_goal  # the ball does not give way
-    touch = result.contacts[0]
-    assert touch.obstacle == "ball"
-    assert touch.depth_m > 0.0
-    checker = CoalScene(robot, scene.solids)
-    first = int(np.argmax(checker.in_collision(motion.position)))
-    assert touch.time_s == pytest.approx(motion.time[first], abs=0.03)
-    nearest = checker.nearest(motion.position[first])
-    assert nearest is not None
-    assert touch.link == nearest.link
-
-
-@needs_mujoco
 def test_a_motion_that_only_grazes(robot: Robot) -> None:
     """The tip passes a small ball that reaches 2 mm into its way, or stays 2 mm clear of it."""
     arm = robot.arm
@@ -156,27 +138,6 @@ def test_too_fast_for_the_motors(robot: Robot, scene: Scene, planned: PlanResult
     assert result.needed_torque_nm[1] > result.torque_limit_nm[1]
     assert not result.ended_at_goal
     assert result.contacts == ()
-
-
-@needs_mujoco
-def test_ending_elsewhere_or_moving(robot: Robot, scene: Scene) -> None:
-    free = scene.with_obstacles(())
-    motion = straight(robot, free, 3.0)
-    short = RecordedMotion(motion.joint_names, motion.time[:150], motion.position[:150], motion.velocity[:150])
-    assert not execute(robot, free, short).ended_at_goal
-    # It reaches the goal with speed, and so does not stay there.
-    speed = np.array([0.0, 0.0, 0.0, 1.0])
-    goal = motion.position[-1]
-    rushing = RecordedMotion(
-        motion.joint_names, np.array([0.0, 0.5]), np.stack([goal - 0.5 * speed, goal]), np.stack([speed, speed])
-    )
-    result = execute(robot, free, rushing)
-    assert not result.ended_at_goal
-    assert max(result.start_error_rad) > 0.1
-    # Without goal joints, the last row is the goal.
-    elsewhere = free.model_copy(update={"goal": Goal(position=(1.0, 0.0, 1.0))})
-    resting = RecordedMotion.from_positions(motion.joint_names, np.array([0.0, 3.0]), motion.position[[0, 100]])
-    assert execute(robot, elsewhere, resting).ended_at_goal
 
 
 @needs_mujoco
@@ -211,32 +172,6 @@ def test_contacts_of_mujoco_are_those_of_coal(robot: Robot, obstacle: Any) -> No
         assert touched == {name for name, d in zip(checker.link_names, distances, strict=True) if d < 0.0}
         seen.add(bool(touched))
     assert seen == {True, False}
-
-
-@needs_mujoco
-def test_other_robots_and_the_order_of_joints(tmp_path: Path) -> None:
-    spec = ArmSpec(
-        name="two-link",
-        link_lengths=(0.5, 0.4),
-        link_half_widths=(0.04, 0.03),
-        link_masses=(3.0, 1.5),
-        lower=(-1.0, -1.0),
-        upper=(1.5, 1.5),
-        velocity=(2.0, 2.0),
-        effort=(60.0, 20.0),
-        acceleration=(5.0, 5.0),
-        has_yaw=False,
-    )
-    robot = load_robot(write_robot(spec, tmp_path / "two.urdf")[0])
-    wire = Capsule(name="wire", start=(0.6, -0.3, 1.1), end=(0.6, 0.3, 1.1), radius=0.01)
-    scene = Scene(name="two", start=Start(joints_rad=(0.0, 0.0)), goal=Goal(joints_rad=(1.2, 0.2)), obstacles=(wire,))
-    motion = straight(robot, scene, 2.0)
-    result = execute(robot, scene, motion)
-    assert {touch.obstacle for touch in result.contacts} == {"wire"}
-    turned = RecordedMotion(motion.joint_names[::-1], motion.time, motion.position[:, ::-1], motion.velocity[:, ::-1])
-    np.testing.assert_array_equal(execute(robot, scene, turned).position, result.position)
-    free = scene.with_obstacles(())
-    assert execute(robot, free, turned).ok
 
 
 # Motions and their files

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import io
 import json
 import math
 import re
@@ -11,17 +10,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from hplan.apps.cli.main import main
-from hplan.apps.view.cspace_figure import cspace_at_yaw
-from hplan.apps.view.cspace_page import render_cspace_page, write_cspace_page
-from hplan.apps.view.figure_style import png_bytes, write_png
+from hplan.apps.view.cspace_page import render_cspace_page
 from hplan.apps.view.playback import Playback
 from hplan.apps.view.yaw_section import YawSection, yaw_section
 from hplan.collision.body_kernels import FAR
 from hplan.collision.coal_scene import CoalScene
-from hplan.errors import InputError, OutputError
+from hplan.errors import InputError
 from hplan.planning.options import PlanOptions
 from hplan.robot.family.members import HARVESTER, write_robot
 from hplan.robot.model import Robot, load_robot
@@ -91,13 +87,6 @@ def test_the_region_is_where_coal_finds_the_arm_in_collision(robot: Robot, secti
     assert decided > 20
 
 
-def test_fruits_to_pick_are_no_part_of_the_region(robot: Robot, section: YawSection) -> None:
-    """The goal's fruit never is, others not where they are named."""
-    all_of_it = yaw_section(robot, scene(goal=Goal(position=(0.8, 0.46, 1.3))), Playback(motion(robot)))
-    less = yaw_section(robot, scene(), Playback(motion(robot), picked={"green": 1.0}))
-    assert (all_of_it.field < 0).sum() > (section.field < 0).sum() > (less.field < 0).sum()
-
-
 def test_clearance_uncertainty_and_tracking_error_grow_the_region(robot: Robot, section: YawSection) -> None:
     grown = yaw_section(robot, scene(clearance=0.02), Playback(motion(robot)))
     near = section.field < FAR - 0.02  # farther is not told apart
@@ -153,18 +142,6 @@ def test_the_page_holds_region_motion_and_labels(section: YawSection) -> None:
     (animation,) = [c for c in commands if c["type"] == "set_animation"]
     (track,) = animation["animations"][0]["clip"]["tracks"]
     np.testing.assert_allclose(track["values"][-3:], goal["matrix"][12:15], atol=1e-6)
-
-
-def test_the_page_and_the_figure_in_files(section: YawSection, tmp_path: Path) -> None:
-    assert write_cspace_page(section, "test", tmp_path / "cspace.html").read_text(encoding="utf-8").startswith("<!DOC")
-    figure = cspace_at_yaw(section, "test")
-    content = png_bytes(figure, dpi=40)
-    assert png_bytes(cspace_at_yaw(section, "test"), dpi=40) == content
-    picture = np.asarray(Image.open(io.BytesIO(content)).convert("RGB"), dtype=np.int64)
-    red, green, blue = np.moveaxis(picture, -1, 0)
-    assert ((red > 150) & (red > 1.3 * green) & (green > 1.3 * blue)).mean() > 0.02  # the region
-    with pytest.raises(OutputError, match="missing"):
-        write_png(figure, tmp_path / "missing" / "cspace.png")
 
 
 def test_the_command_line_writes_the_view(tmp_path: Path) -> None:

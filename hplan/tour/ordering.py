@@ -9,11 +9,11 @@ taken the first i fruits, the last of them at v and carrying l since the drop-of
     V_{i+1}(w, l + 1) &= \min_v V_i(v, l) + c(v, w), \\
     V_{i+1}(w, 1) &= \min_{v, l} (V_i(v, l) + d(v)) + a(w).
 
-The order itself is exact for few fruits (the same over all subsets), else a local optimum: no reversal of a stretch
+The order itself is exact for few fruits (the same over all subsets), else a local optimum: no reversal of a segment
 and no move of up to three fruits, turned round or not, makes the tour shorter; kicks from a fixed seed look further.
-Where no more than one fruit is carried, the least costs along all stretches of the order are kept, from each place at
-one end to each at the other, so that a change is judged by the few stretches that it is made of; most changes by the
-least cost of each stretch and of the steps between them, whatever the places, which is no more than what they cost.
+Where no more than one fruit is carried, the least costs along all segments of the order are kept, from each place at
+one end to each at the other, so that a change is judged by the few segments that it is made of; most changes by the
+least cost of each segment and of the steps between them, whatever the places, which is no more than what they cost.
 Costs may be infinite, and need not be symmetric.
 """
 
@@ -22,7 +22,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -75,22 +75,16 @@ class Costs(NamedTuple):
         return np.repeat(np.arange(self.fruits), np.diff(self.begin))
 
 
-class Stretches(NamedTuple):
-    """What it costs to go along an order of fruits, where no more than one is carried, as the kernels take it.
+class Segments(NamedTuple):
+    """What it costs to go along an order of N fruits, start and end, where no more than one fruit is carried.
 
     Attributes:
-        stretches: (2, n, n, places, places) from a place of the fruit at i to one of that at j >= i, and back.
-        reached: (n, places) from the start to each place.
-        onward: (n, places) from each place to the end.
-        least: (2, n, n) the least of each stretch, whatever the places.
-        ends: (2, n) the least of `reached` and of `onward`.
+        costs: (2, N, N, places, places) from a place of the one at i to one of that at j >= i, and back.
+        least: (2, N, N) the least of each, whatever the places.
     """
 
-    stretches: FloatArray
-    reached: FloatArray
-    onward: FloatArray
+    costs: FloatArray
     least: FloatArray
-    ends: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -235,55 +229,59 @@ def _along(order: IntArray, costs: Costs) -> tuple[float, IntArray, BoolArray]:
 
 @kernel
 def _improved(order: IntArray, costs: Costs) -> tuple[float, IntArray]:
-    """The order that no reversal of a stretch and no move of a short one improves."""
+    """The order that no reversal of a segment and no move of a short one improves."""
     n = len(order)
     loads, most = max(1, min(costs.capacity, n)), 1
     for f in range(n):
         most = max(most, costs.begin[f + 1] - costs.begin[f])
     table = np.empty((len(costs.first), loads))
-    cost, by_stretches = _cost(order, costs, table), loads == 1
-    steps, here = np.full((n + 1, n + 1), math.inf), np.empty((2, most))
-    known = Stretches(
-        np.empty((2, n, n, most, most)), np.empty((n, most)), np.empty((n, most)), np.empty((2, n, n)), np.empty((2, n))
-    )
-    if by_stretches:
-        _fill_steps(costs, steps)
-        _fill_stretches(order, costs, (0, n), known)
-    other = np.empty_like(order)
+    cost, by_segments = _cost(order, costs, table), loads == 1
+    # Start and end are fruits too, with a place each: n and n + 1.
+    ends = _with_ends(costs)
+    whole, other = np.empty(n + 2, dtype=np.int64), np.empty(n + 2, dtype=np.int64)
+    whole[0] = other[0] = n
+    whole[n + 1] = other[n + 1] = n + 1
+    whole[1 : n + 1] = order
+    steps, here = np.full((n + 2, n + 2), math.inf), np.empty((2, most))
+    known = Segments(np.empty((2, n + 2, n + 2, most, most)), np.empty((2, n + 2, n + 2)))
+    if by_segments:
+        _fill_steps(ends, steps)
+        _fill_segments(whole, ends, (0, n + 2), known)
     better = True
     while better:
         better = False
-        # Kinds of change: a stretch reversed (0); one of `kind` fruits moved (1 to SEGMENT), or moved and reversed.
+        # Kinds of change: a segment reversed (0); one of `kind` fruits moved (1 to SEGMENT), or moved and reversed.
         for kind in range(2 * SEGMENT + 1):
             size = (kind - 1) % SEGMENT + 1
             turned = kind > SEGMENT
             if turned and size == 1:
                 continue
-            for i in range(n):
-                for j in range(n):
-                    if (kind == 0 and j <= i) or (kind > 0 and (i + size > n or j + size > n or i == j)):
+            for i in range(1, n + 1):
+                for j in range(1, n + 1):
+                    if (kind == 0 and j <= i) or (kind > 0 and (max(i, j) + size > n + 1 or i == j)):
                         continue
-                    if by_stretches:
-                        if not _bound(order, (kind, i, j), steps, known) < cost * (1.0 - _GAIN):
+                    change = (kind, i, j)
+                    if by_segments:
+                        if not _bound(whole, change, steps, known) < cost * (1.0 - _GAIN):
                             continue
-                        trial = _trial(order, costs, (kind, i, j), known, here)
+                        trial = _trial(whole, ends, change, known, here)
                         if not trial < cost * (1.0 - _GAIN):
                             continue
-                    _change(order, (kind, i, j), other)
-                    if not by_stretches:
-                        trial = _cost(other, costs, table)
+                    _change(whole, change, other)
+                    if not by_segments:
+                        trial = _cost(other[1 : n + 1], costs, table)
                         if not trial < cost * (1.0 - _GAIN):
                             continue
-                    order, other = other, order
+                    whole, other = other, whole
                     cost, better = trial, True
-                    if by_stretches:
-                        _fill_stretches(order, costs, (min(i, j), _after((kind, i, j))), known)
-    return cost, order
+                    if by_segments:
+                        _fill_segments(whole, ends, (min(i, j), _after(change)), known)
+    return cost, whole[1 : n + 1].copy()
 
 
 @kernel
 def _change(order: IntArray, change: tuple[int, int, int], other: IntArray) -> None:
-    """Write an order with a stretch from i to j reversed, or some fruits from i on moved to stand from j on."""
+    """Write an order with the segment from i to j reversed, or some fruits from i on moved to stand from j on."""
     kind, i, j = change
     size, turned, source = (kind - 1) % SEGMENT + 1, kind > SEGMENT, 0
     for k in range(len(order)):
@@ -298,91 +296,88 @@ def _change(order: IntArray, change: tuple[int, int, int], other: IntArray) -> N
             source += 1
 
 
-@inlined
-def _step(costs: Costs, v: int, w: int) -> float:
-    """Cost from place to place where no more than one fruit is carried."""
-    step: float = costs.onward[v, w] if costs.capacity == 0 else costs.drop[v] + costs.away[w]
-    return step
+class Ends(NamedTuple):
+    """Costs with start and end as two more places, each a fruit of its own, as the kernels of segments take them.
+
+    Attributes:
+        begin: (N + 1,) where the places of each fruit begin.
+        step: (m, m) from place to place where no more than one fruit is carried; infinite to the start, from the end.
+    """
+
+    begin: IntArray
+    step: FloatArray
 
 
 @kernel
-def _fill_stretches(order: IntArray, costs: Costs, changed: tuple[int, int], known: Stretches) -> None:
-    """Write what it costs to go along the order: to each place, from it to the end, and along each stretch.
+def _with_ends(costs: Costs) -> Ends:
+    """The costs with start and end."""
+    m, n = len(costs.first), len(costs.begin) - 1
+    begin, step = np.empty(n + 3, dtype=np.int64), np.full((m + 2, m + 2), math.inf)
+    begin[: n + 1], begin[n + 1], begin[n + 2] = costs.begin, m + 1, m + 2
+    for v in range(m):
+        step[m, v], step[v, m + 1] = costs.first[v], costs.last[v]
+        for w in range(m):
+            step[v, w] = costs.onward[v, w] if costs.capacity == 0 else costs.drop[v] + costs.away[w]
+    return Ends(begin, step)
+
+
+@kernel
+def _fill_segments(order: IntArray, ends: Ends, changed: tuple[int, int], known: Segments) -> None:
+    """Write what it costs to go along each segment of an order.
 
     Args:
-        order: The fruits.
-        costs: Of tours that carry no more than one fruit.
+        order: The fruits, start and end.
         changed: From where to before where the order is another one than that of what is written already.
         known: What is written.
     """
-    (low, end), begin, n = changed, costs.begin, len(order)
-    stretches, reached, onward, least, ends = known
-    for i in range(low, n):
-        f, g = order[i], order[i - 1]
-        ends[0, i] = math.inf
-        for w in range(begin[f], begin[f + 1]):
-            found = costs.first[w]
-            if i > 0:
-                found = math.inf
-                for v in range(begin[g], begin[g + 1]):
-                    found = min(found, reached[i - 1, v - begin[g]] + _step(costs, v, w))
-            reached[i, w - begin[f]] = found
-            ends[0, i] = min(ends[0, i], found)
-    for i in range(end - 1, -1, -1):
-        f = order[i]
-        ends[1, i] = math.inf
-        for v in range(begin[f], begin[f + 1]):
-            found = costs.last[v]
-            if i < n - 1:
-                found, g = math.inf, order[i + 1]
-                for w in range(begin[g], begin[g + 1]):
-                    found = min(found, _step(costs, v, w) + onward[i + 1, w - begin[g]])
-            onward[i, v - begin[f]] = found
-            ends[1, i] = min(ends[1, i], found)
+    (low, end), begin = changed, ends.begin
+    walk, least = known
     for i in range(end):
         places = begin[order[i] + 1] - begin[order[i]]
         least[0, i, i] = least[1, i, i] = 0.0
         for a in range(places):
             for b in range(places):
-                stretches[0, i, i, a, b] = stretches[1, i, i, a, b] = 0.0 if a == b else math.inf
-        for j in range(max(i + 1, low), n):
+                walk[0, i, i, a, b] = walk[1, i, i, a, b] = 0.0 if a == b else math.inf
+        for j in range(max(i + 1, low), len(order)):
             f, g = order[j], order[j - 1]
             least[0, i, j] = least[1, i, j] = math.inf
             for a in range(places):
                 for w in range(begin[f], begin[f + 1]):
                     there, back = math.inf, math.inf
                     for v in range(begin[g], begin[g + 1]):
-                        there = min(there, stretches[0, i, j - 1, a, v - begin[g]] + _step(costs, v, w))
-                        back = min(back, _step(costs, w, v) + stretches[1, i, j - 1, v - begin[g], a])
-                    stretches[0, i, j, a, w - begin[f]] = there
-                    stretches[1, i, j, w - begin[f], a] = back
+                        there = min(there, walk[0, i, j - 1, a, v - begin[g]] + ends.step[v, w])
+                        back = min(back, ends.step[w, v] + walk[1, i, j - 1, v - begin[g], a])
+                    walk[0, i, j, a, w - begin[f]] = there
+                    walk[1, i, j, w - begin[f], a] = back
                     least[0, i, j], least[1, i, j] = min(least[0, i, j], there), min(least[1, i, j], back)
 
 
 @kernel
-def _fill_steps(costs: Costs, steps: FloatArray) -> None:
-    """Write the least cost of a step from fruit to fruit, whatever the places: (n + 1, n + 1), last start and end."""
-    begin = costs.begin
-    n = len(begin) - 1
-    for f in range(n):
-        for v in range(begin[f], begin[f + 1]):
-            steps[n, f], steps[f, n] = min(steps[n, f], costs.first[v]), min(steps[f, n], costs.last[v])
-            for g in range(n):
+def _fill_steps(ends: Ends, steps: FloatArray) -> None:
+    """Write the least cost of a step from fruit to fruit, whatever the places: (N, N)."""
+    begin = ends.begin
+    for f in range(len(begin) - 1):
+        for g in range(len(begin) - 1):
+            for v in range(begin[f], begin[f + 1]):
                 for w in range(begin[g], begin[g + 1]):
-                    steps[f, g] = min(steps[f, g], _step(costs, v, w))
+                    steps[f, g] = min(steps[f, g], ends.step[v, w])
+
+
+_Part: TypeAlias = tuple[int, int, int]
 
 
 @inlined
-def _parts(change: tuple[int, int, int]) -> tuple[tuple[int, int, int], tuple[int, int, int]]:
-    """The stretches that a change puts one after the other: from low (-1 for none) to high, there (0) or back (1)."""
+def _parts(change: tuple[int, int, int], count: int) -> tuple[_Part, _Part, _Part, _Part]:
+    """The segments that a change puts one after the other: from low (-1 for none) to high, there (0) or back (1)."""
     kind, i, j = change
     size = (kind - 1) % SEGMENT + 1
     moved = (i, i + size - 1, 1 if kind > SEGMENT else 0)
+    first, last = (0, min(i, j) - 1, 0), (_after(change), count - 1, 0)
     if kind == 0:
-        return (i, j, 1), (-1, -1, 0)
+        return first, (i, j, 1), (-1, -1, 0), last
     if j < i:
-        return moved, (j, i - 1, 0)
-    return (i + size, j + size - 1, 0), moved
+        return first, moved, (j, i - 1, 0), last
+    return first, (i + size, j + size - 1, 0), moved, last
 
 
 @inlined
@@ -393,57 +388,38 @@ def _after(change: tuple[int, int, int]) -> int:
 
 
 @kernel
-def _bound(order: IntArray, change: tuple[int, int, int], steps: FloatArray, known: Stretches) -> float:
-    """What the order that a change gives costs at least, by the least of each stretch and of `_fill_steps`."""
-    least, ends = known.least, known.ends
-    n, before, after = len(order), min(change[1], change[2]) - 1, _after(change)
-    at = n if before < 0 else order[before]
-    whole: float = 0.0 if before < 0 else ends[0, before]
-    for low, high, back in _parts(change):
+def _bound(order: IntArray, change: tuple[int, int, int], steps: FloatArray, known: Segments) -> float:
+    """What the order that a change gives costs at least, by the least of each segment and of `_fill_steps`."""
+    whole, at = 0.0, -1
+    for low, high, back in _parts(change, len(order)):
         if low >= 0:
             enters, leaves = (high, low) if back == 1 else (low, high)
-            whole += steps[at, order[enters]] + least[back, low, high]
+            whole += known.least[back, low, high] + (steps[at, order[enters]] if at >= 0 else 0.0)
             at = order[leaves]
-    whole += steps[at, n] if after == n else steps[at, order[after]] + ends[1, after]
     return whole
 
 
 @kernel
-def _trial(order: IntArray, costs: Costs, change: tuple[int, int, int], known: Stretches, here: FloatArray) -> float:
-    """The cost of the order that a change gives, by its stretches."""
-    stretches, reached, onward = known.stretches, known.reached, known.onward
-    n, begin = len(order), costs.begin
-    before, after = min(change[1], change[2]) - 1, _after(change)
-    at, now = before, 0
-    if before >= 0:
-        for a in range(begin[order[before] + 1] - begin[order[before]]):
-            here[now, a] = reached[before, a]
-    for low, high, back in _parts(change):
+def _trial(order: IntArray, ends: Ends, change: tuple[int, int, int], known: Segments, here: FloatArray) -> float:
+    """The cost of the order that a change gives, by its segments; `here` (2, places) is written."""
+    begin, at, now = ends.begin, -1, 0
+    for low, high, back in _parts(change, len(order)):
         if low < 0:
             continue
         enters, leaves = (high, low) if back == 1 else (low, high)
         f, g = order[enters], order[leaves]
         for b in range(begin[g + 1] - begin[g]):
             here[1 - now, b] = math.inf
-        for a in range(begin[f + 1] - begin[f]):
-            least = costs.first[begin[f] + a]
+        for v in range(begin[f], begin[f + 1]):
+            least = 0.0 if at < 0 else math.inf
             if at >= 0:
-                least = math.inf
                 for c in range(begin[order[at] + 1] - begin[order[at]]):
-                    least = min(least, here[now, c] + _step(costs, begin[order[at]] + c, begin[f] + a))
+                    least = min(least, here[now, c] + ends.step[begin[order[at]] + c, v])
             for b in range(begin[g + 1] - begin[g]):
-                here[1 - now, b] = min(here[1 - now, b], least + stretches[back, low, high, a, b])
+                here[1 - now, b] = min(here[1 - now, b], least + known.costs[back, low, high, v - begin[f], b])
         at, now = leaves, 1 - now
-    whole: float = math.inf
-    f = order[at]
-    for a in range(begin[f + 1] - begin[f]):
-        if after == n:
-            whole = min(whole, here[now, a] + costs.last[begin[f] + a])
-        else:
-            g = order[after]
-            for c in range(begin[g + 1] - begin[g]):
-                whole = min(whole, here[now, a] + _step(costs, begin[f] + a, begin[g] + c) + onward[after, c])
-    return whole
+    cost: float = here[now, 0]
+    return cost
 
 
 @kernel

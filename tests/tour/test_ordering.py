@@ -97,26 +97,29 @@ def test_local_search_comes_near_the_optimum(monkeypatch: pytest.MonkeyPatch, se
 def test_every_change_costs_what_the_changed_order_does(capacity: int) -> None:
     for seed, n, most in itertools.product(range(3), (3, 4, 7), (1, 3)):
         costs = random_costs(seed, n, capacity=capacity, absent=0.2, most=most)
-        order, places = np.random.default_rng(seed).permutation(n), int(np.diff(costs.begin).max())
-        shapes = (2, n, n, places, places), (n, places), (n, places), (2, n, n), (2, n)
-        known, steps = ordering.Stretches(*map(np.empty, shapes)), np.full((n + 1, n + 1), np.inf)
-        ordering._fill_steps(costs, steps)
-        ordering._fill_stretches(order, costs, (0, n), known)
+        order, places = (
+            np.array([n, *np.random.default_rng(seed).permutation(n), n + 1]),
+            int(np.diff(costs.begin).max()),
+        )
+        ends, shapes = ordering._with_ends(costs), ((2, n + 2, n + 2, places, places), (2, n + 2, n + 2))
+        known, steps = ordering.Segments(*map(np.empty, shapes)), np.full((n + 2, n + 2), np.inf)
+        ordering._fill_steps(ends, steps)
+        ordering._fill_segments(order, ends, (0, n + 2), known)
         single = (np.diff(costs.begin) == 1).all()
         table, here, other = np.empty((len(costs.first), 1)), np.empty((2, places)), order.copy()
-        for kind, i, j in itertools.product(range(2 * SEGMENT + 1), range(n), range(n)):
+        for kind, i, j in itertools.product(range(2 * SEGMENT + 1), range(1, n + 1), range(1, n + 1)):
             size = (kind - 1) % SEGMENT + 1
-            if (j <= i) if kind == 0 else (i == j or max(i, j) + size > n):
+            if (j <= i) if kind == 0 else (i == j or max(i, j) + size > n + 1):
                 continue
             ordering._change(order, (kind, i, j), other)
-            assert sorted(other) == list(range(n))
-            trial = ordering._trial(order, costs, (kind, i, j), known, here)
-            assert trial == pytest.approx(ordering._cost(other, costs, table), rel=1e-12)
+            assert (other[0], sorted(other[1:-1]), other[-1]) == (n, list(range(n)), n + 1)
+            trial = ordering._trial(order, ends, (kind, i, j), known, here)
+            assert trial == pytest.approx(ordering._cost(other[1:-1], costs, table), rel=1e-12)
             # What is written anew where the order has changed is what is written of all of it.
-            anew = ordering.Stretches(*(array.copy() for array in known))
-            whole = ordering.Stretches(*(np.full(shape, np.nan) for shape in shapes))
-            ordering._fill_stretches(other, costs, (min(i, j), ordering._after((kind, i, j))), anew)
-            ordering._fill_stretches(other, costs, (0, n), whole)
+            anew = ordering.Segments(*(array.copy() for array in known))
+            whole = ordering.Segments(*(np.full(shape, np.nan) for shape in shapes))
+            ordering._fill_segments(other, ends, (min(i, j), ordering._after((kind, i, j))), anew)
+            ordering._fill_segments(other, ends, (0, n + 2), whole)
             assert all((a[~np.isnan(b)] == b[~np.isnan(b)]).all() for a, b in zip(anew, whole, strict=True))
             bound = ordering._bound(order, (kind, i, j), steps, known)
             assert bound == pytest.approx(trial, rel=1e-12) if single else bound <= trial * (1.0 + 1e-12)

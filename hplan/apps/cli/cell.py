@@ -46,11 +46,7 @@ _REFUSED = "none: the scene has several robots, with their own"
 
 
 def run(arguments: argparse.Namespace, console: Console, errors: Console, *, tour: bool = False) -> int:
-    """Plan motions to goals, or tours; write, show what came of it; returns the exit status.
-
-    Raises:
-        OptionError: An option that is of one robot.
-    """
+    """Plan motions to goals, or tours; write, show what came of it; returns the exit status."""
     refuse(arguments, _OF_ONE_ROBOT, _REFUSED)
     csv, name = (TOUR, TOUR_REPORT) if tour else (TRAJECTORY, REPORT)
     of_arm = csv.replace(".csv", "-{}.csv")
@@ -83,11 +79,7 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console, *, tou
 
 
 def certify(arguments: argparse.Namespace, console: Console) -> int:
-    """Certify a motion of all joints, or a folder with a `trajectory-NAME.csv` of each arm; returns the exit status.
-
-    Raises:
-        OptionError: An option that is of one robot.
-    """
+    """Certify a motion of all joints, or a folder with a `trajectory-NAME.csv` of each arm; returns the exit status."""
     refuse(arguments, _OF_ONE_ROBOT, _REFUSED)
     with loading():
         from hplan.planning.cell import certify_cell, load_cell

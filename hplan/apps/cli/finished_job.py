@@ -28,11 +28,7 @@ class FinishedJob:
     """
 
     def __init__(self, folder: Path, *, tours: bool = False) -> None:
-        """Read the report of a plan or, if `tours` are wanted too, that of a tour where it is the later one.
-
-        Raises:
-            InputError: There is none, or it is no report of a finished job.
-        """
+        """Read the report of a plan or, if `tours` are wanted too, that of a tour where it is the later one."""
         self.path = max((folder / name for name in (REPORT, TOUR_REPORT)[: 1 + tours]), key=written_s)
         report = read_report(self.path)
         certificate = report.get("certificate")
@@ -58,9 +54,6 @@ class FinishedJob:
         """The job's scene: of a given path the file that the job has left, else one that ships, by its name.
 
         The digest tells whether it is the same.
-
-        Raises:
-            InputError: It does not ship.
         """
         name = self.report.get("scene")
         if "given" in self.report:
@@ -71,32 +64,20 @@ class FinishedJob:
 
     @property
     def robot(self) -> str:
-        """Name of the job's robot; the digest tells whether it is the same.
-
-        Raises:
-            InputError: `load_robot` knows none of that name.
-        """
+        """Name of the job's robot; the digest tells whether it is the same."""
         name = self.report.get("robot")
         if name not in robot_names():
             raise self._fault(f"it is about the robot {name!r}, which has no name in hplan: give its URDF by --robot")
         return str(name)
 
     def trajectory(self) -> Trajectory:
-        """The job's motion; that of a tour is joined where there is a file for each leg.
-
-        Raises:
-            InputError: A file is missing or malformed.
-        """
+        """The job's motion; that of a tour is joined where there is a file for each leg."""
         from hplan.trajectory.trajectory import joined, read_csv
 
         return joined([read_csv(path) for path in self.trajectory_paths])
 
     def playback(self, trajectory: Trajectory) -> Playback:
-        """The job's motion as the animated page shows it, with the times and phases of the report.
-
-        Raises:
-            InputError: The report does not say them.
-        """
+        """The job's motion as the animated page shows it, with the times and phases of the report."""
         from hplan.apps.view.playback import Playback
         from hplan.trajectory.trajectory import Phase
 
@@ -122,11 +103,7 @@ class FinishedJob:
         return Playback(trajectory, picked, dropped, phases, certificate, curve)
 
     def certificate(self) -> Certificate:
-        """What the report says was shown of the motion.
-
-        Raises:
-            InputError: It does not say all of it.
-        """
+        """What the report says was shown of the motion."""
         from hplan.certificate.certificate import Certificate
         from hplan.certificate.limit_use import LimitUse
         from hplan.collision.coal_scene import Contact
@@ -145,11 +122,7 @@ class FinishedJob:
             raise self._fault("its certificate is not complete") from error
 
     def contacts(self, scene: Scene) -> tuple[FruitContact, ...]:
-        """Windows of time in which the last link may touch fruits of the job's scene, where it is not the goal alone.
-
-        Raises:
-            InputError: They are malformed, or about fruits that the scene does not have.
-        """
+        """Windows of time in which the last link may touch fruits of the job's scene, where not the goal alone."""
         from hplan.certificate.goal_contact import FruitContact
 
         fruits = {fruit.name: fruit for fruit in scene.fruits}
@@ -162,11 +135,7 @@ class FinishedJob:
             raise self._fault("its contacts are no times with fruits of the scene") from error
 
     def clearance_curve(self) -> ClearanceCurve | None:
-        """The clearance over time that the report has; None where it has none.
-
-        Raises:
-            InputError: It is malformed.
-        """
+        """The clearance over time that the report has; None where it has none."""
         import numpy as np
 
         from hplan.base.arrays import readonly

@@ -70,10 +70,6 @@ class JobFolder:
 
         Args:
             scene: Name of the scene, for the report of a failure.
-
-        Raises:
-            OptionError: A file that the command has read would be replaced.
-            OutputError: The folder cannot be made or written.
         """
         for path in inputs():
             if path.parent == self.path.resolve() and any(path.match(pattern) for pattern in self._files):
@@ -93,11 +89,7 @@ class JobFolder:
 
     @contextmanager
     def filling(self) -> Iterator[Path]:
-        """A folder to write files into, which come to stand in this one when the block ends.
-
-        Raises:
-            OutputError: A file cannot be written, or moved to its place.
-        """
+        """A folder to write files into, which come to stand in this one when the block ends."""
         staging = self.path / f"{_STAGING}{os.getpid()}"
         moved: list[Path] = []
         try:
@@ -151,11 +143,7 @@ class JobFolder:
 
 
 def read_report(path: Path, *, is_input: bool = True) -> dict[str, Any]:
-    """What a report holds.
-
-    Raises:
-        InputError: It cannot be read.
-    """
+    """What a report holds."""
 
     def fault(reason: str) -> InputError:
         return InputError(f"report file {path}: {reason}", path=str(path))
@@ -180,11 +168,7 @@ def written_s(path: Path) -> float:
 
 
 def needs_rosbags(arguments: argparse.Namespace) -> None:
-    """Refuse `--mcap`, before any work, where its messages cannot be written.
-
-    Raises:
-        InputError: rosbags is not installed.
-    """
+    """Refuse `--mcap`, before any work, where its messages cannot be written."""
     if arguments.mcap:
         from hplan.apps.ros.bag_writer import import_rosbags
 
@@ -198,9 +182,6 @@ def write_result(
 
     Returns:
         The names of the last two.
-
-    Raises:
-        OutputError: A file cannot be written.
     """
     from hplan.apps.view.page import write_page
     from hplan.apps.view.playback import playable
@@ -229,11 +210,7 @@ def write_figure(draw: Callable[[], Figure], path: Path, errors: Console) -> lis
 
 
 def prepare_folder(folder: Path) -> None:
-    """Make a folder and see that it can be written, before any work.
-
-    Raises:
-        OutputError: It cannot be made or written.
-    """
+    """Make a folder and see that it can be written, before any work."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         probe = folder / ".hplan-probe"

@@ -105,9 +105,6 @@ def refuse(arguments: argparse.Namespace, names: Collection[str], expected: str)
 
     Args:
         names: Their names in the arguments; such that the command does not have are left out.
-
-    Raises:
-        OptionError: There is one.
     """
     for action in arguments.parser._actions:
         if action.dest in names and getattr(arguments, action.dest) != action.default:
@@ -143,11 +140,7 @@ def scene_among(
 
 
 def held_joints(arguments: argparse.Namespace) -> dict[str, float]:
-    """Joints and their positions, as `--hold` gives them.
-
-    Raises:
-        OptionError: A text that is not NAME=RAD.
-    """
+    """Joints and their positions, as `--hold` gives them."""
     held = {}
     for text in arguments.hold:
         name, _, value = text.partition("=")
@@ -161,12 +154,7 @@ def held_joints(arguments: argparse.Namespace) -> dict[str, float]:
 
 
 def robot_of(arguments: argparse.Namespace, scene: Scene | None = None, job: FinishedJob | None = None) -> Robot:
-    """The robot that `--robot` and its companions name, else the one that the scene is meant for, else the job's.
-
-    Raises:
-        HplanError: As `hplan.robot.model.load_robot` and `FinishedJob.robot`.
-        OptionError: A tracking error in degrees alone where a joint slides, or one that is of no joint.
-    """
+    """The robot that `--robot` and its companions name, else the one that the scene is meant for, else the job's."""
     from hplan.robot.model import load_robot
 
     hold = held_joints(arguments)
@@ -190,9 +178,6 @@ def tracking_of(arguments: argparse.Namespace) -> TrackingModel:
     """The tracking model of `--tracking-error`, `--tracking-error-m` and `--tracking-delay`.
 
     The model has one number for radians and metres: the larger of both. `robot_of` refuses what fits no joint.
-
-    Raises:
-        OptionError: One that is negative or not finite.
     """
     from hplan.robot.tracking import TrackingModel
 
@@ -217,11 +202,7 @@ def _check_tracking(arguments: argparse.Namespace, robot: Robot) -> None:
 
 
 def plan_options(arguments: argparse.Namespace, *options: str) -> PlanOptions:
-    """Options of a plan: tracking, speed, deadline, and the others of these names.
-
-    Raises:
-        OptionError: A value out of its range.
-    """
+    """Options of a plan: tracking, speed, deadline, and the others of these names."""
     from hplan.planning.options import PlanOptions
 
     tracking = tracking_of(arguments)
@@ -237,12 +218,7 @@ def plan_options(arguments: argparse.Namespace, *options: str) -> PlanOptions:
 
 
 def check_output_file(out: Path, option: str = "--out") -> None:
-    """Refuse, before any work, a file to write that the command has read, or that has no folder.
-
-    Raises:
-        OptionError: It would replace something that is read.
-        OutputError: There is no such folder.
-    """
+    """Refuse, before any work, a file to write that the command has read, or that has no folder."""
     if out.resolve() in inputs():
         raise OptionError(option, str(out), "another file than those that are read")
     if not is_folder(out.resolve().parent):

@@ -182,9 +182,6 @@ def _write_cspace(options: PlanOptions, result: PlanResult, yaw: float | None, f
 
     Returns:
         The names of the files.
-
-    Raises:
-        OutputError: A file cannot be written.
     """
     from hplan.apps.view.cspace_figure import cspace_at_yaw
     from hplan.apps.view.cspace_page import write_cspace_page

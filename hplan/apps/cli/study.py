@@ -88,11 +88,7 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int
 
 
 def _executor(address: str | None) -> Pool | None:
-    """Dask's executor, where its scheduler is named.
-
-    Raises:
-        InputError: Dask is not installed, or nobody answers.
-    """
+    """Dask's executor, where its scheduler is named."""
     if address is None:
         return None
     with extra("cluster", "--scheduler needs Dask"):

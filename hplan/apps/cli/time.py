@@ -118,11 +118,7 @@ def parser(prog: str) -> argparse.ArgumentParser:
 
 
 def _check_options(arguments: argparse.Namespace) -> None:
-    """Refuse options that do nothing with a scene, or without one.
-
-    Raises:
-        OptionError: There is one.
-    """
+    """Refuse options that do nothing with a scene, or without one."""
     if arguments.scene is None:
         refuse(arguments, _WITH_SCENE, "left out, or --scene")
     else:

@@ -107,11 +107,7 @@ def _view_row(arguments: argparse.Namespace, console: Console) -> int:
 
 
 def serve_page(console: Console, robot: Robot, scene: Scene, playback: Playback) -> None:
-    """Serve the animated scene until interrupted.
-
-    Raises:
-        HplanError: The server does not start.
-    """
+    """Serve the animated scene until interrupted."""
     from hplan.apps.view.page import serve
 
     wait_for(console, serve(robot, scene, playback))

@@ -84,11 +84,7 @@ def parser(prog: str) -> argparse.ArgumentParser:
 
 
 def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int:
-    """Compile; on a terminal with a line that tells how far that is, elsewhere with a line for each job.
-
-    Raises:
-        OptionError: A number of processes below 1.
-    """
+    """Compile; on a terminal with a line that tells how far that is, elsewhere with a line for each job."""
     processes = len(os.sched_getaffinity(0)) if arguments.processes is None else arguments.processes
     if processes < 1:
         raise OptionError("processes", processes, "a whole number of at least 1")

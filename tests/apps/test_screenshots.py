@@ -1,0 +1,92 @@
+"""The three main pages as a browser draws them, on a desk and on a phone, beside the pictures kept of them.
+
+Where a page was meant to change, its new picture is in the folder that the failure names: look at it, and put it beside
+this file, in `screenshots`.
+"""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from test_page import CHROMIUM_FLAGS
+
+import hplan
+from hplan.apps.view.cspace_page import render_cspace_page
+from hplan.apps.view.page import render_page
+from hplan.apps.view.playback import Playback
+from hplan.apps.view.yaw_section import yaw_section
+
+KEPT = Path(__file__).with_name("screenshots")
+DESK, PHONE = (1280, 860), (390, 844)
+
+#: Pixels that are compared as one: letters of another font, and edges of another renderer, are less than that.
+BLOCK = 20
+
+#: By how much of 255 a block may differ, and what share of them by more.
+DIFFERENT, SHARE = 24.0, 0.005
+
+STILL = "<script>player.pause(); player.seek(0.5 * motion.duration);</script>"
+
+
+def motion_page() -> str:
+    robot, scene = hplan.load_robot(), hplan.load_scene()
+    return render_page(robot, scene, Playback.of(hplan.plan(robot, scene))).replace("</body>", f"{STILL}</body>")
+
+
+def tour_page() -> str:
+    robot, scene = hplan.load_robot(), hplan.load_scene("tour")
+    tour = hplan.plan_tour(robot, scene, hplan.PlanOptions(effort="quick"))
+    return render_page(robot, scene, Playback.of(tour)).replace("</body>", f"{STILL}</body>")
+
+
+def cspace_page() -> str:
+    robot, scene = hplan.load_robot(), hplan.load_scene()
+    result = hplan.plan(robot, scene)
+    return render_cspace_page(yaw_section(robot, scene, Playback.of(result), hplan.PlanOptions()), scene.name)
+
+
+def taken(page: str, size: tuple[int, int], folder: Path, name: str) -> Image.Image:
+    """A page as Chromium draws it; a window narrower than 500 pixels is a frame within one that it can have."""
+    chromium = shutil.which("chromium")
+    if chromium is None:
+        pytest.skip("headless chromium is not installed: pages cannot be looked at")
+    (folder / "page.html").write_text(page, encoding="utf-8")
+    html = f'<body style="margin:0"><iframe src="page.html" style="border:0;width:{size[0]}px;height:{size[1]}px">'
+    (folder / "window.html").write_text(f"<!doctype html>{html}</iframe></body>", encoding="utf-8")
+    picture = folder / f"{name}.png"
+    command = [chromium, *CHROMIUM_FLAGS, "--window-size={},{}".format(*size), f"--user-data-dir={folder / 'profile'}",
+               f"--screenshot={picture}", (folder / "window.html").as_uri()]  # fmt: skip
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
+    assert not re.search(r"CONSOLE.*(Uncaught|[Ee]rror)", done.stderr), done.stderr[-2000:]
+    image = Image.open(picture).convert("RGB").crop((0, 0, *size))
+    image.save(picture.with_suffix(".jpg"), quality=60)
+    return image
+
+
+def blocks(image: Image.Image) -> np.ndarray:
+    size = (image.width // BLOCK, image.height // BLOCK)
+    return np.asarray(image.convert("RGB").resize(size, Image.Resampling.BOX), dtype=float)
+
+
+@pytest.mark.browser
+@pytest.mark.parametrize(
+    ("name", "page", "size"),
+    [
+        ("motion", motion_page, DESK),
+        ("motion_phone", motion_page, PHONE),
+        ("tour", tour_page, DESK),
+        ("cspace", cspace_page, DESK),
+    ],
+)
+def test_pages_look_as_they_did(name: str, page: Callable[[], str], size: tuple[int, int], tmp_path: Path) -> None:
+    seen, kept = blocks(taken(page(), size, tmp_path, name)), blocks(Image.open(KEPT / f"{name}.jpg"))
+    assert seen.shape == kept.shape
+    differ = np.abs(seen - kept).max(axis=-1) > DIFFERENT
+    assert differ.mean() <= SHARE, f"{differ.mean():.1%} of the picture is another: see {tmp_path / f'{name}.jpg'}"

@@ -9,9 +9,29 @@ from toy_urdf import SIX_AXIS_LIMITS, seven_axis_arm, six_axis_arm, six_axis_pic
 
 from hplan.errors import InputError
 from hplan.robot.model import Robot, load_robot
+from hplan.scene.model import Fruit
+from hplan.scene.obstacles import Box, Capsule, Cylinder, Solid, Sphere
 
 #: Six and seven axes of simple shapes; joints that slide and turn; two of example-robot-data.
 ARMS = ("toy", "seven", "lift", "panda", "ur5")
+
+#: A trunk behind fruits that six and seven axes reach.
+TRUNK = Capsule.model_validate(
+    {"name": "trunk", "kind": "capsule", "from": (0.75, 0.0, -0.3), "to": (0.75, 0.1, 1.2), "radius": 0.04}
+)
+FRUITS = tuple(
+    Fruit(name=f"apple {number}", center=center, radius=0.035)
+    for number, center in enumerate([(0.5, 0.15, 0.5), (0.55, -0.2, 0.6), (0.5, 0.0, 0.35)])
+)
+
+#: What stands about an arm, some of which it may meet.
+SOLIDS: tuple[Solid, ...] = (
+    Sphere(name="ball", center=(0.5, 0.1, 0.6), radius=0.12),
+    Capsule.model_validate({"name": "branch", "from": (0.2, -0.5, 0.2), "to": (0.7, -0.2, 0.9), "radius": 0.03}),
+    Box(name="crate", center=(-0.4, 0.4, 0.5), size=(0.3, 0.2, 0.5), rpy_deg=(20.0, -30.0, 50.0)),
+    Box(name="shelf", center=(0.0, 0.0, -0.3), size=(2.0, 2.0, 0.02)),
+    Cylinder(name="post", center=(-0.5, -0.4, 0.4), length=0.8, radius=0.1, rpy_deg=(10.0, 20.0, 0.0)),
+)
 
 _KNOWN: dict[str, Robot] = {}
 

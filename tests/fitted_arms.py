@@ -6,6 +6,7 @@ import itertools
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import coal
 import numpy as np
@@ -61,6 +62,7 @@ def fitted(
     widths: Sequence[float] = WIDTHS,
     hung: Mapping[str, tuple[str, Sequence[float], str]] | None = None,
     name: str = "fitted",
+    **more_of_spec: Any,
 ) -> Robot:
     """A member of the family with collision shapes of a URDF added.
 
@@ -74,6 +76,7 @@ def fitted(
         widths: Their half-widths.
         hung: Fixed links to add, by name: the link that each hangs on, where, and its shape.
         name: Name of the file.
+        **more_of_spec: What else the specification says, such as offsets.
     """
     count = len(lengths)
     low, high = (np.radians(np.broadcast_to(limit, (count,))).tolist() for limit in (low, high))
@@ -91,6 +94,7 @@ def fitted(
         effort=(400.0,) * joints,
         acceleration=(3.0,) * joints,
         jerk=(150.0,) * joints,
+        **more_of_spec,
     )
     path = write_robot(spec, folder / f"{name}.urdf")[0]
     text = path.read_text()

@@ -99,6 +99,16 @@ def assert_clear(
     assert spare.min() > 0.0, f"{checker.mover_names[mover]} and {checker.obstacle_names[other]}: {spare.min()}"
 
 
+def assert_within_limits(robot: Robot, trajectory: Trajectory) -> None:
+    """Of velocities, accelerations and torques."""
+    for values, limit in (
+        (trajectory.velocity, robot.velocity_limit),
+        (trajectory.acceleration, robot.acceleration_limit),
+        (trajectory.torque, robot.torque_limit),
+    ):
+        assert (np.abs(values) <= LIMIT_TOLERANCE * limit).all()
+
+
 def assert_sound(robot: Robot, scene: Scene, result: PlanResult, *, sigmas: float = 3.0) -> None:
     """Certified; within the limits, clear at and between all rows, at rest at both ends and the grasp, of one piece."""
     trajectory, report = result.trajectory, result.report
@@ -108,12 +118,7 @@ def assert_sound(robot: Robot, scene: Scene, result: PlanResult, *, sigmas: floa
     everything = between_rows(trajectory, np.arange(trajectory.samples))
     assert (everything >= robot.lower - 1e-9).all()
     assert (everything <= robot.upper + 1e-9).all()
-    for values, limit in (
-        (trajectory.velocity, robot.velocity_limit),
-        (trajectory.acceleration, robot.acceleration_limit),
-        (trajectory.torque, robot.torque_limit),
-    ):
-        assert (np.abs(values) <= LIMIT_TOLERANCE * limit).all()
+    assert_within_limits(robot, trajectory)
     np.testing.assert_allclose(trajectory.position[0], scene.start.configuration, rtol=0, atol=1e-12)
     locked = [robot.joint_names.index(name) for name in scene.locked_joints]
     np.testing.assert_allclose(trajectory.position[:, locked] - trajectory.position[0, locked], 0.0, atol=1e-9)
@@ -219,9 +224,9 @@ def random_scene(seed: int, robot: Robot) -> Scene:
     return task(tuple(ends[0].tolist()), goal, obstacles, fruits=tuple(fruits))
 
 
-def between_twigs() -> Scene:
+def between_twigs(side: float = 0.085) -> Scene:
     """A fruit between two twigs."""
-    twigs = [Sphere(name=f"twig {i}", center=(1.6, side, 1.43), radius=0.05) for i, side in enumerate((-0.085, 0.085))]
+    twigs = [Sphere(name=f"twig {i}", center=(1.6, y, 1.43), radius=0.05) for i, y in enumerate((-side, side))]
     return Scene(
         name="between twigs",
         start=Start(joints_deg=(60.0, 30.0, 20.0, 20.0)),

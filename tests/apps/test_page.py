@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import json
 import math
 import re
 import shutil
@@ -11,6 +10,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from pages import animation_of, commands_of, objects, orchard
 from PIL import Image
 from shapes import crate
 
@@ -20,7 +20,6 @@ from hplan.apps.view.scene_stage import keyframe_times, stage
 from hplan.apps.view.scenery import OTHER
 from hplan.robot.model import Robot
 from hplan.scene.file import load_scene
-from hplan.scene.model import Fruit, Goal, Scene, Start
 from hplan.scene.obstacles import Box, Capsule, Mesh, PointCloud, Sphere
 from hplan.trajectory.trajectory import Trajectory
 
@@ -50,44 +49,16 @@ def motion(robot: Robot, goal: Any = GOAL, *, duration: float = 2.0, rate: float
     return Trajectory(robot.joint_names, time, position, nothing, nothing, nothing)
 
 
-def orchard(**changes: Any) -> Scene:
-    content: dict[str, Any] = {
-        "name": "orchard",
-        "start": Start(joints_deg=(0.0, 0.0, 0.0, 0.0)),
-        "goal": Goal(fruit="ripe"),
-        "obstacles": (
-            Sphere(name="ball", center=(1.0, 0.0, 1.9), radius=0.15),
-            Capsule(name="branch", start=(1.6, 0.5, 0.0), end=(1.2, 0.1, 1.4), radius=0.03),
-            Capsule(name="stub", start=(0.4, 0.8, 1.0), end=(0.4, 0.8, 1.0), radius=0.05),
-            Box(name="post", center=(1.7, -0.6, 0.9), size=(0.1, 0.2, 1.8), rpy_deg=(0.0, 0.0, 20.0)),
-        ),
-        "fruits": (
-            Fruit(name="ripe", center=(1.2, 0.3, 1.4), radius=0.04),
-            Fruit(name="green", center=(1.3, 0.2, 1.1), radius=0.04),
-        ),
-        **changes,
-    }
-    return Scene(**content)
-
-
-def commands_of(page: str) -> list[dict[str, Any]]:
-    found = re.search(r'<script type="application/json" id="commands">(.*?)</script>', page, re.DOTALL)
-    assert found is not None
-    commands: list[dict[str, Any]] = json.loads(found.group(1))
-    return commands
-
-
-def objects(commands: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
-    return {c["path"]: c["object"] for c in commands if c["type"] == "set_object"}
+OBSTACLES = (
+    Sphere(name="ball", center=(1.0, 0.0, 1.9), radius=0.15),
+    Capsule(name="branch", start=(1.6, 0.5, 0.0), end=(1.2, 0.1, 1.4), radius=0.03),
+    Capsule(name="stub", start=(0.4, 0.8, 1.0), end=(0.4, 0.8, 1.0), radius=0.05),
+    Box(name="post", center=(1.7, -0.6, 0.9), size=(0.1, 0.2, 1.8), rpy_deg=(0.0, 0.0, 20.0)),
+)
 
 
 def matrix_of(mesh: dict[str, Any]) -> np.ndarray:
     return np.reshape(mesh["matrix"], (4, 4)).T if "matrix" in mesh else np.eye(4)
-
-
-def animation_of(commands: list[dict[str, Any]]) -> dict[str, Any]:
-    (animation,) = [c for c in commands if c["type"] == "set_animation"]
-    return animation
 
 
 def replayed(commands: list[dict[str, Any]], key: int) -> dict[str, np.ndarray]:
@@ -126,7 +97,7 @@ def test_the_animation_puts_every_visual_geometry_where_pinocchio_puts_it(robot:
 
 
 def test_obstacles_and_fruits_are_where_the_scene_has_them(robot: Robot) -> None:
-    scene = orchard()
+    scene = orchard(obstacles=OBSTACLES)
     drawn = objects(stage(robot, scene, Playback(motion(robot))))
 
     def meshes(path: str) -> list[dict[str, Any]]:

@@ -5,13 +5,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pages import animation_of, objects, orchard, steady_motion
 from scipy.spatial.transform import Rotation
 
 from hplan.apps.view.playback import Playback
 from hplan.apps.view.scene_stage import REST_S, keyframe_times, stage
 from hplan.apps.view.scenery import BULK, LEAVES, METAL, OTHER, WOOD, Look, look_of, moving_nodes, obstacles, picks
 from hplan.robot.model import Robot
-from hplan.scene.model import Fruit, Goal, Scene, Start
+from hplan.scene.model import Goal
 from hplan.scene.obstacles import Box, Capsule, Cylinder
 from hplan.scene.tracks import Track
 from hplan.trajectory.trajectory import Phase, Trajectory
@@ -25,36 +26,14 @@ CAPSULES = (
 
 
 def motion(robot: Robot, duration: float = 2.0) -> Trajectory:
-    time = np.linspace(0.0, duration, 501)
-    position = (time / duration)[:, None] * np.array([0.3, 0.8, 0.9, 0.4])
-    nothing = np.zeros_like(position)
-    return Trajectory(robot.joint_names, time, position, nothing, nothing, nothing)
-
-
-def orchard(**changes: Any) -> Scene:
-    content: dict[str, Any] = {
-        "name": "orchard",
-        "start": Start(joints_deg=(0.0, 0.0, 0.0, 0.0)),
-        "goal": Goal(fruit="ripe"),
-        "obstacles": CAPSULES,
-        "fruits": (
-            Fruit(name="ripe", center=(1.2, 0.3, 1.4), radius=0.04),
-            Fruit(name="green", center=(1.3, 0.2, 1.1), radius=0.04),
-        ),
-        **changes,
-    }
-    return Scene(**content)
-
-
-def drawn(commands: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
-    return {c["path"]: c["object"] for c in commands if c["type"] == "set_object"}
+    return steady_motion(robot, (0.3, 0.8, 0.9, 0.4), duration)
 
 
 def tracks(commands: list[dict[str, Any]]) -> dict[str, dict[str, dict[str, Any]]]:
     """Path -> property -> track."""
-    (animation,) = [c for c in commands if c["type"] == "set_animation"]
     return {
-        item["path"]: {track["name"]: track for track in item["clip"]["tracks"]} for item in animation["animations"]
+        item["path"]: {track["name"]: track for track in item["clip"]["tracks"]}
+        for item in animation_of(commands)["animations"]
     }
 
 
@@ -78,7 +57,7 @@ def test_the_words_of_a_name_tell_the_look(name: str, look: Look) -> None:
 
 
 def test_capsules_of_one_look_are_copies_of_one_shape(robot: Robot) -> None:
-    found = drawn(stage(robot, orchard(), Playback(motion(robot))))
+    found = objects(stage(robot, orchard(obstacles=CAPSULES), Playback(motion(robot))))
     body = found["/hplan/obstacles/Wood"]
     walls, ends = body["object"]["children"]
     assert {walls["type"], ends["type"]} == {"InstancedMesh"}
@@ -114,7 +93,7 @@ def test_capsules_of_one_look_are_copies_of_one_shape(robot: Robot) -> None:
 def test_a_picked_fruit_changes_its_colour_and_goes_with_the_tool(robot: Robot) -> None:
     trajectory = motion(robot)
     phases = (Phase("transit", 0.0, 0.6), Phase("approach", 0.6, 1.0), Phase("retreat", 1.0, 2.0))
-    commands = stage(robot, orchard(), Playback(trajectory, picked={"ripe": 1.0}, phases=phases))
+    commands = stage(robot, orchard(obstacles=CAPSULES), Playback(trajectory, picked={"ripe": 1.0}, phases=phases))
     found = tracks(commands)
     hanging = found["/hplan/fruits/fruit ripe"][".visible"]
     held = found["/hplan/picked/fruit ripe"]
@@ -135,12 +114,12 @@ def test_a_picked_fruit_changes_its_colour_and_goes_with_the_tool(robot: Robot) 
         at, taken = tool[min(round(250 * time), 500)], tool[250]
         expected = np.array((1.2, 0.3, 1.4)) + (at - taken if time > 1.0 else 0.0)
         np.testing.assert_allclose(got, expected, atol=1e-4)
-    green = drawn(commands)["/hplan/picked/fruit ripe"]["materials"][0]["color"]
-    assert green != drawn(commands)["/hplan/fruits/fruit ripe"]["materials"][0]["color"]
+    green = objects(commands)["/hplan/picked/fruit ripe"]["materials"][0]["color"]
+    assert green != objects(commands)["/hplan/fruits/fruit ripe"]["materials"][0]["color"]
 
 
 def test_of_a_tour_the_tool_holds_one_fruit_until_it_lets_it_go(robot: Robot) -> None:
-    scene, trajectory = orchard(), motion(robot, 4.0)
+    scene, trajectory = orchard(obstacles=CAPSULES), motion(robot, 4.0)
     retreats = (Phase("retreat", 1.0, 1.4), Phase("retreat", 3.0, 3.4))
     times = {"green": 3.0, "ripe": 1.0}
     assert [(p.fruit.name, p.since, p.until) for p in picks(scene, Playback(trajectory, times, phases=retreats))] == [
@@ -154,8 +133,8 @@ def test_of_a_tour_the_tool_holds_one_fruit_until_it_lets_it_go(robot: Robot) ->
     held = tracks(commands)["/hplan/picked/fruit ripe"][".visible"]
     assert [seen_at(held, time) for time in (0.5, 1.5, 2.5)] == [False, True, False]
     # None of several fruits is the one to pick, and no one pose is the goal's.
-    assert len(drawn(commands)["/hplan/fruits/fruit ripe"]["object"]["children"]) == 1
-    assert not any("pose" in path for path in drawn(commands))
+    assert len(objects(commands)["/hplan/fruits/fruit ripe"]["object"]["children"]) == 1
+    assert not any("pose" in path for path in objects(commands))
 
 
 def test_a_cylinder_lies_where_it_is() -> None:
@@ -180,14 +159,6 @@ TURNING = Track(
 )
 
 
-def tracks_of(commands: list[dict[str, Any]]) -> dict[str, dict[str, np.ndarray]]:
-    (animation,) = [c for c in commands if c["type"] == "set_animation"]
-    return {
-        item["path"]: {t["name"]: np.array(t["values"]).reshape(len(t["times"]), -1) for t in item["clip"]["tracks"]}
-        for item in animation["animations"]
-    }
-
-
 @pytest.mark.parametrize("creeping", [False, True])
 def test_what_has_a_track_is_where_the_scene_has_it(robot: Robot, creeping: bool) -> None:
     box = Box(name="cart", center=(1.6, 0.2, 0.4), size=(0.2, 0.3, 0.4), track=TURNING)
@@ -199,13 +170,16 @@ def test_what_has_a_track_is_where_the_scene_has_it(robot: Robot, creeping: bool
     nodes = moving_nodes(scene)
     assert nodes["cart"] == nodes[branch.name]
     assert ("ripe" in nodes) == creeping
-    paths = drawn(commands)
+    paths = objects(commands)
     assert f"{nodes['cart']}/box cart" in paths
     assert f"{nodes['cart']}/Wood" in paths
     # The rest stands still, or moves with the base alone.
     rest = nodes[CAPSULES[1].name] if creeping else "/hplan/obstacles"
     assert f"{rest}/Wood" in paths
-    clips = tracks_of(commands)
+    clips = {
+        path: {name: np.reshape(track["values"], (len(track["times"]), -1)) for name, track in each.items()}
+        for path, each in tracks(commands).items()
+    }
     assert {path for path in clips if "moving" in path} == set(nodes.values())
     times = keyframe_times(playback.trajectory)
     for name in ("cart", *(["ripe"] if creeping else [])):

@@ -1,8 +1,6 @@
 from __future__ import annotations
 
-import json
 import math
-import re
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -10,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pages import animation_of, commands_of, objects, orchard, steady_motion
 
 from hplan.apps.cli.main import main
 from hplan.apps.view.cspace_page import render_cspace_page
@@ -21,37 +20,29 @@ from hplan.errors import InputError
 from hplan.planning.options import PlanOptions
 from hplan.robot.family.members import HARVESTER, write_robot
 from hplan.robot.model import Robot, load_robot
-from hplan.scene.model import Fruit, Goal, Scene, Start
+from hplan.scene.model import Fruit, Goal, Scene
 from hplan.scene.obstacles import Capsule, Sphere
 from hplan.trajectory.trajectory import Trajectory
 
 GOAL = (math.radians(30.0), math.pi / 4, math.pi / 3, math.radians(70.0))
 
 
-def motion(robot: Robot, goal: Any = GOAL) -> Trajectory:
-    time = np.linspace(0.0, 2.0, 101)
-    position = (time / 2.0)[:, None] * np.asarray(goal)
-    nothing = np.zeros_like(position)
-    return Trajectory(robot.joint_names, time, position, nothing, nothing, nothing)
+FRUITS = (
+    Fruit(name="ripe", center=(0.8, 0.46, 1.3), radius=0.04),
+    Fruit(name="green", center=(0.6, 0.35, 1.5), radius=0.04),
+)
+OBSTACLES = (
+    Sphere(name="ball", center=(0.87, 0.5, 1.9), radius=0.15),
+    Capsule(name="branch", start=(1.0, -0.5, 0.9), end=(1.0, 0.8, 1.1), radius=0.02),
+)
+
+
+def motion(robot: Robot) -> Trajectory:
+    return steady_motion(robot, GOAL, rows=101)
 
 
 def scene(**changes: Any) -> Scene:
-    return Scene(
-        **{
-            "name": "test",
-            "start": Start(joints_deg=(0.0, 0.0, 0.0, 0.0)),
-            "goal": Goal(fruit="ripe"),
-            "obstacles": (
-                Sphere(name="ball", center=(0.87, 0.5, 1.9), radius=0.15),
-                Capsule(name="branch", start=(1.0, -0.5, 0.9), end=(1.0, 0.8, 1.1), radius=0.02),
-            ),
-            "fruits": (
-                Fruit(name="ripe", center=(0.8, 0.46, 1.3), radius=0.04),
-                Fruit(name="green", center=(0.6, 0.35, 1.5), radius=0.04),
-            ),
-            **changes,
-        }  # type: ignore[arg-type]
-    )
+    return orchard(**{"obstacles": OBSTACLES, "fruits": FRUITS, **changes})
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -114,20 +105,13 @@ def test_an_arm_of_two_links_and_a_foreign_trajectory(robot: Robot, tmp_path: Pa
         yaw_section(robot, scene(), Playback(replace(motion(robot), joint_names=("a", "b", "c", "d"))))
 
 
-def commands_of(page: str) -> list[dict[str, Any]]:
-    found = re.search(r'<script type="application/json" id="commands">(.*?)</script>', page, re.DOTALL)
-    assert found is not None
-    commands: list[dict[str, Any]] = json.loads(found.group(1))
-    return commands
-
-
 def test_the_page_holds_region_motion_and_labels(section: YawSection) -> None:
     page = render_cspace_page(section, "a <b> page")
     assert page == render_cspace_page(section, "a <b> page")
     assert len(page) < 2_500_000
     assert "<b>" not in page.split('<script type="application/json"')[0]
     commands = commands_of(page)
-    found = {c["path"]: c["object"] for c in commands if c["type"] == "set_object"}
+    found = objects(commands)
     attributes = found["/hplan/forbidden"]["geometries"][0]["data"]["attributes"]
     corners = np.reshape(attributes["position"]["array"], (-1, 3))
     assert np.abs(corners).max() <= 1.0 + 1e-6
@@ -139,8 +123,7 @@ def test_the_page_holds_region_motion_and_labels(section: YawSection) -> None:
     assert sorted(texts) == sorted(
         [*("0", "30", "60", "90") * 2, "30", "60", "90", *(f"{name} [deg]" for name in section.joint_names)]
     )
-    (animation,) = [c for c in commands if c["type"] == "set_animation"]
-    (track,) = animation["animations"][0]["clip"]["tracks"]
+    (track,) = animation_of(commands)["animations"][0]["clip"]["tracks"]
     np.testing.assert_allclose(track["values"][-3:], goal["matrix"][12:15], atol=1e-6)
 
 

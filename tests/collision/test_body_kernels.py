@@ -6,7 +6,7 @@ import coal
 import numpy as np
 import pinocchio as pin
 import pytest
-from any_arms import loaded_arm
+from any_arms import SOLIDS, loaded_arm
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -20,7 +20,7 @@ from hplan.collision.flat_bodies import AXIS, AXIS_RADIUS, BALL, BALL_RADIUS, BO
 from hplan.collision.placed_bodies import ALONG, CENTRE, PLACED, START, place_bodies
 from hplan.collision.touching_pairs import self_pairs
 from hplan.robot.model import Robot
-from hplan.scene.obstacles import Box, Capsule, Cylinder, Solid, Sphere
+from hplan.scene.obstacles import Box, Cylinder, Solid, Sphere
 from hplan.scene.solids import Cloud, hull_of
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -37,11 +37,7 @@ def solids() -> list[Solid]:
     generator = np.random.default_rng(3)
     points = generator.normal(size=(40, 3))
     return [
-        Sphere(name="ball", center=(0.5, 0.1, 0.6), radius=0.12),
-        Capsule.model_validate({"name": "branch", "from": (0.2, -0.5, 0.2), "to": (0.7, -0.2, 0.9), "radius": 0.03}),
-        Box(name="crate", center=(-0.4, 0.4, 0.5), size=(0.3, 0.2, 0.5), rpy_deg=(20.0, -30.0, 50.0)),
-        Box(name="shelf", center=(0.0, 0.0, -0.3), size=(2.0, 2.0, 0.02)),
-        Cylinder(name="post", center=(-0.5, -0.4, 0.4), length=0.8, radius=0.1, rpy_deg=(10.0, 20.0, 0.0)),
+        *SOLIDS,
         hull_of(np.array([0.1, -0.6, 0.9]) + 0.12 * points / np.linalg.norm(points, axis=1)[:, None], "stone"),
         Cloud.of("leaves", np.array([0.3, 0.6, 0.7]) + 0.1 * generator.normal(size=(300, 3)), 0.01),
         *(Sphere(name="fruit", center=tuple(generator.uniform(-1.2, 1.2, 3)), radius=0.03) for _ in range(24)),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 import pytest
-from any_arms import LIFT, limb, loaded_arm
+from any_arms import LIFT, SOLIDS, limb, loaded_arm
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -20,7 +20,7 @@ from hplan.collision.sweep import Sweep, used_up
 from hplan.collision.touching_pairs import self_pairs
 from hplan.collision.twists import MOVING, TWIST, find_twists, motion_bends
 from hplan.robot.model import Robot, load_robot
-from hplan.scene.obstacles import Box, Capsule, Cylinder, Solid, Sphere
+from hplan.scene.obstacles import Box, Solid
 from hplan.scene.solids import Cloud
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -47,11 +47,7 @@ def arm(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 def field(arm: Robot) -> ClearanceField:
     generator = np.random.default_rng(3)
     solids: list[Solid] = [
-        Sphere(name="ball", center=(0.5, 0.1, 0.6), radius=0.12),
-        Capsule.model_validate({"name": "branch", "from": (0.2, -0.5, 0.2), "to": (0.7, -0.2, 0.9), "radius": 0.03}),
-        Box(name="crate", center=(-0.4, 0.4, 0.5), size=(0.3, 0.2, 0.5), rpy_deg=(20.0, -30.0, 50.0)),
-        Box(name="shelf", center=(0.0, 0.0, -0.3), size=(2.0, 2.0, 0.02)),
-        Cylinder(name="post", center=(-0.5, -0.4, 0.4), length=0.8, radius=0.1, rpy_deg=(10.0, 20.0, 0.0)),
+        *SOLIDS,
         Cloud.of("leaves", np.array([0.3, 0.6, 0.7]) + 0.1 * generator.normal(size=(200, 3)), 0.01),
     ]
     return ClearanceField.of(arm, solids)

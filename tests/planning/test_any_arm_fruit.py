@@ -8,7 +8,7 @@ import coal
 import numpy as np
 import pinocchio as pin
 import pytest
-from any_arms import loaded_arm
+from any_arms import FRUITS, TRUNK, loaded_arm
 
 import hplan
 import hplan.errors as errors
@@ -24,22 +24,15 @@ from hplan.planning.result import PlanResult
 from hplan.planning.tool_paths import tool_of
 from hplan.planning.world import World
 from hplan.robot.model import Robot, load_robot
-from hplan.scene.model import Fruit, Goal, Scene, Start
-from hplan.scene.obstacles import Capsule, Sphere
+from hplan.scene.model import Goal, Scene, Start
+from hplan.scene.obstacles import Sphere
 
 QUICK = PlanOptions(effort="quick")
-TRUNK = Capsule.model_validate(
-    {"name": "trunk", "kind": "capsule", "from": (0.75, 0.0, -0.3), "to": (0.75, 0.1, 1.2), "radius": 0.04}
-)
 STARTS = {
     "picker": (0.0, 0.2, 1.2, -0.8, 0.0, 0.0),
     "seven": (0.0, 0.3, 0.0, 1.4, 0.0, -1.0, 0.0),
     "panda": (0.0, -0.5, 0.0, -2.2, 0.0, 1.9, 0.78),
 }
-FRUITS = tuple(
-    Fruit(name=f"apple {number}", center=center, radius=0.035)
-    for number, center in enumerate([(0.5, 0.15, 0.5), (0.55, -0.2, 0.6), (0.5, 0.0, 0.35)])
-)
 
 
 @pytest.fixture(params=["picker", "seven", "panda"])

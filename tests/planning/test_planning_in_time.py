@@ -8,9 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from arm_variants import least_by_coal
-from planned import task
+from planned import assert_within_limits, task
 
-from hplan.certificate.certificate import LIMIT_TOLERANCE
 from hplan.errors import ConfigurationInCollisionError, MovingObstacleError, ObstacleInTimeError
 from hplan.planning.in_time import _later
 from hplan.planning.moving.obstacles_at import among_poses, without_moving
@@ -47,12 +46,7 @@ def assert_sound(robot: Robot, scene: Scene, result: PlanResult) -> None:
     assert result.certificate.verified
     assert result.report["certificate"]["verified"]
     assert least_by_coal(robot, scene, result.trajectory) > 0.0
-    for values, limit in (
-        (motion.velocity, robot.velocity_limit),
-        (motion.acceleration, robot.acceleration_limit),
-        (motion.torque, robot.torque_limit),
-    ):
-        assert (np.abs(values) <= LIMIT_TOLERANCE * limit).all()
+    assert_within_limits(robot, motion)
     np.testing.assert_allclose(motion.position[0], scene.start.configuration, atol=1e-12)
     if scene.goal.joints() is not None:
         np.testing.assert_allclose(motion.position[-1], scene.goal.configuration, atol=1e-9)

@@ -7,9 +7,9 @@ from functools import cache
 
 import numpy as np
 import pytest
-from planned import assert_clear, between_rows, fruit, post, task
+from planned import assert_clear, assert_within_limits, between_rows, fruit, post, task
 
-from hplan.certificate.certificate import LIMIT_TOLERANCE, certify
+from hplan.certificate.certificate import certify
 from hplan.certificate.digests import scene_digest
 from hplan.errors import HplanError, InputError, OptionError, SceneError, StartStateError, UnavoidableContactError
 from hplan.planning.options import PlanOptions
@@ -52,12 +52,7 @@ def assert_goes_on(scene: Scene, result: PlanResult) -> None:
     np.testing.assert_allclose(trajectory.velocity[0], start.velocity_rad_s, rtol=0, atol=1e-12)
     np.testing.assert_allclose(trajectory.acceleration[0], start.acceleration_rad_s2, rtol=0, atol=1e-12)
     assert not trajectory.velocity[-1].any()
-    for values, limit in (
-        (trajectory.velocity, robot.velocity_limit),
-        (trajectory.acceleration, robot.acceleration_limit),
-        (trajectory.torque, robot.torque_limit),
-    ):
-        assert (np.abs(values) <= LIMIT_TOLERANCE * limit).all()
+    assert_within_limits(robot, trajectory)
     touched = scene.goal.fruit
     assert_clear(robot, scene, between_rows(trajectory, np.arange(trajectory.samples), 1), touched=touched)
     assert result.certificate.verified

@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from arm_variants import OFFSETS, coal_distances, link_axes, load_variant, random_obstacles
-from fitted_arms import quintic, scene_of
+from fitted_arms import fitted, quintic, scene_of
 from segments import segment_distances
 from studies.planar_cspace import arm_sections, joint_grid
 
@@ -27,9 +27,7 @@ from hplan.grid.occupancy import occupancy
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
 from hplan.robot.base_shapes import coal_distance, turning_shapes
-from hplan.robot.family.members import write_robot
-from hplan.robot.family.spec import ArmSpec
-from hplan.robot.model import Robot, load_robot
+from hplan.robot.model import Robot
 from hplan.robot.self_contact import self_contact
 from hplan.scene.obstacles import Sphere
 
@@ -40,30 +38,10 @@ STANDS_OUT = 2.5e-3
 TOUCH = 1e-6
 
 
-def arm_of(
-    folder, low, high, *, lengths=(1.0, 0.8, 0.4), widths=(0.05, 0.04, 0.03), has_yaw=True, height=0.6, **offsets
-):
+def arm_of(folder, low, high, *, has_yaw=True, height=0.6, **more) -> Robot:
     """A member of the family whose planar joints turn from `low` to `high` [deg], each alike or one by one."""
-    count = len(lengths)
-    low, high = (np.radians(np.broadcast_to(limit, (count,))).tolist() for limit in (low, high))
-    yaw = (math.pi,) if has_yaw else ()
-    joints = count + len(yaw)
-    spec = ArmSpec(
-        name="wide",
-        has_yaw=has_yaw,
-        link_lengths=lengths,
-        link_half_widths=widths,
-        link_masses=(4.0, 3.0, 1.0, 1.0, 1.0)[:count],
-        lower=(*(-limit for limit in yaw), *low),
-        upper=(*yaw, *high),
-        velocity=(1.5,) * joints,
-        effort=(300.0,) * joints,
-        acceleration=(3.0,) * joints,
-        jerk=(150.0,) * joints,
-        shoulder_height=height,
-        **offsets,
-    )
-    return load_robot(write_robot(spec, folder / "wide.urdf")[0])
+    yaw_deg = 180.0 if has_yaw else None
+    return fitted(folder, low=low, high=high, yaw_deg=yaw_deg, name="wide", shoulder_height=height, **more)
 
 
 @pytest.fixture(scope="module")

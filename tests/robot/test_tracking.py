@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from planned import between_twigs
 
 from hplan.certificate.certificate import Certificate, certify
 from hplan.collision.coal_scene import CoalScene
@@ -14,7 +15,7 @@ from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
 from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel
-from hplan.scene.model import Fruit, Goal, Scene, Start
+from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Box, Capsule, Solid, Sphere
 from hplan.trajectory.trajectory import Trajectory
 
@@ -174,14 +175,7 @@ def test_the_upper_arm_keeps_what_it_may_sway_itself(robot: Robot) -> None:
 
 def test_refusal_of_all_grasps_names_the_largest_error(robot: Robot) -> None:
     """True: with 99 % of it the fruit is not blocked, and is picked; with 101 % it is blocked."""
-    twigs = [Sphere(name=f"twig {i}", center=(1.6, side, 1.43), radius=0.05) for i, side in enumerate((-0.09, 0.09))]
-    scene = Scene(
-        name="between twigs",
-        start=Start(joints_deg=(60.0, 30.0, 20.0, 20.0)),
-        goal=Goal(fruit="apple"),
-        obstacles=tuple(twigs),
-        fruits=(Fruit(name="apple", center=(1.6, 0.0, 1.5), radius=0.03),),
-    )
+    scene = between_twigs(0.09)
     with pytest.raises(BlockedError) as refused:
         plan(robot, scene, PlanOptions(tracking_error=math.radians(1.0)))
     facts = refused.value.data

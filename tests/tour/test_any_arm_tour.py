@@ -8,6 +8,7 @@ from pathlib import Path
 import coal
 import numpy as np
 import pytest
+from any_arms import FRUITS, TRUNK
 
 import hplan.errors as errors
 from hplan.apps.cli.main import main
@@ -17,7 +18,7 @@ from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
 from hplan.robot.model import Robot
 from hplan.scene.file import save_scene
-from hplan.scene.model import Fruit, Goal, Scene, Start
+from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Capsule
 from hplan.tour.carried import CARRIED, carrying
 from hplan.tour.result import TourResult
@@ -25,13 +26,6 @@ from hplan.tour.tour import TourOptions, plan_tour
 
 QUICK = PlanOptions(effort="quick")
 START = (0.0, 0.2, 1.2, -0.8, 0.0, 0.0)
-TRUNK = Capsule.model_validate(
-    {"name": "trunk", "kind": "capsule", "from": (0.75, 0.0, -0.3), "to": (0.75, 0.1, 1.2), "radius": 0.04}
-)
-FRUITS = tuple(
-    Fruit(name=f"apple {number}", center=center, radius=0.035)
-    for number, center in enumerate([(0.5, 0.15, 0.5), (0.55, -0.2, 0.6), (0.5, 0.0, 0.35)])
-)
 SCENE = Scene(
     name="three", start=Start(joints_rad=START), goal=Goal(fruit="apple 0"), obstacles=(TRUNK,), fruits=FRUITS
 )

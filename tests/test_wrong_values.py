@@ -211,6 +211,7 @@ CASES: dict[str, Case] = {
             "link_model": (None, "x", []),
             "standoff": (*NO_NUMBER[1:], -1.0),
             "certify": (None, "no", 1.0),
+            "seed": (None, -1, 0.5),
         },
     ),
     "TrackingModel": case(TrackingModel, "still_rad:size delay_s:size"),
@@ -277,7 +278,11 @@ CASES: dict[str, Case] = {
     "check": case(
         hplan.check,
         "robot:object scene:object",
-        {"q": (None, "0", [0.0], [NAN] * 4), "time_s": ("0", NAN), "sigmas": (-1.0, "3", NAN)},
+        {
+            "q": (None, "0", [0.0], [NAN] * 4, [[0.0] * 5], [[0.0] * 4, [0.0]]),
+            "time_s": ("0", NAN),
+            "sigmas": (-1.0, "3", NAN),
+        },
         robot=None,
         scene=None,
         q=[0.0, 0.0, 0.0, 0.0],
@@ -298,6 +303,7 @@ CASES: dict[str, Case] = {
             "joints": ("joints", 1.0, [0.0]),
             "ignore": ("ball", 1, [1]),
             "keep_s": (-1.0, float("nan"), "1"),
+            "yields": (-0.001, NAN, "1"),
             "time_s": (float("nan"), "1"),
         },
         name="seen",
@@ -324,7 +330,12 @@ CASES: dict[str, Case] = {
         hplan.certify,
         "robot:object scene:object trajectory:object tracking_error:size tracking_delay_s:size sigmas:size "
         "checker:other",
-        {"rest_to_rest": (None, "no", 1.0), "check_ends": (None, "no"), "goal_contact": (None, "never", [])},
+        {
+            "rest_to_rest": (None, "no", 1.0),
+            "check_ends": (None, "no"),
+            "goal_contact": (None, "never", []),
+            "begin_s": (None, "1", NAN, math.inf),
+        },
         robot=None,
         scene=None,
         trajectory=None,

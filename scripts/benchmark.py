@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 #: Where each study is.
 STUDIES = {
     "reference": "reference:REFERENCE",
+    "risk": "risk:RISK",
     "clutter": "planar:CLUTTER",
     "trees": "trees:TREES",
     "tours": "trees:TOURS",
@@ -68,6 +69,7 @@ studies:
   panda       MotionBenchMaker's problems (--files)
   random      random scenes of any arm (--robot)
   poses       sequences of tool poses, upright (a UR5, or --robot)
+  risk        obstacles of uncertain places: bounds of the risk beside draws
 
 writes into DIR: STUDY.jsonl, what was asked for and on what in its first line, then a row a line as they come; and
 benchmark.md

@@ -40,6 +40,17 @@ def number(option: str, value: Any, expected: str, accepts: Callable[[float], bo
     return float(value)
 
 
+def by_name(option: str, value: Any, expected: str, accepts: Callable[[float], bool]) -> Any:
+    """A finite number that `accepts` lets pass, or such a number for each of some names.
+
+    Raises:
+        OptionError: It is none.
+    """
+    if not isinstance(value, Mapping) or not value:
+        return number(option, value, expected, accepts)
+    return {str(name): number(f"{option}[{name!r}]", each, expected, accepts) for name, each in value.items()}
+
+
 def between(option: str, value: Any, low: float, high: float) -> float:
     """A number in a range, its ends included."""
     return number(option, value, f"a number between {low:g} and {high:g}", lambda value: low <= value <= high)

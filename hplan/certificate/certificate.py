@@ -36,7 +36,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from hplan.base import ties
-from hplan.base.arguments import instance, number, one_of, truth
+from hplan.base.arguments import between, by_name, instance, number, one_of, truth
 from hplan.base.arrays import FloatArray
 from hplan.base.units import FARTHEST_JOINT
 from hplan.certificate.clearance_curve import (
@@ -56,12 +56,15 @@ from hplan.certificate.pushes import Push
 from hplan.certificate.start_state import start_violations
 from hplan.certificate.task_check import task_violations
 from hplan.certificate.tilted_base import use_on_track
+from hplan.certificate.touch_risk import TouchRisk, touch_risk
 from hplan.collision.coal_scene import CoalScene, Contact, base_contacts
-from hplan.errors import InputError, MovingObstacleError
+from hplan.errors import InputError, MovingObstacleError, OptionError
 from hplan.robot.base_shapes import BASE_DEPTH
 from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel
+from hplan.scene.limits import LEAST_RISK
 from hplan.scene.model import Fruit, Scene
+from hplan.scene.obstacle_kind import Sigmas
 from hplan.trajectory.trajectory import Trajectory, check_joints, cubic_pieces
 
 #: Use of a limit up to which it counts as kept.
@@ -96,6 +99,7 @@ class Certificate:
         contacts: All windows of time in which the last link may touch a fruit, in their order: that of the goal, and
             those of fruits that the motion had to do with before it was led elsewhere.
         digests: The robot, the scene and the trajectory that it is about; None for a part of a motion.
+        risk: The probability that the motion touches anything, where a bound of it was asked for.
         subject: The motions that it is about, for `clearance_curve`; None where it was made by hand.
         nearest_s: When `nearest` was seen, counted as the tracks' times are [s]; None where nothing moves but the arm.
         clear_until_s: Time up to which the arm is shown to keep its distance if it rests where the motion ends, counted
@@ -113,6 +117,7 @@ class Certificate:
     digests: Digests | None = None
     nearest_s: float | None = None
     clear_until_s: float | None = None
+    risk: TouchRisk | None = None
     subject: Subject | None = field(default=None, compare=False, repr=False)
 
     @property
@@ -150,7 +155,7 @@ class Certificate:
         return replace(self, subject=subject, contacts=(), digests=None)
 
 
-# Twelve parameters: three subjects, and options that callers name by keyword.
+# Thirteen parameters: three subjects, and options that callers name by keyword.
 def certify(
     robot: Robot,
     scene: Scene,
@@ -158,7 +163,8 @@ def certify(
     *,
     tracking_error: float = 0.0,
     tracking_delay_s: float = 0.0,
-    sigmas: float = 3.0,
+    sigmas: Sigmas = 3.0,
+    risk: float | None = None,
     goal_contact: GoalContact = "approach",
     contacts: Sequence[FruitContact] = (),
     check_ends: bool = True,
@@ -175,6 +181,9 @@ def certify(
         tracking_error: Largest deviation of any joint from the trajectory at rest [rad; of joints that slide, m].
         tracking_delay_s: Addition to it for each rad/s, or m/s, of the joint's velocity [s].
         sigmas: How many standard deviations of its place an obstacle is grown by, where the scene gives one.
+        risk: Largest probability that the motion touches anything; None for none. Obstacles are not grown then: the
+            clearance is that from where they were seen, and what their errors may do is in the bound
+            (`hplan.certificate.touch_risk`).
         goal_contact: `approach`: the last link may touch the fruit that is the goal on a straight approach and on the
             retreat, found in the motion. `motion`: it may during the whole motion; so `plan` certifies where no
             straight approach is clear.
@@ -195,7 +204,7 @@ def certify(
     Raises:
         InputError: The trajectory has other joints than the robot, or does not say which of them are in metres where
             some slide; start or goal of the scene do not fit it.
-        MovingObstacleError: The fruit that is the goal moves.
+        MovingObstacleError: The fruit that is the goal moves; or something does, and a risk is given.
         OptionError: A time that is not finite; a tracking error or delay, or a number of standard deviations, that is
             negative or not finite; another contact with the goal.
     """
@@ -205,7 +214,14 @@ def certify(
     truth("check_ends", check_ends)
     truth("rest_to_rest", rest_to_rest)
     tracking = TrackingModel(tracking_error, tracking_delay_s)
-    number("sigmas", sigmas, "a finite number >= 0", lambda value: value >= 0.0)
+    by_name("sigmas", sigmas, "a finite number >= 0", lambda value: value >= 0.0)
+    if risk is not None:
+        sigmas = 0.0
+        between("risk", risk, LEAST_RISK, 1.0)
+        if checker is not None:
+            raise OptionError("risk", risk, "None with a checker of other solids than the scene's")
+        if scene.moves:
+            raise MovingObstacleError(scene.first_moving, "a risk is of what stands still")
     one_of("goal_contact", goal_contact, _GOAL_CONTACTS)
     number("begin_s", begin_s, "a finite number of seconds")
     check_joints(trajectory, robot)
@@ -241,6 +257,11 @@ def certify(
         begin_s=begin_s,
     )
     certificate = on_track(certificate, robot, scene, begin_s, trajectory.duration)
+    if risk is not None and certificate.subject is not None:
+        found = touch_risk(certificate.subject, scene, risk)
+        certificate = replace(certificate, risk=found)
+        if found.bound > risk:
+            violations.append(found.violation)
     return replace(
         certificate,
         verified=certificate.verified and not violations,

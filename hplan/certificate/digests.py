@@ -72,6 +72,12 @@ def scene_digest(scene: Scene) -> str:
     for item in (*scene.obstacles, *scene.fruits):
         if item.yields:
             found.add_text(item.name, "yields", repr(item.yields))
+        if item.covariance is not None:
+            found.add_text(item.name, "covariance")
+            found.add_exactly(np.array(item.covariance))
+    if scene.covariance is not None:
+        found.add_text("covariance")
+        found.add_exactly(np.array(scene.covariance))
     for fruit in scene.fruits:
         if fruit.hangs_from:
             found.add_text(fruit.name, "hangs_from", *fruit.hangs_from)

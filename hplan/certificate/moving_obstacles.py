@@ -18,16 +18,16 @@ from hplan.collision.moving_solids import MovingSolids
 from hplan.robot.base_shapes import BASE_DEPTH, base_joints
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
-from hplan.scene.obstacles import Solid
+from hplan.scene.obstacle_kind import Sigmas, Solid, growths
 from hplan.scene.tracks import Movement
 
 
-def checker_in_time(robot: Robot, scene: Scene, sigmas: float) -> CoalScene:
+def checker_in_time(robot: Robot, scene: Scene, sigmas: Sigmas) -> CoalScene:
     """The arm among all solids of a scene, fruit too, each grown for its uncertainty; over time where some move."""
     solids = scene.listed_solids
-    growth = np.array([sigmas * solid.sigma for solid in solids])
     movements = scene.movements if scene.moves else ()
-    return CoalScene(robot, solids, growth=growth, movements=movements, yield_links=scene.yield_links)
+    grown = growths(solids, sigmas)
+    return CoalScene(robot, solids, growth=grown, movements=movements, yield_links=scene.yield_links)
 
 
 def moving_base_contacts(robot: Robot, moving: MovingSolids, yaw: float, begin_s: float, end_s: float) -> Iterator[str]:

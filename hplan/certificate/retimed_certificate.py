@@ -35,6 +35,7 @@ from hplan.collision.coal_scene import CoalScene
 from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel
 from hplan.scene.model import Scene
+from hplan.scene.obstacle_kind import Sigmas
 from hplan.trajectory.trajectory import SAME_TIME, Retimed, Trajectory, cubic_pieces
 
 
@@ -68,7 +69,7 @@ def certified_retiming(
     retimed: Retimed,
     *,
     tracking: TrackingModel,
-    sigmas: float,
+    sigmas: Sigmas,
     anew: bool = False,
 ) -> CertifiedMotion:
     """A motion along another one's path with its certificate.

@@ -228,6 +228,14 @@ class CoalScene:
         return np.append(np.where(pushes[:, None], yielded, 0.0), np.zeros(own))
 
     @property
+    def meetings(self) -> tuple[list[pin.GeometryObject], tuple[Solid, ...], FloatArray]:
+        """What moves, the obstacles, and how deep each may be in each; infinite where they may touch, (k, n) [m]."""
+        first = self._beyond.size
+        depths = np.zeros(first) if self._yielded is None else self._yielded[:first]
+        depths = np.where(self._beyond == -np.inf, np.inf, depths.reshape(self._beyond.shape))
+        return self._mover_shapes, self._built["obstacles"], depths
+
+    @property
     def pushed(self) -> IntArray:
         """Numbers of the `pairs` of which one gives way to the other."""
         return np.flatnonzero(self._yielded) if self._yielded is not None else np.zeros(0, dtype=np.int64)

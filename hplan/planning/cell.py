@@ -367,6 +367,7 @@ def certify_cell(
     """
     instance("cell", cell, Cell, "load_cell")
     options = PlanOptions() if options is None else instance("options", options, PlanOptions)
+    options.check_for(None)
     if not isinstance(motion, Trajectory):
         if not (isinstance(motion, Mapping) and motion):
             raise OptionError("motion", motion, "a trajectory of all joints, or one of each arm by its name")

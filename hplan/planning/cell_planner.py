@@ -102,6 +102,7 @@ def plan_cell(
     """
     instance("cell", cell, Cell, "load_cell")
     options = PlanOptions() if options is None else instance("options", options, PlanOptions)
+    options.check_for(None)
     if options.bound:
         raise OptionError("bound", options.bound, "False: motions of several arms have no bound but the longest alone")
     with time_limit(options.deadline_s, cancel) as limit:

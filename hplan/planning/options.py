@@ -5,12 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final, Literal
 
-from hplan.base.arguments import keep_checked, number, one_of, truth, whole
+from hplan.base.arguments import between, by_name, keep_checked, number, one_of, truth, whole
 from hplan.errors import OptionError
 from hplan.grid.sections import LINK_MODELS, LinkModel
 from hplan.robot.limits import check_rate, check_speed
 from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel
+from hplan.scene.limits import LEAST_RISK
+from hplan.scene.obstacle_kind import Sigmas
 
 Method = Literal["two-level", "dense"]
 _METHODS: tuple[Method, ...] = ("two-level", "dense")
@@ -46,7 +48,10 @@ class PlanOptions:
         tracking_error: Deviation from the trajectory to be covered by the certificate, each joint, at rest [rad; of
             joints that slide, m].
         tracking_delay_s: What comes to it for each rad/s of the joint's velocity [s].
-        sigmas: How many standard deviations of its place an obstacle is grown by, where the scene gives one.
+        sigmas: How many standard deviations of its place an obstacle is grown by, where the scene gives one; or of each
+            by name, none of those that are not named.
+        risk: Largest probability that the motion touches anything, by the errors that the scene gives, in place of
+            `sigmas`: the growths are found with the motion (`hplan.certificate.touch_risk`). None for `sigmas`.
         standoff: Length of the straight approach [m]; shorter where it cannot be had. None for `STANDOFF` to a fruit or
             a point, and for no approach to a pose.
         certify: False exports what was not certified, and says so.
@@ -66,7 +71,8 @@ class PlanOptions:
     speed: float = 1.0
     tracking_error: float = 0.0
     tracking_delay_s: float = 0.0
-    sigmas: float = 3.0
+    sigmas: Sigmas = 3.0
+    risk: float | None = None
     standoff: float | None = None
     certify: bool = True
     bound: bool = False
@@ -76,6 +82,10 @@ class PlanOptions:
     def __post_init__(self) -> None:
         """Check every value; what is wrong is an `OptionError`."""
         keep_checked(self, _CHECKS)
+        if self.risk is not None:
+            keep_checked(self, {"risk": (between, LEAST_RISK, 1.0)})
+            if not self.certify:
+                raise OptionError("risk", self.risk, "None where motions need not be certified")
         if self.standoff is not None:
             keep_checked(self, {"standoff": (number, "a finite number >= 0", lambda value: value >= 0.0)})
         if self.deadline_s is not None:
@@ -86,12 +96,20 @@ class PlanOptions:
         check_speed(self.speed)
         TrackingModel(self.tracking_error, self.tracking_delay_s)
 
-    def check_for(self, robot: Robot) -> None:
-        """Refuse the dense search for robots without a grid.
+    def check_for(self, robot: Robot | None, *, takes_risk: bool = False) -> None:
+        """Refuse the dense search for robots without a grid, and a risk where there is more than a single plan.
+
+        Args:
+            robot: The robot; None for several.
+            takes_risk: Whether a risk may be asked for.
 
         Raises:
             OptionError: It is asked for.
         """
+        if self.risk is not None and not takes_risk:
+            raise OptionError("risk", self.risk, "None: a risk is of a single plan from rest to rest")
+        if robot is None:
+            return
         if self.method == "dense" and robot.planar is None:
             expected = f"'two-level' for {robot.name!r}, which is no planar arm: there is no grid to be searched"
             raise OptionError("method", self.method, expected)
@@ -118,7 +136,7 @@ _CHECKS = {
     "effort": (one_of, EFFORT_NAMES),
     "link_model": (one_of, LINK_MODELS),
     "step_deg": (number, f"a number of degrees >= {_FINEST_DEG:g}", lambda step: step >= _FINEST_DEG),
-    "sigmas": (number, "a finite number >= 0", lambda value: value >= 0.0),
+    "sigmas": (by_name, "a finite number >= 0", lambda value: value >= 0.0),
     "seed": (whole, 0, 2**31),
     **dict.fromkeys(("certify", "bound"), (truth,)),
 }

@@ -11,7 +11,8 @@ from hplan.base.deadline import Cancel, TimeIsUpError, TimeLimit, check_deadline
 from hplan.certificate.certificate import GoalContact, certify, goal_contacts
 from hplan.certificate.digests import Digests
 from hplan.certificate.start_state import start_state
-from hplan.errors import CertificationError, HplanError, NoPathError, OptionError, TimingError
+from hplan.errors import CertificationError, HplanError, MovingObstacleError, NoPathError, OptionError, TimingError
+from hplan.planning.at_risk import plan_at_risk
 from hplan.planning.in_time import plans_in_time
 from hplan.planning.motion import Plan, Transit, last, motion_limits, seconds
 from hplan.planning.options import PlanOptions
@@ -65,14 +66,31 @@ def plan(
         PlanCancelledError: Nobody wants the plan any more.
         UnavoidableContactError: The start is in motion, and no motion onward or stop without contact was found.
         BoundError: The bound, where it is asked for, contradicts the motion.
+        MovingObstacleError: A risk is asked for, and something moves.
     """
-    check_task(robot, scene, options, progress)
+    check_task(robot, scene, options, progress, takes_risk=True)
     options = PlanOptions() if options is None else options
+    cache = PlanningCache(robot, LastWorld.of(robot))
+
+    def planned(options: PlanOptions) -> PlanResult:
+        return plan_with(cache, scene, options, progress=progress)
+
     with time_limit(options.deadline_s, cancel):
-        return plan_with(PlanningCache(robot, LastWorld.of(robot)), scene, options, progress=progress)
+        if options.risk is None:
+            return planned(options)
+        if scene.moves:
+            raise MovingObstacleError(scene.first_moving, "a risk is of what stands still")
+        return plan_at_risk(robot, scene, options, options.risk, planned)
 
 
-def check_task(robot: Robot, scene: Scene, options: PlanOptions | None, progress: Progress = no_progress) -> None:
+def check_task(
+    robot: Robot,
+    scene: Scene,
+    options: PlanOptions | None,
+    progress: Progress = no_progress,
+    *,
+    takes_risk: bool = False,
+) -> None:
     """Refuse what is no robot, scene, options or function, such as the first two in the wrong order.
 
     Raises:
@@ -82,7 +100,7 @@ def check_task(robot: Robot, scene: Scene, options: PlanOptions | None, progress
     instance("scene", scene, Scene, "load_scene")
     function("progress", progress)
     if options is not None:
-        instance("options", options, PlanOptions).check_for(robot)
+        instance("options", options, PlanOptions).check_for(robot, takes_risk=takes_risk)
 
 
 def plan_with(

@@ -5,22 +5,30 @@ from __future__ import annotations
 import functools
 import json
 import math
+from collections.abc import Mapping
 from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hplan.base.files import write_text
+from hplan.certificate.touch_risk import beyond_sigmas
 from hplan.errors import HplanError
 
 if TYPE_CHECKING:
     from hplan.base.deadline import TimeLimit
     from hplan.certificate.certificate import Certificate
+    from hplan.certificate.touch_risk import TouchRisk
     from hplan.planning.options import PlanOptions
     from hplan.scene.model import Scene
+    from hplan.scene.obstacle_kind import Sigmas
     from hplan.trajectory.trajectory import Trajectory
 
 #: Packages whose versions a report names.
 _PACKAGES = ("hplan", "pin", "coal", "toppra", "numba", "numpy")
+
+
+#: So many obstacles are told of those that a motion may touch.
+_SHARES = 10
 
 
 @functools.cache
@@ -36,25 +44,32 @@ def versions() -> dict[str, str]:
     return {package: _version(package) for package in _PACKAGES}
 
 
-def beyond_sigmas(sigmas: float) -> float:
-    """Probability that a place is off by more than so many sigmas, sigma being that of each coordinate in space.
-
-    The distance has the chi distribution of three degrees of freedom: beyond three sigmas are 2.9 %, not the 0.3 % of a
-    single coordinate.
-    """
-    return math.erfc(sigmas / math.sqrt(2.0)) + math.sqrt(2.0 / math.pi) * sigmas * math.exp(-0.5 * sigmas * sigmas)
-
-
-def uncertainty_report(scene: Scene, sigmas: float) -> dict[str, Any]:
+def uncertainty_report(scene: Scene, sigmas: Sigmas) -> dict[str, Any]:
     """What a number of sigmas leaves: how many obstacles are uncertain, and how likely they are farther off.
 
     That any of them is has at most the sum of their probabilities, whatever they have to do with one another.
     """
-    count = sum(item.sigma > 0.0 for item in (*scene.obstacles, *scene.fruits))
-    if not count:
+    items = [
+        item.name for item in (*scene.obstacles, *scene.fruits) if item.sigma > 0.0 or scene.covariance is not None
+    ]
+    if not items:
         return {}
-    beyond = beyond_sigmas(sigmas)
-    return {"uncertain": {"obstacles": count, "one_beyond": beyond, "any_beyond_at_most": min(1.0, count * beyond)}}
+    named = sigmas if isinstance(sigmas, Mapping) else dict.fromkeys(items, sigmas)
+    beyond = [float(beyond_sigmas(named.get(name, 0.0))) for name in items]
+    told = {"obstacles": len(items), "one_beyond": max(beyond), "any_beyond_at_most": min(1.0, math.fsum(beyond))}
+    return {"uncertain": told}
+
+
+def risk_report(risk: TouchRisk) -> dict[str, Any]:
+    """The probability that a motion touches anything: the bound, who has most of it, and an estimate."""
+    estimate = risk.estimate
+    return {
+        "asked": risk.asked,
+        "bound": risk.bound,
+        "shared": risk.shared,
+        "shares": [vars(share) for share in risk.shares[:_SHARES]],
+        "estimate": {"frequency": estimate.frequency, **vars(estimate)},
+    }
 
 
 def certificate_report(certificate: Certificate, options: PlanOptions, scene: Scene) -> dict[str, Any]:
@@ -72,8 +87,11 @@ def certificate_report(certificate: Certificate, options: PlanOptions, scene: Sc
         "nearest": None if nearest is None else vars(nearest),
         "tracking_error_rad": options.tracking_error,
         "tracking_delay_s": options.tracking_delay_s,
-        "sigmas": options.sigmas,
-        **uncertainty_report(scene, options.sigmas),
+        **(
+            {"sigmas": options.sigmas, **uncertainty_report(scene, options.sigmas)}
+            if certificate.risk is None
+            else {"sigmas": 0.0, "risk": risk_report(certificate.risk)}
+        ),
         "goal_contact": certificate.goal_contact,
         "contact_s": None if certificate.contact_s is None else list(certificate.contact_s),
         **({} if only_goal else {"contacts": told}),

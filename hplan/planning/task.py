@@ -27,7 +27,7 @@ from hplan.planning.stages import StageClock
 from hplan.planning.world import World
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
-from hplan.scene.obstacles import Solid
+from hplan.scene.obstacle_kind import Sigmas, Solid
 
 #: Clearance asked for wherever a motion is evaluated, beyond the scene's own [m]; less where start or goal have less.
 MARGIN = 2e-3
@@ -206,7 +206,7 @@ class LastWorld:
 
     def __init__(self) -> None:
         """Begin with none."""
-        self._kept: tuple[tuple[tuple[Solid, ...], float, float, float, tuple[str, ...] | None], World] | None = None
+        self._kept: tuple[tuple[tuple[Solid, ...], float, float, Sigmas, tuple[str, ...] | None], World] | None = None
 
     @classmethod
     def of(cls, robot: Robot) -> LastWorld:

@@ -29,7 +29,7 @@ from hplan.robot.files import neighbouring_links
 from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel, largest_fraction, name_margin
 from hplan.scene.model import Scene, hanging_from
-from hplan.scene.obstacles import Solid
+from hplan.scene.obstacle_kind import Sigmas, Solid, growths
 
 #: So many clearances are remembered at most.
 _KNOWN = 4096
@@ -71,7 +71,7 @@ class World(Record):
         *,
         clearance: float = 0.0,
         tracking_error: float = 0.0,
-        sigmas: float = 0.0,
+        sigmas: Sigmas = 0.0,
         yield_links: Sequence[str] | None = None,
     ) -> World:
         """Make solids ready.
@@ -79,13 +79,13 @@ class World(Record):
         Args:
             clearance: Clearance to keep [m].
             tracking_error: Deviation of any joint at rest that is to be allowed for [rad].
-            sigmas: How many standard deviations of its place an obstacle grows by.
+            sigmas: How many standard deviations of its place an obstacle grows by; by name where they differ.
             yield_links: Names of the links that may push what gives way; None for those of the last two joints.
 
         Raises:
             OptionError: A name of no link.
         """
-        growth = np.array([sigmas * solid.sigma for solid in solids], dtype=np.float64)
+        growth = growths(solids, sigmas)
         linked = LinkedSolids.of(robot, solids, clearance + growth, yield_links, growth)
         field = linked.field(robot, own_clearance=clearance, deviation=tracking_error)
         check_deadline()

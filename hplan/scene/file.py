@@ -122,7 +122,9 @@ def dump_scene(scene: Scene) -> str:
     content |= _dumped(scene, exclude={"start", "goal", "obstacles", "fruits"})
     content |= {"start": _dumped(scene.start), "goal": _dumped(scene.goal)}
     for key, items in (("obstacles", scene.obstacles), ("fruits", scene.fruits)):
-        content[key] = [_dumped(item, exclude={"sigma"} if item.sigma == 0.0 else None) for item in items]
+        content[key] = [
+            _dumped(item, exclude={"sigma"} if item.sigma == 0.0 or item.covariance else None) for item in items
+        ]
     return write_yaml(content)
 
 
@@ -133,7 +135,11 @@ def _dumped(part: BaseModel, exclude: set[str] | None = None) -> dict[str, Any]:
         value = getattr(part, key)
         if field.exclude and value != field.default:
             dumped = value.model_dump(mode="json", exclude_none=True) if isinstance(value, BaseModel) else value
-            content[key] = list(dumped) if isinstance(dumped, tuple) else dumped
+            content[key] = (
+                [list(row) if isinstance(row, tuple) else row for row in dumped]
+                if isinstance(dumped, tuple)
+                else dumped
+            )
     return content
 
 

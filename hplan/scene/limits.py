@@ -36,3 +36,6 @@ MOST_SHAPE_BYTES: Final = 256_000_000
 #: Most triangles of a mesh, and most points of a cloud.
 MOST_TRIANGLES: Final = 200_000
 MOST_POINTS: Final = 2_000_000
+
+#: Least probability of a contact that can be asked for: of 10,000 obstacles that are far it is shown.
+LEAST_RISK: Final = 1e-5

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
 from typing import Annotated, Any, ClassVar, Final, Literal, Self
 
 import numpy as np
@@ -21,9 +22,20 @@ from hplan.base.data_files import robot_names
 from hplan.errors import MovingObstacleError, SceneError
 from hplan.scene.fault import StrictModel, fault
 from hplan.scene.limits import FARTHEST_M, MOST_OBSTACLES, Size, Vector
-from hplan.scene.obstacle_kind import Name, Sigma, SwayField, TrackField, YieldsField, moved
+from hplan.scene.obstacle_kind import (
+    CovarianceField,
+    Name,
+    Sigma,
+    SwayField,
+    TrackField,
+    Uncertain,
+    YieldsField,
+    largest_deviation,
+    moved,
+    turned_covariance,
+)
 from hplan.scene.obstacles import AnyObstacle, Obstacle, Solid, Sphere
-from hplan.scene.solids import quaternion_rotation, rpy_rotation
+from hplan.scene.solids import Cloud, Hull, quaternion_rotation, rpy_rotation
 from hplan.scene.tracks import Movement
 
 FORMAT: Final = "hplan-scene/1"
@@ -37,7 +49,7 @@ def _listed(names: Any) -> Any:
     return (names,) if isinstance(names, str) else names
 
 
-class Fruit(StrictModel):
+class Fruit(Uncertain):
     """A fruit: a ball, an obstacle unless it is the one being reached for.
 
     What it hangs from, obstacles by their names, gives way while this fruit may be touched: as deep as each yields, and
@@ -51,6 +63,7 @@ class Fruit(StrictModel):
     track: TrackField = None
     sway: SwayField = None
     yields: YieldsField = 0.0
+    covariance: CovarianceField = None
     hangs_from: Annotated[tuple[Name, ...], BeforeValidator(_listed), Field(exclude=True)] = ()
 
 
@@ -193,6 +206,8 @@ class Scene(StrictModel):
         yield_links: Names of the links that may push what gives way; None for those of the last two joints.
         obstacles: What must not be touched.
         fruits: Fruit; obstacles too, except the one reached for.
+        covariance: Covariance of an error that is the same of all obstacles and fruits, as of a camera or the base that
+            is not where it should be; it comes to that of each [m^2]. None for no such error.
         base_track: How the base moves, of a platform that creeps along the row; None for one that stands still.
             Obstacles, and their tracks, are where the base is without a shift; start and goal are seen from the base.
     """
@@ -207,6 +222,7 @@ class Scene(StrictModel):
     obstacles: Annotated[tuple[Obstacle, ...], Field(max_length=MOST_OBSTACLES)] = ()
     fruits: Annotated[tuple[Fruit, ...], Field(max_length=MOST_OBSTACLES)] = ()
     base_track: TrackField = None
+    covariance: CovarianceField = None
     yield_links: Annotated[tuple[Name, ...] | None, Field(exclude=True)] = None
 
     @field_validator("robot")
@@ -282,7 +298,26 @@ class Scene(StrictModel):
             Sphere(name=f.name, center=f.center, radius=f.radius, sigma=f.sigma, sway=f.sway, yields=f.yields).solids[0]
             for f in self.fruits
         )
-        return (*(solid for obstacle in self.obstacles for solid in obstacle.solids), *balls)
+        listed = (*(solid for obstacle in self.obstacles for solid in obstacle.solids), *balls)
+        if self.covariance is None:
+            return listed
+        sigmas = {name: largest_deviation(error + self.shared_error) for name, error in self.errors.items()}
+        return tuple(
+            replace(solid, sigma=sigmas[solid.name])
+            if isinstance(solid, Hull | Cloud)
+            else solid.model_copy(update={"sigma": sigmas[solid.name]})
+            for solid in listed
+        )
+
+    @property
+    def errors(self) -> dict[str, FloatArray]:
+        """(3, 3) covariance of the place of each obstacle and fruit, by name, without what is common to all [m^2]."""
+        return {item.name: item.place_covariance for item in (*self.obstacles, *self.fruits)}
+
+    @property
+    def shared_error(self) -> FloatArray:
+        """(3, 3) covariance of the error that is the same of all [m^2]."""
+        return np.zeros((3, 3)) if self.covariance is None else np.array(self.covariance)
 
     @property
     def movements(self) -> tuple[Movement | None, ...]:
@@ -382,7 +417,10 @@ class Scene(StrictModel):
                 cos, sin = math.cos(0.5 * math.radians(yaw_deg)), math.sin(0.5 * math.radians(yaw_deg))
                 place["quaternion_xyzw"] = cos * x - sin * y, cos * y + sin * x, cos * z + sin * w, cos * w - sin * z
             goal = goal.model_copy(update=place)
-        return self.model_copy(update=self._each(lambda item: moved(item, turn, by)) | {"goal": goal})
+        update = self._each(lambda item: moved(item, turn, by)) | {"goal": goal}
+        if self.covariance is not None:
+            update["covariance"] = turned_covariance(self.covariance, turn)
+        return self.model_copy(update=update)
 
     def cropped(self, reach: float, centre: ArrayLike = (0.0, 0.0, 0.0)) -> Scene:
         """The scene without what is farther from a point than a reach; what moves stays, and so does the goal's fruit.

@@ -8,22 +8,49 @@ pages and messages ask (`hull`, `surface`, `excess`) follows, unless the kind kn
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Self, TypeAlias
 
 import numpy as np
-from pydantic import Field, PrivateAttr
+from pydantic import AfterValidator, Field, PrivateAttr, model_validator
 
 from hplan.base.arrays import FloatArray, IntArray, frozen, readonly
-from hplan.scene.fault import StrictModel
-from hplan.scene.limits import FARTHEST_M, MOST_POINTS, Angles
+from hplan.scene.fault import StrictModel, fault
+from hplan.scene.limits import FARTHEST_M, MOST_POINTS, Angles, Vector
 from hplan.scene.solids import Cloud, Hull, hull_of, rpy_of, rpy_rotation, thickening, whole_hull
 from hplan.scene.tracks import Sway, Track
 
 Name: TypeAlias = Annotated[str, Field(min_length=1)]
 Sigma: TypeAlias = Annotated[float, Field(ge=0.0, le=FARTHEST_M)]
+
+#: How many standard deviations each obstacle grows by: the same of all, or of each by name (none of those not named).
+Sigmas: TypeAlias = float | Mapping[str, float]
+
+
+def _symmetric(rows: tuple[Vector, Vector, Vector]) -> tuple[Vector, Vector, Vector]:
+    """Rows of a covariance, checked."""
+    matrix = np.array(rows)
+    size = float(np.abs(matrix).max())
+    if not np.abs(matrix - matrix.T).max() <= 1e-9 * size or np.linalg.eigvalsh(matrix).min() < -1e-9 * size:
+        raise ValueError("expected a covariance: symmetric, without negative eigenvalues")
+    return rows
+
+
+#: Covariance of a place, in `base_link` [m^2]; in dumps where there is one.
+CovarianceField: TypeAlias = Annotated[
+    tuple[Vector, Vector, Vector] | None,
+    AfterValidator(lambda rows: rows if rows is None else _symmetric(rows)),
+    Field(exclude=True),
+]
+
+
+def largest_deviation(covariance: FloatArray) -> float:
+    """Standard deviation in the direction in which a (3, 3) covariance has the largest [m]."""
+    return math.sqrt(max(0.0, float(np.linalg.eigvalsh(covariance)[-1])))
+
 
 #: Balls of a cloud that sways grow by no more than this, unless there are too many [m].
 SWEPT_ERROR: Final = 1e-3
@@ -39,12 +66,36 @@ SwayField: TypeAlias = Annotated[Sway | None, Field(exclude=True)]
 YieldsField: TypeAlias = Annotated[float, Field(ge=0.0, le=FARTHEST_M, exclude=True)]
 
 
-class Kind(StrictModel):
+class Uncertain(StrictModel):
+    """Base of what may not be where it was seen: by `sigma` in each coordinate, or by a `covariance`."""
+
+    if TYPE_CHECKING:
+        sigma: Sigma
+        covariance: CovarianceField
+
+    @model_validator(mode="after")
+    def _one_error(self) -> Self:
+        """Where a covariance is given, `sigma` is what it has in its worst direction."""
+        if self.covariance is not None:
+            largest = largest_deviation(np.array(self.covariance))
+            if self.sigma not in (0.0, largest):
+                raise fault("sigma and covariance exclude one another", "covariance")
+            vars(self)["sigma"] = largest
+        return self
+
+    @property
+    def place_covariance(self) -> FloatArray:
+        """(3, 3) covariance of its place [m^2]."""
+        return self.sigma**2 * np.eye(3) if self.covariance is None else np.array(self.covariance)
+
+
+class Kind(Uncertain):
     """Base of all obstacles.
 
     Attributes of every kind:
         name: Name of the obstacle.
-        sigma: Standard deviation of its position [m].
+        sigma: Standard deviation of each coordinate of its position; with a covariance that in the worst direction [m].
+        covariance: Covariance of its position [m^2]; None where `sigma` says it all.
         track: How it moves; None for an obstacle that stands still.
         sway: How far it may swing out of its place; None for not at all.
         yields: How deep the links that may push may be in it [m]; 0 for what must not be touched.
@@ -52,7 +103,6 @@ class Kind(StrictModel):
 
     if TYPE_CHECKING:  # fields of all kinds, where they stand in the order of the file's keys
         name: Name
-        sigma: Sigma
         track: TrackField
         sway: SwayField
         yields: YieldsField
@@ -188,6 +238,13 @@ def _swept_cloud(cloud: Cloud, reach: FloatArray) -> Cloud:
     return replace(Cloud.of(cloud.name, points, grown, cloud.sigma), yields=cloud.yields)
 
 
+def growths(solids: Sequence[Solid], sigmas: Sigmas) -> FloatArray:
+    """(solids,) by how much each grows for its uncertainty [m]."""
+    if isinstance(sigmas, Mapping):
+        return np.array([sigmas.get(solid.name, 0.0) * solid.sigma for solid in solids], dtype=np.float64)
+    return np.array([sigmas * solid.sigma for solid in solids], dtype=np.float64)
+
+
 def posed(solid: Solid, rotation: FloatArray, shift: FloatArray) -> Solid:
     """The solid with each of its points x at `rotation @ x + shift`.
 
@@ -216,10 +273,20 @@ def moved(item: Any, rotation: FloatArray, shift: FloatArray) -> dict[str, Any]:
             found[key] = tuple((rotation @ np.array(getattr(item, key)) + shift).tolist())
     if hasattr(item, "rpy_deg"):
         found["rpy_deg"] = rpy_of(rotation @ item.rotation)
+    if item.covariance is not None:
+        found["covariance"] = turned_covariance(item.covariance, rotation)
     if item.sway is not None:
         turned = tuple((rotation @ item.sway.reach).tolist())
         found["sway"] = item.sway.model_copy(update={"direction": turned})
     return found
+
+
+def turned_covariance(
+    covariance: tuple[Vector, Vector, Vector], rotation: FloatArray
+) -> tuple[tuple[float, float, float], ...]:
+    """Rows of a covariance in axes that a (3, 3) rotation has turned."""
+    rows = rotation @ np.array(covariance) @ rotation.T
+    return tuple((x, y, z) for x, y, z in (0.5 * (rows + rows.T)).tolist())
 
 
 def _posed_hull(hull: Hull, core: FloatArray, rotation: FloatArray, shift: FloatArray) -> Hull:

@@ -19,7 +19,17 @@ from hplan.base.files import ByteBudget
 from hplan.errors import SceneError
 from hplan.scene.fault import fault, scene_error, validated
 from hplan.scene.limits import FARTHEST_M, MOST_SHAPE_BYTES, Angles, Size, Vector
-from hplan.scene.obstacle_kind import Convex, FromData, Name, Sigma, SwayField, TrackField, Turned, YieldsField
+from hplan.scene.obstacle_kind import (
+    Convex,
+    CovarianceField,
+    FromData,
+    Name,
+    Sigma,
+    SwayField,
+    TrackField,
+    Turned,
+    YieldsField,
+)
 from hplan.scene.obstacle_kind import Solid as Solid  # a name of this module too
 from hplan.scene.prism import prism, prism_excess
 from hplan.scene.solids import CUBE_CORNERS, Cloud, Hull
@@ -42,6 +52,7 @@ class Sphere(Convex):
     track: TrackField = None
     sway: SwayField = None
     yields: YieldsField = 0.0
+    covariance: CovarianceField = None
 
     @property
     def core(self) -> FloatArray:
@@ -72,6 +83,7 @@ class Capsule(Convex):
     track: TrackField = None
     sway: SwayField = None
     yields: YieldsField = 0.0
+    covariance: CovarianceField = None
 
     @property
     def core(self) -> FloatArray:
@@ -100,6 +112,7 @@ class Cylinder(Turned, Convex):
     track: TrackField = None
     sway: SwayField = None
     yields: YieldsField = 0.0
+    covariance: CovarianceField = None
 
     @property
     def hull(self) -> Hull:
@@ -129,6 +142,7 @@ class Box(Turned, Convex):
     track: TrackField = None
     sway: SwayField = None
     yields: YieldsField = 0.0
+    covariance: CovarianceField = None
 
     @property
     def core(self) -> FloatArray:
@@ -153,6 +167,7 @@ class Mesh(FromData):
     track: TrackField = None
     sway: SwayField = None
     yields: YieldsField = 0.0
+    covariance: CovarianceField = None
 
     @classmethod
     def of(cls, name: str, vertices: ArrayLike, faces: ArrayLike, **placement: Any) -> Mesh:
@@ -162,7 +177,7 @@ class Mesh(FromData):
             name: Name of the obstacle.
             vertices: Vertices [m] (before `scale`).
             faces: Rows of the triangles' vertices.
-            placement: `position`, `rpy_deg`, `scale`, `sigma`, `yields`.
+            placement: `position`, `rpy_deg`, `scale`, `sigma`, `covariance`, `yields`.
 
         Raises:
             SceneError: The mesh is empty, not finite, open, flat or inside out.
@@ -223,6 +238,7 @@ class PointCloud(FromData):
     track: TrackField = None
     sway: SwayField = None
     yields: YieldsField = 0.0
+    covariance: CovarianceField = None
 
     @classmethod
     def of(cls, name: str, points: ArrayLike, radius: float, **placement: Any) -> PointCloud:
@@ -232,7 +248,7 @@ class PointCloud(FromData):
             name: Name of the obstacle.
             points: Centres of the balls [m].
             radius: Radius of every ball [m].
-            placement: `position`, `rpy_deg`, `sigma`, `yields`.
+            placement: `position`, `rpy_deg`, `sigma`, `covariance`, `yields`.
 
         Raises:
             SceneError: The cloud is empty, too large or not finite.

@@ -113,6 +113,7 @@ def plan_cell_tour(
     """
     instance("cell", cell, Cell, "load_cell")
     options = PlanOptions() if options is None else instance("options", options, PlanOptions)
+    options.check_for(None)
     with time_limit(options.deadline_s, cancel) as limit:
         try:
             return _planned(cell, replace(options, deadline_s=None), progress)

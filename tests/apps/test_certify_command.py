@@ -11,6 +11,7 @@ import pytest
 
 from hplan.apps.cli import main as cli
 from hplan.base.data_files import scenes_dir, urdf_dir
+from hplan.scene.file import load_scene, save_scene
 from hplan.trajectory.trajectory import Trajectory, read_csv, write_csv
 
 
@@ -53,6 +54,23 @@ def test_a_trajectory_by_itself(done, capsys):
     assert status == 5
     assert report["status"] == "failed"
     assert "comes to" in report["certificate"]["violations"][0]
+
+
+def test_a_risk(tmp_path, capsys):
+    """A plan at risk is certified again as its folder says it was, by a stricter risk it is not."""
+    scene, folder = tmp_path / "vague.yaml", tmp_path / "out"
+    sure = load_scene()
+    ball = sure.obstacles[0].model_copy(update={"covariance": ((4e-4, 0.0, 0.0), (0.0, 1e-4, 0.0), (0.0, 0.0, 1e-4))})
+    shared = ((1e-5, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    save_scene(sure.with_obstacles([ball]).model_copy(update={"covariance": shared}), scene)
+    assert cli.main(["plan", str(scene), "--out", str(folder), "--quiet", "--risk", "0.02"]) == 0
+    status, report = said(capsys, folder, scene)
+    told = json.loads((folder / "report.json").read_text())["certificate"]
+    assert (status, report["differs"]) == (0, [])
+    assert 0.0 < told["risk"]["estimate"]["low"] <= told["risk"]["bound"] <= told["risk"]["asked"] == 0.02
+    assert report["certificate"]["risk"]["bound"] == pytest.approx(told["risk"]["bound"])
+    assert cli.main(["certify", str(folder / "trajectory.csv"), str(scene), "--risk", "0.001"]) == 5
+    assert "risk" in capsys.readouterr().out
 
 
 def test_a_trajectory_that_was_changed_a_little(job, capsys):

@@ -1,10 +1,14 @@
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pinocchio as pin
 import pytest
 
+from hplan.certificate.digests import scene_digest
 from hplan.errors import InputError, MovingObstacleError, OptionError, SceneError
+from hplan.scene.file import dump_scene, parse_scene
 from hplan.scene.model import Fruit, Goal, Scene, Start
 from hplan.scene.obstacles import Box, Capsule, Sphere
 from hplan.scene.solids import rpy_rotation
@@ -112,3 +116,28 @@ def test_what_is_out_of_reach_is_left_out_but_for_the_goal_and_what_moves():
     assert scene.cropped(10.0) == scene
     with pytest.raises(OptionError):
         scene.cropped(-1.0)
+
+
+def test_covariances() -> None:
+    """They are read and written, known to the digest, turned with the scene; `sigma` is that of the worst direction."""
+    rows = ((4e-4, 1e-4, 0.0), (1e-4, 1e-4, 0.0), (0.0, 0.0, 9e-4))
+    ball = Sphere(name="ball", center=(1.0, 0.0, 1.0), radius=0.1, covariance=rows)
+    fruit = Fruit(name="apple", center=(0.0, 1.0, 1.0), radius=0.04, covariance=rows)
+    scene = a_scene(obstacles=(ball,), fruits=(fruit,), covariance=rows)
+    assert parse_scene(dump_scene(scene)) == scene
+    assert ball.sigma == fruit.sigma == pytest.approx(0.03)
+    assert [solid.sigma for solid in scene.solids] == pytest.approx([math.sqrt(18e-4)] * 2)
+    plain = [
+        scene.model_copy(update={"covariance": None}),
+        scene.with_obstacles([ball.model_copy(update={"covariance": None})]),
+        scene.model_copy(update={"fruits": (fruit.model_copy(update={"covariance": None}),)}),
+    ]
+    assert len({scene_digest(each) for each in (scene, *plain)}) == 4
+    turned = scene.shifted((0.0, 0.0, 0.0), yaw_deg=90.0)
+    for covariance in (turned.errors["ball"], turned.errors["apple"], turned.shared_error):
+        np.testing.assert_allclose(covariance, [[1e-4, -1e-4, 0.0], [-1e-4, 4e-4, 0.0], [0.0, 0.0, 9e-4]], atol=1e-12)
+    for wrong in (np.array(rows) + np.eye(3, k=1), -np.array(rows), np.eye(2)):
+        with pytest.raises(SceneError, match="covariance"):
+            Sphere(name="ball", center=(1.0, 0.0, 1.0), radius=0.1, covariance=wrong)
+    with pytest.raises(SceneError, match="exclude one another"):
+        Sphere(name="ball", center=(1.0, 0.0, 1.0), radius=0.1, covariance=rows, sigma=0.01)

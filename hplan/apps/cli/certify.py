@@ -18,7 +18,17 @@ from hplan.apps.cli.options import (
     scene_among,
     tracking_of,
 )
-from hplan.apps.cli.terminal import FAILED, certificate_words, escape, facts_table, hand_out, loading, percent, show
+from hplan.apps.cli.terminal import (
+    FAILED,
+    certificate_words,
+    escape,
+    facts_table,
+    hand_out,
+    loading,
+    percent,
+    risk_words,
+    show,
+)
 from hplan.base.files import is_folder
 
 if TYPE_CHECKING:
@@ -43,7 +53,7 @@ def parser(prog: str) -> argparse.ArgumentParser:
     parser = command_parser(_DESCRIPTION, _EXIT_STATUS, prog=prog)
     add = parser.add_argument
     add("trajectory", type=Path, help="CSV, or the folder of a job")
-    add_shared(parser, "scene", "robot", "parts", "contacts", "tracking", "sigmas")
+    add_shared(parser, "scene", "robot", "parts", "contacts", "tracking", "sigmas", "risk")
     add("--goal-contact", choices=("approach", "motion"), help="when the last link may touch the fruit that is "
         "the goal: on a straight approach, or during the whole motion (default: approach)")  # fmt: skip
     add("--begin", type=float, default=0.0, metavar="S", help="time at which the motion begins, as the tracks of what "
@@ -91,6 +101,7 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int
         tracking_error=tracking.still_rad,
         tracking_delay_s=tracking.delay_s,
         sigmas=arguments.sigmas,
+        risk=arguments.risk,
         goal_contact=arguments.goal_contact,
         contacts=() if job is None else job.contacts(scene),
         check_ends=not arguments.any_ends,
@@ -121,6 +132,7 @@ def _fill_in(arguments: argparse.Namespace, job: FinishedJob | None) -> None:
         "tracking_error_m": 0.0,
         "tracking_delay": 1e3 * settings["tracking_delay_s"],
         "sigmas": settings["sigmas"],
+        "risk": settings.get("risk", {}).get("asked"),
         "goal_contact": "motion" if settings.get("goal_contact") == "motion" else "approach",
         "yield_links": settings.get("yield_links"),
     }
@@ -146,6 +158,8 @@ def _show(console: Console, report: dict[str, Any], error: str) -> None:
         table.add_row("at rest", "clear for ever" if until is None else f"clear until {until:.3f} s")
     covered = f"tracking error {error}, delay {1e3 * proof['tracking_delay_s']:g} ms; {proof['sigmas']:g} sigma"
     table.add_row("covered", covered)
+    if "risk" in proof:
+        table.add_row("risk", escape(risk_words(proof["risk"])))
     if "uncertain" in proof:
         left = proof["uncertain"]
         one, some = 100.0 * left["one_beyond"], 100.0 * left["any_beyond_at_most"]

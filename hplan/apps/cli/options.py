@@ -78,6 +78,8 @@ _SHARED: tuple[tuple[str, str, str, dict[str, Any]], ...] = (
         {"type": int, "default": 0, "metavar": "N"}),
     ("sigmas", "--sigmas", "an uncertain obstacle grows by K sigma (default: 3, which leaves 2.9 %% of its places)",
         {"type": float, "default": 3.0, "metavar": "K"}),
+    ("risk", "--risk", "largest probability that the motion touches anything, in place of --sigmas: obstacles "
+        "grow by what it takes", {"type": float, "metavar": "P"}),
     ("tracking", "--tracking-error", "deviation of each joint that is allowed for",
         {"type": float, "default": 0.0, "metavar": "DEG"}),
     ("tracking", "--tracking-error-m", "that of each that slides; one number is covered, the larger of both in radians "

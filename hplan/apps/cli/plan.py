@@ -28,7 +28,16 @@ from hplan.apps.cli.options import (
     robot_of,
     scene_among,
 )
-from hplan.apps.cli.terminal import certificate_words, escape, facts_table, loading, percent, progress_line, show
+from hplan.apps.cli.terminal import (
+    certificate_words,
+    escape,
+    facts_table,
+    loading,
+    percent,
+    progress_line,
+    risk_words,
+    show,
+)
 from hplan.errors import InputError
 
 if TYPE_CHECKING:
@@ -104,7 +113,7 @@ def parser(prog: str) -> argparse.ArgumentParser:
     add(
         "--step", dest="step_deg", type=float, default=1.0, metavar="DEG", help="spacing of the joint grid (default: 1)"
     )
-    add_shared(parser, "pace", "tracking", "sigmas")
+    add_shared(parser, "pace", "tracking", "sigmas", "risk")
     add(
         "--standoff",
         type=float,
@@ -133,7 +142,7 @@ def _made(arguments: argparse.Namespace, folder: JobFolder, errors: Console) -> 
             from hplan.planning.report import curve_report, write_report
             from hplan.scene.file import load_scene
 
-        options = plan_options(arguments, *OF_PLANS, "certify", "bound")
+        options = plan_options(arguments, *OF_PLANS, "risk", "certify", "bound")
         needs_rosbags(arguments)
         given = load_scene(arguments.scene)
         robot = robot_of(arguments, given)
@@ -256,6 +265,8 @@ def show_summary(console: Console, result: PlanResult, folder: Path, files: Sequ
         nearest = proof["nearest"]
         pair = f"{escape(nearest['link'])} to {escape(nearest['obstacle'])}"
         add("nearest", f"{pair}, {1e3 * nearest['distance_m']:.2f} mm")
+    if "risk" in proof:
+        add("risk", risk_words(proof["risk"]))
     add("certificate", certificate_words(proof["verified"]))
     for violation in proof["violations"]:
         add("", escape(violation))

@@ -283,6 +283,14 @@ def hand_out(arguments: argparse.Namespace, console: Console, report: dict[str, 
         show()
 
 
+def risk_words(risk: dict[str, Any]) -> str:
+    """How probable it is at most that a motion touches anything, who has most of it, and the estimate."""
+    estimate, most = risk["estimate"], risk["shares"][:1]
+    whose = "".join(f"; most of it {share['obstacle']!r}" for share in most)
+    seen = f"{estimate['touching']} of {estimate['draws']:,} draws touch"
+    return f"{risk['bound']:.2g} at most, asked for {risk['asked']:g}{whose}\n{seen}"
+
+
 def certificate_words(verified: bool) -> str:
     """The verdict of a certificate, with markup."""
     return "[bold green]verified[/]" if verified else "[bold red]NOT VERIFIED[/]"

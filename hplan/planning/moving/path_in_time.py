@@ -20,7 +20,7 @@ from hplan.collision.giving_way import LinkedSolids
 from hplan.collision.moving_solids import largest_rates
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
-from hplan.scene.obstacle_kind import posed
+from hplan.scene.obstacle_kind import Sigmas, growths, posed
 from hplan.scene.obstacles import Solid
 from hplan.scene.tracks import Movement
 from hplan.trajectory.trajectory import Trajectory
@@ -45,7 +45,7 @@ class MovingField:
         at_rest_s: Time from which on nothing moves [s].
     """
 
-    def __init__(self, robot: Robot, scene: Scene, *, sigmas: float, tracking_error: float) -> None:
+    def __init__(self, robot: Robot, scene: Scene, *, sigmas: Sigmas, tracking_error: float) -> None:
         """Take what moves.
 
         Args:
@@ -54,7 +54,7 @@ class MovingField:
         """
         listed = zip(scene.listed_solids, scene.movements, strict=True)
         moving = [(solid, how) for solid, how in listed if how is not None]
-        growth = np.array([sigmas * solid.sigma for solid, _ in moving])
+        growth = growths([solid for solid, _ in moving], sigmas)
         solids = [solid for solid, _ in moving]
         self._linked = LinkedSolids.of(robot, solids, scene.clearance + growth, scene.yield_links, growth)
         movements = {solid.name: how for solid, how in moving}

@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Self, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Literal, Self, TypeAlias
 
 import numpy as np
 from pydantic import AfterValidator, Field, PrivateAttr, model_validator
@@ -123,6 +123,8 @@ class Turned(Kind):
 class Convex(Kind):
     """One convex solid: the hull of its core grown by its rounding."""
 
+    is_point_set: ClassVar[Literal[False]] = False
+
     @property
     def core(self) -> FloatArray:
         """(k, 3) points; the obstacle is, or lies in, their hull grown by `rounding`."""
@@ -147,11 +149,6 @@ class Convex(Kind):
     def surface(self) -> tuple[FloatArray, IntArray]:
         """(n, 3) vertices [m] and (m, 3) triangles of a surface about it, to be drawn."""
         return self.hull.surface
-
-    @property
-    def is_point_set(self) -> Literal[False]:
-        """False: the solid is the hull of its core grown by its rounding."""
-        return False
 
     @property
     def solids(self) -> tuple[Solid, ...]:

@@ -24,7 +24,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Final, Literal
+from typing import Any, ClassVar, Final, Literal
 
 import numpy as np
 
@@ -116,20 +116,14 @@ class Hull(Record):
     sigma: float = 0.0
     yields: float = 0.0
 
-    @property
-    def is_point_set(self) -> Literal[False]:
-        """False: the solid is the hull of its core grown by its rounding."""
-        return False
+    #: The solid is the hull of its core grown by its rounding; it stands out of its obstacle by so much [m].
+    is_point_set: ClassVar[Literal[False]] = False
+    excess: ClassVar[float] = 0.0
 
     @property
     def hull(self) -> Hull:
         """Itself."""
         return self
-
-    @property
-    def excess(self) -> float:
-        """How far it stands out of the obstacle that it is: 0, it is the obstacle [m]."""
-        return 0.0
 
     @property
     def grown_corners(self) -> FloatArray:
@@ -311,15 +305,9 @@ class Cloud(Record):
     sigma: float = 0.0
     yields: float = 0.0
 
-    @property
-    def is_point_set(self) -> Literal[True]:
-        """True: each core point is a ball by itself."""
-        return True
-
-    @property
-    def excess(self) -> float:
-        """How far it stands out of the obstacle that it is: 0, it is the obstacle [m]."""
-        return 0.0
+    #: Each core point is a ball by itself; it stands out of its obstacle by so much [m].
+    is_point_set: ClassVar[Literal[True]] = True
+    excess: ClassVar[float] = 0.0
 
     @classmethod
     def of(cls, name: str, points: FloatArray, radius: float, sigma: float = 0.0) -> Cloud:

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from hplan.base.files import protecting_inputs
 from hplan.base.kernel_turns import LISTENERS
+from hplan.base.lazy_import import without_garbage_collection
 from hplan.errors import HplanError
 
 if TYPE_CHECKING:
@@ -170,12 +171,9 @@ def _warning_on(console: Console) -> Iterator[None]:
 @contextmanager
 def loading() -> Iterator[None]:
     """Run imports inside: what they make stays, and is left out of all collections of garbage, these and later ones."""
-    gc.disable()
-    try:
+    with without_garbage_collection():
         yield
-    finally:
         gc.freeze()
-        gc.enable()
 
 
 def show_error(console: Console, error: HplanError) -> None:

@@ -337,23 +337,19 @@ def add_shape(
     shape: coal.CollisionGeometry,
     surface: Mapping[str, Any],
     placement: FloatArray,
-    *,
-    name: str = "",
-    shadow: bool = True,
-    order: int = 0,
+    **settings: Any,
 ) -> None:
     """Add a shape that a URDF can hold, as Pinocchio's geometry models have it.
 
     Args:
         shape: Box, sphere, cylinder, capsule or mesh; others are left out.
         placement: (4, 4) pose in the node's frame.
-        shadow: Throws a shadow.
-        order: Smaller is drawn first, among see-through meshes.
+        settings: As for `Body.add`.
     """
 
     def add(geometry: Json, local: FloatArray | None = None) -> None:
         pose = placement if local is None else placement @ local
-        body.add(geometry, surface, pose, name=name, shadow=shadow, order=order)
+        body.add(geometry, surface, pose, **settings)
 
     if isinstance(shape, coal.Box):
         add(box(2.0 * shape.halfSide))

@@ -308,16 +308,10 @@ def moving_bodies(robot: Robot) -> dict[str, list[int]]:
 
 
 def base_bodies(robot: Robot) -> Iterator[tuple[str, pin.GeometryObject]]:
-    """Names and shapes of what carries the arm: pedestal and turret; or what no joint moves, meshes in their pieces."""
-    if robot.planar is None:
-        for body, shape in zip(collision_bodies(robot), body_shapes(robot), strict=True):
-            if body.joint < 0:
-                yield body.name, shape
-        return
-    for number, shape in enumerate(robot.collision_model.geometryObjects):
-        if shape.parentJoint <= base_joints(robot):
-            name = str(robot.model.frames[shape.parentFrame].name)
-            yield name, pin.GeometryObject(name, shape.parentJoint, shape.placement, filled_shape(robot, number))
+    """Names and shapes of what carries the arm: pedestal and turret, or what no joint moves; meshes in their pieces."""
+    for body, shape in zip(collision_bodies(robot), body_shapes(robot), strict=True):
+        if body.joint < base_joints(robot):
+            yield body.name, shape
 
 
 def _beyond(deviation: float) -> float:

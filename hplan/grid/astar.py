@@ -159,7 +159,7 @@ def astar(
 
 
 @inlined
-def _bound(row_coordinates: IntArray, step: FloatArray, row: int, bit: int, goal: Node, octile: bool) -> float:
+def bound(row_coordinates: IntArray, step: FloatArray, row: int, bit: int, goal: Node, octile: bool) -> float:
     """Lower bound of the cost from a node to the goal that knows no obstacle.
 
     The octile bound in any dimension and with unequal steps: take the axes in the order of steps to go; all move
@@ -206,9 +206,9 @@ def _bound(row_coordinates: IntArray, step: FloatArray, row: int, bit: int, goal
 def _ahead(
     row_coordinates: IntArray, step: FloatArray, row: int, bit: int, goal: Node, octile: bool, bounds: Any
 ) -> float:
-    """Lower bound of the cost from a node to the goal: the row bounds where there are any, else `_bound`."""
+    """Lower bound of the cost from a node to the goal: the row bounds where there are any, else `bound`."""
     if bounds is None:
-        return _bound(row_coordinates, step, row, bit, goal, octile)
+        return bound(row_coordinates, step, row, bit, goal, octile)
     togo = abs(bit - goal.bit)
     known: float = max(
         bounds.values[row, 0] + bounds.weights[0] * togo, bounds.values[row, 1] + bounds.weights[1] * togo

@@ -13,7 +13,7 @@ import numpy as np
 from hplan.base.arrays import BoolArray, IntArray, WordArray
 from hplan.base.kernels import kernel
 from hplan.grid.lattice import Lattice, Node, NodeSet, numbered
-from hplan.grid.slice_search import SlicePaths
+from hplan.grid.result import SlicePaths
 
 
 def union_of(

@@ -6,12 +6,48 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
-from hplan.base.arrays import BoolArray, IntArray, Record
-from hplan.grid.slice_search import SlicePaths
+import numpy as np
+
+from hplan.base.arrays import BoolArray, IntArray, Record, frozen
+from hplan.grid.lattice import Lattice
 
 #: Stage that found the path, or that there is none: the union of the slices between start and goal (`none`); the union
 #: of all slices; flooding, and the dense search on what it reached.
 Fallback = Literal["none", "all_slices", "dense"]
+
+
+@dataclass(frozen=True, eq=False)
+class SlicePaths(Record):
+    """The paths of neighbouring slices, each searched on its own.
+
+    Attributes:
+        path_rows: (m,) bordered rows of all paths, slice after slice, each from the start's row to the goal's.
+        begins: (searched slices + 1,) where each slice's path begins in `path_rows`; of length 0 where it has none.
+    """
+
+    lattice: Lattice
+    first: int
+    path_rows: IntArray
+    begins: IntArray
+    expansions: int
+    flooded: int
+
+    @property
+    def feasible(self) -> BoolArray:
+        """(slices,) True for each slice that was to be searched and has a path of its own."""
+        feasible = np.zeros(self.lattice.shape[-1], dtype=np.bool_)
+        feasible[self.first : self.first + len(self.begins) - 1] = np.diff(self.begins) > 0
+        return frozen(feasible)
+
+    def paths(self) -> dict[int, IntArray]:
+        """For each searched slice with a path its (m, d) node indices."""
+        lengths = np.diff(self.begins)
+        slices = np.repeat(np.arange(self.first, self.first + len(lengths)), lengths)
+        nodes = frozen(self.lattice.indices(self.path_rows, slices))
+        begins = self.begins.tolist()
+        return {
+            self.first + k: nodes[begins[k] : begins[k + 1]] for k in range(len(lengths)) if begins[k] < begins[k + 1]
+        }
 
 
 @dataclass(frozen=True)
@@ -19,7 +55,7 @@ class Expansions:
     """Number of entries taken from the open lists, by stage.
 
     Attributes:
-        layers: All slice searches together; where slices are searched by jump points, the jump points.
+        layers: All slice searches together.
         sparse: Search on the union of the slice paths, and the rows that its bound settled beforehand.
         fallback: Dense search, and all else that came after the union had failed.
         flooded: Nodes reached by flooding, whole words of them at once, which settles what is connected. They are not

@@ -1,69 +1,30 @@
-"""First level: a search of its own on every slice of the last axis.
+"""First level: a search of its own on every slice of the last axis, all in one pass.
 
-A slice has a path exactly when flooding it from the start's row reaches the goal's row; only then is it searched.
+A slice has a path exactly when flooding it from the start's row reaches the goal's row; only then is it searched, by
+A* over its rows. A search leaves better bounds of the way to the goal for the next one: what was expanded at the cost g
+is no nearer to it than the length of the path less g (adaptive A*; Koenig and Likhachev, AAMAS 2006). Rows that are
+free in the next slice and were not in this one lower them again, from row to row as far as they do (generalized
+adaptive A*; Sun, Koenig and Yeoh, AAMAS 2008). So neighbouring slices, which differ by little, cost little.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 
-from hplan.base.arrays import BoolArray, IntArray, Record, WordArray, frozen
-from hplan.base.deadline import check_deadline, until
+from hplan.base.arrays import FloatArray, IntArray, ShortArray, WordArray, frozen
+from hplan.base.deadline import check_deadline, is_up
 from hplan.base.kernels import kernel
+from hplan.grid.astar import bound
 from hplan.grid.flood import bits_of, flood_slices
-from hplan.grid.grid import words_for
-from hplan.grid.jump_point_search import PlaneEnds, jump_slices
-from hplan.grid.lattice import Lattice, NodeSet
-
-#: Searches one slice, given as a grid of its own, from a node to a node: the (m, d) path or None, cost and expansions.
-SliceSearch: TypeAlias = Callable[[Lattice, NodeSet, IntArray, IntArray], tuple[IntArray | None, float, int]]
-
-
-@dataclass(frozen=True, eq=False)
-class SlicePaths(Record):
-    """The paths of neighbouring slices, each searched on its own.
-
-    Attributes:
-        path_rows: (m,) bordered rows of all paths, slice after slice, each from the start's row to the goal's.
-        begins: (searched slices + 1,) where each slice's path begins in `path_rows`; of length 0 where it has none.
-    """
-
-    lattice: Lattice
-    first: int
-    path_rows: IntArray
-    begins: IntArray
-    expansions: int
-    flooded: int
-
-    @property
-    def feasible(self) -> BoolArray:
-        """(slices,) True for each slice that was to be searched and has a path of its own."""
-        feasible = np.zeros(self.lattice.shape[-1], dtype=np.bool_)
-        feasible[self.first : self.first + len(self.begins) - 1] = np.diff(self.begins) > 0
-        return frozen(feasible)
-
-    def paths(self) -> dict[int, IntArray]:
-        """For each searched slice with a path its (m, d) node indices."""
-        lengths = np.diff(self.begins)
-        slices = np.repeat(np.arange(self.first, self.first + len(lengths)), lengths)
-        nodes = frozen(self.lattice.indices(self.path_rows, slices))
-        begins = self.begins.tolist()
-        return {
-            self.first + k: nodes[begins[k] : begins[k + 1]] for k in range(len(lengths)) if begins[k] < begins[k + 1]
-        }
+from hplan.grid.heap import NEW, begin, pop, priority, push
+from hplan.grid.lattice import Lattice, LatticeArrays, Node
+from hplan.grid.result import SlicePaths
 
 
 def search_slices(
-    lattice: Lattice,
-    free: WordArray,
-    start: IntArray,
-    goal: IntArray,
-    slices: range,
-    slice_search: SliceSearch | None = None,
+    lattice: Lattice, free: WordArray, start: IntArray, goal: IntArray, slices: range, *, octile: bool = True
 ) -> SlicePaths:
     """Search each of `slices` from the start's row to the goal's.
 
@@ -72,52 +33,124 @@ def search_slices(
         start: (d,) node index; its last entry does not matter.
         goal: (d,) node index; its last entry does not matter.
         slices: Neighbouring slices, ascending.
-        slice_search: Searches one slice after the other; None searches planar slices by jump points, all in one pass.
+        octile: Bound by the shortest path on the free grid, and by what the searches before have shown; else by the
+            straight line alone, as the paper does.
     """
     start_row, goal_row = lattice.row_of(start), lattice.row_of(goal)
-    if slice_search is None:
-        return _planar(lattice, free, start_row, goal_row, slices)
-    flat, mask = Lattice.of(lattice.shape[:-1], lattice.step[:-1]), lattice.mask(slices)
-    reached, flooded = flood_slices(lattice, free, start_row, mask)
-    found: dict[int, IntArray] = {}
-    expansions = 0
-    for number in np.flatnonzero(bits_of(reached[goal_row] & mask)).tolist():
-        nodes = NodeSet.of(slice_words(lattice, reached, number))
-        path, _, expanded = slice_search(flat, nodes, start[:-1], goal[:-1])
-        expansions += expanded
-        if path is not None:
-            found[number] = np.ravel_multi_index(tuple(path.T + 1), lattice.padded)
-    none = np.empty(0, dtype=np.int64)
-    parts = [found.get(number, none) for number in slices]
-    begins = np.concatenate([[0], np.cumsum([len(part) for part in parts])])
-    return SlicePaths(lattice, slices[0], frozen(np.concatenate(parts)), frozen(begins), expansions, flooded)
-
-
-def _planar(lattice: Lattice, free: WordArray, start_row: int, goal_row: int, slices: range) -> SlicePaths:
-    """Paths of planar slices, 64 at once."""
     reached, flooded = flood_slices(lattice, free, start_row, lattice.mask(slices), goal_row)
-    ends = PlaneEnds(lattice.padded[1], start_row, goal_row)
-    path_rows, begins, expansions = jump_slices(
-        free, reached[goal_row], slices[0], slices[-1], ends, lattice.step[:-1], until()
-    )
+    wanted = np.flatnonzero(bits_of(reached[goal_row] & lattice.mask(slices)))
+    # From where there is none: paths are longest there, and what is shown of long ones lasts.
+    if len(wanted) and wanted[0] == slices[0] and wanted[-1] < slices[-1]:
+        wanted = wanted[::-1].copy()
+    rows, begins, expansions = _search(free, wanted, start_row, goal_row, lattice.arrays, octile)
     check_deadline()
-    return SlicePaths(lattice, slices[0], frozen(path_rows), frozen(begins), expansions, flooded)
+    lengths = np.zeros(len(slices), dtype=np.int64)
+    lengths[wanted - slices[0]] = np.diff(begins)
+    if len(wanted) > 1 and wanted[0] > wanted[-1]:
+        rows = np.concatenate([rows[begins[k] : begins[k + 1]] for k in range(len(wanted) - 1, -1, -1)])
+    return SlicePaths(
+        lattice, slices[0], frozen(rows), frozen(np.concatenate([[0], np.cumsum(lengths)])), expansions, flooded
+    )
 
 
-def slice_words(lattice: Lattice, words: WordArray, number: int) -> WordArray:
-    """One slice of bordered (rows, words) as a grid of its own, the axis before the last along the bits."""
-    return _slice_words(words, number, lattice.padded[-1], words_for(lattice.shape[-2]))
+class _Open(NamedTuple):
+    """The open list of a search, and room for as many rows."""
+
+    slot: ShortArray
+    keys: FloatArray
+    entries: ShortArray
+    rows: ShortArray
 
 
 @kernel
-def _slice_words(rows: WordArray, number: int, padded: int, words: int) -> WordArray:
-    """One slice; `padded` counts the rows along the axis before the last, `words` holds them without their border."""
-    count = rows.shape[0] // padded
-    result = np.zeros((count, words), dtype=np.uint64)
-    shift = np.uint64(number & 63)
-    word = number >> 6
-    for r in range(count):
-        for b in range(padded - 2):
-            bit = (rows[r * padded + b + 1, word] >> shift) & np.uint64(1)
-            result[r, b >> 6] |= bit << np.uint64(b & 63)
-    return result
+def _search(
+    free: WordArray, wanted: IntArray, start: int, goal: int, lattice: LatticeArrays, octile: bool
+) -> tuple[IntArray, IntArray, int]:
+    """Rows of the paths of slices one after the other, where each begins, and the number of expansions."""
+    rows, offsets, costs = free.shape[0], lattice.row_offsets, lattice.move_costs
+    cost, parent, seen = np.empty(rows), np.empty(rows, dtype=np.int32), np.full(rows, -1, dtype=np.int32)
+    slot, entries, closed = (
+        np.empty(rows, dtype=np.int32),
+        np.empty(rows, dtype=np.int32),
+        np.empty(rows, dtype=np.int32),
+    )
+    waiting = _Open(slot, np.empty(rows), entries, closed)
+    ahead, one = np.empty(rows), np.uint64(1)
+    # A slice is a grid of its own, the axis before the last along its bits.
+    places, flat = lattice.row_coordinates, lattice.step[:-1]
+    target = Node(goal, places[goal, len(flat) - 1])
+    for row in range(rows):
+        ahead[row] = bound(places, flat, row, places[row, len(flat) - 1], target, octile)
+    path_rows, begins, expansions = np.empty(4096, dtype=np.int64), np.zeros(len(wanted) + 1, dtype=np.int64), 0
+    for k in range(len(wanted)):
+        number, begins[k + 1] = wanted[k], begins[k]
+        if is_up(lattice.until):
+            break
+        if octile and k > 0:
+            _lower(free, number, wanted[k - 1], lattice, ahead, waiting)
+        word, shift = number >> 6, np.uint64(number & 63)
+        scale, tolerance = 1.0 / max(ahead[start], 1e-12), 1e-12 * ahead[start]
+        seen[start], cost[start], parent[start], slot[start] = number, 0.0, -1, NEW
+        size, done = begin(waiting.keys, entries, slot, start), 0
+        while size > 0:
+            row = pop(waiting.keys, entries, slot, size)
+            size -= 1
+            expansions += 1
+            if row == goal:
+                break
+            closed[done], done = row, done + 1
+            for move in range(len(offsets)):
+                other = row + offsets[move]
+                if not (free[other, word] >> shift) & one:
+                    continue
+                if seen[other] != number:
+                    seen[other], cost[other], slot[other] = number, np.inf, NEW
+                new = cost[row] + costs[move, 1]
+                if new >= cost[other] - tolerance:
+                    continue
+                cost[other], parent[other] = new, row
+                size = push(waiting.keys, entries, slot, size, priority(new, ahead[other], scale), other)
+        for i in range(done if octile else 0):
+            ahead[closed[i]] = max(ahead[closed[i]], cost[goal] - cost[closed[i]])
+        length, row = 0, goal
+        while row >= 0:
+            length, row = length + 1, parent[row]
+        place, row = begins[k] + length, goal
+        begins[k + 1] = place
+        while place > len(path_rows):
+            path_rows = np.concatenate((path_rows, np.empty_like(path_rows)))
+        while row >= 0:
+            place -= 1
+            path_rows[place], row = row, parent[row]
+    return path_rows[: begins[-1]].copy(), begins, expansions
+
+
+@kernel
+def _lower(
+    free: WordArray, number: int, before: int, lattice: LatticeArrays, ahead: FloatArray, waiting: _Open
+) -> None:
+    """Lower bounds of the way to the goal that hold in one slice so far that they hold in another."""
+    slot, keys, entries, fresh = waiting
+    offsets, costs, one = lattice.row_offsets, lattice.move_costs, np.uint64(1)
+    word, shift, last, back = number >> 6, np.uint64(number & 63), before >> 6, np.uint64(before & 63)
+    count, size, least = 0, 0, 1e-10 * lattice.step[0]
+    for row in range(free.shape[0]):
+        slot[row] = NEW
+        if (free[row, word] >> shift) & ~(free[row, last] >> back) & one:
+            ahead[row], fresh[count], count = np.inf, row, count + 1
+    for i in range(count):
+        row = fresh[i]
+        for move in range(len(offsets)):
+            other = row + offsets[move]
+            if (free[other, word] >> shift) & one:
+                ahead[row] = min(ahead[row], ahead[other] + costs[move, 1])
+        if ahead[row] < np.inf:
+            size = push(keys, entries, slot, size, ahead[row], row)
+    while size > 0:
+        row = pop(keys, entries, slot, size)
+        size -= 1
+        for move in range(len(offsets)):
+            other, new = row + offsets[move], ahead[row] + costs[move, 1]
+            if new < ahead[other] - least and (free[other, word] >> shift) & one:
+                ahead[other] = new
+                size = push(keys, entries, slot, size, new, other)

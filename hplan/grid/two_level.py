@@ -8,7 +8,6 @@ finds the path; if they are not, there is none.
 from __future__ import annotations
 
 import time
-from functools import partial
 
 from numpy.typing import ArrayLike
 
@@ -19,8 +18,8 @@ from hplan.grid.flood import flood_from, has_bit
 from hplan.grid.grid import Occupancy, checked_node
 from hplan.grid.lattice import Lattice, NodeSet
 from hplan.grid.restoration import union_of
-from hplan.grid.result import Expansions, Fallback, SearchResult, StageTimes
-from hplan.grid.slice_search import SlicePaths, search_slices
+from hplan.grid.result import Expansions, Fallback, SearchResult, SlicePaths, StageTimes
+from hplan.grid.slice_search import search_slices
 
 
 def two_level_search(occupancy: Occupancy, start: ArrayLike, goal: ArrayLike, *, octile: bool = True) -> SearchResult:
@@ -31,8 +30,8 @@ def two_level_search(occupancy: Occupancy, start: ArrayLike, goal: ArrayLike, *,
         start: (d,) node index.
         goal: (d,) node index.
         octile: False for the searches of the paper, plain A* with the straight line as bound: on every slice that
-            has a path, then on the union. By default planar slices are searched by jump points, others by A* with the
-            octile bound, and the union with the distances of its projection (`row_bounds`).
+            has a path, then on the union. By default slices are searched with the octile bound and what the search of
+            the slice before has shown, and the union with the distances of its projection (`row_bounds`).
 
     Returns:
         The result; its path is None exactly when no path exists on the grid.
@@ -47,8 +46,7 @@ def two_level_search(occupancy: Occupancy, start: ArrayLike, goal: ArrayLike, *,
     lattice = Lattice.of(occupancy.grid.shape, occupancy.grid.step)
     free = lattice.bordered(occupancy.free_words)
     between = range(int(min(start[-1], goal[-1])), int(max(start[-1], goal[-1])) + 1)
-    slice_search = None if octile and len(lattice.shape) == 3 else partial(astar, octile=octile)
-    layers = search_slices(lattice, free, start, goal, between, slice_search)
+    layers = search_slices(lattice, free, start, goal, between, octile=octile)
     layers_done = time.perf_counter()
     path, cost, expanded, restored, size = _join(lattice, free, layers, start, goal, octile=octile)
     sparse_done = time.perf_counter()
@@ -57,7 +55,7 @@ def two_level_search(occupancy: Occupancy, start: ArrayLike, goal: ArrayLike, *,
     fallback: Fallback = "none"
     if path is None and len(between) < lattice.shape[-1]:
         fallback = "all_slices"
-        layers = search_slices(lattice, free, start, goal, range(lattice.shape[-1]), slice_search)
+        layers = search_slices(lattice, free, start, goal, range(lattice.shape[-1]), octile=octile)
         path, cost, expanded, restored, size = _join(lattice, free, layers, start, goal, octile=octile, beyond=True)
         counts = counts.with_fallback(layers.expansions + expanded, layers.flooded)
     if path is None:

@@ -14,7 +14,7 @@ from studies.paper.random_scenes import compare, disc_occupancy
 
 from hplan.base.arrays import BoolArray, FloatArray, IntArray
 from hplan.grid import SearchResult, dense_search, reachable, slices_with_path, two_level_search
-from hplan.grid.astar import _bound, row_bounds
+from hplan.grid.astar import bound, row_bounds
 from hplan.grid.grid import Grid, Occupancy
 from hplan.grid.lattice import Lattice, NodeSet
 from hplan.grid.sections import LinkModel
@@ -167,7 +167,7 @@ SPACES = [
 
 def octile(lattice: Lattice, node: tuple[int, ...], goal: tuple[int, ...]) -> float:
     here, target = lattice.node(np.array(node)), lattice.node(np.array(goal))
-    return float(_bound(lattice.row_coordinates, lattice.step, *here, target, True))
+    return float(bound(lattice.row_coordinates, lattice.step, *here, target, True))
 
 
 @pytest.mark.parametrize(("shape", "step"), SPACES)
@@ -206,15 +206,15 @@ def test_row_bounds_are_consistent(shape: tuple[int, ...], step: list[float], de
     words = lattice.bordered(make_occupancy(free, np.array(step)).free_words)
     bounds = row_bounds(lattice, NodeSet.of(words), lattice.row_of(np.array(goal)))
 
-    def bound(node: tuple[int, ...]) -> float:
+    def bound_of(node: tuple[int, ...]) -> float:
         row = lattice.row_of(np.array(node))
         return _row_bound(bounds.values, bounds.weights, row, abs(node[-1] - goal[-1]))
 
-    assert bound(goal) == 0.0
+    assert bound_of(goal) == 0.0
     for node in map(tuple, np.argwhere(free).tolist()):
         for other, move in neighbours(free, node):
             cost = float(np.linalg.norm(np.array(move) * step))
-            assert bound(node) <= cost + bound(other) + 1e-12
+            assert bound_of(node) <= cost + bound_of(other) + 1e-12
     # Zero at the goal and consistent, hence admissible; and it knows of walls.
     if density == 0.0:
         assert bounds.settled == 2 * np.prod(shape[:-1])

@@ -36,8 +36,8 @@ STEPS = 8
 class Run(NamedTuple):
     """One search: cost [deg, or the workspace's unit], points, entries taken from open lists, nodes flooded, time [ms].
 
-    `layers` are the entries of the slices (jump points where slices are searched by those), `second` those of the
-    search that finds the path: nodes, and rows settled beforehand for its bound.
+    `layers` are the entries of the slices, `second` those of the search that finds the path: nodes, and rows settled
+    beforehand for its bound.
     """
 
     cost: float
@@ -238,7 +238,7 @@ def markdown(r: Reproduction, scenes: SearchComparison | None = None) -> str:
         each("two-level: cost [deg]", lambda run: f"{run.cost:.6f}"),
         each("two-level: points", lambda run: f"{run.points}"),
         each("second level: expansions", lambda run: f"{run.second:,}"),
-        each("layers: nodes, hplan: jump points", lambda run: f"{run.layers:,}", "not given"),
+        each("layers: nodes", lambda run: f"{run.layers:,}", "not given"),
         each("nodes flooded", lambda run: f"{run.flooded:,}", "-"),
         each("two-level: time [ms]", lambda run: f"{run.ms:,.1f}"),
         each("time, dense / two-level", lambda run: f"{own.ms / run.ms:.1f}", f"{dense.ms / PAPER_TWO_LEVEL.ms:.1f}"),
@@ -247,7 +247,7 @@ def markdown(r: Reproduction, scenes: SearchComparison | None = None) -> str:
     blocks = [
         table(("", *runs), comparison),
         "plain: the paper's method to the letter. straight: hplan's two-level search with plain A*, the paper's bound. "
-        "hplan: as it is by default, with jump points in the layers and, in the second level, a bound whose rows are "
+        "hplan: as it is by default, with bounds from slice to slice and, in the second level, one whose rows are "
         "settled first and counted with the nodes. Flooded nodes are not: 64 are reached at once.",
         f"The paper does not count the layers. Plain A* in them expands {runs['plain'].layers:,} nodes, "
         f"{r.without[1]:,} of them in the {r.without[0]} slices that have no path: with the second level "

@@ -63,7 +63,8 @@ class StrictModel(BaseModel, metaclass=_SceneErrors):
 
         def __repr_args__(self):
             """Names and values for `repr`, of what is given; of long lists the number of items."""
-            for name, value in super().__repr_args__():
+            fields = type(self).model_fields  # what dumps leave out stands behind what makes the thing
+            for name, value in sorted(super().__repr_args__(), key=lambda item: bool(fields[item[0]].exclude)):
                 if value is None:
                     continue
                 long = isinstance(value, tuple) and len(value) > MOST_SHOWN

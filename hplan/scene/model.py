@@ -24,12 +24,10 @@ from hplan.scene.fault import StrictModel, fault
 from hplan.scene.limits import FARTHEST_M, MOST_OBSTACLES, Size, Vector
 from hplan.scene.obstacle_kind import (
     CovarianceField,
+    Item,
     Name,
     Sigma,
-    SwayField,
     TrackField,
-    Uncertain,
-    YieldsField,
     largest_deviation,
     moved,
     turned_covariance,
@@ -49,7 +47,7 @@ def _listed(names: Any) -> Any:
     return (names,) if isinstance(names, str) else names
 
 
-class Fruit(Uncertain):
+class Fruit(Item):
     """A fruit: a ball, an obstacle unless it is the one being reached for.
 
     What it hangs from, obstacles by their names, gives way while this fruit may be touched: as deep as each yields, and
@@ -60,10 +58,6 @@ class Fruit(Uncertain):
     center: Vector
     radius: Size
     sigma: Sigma = 0.0
-    track: TrackField = None
-    sway: SwayField = None
-    yields: YieldsField = 0.0
-    covariance: CovarianceField = None
     hangs_from: Annotated[tuple[Name, ...], BeforeValidator(_listed), Field(exclude=True)] = ()
 
 

@@ -66,12 +66,25 @@ SwayField: TypeAlias = Annotated[Sway | None, Field(exclude=True)]
 YieldsField: TypeAlias = Annotated[float, Field(ge=0.0, le=FARTHEST_M, exclude=True)]
 
 
-class Uncertain(StrictModel):
-    """Base of what may not be where it was seen: by `sigma` in each coordinate, or by a `covariance`."""
+class Item(StrictModel):
+    """Base of obstacles and fruit: what the fields are that any of them may have besides its shape.
 
-    if TYPE_CHECKING:
+    Attributes:
+        name: Its name.
+        sigma: Standard deviation of each coordinate of its position; with a covariance that in the worst direction [m].
+        track: How it moves; None for one that stands still.
+        sway: How far it may swing out of its place; None for not at all.
+        yields: How deep the links that may push may be in it [m]; 0 for what must not be touched.
+        covariance: Covariance of its position [m^2]; None where `sigma` says it all.
+    """
+
+    if TYPE_CHECKING:  # fields of all, where they stand in the order of the file's keys, which digests have
+        name: Name
         sigma: Sigma
-        covariance: CovarianceField
+    track: TrackField = None
+    sway: SwayField = None
+    yields: YieldsField = 0.0
+    covariance: CovarianceField = None
 
     @model_validator(mode="after")
     def _one_error(self) -> Self:
@@ -89,23 +102,8 @@ class Uncertain(StrictModel):
         return self.sigma**2 * np.eye(3) if self.covariance is None else np.array(self.covariance)
 
 
-class Kind(Uncertain):
-    """Base of all obstacles.
-
-    Attributes of every kind:
-        name: Name of the obstacle.
-        sigma: Standard deviation of each coordinate of its position; with a covariance that in the worst direction [m].
-        covariance: Covariance of its position [m^2]; None where `sigma` says it all.
-        track: How it moves; None for an obstacle that stands still.
-        sway: How far it may swing out of its place; None for not at all.
-        yields: How deep the links that may push may be in it [m]; 0 for what must not be touched.
-    """
-
-    if TYPE_CHECKING:  # fields of all kinds, where they stand in the order of the file's keys
-        name: Name
-        track: TrackField
-        sway: SwayField
-        yields: YieldsField
+class Kind(Item):
+    """Base of all obstacles."""
 
 
 class Turned(Kind):

@@ -21,14 +21,10 @@ from hplan.scene.fault import fault, scene_error, validated
 from hplan.scene.limits import FARTHEST_M, MOST_SHAPE_BYTES, Angles, Size, Vector
 from hplan.scene.obstacle_kind import (
     Convex,
-    CovarianceField,
     FromData,
     Name,
     Sigma,
-    SwayField,
-    TrackField,
     Turned,
-    YieldsField,
 )
 from hplan.scene.obstacle_kind import Solid as Solid  # a name of this module too
 from hplan.scene.prism import prism, prism_excess
@@ -49,10 +45,6 @@ class Sphere(Convex):
     center: Vector
     radius: Size
     sigma: Sigma = 0.0
-    track: TrackField = None
-    sway: SwayField = None
-    yields: YieldsField = 0.0
-    covariance: CovarianceField = None
 
     @property
     def core(self) -> FloatArray:
@@ -80,10 +72,6 @@ class Capsule(Convex):
     end: Vector = Field(alias="to")
     radius: Size
     sigma: Sigma = 0.0
-    track: TrackField = None
-    sway: SwayField = None
-    yields: YieldsField = 0.0
-    covariance: CovarianceField = None
 
     @property
     def core(self) -> FloatArray:
@@ -109,10 +97,6 @@ class Cylinder(Turned, Convex):
     radius: Size
     rpy_deg: Angles = (0.0, 0.0, 0.0)
     sigma: Sigma = 0.0
-    track: TrackField = None
-    sway: SwayField = None
-    yields: YieldsField = 0.0
-    covariance: CovarianceField = None
 
     @property
     def hull(self) -> Hull:
@@ -139,10 +123,6 @@ class Box(Turned, Convex):
     size: tuple[Size, Size, Size]
     rpy_deg: Angles = (0.0, 0.0, 0.0)
     sigma: Sigma = 0.0
-    track: TrackField = None
-    sway: SwayField = None
-    yields: YieldsField = 0.0
-    covariance: CovarianceField = None
 
     @property
     def core(self) -> FloatArray:
@@ -164,10 +144,6 @@ class Mesh(FromData):
     rpy_deg: Angles = (0.0, 0.0, 0.0)
     scale: PositiveFloat = 1.0
     sigma: Sigma = 0.0
-    track: TrackField = None
-    sway: SwayField = None
-    yields: YieldsField = 0.0
-    covariance: CovarianceField = None
 
     @classmethod
     def of(cls, name: str, vertices: ArrayLike, faces: ArrayLike, **placement: Any) -> Mesh:
@@ -235,10 +211,6 @@ class PointCloud(FromData):
     position: Vector = (0.0, 0.0, 0.0)
     rpy_deg: Angles = (0.0, 0.0, 0.0)
     sigma: Sigma = 0.0
-    track: TrackField = None
-    sway: SwayField = None
-    yields: YieldsField = 0.0
-    covariance: CovarianceField = None
 
     @classmethod
     def of(cls, name: str, points: ArrayLike, radius: float, **placement: Any) -> PointCloud:

@@ -12,7 +12,7 @@ from hplan.base.arrays import readonly
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.coal_scene import CoalScene
 from hplan.scene.limits import Angles, Size, Vector
-from hplan.scene.obstacle_kind import Convex, Name, Sigma, SwayField, TrackField, Turned, YieldsField
+from hplan.scene.obstacle_kind import Convex, Name, Sigma, Turned
 from hplan.scene.obstacles import KINDS, Mesh
 from hplan.scene.tracks import Sway
 
@@ -27,9 +27,6 @@ class Wedge(Turned, Convex):
     radius: float = 0.0
     rpy_deg: Angles = (0.0, 0.0, 0.0)
     sigma: Sigma = 0.0
-    track: TrackField = None
-    sway: SwayField = None
-    yields: YieldsField = 0.0
 
     @property
     def core(self):

@@ -27,7 +27,7 @@ from hplan.collision.arm_pairs import ArmParts, arm_parts
 from hplan.collision.coal_scene import CoalScene
 from hplan.collision.flat_bodies import joints_alone
 from hplan.collision.placed_bodies import place_joints
-from hplan.collision.vectors import cross, dot, sub
+from hplan.collision.vectors import cross, dot, placed_point, sub
 from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel
 from hplan.scene.limits import FARTHEST_M
@@ -126,10 +126,8 @@ def motion_of_movers(
     rates = 3.0 * np.abs(np.diff(bezier, axis=1)).max(axis=1)
     middles = 0.125 * (bezier[:, 0] + bezier[:, 3]) + 0.375 * (bezier[:, 1] + bezier[:, 2])
     of_bodies, reaches = _reaches(parts, deviations)
-    found = _body_travels(np.ascontiguousarray(middles), rates, of_bodies, parts.rows, joints_alone(robot))
-    both, counts = parts.movers
-    travels = np.empty((len(both), len(bezier)))
-    _of_movers(found, both, counts, travels)
+    joints, middles = joints_alone(robot), np.ascontiguousarray(middles)
+    travels = _travels(middles, rates, of_bodies, parts.rows, joints, *parts.movers)
     return _mover_of(checker), travels, reaches @ deviations.T
 
 
@@ -140,23 +138,11 @@ def _reaches(parts: ArmParts, deviations: FloatArray) -> tuple[FloatArray, Float
 
 
 @kernel
-def _of_movers(found: FloatArray, both: IntArray, counts: FloatArray, travels: FloatArray) -> None:
-    """Fill in (movers, pieces) how far each travels, from (pieces, bodies, dof) how far joints move bodies."""
-    for mover in range(len(both)):
-        one, other = both[mover, 0], both[mover, 1]
-        for piece in range(len(found)):
-            total = 0.0
-            for j in range(found.shape[2]):
-                if counts[mover, j] > 0.0:
-                    total += found[piece, one, j] + (found[piece, other, j] if other >= 0 else 0.0)
-            travels[mover, piece] = total
-
-
-@kernel
-def _body_travels(
-    middles: FloatArray, rates: FloatArray, reach: FloatArray, bodies: FloatArray, numbers: FloatArray
-) -> FloatArray:
-    """(pieces, bodies, dof) how far each joint's motion moves each body within each piece at most [m].
+def _travels(
+    middles: FloatArray, rates: FloatArray, reach: FloatArray, bodies: FloatArray, numbers: FloatArray,
+    both: IntArray, counts: FloatArray,
+) -> FloatArray:  # fmt: skip
+    """(movers, pieces) how far each mover travels within each piece at most [m].
 
     Args:
         middles: (pieces, dof) configurations in the middle of the pieces.
@@ -164,26 +150,21 @@ def _body_travels(
         reach: (bodies, dof) motion-bound coefficients R.
         bodies: As `ArmParts.rows`.
         numbers: As `joints_alone`.
+        both: As `ArmParts.movers`, as `counts`.
     """
     pieces, dof = middles.shape
     joints = int(numbers[flat.JOINTS])
-    result, frames = np.zeros((pieces, len(reach), dof)), np.empty((dof + 1, 12))
+    travels, moved, frames = np.empty((len(both), pieces)), np.zeros((len(reach), dof)), np.empty((dof + 1, 12))
     for piece in range(pieces):
         place_joints(middles[piece], numbers, frames)
         for b in range(len(reach)):
-            x, y, z = bodies[b, 1], bodies[b, 2], bodies[b, 3]
             j, outer = int(bodies[b, 0]), 0.0
-            of_body = frames[j]
-            at = (
-                of_body[9] + of_body[0] * x + of_body[1] * y + of_body[2] * z,
-                of_body[10] + of_body[3] * x + of_body[4] * y + of_body[5] * z,
-                of_body[11] + of_body[6] * x + of_body[7] * y + of_body[8] * z,
-            )
+            at = placed_point(frames[j], bodies[b], 1)
             while j < dof:
                 own, f = joints + flat.JOINT_SIZE * j, frames[j]
                 tx, ty, tz = numbers[own + flat.TURN], numbers[own + flat.TURN + 1], numbers[own + flat.TURN + 2]
                 if tx == 0.0 and ty == 0.0 and tz == 0.0:
-                    result[piece, b, j] = rates[piece, j]
+                    moved[b, j] = rates[piece, j]
                 else:
                     axis = (
                         f[0] * tx + f[1] * ty + f[2] * tz,
@@ -192,7 +173,13 @@ def _body_travels(
                     )
                     off = cross(axis, sub(at, (f[9], f[10], f[11])))
                     radius = math.sqrt(dot(off, off)) + bodies[b, 4] + 0.5 * outer
-                    result[piece, b, j] = min(reach[b, j], radius) * rates[piece, j]
+                    moved[b, j] = min(reach[b, j], radius) * rates[piece, j]
                 outer += reach[b, j] * rates[piece, j]
                 j = int(numbers[own + flat.PARENT])
-    return result
+        for mover in range(len(both)):
+            one, other, total = both[mover, 0], both[mover, 1], 0.0
+            for j in range(dof):
+                if counts[mover, j] > 0.0:
+                    total += moved[one, j] + (moved[other, j] if other >= 0 else 0.0)
+            travels[mover, piece] = total
+    return travels

@@ -20,7 +20,6 @@ import json
 import sys
 import tempfile
 from contextlib import ExitStack
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -29,15 +28,11 @@ if __name__ == "__main__":  # runs from a checkout too
 
 from hplan.apps.cli.job_folder import prepare_folder
 from hplan.apps.cli.options import command_parser
-from hplan.apps.cli.terminal import FAILED, progress_line, run_command
+from hplan.apps.cli.terminal import progress_line, run_command
 from hplan.base.files import replacing
-from hplan.errors import OptionError
 
 if TYPE_CHECKING:
     from rich.console import Console
-
-#: The random scenes are always the same ones.
-SEED = 1
 
 _EPILOG = """\
 writes into DIR: reproduction.json, reproduction.md, figure-02-... to figure-16-... by the paper's numbers, and
@@ -46,7 +41,6 @@ overview (PNG)
 exit status:
   0  done
   2  bad input
-  5  the two searches disagree on a random scene
 """
 
 
@@ -56,41 +50,36 @@ def main(argv: list[str] | None = None) -> int:
     add = parser.add_argument
     add("--out", type=Path, metavar="DIR", help="folder to write into (default: a temporary one, named in the end)")
     add("--no-figures", action="store_true", help="numbers only")
-    add("--scenes", type=int, default=0, metavar="N", help="compare both searches on N random planar scenes "
-        "of 1 to 12 discs, some of them without a path (default: none; 2000 take a minute or two)")  # fmt: skip
     arguments = parser.parse_args(argv)
     return run_command(lambda console, errors: _run(arguments, console, errors))
 
 
 def _run(options: argparse.Namespace, console: Console, errors: Console) -> int:
     """Measure, draw and write what was asked for."""
-    if options.scenes < 0:
-        raise OptionError("--scenes", options.scenes, "0 or more")
     from hplan.apps.view.figure_style import png_bytes, require_matplotlib
 
     if not options.no_figures:
         require_matplotlib()
     out: Path = options.out or Path(tempfile.mkdtemp(prefix="hplan-"))
     prepare_folder(out)
-    from studies.paper import measure, random_scenes
+    from studies.paper import measure
     from studies.paper.figures import figures
 
     with progress_line(errors, quiet=False) as told:
         numbers, evidence = measure.measure(report=told)
-        scenes = random_scenes.compare(options.scenes, SEED) if options.scenes else None
         contents: dict[str, bytes] = {}
         for name, draw in {} if options.no_figures else figures(numbers, evidence).items():
             told(name)
             contents[name] = png_bytes(draw())
-    text = measure.markdown(numbers, scenes)
-    record = {**numbers.as_dict(), "random_scenes": None if scenes is None else asdict(scenes)}
-    contents |= {"reproduction.md": text.encode(), "reproduction.json": (json.dumps(record, indent=2) + "\n").encode()}
+    text = measure.markdown(numbers)
+    record = json.dumps(numbers.as_dict(), indent=2) + "\n"
+    contents |= {"reproduction.md": text.encode(), "reproduction.json": record.encode()}
     with ExitStack() as files:  # all or none
         for name, content in contents.items():
             files.enter_context(replacing(out / name)).write_bytes(content)
     console.print(text, markup=False, soft_wrap=True)
     console.print(f"written to {out}: {len(contents)} files", markup=False, soft_wrap=True)
-    return FAILED if scenes is not None and scenes.disagree else 0
+    return 0
 
 
 if __name__ == "__main__":

@@ -25,6 +25,7 @@ from studies.harness import Asked, Row, Study
 from studies.measure import or_error, planned, ratio, timed
 from studies.outside import contacts, path_is_clear
 from studies.peers import RESOLUTION, ompl_path, seed_ompl, toppra_motion, world_of
+from studies.validation.random_scenes import direction
 
 from hplan.base.arrays import FloatArray
 from hplan.collision.coal_scene import CoalScene, base_contacts
@@ -119,7 +120,7 @@ def _obstacle(rng: np.random.Generator, kind: int, name: str, extent: float) -> 
     if kind == 1:
         return Sphere(name=name, center=tuple(center), radius=rng.uniform(0.03, 0.13))
     if kind == 2:
-        half = _direction(rng) * rng.uniform(0.1, 0.4)
+        half = direction(rng) * rng.uniform(0.1, 0.4)
         ends = {"from": tuple(center - half), "to": tuple(center + half)}
         return Capsule.model_validate({"name": name, "radius": rng.uniform(0.01, 0.05), **ends})
     count = int(rng.integers(300, 1500))
@@ -128,12 +129,6 @@ def _obstacle(rng: np.random.Generator, kind: int, name: str, extent: float) -> 
     stretch = rng.uniform(0.05, 0.25, 3)
     points = center + around * stretch + rng.normal(size=(count, 3)) * 0.01
     return PointCloud.of(name, points, radius=rng.uniform(0.004, 0.012))
-
-
-def _direction(rng: np.random.Generator) -> FloatArray:
-    vector = rng.normal(size=3)
-    unit: FloatArray = vector / np.linalg.norm(vector)
-    return unit
 
 
 def _lowest(robot: Robot) -> float:

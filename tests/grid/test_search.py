@@ -10,14 +10,19 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from reference import assert_path, component, make_occupancy, neighbours, path_cost, shortest, slice_paths, union_mask
-from studies.paper.random_scenes import compare, disc_occupancy
+from studies.planar import random_scene
+from studies.planar_cspace import arm_sections, joint_grid
 
 from hplan.base.arrays import BoolArray, FloatArray, IntArray
 from hplan.grid import SearchResult, dense_search, reachable, slices_with_path, two_level_search
 from hplan.grid.astar import bound, row_bounds
 from hplan.grid.grid import Grid, Occupancy
 from hplan.grid.lattice import Lattice, NodeSet
+from hplan.grid.occupancy import occupancy
 from hplan.grid.sections import LinkModel
+from hplan.robot.model import Robot, load_robot
+from hplan.scene.file import load_scene
+from hplan.scene.model import Scene
 
 STEPS = [1.0, 1.0, 0.3, 2.5, 0.01]
 
@@ -224,12 +229,16 @@ def test_row_bounds_are_consistent(shape: tuple[int, ...], step: list[float], de
 
 
 START, GOAL = [0, 0, 0], [45, 60, 70]
-DISC = np.array([[1.0, 1.3, 0.15]])
+
+
+def reference(robot: Robot, scene: Scene, model: LinkModel = "capsule") -> Occupancy:
+    sections = arm_sections(robot, scene.solids, link_model=model)
+    return occupancy(robot.arm, sections, joint_grid(robot.arm, np.radians(1.0)))
 
 
 @pytest.fixture(scope="module")
 def table_1() -> Occupancy:
-    return disc_occupancy(DISC)
+    return reference(load_robot(), load_scene())
 
 
 @pytest.fixture(scope="module")
@@ -244,18 +253,18 @@ def demonstration() -> Occupancy:
     ("model", "cost", "first"),
     [("capsule", 145.2149523784, 45), ("paper", 145.2149523784, 45), ("rectangle", 143.558098, 40)],
 )
-def test_reference_scene(model: LinkModel, cost: float, first: int) -> None:
-    scene = disc_occupancy(DISC, model)
-    free = ~scene.occupied
+def test_reference_scene(robot: Robot, scene: Scene, model: LinkModel, cost: float, first: int) -> None:
+    space = reference(robot, scene, model)
+    free = ~space.occupied
     for octile in (True, False):
-        result = two_level_search(scene, START, GOAL, octile=octile)
+        result = two_level_search(space, START, GOAL, octile=octile)
         assert result.path is not None
         assert result.feasible_slices is not None
         assert np.degrees(result.cost) == pytest.approx(cost, abs=1e-6)
         assert len(result.path) == 107
         assert_path(free, result.path, START, GOAL)
         assert np.flatnonzero(result.feasible_slices).tolist() == list(range(first, 71))
-        assert np.flatnonzero(slices_with_path(scene, START, GOAL)).tolist() == list(range(first, 91))
+        assert np.flatnonzero(slices_with_path(space, START, GOAL)).tolist() == list(range(first, 91))
         assert sorted(result.slice_paths) == list(range(first, 71))
         assert result.restored_slices == tuple(range(first))
         assert result.fallback == "none"
@@ -304,10 +313,17 @@ def test_start_is_the_goal(shape: tuple[int, ...], octile: bool) -> None:
 # The arm among random discs: the two levels say "no path" exactly when the dense search does
 
 
-def test_two_level_agrees_with_dense_on_random_scenes() -> None:
-    outcome = compare(80, seed=7)
-    assert outcome.disagree == 0
-    assert 45 < outcome.with_path < 80
-    assert outcome.fallbacks["none"] > 0.9 * outcome.with_path
-    assert outcome.ratio_median < 1.001
-    assert outcome.ratio_worst < 1.6
+def test_two_level_agrees_with_dense_on_random_scenes(robot: Robot) -> None:
+    ratios, fallbacks = [], []
+    for number in range(80):
+        drawn = random_scene(robot, 7, number)
+        fast = two_level_search(drawn.space, drawn.start, drawn.goal)
+        dense = dense_search(drawn.space, drawn.start, drawn.goal, octile=True)
+        assert (fast.path is None) == (dense.path is None)
+        if fast.path is not None:
+            fallbacks.append(fast.fallback)
+            ratios.append(fast.cost / dense.cost)
+    assert 45 < len(ratios) < 80
+    assert fallbacks.count("none") > 0.9 * len(ratios)
+    assert np.median(ratios) < 1.001
+    assert max(ratios) < 1.6

@@ -12,7 +12,6 @@ import numpy as np
 from studies.harness import Row, plain, table
 from studies.measure import environment
 from studies.paper.plain import RESTORATIONS, PlainTwoLevel, Restoration, path_found, plain_two_level
-from studies.paper.random_scenes import SearchComparison
 from studies.planar_cspace import arm_sections, joint_grid
 
 from hplan.base.arrays import FloatArray, IntArray
@@ -220,7 +219,7 @@ def _variant_row(
     }
 
 
-def markdown(r: Reproduction, scenes: SearchComparison | None = None) -> str:
+def markdown(r: Reproduction) -> str:
     """The report as Markdown: the paper's numbers beside the measured ones."""
     runs = {"paper": PAPER_TWO_LEVEL} | {name: r.runs[name] for name in ("plain", "straight", "hplan")}
     dense, own = PAPER_DENSE, r.runs["dense"]
@@ -260,15 +259,6 @@ def markdown(r: Reproduction, scenes: SearchComparison | None = None) -> str:
         "The workspace demonstration, straight-line bound: cost in its own unit, points, expansions.",
         table(("", "cost", "points", "expansions"), demo),
     ]
-    if scenes is not None:
-        share = {name: f"{count} ({count / max(1, scenes.with_path):.1%})" for name, count in scenes.fallbacks.items()}
-        blocks += [
-            f"{scenes.scenes:,} random scenes, seed {scenes.seed}: {scenes.with_path:,} with a path; the searches "
-            f"disagree on {scenes.disagree}. Paths by slices between start and goal: {share['none']}, by all slices: "
-            f"{share['all_slices']}, by the dense search: {share['dense']}. Cost, two-level : dense: "
-            f"{scenes.ratio_median or math.nan:.4f} in the median, {scenes.ratio_high or math.nan:.4f} at the 99th "
-            f"percentile, {scenes.ratio_worst or math.nan:.4f} at worst."
-        ]
     return "\n\n".join(block if isinstance(block, str) else "\n".join(block) for block in blocks) + "\n"
 
 

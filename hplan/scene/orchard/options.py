@@ -55,7 +55,33 @@ REACHED: Final = {"harvester": FruitZone(1.45, 2.05, 1.7), "orchard_harvester": 
 
 
 @dataclass(frozen=True)
-class OrchardOptions:
+class _Row:
+    """What rows of grown and of measured trees have in common (`OrchardOptions`)."""
+
+    name: str = "orchard"
+    robot: str | None = None
+    seed: int = 0
+    spacing: float = 1.1
+    distance: float = 1.4
+    goal: str | None = None
+    clearance: float = 0.0
+    wood_yields: float = 0.0
+    yields_below: float = 0.008
+    fruit_yields: float = 0.0
+    hangs_within: float | None = None
+
+    def __post_init__(self) -> None:
+        """Check these values; what is wrong is an `OptionError`."""
+        keep_checked(self, _COMMON_CHECKS)
+        _keep_given(self, "hangs_within")
+        if self.robot is not None:
+            one_of("robot", self.robot, shipped_robots())
+        if self.goal is not None:
+            text("goal", self.goal, "the name of a fruit, or None for the first")
+
+
+@dataclass(frozen=True)
+class OrchardOptions(_Row):
     """A row of trees in front of the arm: across its view, along y, at `distance` along x.
 
     Wires run along the row through the trunks, from post to post; the posts stand half a spacing beyond the outer
@@ -93,13 +119,8 @@ class OrchardOptions:
         hangs_within: How far fruit is at most from the wood that it is said to hang from [m]; None says nothing.
     """
 
-    name: str = "orchard"
-    robot: str | None = None
-    seed: int = 0
     form: Form = "spindle"
     trees: int = 3
-    spacing: float = 1.1
-    distance: float = 1.4
     tree_height: float = 2.7
     trunk_radius: float = 0.03
     branches: int = 18
@@ -113,21 +134,14 @@ class OrchardOptions:
     fruit_radius: float = 0.04
     fruit_zone: FruitZone = REACHED["harvester"]
     picked: tuple[int, ...] = ()
-    goal: str | None = None
     stem: float = 0.02
     ground: bool = False
     vehicle: bool = False
-    clearance: float = 0.0
-    wood_yields: float = 0.0
-    yields_below: float = 0.008
-    fruit_yields: float = 0.0
-    hangs_within: float | None = None
 
     def __post_init__(self) -> None:
         """Check every value; what is wrong is an `OptionError`."""
+        super().__post_init__()
         keep_checked(self, _CHECKS)
-        _keep_given(self, "hangs_within")
-        _check_names(self.robot, self.goal)
         heights = self.wire_heights
         if any(high <= low for low, high in itertools.pairwise(heights)):
             raise OptionError("wire_heights", heights, "heights that increase")
@@ -145,68 +159,48 @@ class OrchardOptions:
 
 
 @dataclass(frozen=True)
-class MeasuredOptions:
-    """A row of measured trees in front of the arm, as `OrchardOptions` describes a grown one.
+class MeasuredOptions(_Row):
+    """A row of measured trees in front of the arm; what is not told here is as `OrchardOptions` describes it.
 
     Attributes:
         name: Name of the scene.
-        robot: Name of the shipped robot that it is meant for; None for the default one.
         seed: Shuffles the tips of branches that fruit hangs at.
-        spacing: Distance of neighbouring trunks [m].
-        distance: Distance of the row from the base's axis [m].
         height: Height of the trees' feet above that of the base [m].
         yaw_deg: Turn of every tree about its own trunk [deg].
         fruits: Number of fruits on all trees together; None for all that the files have, or 20.
         fruit_radius: Radius of a fruit [m]; None for the files', or 0.04.
         fruit_zone: Where their centres may be; None for anywhere, or where fruit is put that no file has.
-        goal: Name of the fruit to reach for; None for the first.
-        clearance: Distance that a motion is to keep from everything [m].
-        wood_yields: How deep thin wood may be pushed [m].
-        yields_below: Radius below which wood is thin [m].
-        fruit_yields: How deep fruit may be pushed [m].
-        hangs_within: How far fruit is at most from the wood that it is said to hang from [m]; None says nothing.
     """
 
     name: str = "measured"
-    robot: str | None = None
-    seed: int = 0
-    spacing: float = 1.1
-    distance: float = 1.4
     height: float = 0.0
     yaw_deg: float = 0.0
     fruits: int | None = None
     fruit_radius: float | None = None
     fruit_zone: FruitZone | None = None
-    goal: str | None = None
-    clearance: float = 0.0
-    wood_yields: float = 0.0
-    yields_below: float = 0.008
-    fruit_yields: float = 0.0
-    hangs_within: float | None = None
 
     def __post_init__(self) -> None:
         """Check every value; what is wrong is an `OptionError`."""
+        super().__post_init__()
         keep_checked(self, _MEASURED_CHECKS)
         _keep_given(self, *_FRUIT_CHECKS)
-        _check_names(self.robot, self.goal)
 
 
-def _keep_given(options: OrchardOptions | MeasuredOptions, *keys: str) -> None:
+def _keep_given(options: _Row, *keys: str) -> None:
     keep_checked(options, {key: _FRUIT_CHECKS[key] for key in keys if getattr(options, key) is not None})
 
 
-def _check_names(robot: str | None, goal: str | None) -> None:
-    if robot is not None:
-        one_of("robot", robot, shipped_robots())
-    if goal is not None:
-        text("goal", goal, "the name of a fruit, or None for the first")
-
-
 #: Check of each option, and the least and greatest value; measures in metres.
-_CHECKS = {
+_COMMON_CHECKS = {
     "name": (text,),
-    "form": (one_of, _FORMS),
     "seed": (whole, 0),
+    "clearance": (between, 0.0, 1.0),
+    "wood_yields": (between, 0.0, 1.0),
+    "yields_below": (between, 0.0, 10.0),
+    "fruit_yields": (between, 0.0, 1.0),
+}
+_CHECKS = {
+    "form": (one_of, _FORMS),
     "trees": (whole, 1, 100),
     "branches": (whole, 0, 200),
     "shoots": (whole, 0, 20),
@@ -220,10 +214,6 @@ _CHECKS = {
     "wire_radius": (between, 0.0001, 0.05),
     "fruit_radius": (between, 0.005, 0.2),
     "stem": (between, 0.0, 0.2),
-    "clearance": (between, 0.0, 1.0),
-    "wood_yields": (between, 0.0, 1.0),
-    "yields_below": (between, 0.0, 10.0),
-    "fruit_yields": (between, 0.0, 1.0),
     "posts": (truth,),
     "ground": (truth,),
     "vehicle": (truth,),
@@ -231,16 +221,10 @@ _CHECKS = {
     "wire_heights": (list_between, 0.01, 10.0),
 }
 _MEASURED_CHECKS = {
-    "name": (text,),
-    "seed": (whole, 0),
     "spacing": (between, 0.0, FARTHEST),
     "distance": (between, -FARTHEST, FARTHEST),
     "height": (between, -FARTHEST, FARTHEST),
     "yaw_deg": (between, -FARTHEST, FARTHEST),
-    "clearance": (between, 0.0, 1.0),
-    "wood_yields": (between, 0.0, 1.0),
-    "yields_below": (between, 0.0, 10.0),
-    "fruit_yields": (between, 0.0, 1.0),
 }
 _FRUIT_CHECKS = {
     "fruits": (whole, 0, 10_000),

@@ -69,6 +69,8 @@ class CloudOptions:
         neighbour_m: How far about a point others count for that: whatever has `least_points` within it stays. Three
             times the distance of two pixels on what is to be seen is a good choice.
         most_remembered: Most hidden points that are kept; the oldest go first.
+        unseen_edge_m: Edge of the voxels by which unknown space is solid (`hplan.online.seen_space`), where it is; that
+            of the first frame holds.
     """
 
     growth_m: float = 5e-3
@@ -78,10 +80,12 @@ class CloudOptions:
     least_points: int = 1
     neighbour_m: float = 0.02
     most_remembered: int = 100_000
+    unseen_edge_m: float = 0.05
 
     def __post_init__(self) -> None:
         """Check the values; what is wrong is an `OptionError`."""
         between("growth_m", self.growth_m, 1e-4, 1.0)
+        between("unseen_edge_m", self.unseen_edge_m, 1e-3, 1.0)
         for name in ("arm_padding_m", "ignore_padding_m", "reach_margin_m", "neighbour_m"):
             between(name, getattr(self, name), 0.0, FARTHEST_M)
         whole("least_points", self.least_points, 1)

@@ -24,7 +24,7 @@ from hplan.base.arrays import BoolArray, FloatArray
 from hplan.base.kernels import inlined, kernel
 
 #: Cells along each side of the cube.
-_CELLS: Final = 180
+CELLS: Final = 180
 
 
 @inlined
@@ -37,10 +37,10 @@ def _direction(x: float, y: float, z: float) -> int:
         side, longest, u, v = (2 if x > 0.0 else 3), ax, y, z
     else:
         side, longest, u, v = (4 if y > 0.0 else 5), ay, x, z
-    scale = 0.5 * _CELLS / max(longest, 1e-300)
-    column = min(int(u * scale + 0.5 * _CELLS), _CELLS - 1)
-    line = min(int(v * scale + 0.5 * _CELLS), _CELLS - 1)
-    return (side * _CELLS + column) * _CELLS + line
+    scale = 0.5 * CELLS / max(longest, 1e-300)
+    column = min(int(u * scale + 0.5 * CELLS), CELLS - 1)
+    line = min(int(v * scale + 0.5 * CELLS), CELLS - 1)
+    return (side * CELLS + column) * CELLS + line
 
 
 @kernel
@@ -64,6 +64,13 @@ def _mark_hidden(points: FloatArray, ranges: FloatArray, tolerance: float, hidde
         hidden[n] = least == math.inf or math.sqrt(least) < math.sqrt(x * x + y * y + z * z) - tolerance
 
 
+def shortest_ranges(frame: FloatArray) -> FloatArray:
+    """(6 CELLS^2,) least squared range of each direction of (n, 3) points in the camera's frame; infinite for none."""
+    ranges = np.full(6 * CELLS * CELLS, np.inf)
+    _note_ranges(frame, ranges)
+    return ranges
+
+
 def hidden(points: FloatArray, frame: FloatArray) -> BoolArray:
     """(k,) mask of the points that a frame does not see, being behind something or out of view.
 
@@ -71,8 +78,7 @@ def hidden(points: FloatArray, frame: FloatArray) -> BoolArray:
         points: (k, 3) points in the camera's frame [m].
         frame: (n, 3) the frame's points in the camera's frame; not finite ones are no measurements [m].
     """
-    ranges = np.full(6 * _CELLS * _CELLS, np.inf)
-    _note_ranges(frame, ranges)
+    ranges = shortest_ranges(frame)
     found = np.zeros(len(points), dtype=np.bool_)
     # A point counts as seen where what was measured in its cell is nearer by less than this [m]: noise, and the size
     # of a voxel, do not hide a point behind itself.

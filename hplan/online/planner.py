@@ -13,21 +13,23 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from threading import RLock
-from typing import Any, NamedTuple, TypeVar, overload
+from typing import Any, Literal, NamedTuple, TypeAlias, TypeVar, overload
 
 from numpy.typing import ArrayLike
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
-from hplan.base.arguments import between, number, text
+from hplan.base.arguments import between, number, one_of, text
 from hplan.base.deadline import Cancel, TimeIsUpError, time_limit
 from hplan.base.forking import renewed_in_children
 from hplan.certificate.certificate import with_violations
 from hplan.certificate.retimed_certificate import CertifiedMotion
 from hplan.collision.reach import largest_sway
 from hplan.errors import InputError, OptionError, SceneError
+from hplan.online.arm_shape import arm_solids
 from hplan.online.frame import CloudOptions, Frame, FrameReport, SeenPoints, filter_frame
 from hplan.online.frame_kernels import Scratch
 from hplan.online.scene_cloud import check_cloud_name, solids_named, with_cloud
+from hplan.online.seen_space import UNSEEN, SeenSpace
 from hplan.online.splice import RunningMotion, SplicedResult
 from hplan.planning.motion import Transit
 from hplan.planning.options import PlanOptions
@@ -81,6 +83,7 @@ class Planner:
         self.last: PlanResult | None = None
         self._is_told = False
         self._cropped: dict[str, _Cropped] = {}
+        self._closing: PointCloud | None = None
         self._make_ready()
 
     def _make_ready(self) -> None:
@@ -89,10 +92,14 @@ class Planner:
         self._planning, self._changing, self._filtering = (renewed_in_children(RLock()) for _ in range(3))
         self._seen: dict[str, SeenPoints] = {}
         self._scratch = Scratch()
+        self._space: SeenSpace | None = None
+        self._known_since_s = -math.inf
 
     def __getstate__(self) -> dict[str, Any]:
-        """The attributes that a user sees, whether a time was given, and how clouds were cropped."""
-        return {key: vars(self)[key] for key in ("robot", "scene", "options", "last", "_is_told", "_cropped")}
+        """The attributes that a user sees, whether a time was given, and what there is to know of clouds."""
+        return {
+            key: vars(self)[key] for key in ("robot", "scene", "options", "last", "_is_told", "_cropped", "_closing")
+        }
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Go on from there."""
@@ -233,6 +240,7 @@ class Planner:
         """A plan of a motion that has not begun."""
         scene, options = self.scene, self.options
         self._check_crops(scene, options)
+        self._check_known(scene)
         begin = self._begin_of(begins_s, scene)
         found = plan_with(self._cache, scene if math.isnan(begin) else scene.since(begin), options, before=before)
         self.last = replace(found, begins_s=begin)
@@ -345,6 +353,7 @@ class Planner:
         time_s: float | None = None,
         options: CloudOptions | None = None,
         yields: float = 0.0,
+        unknown: Unknown = "free",
     ) -> FrameReport:
         """Take a frame of a depth camera for the obstacle of a name, in place of the last one.
 
@@ -369,12 +378,19 @@ class Planner:
                 is to be ignored does. None, else, for now.
             options: Voxels, paddings, outliers.
             yields: How deep the links that may push may be in the cloud [m].
+            unknown: `solid`: space that no frame with this has seen through in the last `keep_s`, and where the arm has
+                not been, is an obstacle of the name `unseen` (`hplan.online.seen_space`), as of this frame. It needs
+                `joints`, and a base that stands still. `free`: it counts as free, and an obstacle of that name stays.
 
         Raises:
             InputError: Points, a pose or joints that are none; a name of what is no cloud; nothing of a name to ignore.
             OptionError: A radius, a time, a depth or options that cannot be.
         """
         yields = between("yields", yields, 0.0, FARTHEST_M)
+        one_of("unknown", unknown, _UNKNOWN)
+        options = CloudOptions() if options is None else options
+        if unknown == "solid" and joints is None:
+            raise OptionError("joints", None, "those of the arm: unknown space is solid but for where it stands")
         with self._filtering:  # nothing else waits for it
             scene, planning = self.scene, self.options
             check_cloud_name(scene, name)
@@ -388,7 +404,7 @@ class Planner:
             found = filter_frame(
                 self.robot,
                 frame,
-                CloudOptions() if options is None else options,
+                options,
                 ignored=solids_named(scene, ignore, name, time_s),
                 clearance_m=self._room_m(scene, planning),
                 before=self._seen.get(name),
@@ -397,12 +413,43 @@ class Planner:
             cloud = None
             if len(found.points):
                 cloud = PointCloud.thinned(name, found.points, found.report.radius_m, yields)
+            unseen = None if unknown == "free" else self._unseen(scene, frame, options, ignore)
             with self._changing:
                 check_cloud_name(self.scene, name)
                 self.scene = with_cloud(self.scene, name, cloud)
+                if unseen is not None:
+                    check_cloud_name(self.scene, UNSEEN)
+                    self.scene, self._closing = with_cloud(self.scene, UNSEEN, unseen), unseen
                 self._seen[name] = found.seen
                 self._cropped[name] = _Cropped(cloud, found.kept_m, scene.base_track)
         return found.report
+
+    def _unseen(self, scene: Scene, frame: Frame, options: CloudOptions, ignore: Sequence[str]) -> PointCloud:
+        """What closes off the space that was not seen, a frame having been taken.
+
+        Raises:
+            OptionError: The base moves; or voxels far too small.
+        """
+        if frame.base_track is not None or frame.joints is None:
+            raise OptionError("unknown", "solid", "'free' where the base moves")
+        if self._space is None:
+            self._space = SeenSpace(self.robot, options.unseen_edge_m)
+        space, now_s = self._space, frame.time_s
+        space.see(frame.points, (frame.rotation, frame.position), now_s, frame.radius)
+        space.free(arm_solids(self.robot, frame.joints), now_s, options.arm_padding_m)
+        fruits = [fruit.name for fruit in scene.fruits if fruit.name in ignore]
+        space.free(solids_named(scene, fruits, UNSEEN, now_s), now_s, options.ignore_padding_m)
+        self._known_since_s = now_s - frame.keep_s
+        return PointCloud.thinned(UNSEEN, space.border(self._known_since_s), space.radius)
+
+    def _check_known(self, scene: Scene) -> None:
+        """Refuse a start that is not in known space, where unknown space is solid: nothing closes it off from there."""
+        if all(item is not self._closing for item in scene.obstacles):
+            return
+        start = self.robot.check_configuration(self.robot.joints_of(scene.start, "start"), "start")
+        if self._space is None or not self._space.holds(arm_solids(self.robot, start), self._known_since_s):
+            raise InputError("start: the arm is in space that was not seen, and unknown space is solid: give a frame "
+                "with the joints that it has there", option="start")  # fmt: skip
 
     def aim(self, *, start: Start | None = None, goal: Goal | None = None) -> None:
         """Begin elsewhere, or go elsewhere.
@@ -472,6 +519,10 @@ def _route(track: Track | None) -> tuple[Any, ...]:
     """Where a track leads, whenever."""
     return () if track is None else (track.shifts_m, track.rpy_deg, track.about)
 
+
+#: What space counts as that was not seen.
+Unknown: TypeAlias = Literal["free", "solid"]
+_UNKNOWN: tuple[Unknown, ...] = ("free", "solid")
 
 #: Differences of lengths that are none [m].
 _SAME_M = 1e-9

@@ -68,10 +68,10 @@ def _row(asked: Asked, number: int) -> list[Row]:
         _, equal = planned(robot, scene, _growing(asked, NormalDist().inv_cdf(1.0 - risk / count)))
         _, sigmas = planned(robot, scene, _growing(asked, float(chi(3).isf(risk / count))))
         found, row = planned(robot, scene, PlanOptions(effort=asked.effort, risk=risk))
-        duration = row.get("duration_s")
+        duration, both = row.get("duration_s"), plain["solved"] and row["solved"]
         row |= {
             "name": f"{scene.name}-{risk:g}", "risk": f"{risk:g}", "obstacles": count, "fault": False,
-            "times_plain": ratio(row["ms"], plain["ms"]), "equal_solved": equal["solved"],
+            "times_plain": ratio(row["ms"], plain["ms"]) if both else None, "equal_solved": equal["solved"],
             "sigmas_solved": sigmas["solved"], "equal_to_ours": ratio(equal.get("duration_s"), duration),
             "sigmas_to_ours": ratio(sigmas.get("duration_s"), duration),
         }  # fmt: skip

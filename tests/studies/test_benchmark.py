@@ -49,7 +49,7 @@ def rows_of(study: str, out: Path, *options: str) -> list[dict]:
     ("study", "first"),
     [
         *(("clutter", 3), ("recheck", 3), ("bound", 4), ("fastest", 0), ("deadlines", 0)),
-        *(("returns", 0), ("moving", 1), ("camera", 0)),
+        *(("returns", 0), ("moving", 1), ("camera", 0), ("risk", 0)),
     ],
 )
 def test_a_study_runs(study: str, first: int, tmp_path: Path) -> None:

@@ -30,8 +30,7 @@ import pinocchio as pin
 from hplan.base.arrays import BoolArray, FloatArray, IntArray, Record, frozen, readonly
 from hplan.collision.coal_cloud import distance_from
 from hplan.collision.coal_shapes import LinkShapes, link_shapes, urdf_shapes
-from hplan.collision.collision_bodies import CollisionBody, body_shapes, collision_bodies
-from hplan.collision.flat_bodies import ball_about
+from hplan.collision.collision_bodies import MOST_POINTS, CollisionBody, ball_about, body_shapes, collision_bodies
 from hplan.collision.reach import carriers, reach_of
 from hplan.collision.touching_pairs import BEYOND, SelfPairs, one_joint, pairs_among, self_pairs
 from hplan.errors import RobotFileError
@@ -49,6 +48,7 @@ from hplan.robot.family_reader import outline
 from hplan.robot.model import Robot, made_once
 from hplan.robot.self_contact import SLACK, SelfContact, held_apart, is_held, rounded_up, self_contact
 from hplan.scene.obstacles import Solid
+from hplan.scene.solids import hull_of
 
 #: Heights that differ by less are the same [m].
 _ROUNDING: Final = 1e-9
@@ -99,6 +99,11 @@ class ArmParts(Record):
         """The `shapes` as bodies, then all others that are of pairs."""
         known = dict(zip(map(id, body_shapes(self.robot)), collision_bodies(self.robot), strict=True))
         return tuple(known.get(id(shape)) or _body(shape) for shape in self._every.values())
+
+    @property
+    def key(self) -> tuple[tuple[int, ...], bytes]:
+        """What tells parts from others of the robot whose shapes are made once: these, and which are pairs."""
+        return tuple(self._every), self.movers[0].tobytes()
 
     @cached_property
     def _every(self) -> dict[int, pin.GeometryObject]:
@@ -154,8 +159,12 @@ class ArmParts(Record):
 def _body(shape: pin.GeometryObject) -> CollisionBody:
     """A shape as a body that holds it."""
     (points, rounding), place = outline(shape, rim_from_outside=True), shape.placement
+    exact = len(points) <= MOST_POINTS
+    if not exact:
+        hull = hull_of(points, most=MOST_POINTS)
+        points, rounding = hull.core, hull.rounding
     core = frozen(points @ place.rotation.T + place.translation)
-    return CollisionBody(shape.name, int(shape.parentJoint) - 1, core, rounding, "", True, 0.0, -1)
+    return CollisionBody(shape.name, int(shape.parentJoint) - 1, core, rounding, "", exact, 0.0, -1)
 
 
 def arm_parts(
@@ -339,6 +348,7 @@ def below(robot: Robot, shape: BaseShape, obstacles: Sequence[Solid]) -> BoolArr
     return never
 
 
+@made_once
 def _placed(robot: Robot, number: int) -> pin.GeometryObject:
     """A shape of pedestal or turret, filled."""
     shape = robot.collision_model.geometryObjects[number]

@@ -230,3 +230,18 @@ def _prism(radius: float, half_length: float) -> FloatArray:
     rim = radius / math.cos(math.pi / _SIDES) * np.stack([np.cos(angles), np.sin(angles)], axis=1)
     corners: FloatArray = np.vstack([np.c_[rim, np.full(_SIDES, end)] for end in (-half_length, half_length)])
     return corners
+
+
+def ball_about(core: FloatArray) -> tuple[FloatArray, float]:
+    """Centre and radius of a ball that holds some points, not much larger than the smallest."""
+    centre = core.mean(axis=0)
+    if len(core) <= 2:
+        return centre, float(np.linalg.norm(core - centre, axis=1).max())
+    centre = 0.5 * (core.min(axis=0) + core.max(axis=0))
+    for step in range(1, 200):
+        # Towards the farthest point, by ever less (Badoiu and Clarkson 2003).
+        away = core - centre
+        centre = centre + away[(away**2).sum(axis=1).argmax()] / (step + 1.0)
+    boxed = 0.5 * (core.min(axis=0) + core.max(axis=0))
+    radii = [float(np.linalg.norm(core - middle, axis=1).max()) for middle in (centre, boxed)]
+    return (centre, radii[0]) if radii[0] < radii[1] else (boxed, radii[1])

@@ -8,14 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hplan.base.arrays import BoolArray, FloatArray, Record, frozen
-from hplan.collision.coal_shapes import link_shapes
-from hplan.collision.collision_bodies import GROUND, CollisionBody, bodies_of, collision_bodies
-from hplan.collision.obstacle_rows import convex_solid
+from hplan.collision.arm_pairs import ArmParts, arm_parts
+from hplan.collision.collision_bodies import GROUND, CollisionBody, ball_about, collision_bodies
 from hplan.collision.reach import carriers, joint_axis, points_reach
-from hplan.collision.touching_pairs import self_pairs
-from hplan.robot.base_shapes import TURRET
+from hplan.collision.touching_pairs import needed, self_pairs
 from hplan.robot.model import Robot, made_once
-from hplan.robot.self_contact import SelfContact, self_contact
 from hplan.scene.corner_table import corner_table
 
 #: Columns of a body: its joint (`dof` for the ground), first and last place of its points among the numbers (last is
@@ -77,13 +74,12 @@ class FlatBodies(Record):
         """
         if robot.planar is None:
             still = robot.cached("flat bodies", lambda: _of_any_arm(robot))
-            needed = self_pairs(robot).needed(own_clearance)
+            farthest = self_pairs(robot).farthest
         else:
-            contact = self_contact(robot, deviation=deviation, clearance=own_clearance)
-            which = "flat bodies", contact.links, tuple((body.shape, body.links) for body in contact.bodies)
-            still = robot.cached(which, lambda: _of_planar_arm(robot, contact))
-            needed = np.full(len(still.movers) - int(still.numbers[BODIES]), own_clearance)
-        kept = np.append(np.zeros(int(still.numbers[BODIES])), needed)
+            parts = arm_parts(robot, "capsule", deviation, own_clearance, single_joint_pairs=False)
+            still = robot.cached(("flat bodies", *parts.key), lambda: _of_parts(parts))
+            farthest = np.full(len(parts.own), np.inf)
+        kept = np.append(np.zeros(int(still.numbers[BODIES])), needed(farthest, own_clearance))
         return cls(frozen(thicker(still.movers, deviation * still.reaches.sum(axis=1) + kept)), still.numbers)
 
 
@@ -116,20 +112,10 @@ def _of_any_arm(robot: Robot) -> FlatBodies:
     return _flat(robot, bodies, meets, pairs.checked)
 
 
-def _of_planar_arm(robot: Robot, contact: SelfContact) -> FlatBodies:
-    """The capsules of a planar arm's links in their order, then what of turret and pedestal they can touch."""
-    shapes = zip(robot.arm.link_names, link_shapes(robot, "capsule"), strict=True)
-    bodies = [body for name, shape in shapes for body, _ in bodies_of(robot, name, shape)]
-    links, pairs = len(bodies), list(contact.links)
-    turret = robot.model.jointPlacements[1]
-    for number, body in enumerate(contact.bodies, start=links):
-        solid, joint = convex_solid(body.name, body.core, body.rounding), GROUND
-        core = solid.core
-        if body.carrier == TURRET and robot.has_yaw:
-            joint, core = 0, (core - turret.translation) @ turret.rotation
-        bodies.append(CollisionBody(body.name, joint, core, solid.rounding, "mesh", False, 0.0, body.shape))
-        pairs += [(number, link) for link in body.links]
-    return _flat(robot, bodies, np.arange(len(bodies)) < links, pairs)
+def _of_parts(parts: ArmParts) -> FlatBodies:
+    """What of a planar arm meets obstacles, then what of turret and pedestal its links can touch."""
+    (both, _), links = parts.movers, len(parts.shapes)
+    return _flat(parts.robot, parts.bodies, np.arange(len(parts.bodies)) < links, both[links:].tolist())
 
 
 def _flat(
@@ -219,21 +205,6 @@ def _of_joint(robot: Robot, joint: int) -> FloatArray:
     numbers[PARENT] = robot.dof if parent < 0 else parent
     numbers[TURN:JOINT_SIZE] = 0.0 if slides else axis
     return numbers
-
-
-def ball_about(core: FloatArray) -> tuple[FloatArray, float]:
-    """Centre and radius of a ball that holds some points, not much larger than the smallest."""
-    centre = core.mean(axis=0)
-    if len(core) <= 2:
-        return centre, float(np.linalg.norm(core - centre, axis=1).max())
-    centre = 0.5 * (core.min(axis=0) + core.max(axis=0))
-    for step in range(1, 200):
-        # Towards the farthest point, by ever less (Badoiu and Clarkson 2003).
-        away = core - centre
-        centre = centre + away[(away**2).sum(axis=1).argmax()] / (step + 1.0)
-    boxed = 0.5 * (core.min(axis=0) + core.max(axis=0))
-    radii = [float(np.linalg.norm(core - middle, axis=1).max()) for middle in (centre, boxed)]
-    return (centre, radii[0]) if radii[0] < radii[1] else (boxed, radii[1])
 
 
 def _axis(core: FloatArray) -> tuple[FloatArray, float]:

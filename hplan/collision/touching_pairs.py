@@ -59,10 +59,6 @@ class SelfPairs(Record):
     allowed: tuple[tuple[int, int, str], ...]
     farthest: FloatArray
 
-    def needed(self, clearance: float) -> FloatArray:
-        """(checked,) distance that each pair is to keep where a clearance is asked for [m]."""
-        return needed(self.farthest, clearance)
-
 
 def needed(farthest: FloatArray, clearance: float) -> FloatArray:
     """Distances that pairs are to keep where a clearance is asked for, by how far apart they were seen at most [m]."""

@@ -289,12 +289,20 @@ def _normal_equations(
             below = dual[total + r] / slack[total + r]
         first, end = starts[r], starts[r + 1]
         corner += (above + below) * time_scale[r] * time_scale[r]
+        # Columns one after the other, as of clearances, need no look-up: most of the time goes here.
+        gapless = columns[end - 1] - columns[first] == end - 1 - first
         for e in range(first, end):
+            if entries[e] == 0.0:
+                continue
             j = columns[e]
             weight = (above + below) * entries[e]
             border[j] += (above - below) * time_scale[r] * entries[e]
-            for f in range(e, end):
-                factor[j, columns[f] - j] += weight * entries[f]
+            if gapless:
+                for f in range(end - e):
+                    factor[j, f] += weight * entries[e + f]
+            else:
+                for f in range(e, end):
+                    factor[j, columns[f] - j] += weight * entries[f]
     return corner
 
 

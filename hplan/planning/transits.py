@@ -52,10 +52,6 @@ WORTHWHILE: Final = 0.7
 _FIRST_TREES: Final = (1_500, 1_500, 1_500, 1_500, 6_000, 6_000, 6_000, 6_000)
 _PLANAR_TREES: Final = 2
 
-#: Effort of trees before goals are refused, with so many seeds.
-_LONG_TREES: Final = 60_000
-_LONG_SEEDS: Final = 2
-
 #: The number of a goal, and a motion there.
 Found: TypeAlias = tuple[int, Transit]
 _Stage: TypeAlias = Callable[[Sequence[PlanningTask]], Iterator[Found]]
@@ -155,7 +151,7 @@ def _stages(tasks: Sequence[PlanningTask]) -> Sequence[_Stage]:
         stages = (_by_trees, _by_long_trees, _on_grids)
     else:
         stages = (_on_grids, _by_long_trees)
-    return stages if first.effort.exhaustive else [stage for stage in stages if stage is not _by_long_trees]
+    return stages if first.effort.long.pairs else [stage for stage in stages if stage is not _by_long_trees]
 
 
 def _at_rest(tasks: Sequence[PlanningTask]) -> Iterator[Found]:
@@ -289,8 +285,9 @@ def _by_long_trees(tasks: Sequence[PlanningTask]) -> Iterator[Found]:
         return
     found: dict[int, list[FloatArray]] = {}
     at_once = tasks[0].robot.planar is None  # another path takes as long again
-    for seed in range(_LONG_SEEDS + at_once):
-        reached = _tree_to_any(tasks, TreeEffort(_LONG_TREES, tasks[0].effort.trees.seed + seed))
+    long = tasks[0].effort.long
+    for seed in range(long.pairs):
+        reached = _tree_to_any(tasks, TreeEffort(long.each, long.seed + seed))
         if reached is None:
             continue
         number, polyline = reached
@@ -382,5 +379,5 @@ def _why_none(tasks: Sequence[PlanningTask]) -> Iterator[HplanError]:
 
 
 def _trees_tried(task: PlanningTask) -> str:
-    effort = task.effort.trees
-    return f"trees with {effort.pairs * effort.each} evaluations of the clearance"
+    evaluations = sum(trees.pairs * trees.each for trees in (task.effort.trees, task.effort.long))
+    return f"trees with {evaluations} evaluations of the clearance"

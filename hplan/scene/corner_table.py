@@ -43,7 +43,7 @@ def corner_table(corners: FloatArray, first: int, table: int) -> FloatArray:
     except QhullError:
         return np.zeros(0)
     sides = np.concatenate([simplices[:, [a, b]] for a, b in ((0, 1), (1, 0), (0, 2), (2, 0), (1, 2), (2, 1))])
-    here, there = np.unique(sides, axis=0).T
+    here, there = np.divmod(np.unique(sides[:, 0].astype(np.int64) * len(corners) + sides[:, 1]), len(corners))
     begin = np.searchsorted(here, np.arange(len(corners) + 1))
     signs = CUBE_CORNERS[np.lexsort(CUBE_CORNERS.T)]  # x changes fastest
     octants = ties.on_raster(corners @ signs.T).argmax(axis=0)

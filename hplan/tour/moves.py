@@ -21,7 +21,7 @@ from typing import Final, TypeAlias
 import numpy as np
 
 from hplan.base.arrays import FloatArray, IntArray
-from hplan.planning.effort import CLOSE
+from hplan.planning.effort import CLOSE, NO_TREES
 from hplan.planning.failures import NO_MOTION, FailuresError
 from hplan.planning.motion import Motion, last, seconds
 from hplan.planning.sampling.several_trees import PromisingPath
@@ -156,7 +156,7 @@ class Moves:
                 else:
                     self._plan(key, None)
             elif straight_is_clear(task):
-                effort = replace(task.effort, trees=replace(task.effort.trees, pairs=1), exhaustive=False, floods=0.0)
+                effort = replace(task.effort, trees=replace(task.effort.trees, pairs=1), long=NO_TREES, floods=0.0)
                 self._plan(key, _transit(replace(task, effort=effort), at_once=True))
             else:
                 self._block(key)

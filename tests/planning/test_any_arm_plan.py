@@ -9,12 +9,12 @@ import pytest
 from any_arms import LIFT, loaded_arm
 
 from hplan.certificate.certificate import certify
-from hplan.errors import ConfigurationInCollisionError, InputError, OptionError, RobotFileError
+from hplan.errors import ConfigurationInCollisionError, InputError, NotFoundError, OptionError, RobotFileError
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
 from hplan.robot.limits import Limits
 from hplan.robot.model import Robot, load_robot
-from hplan.scene.model import Scene
+from hplan.scene.model import Goal, Scene
 from hplan.scene.obstacles import Box, Obstacle, Sphere
 from hplan.trajectory.retime import time_path
 from hplan.trajectory.spline import SplinePath
@@ -50,6 +50,15 @@ def test_around_a_post_and_certified_from_outside(arm: Robot, options: PlanOptio
     again = certify(arm, scene, found.trajectory, tracking_error=options.tracking_error)
     assert again.verified
     assert plan(arm, scene, options).trajectory.position == pytest.approx(found.trajectory.position, abs=0.0)
+
+
+def test_a_goal_behind_a_wall_is_refused_after_so_much_effort(arm: Robot) -> None:
+    wall = Box(name="wall", center=(0.0, 0.6, 0.5), size=(0.04, 0.7, 1.5))
+    scene = scene_of(wall, locked=arm.joint_names[1:])
+    with pytest.raises(NotFoundError) as refused:
+        plan(arm, scene.model_copy(update={"goal": Goal(joints_rad=(2.4, *START[1:]))}), QUICK)
+    (evaluations,) = (int(number) for number in re.findall(r"\d+", " ".join(refused.value.tried)))
+    assert 10_000 < evaluations < 100_000
 
 
 def test_locked_joints_stay(arm: Robot) -> None:

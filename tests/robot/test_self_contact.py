@@ -28,7 +28,7 @@ from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
 from hplan.robot.base_shapes import coal_distance, turning_shapes
 from hplan.robot.model import Robot
-from hplan.robot.self_contact import self_contact
+from hplan.robot.self_contact import radius_in_plane, self_contact
 from hplan.scene.obstacles import Sphere
 
 #: A section of what carries the arm stands out by no more than this [m].
@@ -456,3 +456,8 @@ def test_an_arm_goes_around_itself(tmp_path, start, goal, locked):
     result = plan(robot, scene_of(start, goal, locked_joints=locked), PlanOptions(step_deg=5.0))
     assert result.certificate.verified
     assert min(truth.clearance(q) for q in result.trajectory.position[::5]) >= result.certificate.min_clearance_m > 0.0
+
+
+@pytest.mark.parametrize(("aside", "left"), [(0.0, 0.05), (0.03, 0.04), (-0.04, 0.03), (0.05, 0.0), (0.06, 0.0)])
+def test_links_beside_each_other_are_too_near_only_as_far_as_a_ball_reaches_into_the_plane(aside, left):
+    assert radius_in_plane(0.05, aside) == pytest.approx(left, abs=1e-12)

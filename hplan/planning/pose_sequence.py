@@ -69,7 +69,7 @@ _EDGE_S = 0.1
 _ROW, _COARSER = 0.05, (12, 6, 3, 1)
 
 #: So many shortcuts are tried in a path of trees, and so many trees with an effort grow.
-_SHORTCUTS, _TREES = 100, (2_000, 2_000, 8_000, 30_000)
+_SHORTCUTS, _TREES = 100, (2_000, 2_000, 8_000, 8_000)
 
 #: Joints that change by less from pose to pose stand still [rad, m].
 _STILL = 1e-9
@@ -267,7 +267,12 @@ def _lines(task: _Poses, begin: FloatArray, number: int) -> Iterator[_Leg]:
             continue
         with suppress(ConfigurationInCollisionError):
             leg = _Leg(number, context.task(begin, rows[-1]), rows)
-            if len(_moving(rows)) < 2 or _interpolated(rows).is_clear(context.field, _margin(leg.task)):
+            if len(_moving(rows)) < 2:
+                yield leg
+                continue
+            path, robot = _interpolated(rows), context.robot
+            is_within = (path.pieces >= robot.lower).all() and (path.pieces <= robot.upper).all()
+            if is_within and path.is_clear(context.field, _margin(leg.task)):
                 yield leg
     if longest < 1.0:
         raise NotFoundError(

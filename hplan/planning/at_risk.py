@@ -16,6 +16,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from statistics import NormalDist
 
+from hplan.base.deadline import TimeIsUpError
 from hplan.certificate.certificate import GoalContact, certify
 from hplan.certificate.moving_obstacles import checker_in_time
 from hplan.certificate.touch_risk import Share, TouchRisk, touch_risk
@@ -44,6 +45,9 @@ _ROUNDS = 4
 #: An obstacle is near where the motion comes within its growth, so many of its standard deviations and the margin that
 #: motions keep, half as much again [m].
 _NEAR, _NEAR_M = 0.25, 1.5 * MARGIN
+
+#: Part of the time up to a deadline in which motions are planned.
+_SHARE_OF_TIME = 0.6
 
 #: Probabilities as numbers of standard deviations.
 _PLANE = NormalDist()
@@ -85,11 +89,14 @@ def plan_at_risk(
     least = 1.0
     allocation = _Allocation(_away(_FIRST * risk), {})
     room: dict[str, float] = {}
+    # What is shown of motions takes its part of the time.
+    deadline_s = None if options.deadline_s is None else _SHARE_OF_TIME * options.deadline_s
     for _ in range(_ROUNDS):
         sigmas = _sigmas(allocation, deviations, scene.clearance, room)
         try:
-            result = plan(replace(options, risk=None, sigmas=sigmas or 0.0))
-        except NotInTimeError:
+            result = plan(replace(options, risk=None, sigmas=sigmas or 0.0, deadline_s=deadline_s))
+            shown = _risk_of(result, scene, risk)
+        except (NotInTimeError, TimeIsUpError):
             if best is None:
                 raise
             break
@@ -109,7 +116,6 @@ def plan_at_risk(
             # There may be a motion past those that have grown less, where only one of them is near.
             allocation = _Allocation(_away(risk), {})
             continue
-        shown = _risk_of(result, scene, risk)
         is_within = shown.bound <= risk
         least = min(least, shown.bound)
         if is_within and (best is None or result.trajectory.duration < best[0].trajectory.duration):

@@ -75,12 +75,15 @@ def plan(
     def planned(options: PlanOptions) -> PlanResult:
         return plan_with(cache, scene, options, progress=progress)
 
-    with time_limit(options.deadline_s, cancel):
+    with time_limit(options.deadline_s, cancel) as limit:
         if options.risk is None:
             return planned(options)
         if scene.moves:
             raise MovingObstacleError(scene.first_moving, "a risk is of what stands still")
-        return plan_at_risk(robot, scene, options, options.risk, planned)
+        try:
+            return plan_at_risk(robot, scene, options, options.risk, planned)
+        except TimeIsUpError:
+            raise limit.error(["the risk of motions"]) from None
 
 
 def check_task(

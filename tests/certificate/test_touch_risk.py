@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from dataclasses import replace
 from statistics import NormalDist
@@ -15,7 +16,7 @@ from hplan.base.arrays import FloatArray
 from hplan.certificate import touch_risk as subject
 from hplan.certificate.touch_risk import TouchRisk
 from hplan.collision.coal_scene import CoalScene
-from hplan.errors import CertificationError, MovingObstacleError, OptionError
+from hplan.errors import CertificationError, MovingObstacleError, NotInTimeError, OptionError
 from hplan.robot.model import Robot
 from hplan.scene.model import Fruit, Goal, Scene, Start
 from hplan.scene.obstacles import AnyObstacle, Box, Capsule, PointCloud, Sphere
@@ -171,6 +172,16 @@ def test_no_motion_is_given_whose_goal_alone_is_riskier(robot: Robot, motion: Tr
     beside = Sphere(name="beside", center=hand + np.array([0.0, 0.0, 0.16]), radius=0.05, sigma=0.1)
     with pytest.raises(CertificationError, match=r"at most 0\.01: the least that was shown is 0\."):
         hplan.plan(robot, task((beside,)), hplan.PlanOptions(risk=0.01))
+
+
+def test_a_deadline_leaves_time_for_the_bound(robot: Robot) -> None:
+    found = hplan.plan(robot, task(things()), hplan.PlanOptions(risk=0.01, deadline_s=60.0)).certificate
+    assert found.verified
+    assert found.risk is not None
+    assert found.risk.bound <= 0.01
+    for too_short in (1e-4, 0.01, 0.03):
+        with contextlib.suppress(NotInTimeError):
+            hplan.plan(robot, task(things()), hplan.PlanOptions(risk=0.01, deadline_s=too_short))
 
 
 def test_sigmas_by_name(robot: Robot) -> None:

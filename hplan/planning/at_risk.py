@@ -37,7 +37,7 @@ from hplan.scene.model import Scene
 from hplan.scene.obstacle_kind import largest_deviation
 
 #: Part of the risk that the first motion is to take, and those after it; one that takes as much as the third is kept.
-_FIRST, _NEXT, _ENOUGH = 0.6, 0.75, 0.2
+_FIRST, _NEXT, _ENOUGH = 0.5, 0.75, 0.05
 
 #: Motions that are planned at most.
 _ROUNDS = 4

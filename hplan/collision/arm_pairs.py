@@ -328,15 +328,16 @@ def _beyond(deviation: float) -> float:
     return BEYOND * max(1, math.ceil(deviation / BEYOND - 1e-9))
 
 
-def below(robot: Robot, shape: BaseShape, obstacles: Sequence[Solid]) -> BoolArray:
+def below(robot: Robot, shape: BaseShape, obstacles: Sequence[Solid], growth: FloatArray) -> BoolArray:
     """(obstacles,) mask of those that a turning shape never comes down to, or stands on.
 
-    Turning about the vertical keeps heights: an obstacle whose top is not above the shape's bottom is never entered.
+    Turning about the vertical keeps heights: an obstacle whose top, grown by its `growth` [m], is not above the shape's
+    bottom is never entered.
     One that is, by `BASE_DEPTH` at most, carries the shape where it is within `BASE_DEPTH` of it at every yaw, as the
     ground is; one that the shape only turns over, or into, blocks it.
     """
     tops = np.array([float(obstacle.core[:, 2].max()) + obstacle.rounding for obstacle in obstacles])
-    never: BoolArray = tops <= shape.bottom + _ROUNDING
+    never: BoolArray = tops + growth <= shape.bottom + _ROUNDING
     for number in np.flatnonzero(~never & (tops <= shape.bottom + BASE_DEPTH)).tolist():
         asked = distance_from(obstacles[number])
 

@@ -148,10 +148,11 @@ class CoalScene:
         self._last = np.flatnonzero([shape.parentJoint == parts.tool_joint for shape in self.link_shapes])
         # To be taken off coal's distance of each shape from each obstacle [m].
         beyond = np.array([beyond_geometry(obstacle) for obstacle in obstacles], dtype=np.float64)
-        beyond += np.asarray(growth, dtype=np.float64)
+        grown = np.broadcast_to(np.asarray(growth, dtype=np.float64), beyond.shape)
+        beyond += grown
         self._beyond: FloatArray = np.tile(beyond, (len(self._mover_shapes), 1))
         for row, shape in enumerate(chain(*(of_body for of_body, _ in parts.turret.values())), len(self.link_shapes)):
-            never = below(robot, shape, obstacles)
+            never = below(robot, shape, obstacles, grown)
             if self.moving is not None:
                 never = self.moving.keep_below(never, shape.bottom)
             self._beyond[row, never] = -np.inf

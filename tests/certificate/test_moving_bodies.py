@@ -23,7 +23,7 @@ from hplan.planning.joint_ranges import MARGIN, joint_ranges
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
 from hplan.planning.world import World
-from hplan.robot.base_shapes import BASE_DEPTH, GROUND, TURRET, always, base_shapes, coal_distance, ever, turning_shapes
+from hplan.robot.base_shapes import GROUND, TURRET, always, base_shapes, coal_distance, ever, turning_shapes
 from hplan.robot.self_contact import self_contact
 from hplan.scene.obstacles import Box, Capsule, Sphere
 
@@ -128,7 +128,7 @@ def test_ranges_of_yaw_are_those_of_coal(tmp_path, clearance, sigma):
             for (_, _, shape, placement), low in zip(turning, lowest, strict=True):
                 where = coal.Transform3s(*_turned(yaw, placement))
                 # What is below for good is left out.
-                reached = solids_of(o for o in obstacles if o.center[2] + o.radius > low + BASE_DEPTH)
+                reached = solids_of(o for o in obstacles if o.center[2] + o.radius + 2.0 * sigma > low)
                 found += [distance(shape, where, *solid) for solid in reached]
             return min(found) - clearance - 2.0 * sigma
 
@@ -161,6 +161,17 @@ def test_the_ground_is_below_whatever_the_yaw(tmp_path):
     motion = quintic(robot, REST, (-170.0, *REST[1:]))
     assert not shown(certify(robot, scene_of(REST, FAR, [floor, kerb]), motion))
     assert shown(certify(robot, scene_of(REST, FAR, [floor]), motion))
+
+
+def test_what_may_stand_higher_than_seen_is_in_the_way_of_the_turret(tmp_path):
+    """What is 5 mm below it may be 9 mm higher; the floor that carries it may not."""
+    robot = fitted(tmp_path, {"turret": [box((0.5, 0.1, 0.2), (-0.3, 0.0, 0.1))]})
+    bottom = next(shape.bottom for shape in turning_shapes(robot))
+    crate = Box(name="crate", center=(0.0, 0.3, bottom - 0.055), size=(0.1, 0.1, 0.1))
+    floor = Box(name="floor", center=(0.0, 0.0, bottom - 0.05), size=(6.0, 6.0, 0.1))
+    for growth, met in ((0.0, False), (0.009, True)):
+        distances = CoalScene(robot, [crate, floor], growth=np.full(2, growth)).distances(np.zeros(4))[3]
+        assert np.isfinite(distances[:2]).tolist() == [met, False]
 
 
 @pytest.mark.parametrize("depth", [1e-4, 5e-4, 9e-4, -1e-3])

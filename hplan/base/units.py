@@ -11,6 +11,12 @@ from typing import Final
 FARTHEST_JOINT: Final = 1e6
 
 
+def at_least_mm(distance_m: float, digits: int = 2) -> str:
+    """A lower bound of a distance in millimetres, rounded down, so that what is shown is one too."""
+    scale = 10**digits
+    return f"{math.floor(1e3 * distance_m * scale + 1e-6) / scale:.{digits}f}" if math.isfinite(distance_m) else "inf"
+
+
 @dataclass(frozen=True)
 class JointUnit:
     """The units of a joint's values, as they are named in files and shown.

@@ -29,6 +29,7 @@ from hplan.apps.cli.terminal import (
     progress_line,
     show,
 )
+from hplan.base.units import at_least_mm
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -113,7 +114,7 @@ def _show_certificate(console: Console, scene: str, found: CellCertificate) -> N
     facts = [
         ("certificate", certificate_words(found.verified)),
         *(("", violation) for violation in found.violations),
-        ("clearance", ", ".join(f"{name} {1e3 * own.min_clearance_m:.2f} mm" for name, own in distances.items())),
+        ("clearance", ", ".join(f"{name} {at_least_mm(own.min_clearance_m)} mm" for name, own in distances.items())),
     ]
     show(console, scene, ", ".join(found.arms), facts_table(facts))
 
@@ -137,7 +138,10 @@ def _facts(result: CellResult | CellTour, milliseconds: float, files: str) -> It
         for fruit, reason in result.unreached.items():
             yield "not picked", escape(f"{fruit}: {reason}")
     distances = {"between arms": report["between_arms_mm"], **report.get("arms_mm", {})}
-    shown = (f"{escape(name)} {'nothing near' if d is None else f'{d:.2f} mm'}" for name, d in distances.items())
+    shown = (
+        f"{escape(name)} {'nothing near' if d is None else f'{at_least_mm(1e-3 * d)} mm'}"
+        for name, d in distances.items()
+    )
     yield "clearance", ", ".join(shown) + "; or more, shown for all times"
     yield "certificate", certificate_words(report["verified"])
     yield "time", f"[bold]{milliseconds:,.0f} ms[/], loading of compiled code included"

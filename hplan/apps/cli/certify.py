@@ -30,6 +30,7 @@ from hplan.apps.cli.terminal import (
     show,
 )
 from hplan.base.files import is_folder
+from hplan.base.units import at_least_mm
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -144,7 +145,7 @@ def _fill_in(arguments: argparse.Namespace, job: FinishedJob | None) -> None:
 def _show(console: Console, report: dict[str, Any], error: str) -> None:
     """Rows that fit 80 columns, unless names are long."""
     proof, table = report["certificate"], facts_table()
-    clearance = "inf" if proof["nearest"] is None else f"{1e3 * proof['min_clearance_m']:.3f}"
+    clearance = "inf" if proof["nearest"] is None else at_least_mm(proof["min_clearance_m"], 3)
     table.add_row("certificate", certificate_words(proof["verified"]))
     for violation in proof["violations"]:
         table.add_row("", escape(violation))

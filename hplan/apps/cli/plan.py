@@ -38,6 +38,7 @@ from hplan.apps.cli.terminal import (
     risk_words,
     show,
 )
+from hplan.base.units import at_least_mm
 from hplan.errors import InputError
 
 if TYPE_CHECKING:
@@ -294,7 +295,7 @@ def _clearance_words(proof: dict[str, Any]) -> str:
         return "no obstacles"
     if not proof["verified"]:
         return f"{1e3 * proof['min_clearance_m']:.2f} mm, where the proof ended"
-    return f"{1e3 * proof['min_clearance_m']:.2f} mm or more, shown for all times"
+    return f"{at_least_mm(proof['min_clearance_m'])} mm or more, shown for all times"
 
 
 def _time_words(times: dict[str, float]) -> str:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from hplan.apps.cli.job_folder import PAGE, ROW_REPORT, JobFolder, write_figure, write_result
 from hplan.apps.cli.options import add_shared, command_parser, plan_options, robot_of
 from hplan.apps.cli.terminal import certificate_words, escape, facts_table, number_table, percent, progress_line, show
+from hplan.base.units import at_least_mm
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -130,7 +131,7 @@ def _show(console: Console, result: RowResult, files: str) -> None:
     report = result.report
     rows = []
     for number, stop in enumerate(report["stops"], start=1):
-        count, clearance = len(stop["picked"]), 1e3 * stop["min_clearance_m"]
+        count, clearance = len(stop["picked"]), stop["min_clearance_m"]
         rows.append(
             (
                 str(number),
@@ -141,7 +142,7 @@ def _show(console: Console, result: RowResult, files: str) -> None:
                 f"{stop['arrival_s']:.1f} s",
                 f"{stop['motion_s']:.1f} s",
                 f"{stop['motion_s'] / count:.2f} s",
-                f"{clearance:.1f} mm",
+                f"{at_least_mm(clearance, 1)} mm",
             )
         )
     headings = "", "side", "along", "height", "fruits", "arrival", "motion", "a fruit", "clearance"

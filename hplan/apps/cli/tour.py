@@ -12,6 +12,7 @@ from hplan.apps.cli.job_folder import MCAP, PAGE, TOUR, TOUR_REPORT, JobFolder, 
 from hplan.apps.cli.options import add_shared, command_parser, names_robots, plan_options, robot_of, scene_among
 from hplan.apps.cli.terminal import certificate_words, escape, facts_table, number_table, progress_line, show
 from hplan.base.files import cut
+from hplan.base.units import at_least_mm
 from hplan.errors import OptionError
 
 if TYPE_CHECKING:
@@ -173,14 +174,14 @@ def _show(console: Console, result: TourResult, folder: Path, files: Sequence[st
         times = {kind: _times(leg, kind) for kind in kinds}
         if leg.fruit is None:
             times["transit"] = leg.trajectory.duration
-        clearance = 1e3 * leg.certificate.min_clearance_m
+        clearance = leg.certificate.min_clearance_m
         rows.append(
             (
                 str(number),
                 escape(leg.name) if leg.fruit is not None else "[dim]back to the start[/]",
                 *(f"{seconds:.3f} s" if seconds else "" for seconds in times.values()),
                 "" if leg.fruit is None else f"{result.picked[leg.fruit]:.2f} s",
-                f"{clearance:.2f} mm" if clearance < float("inf") else "no obstacles",
+                f"{at_least_mm(clearance)} mm" if clearance < float("inf") else "no obstacles",
             )
         )
     legs = number_table(("", "fruit", *kinds, "at the fruit", "clearance"), rows, texts=("fruit",))

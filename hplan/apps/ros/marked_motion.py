@@ -15,6 +15,7 @@ from hplan.apps.ros.marker_parts import Marker
 from hplan.apps.ros.transforms import LinkFrames, xyz
 from hplan.apps.view.scenery import PICKED_COLOR, Pick
 from hplan.base.arrays import FloatArray
+from hplan.base.units import at_least_mm
 from hplan.certificate.certificate import Certificate
 from hplan.certificate.clearance_curve import ClearanceCurve
 from hplan.collision.coal_shapes import link_shapes, solid_shape
@@ -67,7 +68,7 @@ def certificate_text(certificate: Certificate) -> str:
         return f"not certified\n{certificate.violations[0] if certificate.violations else ''}".rstrip()
     if certificate.nearest is None:
         return "certified\nno obstacles"
-    words = f"certified: {1e3 * certificate.min_clearance_m:.2f} mm or more, for all times"
+    words = f"certified: {at_least_mm(certificate.min_clearance_m)} mm or more, for all times"
     return f"{words}\nnearest: {certificate.nearest.link} to {certificate.nearest.obstacle}"
 
 

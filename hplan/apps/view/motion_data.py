@@ -16,6 +16,7 @@ from hplan.apps.view.playback import Playback
 from hplan.apps.view.scene_stage import REST_S
 from hplan.apps.view.three_js import Json
 from hplan.base.arrays import FloatArray
+from hplan.base.units import at_least_mm
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 from hplan.trajectory.trajectory import Phase, Trajectory
@@ -169,7 +170,7 @@ def certificate_words(certificate: Certificate | None) -> tuple[str, str, list[s
     if not np.isfinite(clearance):
         words = "nothing to meet"
     elif certificate.verified:
-        words = f"clearance {np.floor(100.0 * clearance) / 100.0:.2f} mm or more at all times"
+        words = f"clearance {at_least_mm(certificate.min_clearance_m)} mm or more at all times"
     else:
         errors = nearest is not None and clearance < 1e3 * nearest.distance_m - 0.01
         words = f"smallest clearance found {clearance:.2f} mm{', tracking errors taken off' if errors else ''}"

@@ -80,10 +80,10 @@ def touch_estimate(subject: Subject, scene: Scene, draws: int = 10_000, seed: in
     for motion, _ in subject.motions:
         bezier, _ = cubic_pieces(motion.trajectory)
         for stretch in motion.stretches:
-            for solid, places in _near(bezier[stretch.part], stretch, shifts):
+            for solid, distance, places in _near(bezier[stretch.part], stretch, shifts):
                 check_deadline()
                 left = np.flatnonzero(~touched)
-                touched[left[_touching(solid, places, shifts[solid.name][left])]] = True
+                touched[left[_touching(solid, distance, places, shifts[solid.name][left])]] = True
     count = int(touched.sum())
     low = float(beta.ppf(0.5 - 0.5 * LEVEL, count, draws - count + 1)) if count else 0.0
     high = float(beta.ppf(0.5 + 0.5 * LEVEL, count + 1, draws - count)) if count < draws else 1.0
@@ -99,8 +99,8 @@ _Place = tuple[coal.CollisionGeometry, pin.SE3, float, float]
 
 def _near(
     bezier: FloatArray, stretch: ProvedStretch, shifts: dict[str, FloatArray]
-) -> Iterator[tuple[Solid, list[_Place]]]:
-    """Obstacles that a draw may bring into a stretch, and where the arm is near to them."""
+) -> Iterator[tuple[Solid, _Distance, list[_Place]]]:
+    """Obstacles that a draw may bring into a stretch, their distances, and where the arm is near to them."""
     robot, checker = stretch.checker.robot, stretch.checker
     shapes, solids, depths = checker.meetings
     _, moved, _ = motion_of_movers(checker, bezier, np.zeros((1, robot.dof)))
@@ -145,7 +145,7 @@ def _near(
                 distance = distance_of(shape.geometry, place) + depth
                 if distance <= reach[solid.name]:
                     found.setdefault(n, []).append((shape.geometry, place, distance, depth))
-    yield from ((asked[n][0], places) for n, places in found.items())
+    yield from ((*asked[n], places) for n, places in found.items())
 
 
 def _convex(solid: Solid) -> Iterator[tuple[FloatArray, float]]:
@@ -154,9 +154,8 @@ def _convex(solid: Solid) -> Iterator[tuple[FloatArray, float]]:
     yield from ((core, solid.rounding) for core in cores)
 
 
-def _touching(solid: Solid, places: list[_Place], shifts: FloatArray) -> BoolArray:
+def _touching(solid: Solid, distance: _Distance, places: list[_Place], shifts: FloatArray) -> BoolArray:
     """(k,) truths: whether the solid, shifted by (k, 3), touches any of the shapes in their places."""
-    ask = distance_from(solid)
     places = sorted(places, key=lambda place: place[2])
     nearest = np.array([place[2] for place in places])
     sizes = np.linalg.norm(shifts, axis=1)
@@ -169,7 +168,7 @@ def _touching(solid: Solid, places: list[_Place], shifts: FloatArray) -> BoolArr
         for k in np.flatnonzero(side[draw] & (nearest <= sizes[draw])).tolist():
             shape, place, _, depth = places[k]
             moved = pin.SE3(place.rotation, place.translation - shifts[draw])
-            if ask(shape, moved) + depth <= 0.0:
+            if distance(shape, moved) + depth <= 0.0:
                 touching[draw] = True
                 break
     return touching

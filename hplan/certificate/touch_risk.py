@@ -37,7 +37,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cache, cached_property
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 import pinocchio as pin
@@ -51,11 +51,10 @@ from hplan.certificate.touch_estimate import TouchEstimate, touch_estimate
 from hplan.collision import flat_bodies as flat
 from hplan.collision.body_kernels import pose_of
 from hplan.collision.coal_scene import CoalScene
-from hplan.collision.collision_bodies import hull_points
 from hplan.collision.convex_distance import SEPARATING, WORK, Wanted, core_distance
 from hplan.collision.placed_bodies import place_joints
 from hplan.collision.sweep import STILL
-from hplan.errors import MovingObstacleError
+from hplan.robot.family_reader import outline
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 from hplan.scene.obstacle_kind import largest_deviation
@@ -78,8 +77,8 @@ _CUTS: Final = 4
 #: displacement bound of the shape, or the gap from which on the part is far.
 _FIRST, _LAST, _RADIUS, _JOINT, _SWAY, _FARTHEST = 0, 1, 2, 3, 4, 3
 
-#: Columns of a half-space: the part, the direction from it to the arm, the gap.
-_PART, _NORMAL, _GAP = 0, 1, 4
+#: Columns of a half-space: the obstacle (the part, in the kernel), the direction from it to the arm, the gap.
+_OBSTACLE, _NORMAL, _GAP = 0, 1, 4
 
 
 @dataclass(frozen=True)
@@ -131,13 +130,6 @@ class TouchRisk:
         )
 
 
-class _Found(NamedTuple):
-    """Half-spaces of a stretch, and the obstacles' names that their parts have."""
-
-    rows: FloatArray
-    names: list[str]
-
-
 def touch_risk(subject: Subject, scene: Scene, asked: float) -> TouchRisk:
     """Bound the probability that the motions of a certificate touch anything.
 
@@ -145,28 +137,14 @@ def touch_risk(subject: Subject, scene: Scene, asked: float) -> TouchRisk:
         subject: The motions, as certified.
         scene: What they were certified among; its obstacles have the errors.
         asked: What the probability is to be at most.
-
-    Raises:
-        MovingObstacleError: Obstacles move, or the base does.
     """
-    if scene.moves:
-        raise MovingObstacleError(scene.first_moving, "a risk is of what stands still")
     errors, shared = scene.errors, scene.shared_error
     # Far is what is far in both ways to count the shared error: what it is added to, and what it is beside.
     far = {name: FAR * (largest_deviation(error) + largest_deviation(shared)) for name, error in errors.items()}
-    found = [each for motion, _ in subject.motions for each in _along(motion, far)]
-    names = list(errors)
-    numbers = {name: number for number, name in enumerate(names)}
-    rows = np.concatenate([np.zeros((0, 5)), *(each.rows for each in found)])
-    owner = np.concatenate(
-        [
-            np.zeros(0, dtype=np.int64),
-            *(
-                np.array([numbers[each.names[part]] for part in each.rows[:, _PART].astype(np.int64)], dtype=np.int64)
-                for each in found
-            ),
-        ]
-    )
+    names = list(far)
+    found = [rows for motion, _ in subject.motions for rows in _along(motion, far)]
+    rows = np.concatenate([np.zeros((0, 5)), *found])
+    owner = rows[:, _OBSTACLE].astype(np.int64)
     uncertain = [number for number, name in enumerate(names) if far[name] > 0.0]
     order = np.argsort(owner, kind="stable")
     rows, owner = rows[order], owner[order]
@@ -195,7 +173,7 @@ def touch_risk(subject: Subject, scene: Scene, asked: float) -> TouchRisk:
     return TouchRisk(asked, min(1.0, float(bound)), tuple(shares), common, subject, scene)
 
 
-def _along(motion: ProvedMotion, far: dict[str, float]) -> Iterator[_Found]:
+def _along(motion: ProvedMotion, far: dict[str, float]) -> Iterator[FloatArray]:
     """Half-spaces of the stretches of a motion."""
     bezier, _ = cubic_pieces(motion.trajectory)
     for stretch in motion.stretches:
@@ -205,34 +183,31 @@ def _along(motion: ProvedMotion, far: dict[str, float]) -> Iterator[_Found]:
 
 def _of_stretch(
     robot: Robot, bezier: FloatArray, stretch: ProvedStretch, clearance: float, far: dict[str, float]
-) -> _Found:
+) -> FloatArray:
     checker, deviations = stretch.checker, stretch.deviations
     shapes, solids, depths = checker.meetings
-    chosen = [number for number, solid in enumerate(solids) if far.get(solid.name, 0.0) > 0.0]
-    if not chosen:
-        return _Found(np.zeros((0, 5)), [])
+    places = {name: place for place, (name, distance) in enumerate(far.items()) if distance > 0.0}
+    obstacle = np.array([places.get(solid.name, -1) for solid in solids], dtype=np.int64)
     search = Advancement(bezier, checker, deviations, clearance)
-    (sway, travel), first = search.movers, search.mover_of[:: len(solids)][: len(shapes)]
-    bodies, parts, numbers = _numbers_of(robot, checker, chosen, far)
-    bodies[:, _SWAY] = sway[first].max(axis=1)
-    of_part, names = parts[:, -1].astype(np.int64), [solids[n].name for n in chosen]
     if search.bounded < len(bezier):
         # Nothing is known of it: each obstacle may be touched.
-        return _Found(np.column_stack([np.arange(len(names)), np.zeros((len(names), 4))]), names)
-    allowed = np.ascontiguousarray(depths[:, chosen][:, of_part])
+        touched = np.unique(obstacle[obstacle >= 0])
+        return np.column_stack([touched, np.zeros((len(touched), 4))])
+    bodies, parts, numbers = _numbers_of(robot, checker, far)
+    (sway, travel), first = search.movers, search.mover_of[:: len(solids)][: len(shapes)]
+    bodies[:, _SWAY] = sway[first].max(axis=1)
+    solid_of = parts[:, -1].astype(np.int64)
+    allowed = np.ascontiguousarray(depths[:, solid_of])
     rows = _half_spaces(np.ascontiguousarray(bezier), numbers, bodies, travel[first], parts, allowed)
-    rows[:, _PART] = of_part[rows[:, _PART].astype(np.int64)]
-    return _Found(rows, names)
+    rows[:, _OBSTACLE] = obstacle[solid_of[rows[:, _OBSTACLE].astype(np.int64)]]
+    return rows
 
 
-def _numbers_of(
-    robot: Robot, checker: CoalScene, chosen: list[int], far: dict[str, float]
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Moving shapes, parts of obstacles (last the place of the obstacle among those chosen), and numbers of both."""
+def _numbers_of(robot: Robot, checker: CoalScene, far: dict[str, float]) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Moving shapes, parts of the obstacles that have errors (last which of the solids each is of), numbers of both."""
     shapes, solids, _ = checker.meetings
-    joints = flat.joint_numbers(robot)
-    numbers = [np.array([0.0, robot.dof, flat.HEAD, 0.0]), joints.ravel()]
-    end = flat.HEAD + joints.size
+    numbers = [flat.joints_alone(robot)]
+    end = len(numbers[0])
 
     def placed(points: FloatArray) -> tuple[int, int]:
         nonlocal end
@@ -242,16 +217,18 @@ def _numbers_of(
 
     bodies = np.zeros((len(shapes), 5))
     for row, shape in enumerate(shapes):
-        points, radius = hull_points(shape.geometry)
+        points, radius = outline(shape, rim_from_outside=True)
         at: pin.SE3 = shape.placement
         bodies[row, :_SWAY] = *placed(points @ at.rotation.T + at.translation), radius, shape.parentJoint - 1
-    parts = []
-    for place, number in enumerate(chosen):
-        solid = solids[number]
-        begin, last = placed(solid.core)
-        spans = ((p, p + 3) for p in range(begin, last, 3)) if isinstance(solid, Cloud) else [(begin, last)]
-        parts += [(*span, solid.rounding, far[solid.name], place) for span in spans]
-    return bodies, np.array(parts, dtype=np.float64), np.concatenate(numbers)
+    parts = [np.zeros((0, 5))]
+    for number, solid in enumerate(solids):
+        if far.get(solid.name, 0.0) > 0.0:
+            begin, last = placed(solid.core)
+            firsts = np.arange(begin, last, 3 if isinstance(solid, Cloud) else last - begin)
+            each = np.full(len(firsts), 1.0)
+            lasts = np.append(firsts[1:], last)
+            parts.append(np.column_stack([firsts, lasts, *np.outer([solid.rounding, far[solid.name], number], each)]))
+    return bodies, np.concatenate(parts), np.concatenate(numbers)
 
 
 def _root(covariance: FloatArray) -> FloatArray:

@@ -156,21 +156,6 @@ def _primitive(geometry: coal.CollisionGeometry) -> _Solid | None:
     return None
 
 
-def hull_points(geometry: coal.CollisionGeometry) -> tuple[FloatArray, float]:
-    """Points of whose hull, grown by a radius, a convex shape that coal judges by is made, or lies in, and the radius.
-
-    Raises:
-        TypeError: It is none of those shapes.
-    """
-    radius = float(geometry.getSweptSphereRadius())
-    if isinstance(geometry, coal.ConvexBase):
-        return np.array(geometry.points(), dtype=np.float64).reshape(-1, 3), radius
-    solid = _primitive(geometry)
-    if solid is None:
-        raise TypeError(type(geometry).__name__)
-    return solid.core, solid.rounding + radius
-
-
 def _mesh(mesh: coal.BVHModelBase) -> list[_Solid]:
     """The hull of a mesh, or of its pieces."""
     vertices = np.asarray(mesh.vertices(), dtype=np.float64)

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
+import coal
 import numpy as np
 import pinocchio as pin
 
@@ -290,21 +291,29 @@ def outline(shape: pin.GeometryObject, *, rim_from_outside: bool) -> tuple[Float
 
     Exact but for the rim of a cylinder, a 64-gon: on the rim where the cylinder lies about the link's axis (every
     rim point is then equally far from it), around it (0.12 % larger) where it does not.
+
+    Raises:
+        TypeError: It is neither a shape that URDF knows, nor a convex one that coal judges by.
     """
     geometry = shape.geometry
     kind = type(geometry).__name__
+    if isinstance(geometry, coal.BVHModelBase):
+        return np.asarray(geometry.vertices(), dtype=np.float64), 0.0
+    if not isinstance(geometry, coal.ShapeBase):
+        raise TypeError(f"shape {kind} is not supported")
+    rounding = float(geometry.getSweptSphereRadius())
+    if isinstance(geometry, coal.ConvexBase):
+        return np.array(geometry.points(), dtype=np.float64).reshape(-1, 3), rounding
     if kind == "Sphere":
-        return np.zeros((1, 3)), float(geometry.radius)
+        return np.zeros((1, 3)), rounding + float(geometry.radius)
     if kind == "Capsule":
-        return np.array([[0, 0, -1.0], [0, 0, 1.0]]) * geometry.halfLength, float(geometry.radius)
+        return np.array([[0, 0, -1.0], [0, 0, 1.0]]) * geometry.halfLength, rounding + float(geometry.radius)
     if kind == "Cylinder":
         angles = np.linspace(0.0, 2.0 * np.pi, 64, endpoint=False)
         radius = geometry.radius / np.cos(np.pi / 64) if rim_from_outside else geometry.radius
         rim = radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)
         ends = [np.c_[rim, np.full(64, h)] for h in (-geometry.halfLength, geometry.halfLength)]
-        return np.vstack(ends), 0.0
+        return np.vstack(ends), rounding
     if kind == "Box":
-        return CUBE_CORNERS * np.asarray(geometry.halfSide), 0.0
-    if hasattr(geometry, "vertices"):
-        return np.asarray(geometry.vertices(), dtype=np.float64), 0.0
+        return CUBE_CORNERS * np.asarray(geometry.halfSide), rounding
     raise TypeError(f"shape {kind} is not supported")

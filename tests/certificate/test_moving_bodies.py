@@ -9,7 +9,7 @@ import coal
 import numpy as np
 import pytest
 from arm_variants import axis_points
-from fitted_arms import Bodies, box, distance, fitted, quintic, scene_of
+from fitted_arms import Bodies, box, distance, fitted, mesh, quintic, scene_of
 from studies.planar_cspace import joint_grid
 
 from hplan.certificate.certificate import certify
@@ -26,6 +26,7 @@ from hplan.planning.world import World
 from hplan.robot.base_shapes import GROUND, TURRET, always, base_shapes, coal_distance, ever, turning_shapes
 from hplan.robot.self_contact import self_contact
 from hplan.scene.obstacles import Box, Capsule, Sphere
+from hplan.scene.solids import CUBE_CORNERS
 
 COUNTERWEIGHT = box((0.5, 0.1, 0.1), (-0.3, 0.0, 0.45))
 REST = (0.0, 45.0, 45.0, 45.0)
@@ -67,8 +68,11 @@ def turret_radius(robot):
 # Turret and obstacles
 
 
-def test_a_counterweight_does_not_sweep_through_a_post(tmp_path):
-    robot = fitted(tmp_path, {"turret": [COUNTERWEIGHT]})
+@pytest.mark.parametrize("kind", ["box", "mesh"])
+def test_a_counterweight_does_not_sweep_through_a_post(tmp_path, kind):
+    corners = CUBE_CORNERS * (0.25, 0.05, 0.05)
+    counterweight = COUNTERWEIGHT if kind == "box" else mesh(tmp_path / "weight.obj", corners, (-0.3, 0.0, 0.45))
+    robot = fitted(tmp_path, {"turret": [counterweight]})
     bodies, solids = Bodies(robot), solids_of([POST])
     certificate = certify(robot, scene_of(REST, FAR, [POST]), quintic(robot, REST, FAR))
     assert not shown(certificate)
@@ -213,8 +217,14 @@ def test_what_the_turret_may_not_touch_counts_with_its_uncertainty(tmp_path):
 # Turret and pedestal
 
 
-def test_turret_and_pedestal_are_pairs_where_they_can_touch(tmp_path):
+@pytest.mark.parametrize("kind", ["box", "mesh"])
+def test_turret_and_pedestal_are_pairs_where_they_can_touch(tmp_path, kind):
     stop = box((0.1, 0.1, 0.3), (0.0, -0.4, 0.4))
+    if kind == "mesh":
+        # Rounder than what a body has corners for.
+        turns = np.linspace(0.0, 2.0 * math.pi, 90, endpoint=False)
+        ring = 0.05 * np.column_stack([np.cos(turns), np.sin(turns)])
+        stop = mesh(tmp_path / "stop.obj", [(*at, z) for z in (0.25, 0.55) for at in ring], (0.0, -0.4, 0.0))
     robot = fitted(tmp_path, {"turret": [COUNTERWEIGHT], "base_link": [stop]})
     assert own(robot, "turret") == [("turret", "base_link")]
     certificate = certify(robot, scene_of(REST), quintic(robot, REST, FAR))

@@ -60,11 +60,10 @@ def test_errors_within_the_half_spaces_touch_nothing(robot: Robot, motion: Traje
     scene, random = task(things()), np.random.default_rng(2)
     errors = scene.errors
     far = {name: 7.0 * float(np.sqrt(np.linalg.eigvalsh(error)[-1])) for name, error in errors.items()}
-    found = [
-        each for proved, _ in risk_of(robot, scene, motion).subject.motions for each in subject._along(proved, far)
-    ]
-    rows = {name: np.concatenate([each.rows[[n == name for n in np.array(each.names)[each.rows[:, 0].astype(int)]]]
-            for each in found]) for name in errors}  # fmt: skip
+    found = np.concatenate(
+        [rows for proved, _ in risk_of(robot, scene, motion).subject.motions for rows in subject._along(proved, far)]
+    )
+    rows = {name: found[found[:, 0] == place] for place, name in enumerate(errors)}
     assert all(len(part) for part in rows.values())
     dense, nearest = motion.position[:: max(1, motion.samples // 400)], []
     for name, part in rows.items():

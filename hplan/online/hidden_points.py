@@ -28,15 +28,22 @@ CELLS: Final = 180
 
 
 @inlined
-def _direction(x: float, y: float, z: float) -> int:
-    """Number of the cell in which a direction lies, the longest coordinate's sign and axis first."""
+def side_of_cube(x: float, y: float, z: float) -> tuple[int, float, float, float]:
+    """The side of the cube that a direction meets, by its longest coordinate; that one's length, and the others."""
     ax, ay, az = abs(x), abs(y), abs(z)
     if az >= ax and az >= ay:
-        side, longest, u, v = (0 if z > 0.0 else 1), az, x, y
+        found = ((0 if z > 0.0 else 1), az, x, y)
     elif ax >= ay:
-        side, longest, u, v = (2 if x > 0.0 else 3), ax, y, z
+        found = ((2 if x > 0.0 else 3), ax, y, z)
     else:
-        side, longest, u, v = (4 if y > 0.0 else 5), ay, x, z
+        found = ((4 if y > 0.0 else 5), ay, x, z)
+    return found
+
+
+@inlined
+def _direction(x: float, y: float, z: float) -> int:
+    """Number of the cell in which a direction lies."""
+    side, longest, u, v = side_of_cube(x, y, z)
     scale = 0.5 * CELLS / max(longest, 1e-300)
     column = min(int(u * scale + 0.5 * CELLS), CELLS - 1)
     line = min(int(v * scale + 0.5 * CELLS), CELLS - 1)

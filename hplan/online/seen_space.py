@@ -28,7 +28,7 @@ from hplan.collision.obstacle_rows import solid_rows
 from hplan.errors import OptionError
 from hplan.online.arm_shape import reach_ball
 from hplan.online.body_distances import distances_from_bodies
-from hplan.online.hidden_points import CELLS, shortest_ranges
+from hplan.online.hidden_points import CELLS, shortest_ranges, side_of_cube
 from hplan.robot.model import Robot
 from hplan.scene.obstacles import Solid
 
@@ -142,13 +142,7 @@ def _see(
                 x = rotation[0, 0] * dx + rotation[1, 0] * dy + rotation[2, 0] * dz
                 y = rotation[0, 1] * dx + rotation[1, 1] * dy + rotation[2, 1] * dz
                 z = rotation[0, 2] * dx + rotation[1, 2] * dy + rotation[2, 2] * dz
-                ax, ay, az = abs(x), abs(y), abs(z)
-                if az >= ax and az >= ay:
-                    side, longest, u, v = (0 if z > 0.0 else 1), az, x, y
-                elif ax >= ay:
-                    side, longest, u, v = (2 if x > 0.0 else 3), ax, y, z
-                else:
-                    side, longest, u, v = (4 if y > 0.0 else 5), ay, x, z
+                side, longest, u, v = side_of_cube(x, y, z)
                 near = longest - radius
                 if near <= 0.0:
                     continue

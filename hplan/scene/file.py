@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import itertools
 import os
 from collections.abc import Collection, Sequence
@@ -11,6 +10,7 @@ from typing import Any, TypeVar
 
 import yaml
 from pydantic import BaseModel, ValidationError
+from pydantic_core import to_jsonable_python
 
 from hplan.base.arguments import file_path, instance
 from hplan.base.data_files import shipped_scene, shipped_scenes
@@ -69,10 +69,8 @@ def read_model(kind: type[_Model], path: Path, *, hint: str = "") -> _Model:
     Raises:
         SceneError: As `load_scene`; of the kind's own class.
     """
-    missing = os.strerror(errno.ENOENT)
-    text = ByteBudget(MOST_SCENE_BYTES).text(
-        path, lambda reason: kind.error(reason + hint * (reason == missing), path=path)
-    )
+    hint = "" if is_file(path) else hint
+    text = ByteBudget(MOST_SCENE_BYTES).text(path, lambda reason: kind.error(reason + hint, path=path))
     return parse_model(kind, text, path)
 
 
@@ -134,12 +132,7 @@ def _dumped(part: BaseModel, exclude: set[str] | None = None) -> dict[str, Any]:
     for key, field in type(part).model_fields.items():
         value = getattr(part, key)
         if field.exclude and value != field.default:
-            dumped = value.model_dump(mode="json", exclude_none=True) if isinstance(value, BaseModel) else value
-            content[key] = (
-                [list(row) if isinstance(row, tuple) else row for row in dumped]
-                if isinstance(dumped, tuple)
-                else dumped
-            )
+            content[key] = to_jsonable_python(value, exclude_none=True)
     return content
 
 

@@ -19,7 +19,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
-from scipy.interpolate import make_interp_spline
 
 from hplan.base.arguments import number as checked_number
 from hplan.base.arguments import truth
@@ -76,12 +75,24 @@ _STILL = 1e-9
 
 
 class _Leg(NamedTuple):
-    """From a pose to the next: rows to be timed, or the motion itself."""
+    """From a pose to the next: rows to be timed, the smooth path through them where it is straight, or the motion."""
 
     number: int
     task: PlanningTask
     rows: FloatArray
+    path: SplinePath | None = None
     motion: Transit | None = None
+
+
+class _Tilt(NamedTuple):
+    """How far the tool may tilt [rad], and for the kernels what is upright."""
+
+    most: float
+    chain: Chain
+
+    def within(self, to: PlanningTask) -> Chain:
+        """What is upright, within the joint ranges of a motion."""
+        return self.chain._replace(lower=np.array(to.problem.lower), upper=np.array(to.problem.upper))
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,17 +102,16 @@ class _Poses:
     Attributes:
         upright: What is up in `base_link`.
         direction: What of the tool is up at the start, in its frame.
-        chain: What is upright, for the kernels; None where that is not asked for.
+        tilt: None where the tool may be turned at will.
     """
 
     context: PlanningContext
     poses: tuple[FloatArray, ...]
     straight: tuple[bool, ...]
     deviation_m: float
-    tilt_rad: float | None
     upright: FloatArray
     direction: FloatArray
-    chain: Chain | None
+    tilt: _Tilt | None
 
 
 def plan_poses(
@@ -146,7 +156,7 @@ def plan_poses(
         CertificationError: It could not be certified, or leaves a line, or tilts, by more than is allowed.
         MovingObstacleError: Something in the scene moves.
         NotInTimeError: None was found before the deadline.
-        PlanCancelledError: Nobody wants the motion any more.
+        PlanCancelledError: It was cancelled.
     """
     check_task(robot, scene, options, progress)
     options = PlanOptions() if options is None else options
@@ -176,12 +186,12 @@ def plan_poses(
             gravity = np.array(robot.model.gravity.linear)
             up = -gravity / np.linalg.norm(gravity) if gravity.any() else np.array([0.0, 0.0, 1.0])
             direction = robot.forward_kinematics(begin)[:3, :3].T @ up
-            chain = None if tilt_rad is None else _upright_chain(robot, scene, up, direction, _OF_TILT * tilt_rad)
-            task = _Poses(
-                context, checked, tuple(truth("straight", way) for way in ways), deviation_m, tilt_rad,
-                up, direction, chain,
-            )  # fmt: skip
-            _check_upright(task)
+            tilt = None
+            if tilt_rad is not None:
+                _check_upright(checked, up, direction, _OF_TILT * tilt_rad)
+                tilt = _Tilt(tilt_rad, _upright_chain(robot, scene, up, direction, _OF_TILT * tilt_rad))
+            lines = tuple(truth("straight", way) for way in ways)
+            task = _Poses(context, checked, lines, deviation_m, up, direction, tilt)
             return _timed(task, _through(task, begin, 0))
         except TimeIsUpError:
             raise limit.error(clock.told()) from None
@@ -215,20 +225,18 @@ def _upright_chain(robot: Robot, scene: Scene, up: FloatArray, direction: FloatA
     )
 
 
-def _check_upright(task: _Poses) -> None:
+def _check_upright(poses: Sequence[FloatArray], up: FloatArray, direction: FloatArray, most: float) -> None:
     """Refuse poses that are tilted by more than trees may tilt.
 
     Raises:
         InputError: There is one.
     """
-    if task.chain is None or task.tilt_rad is None:
-        return
-    for k, pose in enumerate(task.poses):
-        lean = math.acos(min(1.0, float(task.upright @ pose[:3, :3] @ task.direction)))
-        if lean > _OF_TILT * task.tilt_rad:
+    for k, pose in enumerate(poses):
+        lean = math.acos(min(1.0, float(up @ pose[:3, :3] @ direction)))
+        if lean > most:
             raise InputError(
                 f"poses[{k}]: tilted by {math.degrees(lean):.4g} deg from how the tool stands at the start; at poses "
-                f"no more than {_OF_TILT:g} of the tilt, {math.degrees(_OF_TILT * task.tilt_rad):.4g} deg, leaves room",
+                f"no more than {_OF_TILT:g} of the tilt, {math.degrees(most):.4g} deg, leaves room",
                 pose=k,
                 tilt_rad=lean,
             )
@@ -273,7 +281,7 @@ def _lines(task: _Poses, begin: FloatArray, number: int) -> Iterator[_Leg]:
             path, robot = _interpolated(rows), context.robot
             is_within = (path.pieces >= robot.lower).all() and (path.pieces <= robot.upper).all()
             if is_within and path.is_clear(context.field, _margin(leg.task)):
-                yield leg
+                yield leg._replace(path=path)
     if longest < 1.0:
         raise NotFoundError(
             [f"the straight line to pose {number + 1}, of which {longest:.3g} was reached"], pose=number
@@ -301,11 +309,11 @@ def _free(task: _Poses, begin: FloatArray, number: int) -> Iterator[_Leg]:
         still = next((to for to in tasks if to.problem.is_empty), None)
         if still is not None:
             leg = _Leg(number, still, np.stack([begin, still.problem.goal]))
-        elif task.chain is None:
+        elif task.tilt is None:
             at, motion = one_transit(tasks)
-            leg = _Leg(number, tasks[at], motion.trajectory.position[[0, -1]], motion)
+            leg = _Leg(number, tasks[at], motion.trajectory.position[[0, -1]], motion=motion)
         else:
-            leg = _upright(task, tasks, number)
+            leg = _upright(task.tilt, tasks, number)
         yield leg
         tasks = [to for to in tasks if to is not leg.task]
 
@@ -328,39 +336,33 @@ def _ends(task: _Poses, begin: FloatArray, number: int) -> FloatArray:
         return configurations_at(context.world, goal, begin, context.scene.locked_joints)
 
 
-def _upright(task: _Poses, tasks: Sequence[PlanningTask], number: int) -> _Leg:
+def _upright(tilt: _Tilt, tasks: Sequence[PlanningTask], number: int) -> _Leg:
     """A path to whichever configuration can be reached upright: as the joints go there, or of trees.
 
     Raises:
         NotFoundError: None was found.
     """
-    field, robot = task.context.field, task.context.robot
+    field, robot = tasks[0].field, tasks[0].robot
     for to in tasks:
-        rows = _followed(task, to, to.problem.start, to.problem.goal)
+        rows = _followed(tilt, to, to.problem.start, to.problem.goal)
         if rows is not None and field.is_clear(rows, 0.1 * to.margin()):
             return _Leg(number, to, rows)
     first, goals, least = tasks[0], np.array([to.problem.goal for to in tasks]), 0.1 * min(to.margin() for to in tasks)
-    held = Held(_chain(task, first), _EDGE_S * math.sqrt(_OF_TILT * (task.tilt_rad or 1.0)))
+    held = Held(tilt.within(first), _EDGE_S * math.sqrt(_OF_TILT * tilt.most))
     for seed, evaluations in enumerate(_TREES):
         effort = TreeEffort(evaluations, first.effort.trees.seed + seed)
         with first.stage("trees"):
             path, _ = tree_path(first.problem, field, robot.velocity_limit, least, effort, goals=goals, held=held)
         if path is not None:
             to = tasks[int((goals == path[-1]).all(axis=1).argmax())]
-            return _Leg(number, to, _shorter(task, to, path))
+            return _Leg(number, to, _shorter(tilt, to, path))
     raise NotFoundError([f"trees that stay upright, with {sum(_TREES)} evaluations, to pose {number + 1}"], pose=number)
 
 
-def _chain(task: _Poses, to: PlanningTask) -> Chain:
-    """What is upright, within the joint ranges of a motion."""
-    assert task.chain is not None
-    return task.chain._replace(lower=np.array(to.problem.lower), upper=np.array(to.problem.upper))
-
-
-def _followed(task: _Poses, to: PlanningTask, begin: FloatArray, end: FloatArray) -> FloatArray | None:
+def _followed(tilt: _Tilt, to: PlanningTask, begin: FloatArray, end: FloatArray) -> FloatArray | None:
     """(m, dof) configurations from one to another, upright and close together; None where they are not."""
     count = max(2, math.ceil(float(np.abs(end - begin).max()) / _ROW) + 1)
-    chain = _chain(task, to)
+    chain = tilt.within(to)
     rows, poses = np.repeat(begin[None], count, axis=0), np.repeat(chain.pose[None], count, axis=0)
     most = np.full(rows.shape, 4.0 * _ROW)
     reached = follow(poses, most, np.array(end), 1.0, chain, rows)
@@ -370,17 +372,17 @@ def _followed(task: _Poses, to: PlanningTask, begin: FloatArray, end: FloatArray
     return rows
 
 
-def _shorter(task: _Poses, to: PlanningTask, path: FloatArray) -> FloatArray:
+def _shorter(tilt: _Tilt, to: PlanningTask, path: FloatArray) -> FloatArray:
     """The path with shortcuts that stay upright."""
     parts = [np.linspace(*pair, max(2, math.ceil(float(np.abs(pair[1] - pair[0]).max()) / _ROW) + 1))[1:]
              for pair in pairwise(path)]  # fmt: skip
-    rows, draw = np.vstack([path[:1], *parts]), np.random.Generator(np.random.PCG64(0))
+    rows, draw = np.vstack([path[:1], *parts]), np.random.Generator(np.random.PCG64(to.effort.trees.seed))
     with to.stage("postprocess"):
         for _ in range(_SHORTCUTS):
             low, high = np.sort(draw.integers(0, len(rows), 2))
             if high - low < 2:
                 continue
-            between = _followed(task, to, rows[low], rows[high])
+            between = _followed(tilt, to, rows[low], rows[high])
             if (
                 between is not None
                 and path_length(between) < path_length(rows[low : high + 1])
@@ -405,14 +407,16 @@ def _interpolated(rows: FloatArray) -> SplinePath:
     points = _moving(rows)
     if len(points) < 4:
         points = np.vstack([np.linspace(low, high, 4)[:-1] for low, high in pairwise(points)] + [points[-1:]])
+    from scipy.interpolate import make_interp_spline
+
     spline = make_interp_spline(stations(points), points, k=3)
     return SplinePath(readonly(spline.c), readonly(spline.t))
 
 
-def _smooth(task: _Poses, leg: _Leg) -> Iterator[SplinePath]:
+def _smooth(leg: _Leg) -> Iterator[SplinePath]:
     """Paths to be timed, the smoothest first; straight lines have one."""
-    if task.straight[leg.number]:
-        yield _interpolated(leg.rows)
+    if leg.path is not None:
+        yield leg.path
         return
     points = _moving(leg.rows)
     for coarser in _COARSER:
@@ -447,7 +451,7 @@ def _timed(task: _Poses, legs: Sequence[_Leg]) -> PlanResult:
             }
         )
     others = [Motion(motion.name, motion.trajectory, motion.certificate) for motion in motions[1:]]
-    allowed = None if task.tilt_rad is None else math.degrees(task.tilt_rad)
+    allowed = None if task.tilt is None else math.degrees(task.tilt.most)
     found = {"allowed_deviation_m": task.deviation_m, "allowed_tilt_deg": allowed, "phases": told}
     return replace(plan_result(Plan(motions[0], tuple(others))), told={"poses": found})
 
@@ -462,7 +466,7 @@ def _leg_motion(task: _Poses, leg: _Leg) -> tuple[Transit, ToolBounds]:
     to, name, failure = leg.task, f"pose {leg.number + 1}", None
     if leg.motion is not None:
         return replace(leg.motion, name=name, task=to), _bounds(task, leg.motion)
-    for path in _smooth(task, leg):
+    for path in _smooth(leg):
         try:
             trajectory, certificate = certified_trajectory(to, path)
         except (TimingError, CertificationError) as error:
@@ -472,7 +476,7 @@ def _leg_motion(task: _Poses, leg: _Leg) -> tuple[Transit, ToolBounds]:
         motion = Transit(name, trajectory, certificate, to, frozen(np.array(leg.rows)), path, origin)
         with to.stage("certificate"):
             bounds = _bounds(task, motion)
-        tilted = task.tilt_rad is not None and bounds.tilt_rad > task.tilt_rad
+        tilted = task.tilt is not None and bounds.tilt_rad > task.tilt.most
         if not tilted and (not task.straight[leg.number] or bounds.deviation_m <= task.deviation_m):
             return motion, bounds
         failure = failure or CertificationError(

@@ -25,7 +25,12 @@ if TYPE_CHECKING:
 #: Where each study is.
 STUDIES = {
     "reference": "reference:REFERENCE",
+    "cspace": "validation.kinds:CSPACE",
     "risk": "risk:RISK",
+    "motions": "validation.episodes:MOTIONS",
+    "grazing": "validation.grazing:GRAZING",
+    "yielding": "validation.yielding:YIELDING",
+    "soak": "validation.soak:SOAK",
     "clutter": "planar:CLUTTER",
     "trees": "trees:TREES",
     "tours": "trees:TOURS",
@@ -54,6 +59,11 @@ times of a thread; trust ratios within one run. Without names all studies are ru
 _EPILOG = """\
 studies:
   reference   the reference scene: stages, searches, C-space, motions, planners
+  cspace      the C-space against coal, on random scenes of every kind of obstacle
+  motions     plans, stops and splices of random arms, looked at by Pinocchio and coal on all that their URDFs describe
+  grazing     obstacles that a motion grazes, which must not be verified
+  yielding    motions among trees that give way: what is pushed, how deep, and is it told
+  soak        one planner and four threads, for as long as --values minutes=60 says
   clutter     random planar scenes: searches, motions, toppra and stops on the grid path
   trees       motions among trees, all joints free
   tours       picking tours over a tree each

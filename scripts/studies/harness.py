@@ -88,6 +88,7 @@ class Study:
         about: What it tells, in a line.
         row: From what is asked for and a problem to its row, or its rows, or None where it does not count.
         columns: Keys of the rows that the summary tells, in order.
+        totals: Keys of numbers, and of counts by kind, that it adds up over all rows.
         problems: The problems, given what is asked for.
         by: Key of the rows that groups them; empty for no groups.
         count: Problems where no number is asked for, None for all; and in a quick run.
@@ -101,6 +102,7 @@ class Study:
     columns: tuple[str, ...]
     problems: Callable[[Asked], Iterable[Any]] = numbered
     by: str = ""
+    totals: tuple[str, ...] = ()
     count: tuple[int | None, int] = (None, 3)
     needs: tuple[str, ...] = ()
     warm: int = 1
@@ -190,14 +192,23 @@ def summary(study: Study, rows: Sequence[Row]) -> list[str]:
         for name, some in chosen.items()
     ]
     faults = [str(row.get("name")) for row in rows if row.get("fault")]
+    totals = [f"{key.replace('_', ' ')}: {_total([row[key] for row in rows])}." for key in study.totals if rows]
     return [
         f"### {study.name}: {study.about}",
         "",
         *table((study.by, "rows", *(key.replace("_", " ") for key in kept)), cells),
         "",
-        f"Numbers: median / 95 % / largest. At fault: {', '.join(faults) or 'none'}.",
+        " ".join(["Numbers: median / 95 % / largest.", *totals, f"At fault: {', '.join(faults) or 'none'}."]),
         "",
     ]
+
+
+def _total(values: Sequence[Any]) -> str:
+    """A sum of numbers, or of counts by kind."""
+    if not isinstance(values[0], Mapping):
+        return f"{sum(values):,}"
+    counts = sum(map(Counter, values), Counter[str]())
+    return ", ".join(f"{count:,} {kind}" for kind, count in counts.most_common()) or "none"
 
 
 def compare(before: Sequence[Row], after: Sequence[Row], columns: Sequence[str]) -> list[str]:

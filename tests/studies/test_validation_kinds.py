@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -10,15 +9,7 @@ import pytest
 import studies.validation.kinds as validation_kinds
 import studies.validation.scenes as validation_scenes
 from arm_variants import load_variant
-from script_loader import load_script
-from studies.validation.kinds import (
-    CONTACT_TOLERANCE,
-    EXAMPLES,
-    MOST_LOST,
-    KindsValidation,
-    _CoalWithShapes,
-    validate_kinds,
-)
+from studies.validation.kinds import CONTACT_TOLERANCE, EXAMPLES, MOST_LOST, _CoalWithShapes, kind_row
 from studies.validation.scenes import KINDS, Kind, random_scene
 
 from hplan.collision.clearance_field import ClearanceField
@@ -26,10 +17,7 @@ from hplan.grid.grid import Grid, Occupancy
 from hplan.grid.occupancy import occupancy
 from hplan.grid.prepared_obstacles import prepare_obstacles
 from hplan.grid.sections import sections_at
-from hplan.planning.report import write_report
 from hplan.robot.model import Robot
-
-script = load_script("validate_cspace")
 
 #: A bucket, a ring and a notched plate that are cut in a moment.
 _QUICK_SHAPES = (3, 1, 17)
@@ -41,29 +29,17 @@ def quick_shapes(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(validation_scenes, "stock", lambda number: stock(_QUICK_SHAPES[number % 3]))
 
 
-def look(robot: Robot, *kinds: Kind, scenes: int = 2, configurations: int = 3_000) -> KindsValidation:
-    return validate_kinds(robot, kinds, scenes=scenes, configurations=configurations)
-
-
-# Nothing is missed, little is lost
-
-
 @pytest.mark.parametrize("kind", KINDS)
 def test_nothing_is_missed_and_little_lost(robot: Robot, kind: Kind) -> None:
     configurations = 512 if kind == "points" else 2_000  # coal takes its time over clouds
-    result = validate_kinds(robot, [kind], scenes=4, configurations=configurations, seed=1)
-    (row,) = result.results
-    assert result.ok
-    assert row.ok
-    assert row.kind == kind
-    assert row.configurations == 4 * configurations
-    assert row.scenes == 4
-    assert row.missed == row.differing == 0
-    assert row.examples == ()
-    assert row.colliding > 0
-    assert row.spare > 0
-    assert row.lost_share <= MOST_LOST
-    assert row.widest_gap_m < validation_kinds.SPARE
+    row = kind_row(robot, kind, 4, configurations, seed=1)
+    assert not row["fault"]
+    assert (row["name"], row["configurations"]) == (kind, 4 * configurations)
+    assert row["missed"] == row["differing"] == 0
+    assert row["examples"] == []
+    assert min(row["colliding"], row["spare"]) > 0
+    assert row["lost_share"] <= MOST_LOST
+    assert row["widest_mm"] < 1e3 * validation_kinds.SPARE
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -106,46 +82,21 @@ def test_nothing_in_contact_is_free(robot: Robot, kind: Kind) -> None:
 )
 def test_other_arms(variant: str, tmp_path: Path) -> None:
     robot = load_variant(variant, tmp_path)
-    result = look(robot, "box", "fruits", scenes=6, configurations=1_000)
-    assert result.ok
-    assert len(result.results) == 2
-    assert all(row.colliding > 0 for row in result.results)
+    for kind in ("box", "fruits"):
+        row = kind_row(robot, kind, 6, 1_000)
+        assert not row["fault"]
+        assert row["colliding"] > 0
 
 
-# What is wrong is seen
-
-
-def test_a_blind_cspace_is_caught(robot: Robot, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_blind_cspace_is_caught(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
     def blind(_arm: object, _sections: object, grid: Grid) -> Occupancy:
         return Occupancy.from_mask(grid, np.zeros(grid.shape, dtype=bool))
 
     monkeypatch.setattr(validation_kinds, "occupancy", blind)
-    result = look(robot, "sphere")
-    assert not result.ok
-    for row in result.results:
-        assert row.missed == row.colliding > EXAMPLES
-        assert row.differing == row.lost == 0
-        assert len(row.examples) == EXAMPLES
-        assert {example.side for example in row.examples} == {"intervals"}
-        assert all(example.distance_m < 0.0 for example in row.examples)
-    content = json.loads(write_report(result.as_dict(), tmp_path / "kinds.json").read_text())
-    assert content["ok"] is False
-    assert content["results"][0]["missed"] == result.results[0].missed
-    assert len(content["results"][0]["examples"][0]["joints_rad"]) == 4
-
-
-# The command
-
-
-def test_command_on_kinds(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    arguments = ["--kinds", "sphere", "box", "--scenes", "2", "--configurations", "2000", "--seed", "3"]
-    assert script.main([*arguments, "--out", str(tmp_path)]) == 0
-    text = capsys.readouterr().out
-    assert "2 random scenes of each kind" in text
-    assert "nothing missed" in text
-    rows = [line.split()[:2] for line in text.splitlines() if line.split()[:1] in (["sphere"], ["box"])]
-    assert rows == [["sphere", "4,000"], ["box", "4,000"]]
-    content = json.loads((tmp_path / script.RESULT).read_text())
-    assert content["ok"] is True
-    assert (content["scenes"], content["configurations"], content["seed"]) == (2, 2000, 3)
-    assert [(row["kind"], row["missed"]) for row in content["results"]] == [("sphere", 0), ("box", 0)]
+    row = kind_row(robot, "sphere", 2, 3_000)
+    assert row["fault"]
+    assert row["missed"] == row["colliding"] > EXAMPLES
+    assert row["differing"] == row["lost"] == 0
+    assert len(row["examples"]) == EXAMPLES
+    assert {example["side"] for example in row["examples"]} == {"intervals"}
+    assert all(example["distance_m"] < 0.0 and len(example["joints_rad"]) == 4 for example in row["examples"])

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
+import re
+from collections import Counter
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -13,11 +14,15 @@ import pytest
 import studies.validation.episodes as episodes
 import studies.validation.grazing as grazing
 import studies.validation.yielding as yielding
-from script_loader import SCRIPTS, load_script
+from script_loader import SCRIPTS
+from studies.harness import Asked, Study, plain, run, summary
 from studies.validation.arms import DrawnArm, named_arm
-from studies.validation.episodes import Tally, run_case, shifted
+from studies.validation.episodes import MOTIONS, run_case, shifted
+from studies.validation.grazing import GRAZING
 from studies.validation.judge import Motion, Moves, Window, contacts, things_of
+from studies.validation.soak import SOAK
 from studies.validation.worlds import World
+from studies.validation.yielding import YIELDING
 
 from hplan.planning.plan import plan
 
@@ -128,12 +133,11 @@ def test_what_hplan_is_not_told_is_found(monkeypatch: pytest.MonkeyPatch) -> Non
 def test_a_wrong_certificate_is_counted(monkeypatch: pytest.MonkeyPatch, verified: bool | None) -> None:
     if verified is not None:
         monkeypatch.setattr(grazing, "certify", lambda *_: SimpleNamespace(verified=verified))
-    total = Tally()
-    for number in range(4):
-        total.add(grazing.graze(0, number))
-    assert min(total.looked["grazing"], total.looked["clear"]) > 0
-    wrong = {None: 0, True: total.looked["grazing"], False: total.looked["clear"]}
-    assert len(total.faults) == wrong[verified]
+    tallies = [grazing.graze(0, number) for number in range(4)]
+    looked = sum((tally.looked for tally in tallies), Counter())
+    assert min(looked["grazing"], looked["clear"]) > 0
+    wrong = {None: 0, True: looked["grazing"], False: looked["clear"]}
+    assert sum(len(tally.faults) for tally in tallies) == wrong[verified]
 
 
 @pytest.mark.parametrize("times", [1.0, 2.0])
@@ -154,13 +158,12 @@ def test_what_is_pushed_too_deep_is_found(monkeypatch: pytest.MonkeyPatch, times
     assert {"pushes", "grazing", "pushes of what the fruit hangs from"} == set(tally.looked_in)
 
 
-@pytest.mark.parametrize("what", ["motions", "grazing", "yielding", "soak"])
-def test_command(tmp_path: Path, what: str, capsys: pytest.CaptureFixture[str]) -> None:
-    script = load_script("validate_motions")
-    arguments = [what, "--cases", "1", "--first", str(CASE), "--minutes", "0.02", "--out", str(tmp_path)]
-    assert script.main(arguments) == 0, capsys.readouterr().out
-    assert json.loads((tmp_path / f"validation-{what}.json").read_text())["ok"]
-    assert "at fault: 0" in capsys.readouterr().out
+@pytest.mark.parametrize("study", [MOTIONS, GRAZING, YIELDING, SOAK], ids=lambda study: study.name)
+def test_studies(study: Study) -> None:
+    rows = list(run(study, Asked(count=1, first=CASE, values={"minutes": (0.02,)})))
+    assert [row["fault"] for row in rows] == [False]
+    assert json.loads(json.dumps(plain(rows)))
+    assert re.search(r"motions: \d+\. .* At fault: none\.$", summary(study, rows)[-2])
 
 
 #: A case whose planner makes motions in most of its worlds.

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from studies.harness import Asked, Row, Study
 from studies.validation.arms import DrawnArm, draw_arm
 from studies.validation.judge import Motion, Window, contacts
 from studies.validation.random_scenes import direction
@@ -62,17 +63,16 @@ JUMP = 1e-6
 
 @dataclass
 class Tally:
-    """What was counted.
+    """What was counted in a case.
 
     Attributes:
         arms: Arms by kind.
         refused: Calls without a motion, by the error.
         looked: Motions that were looked at, by kind.
-        looked_in: The same, by what the world was.
+        looked_in: These motions, by what the world was.
         unverified: Stops, scalings and splices that were not verified, by kind.
         ticks: Configurations that were looked at.
         faults: Contacts and jumps, each with what it needs to be found again.
-        measured: Numbers of a soak.
     """
 
     arms: Counter[str] = field(default_factory=Counter)
@@ -81,23 +81,16 @@ class Tally:
     looked_in: Counter[str] = field(default_factory=Counter)
     unverified: Counter[str] = field(default_factory=Counter)
     ticks: int = 0
-    faults: list[dict[str, Any]] = field(default_factory=list)
-    measured: dict[str, Any] = field(default_factory=dict)
+    faults: list[Row] = field(default_factory=list)
 
-    @property
-    def motions(self) -> int:
-        """All motions that were looked at."""
-        return sum(self.looked.values())
+    def row(self, name: object) -> Row:
+        """The row of a case."""
+        motions = sum(self.looked.values())
+        return {"name": str(name), "motions": motions, **vars(self), "fault": bool(self.faults)}
 
-    def add(self, other: Tally) -> None:
-        """Count another one too."""
-        for name in ("arms", "refused", "looked", "looked_in", "unverified", "ticks", "faults"):
-            setattr(self, name, getattr(self, name) + getattr(other, name))
 
-    def as_dict(self) -> dict[str, Any]:
-        """The numbers, ready for JSON."""
-        numbers = {name: dict(value) if isinstance(value, Counter) else value for name, value in vars(self).items()}
-        return {"ok": not self.faults, "motions": self.motions, **numbers}
+#: What a summary adds up of the rows of tallies.
+COUNTED = ("motions", "ticks", "arms", "looked", "looked_in", "unverified", "refused")
 
 
 def run_case(seed: int, number: int) -> Tally:
@@ -341,3 +334,18 @@ def shifted(item: dict[str, Any], shift: FloatArray) -> dict[str, Any]:
     """An obstacle elsewhere."""
     keys = ("from", "to") if item["kind"] == "capsule" else ("center",) if "center" in item else ("position",)
     return {**item, **{key: (np.array(item[key]) + shift).tolist() for key in keys}}
+
+
+def _row(asked: Asked, number: int) -> Row:
+    return run_case(asked.seed, number).row(number)
+
+
+MOTIONS = Study(
+    "motions",
+    "plans, stops, scalings and splices of random arms, each looked at by Pinocchio and coal every half millisecond",
+    _row,
+    ("motions",),
+    totals=COUNTED,
+    count=(20, 1),
+    warm=0,
+)

@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
+from studies.harness import Asked, Row, Study
 from studies.validation.arms import NAMED, DrawnArm, draw_arm
-from studies.validation.episodes import Tally, impatient, warm_up
+from studies.validation.episodes import COUNTED, Tally, impatient, warm_up
 from studies.validation.judge import STANDS_M, Motion, Thing, distance
 from studies.validation.random_scenes import direction
 from studies.validation.worlds import World, draw_ends, obstacle
@@ -84,3 +85,18 @@ def _placed(drawn: DrawnArm, motion: Motion, rng: np.random.Generator, gap: floa
 
 def _least(shape: Any, places: list[pin.SE3], thing: Thing, number: int) -> tuple[float, int]:
     return min(distance(shape, place, thing.shape, thing.place) for place in places), number
+
+
+def _row(asked: Asked, number: int) -> Row:
+    return graze(asked.seed, number).row(number)
+
+
+GRAZING = Study(
+    "grazing",
+    "obstacles put 0.1 to 5 mm into a motion's way, which must not be verified, or 1 to 5 mm beside it, which must be",
+    _row,
+    ("motions",),
+    totals=COUNTED,
+    count=(20, 1),
+    warm=0,
+)

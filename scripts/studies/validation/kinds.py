@@ -15,26 +15,23 @@ has free by more than `SPARE` they should leave free: others are *lost*, and may
 from __future__ import annotations
 
 import math
-import time
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Iterator, Sequence
 from typing import Any, Final
 
 import numpy as np
 import pinocchio as pin
-from studies.validation.scenes import KINDS, Kind, RandomScene, random_scene
+from studies.harness import Asked, Row, Study
+from studies.validation.scenes import KINDS, Kind, random_scene
 
 from hplan.base.arrays import BoolArray, FloatArray
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.coal_scene import CoalScene
 from hplan.collision.coal_shapes import triangle_tree
 from hplan.collision.geometry_pairs import GeometryPairs
-from hplan.errors import OptionError
 from hplan.grid.grid import Grid
 from hplan.grid.occupancy import occupancy
 from hplan.grid.prepared_obstacles import PreparedObstacles, prepare_obstacles
 from hplan.grid.sections import sections_at
-from hplan.planning.report import versions
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 from hplan.scene.obstacles import Mesh, PointCloud
@@ -50,7 +47,7 @@ SPARE: Final = 2e-3
 MOST_LOST: Final = 0.01
 
 #: Scenes of each kind, and configurations of each scene.
-SCENES, CONFIGURATIONS = 200, 20_000
+SCENES, CONFIGURATIONS = 20, 20_000
 
 #: Nodes of a planar grid, about; a scene has as many grids, each at its yaw, as its configurations take.
 NODES: Final = 1_000
@@ -62,164 +59,20 @@ _CLOUD_TOLERANCE: Final = 5e-7
 EXAMPLES: Final = 5
 
 
-@dataclass(frozen=True)
-class Missed:
-    """A configuration that one side has free and coal in collision, or the other way about.
-
-    Attributes:
-        scene: Number of the scene.
-        side: `intervals`, `distances` (free for this side) or `contact` (in contact for the distances alone).
-        joints_rad: The configuration.
-        distance_m: Coal's signed distance from the solids beyond the clearance [m].
-    """
-
-    scene: int
-    side: str
-    joints_rad: tuple[float, ...]
-    distance_m: float
-
-
-@dataclass(frozen=True)
-class KindResult:
-    """All scenes of one kind of obstacle.
-
-    Attributes:
-        kind: What the scenes hold.
-        scenes: Number of scenes.
-        configurations: Configurations of all scenes.
-        colliding: Those that coal has in collision.
-        missed: Those of them that the intervals have free.
-        in_contact: Not among the missed: free for the intervals or the distances, in contact for coal up to
-            rounding.
-        differing: Configurations that the distances decide otherwise than coal.
-        spare: Those that coal has free by more than `SPARE`.
-        lost: Those of them that the intervals forbid.
-        widest_gap_m: Largest distance beyond the clearance at a node that is forbidden and free for coal [m].
-        seconds: Time of all scenes [s].
-        examples: Some of what was missed or differs.
-    """
-
-    kind: Kind
-    scenes: int
-    configurations: int
-    colliding: int
-    missed: int
-    in_contact: int
-    differing: int
-    spare: int
-    lost: int
-    widest_gap_m: float
-    seconds: float
-    examples: tuple[Missed, ...]
-
-    @property
-    def lost_share(self) -> float:
-        """Lost nodes as a fraction of those that coal has free by more than `SPARE`; 0 where there are none."""
-        return self.lost / max(1, self.spare)
-
-    @property
-    def ok(self) -> bool:
-        """True if nothing was missed, distances agree, and no more was lost than may be."""
-        return self.missed == self.differing == 0 and self.lost_share <= MOST_LOST
-
-
-@dataclass(frozen=True)
-class KindsValidation:
-    """The result of comparing random scenes with coal.
-
-    Attributes:
-        robot: Name of the robot.
-        seed: Seed of the scenes.
-        scenes: Scenes of each kind.
-        configurations: Configurations of each scene that were asked for.
-        results: One for each kind.
-        total_s: Time of it all [s].
-    """
-
-    robot: str
-    seed: int
-    scenes: int
-    configurations: int
-    results: tuple[KindResult, ...]
-    total_s: float
-
-    @property
-    def ok(self) -> bool:
-        """True if all results are."""
-        return all(result.ok for result in self.results)
-
-    def as_dict(self) -> dict[str, Any]:
-        """The numbers, as `hplan.planning.report.write_report` writes them."""
-        results = [{"ok": row.ok, "lost_share": row.lost_share, **asdict(row)} for row in self.results]
-        return {"ok": self.ok, **asdict(self), "results": results, "versions": versions()}
-
-
-def validate_kinds(
-    robot: Robot,
-    kinds: Sequence[Kind] = KINDS,
-    *,
-    scenes: int = SCENES,
-    configurations: int = CONFIGURATIONS,
-    seed: int = 0,
-    told: Callable[[KindResult], None] = lambda _: None,
-) -> KindsValidation:
-    """Compare the C-space with coal on random scenes of each kind.
-
-    Args:
-        robot: The arm.
-        kinds: Kinds of obstacles.
-        scenes: Scenes of each kind.
-        configurations: Configurations of each scene; as many or a few more are looked at.
-        seed: Seed of the scenes.
-        told: Handed each result.
-
-    Raises:
-        OptionError: No kind or an unknown one, or a number below 1 (of the seed: below 0).
-    """
-    begin = time.perf_counter()
-    unknown = [kind for kind in kinds if kind not in KINDS]
-    if unknown or not kinds:
-        raise OptionError("kinds", unknown[0] if unknown else (), f"some of {', '.join(KINDS)}")
-    for name, value, least in (("scenes", scenes, 1), ("configurations", configurations, 1), ("seed", seed, 0)):
-        if value < least:
-            raise OptionError(name, value, f"a whole number >= {least}")
-    results = []
-    for kind in kinds:
-        tally = _KindCounts(robot, kind)
-        for number in range(scenes):
-            tally.add(number, random_scene(robot, kind, number, seed=seed), configurations, seed)
-        results.append(tally.result())
-        told(results[-1])
-    return KindsValidation(
-        robot=robot.name,
-        seed=seed,
-        scenes=scenes,
-        configurations=configurations,
-        results=tuple(results),
-        total_s=time.perf_counter() - begin,
-    )
-
-
-#: Fields of `KindResult` that are counted.
-_COUNTS: Final = tuple(field.name for field in fields(KindResult) if field.type == "int")
-
-
 class _KindCounts:
     """The counts of one kind, scene by scene."""
 
     def __init__(self, robot: Robot, kind: Kind) -> None:
         self._robot, self._kind = robot, kind
         self._tolerance = _CLOUD_TOLERANCE if kind == "points" else CONTACT_TOLERANCE
-        self._begin = time.perf_counter()
-        self._counts = dict.fromkeys(_COUNTS, 0)
-        self._widest = 0.0
-        self._examples: list[Missed] = []
+        keys = ("configurations", "colliding", "missed", "differing", "in_contact", "spare", "lost")
+        self._counts, self._widest_m, self._examples = dict.fromkeys(keys, 0), 0.0, list[Row]()
 
-    def add(self, number: int, made: RandomScene, configurations: int, seed: int) -> None:
+    def add(self, number: int, configurations: int, seed: int) -> None:
         """Look at one scene."""
-        robot, clearance = self._robot, made.scene.clearance
+        robot, made = self._robot, random_scene(self._robot, self._kind, number, seed=seed)
         rng = np.random.default_rng([seed, number, KINDS.index(self._kind), 0])
-        bodies = prepare_obstacles(made.scene.solids, clearance=clearance)
+        bodies = prepare_obstacles(made.scene.solids, clearance=made.scene.clearance)
         every, forbidden = _at_random_yaws(robot, bodies, made.sector, configurations, rng)
         checker = _CoalWithShapes(robot, made.scene)
         colliding = checker.collides(every, 0.0)
@@ -227,17 +80,16 @@ class _KindCounts:
         spare_clear = ~colliding
         spare_clear[spare_clear] = ~checker.collides(every[spare_clear], SPARE)
         counts = self._counts
-        counts["scenes"] += 1
         counts["configurations"] += len(every)
         counts["colliding"] += int(colliding.sum())
         counts["missed"] += self._sort(number, "intervals", checker, every[colliding & ~forbidden], free=True)
         counts["spare"] += int(spare_clear.sum())
         counts["lost"] += int((forbidden & spare_clear).sum())
-        field = ClearanceField.of(robot, made.scene.solids, clearance=clearance)
+        field = ClearanceField.of(robot, made.scene.solids, clearance=made.scene.clearance)
         clear = np.array([field.clearance(configuration) for configuration in every])
         counts["differing"] += self._sort(number, "distances", checker, every[colliding & (clear > 0.0)], free=True)
         counts["differing"] += self._sort(number, "contact", checker, every[~colliding & ~(clear > 0.0)], free=False)
-        self._widest = max(self._widest, float(clear[forbidden & ~colliding].max(initial=0.0)))
+        self._widest_m = max(self._widest_m, float(clear[forbidden & ~colliding].max(initial=0.0)))
 
     def _sort(self, number: int, side: str, checker: _CoalWithShapes, q: FloatArray, *, free: bool) -> int:
         """How many configurations are decided otherwise than by coal, not those in contact up to rounding."""
@@ -246,19 +98,38 @@ class _KindCounts:
         sure = checker.collides(q, -self._tolerance) if free else ~checker.collides(q, self._tolerance)
         self._counts["in_contact"] += int((~sure).sum())
         for configuration in q[sure][: EXAMPLES - len(self._examples)]:
-            distance = checker.distance(configuration)
-            self._examples.append(Missed(number, side, tuple(configuration.tolist()), distance))
+            told = {"scene": number, "side": side, "joints_rad": configuration.tolist()}
+            self._examples.append(told | {"distance_m": checker.distance(configuration)})
         return int(sure.sum())
 
-    def result(self) -> KindResult:
-        """The result."""
-        return KindResult(
-            kind=self._kind,
-            **self._counts,
-            widest_gap_m=self._widest,
-            seconds=time.perf_counter() - self._begin,
-            examples=tuple(self._examples),
-        )
+    def row(self) -> Row:
+        """What was counted; at fault where anything was missed or differs, or too much was lost."""
+        counts = self._counts
+        lost_share = counts["lost"] / max(1, counts["spare"])
+        fault = counts["missed"] + counts["differing"] > 0 or lost_share > MOST_LOST
+        told = {"lost_share": lost_share, "widest_mm": 1e3 * self._widest_m, "fault": fault}
+        return {"name": self._kind, **counts, **told, "examples": self._examples}
+
+
+def kind_row(robot: Robot, kind: Kind, scenes: int, configurations: int, *, seed: int = 0) -> Row:
+    """What is counted in random scenes of a kind.
+
+    Its keys: `configurations` looked at; `colliding` for coal; `missed` of these by the intervals; `differing`, decided
+    otherwise by the distances; `in_contact`, up to rounding, and in none of those counts; `spare`, free for coal by
+    more than `SPARE`, and `lost` of these; `widest_mm`, the most to spare for coal where the intervals forbid;
+    `examples` of what was missed or differs.
+
+    Args:
+        robot: The arm.
+        kind: What the scenes hold.
+        scenes: How many.
+        configurations: Of each scene; as many or a few more are looked at.
+        seed: Of the scenes.
+    """
+    counts = _KindCounts(robot, kind)
+    for number in range(scenes):
+        counts.add(number, configurations, seed)
+    return counts.row()
 
 
 def _at_random_yaws(
@@ -326,3 +197,24 @@ class _Surfaces:
         """Whether each of (n, dof) configurations touches a triangle, or comes nearer than a margin [m]."""
         # Of trees coal knows no negative margin.
         return self._geometry.in_collision(q, np.full(self._geometry.count, max(0.0, margin)))
+
+
+def _row(asked: Asked, kind: Kind) -> Row:
+    (configurations,) = asked.values.get("configurations", (CONFIGURATIONS,))
+    return kind_row(asked.arm(), kind, asked.count or SCENES, int(configurations), seed=asked.seed)
+
+
+def _kinds(_: Asked) -> tuple[Kind, ...]:
+    return KINDS
+
+
+CSPACE = Study(
+    "cspace",
+    "the C-space against coal, on so many random scenes of each kind of obstacle (--count)",
+    _row,
+    ("configurations", "colliding", "missed", "differing", "spare", "lost", "lost_share", "widest_mm"),
+    problems=_kinds,
+    by="name",
+    count=(SCENES, 1),
+    warm=0,
+)

@@ -19,11 +19,11 @@ from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from studies.harness import Asked, Row, Study
 from studies.validation.arms import DrawnArm, named_arm
-from studies.validation.episodes import Tally, windows
+from studies.validation.episodes import COUNTED, Tally, windows
 from studies.validation.judge import Motion, Moves, Thing, contacts, things_of
 from studies.validation.random_scenes import direction
 from studies.validation.worlds import (
@@ -269,7 +269,7 @@ class _Soak:
 
     # Afterwards
 
-    def judge(self, say: Callable[[str], None]) -> None:
+    def judge(self) -> None:
         """Look at the samples."""
         for number in range(min(self.handed, MOST_SAMPLES)):
             sample = pickle.loads((self.folder / f"{number}.pickle").read_bytes())
@@ -285,18 +285,10 @@ class _Soak:
             self.tally.ticks += len(motion.times)
             for contact in found:
                 self.tally.faults.append({"kind": kind, "sample": number, **vars(contact)})
-                say(str(self.tally.faults[-1]))
 
 
-def soak(seed: int, seconds: float, say: Callable[[str], None], told: Callable[[Tally], None]) -> Tally:
-    """Run it.
-
-    Args:
-        seed: Seed of what is called; which motions come of it, the machine decides.
-        seconds: For how long.
-        say: Told how far it is.
-        told: Handed the count now and then.
-    """
+def soak(seed: int, seconds: float) -> Row:
+    """Run it; which motions come of a seed, the machine decides."""
     with tempfile.TemporaryDirectory() as name:
         run = _Soak(named_arm("orchard_harvester"), seed, seconds, Path(name))
         calls = [(CAMERA_HZ, run.frame), (REPLAN_HZ, run.plan), (STOP_HZ, run.stop), (CHANGE_HZ, run.change)]
@@ -311,14 +303,8 @@ def soak(seed: int, seconds: float, say: Callable[[str], None], told: Callable[[
             time.sleep(min(MEMORY_EVERY_S, max(0.1, run.until - time.monotonic())))
             if (now := time.monotonic() - begin) >= min(WARM_S, 0.3 * seconds):
                 memory.append((now, _resident_mb()))
-            if len(memory) % 30 == 1:
-                run.tally.measured = _measured(run, memory)
-                say(f"{now:.0f} s: {run.tally.measured}")
-                told(run.tally)
-        run.tally.measured = _measured(run, memory)
-        run.judge(say)
-        run.tally.measured |= {"motions judged": min(run.handed, MOST_SAMPLES)}
-        return run.tally
+        run.judge()
+        return run.tally.row(seed) | _measured(run, memory) | {"judged": min(run.handed, MOST_SAMPLES)}
 
 
 def _end_s(plan: PlanResult) -> float:
@@ -337,20 +323,38 @@ def _digest(scene: Scene) -> str | None:
     return next(found, None)
 
 
-def _measured(run: _Soak, memory: list[tuple[float, float]]) -> dict[str, Any]:
+def _measured(run: _Soak, memory: list[tuple[float, float]]) -> Row:
     """Frames and memory in numbers."""
-    # A copy: the thread of the camera goes on adding to it.
-    frames = np.reshape(run.frame_ms[:] or (math.nan, math.nan), (-1, 2))
-    within: dict[str, Any] = {"within 60 ms [%]": round(100.0 * float((frames[:, 0] <= 60.0).mean()), 1)}
+    frames = np.reshape(run.frame_ms or (math.nan, math.nan), (-1, 2))
+    row: Row = {"frames": len(frames), "within_60_ms": float((frames[:, 0] <= 60.0).mean())}
     for share in (50, 95, 99, 100):
-        within[f"frame {share} % [ms], CPU"] = tuple(np.percentile(frames, share, axis=0).round(1).tolist())
+        row[f"frame_{share}_ms"], row[f"frame_{share}_cpu_ms"] = np.percentile(frames, share, axis=0)
     times, held = np.array(memory).T if memory else (np.zeros(1), np.zeros(1))
     slope = float(np.polyfit(times, held, 1)[0]) * 3600.0 if len(times) > 2 else 0.0
-    resident = {"memory at first [MB]": held[0], "at last [MB]": held[-1], "at most [MB]": held.max(), "MB/h": slope}
-    return {"frames": len(frames), **within, **{name: round(float(value), 1) for name, value in resident.items()}}
+    return row | {"first_mb": held[0], "last_mb": held[-1], "most_mb": held.max(), "mb_an_hour": slope}
 
 
 def _resident_mb() -> float:
     """Memory in use [MB]."""
     pages = int(Path("/proc/self/statm").read_text("utf-8").split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+def _row(asked: Asked, seed: int) -> Row:
+    (minutes,) = asked.values.get("minutes", (1.0,))
+    return soak(seed, 60.0 * minutes)
+
+
+def _seed(asked: Asked) -> list[int]:
+    return [asked.seed]
+
+
+SOAK = Study(
+    "soak",
+    "one planner, and four threads that call its methods at a camera's rate (--values minutes=60)",
+    _row,
+    ("judged", "frames", "within_60_ms", "frame_95_ms", "frame_99_ms", "first_mb", "last_mb", "mb_an_hour"),
+    problems=_seed,
+    totals=COUNTED,
+    warm=0,
+)

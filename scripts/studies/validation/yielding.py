@@ -9,8 +9,9 @@ from pathlib import Path
 
 import coal
 import numpy as np
+from studies.harness import Asked, Row, Study
 from studies.outside import arm_of, things_of
-from studies.validation.episodes import Tally
+from studies.validation.episodes import COUNTED, Tally
 from studies.validation.judge import TICK_S, Arm, Body, Contact, Motion, Window, contacts
 
 from hplan.certificate.certificate import certify
@@ -23,6 +24,9 @@ from hplan.planning.world import without_inside
 from hplan.robot.model import Robot, load_robot
 from hplan.scene.model import Goal, Scene
 from hplan.scene.orchard import MeasuredOptions, measured_orchard
+
+#: Measured trees that come with the examples.
+SHIPPED = Path(__file__).parents[2] / "examples" / "trees"
 
 #: Fruits that are tried in a scene; deeper than allowed by more than this is a fault [m].
 FRUITS, BEYOND_M = 12, 1e-5
@@ -151,3 +155,19 @@ def _yielding_less(scene: Scene, contact: Contact) -> Scene:
         for key in ("obstacles", "fruits")
     }
     return scene.model_copy(update=items)
+
+
+def _row(asked: Asked, number: int) -> Row:
+    trees = sorted((asked.trees or SHIPPED).glob("*.csv"))
+    return among_yielding(asked.seed, number, trees).row(number)
+
+
+YIELDING = Study(
+    "yielding",
+    "motions to fruit of trees that give way (--trees): nothing is pushed deeper than it yields, or untold",
+    _row,
+    ("motions",),
+    totals=COUNTED,
+    count=(20, 1),
+    warm=0,
+)

@@ -138,7 +138,7 @@ def replan_cell(
     Raises:
         OptionError: A time before the motion or after it.
         InputError: No arm of that name, or a goal that is none of its.
-        PlanCancelledError: Nobody wants the motion any more.
+        PlanCancelledError: It was cancelled.
         TimingError: No stop was found.
     """
     instance("result", result, CellResult, "plan_cell")

@@ -1,7 +1,7 @@
 """Grasps of a fruit, or of a point: where the tool ends, where its straight approach begins.
 
 Of the configurations with the tool at the point (`hplan.planning.tool_paths`) each has an approach along the last link
-or, of a robot that is no planar arm, along the z axis of the tool frame, from a stand-off that is as long as asked for
+or, of a general (non-planar) arm, along the z axis of the tool frame, from a stand-off that is as long as asked for
 where that can be had, else shorter. Only the last link may touch the fruit that is reached for, and only on the
 approach; where no straight approach is clear, on the whole motion.
 """
@@ -62,7 +62,7 @@ class Grasp(Record):
         goal: (dof,) configuration with the tool at the point.
         standoff: (dof,) configuration where the straight approach begins; the goal itself where there is none.
         distance: Length of the approach [m].
-        approach: Absolute angle of the last link in the arm plane; of a robot that is no planar arm the approach angle
+        approach: Absolute angle of the last link in the arm plane; of a general (non-planar) arm the approach angle
             of its tool (`hplan.kinematics.tool_at_point`) [rad].
         least_duration: Duration that no motion from the start by the stand-off to the goal can undercut [s].
         room: Clearance beyond the one to keep that grasp and stand-off have, `SPARE` where they have more [m].
@@ -207,7 +207,7 @@ def grasps_or_blocked(
         count: How many configurations are looked at, about, as far as approach angles are free.
 
     Raises:
-        UnreachableError: No configuration reaches the point, whatever is in the way; of a robot that is no planar arm,
+        UnreachableError: No configuration reaches the point, whatever is in the way; of a general (non-planar) arm,
             none was found.
         ConfigurationInCollisionError: The start touches something that blocks a joint.
         InputError: A position or an approach that is none.

@@ -63,7 +63,7 @@ def plan(
         CertificationError: No motion could be certified.
         NotFoundError: None was found within memory and effort, and it was not shown that there is none.
         NotInTimeError: None was found before the deadline.
-        PlanCancelledError: Nobody wants the plan any more.
+        PlanCancelledError: It was cancelled.
         UnavoidableContactError: The start is in motion, and no motion onward or stop without contact was found.
         BoundError: The bound, where it is asked for, contradicts the motion.
         MovingObstacleError: A risk is asked for, and something moves.

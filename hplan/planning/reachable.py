@@ -99,7 +99,7 @@ def reachable(
         InputError: The scene does not fit the robot, or the start cannot be taken.
         OptionError: An option that the robot has no use for.
         NotInTimeError: The deadline came before all fruits were looked at.
-        PlanCancelledError: Nobody wants to know any more.
+        PlanCancelledError: It was cancelled.
     """
     check_task(robot, scene, options, progress)
     truth("motions", motions)

@@ -89,7 +89,7 @@ def finish(
         TimingError: The path cannot be timed.
         CertificationError: No motion along the path could be certified.
         NotInTimeError: None was found before the deadline.
-        PlanCancelledError: Nobody wants the motion any more.
+        PlanCancelledError: It was cancelled.
     """
     check_task(robot, scene, options, progress)
     options = PlanOptions() if options is None else options

@@ -1,4 +1,4 @@
-"""Robots that are no planar arms, and one that is, by name; those of example-robot-data where it is installed."""
+"""General (non-planar) arms, and one that is, by name; those of example-robot-data where it is installed."""
 
 from __future__ import annotations
 

@@ -68,18 +68,11 @@ def part(trajectory: Trajectory, begin: float, end: float) -> np.ndarray:
 
 def between_rows(trajectory: Trajectory, rows: np.ndarray, looks: int = 3) -> np.ndarray:
     """Configurations at rows, and at `looks` places on the cubic between each two."""
-    q, v, time = trajectory.position[rows], trajectory.velocity[rows], trajectory.time[rows]
-    if len(q) == 1:
-        return q
-    step = np.diff(time)[:, None]
-    inner = [
-        (2 * t**3 - 3 * t**2 + 1) * q[:-1]
-        + (t**3 - 2 * t**2 + t) * step * v[:-1]
-        + (3 * t**2 - 2 * t**3) * q[1:]
-        + (t**3 - t**2) * step * v[1:]
-        for t in np.arange(1, looks + 1) / (looks + 1)
-    ]
-    return np.concatenate([q, *inner])
+    time = trajectory.time[rows]
+    if len(time) == 1:
+        return trajectory.position[rows]
+    clock = [time, *(time[:-1] + t * np.diff(time) for t in np.arange(1, looks + 1) / (looks + 1))]
+    return on_cubics(trajectory, np.concatenate(clock))
 
 
 def assert_clear(

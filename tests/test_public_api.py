@@ -1,12 +1,82 @@
-"""What `import hplan` offers."""
+"""What `import hplan` offers, and what ships: robots, scenes, type information, the command."""
 
 from __future__ import annotations
 
 import importlib
+import subprocess
+import sys
+import tomllib
+import zipfile
+from pathlib import Path
+from typing import Any
 
 import pytest
 
 import hplan
+from hplan.base.data_files import scenes_dir, urdf_dir
+from hplan.robot.files import NAMED_ROBOTS
+from hplan.robot.model import load_robot
+from hplan.scene.file import load_scene
+
+ROOT = Path(__file__).parents[1]
+
+
+@pytest.fixture(scope="module")
+def project() -> dict[str, Any]:
+    return tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+
+
+def test_robot_ships_in_the_wheel(project: dict[str, Any]) -> None:
+    assert project["tool"]["hatch"]["build"]["targets"]["wheel"]["force-include"] == {"urdf": "hplan/urdf"}
+    assert {path.name for path in (ROOT / "urdf").iterdir()} == {
+        *(f"{name}{suffix}" for name in ("harvester", "orchard_harvester") for suffix in (".urdf", ".limits.yaml")),
+        *(f"{name}.limits.yaml" for name in NAMED_ROBOTS),
+    }
+
+
+def test_wheel_holds_what_a_user_runs_and_nothing_else(project: dict[str, Any], tmp_path: Path) -> None:
+    pytest.importorskip("hatchling")
+    build = [sys.executable, "-m", "hatchling", "build", "--target", "wheel", "--directory", tmp_path]
+    subprocess.run(build, cwd=ROOT, check=True, capture_output=True)
+    (wheel,) = tmp_path.glob("*.whl")
+    with zipfile.ZipFile(wheel) as archive:
+        held = {name for name in archive.namelist() if ".dist-info/" not in name}
+        (points,) = [archive.read(name).decode() for name in archive.namelist() if name.endswith("/entry_points.txt")]
+    package = ROOT / "hplan"
+    assets = package.glob("apps/view/assets/*.*")
+    files = [*package.rglob("*.py"), *package.glob("scenes/*.yaml"), *assets, package / "py.typed"]
+    robots = {f"hplan/urdf/{path.name}" for path in (ROOT / "urdf").iterdir()}
+    assert held == {path.relative_to(ROOT).as_posix() for path in files} | robots
+    assert not any(part in ("scripts", "studies", "tests") for name in held for part in Path(name).parts)
+    assert f"hplan = {project['project']['scripts']['hplan']}" in points.splitlines()
+
+
+def test_installed_urdf_goes_before_the_checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("hplan.base.data_files._PACKAGE", tmp_path / "hplan")
+    (tmp_path / "hplan").mkdir()
+    assert urdf_dir() == tmp_path / "urdf"
+    (tmp_path / "hplan" / "urdf").mkdir()
+    assert urdf_dir() == tmp_path / "hplan" / "urdf"
+
+
+@pytest.mark.parametrize("path", sorted(scenes_dir().glob("*.yaml")), ids=lambda path: path.stem)
+def test_every_scene_that_ships_loads(path: Path) -> None:
+    scene = load_scene(path)
+    assert scene.name == path.stem
+
+
+@pytest.mark.parametrize("path", sorted(urdf_dir().glob("*.urdf")), ids=lambda path: path.stem)
+def test_every_robot_that_ships_loads(path: Path) -> None:
+    assert load_robot(path).name == path.stem
+
+
+def test_version(project: dict[str, Any]) -> None:
+    assert project["project"]["version"] == hplan.__version__
+
+
+def test_command_is_there(project: dict[str, Any]) -> None:
+    module, function = project["project"]["scripts"]["hplan"].split(":")
+    assert callable(getattr(importlib.import_module(module), function))
 
 
 @pytest.mark.parametrize("name", hplan.__all__)

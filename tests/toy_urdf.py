@@ -68,7 +68,7 @@ def six_axis_arm() -> str:
 
 
 def six_axis_picker() -> str:
-    """The same with a tube of 15 cm at its flange, the tool frame at its end, along the last joint's axis."""
+    """The six axes with a tube of 15 cm at the flange, the tool frame at its end, along the last joint's axis."""
     tube = (
         '<link name="picker"><collision><origin xyz="0 0 0.075"/><geometry><cylinder radius="0.015" length="0.15"/>'
         '</geometry></collision></link><joint name="flange" type="fixed"><parent link="wrist_3_link"/><child '

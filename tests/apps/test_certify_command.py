@@ -1,4 +1,4 @@
-"""`hplan certify`: exit statuses, what is compared, and what is said."""
+"""`hplan certify`, and `hplan time --scene`: exit statuses, what is compared, what is said, and files."""
 
 from __future__ import annotations
 
@@ -7,10 +7,14 @@ import shutil
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 import pytest
+from toy_urdf import SIX_AXIS_LIMITS, six_axis_picker
 
 from hplan.apps.cli import main as cli
+from hplan.apps.cli.main import main
 from hplan.base.data_files import scenes_dir, urdf_dir
+from hplan.robot.model import load_robot
 from hplan.scene.file import load_scene, save_scene
 from hplan.trajectory.trajectory import Trajectory, read_csv, write_csv
 
@@ -118,3 +122,114 @@ def test_folders_that_are_none(job, capsys, content):
     (job / "report.json").unlink() if content is None else (job / "report.json").write_text(content)
     assert cli.main(["certify", str(job)]) == 2
     assert "report.json" in capsys.readouterr().err
+
+
+START = (0.0, 0.5, 0.4, 0.3)
+FILES = {"report.json", "scene.html", "scene.yaml", "trajectory.csv"}
+
+
+def waypoints(path: Path, rows: list[tuple[float, ...]]) -> Path:
+    header = ",".join(load_robot().joint_names)
+    path.write_text("\n".join([header, *(",".join(map(str, row)) for row in rows)]) + "\n", encoding="utf-8")
+    return path
+
+
+def scene(path: Path, radius: float) -> Path:
+    at = load_robot().tool_positions(np.array([[0.2, *START[1:]]]))[0].round(3).tolist()
+    path.write_text(
+        "format: hplan-scene/1\nname: ball\nstart: {joints_deg: [0, 0, 0, 0]}\ngoal: {joints_deg: [0, 9, 9, 9]}\n"
+        f"obstacles:\n- {{kind: sphere, name: ball, center: [{at[0] * 1.3}, {at[1] * 1.3}, {at[2]}], "
+        f"radius: {radius}}}\n",
+        encoding="utf-8",
+    )
+    return path
+
+
+def test_a_path_becomes_a_job(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rows = [START, (0.1, 0.55, 0.4, 0.3), (0.3, 0.45, 0.4, 0.3), (0.4, *START[1:])]
+    way, given = waypoints(tmp_path / "way.csv", rows), scene(tmp_path / "ball.yaml", 0.05)
+    out = tmp_path / "job"
+    words = ["time", "harvester", str(way), "--scene", str(given), "--out", str(out), "--effort", "quick"]
+    assert main(words) == 0
+    out_words = capsys.readouterr().out
+    assert "4 waypoints were given" in out_words
+    assert "scene.yaml" in out_words
+    assert {path.name for path in out.iterdir()} == FILES
+    report = json.loads((out / "report.json").read_text(encoding="utf-8"))
+    assert report["certificate"]["verified"]
+    assert report["given"]["waypoints"] == 4
+    assert read_csv(out / "trajectory.csv").position[[0, -1]] == pytest.approx(np.array(rows)[[0, -1]], abs=1e-7)
+    assert load_scene(out / "scene.yaml").goal.joints() == pytest.approx(rows[-1])
+    # What was written is certified again as it stands.
+    assert main(["certify", str(out), str(out / "scene.yaml")]) == 0
+    assert main(["certify", str(out), "--quiet"]) == 0  # its report names the robot, and the scene is in the folder
+    assert main(["view", str(out), "--no-serve", "--quiet"]) == 0
+    kept_s = report["trajectory"]["duration_s"]
+    assert main([*words, "--keep-path", "--quiet"]) == 0
+    report = json.loads((out / "report.json").read_text(encoding="utf-8"))
+    assert report["trajectory"]["duration_s"] > kept_s
+
+
+def test_poses_become_a_job(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    urdf, given, way = tmp_path / "six.urdf", tmp_path / "scene.yaml", tmp_path / "poses.csv"
+    urdf.write_text(six_axis_picker(), encoding="utf-8")
+    urdf.with_suffix(".limits.yaml").write_text(SIX_AXIS_LIMITS, encoding="utf-8")
+    start = "{joints_rad: [0, 0.3, 1.2, 0.1, -1.5, 0]}"
+    given.write_text(f"format: hplan-scene/1\nname: poses\nstart: {start}\ngoal: {start}\n", encoding="utf-8")
+    pose = load_robot(urdf).forward_kinematics(np.array([0.0, 0.3, 1.2, 0.1, -1.5, 0.0]))
+    pose[2, 3] -= 0.1
+    numbers = [*pose[:3, 3], *pin.Quaternion(pose[:3, :3]).coeffs()]
+    way.write_text("x,y,z,qx,qy,qz,qw\n" + ",".join(map(str, numbers)) + "\n", encoding="utf-8")
+    words = ["time", str(urdf), str(way), "--scene", str(given), "--out", str(tmp_path / "job"), "--poses"]
+    assert main([*words, "--tilt", "5"]) == 0
+    report = json.loads((tmp_path / "job" / "report.json").read_text(encoding="utf-8"))
+    (phase,) = report["poses"]["phases"]
+    assert phase["deviation_m"] < 1e-3
+    assert phase["tilt_deg"] < 5.0
+    assert main([*words, "--keep-path"]) == 2
+    assert "--poses" in capsys.readouterr().err
+
+
+def test_a_path_in_contact_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    way = waypoints(tmp_path / "way.csv", [START, (0.4, *START[1:])])
+    given = scene(tmp_path / "ball.yaml", 0.44)
+    out = tmp_path / "job"
+    out.mkdir()
+    (out / "trajectory.csv").write_text("of an earlier job", encoding="utf-8")
+    assert main(["time", "harvester", str(way), "--scene", str(given), "--out", str(out)]) == 5
+    assert "ball" in capsys.readouterr().err
+    assert [path.name for path in out.iterdir()] == ["report.json"]
+    error = json.loads((out / "report.json").read_text(encoding="utf-8"))["error"]
+    assert error["kind"] == "PathInContactError"
+    assert error["obstacle"] == "ball"
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["--scene", "table-1", "--acceleration", "3"],
+        ["--scene", "table-1", "--joints", "yaw"],
+        ["--keep-path"],
+        ["--poses"],
+        ["--deadline", "5"],
+    ],
+)
+def test_options_out_of_place(tmp_path: Path, words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    way = waypoints(tmp_path / "way.csv", [START, (0.4, *START[1:])])
+    assert main(["time", "harvester", str(way), "--out", str(tmp_path / "out"), *words]) == 2
+    assert "--scene" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["scene.yaml", "trajectory.csv"])
+def test_files_that_are_read_are_not_removed(tmp_path: Path, name: str) -> None:
+    out = tmp_path / "job"
+    out.mkdir()
+    way, given = waypoints(out / "trajectory.csv", [START, (0.4, *START[1:])]), scene(out / "scene.yaml", 0.05)
+    elsewhere = waypoints(tmp_path / "way.csv", [START, (0.4, *START[1:])])
+    before = {file: file.read_bytes() for file in (way, given)}
+    read = {"trajectory.csv": [str(way), "--scene", "table-1"], "scene.yaml": [str(elsewhere), f"--scene={given}"]}[
+        name
+    ]
+    words = ["time", "harvester", *read, "--out", str(out), "--quiet"]
+    assert main(words) == 2
+    assert {file: file.read_bytes() for file in out.iterdir()} == before

@@ -377,11 +377,3 @@ def test_a_grid_too_large_for_memory_is_no_fault(
 
 
 # Imports
-
-
-@pytest.mark.parametrize("statement", ["import hplan", "import hplan.apps.cli.plan as p; p.parser(None).format_help()"])
-def test_nothing_heavy_is_imported_before_it_is_needed(statement: str) -> None:
-    heavy = ["toppra", "yourdfpy", "numba", "meshcat", "matplotlib", "pinocchio", "numpy", "rich"]
-    code = f"{statement}\nimport sys\nprint([name for name in {heavy} if name in sys.modules])"
-    process = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert process.stdout == "[]\n"

@@ -28,7 +28,8 @@ SCRIPTS = {
     "execute": "execute.py",
     "orchard": "make_orchard.py",
 }
-HEAVY = ("numpy", "numba", "pinocchio", "coal", "pydantic", "rich", "scipy", "toppra", "trimesh", "yaml", "yourdfpy")
+HEAVY = ("numpy", "matplotlib", "meshcat", "numba", "pinocchio", "coal", "pydantic", "rich", "scipy", "toppra",
+    "trimesh", "yaml", "yourdfpy")  # fmt: skip
 
 #: Arguments of each command that end well, in a folder with a job in `job`, and those that name something missing.
 GOOD = {

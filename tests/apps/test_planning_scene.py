@@ -67,7 +67,7 @@ sphere
 
 
 def message() -> dict[str, Any]:
-    """The same as ROS has it: numbers for kinds, poses by their parts, an object's own pose."""
+    """The scene as ROS has it: numbers for kinds, poses by their parts, an object's own pose."""
 
     def pose(position: list[float], turn: tuple[float, ...] = (0.0, 0.0, 0.0, 1.0)) -> dict[str, Any]:
         return {

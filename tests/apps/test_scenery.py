@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from hplan.apps.view.playback import Playback
 from hplan.apps.view.scene_stage import REST_S, keyframe_times, stage
-from hplan.apps.view.scenery import BULK, LEAVES, METAL, OTHER, WOOD, Look, look_of, moving_nodes, obstacles, picks
+from hplan.apps.view.scenery import METAL, WOOD, moving_nodes, obstacles, picks
 from hplan.robot.model import Robot
 from hplan.scene.model import Goal
 from hplan.scene.obstacles import Box, Capsule, Cylinder
@@ -39,21 +39,6 @@ def tracks(commands: list[dict[str, Any]]) -> dict[str, dict[str, dict[str, Any]
 
 def seen_at(track: dict[str, Any], time: float) -> bool:
     return bool(track["values"][int(np.searchsorted(track["times"], time, side="right")) - 1])
-
-
-@pytest.mark.parametrize(
-    ("name", "look"),
-    [
-        ("tree 1 trunk 2", WOOD),
-        ("Branches", WOOD),
-        ("post-3", METAL),
-        ("tree 1 leaves", LEAVES),
-        ("ground", BULK),
-        ("ball", OTHER),
-    ],
-)
-def test_the_words_of_a_name_tell_the_look(name: str, look: Look) -> None:
-    assert look_of(name) is look
 
 
 def test_capsules_of_one_look_are_copies_of_one_shape(robot: Robot) -> None:

@@ -1,22 +1,27 @@
-"""The live view's server: reached from this machine alone, until it is closed."""
+"""Live views: the page's server, reached from this machine alone, and viser's."""
 
 from __future__ import annotations
 
 import contextlib
 import socket
+import sys
 import urllib.error
 import urllib.request
 from collections.abc import Iterator
 from urllib.parse import urlsplit
 
+import numpy as np
+import pinocchio as pin
 import pytest
 
 import hplan
 from hplan.apps.view import server
+from hplan.apps.view.live import LiveScene
 from hplan.apps.view.page import serve
 from hplan.apps.view.playback import Playback
 from hplan.apps.view.server import LiveView
-from hplan.errors import HplanError
+from hplan.errors import HplanError, InputError
+from hplan.scene.obstacles import PointCloud
 from hplan.trajectory.trajectory import Trajectory
 
 
@@ -65,3 +70,30 @@ def test_a_server_that_does_not_start(monkeypatch: pytest.MonkeyPatch) -> None:
     robot, row = hplan.load_robot(), [[0.0] * 4]
     with pytest.raises(HplanError, match="the page's server does not start: no port is free"):
         serve(robot, hplan.load_scene(), Playback(Trajectory(robot.joint_names, [0.0], row, row, row, row)))
+
+
+def test_without_viser_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "viser", None)
+    with pytest.raises(InputError, match=r"pip install 'hplan\[viser\]'"):
+        LiveScene(hplan.load_robot(), hplan.load_scene())
+
+
+def test_arm_and_scene_are_where_they_are() -> None:
+    pytest.importorskip("viser", reason="the extra `viser` is not installed")
+    robot, scene = hplan.load_robot(), hplan.load_scene("trellis")
+    result = hplan.plan(robot, scene, hplan.PlanOptions(effort="quick"))
+    with LiveScene(robot, scene, port=0) as live:
+        drawn = live.server.scene._handle_from_node_name
+        assert {f"/scene/{item.name}" for item in (*scene.obstacles, *scene.fruits)} <= set(drawn)
+        live.play(result, speed=20.0)
+        model, shapes = robot.model, robot.visual_model
+        data, places = model.createData(), shapes.createData()
+        pin.updateGeometryPlacements(model, data, shapes, places, result.trajectory.position[-1])
+        for number, shape in enumerate(shapes.geometryObjects):
+            node = live._arm.frames[f"pinocchio/visual/{shape.name}"]
+            np.testing.assert_allclose(node.position, places.oMg[number].translation, atol=1e-6)
+        cloud = PointCloud.of("seen", np.ones((5, 3)), 0.01)
+        live.set_scene(scene.with_obstacles([cloud]))
+        drawn = live.server.scene._handle_from_node_name
+        assert "/scene/seen" in drawn
+        assert f"/scene/{scene.obstacles[0].name}" not in drawn

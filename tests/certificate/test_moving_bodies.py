@@ -477,14 +477,6 @@ def test_what_a_deviation_or_a_clearance_brings_together_is_asked(tmp_path):
     assert "upper_arm" in checker.covering(0.01, 0.0).obstacle_names
 
 
-def test_pairs_of_the_turret_move_with_the_yaw_alone(tmp_path):
-    stop = box((0.1, 0.1, 0.3), (0.0, -0.4, 0.4))
-    parts = CoalScene(fitted(tmp_path, {"turret": [COUNTERWEIGHT], "base_link": [stop]}), []).parts
-    _, reaches = parts.reaches()
-    assert parts.own[-1].mover_name == "turret"
-    np.testing.assert_allclose(reaches[-1], [math.hypot(0.55, 0.05), 0.0, 0.0, 0.0])
-
-
 # Random members
 
 

@@ -1,4 +1,4 @@
-"""The scene in coal against closed forms, and against the analytic occupancy."""
+"""Distances that coal has, of all kinds of obstacles and clouds, and how exact they are."""
 
 from __future__ import annotations
 
@@ -8,19 +8,28 @@ import shutil
 import struct
 from dataclasses import replace
 
+import coal
 import numpy as np
+import pinocchio as pin
 import pytest
 from arm_variants import VARIANTS, coal_distances, link_axes, load_variant, random_obstacles
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from hplan.base.data_files import urdf_dir
+from hplan.certificate.certificate import certify
+from hplan.collision.coal_accuracy import CURVED, ITERATION, PARALLEL, SIZE, distance_errors
+from hplan.collision.coal_cloud import BareShape, PointBlocks, _lower_bounds, distance_from, local_box
 from hplan.collision.coal_scene import CoalScene, base_contacts
-from hplan.collision.coal_shapes import LINK_SHAPES
-from hplan.robot.base_shapes import base_radius
+from hplan.collision.coal_shapes import LINK_SHAPES, solid_shape
+from hplan.robot.base_shapes import base_radius, coal_distance
 from hplan.robot.family import HARVESTER, write_robot
 from hplan.robot.model import load_robot
 from hplan.scene.convex_shape import convex_hull_shape
-from hplan.scene.obstacles import Box, Sphere
-from hplan.scene.solids import Cloud, hull_of
+from hplan.scene.model import Goal, Scene, Start
+from hplan.scene.obstacles import Box, Capsule, Cylinder, Sphere
+from hplan.scene.solids import CUBE_CORNERS, Cloud, hull_of
+from hplan.trajectory.trajectory import Trajectory
 
 FLAT = np.zeros(4)
 
@@ -107,8 +116,8 @@ def test_growth_of_each_obstacle(robot, links):
     obstacles = [*random_obstacles(rng, 6), cloud]
     growth = rng.uniform(0.0, 0.1, len(obstacles))
     plain = CoalScene(robot, obstacles, links=links)
-    for given in (growth, 0.05):
-        grown, by = CoalScene(robot, obstacles, links=links, growth=given), np.broadcast_to(given, len(obstacles))
+    for asked in (growth, 0.05):
+        grown, by = CoalScene(robot, obstacles, links=links, growth=asked), np.broadcast_to(asked, len(obstacles))
         configurations = rng.uniform(robot.lower, robot.upper, (60, 4))
         least = []
         for q in configurations:
@@ -266,3 +275,214 @@ def test_deep_collisions_are_not_missed(robot):
             if not checker.in_collision(np.zeros((1, 4)))[0]:
                 missed.append((links, box.center))
     assert missed == []
+
+
+def swept_block() -> coal.Convex:
+    """A block with a radius about it, as bodies of meshes have."""
+    points = CUBE_CORNERS * np.array([0.15, 0.05, 0.25])
+    shape = convex_hull_shape(points)
+    shape.setSweptSphereRadius(0.03)
+    return shape
+
+
+SHAPES = {
+    "capsule": coal.Capsule(0.04, 0.7),
+    "box": coal.Box(0.3, 0.1, 0.5),
+    "cylinder": coal.Cylinder(0.1, 0.4),
+    "sphere": coal.Sphere(0.2),
+    "swept": swept_block(),
+}
+
+
+def placed(rng: np.random.Generator) -> pin.SE3:
+    turn = pin.Quaternion(*(lambda q: q / np.linalg.norm(q))(rng.normal(size=4)))
+    return pin.SE3(turn.toRotationMatrix(), rng.uniform(-1.0, 1.0, 3))
+
+
+def brute_force(points: np.ndarray, shape: coal.CollisionGeometry, place: pin.SE3) -> float:
+    bead = coal.Sphere(1e-3)
+    return min(coal_distance(bead, pin.SE3(np.eye(3), point), shape, place) + 1e-3 for point in points)
+
+
+@settings(max_examples=40)
+@given(st.integers(0, 10_000), st.sampled_from(sorted(SHAPES)), st.sampled_from([1, 40, 700]))
+def test_blocks_are_their_points(seed, kind, count):
+    rng = np.random.default_rng(seed)
+    cloud = Cloud.of("cloud", rng.uniform(-1.0, 1.0, (count, 3)) * [1.0, 1.0, rng.choice([0.0, 1.0])], 0.02)
+    shape, place = SHAPES[kind], placed(rng)
+    found, expected = PointBlocks.of(cloud).distance(BareShape.of(shape), place), brute_force(cloud.core, shape, place)
+    if expected > 1e-5:
+        assert found == pytest.approx(expected, abs=3e-6)
+        assert distance_from(cloud)(shape, place) == pytest.approx(expected - 0.02, abs=3e-6)
+    else:
+        assert found <= 2e-5
+
+
+def test_balls_hold_their_points_and_bound_distances_from_below():
+    rng = np.random.default_rng(3)
+    cloud = Cloud.of("cloud", rng.uniform(-1.0, 1.0, (1000, 3)), 0.02)
+    blocks = PointBlocks.of(cloud)
+    apart = np.linalg.norm(cloud.core[:, None] - blocks.balls[None, :, :3], axis=2) - blocks.balls[:, 3]
+    assert (apart.min(axis=1) < 0.0).all()
+    assert len(blocks.balls) == 16
+    for kind, half in (("capsule", (0.04, 0.04, 0.39)), ("box", (0.15, 0.05, 0.25)), ("sphere", (0.2, 0.2, 0.2))):
+        np.testing.assert_allclose(local_box(SHAPES[kind]), [(0.0, 0.0, 0.0), half], atol=1e-12)
+    for seed in range(20):
+        place, shape = placed(np.random.default_rng(seed)), SHAPES["capsule"]
+        bounds = _lower_bounds(place.rotation, place.translation, local_box(shape), blocks.balls)
+        for (*centre, radius), bound in zip(blocks.balls.tolist(), bounds.tolist(), strict=True):
+            at = pin.SE3(np.eye(3), np.array(centre))
+            assert bound <= coal_distance(coal.Sphere(radius), at, shape, place) + 1e-6 or bound < 0.0
+
+
+def turned(z, rng):
+    """(3, 3) rotation with a given last axis."""
+    x = np.cross(z, rng.normal(size=3))
+    x /= np.linalg.norm(x)
+    return np.stack([x, np.cross(z, x), z], axis=1)
+
+
+def segments_apart(a, b, c, d):
+    """Distance of two segments that are apart in their common plane, or nearly, in long doubles."""
+    a, b, c, d = (np.asarray(point, dtype=np.longdouble) for point in (a, b, c, d))
+
+    def from_segment(point, begin, end):
+        along = end - begin
+        share = np.clip(((point - begin) @ along) / (along @ along), 0.0, 1.0)
+        return np.sqrt(((point - begin - share * along) ** 2).sum())
+
+    return min(from_segment(a, c, d), from_segment(b, c, d), from_segment(c, a, b), from_segment(d, a, b))
+
+
+def capsule_object(radius, length):
+    return pin.GeometryObject("capsule", 0, 0, pin.SE3.Identity(), coal.Capsule(radius, length))
+
+
+@pytest.mark.parametrize(("first", "second"), [(1.0, 1.0), (1.0, 0.05), (0.05, 0.05), (0.005, 1.0), (0.005, 0.005)])
+def test_nearly_parallel_capsules(first, second):
+    rng, worst, radius = np.random.default_rng(3), 0.0, 0.01
+    obstacle = Capsule(name="c", start=(0.0, 0.0, 0.0), end=(0.0, 0.0, second), radius=radius)
+    allowed = distance_errors([capsule_object(radius, first)], [obstacle], [])[0]
+    for _ in range(1500):
+        angle = 10.0 ** rng.uniform(-8.5, -6.5) / (first * second) * rng.choice([-1.0, 1.0])
+        along, aside = np.eye(3)[:2]
+        other = along * np.cos(angle) + aside * np.sin(angle)
+        center = aside * rng.uniform(0.03, 0.1) + along * rng.uniform(-0.5, 0.5) * (first + second)
+        ends = [0.5 * first * along, 0.5 * second * other]
+        true = segments_apart(-ends[0], ends[0], center - ends[1], center + ends[1]) - 2 * np.longdouble(radius)
+        found = coal.distance(
+            coal.Capsule(radius, first), coal.Transform3s(turned(along, rng), np.zeros(3)),
+            coal.Capsule(radius, second), coal.Transform3s(turned(other, rng), center),
+            coal.DistanceRequest(), coal.DistanceResult(),
+        )  # fmt: skip
+        worst = max(worst, float(found - true))
+    assert worst <= allowed
+    # What is allowed for is really there.
+    assert worst > 0.8 * PARALLEL / max(first, second)
+
+
+@pytest.mark.parametrize("size", [1.0, 1e2, 1e4])
+def test_capsules_above_large_boxes(size):
+    rng = np.random.default_rng(4)
+    box = Box(name="b", center=(0.0, 0.0, -0.5 * size), size=(size,) * 3)
+    allowed = distance_errors([capsule_object(0.05, 1.0)], [box], [])[0]
+    assert allowed >= SIZE * size
+    placed = solid_shape(box)
+    for _ in range(500):
+        along = rng.normal(size=3)
+        along /= np.linalg.norm(along)
+        gap = 10.0 ** rng.uniform(-5.0, 0.0)
+        center = np.array([*rng.uniform(-0.3, 0.3, 2) * size, gap + 0.05 + 0.5 * abs(along[2])])
+        if size < 10.0:
+            center[:2] = 0.0
+        found = coal.distance(
+            coal.Capsule(0.05, 1.0), coal.Transform3s(turned(along, rng), center),
+            placed.geometry, coal.Transform3s(placed.placement.rotation, placed.placement.translation),
+            coal.DistanceRequest(), coal.DistanceResult(),
+        )  # fmt: skip
+        if size >= 10.0 or abs(along[2]) > 0.9:
+            assert found - gap <= allowed
+
+
+def from_cylinder(points, cylinder):
+    """Distances of (k, 3) points from a cylinder that stands on z at the origin."""
+    beyond = np.abs(points[:, 2]) - 0.5 * cylinder.length
+    outside = np.hypot(points[:, 0], points[:, 1]) - cylinder.radius
+    return np.hypot(np.maximum(beyond, 0.0), np.maximum(outside, 0.0))
+
+
+def least_along(start, end, cylinder):
+    """Distance of a segment from it, a convex function along the segment, by ever finer rasters."""
+    low, high = 0.0, 1.0
+    for _ in range(12):
+        share = np.linspace(low, high, 33)
+        apart = from_cylinder(start + share[:, None] * (end - start), cylinder)
+        at = int(apart.argmin())
+        low, high = share[max(at - 1, 0)], share[min(at + 1, 32)]
+    return apart.min()
+
+
+@pytest.mark.parametrize("farthest", [0.05, 10.0])
+@pytest.mark.parametrize("sizes", [(0.003, 0.5), (1.0, 100.0)])
+def test_capsules_about_cylinders(sizes, farthest):
+    rng, over = np.random.default_rng(6), []
+    for _ in range(300):
+        length, radius = np.exp(rng.uniform(*np.log(sizes), 2))
+        can = Cylinder(name="c", center=(0.0, 0.0, 0.0), length=length, radius=radius)
+        placed, reach = solid_shape(can).geometry, rng.uniform(0.05, 1.5)
+        allowed = distance_errors([capsule_object(0.05, reach)], [can], [])[0]
+        along, away = rng.normal(size=(2, 3)) * [1.0, 1.0, rng.choice([0.0, 1.0])]
+        along, away = (ray / np.linalg.norm(ray) for ray in (along, away))
+        shares = rng.permutation([1.0, rng.random(), 1.0])[:2]  # on the side, an end, or the rim between them
+        aside = shares[0] * radius * away[:2] / np.linalg.norm(away[:2])
+        start = np.append(aside, np.copysign(shares[1] * 0.5 * length, away[2])) + away * (
+            0.05 + farthest * rng.random()
+        )
+        end = start + along * reach
+        expected = least_along(start, end, can) - 0.05
+        found = coal.distance(
+            coal.Capsule(0.05, reach), coal.Transform3s(turned(along, rng), 0.5 * (start + end)),
+            placed, coal.Transform3s(np.eye(3), np.zeros(3)), coal.DistanceRequest(), coal.DistanceResult(),
+        )  # fmt: skip
+        if expected > 0.0:
+            assert found - expected <= allowed
+            over.append(found - expected)
+        else:
+            assert found <= 1e-6
+    assert len(over) > 100
+    # What is allowed for is needed, far away.
+    assert max(over) > (0.0 if farthest < 1.0 else 0.3 * CURVED)
+
+
+def test_one_for_each_pair(robot):
+    obstacles = [
+        Sphere(name="s", center=(3.0, 0.0, 0.0), radius=0.5),
+        Capsule(name="c", start=(3.0, 0.0, 0.0), end=(3.0, 0.0, 0.01), radius=0.1),
+        Box(name="b", center=(3.0, 0.0, 0.0), size=(30.0, 40.0, 0.1)),
+    ]
+    checker = CoalScene(robot, obstacles)
+    errors = checker.distance_errors
+    assert errors.shape == (len(checker.pairs),)
+    table = errors[: 3 * len(checker.link_names)].reshape(-1, 3)
+    lengths = robot.arm.lengths
+    np.testing.assert_allclose(table[:, 1] - table[:, 0], PARALLEL / lengths, atol=2e-9)
+    np.testing.assert_allclose(table[:, 2], ITERATION + 50.0 * SIZE, rtol=1e-4)
+    np.testing.assert_array_equal(checker.touching("s").distance_errors, errors)
+
+
+def test_the_proof_takes_them_off(robot, monkeypatch):
+    """At rest, half of what there is to spare is shown: of the distance, less the error."""
+    zero = np.zeros((1, 4))
+    still = Trajectory(
+        robot.joint_names, np.zeros(1), zero, zero, zero, robot.dynamics.torques(zero, zero, zero), robot.slides
+    )
+    ball = Sphere(name="s", center=(1.0, 0.0, 1.0), radius=0.2)
+    rest = (0.0,) * 4
+    scene = Scene(name="s", start=Start(joints_rad=rest), goal=Goal(joints_rad=rest), obstacles=(ball,))
+    found = certify(robot, scene, still)
+    errors = CoalScene(robot, scene.solids).distance_errors
+    assert found.verified
+    assert found.min_clearance_m == pytest.approx(0.5 * (found.nearest.distance_m - errors[0]), rel=1e-9)
+    wide = CoalScene(robot, scene.solids)
+    wide.distance_errors = errors + found.nearest.distance_m
+    assert not certify(robot, scene, still, checker=wide).verified

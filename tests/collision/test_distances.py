@@ -1,17 +1,33 @@
-"""Distances of segments against brute force."""
+"""Compiled distances: of bodies, pairs and convex shapes, and bounds of them, against coal."""
 
 from __future__ import annotations
 
+import coal
 import numpy as np
 import pytest
+from any_arms import loaded_arm
+from arm_variants import random_obstacles
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from scipy.optimize import nnls
+from scipy.spatial import ConvexHull
 
+import hplan.collision.geometry_pairs as module
+from hplan.base.arrays import FloatArray
 from hplan.collision.body_kernels import off_body, off_row
+from hplan.collision.coal_scene import CoalScene
+from hplan.collision.coal_shapes import capsule_shapes, solid_shape
+from hplan.collision.convex_distance import NEAREST, ON_FIRST, WORK, Wanted, core_distance
 from hplan.collision.distances import off_box, off_segment
 from hplan.collision.obstacle_rows import AXES, BOUND, BOX, CENTRE, KIND, SHAPE
+from hplan.collision.penetration import penetration
 from hplan.collision.placed_bodies import ALONG, PLACED, START
-from hplan.scene.solids import rpy_rotation
+from hplan.robot.family.members import write_robot
+from hplan.robot.family.spec import ArmSpec
+from hplan.robot.model import load_robot
+from hplan.scene.corner_table import corner_table
+from hplan.scene.obstacles import Capsule, PointCloud
+from hplan.scene.solids import CUBE_CORNERS, Cloud, rpy_rotation
 
 lattice = st.integers(-4, 4).map(lambda i: 0.5 * i)
 number = st.one_of(lattice, st.floats(-2.0, 2.0, width=32).map(lambda x: 0.0 if abs(x) < 1e-4 else x))
@@ -138,3 +154,251 @@ def test_what_vectors_from_boxes_show_is_their_distance(a, u, half, seed):
     assert np.linalg.norm(off) == pytest.approx(expected, abs=1e-7)
     assert shown <= expected + 1e-12
     assert expected < 1e-6 or shown == pytest.approx(expected, abs=1e-7)
+
+
+def many(rng, copies=40):
+    """Obstacles of all kinds, a cloud among them."""
+    found = [o.model_copy(update={"name": f"{k}{o.name}"}) for k in range(copies) for o in random_obstacles(rng)]
+    return [*found, PointCloud.of("leaves", rng.uniform(-2.0, 2.0, (50, 3)), 0.02).solids[0]]
+
+
+@pytest.mark.parametrize("kind", ["capsule", "urdf", "bodies"])
+def test_no_bound_is_above_the_distance_and_most_are_near_it(robot, kind, tmp_path_factory):
+    arm = loaded_arm("lift", tmp_path_factory) if kind == "bodies" else robot
+    rng = np.random.default_rng(2)
+    checker = CoalScene(arm, many(rng), links="urdf" if kind == "urdf" else "capsule", growth=0.01, clearance=0.02)
+    pairs = np.arange(len(checker.pairs))
+    errors, close = checker.distance_errors, 0
+    for q in rng.uniform(arm.lower, arm.upper, (20, arm.dof)):
+        distances = checker.pair_distances(q)
+        bounds = checker.lower_bounds(pairs)
+        assert (bounds <= distances + errors + 1e-6 * np.abs(distances)).all()
+        close += int((bounds > 0.5 * distances).sum())
+    assert close > 0.5 * 20 * len(pairs)
+
+
+def test_the_nearest_pair_is_that_of_all_distances(robot):
+    rng = np.random.default_rng(3)
+    checker = CoalScene(robot, many(rng))
+    for q in rng.uniform(robot.lower, robot.upper, (40, robot.dof)):
+        kept = rng.uniform(0.0, 0.05, len(checker.pairs))
+        pair, distance = checker.nearest_pair(q, kept)
+        beyond = checker.pair_distances(q) - kept
+        assert distance - kept[pair] == pytest.approx(beyond.min(), abs=1e-9)
+        assert beyond[pair] == pytest.approx(beyond.min(), abs=1e-9)
+
+
+def test_capsules_placed_together_are_those_placed_alone():
+    rng = np.random.default_rng(5)
+    ends = rng.normal(size=(60, 2, 3))
+    ends[:6, 1] = ends[:6, 0] + [(0, 0, 1), (0, 0, -1), (1, 0, 0), (0, 0, 0), (1e-9, 0, -1), (0, -1e-200, 0)]
+    capsules = [
+        Capsule(name=f"c{k}", start=tuple(a), end=tuple(b), radius=0.1 + 0.01 * k)
+        for k, (a, b) in enumerate(ends.tolist())
+    ]
+    for found, capsule in zip(capsule_shapes(capsules), capsules, strict=True):
+        alone = solid_shape(capsule)
+        assert found.name == alone.name
+        assert found.placement.isApprox(alone.placement, 1e-12)
+        assert found.geometry.radius == alone.geometry.radius
+        assert found.geometry.halfLength == pytest.approx(alone.geometry.halfLength, rel=1e-15, abs=0.0)
+    assert capsule_shapes([]) == []
+
+
+@pytest.fixture(scope="module")
+def wide(tmp_path_factory):
+    """An arm that can touch itself and what carries it."""
+    spec = ArmSpec(
+        name="wide",
+        has_yaw=True,
+        link_lengths=(1.0, 0.8, 0.4),
+        link_half_widths=(0.05, 0.04, 0.03),
+        link_masses=(4.0, 3.0, 1.0),
+        lower=(-3.0, -2.6, -2.6, -2.6),
+        upper=(3.0, 2.6, 2.6, 2.6),
+        velocity=(1.5,) * 4,
+        effort=(300.0,) * 4,
+        acceleration=(3.0,) * 4,
+        jerk=(150.0,) * 4,
+        shoulder_height=0.6,
+    )
+    return load_robot(write_robot(spec, tmp_path_factory.mktemp("arm") / "wide.urdf")[0])
+
+
+@pytest.mark.parametrize("links", ["capsule", "urdf"])
+@pytest.mark.parametrize("count", [0, 7, 13])
+def test_models_of_few_obstacles_answer_as_one_of_all(wide, links, count, monkeypatch):
+    rng = np.random.default_rng(count)
+    obstacles = random_obstacles(rng, count)
+    if count > 6:
+        obstacles[4] = Cloud.of("cloud", rng.uniform([0.4, -0.6, 0.5], [1.8, 0.6, 1.7], (30, 3)), 0.02)
+    growth = rng.uniform(0.0, 0.05, count)
+    whole = CoalScene(wide, obstacles, links=links, growth=growth)
+    monkeypatch.setattr(module, "_CHUNK", 3)
+    parts = CoalScene(wide, obstacles, links=links, growth=growth)
+    assert parts.pairs == whole.pairs
+    assert len(parts.parts.own) > 0
+    configurations = rng.uniform(wide.lower, wide.upper, (80, wide.dof))
+    if count:
+        name = obstacles[-1].name
+        whole, parts = whole.touching(name), parts.touching(name)
+    for q in configurations[:20]:
+        np.testing.assert_array_equal(parts.pair_distances(q), whole.pair_distances(q))
+        asked = rng.permutation(len(whole.pairs))[:11]
+        for checker in (whole, parts):
+            checker.place(q[::-1].clip(wide.lower, wide.upper))
+        np.testing.assert_array_equal(parts.distances_of(asked), whole.distances_of(asked))
+        np.testing.assert_array_equal(parts.distances(q), whole.distances(q))
+    for margin in (-0.01, 0.0, 0.1):
+        np.testing.assert_array_equal(
+            parts.in_collision(configurations, margin=margin), whole.in_collision(configurations, margin=margin)
+        )
+
+
+EXACT = Wanted(np.inf, 0.0, 1e-12, 0.0)
+
+#: Whole numbers: most of what is drawn is flat, doubled, touching or symmetric in some way.
+SHAPES = st.lists(st.tuples(*[st.integers(-2, 2)] * 3), min_size=1, max_size=10).map(
+    lambda rows: np.array(rows, dtype=np.float64)
+)
+QUARTERS = st.tuples(*[st.integers(0, 3)] * 3).map(lambda turns: rpy_rotation(*(0.5 * np.pi * np.array(turns))))
+SHIFTS = st.tuples(*[st.integers(-4, 4)] * 3).map(lambda shift: np.array(shift, dtype=np.float64))
+SEEDS = st.integers(0, 2**32 - 1)
+
+
+def with_table(points: FloatArray) -> tuple[FloatArray, int]:
+    """Coordinates and, after them, the table of the corners; and where it is."""
+    table = corner_table(points, 0, points.size)
+    return np.concatenate([points.ravel(), table]), points.size if len(table) else 0
+
+
+def measured(
+    first: FloatArray, rotation: FloatArray, shift: FloatArray, second: FloatArray, wanted: Wanted = EXACT
+) -> tuple[float, FloatArray]:
+    """Distance, less the depth where there is none, and what the kernels leave behind."""
+    work = np.zeros(WORK)
+    pose = (*rotation.ravel().tolist(), *shift.tolist())
+    shape, table = with_table(first)
+    other, other_table = with_table(second)
+    hulls = shape, (0, first.size, table), pose, other, (0, second.size, other_table)
+    distance = core_distance(*hulls, wanted, work)
+    return (distance, work) if distance > 0.0 else (-penetration(hulls, work), work)
+
+
+def differences(first: FloatArray, rotation: FloatArray, shift: FloatArray, second: FloatArray) -> FloatArray:
+    corners: FloatArray = ((first @ rotation.T + shift)[:, None] - second).reshape(-1, 3)
+    return corners
+
+
+def off_hull(point: FloatArray, corners: FloatArray) -> float:
+    """How far a point is from a hull, by weights that come close to it."""
+    rows = np.vstack([corners.T, np.full(len(corners), 1e3)])
+    weights, _ = nnls(rows, np.append(point, 1e3))
+    return float(np.linalg.norm(weights @ corners / weights.sum() - point))
+
+
+def random_hulls(seed: int) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    generator = np.random.default_rng(seed)
+    first, second = (generator.normal(size=(int(n), 3)) for n in generator.integers(4, 40, 2))
+    shift = generator.normal(size=3) * generator.uniform(0.0, 6.0)
+    return first, rpy_rotation(*generator.uniform(-np.pi, np.pi, 3)), shift, 0.3 * second
+
+
+def coal_convex(points: FloatArray) -> coal.CollisionGeometry:
+    mesh = coal.BVHModelOBBRSS()
+    mesh.beginModel(len(points), 1)
+    for corners in ConvexHull(points).simplices:
+        mesh.addTriangle(*points[corners])
+    mesh.endModel()
+    mesh.buildConvexHull(True, "Qt")
+    return mesh.convex
+
+
+@given(SHAPES, QUARTERS, SHIFTS, SHAPES)
+@settings(max_examples=400)
+def test_nothing_is_nearer_and_the_nearest_point_is_one_of_both(
+    first: FloatArray, rotation: FloatArray, shift: FloatArray, second: FloatArray
+) -> None:
+    found, work = measured(first, rotation, shift, second)
+    corners = differences(first, rotation, shift, second)
+    nearest = work[NEAREST : NEAREST + 3]
+    if found > 0.0:
+        assert np.linalg.norm(nearest) == pytest.approx(found, rel=1e-9)
+        assert (corners @ nearest).min() >= found * found * (1.0 - 1e-9)
+        assert off_hull(nearest, corners) < 1e-9
+        assert off_hull(work[ON_FIRST : ON_FIRST + 3], first @ rotation.T + shift) < 1e-9
+    else:
+        assert off_hull(np.zeros(3), corners) < 1e-9
+        assert np.linalg.norm(nearest) == pytest.approx(-found, abs=1e-12)
+        # Shifted apart by the depth they do no more than touch.
+        assert (corners @ nearest).max() <= found * found + 1e-9
+
+
+@given(SEEDS)
+@settings(max_examples=150)
+def test_distances_and_depths_of_solids(seed: int) -> None:
+    first, rotation, shift, second = random_hulls(seed)
+    found, _ = measured(first, rotation, shift, second)
+    if found > 0.0:
+        request = coal.DistanceRequest()
+        request.gjk_tolerance = 1e-10
+        place = coal.Transform3s(rotation, shift)
+        bodies = coal_convex(first), place, coal_convex(second), coal.Transform3s()
+        assert coal.distance(*bodies, request, coal.DistanceResult()) == pytest.approx(found, rel=1e-8, abs=1e-12)
+    else:
+        planes = ConvexHull(differences(first, rotation, shift, second)).equations
+        assert planes[:, 3].max() == pytest.approx(found, abs=1e-12)
+
+
+@given(SEEDS, st.floats(1e-9, 1e-2))
+@settings(max_examples=100)
+def test_small_gaps_are_exact(seed: int, gap: float) -> None:
+    first, rotation, _, second = random_hulls(seed)
+    normal = rotation @ np.array([0.6, 0.0, 0.8])
+    turned = first @ rotation.T
+    # A corner of the first above the middle of a wide plate.
+    plate = second + np.array([0.0, 0.0, 0.0])
+    plate = np.vstack([plate - np.outer(plate @ normal, normal), -30.0 * normal])
+    lowest = turned[(turned @ normal).argmin()]
+    centre = plate[:-1].mean(axis=0)
+    found, _ = measured(first, rotation, centre - lowest + gap * normal, plate)
+    assert found == pytest.approx(gap, rel=1e-9, abs=1e-14)
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1.0, 1e3])
+def test_boxes_by_face_edge_and_corner(scale: float) -> None:
+    box = scale * CUBE_CORNERS
+    turned = rpy_rotation(0.0, 0.0, 0.25 * np.pi)
+    for rotation, shift, expected in (
+        (np.eye(3), (2.5, 0.3, -0.2), 0.5),
+        (np.eye(3), (2.3, 2.4, 0.1), 0.5),
+        (np.eye(3), (2.6, 2.3, 4.2), np.sqrt(0.36 + 0.09 + 4.84)),
+        (turned, (1.0 + np.sqrt(2.0) + 0.25, 0.0, 0.0), 0.25),
+        (np.eye(3), (1.5, 0.2, 0.1), -0.5),
+        (np.eye(3), (0.0, 0.0, 0.0), -2.0),
+        (turned, (1.0 + np.sqrt(2.0) - 0.25, 0.0, 0.0), -0.25),
+    ):
+        found, _ = measured(box, rotation, scale * np.array(shift), box)
+        assert found == pytest.approx(scale * expected, rel=1e-9)
+
+
+@given(SEEDS, st.floats(0.0, 3.0))
+@settings(max_examples=100)
+def test_what_is_enough_is_shown_and_fractions_are_kept(seed: int, enough: float) -> None:
+    hulls = random_hulls(seed)
+    exact, _ = measured(*hulls)
+    shown, _ = measured(*hulls, wanted=Wanted(enough, 0.0, 1e-3, 0.0))
+    if exact > 0.0 and enough > 0.0:
+        assert shown <= exact * (1.0 + 1e-9)
+        assert shown >= min(enough, exact * (1.0 - 1e-3))
+
+
+def test_the_gradient_is_that_of_the_nearest_points() -> None:
+    for seed in range(30):
+        first, rotation, shift, second = random_hulls(seed)
+        found, work = measured(first, rotation, shift, second)
+        direction = work[NEAREST : NEAREST + 3] / found if found > 0.0 else work[NEAREST : NEAREST + 3] / -found
+        ahead = [measured(first, rotation, shift + 1e-7 * axis, second)[0] for axis in np.eye(3)]
+        behind = [measured(first, rotation, shift - 1e-7 * axis, second)[0] for axis in np.eye(3)]
+        slope = (np.array(ahead) - np.array(behind)) / 2e-7
+        assert slope == pytest.approx(direction if found > 0.0 else -direction, abs=1e-5)

@@ -1,4 +1,4 @@
-"""All searches against Dijkstra's algorithm and the plain two levels, on random masks."""
+"""Grids and their searches: nodes, floods, two levels, layers of yaw, what blocks."""
 
 from __future__ import annotations
 
@@ -7,22 +7,29 @@ import math
 
 import numpy as np
 import pytest
+from arm_variants import load_variant, random_obstacles
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from reference import assert_path, component, make_occupancy, neighbours, path_cost, shortest, slice_paths, union_mask
 from studies.planar import random_scene
 from studies.planar_cspace import arm_sections, joint_grid
 
-from hplan.base.arrays import BoolArray, FloatArray, IntArray
+from hplan.base.arrays import BoolArray, FloatArray, IntArray, readonly
+from hplan.errors import OptionError
 from hplan.grid import SearchResult, dense_search, reachable, slices_with_path, two_level_search
 from hplan.grid.astar import bound, row_bounds
-from hplan.grid.grid import Grid, Occupancy
+from hplan.grid.blockers import _grown, blockers
+from hplan.grid.flood import flood_slices
+from hplan.grid.grid import MAX_NODES, Grid, Occupancy, words_for
 from hplan.grid.lattice import Lattice, NodeSet
 from hplan.grid.occupancy import occupancy
-from hplan.grid.sections import LinkModel
+from hplan.grid.prepared_obstacles import prepare_obstacles
+from hplan.grid.sections import LinkModel, sections_at
+from hplan.grid.yaw_layers import LayerCache, YawAxis, turning_occupancy, yaw_axis
 from hplan.robot.model import Robot, load_robot
 from hplan.scene.file import load_scene
 from hplan.scene.model import Scene
+from hplan.scene.obstacles import Sphere
 
 STEPS = [1.0, 1.0, 0.3, 2.5, 0.01]
 
@@ -327,3 +334,219 @@ def test_two_level_agrees_with_dense_on_random_scenes(robot: Robot) -> None:
     assert fallbacks.count("none") > 0.9 * len(ratios)
     assert np.median(ratios) < 1.001
     assert max(ratios) < 1.6
+
+
+@pytest.mark.parametrize("shape", [(7,), (6, 5), (5, 6, 4), (3, 4, 3, 4)])
+def test_grown_takes_in_all_neighbours(shape: tuple[int, ...]) -> None:
+    mask = np.random.default_rng(0).random(shape) < 0.05
+    mask[(0,) * len(shape)] = True
+    expected = np.zeros(shape, dtype=bool)
+    for node in np.argwhere(mask):
+        expected[tuple(slice(max(0, i - 1), i + 2) for i in node)] = True
+    np.testing.assert_array_equal(_grown(mask), expected)
+
+
+def test_only_what_touches_the_reached_region_counts(robot: Robot) -> None:
+    """One ball stops the upper arm; another is behind it, out of reach of what the start reaches."""
+    balls = [
+        Sphere(name="near", center=(0.5, 0.0, 0.85), radius=0.1),
+        Sphere(name="behind", center=(-1.0, 0.0, 1.6), radius=0.1),
+    ]
+    sections = arm_sections(robot, balls)
+    grid = joint_grid(robot.arm, np.radians(3.0))
+    reached = ~occupancy(robot.arm, sections, grid).occupied
+    reached[10:] = False  # the start's side of the near ball
+    found = blockers(robot.arm, sections, grid, reached)
+    assert {blocker["obstacle"] for blocker in found} == {"near"}
+    assert found[0]["link"] == "upper_arm"
+    assert found[0]["slices_deg"] == [0.0, 90.0]
+    assert [blocker["cells"] for blocker in found] == sorted((blocker["cells"] for blocker in found), reverse=True)
+
+
+def test_slices_are_those_of_the_occupied_border(robot: Robot) -> None:
+    sections = arm_sections(robot, [Sphere(name="ball", center=(1.0, 0.0, 1.9), radius=0.15)])
+    grid = joint_grid(robot.arm, np.radians(3.0))
+    free = ~occupancy(robot.arm, sections, grid).occupied
+    free[..., 11:] = False
+    found = blockers(robot.arm, sections, grid, free)
+    assert found
+    for blocker in found:
+        low, high = blocker["slices_deg"]
+        assert 0.0 <= low <= high <= 33.0
+
+
+LOWER, UPPER = -3.0, 3.0
+
+
+def free_nodes(space: Occupancy) -> BoolArray:
+    """One truth value for each node."""
+    bits = np.unpackbits(space.free_words.view(np.uint8), axis=1, bitorder="little")
+    return bits[:, : space.grid.shape[-1]].reshape(space.grid.shape).astype(bool)
+
+
+@settings(max_examples=200)
+@given(
+    start=st.floats(LOWER, UPPER), goal=st.floats(LOWER, UPPER), step=st.floats(0.01, 1.0), beyond=st.floats(0.0, 7.0)
+)
+def test_the_axis_holds_start_and_goal_within_the_limits(start: float, goal: float, step: float, beyond: float) -> None:
+    first, spacing, count = yaw_axis(start, goal, step, LOWER, UPPER, beyond)
+    yaws = first + spacing * np.arange(count)
+    assert spacing <= step * (1.0 + 1e-12)
+    assert yaws[0] >= LOWER - 1e-6
+    assert yaws[-1] <= UPPER + 1e-6
+    assert np.abs(yaws - start).min() < 1e-6
+    assert np.abs(yaws - goal).min() < 1e-6 or abs(start - goal) < 0.5 * step
+    for end, towards in ((min(start, goal), -1.0), (max(start, goal), 1.0)):
+        wanted = min(beyond, (UPPER - end) if towards > 0.0 else (end - LOWER))
+        reached = towards * ((yaws[-1] if towards > 0.0 else yaws[0]) - end)
+        assert wanted - step - 1e-6 < reached < wanted + 0.5 * step + 1e-6
+
+
+@pytest.mark.parametrize("count", [1, 2, 63, 64, 65, 130])
+@pytest.mark.parametrize("step", [1.0, 0.08])
+def test_each_layer_is_the_planar_problem_at_its_yaw(tmp_path, count, step) -> None:
+    """Grids of less than a word, and of one and more, in either direction."""
+    robot = load_variant("one link on a yaw" if step < 0.1 else "upright on a yaw", tmp_path)
+    bodies = prepare_obstacles(random_obstacles(np.random.default_rng(count), 9))
+    planar = joint_grid(robot.arm, step)
+    first, turn = -0.7, 0.03
+    space = turning_occupancy(robot, bodies, planar, YawAxis(first, turn, count), layers=LayerCache())
+    assert space.grid.shape == (*planar.shape, count)
+    np.testing.assert_allclose(
+        space.grid.coordinates(np.array([0] * len(planar.shape) + [count - 1]))[-1], first + turn * (count - 1)
+    )
+    free = free_nodes(space)
+    assert free.any()
+    for layer in range(count):
+        sections = sections_at(robot, bodies, first + turn * layer)
+        np.testing.assert_array_equal(free[..., layer], free_nodes(occupancy(robot.arm, sections, planar)))
+    spare = np.unpackbits(space.free_words.view(np.uint8), axis=1, bitorder="little")[:, count:]
+    assert not spare.any()
+
+
+def test_layers_are_remembered_until_there_are_too_many(tmp_path) -> None:
+    robot = load_variant("upright on a yaw", tmp_path)
+    planar, finer = joint_grid(robot.arm, 1.0), joint_grid(robot.arm, 0.8)
+    bodies = prepare_obstacles(random_obstacles(np.random.default_rng(1), 9))
+    sections = [sections_at(robot, bodies, 0.1 * k) for k in range(4)]
+    layers = LayerCache()
+    first = layers.free_words(robot, sections[0], planar)
+    assert layers.free_words(robot, sections_at(robot, bodies, 0.0), planar) is first
+    assert layers.free_words(robot, sections[1], planar) is not first
+    assert layers.free_words(robot, sections[0], finer).shape != first.shape
+    assert layers.free_words(robot, sections[0], planar) is first
+    grown = sections_at(robot, prepare_obstacles(random_obstacles(np.random.default_rng(1), 9), clearance=0.01), 0.0)
+    assert layers.free_words(robot, grown, planar) is not first
+
+    few = LayerCache(most_bytes=1)
+    first = few.free_words(robot, sections[0], planar)
+    assert few.free_words(robot, sections[0], planar) is first
+    few.free_words(robot, sections[1], planar)
+    again = few.free_words(robot, sections[0], planar)
+    assert again is not first
+    np.testing.assert_array_equal(again, first)
+
+
+# Nodes
+
+
+@given(st.floats(-10, 10), st.floats(1e-3, 20), st.floats(0.01, 30))
+def test_first_and_last_node_are_the_limits(lower, width, step):
+    grid = Grid.over([lower], [lower + width], step)
+    axis = grid.axis(0)
+    assert axis[0] == lower
+    assert axis[-1] == pytest.approx(lower + width, abs=1e-12)
+    assert len(axis) == grid.shape[0] >= 2
+    assert np.diff(axis).max() <= step * (1 + 1e-6)
+
+
+def test_coordinates_and_places_are_inverse():
+    grid = Grid.over([0.0, -3.0], [1.0, 4.0], [0.1, 0.7])
+    index = np.stack(np.meshgrid(*(np.arange(n) for n in grid.shape), indexing="ij"), axis=-1)
+    coordinates = grid.coordinates(index)
+    assert coordinates.shape == (11, 11, 2)
+    np.testing.assert_allclose(grid.position(coordinates), index, atol=1e-12)
+    np.testing.assert_array_equal(grid.nearest(coordinates[3, 7] + [0.049, -0.34]), [3, 7])
+    np.testing.assert_array_equal(grid.nearest([-5.0, 99.0]), [0, 10])
+
+
+@pytest.mark.parametrize(
+    ("lower", "upper"), [([0.0], [-1.0]), ([0.0], [math.inf]), ([math.nan], [1.0]), ([0.0, 0.0], [1.0]), (0.0, 1.0)]
+)
+def test_bad_limits(lower, upper):
+    with pytest.raises(OptionError, match=r"limits = .*: expected finite lower limits"):
+        Grid.over(lower, upper, 0.1)
+
+
+def test_too_many_nodes():
+    with pytest.raises(OptionError, match=f"at most {MAX_NODES} nodes"):
+        Grid.over([0.0] * 3, [1.0] * 3, 1e-3 / 2)
+
+
+# Occupancy
+
+
+@pytest.mark.parametrize("last", [1, 2, 63, 64, 65, 128, 129])
+@pytest.mark.parametrize("before", [(), (3,), (2, 4)])
+def test_mask_round_trip(before, last):
+    shape = (*before, last)
+    grid = Grid(readonly(np.zeros(len(shape))), readonly(np.ones(len(shape))), shape)
+    mask = np.random.default_rng(last).random(shape) < 0.4
+    result = Occupancy.from_mask(grid, mask)
+    np.testing.assert_array_equal(result.occupied, mask)
+    assert result.occupied_count == mask.sum()
+    assert result.free_words.shape == (math.prod(before), words_for(last))
+    for index in np.ndindex(shape):
+        row = int(np.ravel_multi_index(index[:-1], before)) if before else 0
+        bit = (int(result.free_words[row, index[-1] // 64]) >> (index[-1] % 64)) & 1
+        assert result.is_free(index) == bool(bit) == (not mask[index])
+
+
+#: Slices on either side of where one word ends and the next begins, and the ends of the axis.
+EDGES = (0, 62, 63, 64, 65, 127, 128, 129)
+
+
+@pytest.mark.parametrize("shape", [(4, 130), (3, 4, 130), (3, 3, 3, 130), (3, 4, 64)])
+def test_two_neighbours_are_joined(shape: tuple[int, ...]) -> None:
+    middle = [count // 2 for count in shape[:-1]]
+    for bit in (bit for bit in EDGES if bit < shape[-1]):
+        first = np.array([*middle, bit])
+        for move in itertools.product((-1, 0, 1), repeat=len(shape)):
+            second = first + move
+            if not any(move) or not (0 <= second[-1] < shape[-1]):
+                continue
+            free = np.zeros(shape, dtype=bool)
+            free[tuple(first)] = free[tuple(second)] = True
+            reached = reachable(make_occupancy(free, np.ones(len(shape))), first)
+            np.testing.assert_array_equal(reached, free, err_msg=f"{first} and {second}")
+
+
+@pytest.mark.parametrize("bit", EDGES)
+@pytest.mark.parametrize("apart", [(2, 0, 0), (0, 2, 0), (0, 0, 2), (2, 2, 2), (1, 1, 2), (1, 2, -1)])
+def test_nodes_two_apart_are_not(bit: int, apart: tuple[int, int, int]) -> None:
+    shape = (4, 4, 132)
+    first = np.array([1, 1, bit])
+    second = first + apart
+    if second[-1] < 0:
+        return
+    free = np.zeros(shape, dtype=bool)
+    free[tuple(first)] = free[tuple(second)] = True
+    reached = reachable(make_occupancy(free, np.ones(3)), first)
+    assert reached.sum() == 1
+    assert reached[tuple(first)]
+
+
+def test_slices_are_flooded_each_on_its_own() -> None:
+    rng = np.random.default_rng(0)
+    free = rng.random((6, 7, 130)) < 0.6
+    start = np.array([2, 3, 0])
+    free[2, 3] = True
+    space = make_occupancy(free, np.ones(3))
+    lattice = Lattice.of(space.grid.shape, space.grid.step)
+    words = lattice.bordered(space.free_words)
+    reached, count = flood_slices(lattice, words, lattice.row_of(start), lattice.mask(range(130)))
+    bits = np.unpackbits(lattice.unbordered(reached).view(np.uint8), axis=1, bitorder="little")
+    ours = bits[:, :130].reshape(free.shape).astype(bool)
+    for number in range(130):
+        np.testing.assert_array_equal(ours[..., number], component(free[..., number], start[:2]))
+    assert count == ours.sum()

@@ -87,21 +87,6 @@ def test_points_stand_where_they_were_seen(robot: Robot) -> None:
     assert least_distance(robot, CREEP, result.trajectory, 10.0, points + np.array([1.0, 0.0, 0.0])) > 0.01 + 0.005
 
 
-def test_points_that_come_into_reach_are_kept(robot: Robot) -> None:
-    fast = Track(times_s=(0.0, 2.0), shifts_m=((0.0, 0.0, 0.0), (5.0, 0.0, 0.0)))
-    planner = Planner(robot, a_scene(fast), QUICK)
-    free = planner.plan().trajectory
-    row = int(0.8 * free.samples)
-    there = robot.tool_positions(free.position[[row]]) + np.array([2.5 * free.time[row], 0.0, 0.0])
-    points = there + np.random.default_rng(0).normal(0.0, 0.05, (300, 3))
-    assert planner.set_cloud("canopy", points, radius=0.01, time_s=0.0).out_of_reach == 0
-    try:
-        result = planner.plan(begins_s=0.0)
-    except HplanError:
-        return
-    assert least_distance(robot, fast, result.trajectory, 0.0, points) > 0.01
-
-
 def test_random_motions_past_clouds_on_a_base_that_moves(robot: Robot) -> None:
     """What is certified keeps from every point as it was seen, at a random time, by a random camera, by NumPy alone."""
     free = plan(robot, a_scene(None), QUICK).trajectory

@@ -55,16 +55,6 @@ def test_a_spline_has_the_states_of_its_ends_at_any_time_scale(seed, time_scale)
         np.testing.assert_allclose(states_of(motion), wanted, rtol=0, atol=1e-9)
 
 
-@settings(max_examples=30, deadline=None)
-@given(st.integers(0, 2**32 - 1))
-def test_drift_is_the_change_of_the_control_points_with_the_time_scale(seed):
-    spline = random_spline(seed)
-    change = (np.array(spline.at_time_scale(1.0 + STEP).control) - spline.at_time_scale(1.0 - STEP).control) / (
-        2.0 * STEP
-    )
-    np.testing.assert_allclose(spline.drift, change, rtol=0, atol=1e-9)
-
-
 def moved(spline, unknowns, time_scale):
     control = np.array(spline.control)
     control[3:-3, MOVABLE] += unknowns.reshape(-1, len(MOVABLE))

@@ -1,4 +1,4 @@
-"""Motions optimised together with their timing, on the reference scene."""
+"""Motions made faster: the whole, its linear programs, and when it is enough."""
 
 from __future__ import annotations
 
@@ -6,11 +6,39 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from any_arms import loaded_arm
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.interpolate import BSpline
+from scipy.optimize import linprog
 
 import hplan
+from hplan.base.arrays import FloatArray
+from hplan.base.deadline import NEVER
 from hplan.certificate.limit_use import limit_use
-from hplan.optimization.torque_rows import TorqueUse
+from hplan.collision.clearance_field import ClearanceField
+from hplan.optimization.coarse_profile import coarse_profile
+from hplan.optimization.first_order import (
+    NEAR,
+    PLACES,
+    SCALE,
+    MotionArrays,
+    MotionLimits,
+    basis,
+    first_order,
+    least_time_scale,
+)
+from hplan.optimization.interior_point import ProgramRows, solve
+from hplan.optimization.minimize_time import minimize_time, rough_motion
+from hplan.optimization.time_problem import TimeProblem
+from hplan.planning.effort import EFFORTS_OF_BODIES
+from hplan.planning.motion import motion_limits, smoothing_options
 from hplan.planning.options import EFFORT_NAMES, PlanOptions
+from hplan.planning.task import PlanningCache, PlanningTask
+from hplan.scene.model import Scene
+from hplan.scene.obstacles import Sphere
+from hplan.trajectory.speed_profile import SpeedProfile
+from hplan.trajectory.spline import SplinePath
 from hplan.trajectory.trajectory import cubic_pieces
 
 
@@ -48,31 +76,261 @@ def test_torque_limits_are_kept(robot, scene):
     assert np.abs(plan.trajectory.torque[:, 1]).max() <= weak[1] * 1.001
 
 
-def test_torque_rows_follow_the_torques(robot):
-    from hplan.optimization.first_order import MotionLimits
-    from hplan.optimization.timed_spline import TimedSpline, even_breaks
-    from hplan.optimization.torque_rows import torque_rows
+PIECES, MARGIN, TRUST = 12, 2e-3, 0.1
 
-    def motion(clock):
-        t = np.clip(clock / 0.8, 0.0, 1.0)
-        return 0.3 + np.outer(t**3 * (10.0 - 15.0 * t + 6.0 * t**2), [0.0, 0.6, 0.4, -0.2])
 
-    spline = TimedSpline.near(motion, even_breaks(0.8, 14))
-    limit = np.abs(TorqueUse.of(spline, robot.dynamics, np.ones(4)).use).max(axis=0) + 1e-6
-    use = TorqueUse.of(spline, robot.dynamics, limit)
-    movable = np.array([1, 2, 3])
-    limits = MotionLimits(np.array(robot.lower), np.array(robot.upper), np.ones((3, 4)), movable, np.empty((0, 4)))
-    rows = torque_rows(use, spline, robot.dynamics, limits)
-    rng = np.random.default_rng(1)
-    change, time_scale = rng.uniform(-1e-5, 1e-5, (len(spline.control) - 6, 3)), 1.0 + 1e-5
-    control = np.array(spline.control)
-    control[3:-3, movable] += change
-    after = TorqueUse.of(TimedSpline(control, spline.knots).at_time_scale(time_scale), robot.dynamics, limit)
-    times, joints = np.nonzero(np.abs(use.use) > 0.75)
-    sign = np.sign(use.use[times, joints])
-    actual = sign * (after.use - use.use)[times, joints]
-    matrix = np.zeros((len(rows.upper), change.size))
+@pytest.fixture
+def limits(robot):
+    rates = np.stack([robot.velocity_limit, robot.acceleration_limit, robot.jerk_limit])
+    return MotionLimits(np.array(robot.lower), np.array(robot.upper), rates, np.array([1, 3]), np.empty((0, 4)))
+
+
+@pytest.fixture
+def motion():
+    rng = np.random.default_rng(3)
+    breaks = np.concatenate([[0.0], np.cumsum(rng.uniform(0.05, 0.15, PIECES))])
+    knots = np.concatenate([np.zeros(3), breaks, np.full(3, breaks[-1])])
+    control = np.cumsum(rng.uniform(0.0, 0.05, (PIECES + 3, 4)), axis=0) + 0.3
+    control[:3], control[-3:] = control[2], control[-3]
+    control[:, [0, 2]] = control[0, [0, 2]]
+    return control, knots
+
+
+def at_rest(control, knots):
+    return MotionArrays(control, knots, np.zeros_like(control))
+
+
+def dense(rows, count):
+    matrix = np.zeros((len(rows.upper), count + 1))
     for row, (start, end) in enumerate(zip(rows.starts[:-1], rows.starts[1:], strict=True)):
-        matrix[row, rows.columns[start:end]] = rows.entries[start:end]
-    np.testing.assert_allclose(matrix @ change.ravel() + rows.time_scale * (time_scale - 1.0), actual, atol=2e-7)
-    assert len(rows.upper) > 5
+        np.add.at(matrix[row], rows.columns[start:end], rows.entries[start:end])
+    matrix[:, -1] = rows.time_scale
+    return matrix
+
+
+def field_of(robot, radius=0.1):
+    return ClearanceField.of(robot, [Sphere(name="ball", center=(1.0, 0.35, 1.35), radius=radius).solids[0]])
+
+
+def moved(control, unknowns, movable):
+    result = control.copy()
+    result[3:-3, movable] += unknowns.reshape(-1, len(movable))
+    return result
+
+
+def test_basis_is_that_of_the_b_spline(motion):
+    _, knots = motion
+    weight = np.empty(4)
+    for piece in range(PIECES):
+        for t in (0.0, 0.3, 0.9):
+            basis(knots, piece, t, weight)
+            at = knots[piece + 3] + t * (knots[piece + 4] - knots[piece + 3])
+            expected = BSpline(knots, np.eye(PIECES + 3), 3)(at)
+            np.testing.assert_allclose(weight, expected[piece : piece + 4], atol=1e-13)
+
+
+def test_least_time_scale_holds_for_every_time(motion, limits):
+    control, knots = motion
+    time_scale = least_time_scale(control, knots, limits)
+    clock = np.linspace(0.0, knots[-1], 4001)[:-1]
+    spline = BSpline(knots, control, 3)
+    uses = [np.abs(spline(clock, nu=order) / time_scale**order)[:, limits.movable] for order in (1, 2, 3)]
+    largest = [use.max(axis=0) / limits.rates[order][limits.movable] for order, use in enumerate(uses)]
+    assert np.max(largest) <= 1.0 + 1e-9
+    # Acceleration and jerk are exact; velocity is in the hull of its control points.
+    assert np.max(largest) > 0.9
+
+
+def test_a_motion_that_keeps_the_program_keeps_the_limits(motion, limits, robot):
+    control, knots = motion
+    rng = np.random.default_rng(4)
+    count = (PIECES - 3) * 2
+    rows = first_order(at_rest(control, knots), limits, field_of(robot).arrays, MARGIN, TRUST)
+    matrix = dense(rows, count)
+    both = len(rows.lower)
+    for _ in range(200):
+        unknowns = rng.uniform(-TRUST, TRUST, count)
+        # The least time scale at which the program's limits are kept.
+        value = matrix[:both, :-1] @ unknowns
+        with np.errstate(divide="ignore", invalid="ignore"):
+            needed = np.maximum(value - rows.upper[:both], -value - rows.lower) / -rows.time_scale[:both]
+        time_scale = needed[rows.time_scale[:both] < 0.0].max()
+        if time_scale > 0.0:
+            assert least_time_scale(moved(control, unknowns, limits.movable), knots, limits) <= time_scale * (
+                1.0 + 1e-9
+            )
+
+
+SWAY = np.array([[2e-3, 1e-3, 0.0, 0.0], [2e-3, 2e-3, 1e-3, 0.0], [3e-3, 2e-3, 2e-3, 1e-3]])
+
+
+@pytest.mark.parametrize("sway", [np.zeros((0, 4)), SWAY], ids=["exact", "tracking errors"])
+def test_clearances_less_what_tracking_errors_take_follow_step_and_time_scale(motion, limits, robot, sway):
+    """Errors that grow with speed bring links nearer; a slower motion leaves more room."""
+    control, knots = motion
+    field, count, by = field_of(robot), (PIECES - 3) * 2, 1e-4
+    rows = first_order(at_rest(control, knots), limits._replace(sway=sway), field.arrays, MARGIN, TRUST)
+    matrix, both = dense(rows, count), len(rows.lower)
+    lever = sway if len(sway) else 0.0 * SWAY
+
+    def left(values, time_scale):
+        """Clearances in the order of the rows."""
+        spline, breaks = BSpline(knots, values, 3), knots[3:-3]
+        clock = (breaks[:-1, None] + np.diff(breaks)[:, None] * np.arange(PLACES) / PLACES).ravel()
+        return (field.along(spline(clock)) - np.abs(spline(clock, 1)) @ lever.T / time_scale).ravel()
+
+    here = left(control, 1.0)
+    touched = np.flatnonzero(here < NEAR)
+    assert len(rows.upper) - both == len(touched) >= 5
+    unknowns = np.random.default_rng(5).uniform(-1e-5, 1e-5, count)
+    change = left(moved(control, unknowns, limits.movable), 1.0 + by) - here
+    expected = -(matrix[both:, :-1] @ unknowns + matrix[both:, -1] * by) * SCALE
+    np.testing.assert_allclose(change[touched], expected, atol=2e-9 + 1e-3 * np.abs(expected).max())
+    assert (np.abs(matrix[both:, -1]).max() > 0.0) == (len(sway) > 0)
+    if not len(sway):  # where there is more than the margin, the margin is asked for
+        spare = (here[touched] - rows.upper[both:] * SCALE)[here[touched] > 2.0 * MARGIN]
+        np.testing.assert_allclose(spare, MARGIN, atol=1e-12)
+
+
+def test_control_points_outside_the_joint_limits_come_back(motion, limits, robot):
+    control, knots = motion
+    control[6, 1] = limits.upper[1] + 0.01
+    rows = first_order(at_rest(control, knots), limits, field_of(robot).arrays, MARGIN, TRUST)
+    kinematic = np.count_nonzero(rows.time_scale)
+    bound = rows.upper[kinematic + (6 - 3) * 2]
+    assert bound == pytest.approx(-0.01 / TRUST)
+
+
+ACCURACY = 1e-8
+
+
+def drawn(seed: int, count: int, band: int, one_sided: int) -> tuple[ProgramRows, np.ndarray, np.ndarray]:
+    """A program with a solution, its rows as a dense matrix with the time scale last, and the right-hand sides."""
+    rng = np.random.default_rng(seed)
+    both = 3 * count
+    first = np.minimum(np.tile(np.arange(count), 4)[: both + one_sided], max(0, count - band - 1))
+    width = min(band + 1, count)
+    entries = rng.normal(size=(both + one_sided, width))
+    entries[rng.random(entries.shape) < 0.3] = 0.0
+    time_scale = np.concatenate([-rng.integers(1, 4, both).astype(float), np.zeros(one_sided)])
+    upper = rng.uniform(-0.5, 0.5, both + one_sided)
+    upper[both:] = rng.uniform(0.05, 0.5, one_sided)
+    lower = rng.uniform(-0.5, 0.5, both)
+    # Changes are bounded, as by the largest step.
+    columns = first[:, None] + np.arange(width)
+    rows = ProgramRows(
+        np.concatenate([np.arange(both + 1) * width, both * width + np.arange(1, count + 1),
+                        both * width + count + np.arange(1, one_sided + 1) * width]).astype(np.int32),
+        np.concatenate([columns[:both].ravel(), np.arange(count), columns[both:].ravel()]).astype(np.int32),
+        np.concatenate([entries[:both].ravel(), np.full(count, 1.0), entries[both:].ravel()]),
+        np.concatenate([time_scale[:both], np.zeros(count), time_scale[both:]]),
+        np.concatenate([upper[:both], np.ones(count), upper[both:]]),
+        np.concatenate([lower, np.ones(count)]),
+    )  # fmt: skip
+    dense = np.zeros((len(rows.upper), count + 1))
+    for row, (start, end) in enumerate(zip(rows.starts[:-1], rows.starts[1:], strict=True)):
+        np.add.at(dense[row], rows.columns[start:end], rows.entries[start:end])
+    dense[:, -1] = rows.time_scale
+    opposite = -dense[: len(rows.lower)]
+    opposite[:, -1] *= -1.0
+    return rows, np.vstack([dense, opposite]), np.concatenate([rows.upper, rows.lower])
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 10**6), st.integers(1, 25), st.integers(0, 11), st.integers(0, 30))
+def test_the_time_scale_is_the_least_that_highs_finds(seed, count, band, one_sided):
+    rows, matrix, right = drawn(seed, count, band, min(one_sided, count))
+    found, x = solve(rows, count, band, ACCURACY, NEVER)
+    cost = np.append(np.zeros(count), 1.0)
+    best = linprog(cost, A_ub=matrix, b_ub=right, bounds=(None, None))
+    assert best.status == 0
+    assert found
+    assert (matrix @ x - right).max() < 1e-6
+    # The squares of the changes, which are at most 1, count a little.
+    assert best.fun - 1e-6 <= x[-1] <= best.fun + 0.5e-4 * count + 1e-6
+
+
+def test_of_equal_paces_the_smallest_change_is_taken():
+    # One of two unknowns is free to move.
+    rows = ProgramRows(
+        np.array([0, 1, 2], dtype=np.int32), np.array([0, 1], dtype=np.int32), np.array([1.0, 1.0]),
+        np.array([-1.0, 0.0]), np.array([-0.5, 1.0]), np.array([-0.5, 1.0]),
+    )  # fmt: skip
+    found, x = solve(rows, 2, 0, ACCURACY, NEVER)
+    assert found
+    assert x == pytest.approx([0.0, 0.0, 0.5], abs=1e-6)
+
+
+def test_a_program_without_solution_is_not_solved():
+    rows = ProgramRows(
+        np.array([0, 1, 2], dtype=np.int32), np.array([0, 0], dtype=np.int32), np.array([1.0, -1.0]),
+        np.array([0.0, 0.0]), np.array([-1.0, -1.0]), np.array([1.0]),
+    )  # fmt: skip
+    assert not solve(rows, 1, 0, ACCURACY, NEVER)[0]
+
+
+DEFAULT = EFFORTS_OF_BODIES["default"].starts
+assert DEFAULT is not None
+EFFORT = DEFAULT.optimization
+
+
+@pytest.fixture(scope="module")
+def task(tmp_path_factory: pytest.TempPathFactory) -> PlanningTask:
+    arm = loaded_arm("toy", tmp_path_factory)
+    ends = {key: {"joints_rad": place} for key, place in (("start", (0.3,) * arm.dof), ("goal", (1.2,) * arm.dof))}
+    scene = Scene.model_validate({"format": "hplan-scene/1", "name": "nothing", "obstacles": (), **ends})
+    context = PlanningCache(arm).context(scene, PlanOptions())
+    return context.task(scene.start.configuration, scene.goal.configuration)
+
+
+def problem_of(task: PlanningTask) -> TimeProblem:
+    options, robot = smoothing_options(task, task.margin()), task.robot
+    return TimeProblem(task.field, task.field, options, motion_limits(task), robot.dynamics, task.options.rate_hz)
+
+
+def bent(task: PlanningTask, seed: int) -> SpeedProfile:
+    """A start that is a detour."""
+    ends: FloatArray = np.linspace(task.problem.start, task.problem.goal, 7)
+    ends[1:-1] += np.random.default_rng(seed).uniform(-0.3, 0.3, ends[1:-1].shape)
+    return coarse_profile(SplinePath.through(ends), smoothing_options(task, task.margin()))
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_no_motion_falls_below_what_its_pieces_allow(task: PlanningTask, seed: int) -> None:
+    problem, turn = problem_of(task), task.problem.goal - task.problem.start
+    rough = rough_motion(bent(task, seed), problem, EFFORT)
+    assert rough is not None
+    found = minimize_time(bent(task, seed), problem, EFFORT, rough=rough)
+    assert found is not None
+    for spline, level in zip((rough, found), EFFORT.levels, strict=True):
+        least = problem.least_duration(turn, len(spline.control) - 3)
+        assert least <= spline.duration * (1.0 + 1e-6)
+        assert spline.duration <= (1.0 + 2.0 * level.enough) * least + 1.0 / problem.rate_hz
+    assert problem.least_duration(turn, 20) > problem.least_duration(turn, 50) > 0.0
+
+
+def test_rows_that_cannot_be_active_are_left_out(tmp_path_factory: pytest.TempPathFactory) -> None:
+    arm = loaded_arm("toy", tmp_path_factory)
+    ball = Sphere(name="ball", center=(0.5, 0.1, 0.6), radius=0.1)
+    field = ClearanceField.of(arm, [ball])
+    generator = np.random.default_rng(5)
+    control = np.cumsum(generator.uniform(-0.02, 0.1, (17, arm.dof)), axis=0)
+    control[:3], control[-3:] = control[2], control[-3]
+    motion = MotionArrays(control, np.concatenate([np.zeros(3), np.linspace(0.0, 1.2, 15), [1.2] * 3]), 0.0 * control)
+    rates = np.stack([arm.velocity_limit, arm.acceleration_limit, np.full(arm.dof, 1e4)])
+    limits = MotionLimits(np.array(arm.lower), np.array(arm.upper), rates, np.arange(arm.dof), np.empty((0, arm.dof)))
+
+    def clearance_rows(trust: float) -> dict[tuple[float, ...], tuple[float, float]]:
+        rows = first_order(motion, limits, field.arrays, 2e-3, trust)
+        spans = [slice(*rows.starts[row : row + 2]) for row in range(len(rows.lower), len(rows.upper))]
+        sides = rows.upper[len(rows.lower) :].tolist()
+        keys = [(*rows.columns[span].tolist(), *rows.entries[span].tolist()) for span in spans]
+        largest = [float(np.abs(rows.entries[span]).sum()) for span in spans]
+        return dict(zip(keys, zip(sides, largest, strict=True), strict=True))
+
+    whole = clearance_rows(10.0)
+    for trust in (0.05, 0.2):
+        kept = clearance_rows(trust)
+        assert kept.items() <= whole.items()
+        assert 0 < len(kept) < len(whole)
+        assert all(largest * trust <= side for key, (side, largest) in whole.items() if key not in kept)

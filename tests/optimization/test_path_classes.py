@@ -23,12 +23,6 @@ def bent(sideways):
     return START + parts * (GOAL - START) + np.sin(np.pi * parts) * np.array([sideways, 0.0, 0.0, 0.0])
 
 
-def test_sides_of_an_obstacle(field):
-    paths = np.stack([bent(0.6), bent(-0.6), bent(0.9), bent(-0.8), bent(0.7)])
-    assert (field.along(paths.reshape(-1, 4)) > 0.0).all()
-    np.testing.assert_array_equal(class_numbers(paths, field), [0, 1, 0, 1, 0])
-
-
 def test_against_plain_numpy(field):
     rng = np.random.default_rng(3)
     shapes = np.sin(np.pi * np.linspace(0.0, 1.0, 14)[1:-1])[:, None]

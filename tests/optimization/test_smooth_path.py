@@ -1,8 +1,9 @@
-"""Shortened, rounded, pushed: ends, limits and clearance kept, as coal judges many samples."""
+"""Paths made smooth, and the fastest of several starts."""
 
 from __future__ import annotations
 
 import itertools
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -16,10 +17,13 @@ from hplan.errors import CertificationError
 from hplan.optimization import coarse_profile as coarse
 from hplan.optimization import smooth_path as postprocess_path
 from hplan.optimization.coarse_profile import coarse_profile
+from hplan.optimization.minimize_time import Effort, Level
 from hplan.optimization.options import PostprocessOptions
 from hplan.optimization.push_clear import clear_spline
+from hplan.optimization.several_starts import StartsEffort, fastest_motions, optimization_starts
 from hplan.optimization.shortcut import shorten
 from hplan.optimization.smooth_path import clear_path, short_path
+from hplan.optimization.time_problem import TimeProblem
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
 from hplan.robot.limits import Limits
@@ -121,12 +125,6 @@ def test_shortened_reference_path(robot, field, checker, grid_path, margin):
     assert path_length(shorten(taut, field, margin=margin)) <= path_length(taut) * (1 + 1e-12)
 
 
-def test_shortened_without_obstacles_is_straight(robot):
-    start, end = np.array([0.3, 0.1, 0.2, 0.3]), np.array([0.3, 1.4, 1.1, 0.9])
-    taut = shorten(staircase(start, end), ClearanceField.of(robot, []), margin=MARGIN)
-    np.testing.assert_array_equal(taut, [start, end])
-
-
 def test_shortened_random_paths(robot):
     """Wandering paths among random balls: those that are clear stay so and never grow, locked joints stay."""
     rng = np.random.default_rng(5)
@@ -153,13 +151,6 @@ def test_shortened_random_paths(robot):
         assert (taut[:, 0] == path[0, 0]).all()
         assert path_length(taut) <= path_length(path) * (1 + 1e-12)
         assert_kept(robot, checker, clear_rounding(taut, field, margin=1e-5), path[0], path[-1])
-
-
-def test_a_second_locked_joint_stays(robot, field):
-    """Shortcuts of single joints included."""
-    path = staircase(np.array([0.4, 0.1, 0.2, 0.5]), np.array([0.4, 0.7, 1.0, 0.5]))
-    taut = shorten(path, field, margin=MARGIN)
-    assert (taut[:, [0, 3]] == path[0, [0, 3]]).all()
 
 
 # Corners rounded
@@ -189,14 +180,6 @@ def test_corner_in_contact_cannot_be_rounded(robot):
 
 
 # Splines pushed, and how fast they are
-
-
-def test_pushed(robot, field, checker, grid_path, options):
-    taut = shorten(grid_path, field, margin=MARGIN)
-    pushed = clear_spline(taut, field, options, count=44, margin=MARGIN)
-    assert_kept(robot, checker, pushed, grid_path[0], grid_path[-1])
-    assert pushed.is_clear(field, 0.5 * MARGIN)
-    assert len(pushed.control) == 44
 
 
 def test_pushing_keeps_the_joint_limits(robot, field, grid_path, options):
@@ -344,3 +327,43 @@ def test_what_the_optimisers_left_out_is_not_touched(robot, options, monkeypatch
     assert not clear_path(path, unseen, options).is_clear(field, 1e-6)  # would go straight through the ball
     found = clear_path(path, field, options)
     assert_kept(robot, checker, found, path[0], path[-1])
+
+
+START, GOAL = np.array([0.15, 1.2, 0.3, 0.3]), np.array([0.15, 0.1, 0.3, 0.3])
+LEVELS = (Level(0.1, (15, 30), 10, 1e-2, 0.2), Level(0.05, (20, 40), 3, 1e-2, 0.05))
+EFFORT = StartsEffort(Effort(LEVELS), rough=4, others=1, finished=1)
+
+
+@pytest.fixture(scope="module")
+def problem(robot):
+    field = ClearanceField.of(robot, [Sphere(name="ball", center=(1.6, 0.0, 1.6), radius=0.25).solids[0]])
+    options = PostprocessOptions(
+        lower=robot.lower, upper=robot.upper, velocity=robot.velocity_limit, acceleration=robot.acceleration_limit,
+        movable=np.arange(4), margin=2e-3,
+    )  # fmt: skip
+    limits = Limits(robot.velocity_limit, robot.acceleration_limit, robot.torque_limit, robot.jerk_limit)
+    return TimeProblem(field, field, options, limits, robot.dynamics, 250.0)
+
+
+def paths():
+    """On the farther side of the ball, and twice on the nearer one."""
+    return [np.stack([START, np.array([yaw, 0.65, 0.3, 0.3]), GOAL]) for yaw in (-0.7, 0.9, 0.8)]
+
+
+def test_the_faster_class_wins_whatever_comes_first(problem):
+    starts = optimization_starts(paths(), problem)
+    assert len(starts) == 3
+    times = [start.profile.duration for start in starts]
+    assert times == sorted(times)  # none is within the preference for the first
+    alone = [fastest_motions([start], EFFORT)[0][1].duration for start in starts]
+    assert max(alone) > 1.01 * min(alone)
+    for order in (starts, starts[::-1]):
+        assert fastest_motions(order, EFFORT)[0][1].duration == pytest.approx(min(alone), rel=0.005)
+
+
+def test_paths_in_contact_give_no_start(problem):
+    straight = np.stack([START, GOAL])
+    assert not problem.field.is_clear(straight, 1e-4)
+    starts = optimization_starts([straight, *paths()], problem)
+    assert sorted(start.number for start in starts) == [1, 2, 3]
+    assert all(math.isfinite(start.profile.duration) for start in starts)

@@ -1,4 +1,4 @@
-"""Fruit and points as goals of robots that are no planar arms: certified, with a straight approach along the tool."""
+"""Fruit and points as goals of general (non-planar) arms: certified, with a straight approach along the tool."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Plans of robots that are no planar arms, from joints to joints."""
+"""Plans of general (non-planar) arms, from joints to joints."""
 
 from __future__ import annotations
 

@@ -1,9 +1,10 @@
-"""Bounds of durations: exact where that is known, below every certified motion, and of use."""
+"""Bounds of durations: exact where that is known, below every certified motion; their joints, cells and searches."""
 
 from __future__ import annotations
 
 import json
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -11,20 +12,29 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from planned import fruit, post, task
+from scipy.optimize import linprog
 from studies.planar import random_scene
 
 import hplan.planning.lower_bound.duration_bound as module
 from hplan.apps.cli.main import main
+from hplan.base.arrays import BoolArray, FloatArray
 from hplan.certificate.certificate import LIMIT_TOLERANCE
+from hplan.collision.coal_scene import CoalScene
 from hplan.errors import BoundError, HplanError
-from hplan.planning.lower_bound.duration_bound import DurationBound, duration_bound
+from hplan.planning.definition import check_problem
+from hplan.planning.lower_bound.duration_bound import DurationBound, _joint_motions, _obstacles, duration_bound
+from hplan.planning.lower_bound.joint_tubes import JointMotions
+from hplan.planning.lower_bound.planar_search import PlanarSearch, Resolution, TimedGrid
+from hplan.planning.lower_bound.reachability import Samples, is_reachable
 from hplan.planning.motion import motion_limits
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
 from hplan.planning.result import PlanResult
-from hplan.robot.limits import rest_to_rest
+from hplan.planning.task import PlanningCache
+from hplan.robot.limits import Limits, rest_to_rest
 from hplan.robot.model import Robot, load_robot
 from hplan.scene.model import Goal, Scene
+from hplan.scene.obstacles import Box, Capsule, Cylinder, Sphere
 
 BOUND = PlanOptions(bound=True)
 
@@ -142,3 +152,228 @@ def test_the_command_says_how_far_from_the_fastest(tmp_path: Path, capsys: pytes
     percents = float(said.partition("at most ")[2].partition(" %")[0])
     assert bound["gap"] <= percents / 100.0 < bound["gap"] + 0.002
     assert f"none is shorter than {bound['bound_s']:.3f} s" in said
+
+
+def joint(goal: float, velocity: float, acceleration: float, jerk: float = np.inf, *, wide: float = 100.0):
+    """One joint that moves from 0."""
+    values = {"start": 0.0, "goal": goal, "lower": -wide, "upper": wide}
+    limits = {"velocity": velocity, "acceleration": acceleration, "jerk": jerk}
+    return JointMotions(**{name: np.array([value]) for name, value in (values | limits).items()})
+
+
+def largest_place(motion: JointMotions, total: float, when: int, pieces: int = 60) -> float:
+    """The largest position at a sample by linear programming, the jerk constant in each of many pieces.
+
+    Fewer motions than there are, so that it is a lower bound of the largest one.
+    """
+    h = total / pieces
+    state, rows = np.zeros((3, pieces)), [np.zeros((3, pieces))]  # position, velocity, acceleration over the jerks
+    for k in range(pieces):
+        q, v, a = state
+        jerk = np.eye(pieces)[k]
+        state = np.array([q + h * v + h * h / 2 * a + h**3 / 6 * jerk, v + h * a + h * h / 2 * jerk, a + h * jerk])
+        rows.append(state)
+    table = np.array(rows)
+    limits = np.array([motion.velocity[0], motion.acceleration[0]])
+    most = np.concatenate([table[:, 1], -table[:, 1], table[:, 2], -table[:, 2]])
+    bounds = np.repeat(limits, 2 * (pieces + 1))
+    jerk = motion.jerk[0] if np.isfinite(motion.jerk[0]) else None
+    found = linprog(
+        -table[when, 0],
+        A_ub=most,
+        b_ub=bounds,
+        A_eq=table[-1],
+        b_eq=[motion.goal[0], 0.0, 0.0],
+        bounds=(None if jerk is None else -jerk, jerk),
+    )
+    return float(-found.fun) if found.success else -np.inf
+
+
+@pytest.mark.parametrize("jerk", [np.inf, 40.0, 8.0])
+@pytest.mark.parametrize("goal", [0.8, 0.2, 0.0])
+def test_places_hold_the_optima_and_are_near_them(goal: float, jerk: float) -> None:
+    motion = joint(goal, 1.2, 3.0, jerk)
+    total = 1.15 * max(float(motion.least_durations[0]), 0.9)
+    for when in (3, 10, 25, 40, 55):
+        lower, upper = (end.item() for end in motion.places(np.array([[when / 60.0 * total]]), total))
+        top = largest_place(motion, total, when)
+        bottom = goal - largest_place(motion, total, 60 - when)  # the motion turned about its middle
+        assert lower <= bottom + 1e-6
+        assert top - 1e-6 <= upper
+        assert upper - top < (0.02 if jerk > 30.0 else 0.12)
+
+
+def profile(draws: FloatArray, velocity: float, acceleration: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Times, positions and velocities of a motion from rest to rest that is made of drawn accelerations."""
+    h = 0.02
+    speeds = [0.0]
+    for push in draws:
+        speeds.append(float(np.clip(speeds[-1] + h * push * acceleration, -velocity, velocity)))
+    while abs(speeds[-1]) > 0.0:
+        speeds.append(float(np.sign(speeds[-1]) * max(0.0, abs(speeds[-1]) - h * acceleration)))
+    v = np.array(speeds)
+    q = np.concatenate([[0.0], np.cumsum(0.5 * h * (v[1:] + v[:-1]))])
+    return h * np.arange(len(v)), q, v
+
+
+@given(st.lists(st.floats(-1.0, 1.0), min_size=5, max_size=80), st.floats(0.2, 3.0), st.floats(0.5, 10.0))
+def test_any_motion_is_within_its_bounds(draws: list[float], velocity: float, acceleration: float) -> None:
+    time, q, v = profile(np.sign(draws) * np.sqrt(np.abs(draws)), velocity, acceleration)
+    motion, total = joint(float(q[-1]), velocity, acceleration), float(time[-1])
+    assert motion.least_durations[0] <= total + 1e-9
+    for known in (None, (v[:, None], v[:, None]), (v[:, None] - 0.1, v[:, None] + 0.3)):
+        lower, upper = motion.places(time[:, None], total, known)
+        assert (lower[:, 0] <= q + 1e-12).all()
+        assert (q <= upper[:, 0] + 1e-12).all()
+
+
+def test_a_motion_that_is_just_too_short_is_excluded_by_its_own_bounds() -> None:
+    motion = joint(1.0, 1.2, 3.0)
+    least = float(rest_to_rest(np.ones(1), 1.2, 3.0)[0])
+    time = np.linspace(0.0, 1.0, 21)[:, None]
+    lower, upper = motion.places(least * time, least)
+    assert (lower <= upper).all()
+    lower, upper = motion.places(0.999 * least * time, 0.999 * least)
+    assert (lower > upper).any()
+
+
+def bits(search: PlanarSearch) -> BoolArray:
+    """(counts) True for cells that are not excluded."""
+    words = search.free.view(np.uint8)
+    found = np.unpackbits(words, axis=-1, bitorder="little")[..., : search.grid.counts[0]]
+    return np.moveaxis(found, -1, 0).astype(np.bool_)
+
+
+def configurations(search: PlanarSearch, joints: list[int], cells: FloatArray) -> FloatArray:
+    """Configurations at places counted in cells along the axes."""
+    q = np.zeros((len(cells), 4))
+    q[:, joints] = search.grid.lower + cells * search.grid.sizes
+    return q
+
+
+OBSTACLES = {
+    "sphere": Sphere(name="a", center=(1.0, 0.0, 1.9), radius=0.15),
+    "capsule": Capsule(name="a", start=(0.9, -0.5, 1.5), end=(1.2, 0.6, 1.9), radius=0.06),
+    "cylinder": Cylinder(name="a", center=(1.1, 0.0, 1.7), length=0.3, radius=0.1, rpy_deg=(20.0, 40.0, 0.0)),
+    "box": Box(name="a", center=(1.2, 0.0, 1.6), size=(0.3, 0.4, 0.2), rpy_deg=(10.0, 20.0, 30.0)),
+}
+
+
+@pytest.mark.parametrize(
+    ("kind", "first"), [("sphere", 0), ("capsule", 1), ("cylinder", 2), ("box", 0), ("sphere", 1), ("box", 2)]
+)
+def test_excluded_cells_are_in_contact_whole_and_most_others_are_not(robot: Robot, kind: str, first: int) -> None:
+    scene = task([0, 5, 0, 0], [0, 80, 5, 5], [OBSTACLES[kind]], locked_joints=("base_yaw",), clearance=0.01)
+    world = PlanningCache(robot).world(scene, PlanOptions())
+    problem = check_problem(world, np.radians([0, 5, 0, 0]), np.radians([0, 5, 85, 85]), locked_joints=["base_yaw"])
+    limits = Limits(robot.velocity_limit, robot.acceleration_limit, jerk=robot.jerk_limit)
+    order = np.array([first, *(k for k in range(3) if k != first)]) + 1
+    motions = _joint_motions(world, problem, limits)
+    grid = TimedGrid.of(motions.only(order), 2.5, Resolution(30))
+    search = PlanarSearch.of(robot, _obstacles(world), problem.start, order, grid)
+    free, random = bits(search), np.random.default_rng(first)
+    checker = CoalScene(robot, scene.solids)
+    excluded = np.argwhere(~free)
+    assert 0.02 * free.size < len(excluded) < 0.9 * free.size
+    some = excluded[random.integers(len(excluded), size=300)]
+    corner = np.round(random.uniform(size=(300, 3)) * 2.0) / 2.0  # corners and middles of edges, faces and the cell
+    q = configurations(search, order.tolist(), some + np.clip(corner, 1e-6, 1.0 - 1e-6))
+    assert all(checker.distances(one).min() < scene.clearance for one in q)
+    others = np.argwhere(free)
+    middles = configurations(search, order.tolist(), others[random.integers(len(others), size=300)] + 0.5)
+    in_contact = [checker.distances(one).min() < scene.clearance for one in middles]
+    assert np.mean(in_contact) < 0.25  # those at the surface
+
+
+def test_no_obstacle_is_taken_for_larger_than_it_is(robot: Robot) -> None:
+    """A cylinder least of all, of which kernels see the prism about it."""
+    random = np.random.default_rng(9)
+    for solid in OBSTACLES.values():
+        scene = task([0, 5, 0, 0], [0, 80, 5, 5], [solid], clearance=0.01)
+        field, checker = _obstacles(PlanningCache(robot).world(scene, PlanOptions())), CoalScene(robot, scene.solids)
+        for q in random.uniform(robot.lower, robot.upper, (200, 4)) * [0.05, 1.0, 1.0, 1.0]:
+            apart = checker.distances(q)[:, 0]
+            assert (field.link_clearances(q) >= np.minimum(apart - 0.01, 0.1) - 1e-9 - 2e-6)[apart > 0.0].all()
+
+
+def plain(free: BoolArray, samples: Samples) -> bool:
+    """By the definition: states are a cell and the move to the next one."""
+    first, last, first_of, last_of, steps = samples
+    most = first_of.shape[1] // 2
+
+    def inside(k: int, cell: tuple[int, ...]) -> bool:
+        within = all(max(first[k, a], 0) <= cell[a] <= min(last[k, a], free.shape[a] - 1) for a in range(3))
+        return within and bool(free[cell])
+
+    def keeps(k: int, cell: tuple[int, ...], move: int) -> bool:
+        return bool(first_of[k, move + most] <= cell[0] <= last_of[k, move + most])
+
+    moves = range(-most, most + 1)
+    cells = list(product(*map(range, free.shape)))
+    states = {(cell, move) for cell in cells for move in moves if inside(0, cell) and keeps(0, cell, move)}
+    for k in range(1, len(first)):
+        reached = set()
+        for (i, x, y), move in states:
+            for dx, dy in product(range(-steps[1], steps[1] + 1), range(-steps[2], steps[2] + 1)):
+                cell = (i + move, x + dx, y + dy)
+                if inside(k, cell):
+                    reached |= {(cell, move)}
+        if k == len(first) - 1:
+            return bool(reached)
+        states = {
+            (cell, move + change)
+            for cell, move in reached
+            for change in range(-steps[0], steps[0] + 1)
+            if abs(move + change) <= most and keeps(k, cell, move + change)
+        }
+    return False
+
+
+def packed(free: BoolArray):
+    """Rows of bits along the first axis."""
+    wide = np.zeros((*free.shape[1:], 64 * (-(-free.shape[0] // 64))), dtype=np.uint8)
+    wide[..., : free.shape[0]] = np.moveaxis(free, 0, -1)
+    return np.packbits(wide, axis=-1, bitorder="little").view(np.uint64)
+
+
+def drawn(random: np.random.Generator, count: int) -> tuple[BoolArray, Samples]:
+    """A grid of few free cells, and bounds that shrink to one cell at both ends."""
+    shape = np.array([count, random.integers(1, 6), random.integers(1, 6)])
+    free = random.random(shape) < random.uniform(0.3, 0.9)
+    samples, most = int(random.integers(3, 8)), int(random.integers(1, 5 if count < 64 else 40))
+    low = random.integers(0, shape, size=(samples, 3))
+    first = np.maximum(low - random.integers(0, shape, size=(samples, 3)), 0)
+    last = np.minimum(low + random.integers(0, shape, size=(samples, 3)), shape - 1)
+    first[[0, -1]] = last[[0, -1]] = low[[0, -1]]
+    free[tuple(first[0])] = free[tuple(first[-1])] = True
+    first_of = random.integers(0, count // 2, size=(samples, 2 * most + 1))
+    last_of = np.minimum(first_of + random.integers(-1, count, size=first_of.shape), count - 1)
+    first_of, last_of = np.maximum(first_of, first[:, :1]), np.minimum(last_of, last[:, :1])
+    first_of[0], last_of[0] = first[0, 0], last[0, 0]
+    return free, Samples(first, last, first_of, last_of, random.integers(0, 3, size=3))
+
+
+@pytest.mark.parametrize("count", [7, 64, 140])
+def test_as_by_sets_of_states(count: int) -> None:
+    random, found = np.random.default_rng(count), []
+    for _ in range(60 if count < 64 else 8):
+        free, samples = drawn(random, count)
+        found.append(is_reachable(packed(free), samples))
+        assert found[-1] == plain(free, samples)
+    assert 0.05 < np.mean(found) < 0.95
+
+
+def test_a_wall_has_to_be_passed_by_its_gap_and_takes_the_time_for_it() -> None:
+    free = np.ones((9, 9, 1), dtype=np.bool_)
+    free[:, 4, :] = False
+    free[0, 4, 0] = True
+
+    def reaches(samples: int) -> bool:
+        first, last = np.zeros((samples, 3), dtype=np.int64), np.tile([8, 8, 0], (samples, 1))
+        first[0] = last[0] = (8, 0, 0)
+        first[-1] = last[-1] = (8, 8, 0)
+        of = np.repeat(first[:, :1], 3, axis=1), np.repeat(last[:, :1], 3, axis=1)
+        return is_reachable(packed(free), Samples(first, last, *of, np.array([1, 1, 0])))
+
+    # Eight steps to the gap, in it once, eight back; the move takes a step to be turned about.
+    assert next(samples for samples in range(2, 24) if reaches(samples)) == 18

@@ -58,7 +58,7 @@ def swing(middle: FloatArray, half: float = 0.3) -> FloatArray:
 
 
 def zigzag(middle: FloatArray, amplitude: float = 0.1, count: int = 7) -> FloatArray:
-    """The same in steps, another joint going to and fro."""
+    """The swing in steps, another joint going to and fro."""
     first, last = swing(middle)
     points = np.linspace(first, last, count)
     points[1:-1:2, -1] += amplitude

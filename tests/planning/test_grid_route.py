@@ -35,15 +35,6 @@ BAR = [Sphere(name="ball", center=(1.3, 0.0, 1.6), radius=0.15)]
 BELOW, ABOVE = (0.0, 10.0, 10.0, 10.0), (0.0, 70.0, 10.0, 10.0)
 
 
-def test_planar_way(robot: Robot, scene: Scene) -> None:
-    route = find_route(posed(robot, scene), GridAttempt(1.0), MARGIN)
-    assert route.occupancy.occupied_count == 128_891
-    assert route.step_deg == 1.0
-    assert len(route.path) == 107
-    np.testing.assert_array_equal(route.path[[0, -1]], [scene.start.configuration, scene.goal.configuration])
-    assert (route.path[:, 0] == 0.0).all()
-
-
 def shown_enclosed(one: PlanningTask, attempt: GridAttempt) -> EnclosedError | None:
     return enclosed_goals([one], attempt, [MARGIN], explained=True)[0]
 

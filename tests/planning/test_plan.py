@@ -1,40 +1,40 @@
-"""The whole way: what `plan` gives back, and when it refuses."""
+"""The whole way: what `plan` gives back, its report and seeds, and when it refuses."""
 
 from __future__ import annotations
 
+import json
 import math
-from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import planned
 import pytest
+from planned import assert_sound
+from scipy.stats import chi
 from studies.planar_cspace import sampled_occupancy
 
+import hplan
 from hplan.collision.coal_scene import CoalScene
-from hplan.errors import CertificationError, ConfigurationInCollisionError, NoPathError
+from hplan.errors import CertificationError, JointLimitError, NoPathError
 from hplan.grid.grid import Grid
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
+from hplan.planning.report import beyond_sigmas, failure_report, uncertainty_report, write_report
+from hplan.robot.family import ArmSpec, write_robot
 from hplan.robot.model import Robot
+from hplan.scene.file import load_scene
 from hplan.scene.model import Goal, Scene, Start
-from hplan.scene.obstacles import Box, Capsule, Cylinder, Sphere
+from hplan.scene.obstacles import Box, Capsule, Sphere
 
 START, GOAL = (0.0, 0.0, 0.0, 0.0), (0.0, 45.0, 60.0, 70.0)
 SHOULDER = np.array([0.0, 0.0, 0.6])
 
-Obstacles = Sequence[Sphere | Capsule | Cylinder | Box]
 
-
-def task(obstacles: Obstacles = (), start: Sequence[float] = START, goal: Sequence[float] = GOAL, **more: Any) -> Scene:
-    """A planar task, the base locked unless said otherwise."""
+def task(obstacles=(), start=START, goal=GOAL, **more: Any) -> Scene:
+    """A planar task: the base is locked."""
     more["locked_joints"] = ("base_yaw", *more.pop("locked_joints", ()))
-    return Scene(
-        name="test",
-        start=Start(joints_deg=tuple(start)),
-        goal=Goal(joints_deg=tuple(goal)),
-        obstacles=tuple(obstacles),
-        **more,
-    )
+    return planned.task(start, goal, obstacles, **more)
 
 
 def disc(name: str, radius: float, angle_deg: float, distance: float) -> Sphere:
@@ -42,22 +42,6 @@ def disc(name: str, radius: float, angle_deg: float, distance: float) -> Sphere:
     angle = math.radians(angle_deg)
     x, _, z = SHOULDER + distance * np.array([math.cos(angle), 0.0, math.sin(angle)])
     return Sphere(name=name, center=(x, 0.0, z), radius=radius)
-
-
-def assert_sound(robot: Robot, scene: Scene, result: Any) -> None:
-    """What every plan must keep, judged by coal at every row and by the certificate."""
-    trajectory = result.trajectory
-    assert result.certificate.verified
-    assert result.report["certificate"]["verified"]
-    checker = CoalScene(robot, scene.solids)
-    if checker.obstacle_names:
-        nearest = min(checker.distances(q).min() for q in trajectory.position)
-        assert nearest >= result.certificate.min_clearance_m > scene.clearance
-    assert (trajectory.position >= robot.lower - 1e-9).all()
-    assert (trajectory.position <= robot.upper + 1e-9).all()
-    np.testing.assert_allclose(trajectory.position[0], result.problem.start, rtol=0, atol=1e-12)
-    np.testing.assert_allclose(trajectory.position[-1], result.problem.goal, rtol=0, atol=1e-12)
-    np.testing.assert_allclose(trajectory.velocity[[0, -1]], 0.0, rtol=0, atol=1e-9)
 
 
 def test_reference_scene(robot: Robot, scene: Scene) -> None:
@@ -82,22 +66,13 @@ def test_start_and_goal_beside_the_grid(robot: Robot, scene: Scene) -> None:
 
 
 def test_base_stands_at_its_start_value(robot: Robot) -> None:
-    """The same task with the plane turned by 30 degrees has the same answer."""
+    """With the plane turned by 30 degrees the task has the answer that it had."""
     x, y = math.cos(math.radians(30)), math.sin(math.radians(30))
     turned = task([Sphere(name="ball", center=(x, y, 1.9), radius=0.15)], (30.0, *START[1:]), (30.0, *GOAL[1:]))
     result = plan(robot, turned)
     assert_sound(robot, turned, result)
     assert math.degrees(result.search.cost) == pytest.approx(145.2149523784, abs=1e-9)
     np.testing.assert_allclose(result.trajectory.position[:, 0], math.radians(30), rtol=0, atol=1e-12)
-
-
-def test_locked_joint_does_not_move(robot: Robot) -> None:
-    scene = task(
-        [disc("ball", 0.1, 100.0, 1.0)], (0.0, 0.0, 30.0, 0.0), (0.0, 45.0, 30.0, 70.0), locked_joints=("elbow",)
-    )
-    result = plan(robot, scene)
-    assert_sound(robot, scene, result)
-    np.testing.assert_allclose(result.trajectory.position[:, 2], math.radians(30), rtol=0, atol=1e-12)
 
 
 def test_start_equal_to_goal(robot: Robot, scene: Scene) -> None:
@@ -194,11 +169,62 @@ def test_end_with_no_free_node_near_is_not_certified(robot: Robot, which: str) -
     assert error.value.data["which"] == which
 
 
-def test_uncertified_result_says_so(robot: Robot, scene: Scene) -> None:
-    options = PlanOptions(tracking_error=0.3, certify=False)
-    result = plan(robot, scene, options)
-    assert not result.certificate.verified
-    assert result.report["certificate"]["verified"] is False
-    assert result.report["certificate"]["violations"]
-    with pytest.raises(ConfigurationInCollisionError, match="too close"):
-        plan(robot, scene, PlanOptions(tracking_error=0.3))
+def test_coarse_grids_that_are_too_large_are_left_out(tmp_path: Path) -> None:
+    """A chain of six links that turn all around has no grid that fits."""
+    six = (1.0,) * 6
+    spec = ArmSpec(
+        name="chain", link_lengths=(0.4,) * 6, link_half_widths=(0.01,) * 6, link_masses=six,
+        lower=(-math.pi,) * 6, upper=(math.pi,) * 6, velocity=six, effort=(500.0,) * 6, acceleration=six, jerk=None,
+        shoulder_height=3.0, has_yaw=False, base_mass=40.0, turret_mass=12.0,
+    )  # fmt: skip
+    write_robot(spec, tmp_path / "chain.urdf")
+    robot = hplan.load_robot(tmp_path / "chain.urdf")
+    scene = Scene(
+        name="ball",
+        start=Start(joints_rad=(0.5, 0.1, 0.1, 0.1, 0.1, 0.1)),
+        goal=Goal(joints_rad=(-0.5, 0.1, 0.1, 0.1, 0.1, 0.1)),
+        obstacles=(Sphere(name="ball", center=(2.2, 0.0, 2.6), radius=0.1),),
+    )
+    assert hplan.plan(robot, scene).motion.origin == "trees"
+
+
+def test_another_seed_may_lead_to_another_motion_and_each_is_the_same_every_time(robot: Robot) -> None:
+    ball = Sphere(name="ball", center=[1.6, 0.0, 1.6], radius=0.25)
+    ends = {"start": Start(joints_rad=[0.0, 1.2, 0.3, 0.3]), "goal": Goal(joints_rad=[0.0, 0.1, 0.3, 0.3])}
+    scene = Scene(name="ball", clearance=0.005, obstacles=[ball], **ends)
+    found = [hplan.plan(robot, scene, PlanOptions(effort="quick", seed=seed)) for seed in (0, 1, 1)]
+    assert all(result.certificate.verified for result in found)
+    first, other, again = (result.certificate.digests for result in found)
+    assert first != other == again
+
+
+def test_what_is_not_finite_becomes_null(tmp_path: Path) -> None:
+    path = write_report({"a": math.inf, "b": [-math.inf, {"c": (math.nan, 1.5)}], "d": None}, tmp_path / "r.json")
+    assert json.loads(path.read_text()) == {"a": None, "b": [None, {"c": [None, 1.5]}], "d": None}
+
+
+def test_failure_report_carries_the_facts(tmp_path: Path) -> None:
+    error = JointLimitError("start", "elbow", -0.5, 0.0, math.pi / 2)
+    report = failure_report(error, scene="s", robot=None)
+    assert (report["status"], report["scene"], report["robot"]) == ("failed", "s", None)
+    assert report["error"] == {
+        "kind": "JointLimitError",
+        "message": "start: joint 'elbow' is at -0.5 rad, outside its limits [0, 1.5708] rad",
+        "which": "start",
+        "joint": "elbow",
+        "value_rad": -0.5,
+        "lower_rad": 0.0,
+        "upper_rad": math.pi / 2,
+    }
+    assert json.loads(write_report(report, tmp_path / "r.json").read_text()) == report
+
+
+@pytest.mark.parametrize("sigmas", [0.0, 1.0, 3.0, 4.5])
+def test_what_sigmas_leave_is_what_they_leave_in_space(sigmas: float) -> None:
+    assert beyond_sigmas(sigmas) == pytest.approx(chi(3).sf(sigmas), rel=1e-9)
+    balls = tuple(Sphere(name=f"{k}", center=(2, k, 1), radius=0.1, sigma=0.01 * (k > 0)) for k in range(4))
+    scene = load_scene().model_copy(update={"obstacles": balls})
+    told = uncertainty_report(scene, sigmas)["uncertain"]
+    assert (told["obstacles"], told["one_beyond"]) == (3, beyond_sigmas(sigmas))
+    assert told["any_beyond_at_most"] == min(1.0, 3.0 * beyond_sigmas(sigmas))
+    assert uncertainty_report(load_scene(), sigmas) == {}

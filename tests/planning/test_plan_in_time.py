@@ -1,4 +1,4 @@
-"""Plans that have a deadline, or are cancelled."""
+"""Plans that have a deadline, or are cancelled; what takes still scenes only."""
 
 from __future__ import annotations
 
@@ -12,13 +12,18 @@ from planned import post, task
 
 import hplan
 from hplan.apps.cli.main import main
+from hplan.apps.execution.simulation import execute
 from hplan.base.deadline import current
-from hplan.errors import NotFoundError, NotInTimeError, OptionError, PlanCancelledError
+from hplan.errors import MovingObstacleError, NotFoundError, NotInTimeError, OptionError, PlanCancelledError
+from hplan.planning.options import PlanOptions
+from hplan.planning.plan import plan
 from hplan.planning.plans import plans
 from hplan.planning.task import LastWorld, PlanningCache
-from hplan.planning.world import World
+from hplan.planning.world import World, without_inside
 from hplan.robot.model import Robot
-from hplan.scene.model import Goal, Scene
+from hplan.scene.model import Fruit, Goal, Scene
+from hplan.scene.obstacles import Sphere
+from hplan.scene.tracks import Track
 
 #: Long for what is to come back at once; only what does not come back takes so long [s].
 SOON = 10.0
@@ -125,9 +130,9 @@ def test_the_best_so_far_is_handed_out_at_the_deadline(robot: Robot, monkeypatch
     found = []
 
     def one(*arguments: Any, **options: Any) -> Any:
-        for plan in plans(*arguments, **options):
-            found.append(plan.duration)
-            yield plan
+        for each in plans(*arguments, **options):
+            found.append(each.duration)
+            yield each
             time_is_up()
 
     monkeypatch.setattr("hplan.planning.plan.plans", one)
@@ -171,3 +176,41 @@ def test_the_robot_keeps_the_last_world_that_was_planned_in() -> None:
     for options in (hplan.PlanOptions(tracking_error=1e-3), hplan.PlanOptions(sigmas=1.0)):
         assert world(scene, options) is not kept
         kept = world(scene)
+
+
+AWAY = Track(times_s=(0.0, 1.0), shifts_m=((0.0, 0.0, 0.0), (0.0, 0.0, 1.0)))
+SCENE = task(
+    (0.0, 0.0, 0.0, 0.0),
+    (0.0, 45.0, 60.0, 70.0),
+    [Sphere(name="bird", center=(1.0, 1.0, 1.0), radius=0.1, track=AWAY)],
+    fruits=(Fruit(name="apple", center=(1.2, 0.4, 1.9), radius=0.04),),
+    locked_joints=("base_yaw",),
+)
+
+
+def refused(ask) -> None:
+    with pytest.raises(MovingObstacleError) as caught:
+        ask()
+    assert caught.value.obstacle == "bird"
+    assert caught.value.exit_status == 2
+
+
+def test_tours_bounds_worlds_and_execution(robot):
+    refused(lambda: hplan.plan_tour(robot, SCENE))
+    refused(lambda: plan(robot, SCENE, PlanOptions(bound=True)))
+    refused(lambda: PlanningCache(robot).world(SCENE, PlanOptions()))
+    refused(lambda: without_inside(robot, SCENE))
+    result = plan(robot, SCENE)
+    assert result.certificate.verified
+    refused(lambda: execute(robot, SCENE, result.trajectory))
+
+
+def test_a_planner_plans_among_what_moves_until_it_stands_still(robot):
+    planner = hplan.Planner(robot, SCENE)
+    assert planner.plan().certificate.verified
+    assert planner.replan().certificate.nearest_s is not None
+    planner.move("bird", track=None)
+    assert not planner.scene.moves
+    assert planner.plan().certificate.nearest_s is None
+    planner.move("bird", track=AWAY)
+    assert planner.plan().certificate.nearest_s is not None

@@ -16,10 +16,8 @@ from hplan.planning.moving.obstacles_at import among_poses, without_moving
 from hplan.planning.moving.path_in_time import MovingField, PathInTime
 from hplan.planning.moving.schedule import CHANGES, LEVELS, STEP_S, USED, earliest_schedule, room_to_change
 from hplan.planning.options import PlanOptions
-from hplan.planning.plan import _plans, plan
+from hplan.planning.plan import plan
 from hplan.planning.result import PlanResult
-from hplan.planning.stages import StageClock
-from hplan.planning.task import PlanningCache, no_progress
 from hplan.robot.model import Robot
 from hplan.scene.model import Fruit, Goal, Scene
 from hplan.scene.obstacles import Box, Sphere
@@ -73,18 +71,6 @@ def test_it_goes_at_once_before_what_comes(robot):
     assert_sound(robot, scene, result)
     assert result.trajectory.duration < around.trajectory.duration - 0.1
     assert result.certificate.clear_until_s == math.inf
-
-
-def test_with_a_deadline_each_motion_past_what_moves_is_certified_and_quicker_than_the_one_before(robot):
-    """It waits for what goes first, and then goes around it, the base free to turn."""
-    goes = ball(robot, (0.0, (0.0, 0.0, 0.0)), (1.3, (0.0, 0.0, 0.0)), (2.0, (0.0, 3.0, 0.0)))
-    scene, options = task(START, GOAL, [goes]), PlanOptions(deadline_s=1e6)
-    found = list(_plans(PlanningCache(robot), scene, options, no_progress, StageClock(), None, None))
-    durations = [each.duration for each in found]
-    assert len(durations) > 1
-    assert durations == sorted(set(durations), reverse=True)
-    assert all(each.run is not None and each.whole[2].verified for each in found)
-    assert durations[-1] <= plan(robot, scene).trajectory.duration + 1e-9
 
 
 def wall(gone_s: float) -> Box:
@@ -179,17 +165,6 @@ def test_a_fruit_is_picked_while_something_passes(robot):
     moves = apple.model_copy(update={"track": track})
     with pytest.raises(MovingObstacleError, match="must not move"):
         plan(robot, task(START, Goal(fruit="apple"), [passes], fruits=(moves,)))
-
-
-def test_a_stop_among_what_moves_is_certified_in_time(robot):
-    scene = task(START, GOAL, [wall(1.0)], **PLANAR)
-    result = plan(robot, scene)
-    stop = result.stop_at(0.5 * result.trajectory.duration)
-    assert stop.certificate.verified
-    assert stop.certificate.nearest_s is not None
-    # Faster or slower, it is another motion among them: nothing is taken from the path.
-    slower = result.scaled(0.5)
-    assert slower.certificate.nearest_s is not None
 
 
 def test_poses_that_stand_for_a_movement_are_close_together(robot):

@@ -51,13 +51,6 @@ def test_path_is_clear_all_along(robot: Robot, blocked: tuple[Problem, World], s
     assert min(checker.distances(q).min() for q in dense) >= 0.005
 
 
-def test_same_seed_same_path(robot: Robot, blocked: tuple[Problem, World]) -> None:
-    problem, world = blocked
-    first, again, other = (path_of(robot, problem, world, TreeEffort(50_000, seed)) for seed in (1, 1, 2))
-    assert (first == again).all()
-    assert first.shape != other.shape or (first != other).any()
-
-
 def test_nothing_is_found_through_a_plate(robot: Robot) -> None:
     """A plate in front of the shoulder, which the first link would have to pass: the trees end with their effort."""
     plate = Box(name="plate", center=(0.9, 0.0, 1.5), size=(2.0, 3.0, 0.02), rpy_deg=(0.0, -45.0, 0.0))

@@ -15,13 +15,13 @@ from hplan.collision.coal_scene import CoalScene
 from hplan.errors import CertificationError, NoPathError
 from hplan.planning.motion import Transit, certificate_of, required
 from hplan.planning.options import PlanOptions
-from hplan.planning.transits import WORTHWHILE, least_duration, one_transit, reused
+from hplan.planning.transits import one_transit, reused
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 from hplan.scene.obstacles import Sphere
 
 START = (0.0, 30.0, 20.0, 20.0)
-NEAR, FAR = (30.0, 30.0, 20.0, 20.0), (90.0, 30.0, 20.0, 20.0)
+NEAR = (30.0, 30.0, 20.0, 20.0)
 OPTIONS = PlanOptions(step_deg=2.0)
 
 
@@ -32,20 +32,6 @@ def assert_motion(robot: Robot, scene: Scene, motion: Transit) -> None:
     q = between_rows(motion.trajectory, np.arange(motion.trajectory.samples))
     assert not checker.obstacle_names or min(checker.distances(each).min() for each in q) > 0.0
     np.testing.assert_array_equal(motion.waypoints[[0, -1]], [motion.task.problem.start, motion.task.problem.goal])
-
-
-def test_first_goal_with_a_straight_motion(robot: Robot) -> None:
-    """The others behind it are not looked at."""
-    wall = [post("wall", 15.0, 1.2, 0.0, 2.6, 0.05)]
-    blocked, clear = task(START, NEAR, wall), task(START, (-40.0, 30.0, 20.0, 20.0), wall)
-    tasks = [posed(robot, scene, OPTIONS) for scene in (blocked, clear, clear)]
-    least = [least_duration(each) for each in tasks]
-    assert least[0] > WORTHWHILE * least[1]  # not enough is to be won by going around the wall
-    number, motion = one_transit(tasks)
-    assert (number, motion.origin) == (1, "direct")
-    assert_motion(robot, clear, motion)
-    number, motion = one_transit([posed(robot, task(START, NEAR)), posed(robot, task(START, FAR))])
-    assert (number, motion.origin) == (0, "direct")
 
 
 def test_a_nearer_goal_around_something_beats_a_far_straight_one(robot: Robot) -> None:

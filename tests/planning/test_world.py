@@ -1,10 +1,11 @@
-"""What keeps the arm away: growth by uncertainty, the fruit that may be touched, what stands in the base."""
+"""What keeps the arm away: growth, the fruit that may be touched, the base; a scene posed to a robot."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.coal_scene import CoalScene, base_contacts
 from hplan.errors import ConfigurationInCollisionError, InputError
 from hplan.grid.sections import sections_at
+from hplan.planning.definition import Problem, check_problem
 from hplan.planning.world import BASE_DEPTH, World, without_inside
 from hplan.robot.family.members import write_robot
 from hplan.robot.family.spec import ArmSpec
@@ -41,16 +43,6 @@ def test_each_obstacle_grows_by_its_own_uncertainty(robot: Robot) -> None:
             grown = plain.distances(q) - sigmas * np.array([0.0, 0.01, 0.02])
             np.testing.assert_allclose(world.checker.distances(q), grown, atol=1e-9)
             np.testing.assert_allclose(world.field.link_clearances(q, 100.0), grown.min(axis=1) - 0.02, atol=1e-6)
-
-
-def test_field_bodies_and_judge_agree(robot: Robot) -> None:
-    """A configuration is in contact for the sections if it is for the field, which gives no less than coal."""
-    world = World.of(robot, BALLS, clearance=0.01, tracking_error=0.002, sigmas=2.0)
-    bodies = world.bodies(0.003)
-    assert bodies.deviation == 0.002
-    radii = np.array([0.1, 0.12, 0.14]) + world.clearance + 0.003
-    np.testing.assert_allclose(bodies.balls.radii, radii)
-    assert bodies.names == ("sure", "vague", "vaguer")
 
 
 def test_the_arm_keeps_the_clearance_from_itself_too(tmp_path: Path) -> None:
@@ -237,3 +229,63 @@ def test_what_stands_in_the_pedestal_is_left_out(robot: Robot) -> None:
     assert smaller.goal == Goal(fruit="out")
     assert smaller.start == scene.start
     assert without_inside(robot, smaller) == (smaller, ())
+
+
+def pose(robot: Robot, scene: Scene, **changes: Any) -> Problem:
+    changed = Scene.model_validate({**vars(scene), **changes})
+    world = World.of(robot, changed.solids, clearance=changed.clearance)
+    ends = changed.start.configuration, changed.goal.configuration
+    return check_problem(world, *ends, locked_joints=changed.locked_joints)
+
+
+def test_spare_clearance_is_the_lesser_of_both_ends(robot: Robot, scene: Scene) -> None:
+    checker = CoalScene(robot, scene.solids)
+    problem = pose(robot, scene)
+    ends = [checker.distances(q).min() for q in (problem.start, problem.goal)]
+    assert problem.spare_clearance == min(ends)
+    assert pose(robot, scene, clearance=0.02).spare_clearance == pytest.approx(min(ends) - 0.02)
+
+
+def test_locked_joints_keep_their_start_value(robot: Robot, scene: Scene) -> None:
+    problem = pose(robot, scene, start={"joints_deg": (0.0, 0.0, 60.0, 0.0)}, locked_joints=("base_yaw", "elbow"))
+    assert problem.movable.tolist() == [1, 3]
+    assert problem.lower[2] == problem.upper[2] == problem.start[2] == problem.goal[2]
+
+
+def test_uncertainty_and_tracking_error_take_from_the_spare_clearance(robot: Robot, scene: Scene) -> None:
+    ends = scene.start.configuration, scene.goal.configuration
+    plain = check_problem(World.of(robot, scene.solids), *ends).spare_clearance
+    blurred = [solid.model_copy(update={"sigma": 0.01}) for solid in scene.solids]
+    world = World.of(robot, blurred, clearance=0.005, tracking_error=1e-3, sigmas=2.0)
+    checker = CoalScene(robot, scene.solids)
+    sways = robot.sway(1e-3)[:, None]  # each link its own
+    expected = min((checker.distances(robot.check_configuration(q, "")) - sways).min() for q in ends) - 0.005 - 0.02
+    assert plain - 0.005 - 0.02 - sways.max() < expected < plain - 0.005 - 0.02
+    assert check_problem(world, *ends).spare_clearance == pytest.approx(expected, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"locked_joints": ("knee",)}, "locked_joints names 'knee'; the robot has base_yaw, shoulder, elbow, wrist"),
+        ({"locked_joints": ("wrist",)}, "joint 'wrist' is locked at 0 rad, but the goal wants it at 1.22173 rad"),
+        ({"goal": {"joints_deg": (1.0, 45.0, 60.0, 70.0)}}, "joint 'base_yaw' is locked at 0 rad"),
+        ({"goal": {"joints_deg": (0.0, 45.0)}}, "goal: expected 4 joint values"),
+    ],
+)
+def test_refusals(robot: Robot, scene: Scene, changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError) as error:
+        pose(robot, scene, **changes)
+    assert error.value.message.startswith(message)
+    assert error.value.data
+
+
+@pytest.mark.parametrize(
+    ("which", "center", "link"), [("start", (2.0, 0.0, 0.6), "hand"), ("goal", (0.3, 0.0, 0.9), "upper_arm")]
+)
+def test_in_collision(robot: Robot, scene: Scene, which: str, center: Any, link: str) -> None:
+    ball = {"kind": "sphere", "name": "ball", "center": center, "radius": 0.1}
+    with pytest.raises(ConfigurationInCollisionError) as error:
+        pose(robot, scene, obstacles=(ball,))
+    assert (error.value.which, error.value.link, error.value.obstacle) == (which, link, "ball")
+    assert error.value.depth_m > 0.1

@@ -1,17 +1,25 @@
-"""Robots by name, trees of joints, and what an SRDF says."""
+"""Robots by name, trees of joints, what an SRDF says; their dynamics against Pinocchio, least durations."""
 
 from __future__ import annotations
 
+import math
 import re
 
+import numpy as np
+import pinocchio as pin
 import pytest
 from any_arms import LIFT, limb, loaded_arm
+from arm_variants import VARIANTS, load_variant
+from hypothesis import given
+from hypothesis import strategies as st
 from toy_urdf import six_axis_arm
 
 from hplan.base.data_files import robot_names, shipped_limits, shipped_robots
 from hplan.base.yaml_text import read_yaml
 from hplan.errors import InputError, RobotFamilyError, RobotFileError
+from hplan.robot.dynamics import InverseDynamics
 from hplan.robot.files import NAMED_ROBOTS, named_robot, read_srdf
+from hplan.robot.limits import rest_to_rest
 from hplan.robot.model import load_robot
 from hplan.scene.model import Goal, Scene, Start
 
@@ -121,3 +129,126 @@ def test_a_mesh_that_cannot_be_read_is_named(tmp_path):
     mesh = f'<mesh filename="{tmp_path}/hand.stl"/>'
     with pytest.raises(RobotFileError, match=r"refuses it: Could not load resource \S+hand.stl File is empty \("):
         load_robot(LIFT.replace('<box size="0.05 0.1 0.2"/>', mesh))
+
+
+def random_inertia(rng):
+    points = rng.normal(size=(20, 3))
+    spread = points.T @ points / 20
+    return pin.Inertia(rng.uniform(0.1, 5.0), rng.normal(size=3), np.trace(spread) * np.eye(3) - spread)
+
+
+def random_model(seed):
+    """A tree of joints that turn and slide about any axis, gravity and rotors in any direction and size."""
+    rng = np.random.default_rng(seed)
+    model = pin.Model()
+    kinds = [
+        pin.JointModelRX,
+        pin.JointModelRY,
+        pin.JointModelRZ,
+        pin.JointModelPX,
+        pin.JointModelPY,
+        pin.JointModelPZ,
+        lambda: pin.JointModelRevoluteUnaligned(unit(rng)),
+        lambda: pin.JointModelPrismaticUnaligned(unit(rng)),
+    ]
+    for number in range(int(rng.integers(1, 8))):
+        parent = int(rng.integers(0, model.njoints))
+        place = pin.SE3(pin.Quaternion(*unit(rng, 4)).toRotationMatrix(), rng.normal(size=3))
+        joint = model.addJoint(parent, kinds[rng.integers(len(kinds))](), place, f"j{number}")
+        model.appendBodyToJoint(joint, random_inertia(rng), pin.SE3.Random())
+    model.armature = rng.uniform(0.0, 2.0, model.nv)
+    model.gravity.linear = rng.normal(scale=5.0, size=3)
+    return model
+
+
+def unit(rng, size=3):
+    vector = rng.normal(size=size)
+    return vector / np.linalg.norm(vector)
+
+
+def assert_as_pinocchio(model, rng, count=20):
+    dynamics, data = InverseDynamics.of(model), model.createData()
+    q = np.array([pin.randomConfiguration(model, -np.ones(model.nq), np.ones(model.nq)) for _ in range(count)])
+    v, a = 3.0 * rng.normal(size=(2, count, model.nv))
+    expected = [pin.rnea(model, data, *row) for row in zip(q, v, a, strict=True)]
+    np.testing.assert_allclose(dynamics.torques(q, v, a), expected, rtol=1e-10, atol=1e-10)
+    gravity = [pin.computeGeneralizedGravity(model, data, row) for row in q]
+    np.testing.assert_allclose(dynamics.gravity(q), gravity, rtol=1e-10, atol=1e-10)
+    return dynamics
+
+
+@pytest.mark.parametrize("name", VARIANTS)
+def test_arms_of_the_family(name, tmp_path):
+    dynamics = assert_as_pinocchio(load_variant(name, tmp_path).model, np.random.default_rng(0))
+    assert dynamics.bodies is not None
+
+
+def test_the_harvester(robot):
+    assert_as_pinocchio(robot.model, np.random.default_rng(1), 200)
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_random_trees(seed):
+    dynamics = assert_as_pinocchio(random_model(seed), np.random.default_rng(seed))
+    assert dynamics.bodies is not None
+
+
+def test_joints_without_one_fixed_axis_are_left_to_pinocchio():
+    model = pin.buildSampleModelHumanoid()
+    assert assert_as_pinocchio(model, np.random.default_rng(2)).bodies is None
+    wheel = pin.Model()
+    wheel.addJoint(0, pin.JointModelRUBZ(), pin.SE3.Identity(), "wheel")
+    assert InverseDynamics.of(wheel).bodies is None
+
+
+def test_no_rows_and_rows_with_gaps(robot):
+    dynamics = InverseDynamics.of(robot.model)
+    assert dynamics.torques(np.empty((0, 4)), np.empty((0, 4)), np.empty((0, 4))).shape == (0, 4)
+    q, v, a = np.random.default_rng(3).normal(size=(3, 10, 4))
+    np.testing.assert_array_equal(dynamics.torques(q[::2], v[::2], a[::2]), dynamics.torques(q, v, a)[::2])
+    wide = np.asfortranarray(q)
+    np.testing.assert_array_equal(dynamics.torques(wide, v, a), dynamics.torques(q, v, a))
+
+
+def test_what_was_read_cannot_be_changed(robot):
+    with pytest.raises(ValueError, match="read-only"):
+        InverseDynamics.of(robot.model).bodies[0, 0, 0] = 1.0
+
+
+LIMIT = st.floats(0.05, 50.0)
+
+
+def acceleration_phase(speed: float, acceleration: float, jerk: float) -> float:
+    """Time from rest to a speed: the acceleration grows, stays, goes back [s]."""
+    if speed <= acceleration**2 / jerk:
+        return 2.0 * math.sqrt(speed / jerk)
+    return speed / acceleration + acceleration / jerk
+
+
+def plain(distance: float, velocity: float, acceleration: float, jerk: float) -> float:
+    """The duration by the greatest speed that there is room for, found by bisection."""
+    low, high = 0.0, velocity
+    if velocity * acceleration_phase(velocity, acceleration, jerk) <= distance:
+        low = velocity
+    else:
+        for _ in range(200):
+            middle = 0.5 * (low + high)
+            if middle * acceleration_phase(middle, acceleration, jerk) <= distance:
+                low = middle
+            else:
+                high = middle
+    growing = acceleration_phase(low, acceleration, jerk)
+    return 2.0 * growing + (distance - low * growing) / low
+
+
+@given(distance=st.floats(1e-3, 100.0), velocity=LIMIT, acceleration=LIMIT, jerk=st.floats(0.05, 1e4))
+def test_duration_with_jerk(distance: float, velocity: float, acceleration: float, jerk: float) -> None:
+    found = rest_to_rest(np.array([distance]), velocity, acceleration, jerk)
+    assert found[0] == pytest.approx(plain(distance, velocity, acceleration, jerk), rel=1e-9)
+
+
+@given(distance=st.floats(1e-3, 100.0), velocity=LIMIT, acceleration=LIMIT)
+def test_no_jerk_limit_is_a_very_high_one(distance: float, velocity: float, acceleration: float) -> None:
+    found = rest_to_rest(np.array([distance, 0.0]), velocity, acceleration)
+    assert found[0] == pytest.approx(plain(distance, velocity, acceleration, 1e12), rel=1e-4)
+    assert found[1] == 0.0

@@ -10,7 +10,7 @@ import coal
 import numpy as np
 import pinocchio as pin
 import pytest
-from arm_variants import OFFSETS, coal_distances, link_axes, load_variant, random_obstacles
+from arm_variants import coal_distances, link_axes
 from fitted_arms import fitted, quintic, scene_of
 from segments import segment_distances
 from studies.planar_cspace import arm_sections, joint_grid
@@ -21,7 +21,6 @@ from hplan.certificate.motion_bound import motion_of_movers
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.coal_scene import CoalScene
 from hplan.collision.flat_bodies import BODIES, INNER, OUTER
-from hplan.errors import ConfigurationInCollisionError
 from hplan.grid.grid import Grid
 from hplan.grid.occupancy import occupancy
 from hplan.planning.options import PlanOptions
@@ -239,23 +238,6 @@ def test_four_links_in_the_cspace_are_exact(tmp_path, lengths):
 # Distances
 
 
-@pytest.mark.parametrize(
-    "name", ["upright on a yaw", "five links on a yaw", "tilted plane", "horizontal plane", *OFFSETS]
-)
-def test_clearances_of_variants(name, tmp_path):
-    robot = load_variant(name, tmp_path, touches_itself=True)
-    rng = np.random.default_rng(11)
-    obstacles = random_obstacles(rng)
-    field, truth = ClearanceField.of(robot, obstacles), Truth(robot)
-    links = robot.arm.link_count
-    for q in rng.uniform(robot.lower, robot.upper, (200, robot.dof)):
-        expected, found = coal_distances(robot, q, obstacles).min(axis=1), field.link_clearances(q, 100.0)
-        for alone, distance in ((expected, found[:links]), own_clearances(robot, field, truth, q, found)):
-            apart = alone > TOUCH
-            np.testing.assert_allclose(distance[apart], alone[apart], atol=1e-6, rtol=0)
-            assert (distance[~apart] <= 2 * TOUCH).all()
-
-
 def own_clearances(robot, field, truth, q, found):
     """Distances of the arm's own pairs as coal has them, and as they were found."""
     bodies, distances = self_contact(robot).bodies, truth.distances(q)
@@ -429,16 +411,6 @@ def test_a_fold_is_refused_and_named(wide):
 
 
 # Planning
-
-
-def test_folded_start_is_refused_by_name(wide):
-    scene = scene_of((0.0, 20.0, 150.0, 120.0), (0.0,) * 4, locked_joints=("base_yaw",))
-    with pytest.raises(ConfigurationInCollisionError, match="mm deep in link 'upper_arm'") as caught:
-        plan(wide, scene)
-    assert caught.value.link == "hand"
-    assert caught.value.obstacle == "upper_arm"
-    depth = -CoalScene(wide, []).distances(np.radians(scene.start.joints_deg)).min()
-    assert caught.value.depth_m == pytest.approx(depth)
 
 
 @pytest.mark.parametrize("locked", [("base_yaw",), ()])

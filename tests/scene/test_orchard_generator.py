@@ -1,3 +1,5 @@
+"""Grown orchards: their options, trees, fruit, and trees within clouds."""
+
 from __future__ import annotations
 
 import dataclasses
@@ -6,20 +8,20 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from hplan.base.data_files import scenes_dir
 from hplan.collision.coal_scene import CoalScene, base_contacts
+from hplan.errors import OptionError
 from hplan.robot.model import load_robot
+from hplan.scene.cloud_tree import box_centres, number_cells, tree_of
 from hplan.scene.file import dump_scene, load_scene
 from hplan.scene.obstacles import Capsule, Sphere
-from hplan.scene.orchard import (
-    SHIPPED,
-    TUCKED_DEG,
-    FruitZone,
-    OrchardOptions,
-    generate,
-)
+from hplan.scene.orchard import SHIPPED, TUCKED_DEG, FruitZone, OrchardOptions, fruit_at_tips, generate
 from hplan.scene.orchard.fruits import Canopy
+from hplan.scene.orchard.pieces import capsule
+from hplan.scene.solids import LEAF
 
 VARIANTS = {
     "default": OrchardOptions(),
@@ -60,11 +62,11 @@ def test_same_seed_same_scene(grown):
 def test_all_wood_of_a_tree_hangs_together(grown):
     """From the trunk's foot every piece is reached through pieces that begin where another one is."""
     _, scene = grown
-    tree = [capsule for capsule in wood_of(scene) if capsule.name.startswith("tree 1 ")]
+    tree = [piece for piece in wood_of(scene) if piece.name.startswith("tree 1 ")]
     canopy = Canopy(tree, 0.04, FruitZone())
-    for index, capsule in enumerate(tree):
-        nearest = np.delete(canopy.wood_distances(np.array(capsule.start)), index).min()
-        assert nearest < 0.0 or capsule.start[2] == 0.0
+    for index, piece in enumerate(tree):
+        nearest = np.delete(canopy.wood_distances(np.array(piece.start)), index).min()
+        assert nearest < 0.0 or piece.start[2] == 0.0
 
 
 def test_trunks_taper_upright_in_their_row(grown):
@@ -172,3 +174,192 @@ def test_every_fruit_of_the_tour_can_be_picked(robot):
     for fruit in scene.fruits:
         others = [ball for ball in balls(scene) if ball.name != fruit.name]
         assert within_reach(robot, fruit.center, clear_of=CoalScene(robot, [*scene.obstacles, *others])), fruit
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"wire_heights": (2.0, 1.0)}, "heights that increase"),
+        ({"first_branch": 2.7}, "first_branch = 2.7: expected less than the tree's height, 2.7 m"),
+        ({"form": "trellis", "wire_heights": ()}, "a wire below the tree's height"),
+        ({"picked": (0,)}, r"picked\[0\] = 0: expected a number between 1 and 24"),
+        ({"picked": (3, 3)}, "numbers that differ"),
+        ({"fruits": 2, "picked": (1, 2)}, "fewer than 2"),
+    ],
+)
+def test_options_that_make_no_orchard(changes, message):
+    with pytest.raises(OptionError, match=message):
+        OrchardOptions(**changes)
+
+
+def test_zone():
+    zone = FruitZone(1.0, 2.0, 1.5)
+    assert zone.holds(0.9, -1.2, 1.0)
+    assert zone.holds(0.0, 0.0, 2.0)
+    assert not zone.holds(0.0, 0.0, 0.999)
+    assert not zone.holds(0.0, 0.0, 2.001)
+    assert not zone.holds(0.9, -1.21, 1.5)
+    assert FruitZone().holds(-1000.0, 1000.0, -1000.0)
+
+
+#: A trunk with four level branches, a rung of the ladder each.
+TRUNK = capsule("trunk 1", (0.0, 0.0, 0.0), (0.0, 0.0, 2.0), 0.03)
+BRANCHES = [
+    capsule(f"branch {i}", (0.0, 0.0, 0.4 * i), (0.5 * (-1) ** i, 0.1 * i, 0.4 * i), 0.006) for i in range(1, 5)
+]
+TREE = [TRUNK, *BRANCHES]
+
+#: Gap between a fruit and wood that it touches: none, or what rounding to tenths of a millimetre leaves.
+TOUCHING = (-1e-9, 2e-4)
+
+
+def gap(fruit, wood) -> float:
+    """Distance of a fruit's surface from a capsule's, by brute force along the axis and a refinement."""
+    start, end = wood.core
+    low, high = 0.0, 1.0
+    for _ in range(60):  # the distance to a point of a segment is convex
+        a, b = low + (high - low) / 3, high - (high - low) / 3
+        if math.dist(fruit.center, start + a * (end - start)) < math.dist(fruit.center, start + b * (end - start)):
+            high = b
+        else:
+            low = a
+    return math.dist(fruit.center, start + low * (end - start)) - wood.radius - fruit.radius
+
+
+def apart(fruits) -> bool:
+    pairs = itertools.combinations(fruits, 2)
+    return all(math.dist(a.center, b.center) >= a.radius + b.radius for a, b in pairs)
+
+
+def test_one_at_each_tip():
+    fruits = fruit_at_tips(TREE, 4)
+    assert [fruit.name for fruit in fruits] == ["fruit 01", "fruit 02", "fruit 03", "fruit 04"]
+    for branch in BRANCHES:
+        (fruit,) = [f for f in fruits if math.dist(f.center, branch.end) < 0.05]
+        assert TOUCHING[0] <= gap(fruit, branch) <= TOUCHING[1]
+        # Straight ahead of the branch.
+        along = np.subtract(branch.end, branch.start)
+        assert np.dot(np.subtract(fruit.center, branch.end), along) == pytest.approx(
+            0.0461 * np.linalg.norm(along), abs=1e-4
+        )
+    assert apart(fruits)
+    assert [math.hypot(*f.center[:2]) for f in fruits] == sorted(math.hypot(*f.center[:2]) for f in fruits)
+
+
+def test_other_wood_is_avoided_where_that_can_be():
+    wall = capsule("trunk 2", (0.56, -1.0, 0.8), (0.56, 1.0, 0.8), 0.02)
+    branch = capsule("branch 1", (0.0, 0.0, 0.8), (0.5, 0.0, 0.8), 0.006)
+    (fruit,) = fruit_at_tips([branch, wall], 1)
+    assert TOUCHING[0] <= gap(fruit, branch) <= TOUCHING[1]
+    assert gap(fruit, wall) >= 0.0
+    # In a narrow pipe of wood there is no clear place: then as little deep as can be, and never in another fruit.
+    walls = [
+        capsule(f"trunk {i}", (-1.0, y, z), (1.0, y, z), 0.01)
+        for i, (y, z) in enumerate([(0.03, 0.8), (-0.03, 0.8), (0.0, 0.83), (0.0, 0.77)])
+    ]
+    pair = fruit_at_tips([branch, *walls], 2)
+    assert apart(pair)
+    assert max(min(gap(f, wall) for wall in walls) for f in pair) < -0.001
+
+
+def test_only_free_ends_of_branches_are_tips():
+    pieces = [capsule("branch 1", (0, 0, 0), (0.3, 0, 0), 0.01), capsule("branch 2", (0.3, 0, 0), (0.32, 0, 0), 0.01)]
+    wood = [
+        *pieces,
+        TRUNK,
+        capsule("post 1", (5, 0, 0), (5, 0, 2), 0.04),
+        capsule("wire 1", (5, 0, 1), (7, 0, 1), 0.001),
+    ]
+    (fruit,) = fruit_at_tips(wood, 1)
+    assert fruit.center == pytest.approx((0.32 + 0.0501, 0.0, 0.0), abs=1e-4)
+    with pytest.raises(OptionError, match="count = 2: expected at most 1, which found room") as caught:
+        fruit_at_tips(wood, 2)
+    assert caught.value.option == "count"
+
+
+def test_zone_is_kept():
+    zone = FruitZone(0.7, 1.3)
+    assert all(zone.holds(*fruit.center) for fruit in fruit_at_tips(TREE, 4, zone=zone))
+    with pytest.raises(OptionError, match="at most 0"):
+        fruit_at_tips(TREE, 1, zone=FruitZone(5.0, 6.0))
+
+
+points = st.tuples(*[st.floats(-1, 1)] * 3)
+
+
+@settings(max_examples=60)
+@given(st.lists(st.tuples(points, points, st.floats(0.001, 0.05)), min_size=1, max_size=6), points)
+def test_distances_from_wood(pieces, point):
+    wood = [capsule(f"w {i}", *piece) for i, piece in enumerate(pieces)]
+
+    class Ball:
+        center, radius = point, 0.04
+
+    expected = [gap(Ball, piece) + Ball.radius for piece in wood]
+    np.testing.assert_allclose(Canopy(wood, 0.04, FruitZone()).wood_distances(np.array(point)), expected, atol=1e-6)
+
+
+@settings(max_examples=40)
+@given(
+    st.lists(st.tuples(points, points, st.floats(0.002, 0.05)), min_size=1, max_size=8),
+    st.integers(1, 12),
+    st.integers(0, 5),
+)
+def test_random_wood(pieces, count, seed):
+    wood = [capsule(f"branch {i}", *piece) for i, piece in enumerate(pieces)]
+    try:
+        fruits = fruit_at_tips(wood, count, seed=seed)
+    except OptionError:
+        return
+    assert len(fruits) == count
+    assert apart(fruits)
+    assert all(min(gap(fruit, piece) for piece in wood) <= TOUCHING[1] for fruit in fruits)
+
+
+@settings(max_examples=30)
+@given(st.integers(0, 10_000), st.integers(0, 500), st.sampled_from([1, 3, 10, 2**40]))
+def test_cells_are_numbered_as_they_first_appear(seed, count, span):
+    rows = np.random.default_rng(seed).integers(-span, span + 1, (count, 3))
+    numbers, cells = number_cells(rows)
+    seen: dict[tuple[int, ...], int] = {}
+    expected = [seen.setdefault(tuple(row), len(seen)) for row in rows.tolist()]
+    assert numbers.tolist() == expected
+    assert cells == len(seen)
+
+
+@settings(max_examples=30)
+@given(st.integers(0, 10_000), st.integers(1, 300), st.integers(1, 40))
+def test_middles_of_boxes(seed, count, groups):
+    rng = np.random.default_rng(seed)
+    points, numbers = rng.uniform(-1, 1, (count, 3)), rng.integers(0, groups, count).astype(np.int32)
+    _, numbers = np.unique(numbers, return_inverse=True)
+    middles, farthest = box_centres(points, numbers.astype(np.int32), int(numbers.max()) + 1)
+    for number, middle in enumerate(middles):
+        inside = points[numbers == number]
+        np.testing.assert_array_equal(middle, 0.5 * (inside.min(axis=0) + inside.max(axis=0)))
+    assert farthest == pytest.approx(np.linalg.norm(points - middles[numbers], axis=1).max(), rel=1e-12)
+
+
+@pytest.mark.parametrize("kind", ["random", "one place", "steps", "line", "sorted"])
+@pytest.mark.parametrize("count", [1, LEAF + 1, 1000])
+def test_a_tree_halves_its_points(kind, count):
+    rng = np.random.default_rng(count)
+    points = {
+        "random": rng.uniform(0, 1, (count, 3)),
+        "one place": np.ones((count, 3)),
+        "steps": rng.integers(0, 3, (count, 3)).astype(float),
+        "line": rng.uniform(0, 1, (count, 1)) * [1.0, 0.0, 0.0],
+        "sorted": np.sort(rng.uniform(0, 1, (count, 3)), axis=0),
+    }[kind]
+    core = points.copy()
+    nodes = tree_of(core, LEAF)
+    assert sorted(map(tuple, core)) == sorted(map(tuple, points))
+    for number, (first, last, after, *ball) in enumerate(nodes.tolist()):
+        inside = core[int(first) : int(last)]
+        low, high = inside.min(axis=0), inside.max(axis=0)
+        np.testing.assert_array_equal(ball[:3], 0.5 * (low + high))
+        assert ball[3] == pytest.approx(np.linalg.norm(inside - ball[:3], axis=1).max(), rel=1e-12)
+        if after > number + 1:
+            axis, middle = int(np.argmax(high - low)), (int(first) + int(last)) // 2
+            assert nodes[number + 1, 1] == middle
+            assert core[int(first) : middle, axis].max() <= core[middle : int(last), axis].min()

@@ -1,4 +1,4 @@
-"""Picking tours of robots that are no planar arms."""
+"""Picking tours of general (non-planar) arms."""
 
 from __future__ import annotations
 

@@ -140,6 +140,12 @@ KINDS: dict[str, tuple[Any, ...]] = {"number": NO_NUMBER, "positive": NO_POSITIV
     "length": NO_LENGTH, "size": (*NO_NUMBER, -1.0), "other": NO_OBJECT[1:], "real": NO_NUMBER[1:],
     "count": NO_WHOLE[1:], "place": NO_VECTOR[1:], "turn": NO_VECTOR[:-3]}  # fmt: skip
 A_STUDY = {"name": "small", "arms": ("harvester",), "trees": ("tree.csv",)}
+#: What stands for None among good arguments, and for each argument that has to be such an object.
+OBJECTS = {
+    "robot": ROBOT, "scene": a_scene(), "trajectory": a_trajectory(), "motion": a_trajectory(),
+    "study": Study(**A_STUDY),
+}  # fmt: skip
+
 #: A function, what it is given, and values that each argument cannot have.
 Case = tuple[Callable[..., Any], dict[str, Any], dict[str, tuple[Any, ...]]]
 
@@ -148,8 +154,9 @@ def case(
     function: Callable[..., Any], kinds: str, bad: Mapping[str, tuple[Any, ...]] = MappingProxyType({}), **good: Any
 ) -> Case:
     """A function with good arguments, the kinds of some of them, and values that others cannot have."""
-    of_kinds = {argument: KINDS[kind] for argument, _, kind in (word.partition(":") for word in kinds.split())}
-    return function, good, {**of_kinds, **bad}
+    named = dict(word.split(":") for word in kinds.split())
+    known = {argument: None for argument, kind in named.items() if kind == "object" and argument in OBJECTS}
+    return function, known | good, {argument: KINDS[kind] for argument, kind in named.items()} | dict(bad)
 
 
 CASES: dict[str, Case] = {
@@ -240,7 +247,7 @@ CASES: dict[str, Case] = {
         time=[0.0, 1.0],
         position=[[0.0], [1.0]],
     ),
-    "plan": case(hplan.plan, "robot:object scene:object options:other", robot=None, scene=None),
+    "plan": case(hplan.plan, "robot:object scene:object options:other"),
     "finish": case(
         hplan.finish,
         "robot:object scene:object waypoints:matrix options:other",
@@ -250,20 +257,11 @@ CASES: dict[str, Case] = {
         waypoints=([0.0] * 4, [0.1] * 4),
     ),
     "plan_tour": case(
-        hplan.plan_tour,
-        "robot:object scene:object options:other tour:other",
-        {"fruits": ("apple", 1, [1])},
-        robot=None,
-        scene=None,
+        hplan.plan_tour, "robot:object scene:object options:other tour:other", {"fruits": ("apple", 1, [1])}
     ),
-    "plan_poses": case(hplan.plan_poses, "robot:object scene:object options:other", robot=None, scene=None, poses=None),
+    "plan_poses": case(hplan.plan_poses, "robot:object scene:object options:other", poses=None),
     "reachable": case(
-        hplan.reachable,
-        "robot:object scene:object options:other",
-        {"motions": ("yes", 2, None)},
-        robot=None,
-        scene=None,
-        motions=False,
+        hplan.reachable, "robot:object scene:object options:other", {"motions": ("yes", 2, None)}, motions=False
     ),
     "load_cell": case(hplan.load_cell, "path:file", path="cell.yaml"),
     "plan_cell": case(hplan.plan_cell, "cell:object options:other", cell=a_cell()),
@@ -283,12 +281,10 @@ CASES: dict[str, Case] = {
             "time_s": ("0", NAN),
             "sigmas": (-1.0, "3", NAN),
         },
-        robot=None,
-        scene=None,
         q=[0.0, 0.0, 0.0, 0.0],
     ),
-    "warm_up": case(hplan.warm_up, "robot:object", robot=None),
-    "Planner": case(hplan.Planner, "robot:object scene:object options:other", robot=None, scene=None),
+    "warm_up": case(hplan.warm_up, "robot:object"),
+    "Planner": case(hplan.Planner, "robot:object scene:object options:other"),
     "Planner.add": case(a_planner().add, "obstacle:object", obstacle=Sphere(**BALL)),
     "Planner.remove": case(a_planner().remove, "name:name", name="ball"),
     "Planner.move": case(
@@ -336,11 +332,8 @@ CASES: dict[str, Case] = {
             "goal_contact": (None, "never", []),
             "begin_s": (None, "1", NAN, math.inf),
         },
-        robot=None,
-        scene=None,
-        trajectory=None,
     ),
-    "execute": case(execute, "robot:object scene:object motion:object", robot=None, scene=None, motion=None),
+    "execute": case(execute, "robot:object scene:object motion:object"),
     "load_robot": case(hplan.load_robot, "path:file limits:file srdf:file", {"tool_frame": (*NO_NAME[1:], "nothing")}),
     "load_scene": case(hplan.load_scene, "path:file"),
     "parse_scene": case(parse_scene, "", {"text": (None, b"", 1)}, text=""),
@@ -426,8 +419,6 @@ CASES: dict[str, Case] = {
         hplan.plan_row,
         "robot:object scene:object workers:count",
         {"row": (3, "row"), "tour": (3, "tour"), "executor": (3, "pool")},
-        robot=None,
-        scene=None,
     ),
     "cross_check": case(cross_check, "urdf_path:file samples:whole seed:whole", urdf_path="a.urdf"),
     "Grid.over": case(
@@ -500,16 +491,11 @@ CASES: dict[str, Case] = {
     "plan progress": case(hplan.plan, "", {"progress": (None, 5, "print")}, robot=None, scene=None),
     "Playback.of": case(Playback.of, "result:object", result=None),
     "Playback": case(
-        Playback,
-        "trajectory:object begin_s:number",
-        {"picked": (None, [], {1: 0.0}), "phases": (None, 1.0, [None])},
-        trajectory=None,
+        Playback, "trajectory:object begin_s:number", {"picked": (None, [], {1: 0.0}), "phases": (None, 1.0, [None])}
     ),
     "write_page": case(
         write_page,
         "robot:object scene:object playback:object path:path",
-        robot=None,
-        scene=None,
         playback=Playback(a_trajectory()),
         path="a.html",
     ),
@@ -558,14 +544,7 @@ def test_a_wrong_value_is_an_error_of_our_own(
     monkeypatch.chdir(tmp_path)
     tree = tmp_path.parent / f"{tmp_path.name}.csv"
     tree.write_text("kind,x1,y1,z1,x2,y2,z2,radius\ntrunk,0,0,0,0,0,1,0.05\nbranch,0,0,1,0.5,0,1.5,0.02\n")
-    objects = {
-        "paths": [tree],
-        "robot": ROBOT,
-        "scene": a_scene(),
-        "trajectory": a_trajectory(),
-        "motion": a_trajectory(),
-        "study": Study(**A_STUDY),
-    }
+    objects = OBJECTS | {"paths": [tree]}
     given = {name: objects.get(name) if value is None else value for name, value in good.items()}
     wrong = []
     for value in values:

@@ -7,11 +7,9 @@ import threading
 import time
 import weakref
 from collections.abc import Callable
-from contextlib import suppress
 
 import pytest
 
-from hplan.base import deadline
 from hplan.base.arrays import FloatArray
 from hplan.base.deadline import NEVER, TimeIsUpError, check_deadline, current, is_up, time_limit, until
 from hplan.base.kernels import kernel
@@ -172,33 +170,3 @@ def test_garbage_of_calls_does_not_grow_old() -> None:
             weakref.finalize(held, gone.append, number)
         del held
     assert gone[:19] == list(range(19))
-
-
-def test_no_call_that_is_late_collects_everything(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A collection of everything is due: what is late leaves it to others, what is not takes it."""
-    collected: list[int] = []
-
-    def note(phase: str, info: dict[str, int]) -> None:
-        if phase == "start":
-            collected.append(info["generation"])
-
-    monkeypatch.setattr(deadline._GARBAGE, "_all_s", 0.0)
-    threshold = gc.get_threshold()
-    gc.collect()
-    gc.set_threshold(threshold[0], 2, 2)
-    for _ in range(4):
-        gc.collect(1)
-    gc.callbacks.append(note)
-    try:
-        with suppress(TimeIsUpError), time_limit(1e-3):
-            kept = [[number] for number in range(20_000)]
-            while True:
-                check_deadline()
-        assert collected == [1, 0]
-        with time_limit(0.9):
-            pass
-        assert collected == [1, 0, 1, 2]
-    finally:
-        gc.callbacks.remove(note)
-        gc.set_threshold(*threshold)
-    assert len(kept) == 20_000

@@ -99,27 +99,6 @@ def test_clouds_ball_by_ball(variant, count):
             np.testing.assert_allclose(field.link_clearances(q, ALL), by_points(variant, q, cloud) - 0.01, atol=1e-9)
 
 
-def test_all_kinds_together(robot):
-    """The nearest of all, whatever their order; every row knows its solid."""
-    rng = np.random.default_rng(3)
-    for _ in range(8):
-        cloud = Cloud.of("cloud", rng.uniform([0.6, -0.5, 0.5], [1.6, 0.5, 1.5], (200, 3)), 0.01)
-        second = Cloud.of("second", rng.uniform([-1.6, -0.5, 0.5], [-0.6, 0.5, 1.5], (90, 3)), 0.03)
-        solids = [*random_obstacles(rng, 3), random_hull(rng, 0), cloud, random_hull(rng, 1), second]
-        solids = [solids[i] for i in rng.permutation(len(solids))]
-        field = ClearanceField.of(robot, solids)
-        alone = [ClearanceField.of(robot, [solid]) for solid in solids]
-        for q in rng.uniform(robot.lower, robot.upper, (20, 4)):
-            expected = np.min([one.link_clearances(q, ALL) for one in alone], axis=0)
-            found = np.maximum(field.link_clearances(q, ALL), 0.0)
-            np.testing.assert_allclose(found, np.maximum(expected, 0.0), atol=1e-9)
-        counts = [len(one.solids) for one in alone]
-        assert field.owner.tolist() == [i for i, count in enumerate(counts) for _ in range(count)]
-        for row, index in zip(field.solids, field.owner, strict=True):
-            reach = np.linalg.norm(solids[index].core - row[2:5], axis=1).min()
-            assert reach <= row[5]
-
-
 def test_cylinders_from_outside(robot):
     """Of a cylinder the kernels see the prism about it: never farther than it is, nor much nearer."""
     rng, excess = np.random.default_rng(8), []

@@ -26,8 +26,7 @@ from hplan.grid.occupancy import occupancy
 from hplan.grid.prepared_obstacles import prepare_obstacles
 from hplan.grid.sections import LinkModel, sections_at
 from hplan.grid.yaw_layers import LayerCache, YawAxis, turning_occupancy, yaw_axis
-from hplan.robot.model import Robot, load_robot
-from hplan.scene.file import load_scene
+from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 from hplan.scene.obstacles import Sphere
 
@@ -244,11 +243,6 @@ def reference(robot: Robot, scene: Scene, model: LinkModel = "capsule") -> Occup
 
 
 @pytest.fixture(scope="module")
-def table_1() -> Occupancy:
-    return reference(load_robot(), load_scene())
-
-
-@pytest.fixture(scope="module")
 def demonstration() -> Occupancy:
     """The paper's workspace: a ball in the middle of 21 layers."""
     grid = Grid.over([0, 0, 5], [60, 60, 25], 1.0)
@@ -275,22 +269,6 @@ def test_reference_scene(robot: Robot, scene: Scene, model: LinkModel, cost: flo
         assert sorted(result.slice_paths) == list(range(first, 71))
         assert result.restored_slices == tuple(range(first))
         assert result.fallback == "none"
-
-
-def test_dense_costs_what_two_level_does(table_1: Occupancy) -> None:
-    for octile in (True, False):
-        result = dense_search(table_1, START, GOAL, octile=octile)
-        assert np.degrees(result.cost) == pytest.approx(145.2149523784, abs=1e-9)
-        assert result.path is not None
-        assert_path(~table_1.occupied, result.path, START, GOAL)
-        assert 140_000 < result.expansions.total < 154_700
-
-
-def test_paper_settings_keep_their_counts(table_1: Occupancy) -> None:
-    expansions = two_level_search(table_1, START, GOAL, octile=False).expansions
-    assert expansions.layers == pytest.approx(52_948, rel=0.01)
-    assert expansions.sparse == pytest.approx(5_412, rel=0.02)
-    assert expansions.fallback == 0
 
 
 def test_workspace_demonstration(demonstration: Occupancy) -> None:
@@ -422,29 +400,6 @@ def test_each_layer_is_the_planar_problem_at_its_yaw(tmp_path, count, step) -> N
         np.testing.assert_array_equal(free[..., layer], free_nodes(occupancy(robot.arm, sections, planar)))
     spare = np.unpackbits(space.free_words.view(np.uint8), axis=1, bitorder="little")[:, count:]
     assert not spare.any()
-
-
-def test_layers_are_remembered_until_there_are_too_many(tmp_path) -> None:
-    robot = load_variant("upright on a yaw", tmp_path)
-    planar, finer = joint_grid(robot.arm, 1.0), joint_grid(robot.arm, 0.8)
-    bodies = prepare_obstacles(random_obstacles(np.random.default_rng(1), 9))
-    sections = [sections_at(robot, bodies, 0.1 * k) for k in range(4)]
-    layers = LayerCache()
-    first = layers.free_words(robot, sections[0], planar)
-    assert layers.free_words(robot, sections_at(robot, bodies, 0.0), planar) is first
-    assert layers.free_words(robot, sections[1], planar) is not first
-    assert layers.free_words(robot, sections[0], finer).shape != first.shape
-    assert layers.free_words(robot, sections[0], planar) is first
-    grown = sections_at(robot, prepare_obstacles(random_obstacles(np.random.default_rng(1), 9), clearance=0.01), 0.0)
-    assert layers.free_words(robot, grown, planar) is not first
-
-    few = LayerCache(most_bytes=1)
-    first = few.free_words(robot, sections[0], planar)
-    assert few.free_words(robot, sections[0], planar) is first
-    few.free_words(robot, sections[1], planar)
-    again = few.free_words(robot, sections[0], planar)
-    assert again is not first
-    np.testing.assert_array_equal(again, first)
 
 
 # Nodes

@@ -287,18 +287,6 @@ def test_zone_is_kept():
 points = st.tuples(*[st.floats(-1, 1)] * 3)
 
 
-@settings(max_examples=60)
-@given(st.lists(st.tuples(points, points, st.floats(0.001, 0.05)), min_size=1, max_size=6), points)
-def test_distances_from_wood(pieces, point):
-    wood = [capsule(f"w {i}", *piece) for i, piece in enumerate(pieces)]
-
-    class Ball:
-        center, radius = point, 0.04
-
-    expected = [gap(Ball, piece) + Ball.radius for piece in wood]
-    np.testing.assert_allclose(Canopy(wood, 0.04, FruitZone()).wood_distances(np.array(point)), expected, atol=1e-6)
-
-
 @settings(max_examples=40)
 @given(
     st.lists(st.tuples(points, points, st.floats(0.002, 0.05)), min_size=1, max_size=8),

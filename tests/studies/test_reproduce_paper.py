@@ -16,25 +16,6 @@ from hplan.apps.view import figure_style
 
 script = load_script("reproduce_paper")
 
-#: The paper's figures, by its numbers, in the order in which a folder lists them.
-FIGURES = [
-    "figure-02-link-and-circle-case-1.png",
-    "figure-03-link-and-circle-case-2.png",
-    "figure-04-link-and-circle-case-3.png",
-    "figure-05-two-links.png",
-    "figure-06-workspace-path.png",
-    "figure-07-workspace-layers.png",
-    "figure-08-arm-and-obstacle.png",
-    "figure-09-cspace.png",
-    "figure-10-slices.png",
-    "figure-11-slice-paths.png",
-    "figure-12-sparse-path.png",
-    "figure-13-execution.png",
-    "figure-14-paths-in-cspace.png",
-    "figure-15-paths-in-workspace.png",
-    "figure-16-comparison.png",
-]
-
 
 @pytest.fixture(scope="module")
 def measured() -> Any:
@@ -77,21 +58,11 @@ def test_link_models(measured: Any) -> None:
 def test_command_line_writes_everything(tmp_path: Path, measured: Any, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "new" / "paper"
     assert script.main(["--out", str(out)]) == 0
-    assert sorted(path.name for path in out.iterdir()) == sorted(
-        [*FIGURES, "overview.png", "reproduction.json", "reproduction.md"]
-    )
+    drawn = {path.name for path in out.iterdir()} - {"overview.png", "reproduction.json", "reproduction.md"}
+    assert sorted(int(name.split("-")[1]) for name in drawn) == list(range(2, 17))  # by the paper's numbers
     numbers = json.loads((out / "reproduction.json").read_text())
     assert numbers["runs"]["dense"]["second"] == measured[0].runs["dense"].second
     text = (out / "reproduction.md").read_text()
     assert text.strip() in capsys.readouterr().out
-    for needed in (
-        "6,605",
-        "145.800739",
-        "23,500",
-        "9.2",
-        "5,414",
-        "6,169",
-        "169.521325",
-        "127,342",
-    ):
-        assert needed in text
+    needed = ("6,605", "145.800739", "23,500", "9.2", "5,414", "6,169", "169.521325", "127,342")
+    assert [number for number in needed if number not in text] == []

@@ -83,12 +83,9 @@ class Effort:
 
     Attributes:
         levels: From coarse to fine; the last has its pieces meet at rows.
-        between_rows: Whether a motion may be taken whose pieces meet between rows, where there is none else. Between
-            two rows it is not one cubic then: what a certificate takes it for is another motion by a little.
     """
 
     levels: tuple[Level, ...]
-    between_rows: bool = False
 
 
 class TimedMotion(Protocol):
@@ -146,11 +143,14 @@ def _minimized(start: TimedMotion, problem: TimeProblem, effort: Effort) -> Time
         if found is not None and (quickest is None or found.duration < quickest.duration):
             quickest = found
     on_rows = None if found is None else _on_rows(found, problem, effort.levels[-1])
-    return _between_rows(quickest, problem) if on_rows is None and effort.between_rows else on_rows
+    return _between_rows(quickest, problem) if on_rows is None and problem.ends is None else on_rows
 
 
 def _between_rows(spline: TimedSpline | None, problem: TimeProblem) -> TimedSpline | None:
-    """The motion in a whole number of rows, wherever its pieces meet; None where that passes limits."""
+    """The motion in a whole number of rows, wherever its pieces meet; None where that passes limits.
+
+    Between two rows it is not one cubic then: what a certificate takes it for is another motion by a little.
+    """
     if spline is None:
         return None
     time_scale = 1.0 + KEPT

@@ -148,8 +148,7 @@ EFFORTS_OF_BODIES: dict[EffortName, Effort] = {
                 (
                     replace(_COARSE, enough=7e-3),
                     Level(piece_s=0.03, pieces=(50, 120), steps=2, gain=5e-3, trust=0.05, enough=2e-3),
-                ),
-                between_rows=True,
+                )
             ),
             rough=2,
             others=0,

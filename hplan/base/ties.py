@@ -22,7 +22,10 @@ def on_raster(values: ArrayLike) -> FloatArray:
     Args:
         values: (...) numbers below 2^22 or so in size; larger ones have no digits below the raster.
     """
-    rounded: FloatArray = np.rint(np.asarray(values, dtype=np.float64) / RASTER) * RASTER
+    rounded: FloatArray = np.array(values, dtype=np.float64)
+    rounded /= RASTER
+    np.rint(rounded, out=rounded)
+    rounded *= RASTER
     return rounded
 
 

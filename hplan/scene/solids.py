@@ -269,19 +269,21 @@ def _oriented(name: str, points: FloatArray, rounding: float) -> Hull:
 def _distance_to_triangles(points: FloatArray, triangles: FloatArray) -> FloatArray:
     """(n,) distances of points from the nearest of some triangles."""
     least = np.full(len(points), np.inf)
-    for a, b, c in triangles:
-        normal = np.cross(b - a, c - a)
-        size = np.linalg.norm(normal)
-        inner = np.full(len(points), size > 0.0)
-        for start, end in ((a, b), (b, c), (c, a)):
-            along = end - start
-            square = float(along @ along)
-            t = np.clip((points - start) @ along / square, 0.0, 1.0) if square > 0.0 else np.zeros(len(points))
-            least = np.minimum(least, np.linalg.norm(points - start - t[:, None] * along, axis=1))
-            inner &= (points - start) @ np.cross(normal, along) >= 0.0
+    edges = np.roll(triangles, -1, axis=1) - triangles
+    squares = np.maximum((edges * edges).sum(axis=2), 1e-300)
+    normals = triangle_normals(triangles)
+    inwards = np.cross(normals[:, None], edges)
+    sizes = np.linalg.norm(normals, axis=1)
+    for corners, along, square, inward, normal, size in zip(
+        triangles, edges, squares, inwards, normals, sizes, strict=True
+    ):
+        away = points[:, None] - corners
+        t = np.clip((away * along).sum(axis=2) / square, 0.0, 1.0)
+        offs = away - t[..., None] * along
+        least = np.minimum(least, np.sqrt((offs * offs).sum(axis=2).min(axis=1)))
         if size > 0.0:
-            height = np.abs((points - a) @ normal) / size
-            least = np.where(inner, np.minimum(least, height), least)
+            inner = ((away * inward).sum(axis=2) >= 0.0).all(axis=1)
+            least[inner] = np.minimum(least[inner], np.abs(away[inner, 0] @ normal) / size)
     return least
 
 

@@ -1,7 +1,8 @@
 """Random arms, drawn as URDFs: members of the family with bodies of all kinds, and chains of any joints.
 
 Nothing of hplan writes them. Of members, links are boxes or cylinders; pedestal and turret carry cabinets,
-counterweights and masts on fixed links; the last link carries boxes, and grippers whose meshes are written as STL.
+counterweights and masts on fixed links; the last link carries boxes, and grippers. Bodies of what is carried, and of
+chains, are meshes as well, written as STL, some of them no convex ones.
 Where they have offsets, the yaw axis stands off the origin, the arm plane passes it at a distance, and joints, links
 and tool lie beside each other.
 """
@@ -47,14 +48,15 @@ def write_member(folder: Path, rng: np.random.Generator, *, offsets: bool = Fals
         place = _beside(rng, 0.3, 0.6, 0.0)
         size = rng.uniform(0.1, 0.35, 3)
         size[2] = rng.uniform(0.2, column + 0.5)
-        parts += _hung("cabinet", "base_link", [foot[0] + place[0], foot[1] + place[1], 0.5 * size[2]], _box(size), rng)
+        at = [foot[0] + place[0], foot[1] + place[1], 0.5 * size[2]]
+        parts += _hung("cabinet", "base_link", at, _load(rng, folder / "cabinet.stl", size), rng)
     parent, place = "base_link", [*foot, column]
     if has_yaw:
         parts.append(_link("turret", _turret(rng)))
         reach = math.radians(float(rng.uniform(90.0, 180.0)))
         parts.append(_joint("yaw", parent, "turret", place, "0 0 1", (-reach, reach)))
         limits.append(f"yaw: {rng.uniform(1.5, 4.0):.3f}")
-        parts += _turret_load(rng)
+        parts += _turret_load(rng, folder)
         parent, ahead = "turret", float(rng.choice([0.0, rng.uniform(-0.1, 0.2)]))
         place = [ahead, float(aside[0]), float(rng.uniform(0.15, 0.3))]
     for k in range(count):
@@ -106,7 +108,7 @@ def write_chain(folder: Path, rng: np.random.Generator, kind: str) -> Path:
         # Wrists are shorter; each link leads up, or, of a slide, along it.
         along = rng.normal(scale=0.25, size=3) + np.array([0.0, 0.0, 1.0])
         along *= float(rng.uniform(0.25, 0.5) if k < count - 3 else rng.uniform(0.12, 0.25)) / np.linalg.norm(along)
-        parts.append(_link(f"link_{k}", [_bone(rng, along)]))
+        parts.append(_link(f"link_{k}", [_bone(rng, folder / f"link_{k}.stl", along)]))
         half = float(rng.uniform(0.2, 0.8) if slides else np.radians(rng.uniform(60.0, 170.0)))
         limits: tuple[float, float] | None = (0.0, half) if slides else (-half, half)
         what = "prismatic" if slides else "revolute"
@@ -128,33 +130,51 @@ def write_chain(folder: Path, rng: np.random.Generator, kind: str) -> Path:
     return path
 
 
-def _bone(rng: np.random.Generator, along: FloatArray) -> str:
+def _bone(rng: np.random.Generator, mesh: Path, along: FloatArray) -> str:
     """A body along a link, that begins after its joint and ends before the next one."""
     length = float(np.linalg.norm(along))
     turn = [0.0, math.acos(along[2] / length), math.atan2(along[1], along[0])]
     width, middle = float(rng.uniform(0.08, 0.16)) * length, (0.52 * along).tolist()
     if rng.random() < 0.2:
         return _collision(f'<sphere radius="{0.25 * length:.6f}"/>', middle)
-    body = cylinder(width, 0.6 * length) if rng.random() < 0.5 else _box([1.8 * width, 1.4 * width, 0.6 * length])
+    size = np.array([1.8 * width, 1.4 * width, 0.6 * length])
+    body = cylinder(width, 0.6 * length) if rng.random() < 0.5 else _load(rng, mesh, size)
     return _collision(body, middle, turn)
 
 
-def write_stl(path: Path, points: FloatArray) -> None:
-    """Write the convex hull of points as binary STL.
+def _load(rng: np.random.Generator, mesh: Path, size: FloatArray) -> str:
+    """Geometry of about a size: a box, a ball, or a mesh, convex or of two blocks at an angle."""
+    share = rng.random()
+    if share < 0.5:
+        return _box(size)
+    if share < 0.6:
+        return f'<sphere radius="{0.5 * size.min():.6f}"/>'
+    if share < 0.8:
+        write_stl(mesh, rng.uniform(-0.5, 0.5, (14, 3)) * size)
+    else:
+        corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
+        foot, wall = corners * (1.0, 1.0, 0.3) - (0.0, 0.0, 0.35), corners * (0.3, 1.0, 0.7) - (0.35, 0.0, -0.15)
+        write_stl(mesh, foot * size, wall * size)
+    return f'<mesh filename="{mesh}"/>'
+
+
+def write_stl(path: Path, *blocks: FloatArray) -> None:
+    """Write the convex hulls of points, block by block, as binary STL.
 
     Args:
         path: The file.
-        points: (k, 3) points [m].
+        *blocks: (k, 3) points of each [m].
     """
-    hull = ConvexHull(points)
-    middle = points[hull.vertices].mean(axis=0)
-    rows = [b"\0" * 80, struct.pack("<I", len(hull.simplices))]
-    for simplex in hull.simplices:
-        a, b, c = points[simplex]
-        if np.cross(b - a, c - a) @ (a - middle) < 0.0:
-            b, c = c, b
-        rows.append(struct.pack("<12fH", 0.0, 0.0, 0.0, *a, *b, *c, 0))
-    path.write_bytes(b"".join(rows))
+    rows = []
+    for points in blocks:
+        hull = ConvexHull(points)
+        middle = points[hull.vertices].mean(axis=0)
+        for simplex in hull.simplices:
+            a, b, c = points[simplex]
+            if np.cross(b - a, c - a) @ (a - middle) < 0.0:
+                b, c = c, b
+            rows.append(struct.pack("<12fH", 0.0, 0.0, 0.0, *a, *b, *c, 0))
+    path.write_bytes(b"".join([b"\0" * 80, struct.pack("<I", len(rows)), *rows]))
 
 
 def cylinder(radius: float, length: float) -> str:
@@ -185,13 +205,13 @@ def _turret(rng: np.random.Generator) -> list[str]:
     return [_collision(_box([*rng.uniform(0.1, 0.3, 2), 0.1]), [*rng.uniform(-0.03, 0.03, 2), 0.06])]
 
 
-def _turret_load(rng: np.random.Generator) -> list[str]:
+def _turret_load(rng: np.random.Generator, folder: Path) -> list[str]:
     """A counterweight behind, a mast beside."""
     parts: list[str] = []
     if rng.random() < 0.7:
         size = rng.uniform(0.1, 0.3, 3)
         place = [-float(rng.uniform(0.25, 0.55)), float(rng.uniform(-0.1, 0.1)), float(rng.uniform(0.05, 0.3))]
-        parts += _hung("counterweight", "turret", place, _box(size), rng)
+        parts += _hung("counterweight", "turret", place, _load(rng, folder / "counterweight.stl", size), rng)
     if rng.random() < 0.7:
         height, side = float(rng.uniform(0.3, 1.2)), float(rng.choice([-1.0, 1.0]))
         place = [float(rng.uniform(-0.25, 0.15)), side * float(rng.uniform(0.15, 0.35)), 0.5 * height]

@@ -188,6 +188,8 @@ def _of_stretch(
     shapes, solids, depths = checker.meetings
     places = {name: place for place, (name, distance) in enumerate(far.items()) if distance > 0.0}
     obstacle = np.array([places.get(solid.name, -1) for solid in solids], dtype=np.int64)
+    if (obstacle < 0).all():
+        return np.zeros((0, 5))
     search = Advancement(bezier, checker, deviations, clearance)
     if search.bounded < len(bezier):
         # Nothing is known of it: each obstacle may be touched.

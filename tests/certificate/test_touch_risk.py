@@ -117,6 +117,13 @@ def test_what_moves_together_counts_once(robot: Robot, motion: Trajectory) -> No
     assert risk_of(robot, task(tuple(own)), motion).bound > 2.0 * together.bound
 
 
+def test_what_has_no_error_has_no_risk(robot: Robot, motion: Trajectory) -> None:
+    certain = tuple(thing.model_copy(update={"sigma": 0.0, "covariance": None}) for thing in things())
+    for scene in (task(()), task((), covariance=ROUND), task(certain)):
+        found = risk_of(robot, scene, motion)
+        assert (found.bound, found.shares, found.estimate.touching) == (0.0, (), 0)
+
+
 def test_certify_judges_by_the_bound(robot: Robot, motion: Trajectory) -> None:
     scene = task(things())
     bound = risk_of(robot, scene, motion).bound

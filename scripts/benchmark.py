@@ -48,6 +48,7 @@ STUDIES = {
     "poses": "poses:POSE_SEQUENCES",
     "cells": "cells:CELLS",
     "cell_pairs": "cell_pairs:PAIRS",
+    "cell_trees": "cell_trees:CELL_TREES",
     "baxter": "baxter:BAXTER",
 }
 
@@ -79,6 +80,7 @@ studies:
   panda       MotionBenchMaker's problems (--files)
   random      random scenes of any arm (--robot)
   poses       sequences of tool poses, upright (a UR5, or --robot)
+  cell_trees  arms that pick one tree together (--trees)
   risk        obstacles of uncertain places: bounds of the risk beside draws
 
 writes into DIR: STUDY.jsonl, what was asked for and on what in its first line, then a row a line as they come; and

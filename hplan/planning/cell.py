@@ -9,7 +9,7 @@ bodies of different arms against one another, over continuous time.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -35,7 +35,9 @@ from hplan.robot.several import joined_robots
 from hplan.scene.cell import CellRobot, CellScene
 from hplan.scene.file import read_model
 from hplan.scene.model import Goal, Scene, Start
-from hplan.scene.solids import rpy_rotation
+from hplan.scene.obstacle_kind import moved
+from hplan.scene.obstacles import AnyObstacle, Capsule, Mesh, Sphere
+from hplan.scene.solids import CUBE_CORNERS, rpy_rotation, whole_hull
 from hplan.trajectory.cubics import Rows, evaluate
 from hplan.trajectory.trajectory import Retimed, Trajectory, stopped
 
@@ -417,6 +419,18 @@ def _field_between(cell: Cell, name: str, others: Collection[str]) -> ClearanceF
     return replace(field, movers=readonly(field.movers[[*range(before), *(before + np.flatnonzero(asked))]]))
 
 
+def standing(cell: Cell, name: str, thicker: float) -> Iterator[AnyObstacle]:
+    """The arms of a cell but one where they stand, and as much thicker [m], as obstacles in the frame of that one."""
+    robot, base = cell.robot, cell.arm(name).base
+    data = robot.model.createData()
+    pin.forwardKinematics(robot.model, data, cell.configuration({}))
+    solids = robot.cached(("solids", thicker), lambda: _solids(robot, thicker))
+    for body, solid in zip(collision_bodies(robot), solids, strict=True):
+        if cell.owner(body.name) != name:
+            place = base.actInv(data.oMi[body.joint + 1])
+            yield solid.model_copy(update=moved(solid, place.rotation, place.translation))
+
+
 def _states(rows: Rows, clock: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Position, velocity and acceleration of a motion at times; at rest after it."""
     q = rows.positions(clock)
@@ -438,6 +452,22 @@ def _windows(contacts: Sequence[FruitContact], stop: Retimed | None) -> list[Fru
         if len(inside):
             begin, end = stop.trajectory.time[inside[[0, -1]]].tolist()
             found.append(replace(contact, begin_s=begin, end_s=end))
+    return found
+
+
+def _solids(robot: Robot, thicker: float) -> list[AnyObstacle]:
+    """Obstacles that hold the bodies of a robot, and as much more [m], each in the frame of its joint."""
+    found: list[AnyObstacle] = []
+    for number, body in enumerate(collision_bodies(robot)):
+        name, radius = f"{body.name} {number}", body.rounding + thicker
+        (start, *others) = body.core.tolist()
+        if not others:
+            found.append(Sphere(name=name, center=tuple(start), radius=radius))
+        elif len(others) == 1:
+            found.append(Capsule(name=name, start=tuple(start), end=tuple(others[0]), radius=radius))
+        else:
+            hull = whole_hull((body.core[:, None] + radius * CUBE_CORNERS).reshape(-1, 3))
+            found.append(Mesh.of(name, hull.core, hull.faces))
     return found
 
 

@@ -19,13 +19,11 @@ from dataclasses import replace
 from typing import Final, TypeAlias
 
 import numpy as np
-import pinocchio as pin
 
 from hplan.base.arguments import instance
 from hplan.base.arrays import FloatArray
 from hplan.base.deadline import Cancel, TimeIsUpError, time_limit
 from hplan.collision.clearance_field import ClearanceField
-from hplan.collision.collision_bodies import collision_bodies
 from hplan.errors import (
     CertificationError,
     ConfigurationInCollisionError,
@@ -38,18 +36,14 @@ from hplan.errors import (
     PlanCancelledError,
     TimingError,
 )
-from hplan.planning.cell import Cell, CellResult, How, between, certify_cell
+from hplan.planning.cell import Cell, CellResult, How, between, certify_cell, standing
 from hplan.planning.finishing.finish import finish
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
 from hplan.planning.result import PlanResult
 from hplan.planning.task import Progress, no_progress
 from hplan.planning.timetable import SPARES, Timetable
-from hplan.robot.model import Robot
 from hplan.scene.model import Goal, Scene
-from hplan.scene.obstacle_kind import moved
-from hplan.scene.obstacles import AnyObstacle, Capsule, Mesh, Sphere
-from hplan.scene.solids import CUBE_CORNERS, whole_hull
 from hplan.trajectory.trajectory import Trajectory, joined, stopped
 
 #: So many orders of setting out are certified before others than the soonest are given up.
@@ -379,7 +373,7 @@ def _to_goal(there: Cell, name: str, options: PlanOptions, goal: Goal | None = N
     options = replace(options, effort="quick", deadline_s=None)
 
     def among(thicker: float) -> Scene:
-        return scene.model_copy(update={"obstacles": (*scene.obstacles, *_standing(there, name, thicker))})
+        return scene.model_copy(update={"obstacles": (*scene.obstacles, *standing(there, name, thicker))})
 
     try:
         return plan(arm.robot, among(_THICKER), options).trajectory
@@ -424,31 +418,3 @@ def _likely_order(cell: Cell, motions: Mapping[str, Trajectory]) -> list[str]:
     while left := [name for name in motions if name not in order]:
         order.append(min(left, key=lambda name: (sum(cost[name, o] - cost[o, name] for o in left if o != name), name)))
     return order
-
-
-def _standing(cell: Cell, name: str, thicker: float) -> Iterator[AnyObstacle]:
-    """The arms of a cell but one where they stand, and as much thicker [m], as obstacles in the frame of that one."""
-    robot, base = cell.robot, cell.arm(name).base
-    data = robot.model.createData()
-    pin.forwardKinematics(robot.model, data, cell.configuration({}))
-    solids = robot.cached(("solids", thicker), lambda: _solids(robot, thicker))
-    for body, solid in zip(collision_bodies(robot), solids, strict=True):
-        if cell.owner(body.name) != name:
-            place = base.actInv(data.oMi[body.joint + 1])
-            yield solid.model_copy(update=moved(solid, place.rotation, place.translation))
-
-
-def _solids(robot: Robot, thicker: float) -> list[AnyObstacle]:
-    """Obstacles that hold the bodies of a robot, and as much more [m], each in the frame of its joint."""
-    found: list[AnyObstacle] = []
-    for number, body in enumerate(collision_bodies(robot)):
-        name, radius = f"{body.name} {number}", body.rounding + thicker
-        (start, *others) = body.core.tolist()
-        if not others:
-            found.append(Sphere(name=name, center=tuple(start), radius=radius))
-        elif len(others) == 1:
-            found.append(Capsule(name=name, start=tuple(start), end=tuple(others[0]), radius=radius))
-        else:
-            hull = whole_hull((body.core[:, None] + radius * CUBE_CORNERS).reshape(-1, 3))
-            found.append(Mesh.of(name, hull.core, hull.faces))
-    return found

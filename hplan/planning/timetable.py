@@ -66,6 +66,10 @@ class Timetable:
         """The motion of each arm that moves, from the common begin on."""
         return {name: self._joined(name) for name, legs in self.legs.items() if legs}
 
+    def free_from(self, name: str) -> float:
+        """When an arm has done all that it is to do so far [s]."""
+        return (len(self.places[name]) - 1) * self._step
+
     def _joined(self, name: str) -> Trajectory:
         parts, now = [], 0.0
         for begin, motion in self.legs[name]:

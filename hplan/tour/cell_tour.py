@@ -1,35 +1,49 @@
-"""Arms that pick together: the fruits shared out, each arm's own tour, its legs set out when the others leave room.
+"""Arms that pick together: the fruits shared out, each arm's own tour, its parts set out when the others leave room.
 
 Who reaches a fruit alone picks it; of the others each arm takes those that are near, as many as its neighbours. Each
-arm's tour is planned by itself, with all fruits hanging that are not its own. Its legs keep their motions; each begins
-as soon as what the other arms are already to do leaves room, and nobody moves before that holds for ever after: there
-is no deadlock, at worst a fruit that stays. In the end all arms against one another are certified as one motion.
+arm's tour is planned by itself, past the others where they begin, with all fruits hanging that are not its own; fruit
+to which it finds no motion goes to another that can pick it. It is as it would be alone, at rest at the fruits: from
+rest to rest each part begins as soon as what the other arms are already to do leaves room, and nobody moves before that
+holds for ever after. Where nobody can go on, one goes on around the others where they stand: there is no deadlock, at
+worst a fruit that stays. In the end all arms against one another are certified as one motion.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from hplan.base.arguments import instance
-from hplan.base.arrays import Record
+from hplan.base.arrays import FloatArray, Record
 from hplan.base.deadline import Cancel, TimeIsUpError, time_limit
 from hplan.base.lazy_import import InNotebook
 from hplan.certificate.certificate import Certificate
 from hplan.errors import CertificationError, HplanError, TourError
-from hplan.planning.cell import Cell, CellArm, certify_between
+from hplan.planning.cell import Cell, CellArm, certify_between, standing
 from hplan.planning.options import PlanOptions
+from hplan.planning.plan import plan
 from hplan.planning.reachable import reachable
 from hplan.planning.task import Progress, no_progress
 from hplan.planning.timetable import SPARES, Timetable
 from hplan.planning.world import World
+from hplan.scene.model import Goal
 from hplan.tour.result import Leg, TourResult
 from hplan.tour.tour import TourOptions, plan_tour
-from hplan.trajectory.trajectory import Trajectory
+from hplan.trajectory.trajectory import Phase, Trajectory
+
+#: An arm that moves no faster rests [rad/s, m/s]; times so near are the same [s].
+_AT_REST: Final = 1e-9
+_SAME_S: Final = 1e-6
+
+#: By how much arms that stand are thicker to others that pass them [m]: more than samples have to keep, by `_BEYOND`.
+_BEYOND: Final = 5e-4
+_THICKER: Final = SPARES[1] + _BEYOND
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,9 +54,9 @@ class CellTour(Record, InNotebook):
         cell: The arms.
         trajectory: All joints on one clock.
         between: What was shown of the arms against one another.
-        tours: Each arm's own, by name, certified among obstacles and fruits: the legs that it runs, on a clock
-            of the arm's own.
-        begins_s: When each leg of each arm begins [s].
+        tours: Each arm's own, by name, certified among obstacles and fruits, on a clock of its own: from rest to rest
+            it is run as it is, at rests the arm may wait.
+        phases: The parts of each arm's motion that are run, by name; in between it waits.
         picked: For each fruit that is picked when a tool is at it [s].
         unreached: The fruits that are not picked, and why.
     """
@@ -51,7 +65,7 @@ class CellTour(Record, InNotebook):
     trajectory: Trajectory
     between: Certificate
     tours: Mapping[str, tuple[TourResult, ...]]
-    begins_s: Mapping[str, tuple[float, ...]]
+    phases: Mapping[str, tuple[Phase, ...]]
     picked: Mapping[str, float]
     unreached: Mapping[str, str]
 
@@ -74,8 +88,7 @@ class CellTour(Record, InNotebook):
     def report(self) -> dict[str, Any]:
         """The numbers of `tour.json`."""
         makespan, apart = self.trajectory.duration, 1e3 * self.between.min_clearance_m
-        legs = {name: [leg for tour in own for leg in tour.legs] for name, own in self.tours.items()}
-        busy = {name: sum(leg.trajectory.duration for leg in own) for name, own in legs.items()}
+        busy = {name: sum(phase.end_s - phase.start_s for phase in own) for name, own in self.phases.items()}
         return {
             "picked": len(self.picked),
             "unreached": dict(self.unreached),
@@ -123,16 +136,10 @@ def plan_cell_tour(
 
 def _planned(cell: Cell, options: PlanOptions, progress: Progress) -> CellTour:
     World.of(cell.robot, (), clearance=cell.scene.clearance).check_clear(cell.configuration({}), "start")
+    apart = replace(cell, arms=tuple(_among_others(cell, arm, _THICKER) for arm in cell.arms))
     progress("who reaches what")
-    shares, reasons = _shared(cell, options)
-    tours: dict[str, TourResult] = {}
-    for arm in cell.arms:
-        if shares[arm.name]:
-            progress(f"tour of {arm.name}")
-            try:
-                tours[arm.name] = _tour(arm, options, shares[arm.name])
-            except TourError as error:
-                reasons |= dict(error.reasons)
+    able, reasons = _able(apart, options)
+    tours = _tours(apart, options, able, reasons, progress)
     if not tours:
         raise TourError(list(reasons.items()))
     for spare in SPARES[1:]:
@@ -143,102 +150,190 @@ def _planned(cell: Cell, options: PlanOptions, progress: Progress) -> CellTour:
     raise CertificationError("the tours of all arms together cannot be certified: " + found.between.violations[0])
 
 
-def _shared(cell: Cell, options: PlanOptions) -> tuple[dict[str, list[str]], dict[str, HplanError]]:
-    """The fruits of each arm, and why others are nobody's."""
+def _among_others(there: Cell, arm: CellArm, thicker: float) -> CellArm:
+    """An arm to which the others are obstacles, where they stand and as much thicker [m]."""
+    others = standing(there, arm.name, thicker)
+    return replace(arm, scene=arm.scene.with_obstacles([*arm.scene.obstacles, *others]))
+
+
+def _able(cell: Cell, options: PlanOptions) -> tuple[dict[str, list[str]], dict[str, HplanError]]:
+    """Who can pick each fruit, the nearest first, and why others are nobody's."""
     reach = {arm.name: reachable(arm.robot, arm.scene, options) for arm in cell.arms}
     bases = {arm.name: np.array(arm.position) for arm in cell.scene.robots}
-    shares: dict[str, list[str]] = {arm.name: [] for arm in cell.arms}
+    able: dict[str, list[str]] = {}
     reasons: dict[str, HplanError] = {}
+    for fruit in cell.scene.fruits:
+        away = {name: round(float(np.linalg.norm(fruit.center - base)), 6) for name, base in bases.items()}
+        found = [name for name in away if reach[name][fruit.name].can_be_picked]
+        able[fruit.name] = sorted(found, key=lambda name: (away[name], name))
+        if not found:
+            details = (reach[name][fruit.name].detail for name in reach)
+            reasons[fruit.name] = HplanError("; ".join(dict.fromkeys(details)))
+    return able, reasons
+
+
+def _shares(cell: Cell, able: Mapping[str, Sequence[str]]) -> dict[str, list[str]]:
+    """The fruits of each arm, about as many of each."""
+    bases = {arm.name: np.array(arm.position) for arm in cell.scene.robots}
+    shares: dict[str, list[str]] = {name: [] for name in bases}
     shared = []
     for fruit in cell.scene.fruits:
-        able = [name for name in shares if reach[name][fruit.name].can_be_picked]
-        if not able:
-            details = (reach[name][fruit.name].detail for name in shares)
-            reasons[fruit.name] = HplanError("; ".join(dict.fromkeys(details)))
-        elif len(able) == 1:
-            shares[able[0]].append(fruit.name)
-        else:
-            away = sorted(
-                (round(float(np.linalg.norm(np.array(fruit.center) - bases[name])), 6), name) for name in able
-            )
-            shared.append((round(away[0][0] - away[1][0], 6), fruit.name, [name for _, name in away]))
+        names = able[fruit.name]
+        if len(names) == 1:
+            shares[names[0]].append(fruit.name)
+        elif names:
+            near, far = (float(np.linalg.norm(fruit.center - bases[name])) for name in names[:2])
+            shared.append((round(near - far, 6), fruit.name))
     most = math.ceil((len(shared) + sum(map(len, shares.values()))) / len(shares))
-    for _, fruit_name, able in sorted(shared):  # who is far nearer than the others chooses first
-        with_room = [name for name in able if len(shares[name]) < most]
-        shares[(with_room or able)[0]].append(fruit_name)
-    return shares, reasons
+    for _, fruit_name in sorted(shared):  # who is far nearer than the others chooses first
+        with_room = [name for name in able[fruit_name] if len(shares[name]) < most]
+        shares[(with_room or able[fruit_name])[0]].append(fruit_name)
+    return shares
 
 
-def _tour(arm: CellArm, options: PlanOptions, fruits: Sequence[str]) -> TourResult:
-    """An arm's tour through fruits and back, with a stop after each."""
-    return plan_tour(arm.robot, arm.scene, options, fruits=fruits, tour=TourOptions(stops=True, back=True))
+def _tours(
+    cell: Cell,
+    options: PlanOptions,
+    able: Mapping[str, Sequence[str]],
+    reasons: dict[str, HplanError],
+    progress: Progress,
+) -> dict[str, TourResult]:
+    """The tour of each arm; fruit to which one finds no motion goes to the next that can pick it."""
+    tours, shares, missed_by = dict[str, TourResult](), _shares(cell, able), dict[str, set[str]]()
+    changed = {name for name, share in shares.items() if share}
+    while changed:
+        handed = set[str]()
+        for arm in cell.arms:
+            if arm.name not in changed:
+                continue
+            progress(f"tour of {arm.name}")
+            try:
+                tours[arm.name] = _tour(arm, options, shares[arm.name])
+                missed = {each.fruit: each.error for each in tours[arm.name].unreached}
+            except TourError as error:
+                tours.pop(arm.name, None)
+                missed = dict(error.reasons)
+            reasons |= missed
+            for fruit in missed:
+                shares[arm.name].remove(fruit)
+                missed_by.setdefault(fruit, set()).add(arm.name)
+                others = [name for name in able[fruit] if name not in missed_by[fruit]]
+                for name in others[:1]:
+                    shares[name].append(fruit)
+                    handed.add(name)
+        changed = handed
+    picked = {fruit for tour in tours.values() for fruit in tour.order}
+    for fruit in picked & set(reasons):
+        del reasons[fruit]
+    return tours
+
+
+def _tour(arm: CellArm, options: PlanOptions, fruits: Sequence[str], *, back: bool = True) -> TourResult:
+    """An arm's tour through fruits and, if asked for, back."""
+    return plan_tour(arm.robot, arm.scene, options, fruits=fruits, tour=TourOptions(back=back))
+
+
+def _way_home(arm: CellArm, home: FloatArray, options: PlanOptions) -> TourResult:
+    """A tour without fruit, to a (dof,) configuration."""
+    goal = Goal(joints_rad=tuple(home.tolist()))
+    found = plan(arm.robot, arm.scene.model_copy(update={"goal": goal}), options)
+    motion, phases = found.trajectory, (Phase("return", 0.0, found.trajectory.duration),)
+    legs = (Leg(None, None, 0.0, phases, motion, found.certificate),)
+    return TourResult((), legs, motion, found.certificate, {}, {}, (), found.report, arm.robot, arm.scene)
+
+
+class _Part(NamedTuple):
+    """A part of a tour from rest to rest, as from fruit to fruit: when it begins in the tour [s], and its motion."""
+
+    tour: TourResult
+    begin_s: float
+    motion: Trajectory
+
+
+def _parts(tour: TourResult) -> list[_Part]:
+    """A tour, cut wherever the arm rests."""
+    rows = tour.trajectory.rows
+    rests = [row for row in range(len(rows.time)) if not np.abs(rows.velocity[row]).max() > _AT_REST]
+    spans = itertools.pairwise(rests)
+    return [_Part(tour, float(rows.time[a]), tour.trajectory.until(b).since(a)) for a, b in spans]
 
 
 class _Schedule:
-    """When each leg begins."""
+    """When each part of each arm's tours begins."""
 
     def __init__(self, cell: Cell, options: PlanOptions, spare: float) -> None:
-        self._cell, self._options = cell, options
+        self._cell, self._options, self._thicker = cell, options, spare + _BEYOND
         self._table = Timetable(cell, options, spare)
-        self._legs: dict[str, list[Leg]] = {arm.name: [] for arm in cell.arms}
         self._tours: dict[str, list[TourResult]] = {arm.name: [] for arm in cell.arms}
+        self._picked: dict[str, float] = {}
+        self._phases: dict[str, list[Phase]] = {arm.name: [] for arm in cell.arms}
+        self._asked: set[tuple[str, tuple[int, ...]]] = set()
 
     def filled(self, tours: Mapping[str, TourResult], reasons: Mapping[str, HplanError]) -> CellTour:
-        """The tours with all legs set out; a leg that never can is left out, with its fruit."""
-        left = {name: list(tour.legs) for name, tour in tours.items()}
+        """The tours with all their parts set out; fruit to which an arm never can go is left out."""
+        left = {name: _parts(tour) for name, tour in tours.items()}
         places, unreached = self._table.places, dict(reasons)
-        for name, tour in tours.items():
-            self._tours[name].append(tour)
-            unreached |= {each.fruit: each.error for each in tour.unreached}
         waiting: set[str] = set()
         while any(left.values()):
             able = [name for name in left if left[name] and name not in waiting]
-            if not able:  # nobody can go on: the one who is done soonest gives a fruit up
+            if not able:  # nobody can go on: the one who is done soonest goes around the others
                 name = min((name for name in left if left[name]), key=lambda each: (len(places[each]), each))
-                left[name] = self._without_next(name, left[name], unreached)
+                fruits = {fruit for part in left[name] for fruit in part.tour.order if fruit not in self._picked}
+                left[name] = self._around(name, sorted(fruits), unreached)
                 waiting.clear()
                 continue
             name = min(able, key=lambda each: (len(places[each]), each))
-            if self._table.set_out(name, left[name][0].trajectory):
-                self._legs[name].append(left[name].pop(0))
+            if self._table.set_out(name, left[name][0].motion):
+                self._note(name, left[name].pop(0))
                 waiting.clear()
             else:
                 waiting.add(name)
         return self._result(unreached)
 
-    def _without_next(self, name: str, legs: Sequence[Leg], unreached: dict[str, HplanError]) -> list[Leg]:
-        """The legs of an arm that gives its next fruit up, from where it is."""
-        arm, fruits = self._cell.arm(name), [leg.fruit for leg in legs if leg.fruit is not None]
-        done = self._tours[name][-1]
-        self._tours[name][-1] = replace(done, legs=done.legs[: len(done.legs) - len(legs)])
-        if fruits:
-            unreached[fruits[0]] = HplanError("another arm is in the way for good")
-        if len(fruits) < 2:
+    def _note(self, name: str, part: _Part) -> None:
+        """Keep what is done in a part of an arm's tour that was set out."""
+        tour, end = part.tour, part.begin_s + part.motion.duration
+        if tour not in self._tours[name]:
+            self._tours[name].append(tour)
+        later = self._table.legs[name][-1][0] - part.begin_s
+        self._picked |= {f: t + later for f, t in tour.picked.items() if part.begin_s < t - _SAME_S < end}
+        inside = (phase for phase in tour.phases if part.begin_s < 0.5 * (phase.start_s + phase.end_s) < end)
+        self._phases[name] += [phase.later(later) for phase in inside]
+
+    def _around(self, name: str, fruits: Sequence[str], unreached: dict[str, HplanError]) -> list[_Part]:
+        """What an arm still does, from where it is and around the others where they stand, through fruits and home."""
+        there = self._cell.starting({each: places[-1] for each, places in self._table.places.items()})
+        arm, asked = there.arm(name), (name, tuple(map(len, self._table.places.values())))
+        now = self._table.free_from(name)
+        gone = {fruit for fruit, time in self._picked.items() if time <= now + _SAME_S}
+        hanging = tuple(fruit for fruit in arm.scene.fruits if fruit.name not in gone)
+        arm = replace(arm, scene=arm.scene.model_copy(update={"fruits": hanging}))
+        arm, home = _among_others(there, arm, self._thicker), self._cell.configuration({})[arm.joints]
+        tours = list[TourResult]()
+        if asked in self._asked:
+            unreached |= dict.fromkeys(fruits, HplanError("another arm is in the way for good"))
             return []  # it stays where it is
+        self._asked.add(asked)
         try:
-            rest = _tour(arm.starting(self._table.places[name][-1]), self._options, fruits[1:])
+            if fruits:
+                tours.append(_tour(arm, self._options, fruits, back=False))
+                unreached |= {each.fruit: each.error for each in tours[0].unreached}
+                arm = arm.starting(tours[0].trajectory.position[-1])
         except HplanError as error:
-            unreached |= dict.fromkeys(fruits[1:], error)
-            return []
-        self._tours[name].append(rest)
-        unreached |= {each.fruit: each.error for each in rest.unreached}
-        return list(rest.legs)
+            unreached |= dict.fromkeys(fruits, error)
+        with suppress(HplanError):
+            tours.append(_way_home(arm, home, self._options))
+        return [part for tour in tours for part in _parts(tour)]
 
     def _result(self, unreached: Mapping[str, HplanError]) -> CellTour:
-        cell, picked = self._cell, dict[str, float]()
-        begins = {name: tuple(begin for begin, _ in legs) for name, legs in self._table.legs.items()}
-        for name, legs in self._legs.items():
-            for begin, leg in zip(begins[name], legs, strict=True):
-                if leg.fruit is not None:
-                    reached = max(phase.end_s for phase in leg.phases if phase.name in ("transit", "approach"))
-                    picked[leg.fruit] = begin + reached - leg.begin_s
+        cell = self._cell
         whole = cell.together(self._table.motions)
         return CellTour(
             cell,
             whole,
             certify_between(cell, whole, self._options),
             {name: tuple(tours) for name, tours in self._tours.items() if tours},
-            begins,
-            picked,
+            {name: tuple(phases) for name, phases in self._phases.items() if phases},
+            self._picked,
             {fruit: str(error) for fruit, error in unreached.items()},
         )

@@ -7,6 +7,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import pinocchio as pin
@@ -76,13 +77,18 @@ def things_of(scene: Scene) -> list[Thing]:
 def arm_of(robot: Robot) -> Arm:
     """The robot as the judge reads it."""
     touch = tuple((first, second) for first, second, _ in robot.may_touch)
-    return _arm(robot.urdf_path, tuple(robot.held.items()), touch, robot.tool_frame)
+    return _arm(robot.urdf_text or robot.urdf_path, tuple(robot.held.items()), touch, robot.tool_frame)
 
 
 @cache
 def _arm(
-    urdf: Path, held: tuple[tuple[str, float | None], ...], touch: tuple[tuple[str, str], ...], tool_frame: str
+    urdf: Path | str, held: tuple[tuple[str, float | None], ...], touch: tuple[tuple[str, str], ...], tool_frame: str
 ) -> Arm:
+    if isinstance(urdf, str):
+        with TemporaryDirectory() as folder:
+            file = Path(folder, "robot.urdf")
+            file.write_text(urdf, encoding="utf-8")
+            return _arm(file, held, touch, tool_frame)
     folders = [folder for folder in urdf.parents if len(folder.parts) > 2]
     with suppress(InputError):
         folders += named_robot("panda").package_dirs

@@ -74,6 +74,10 @@ def test_motions_among_trees(tmp_path: Path, trees: str, monkeypatch: pytest.Mon
     rows = rows_of("trees", tmp_path, "--trees", trees)
     assert {row["group"] for row in rows} >= {"measured at 1.4 m", "measured at 1 m", "tour"}
     assert all(row["certified"] and row["contacts"] == 0 for row in rows if row["solved"])
+    asked = "--values", "stands=0", "fruits=6", "--effort", "quick"
+    (together,) = rows_of("cell_trees", tmp_path, "--trees", trees, *asked)
+    assert together["solved"]
+    assert together["contacts"] == together["with_wood"] == 0
     (tour,) = rows_of("tours", tmp_path, "--trees", trees)
     assert (tour["fruits"], tour["solved"]) == (6, True)
 

@@ -120,13 +120,9 @@ def playable(result: Shown) -> tuple[Robot, Scene, Playback]:
     if not hasattr(result, "cell"):
         phases = getattr(given, "phases", ())
         return given.robot, given.scene, Playback(given.trajectory, picked, dropped, phases, given.certificate)
-    arms: dict[str, Sequence[Phase]] = {}
-    pickers: dict[str, str] = {}
-    for name, tours in getattr(given, "tours", {}).items():
-        legs = [leg for tour in tours for leg in tour.legs]
-        begins = zip(given.begins_s[name], legs, strict=True)
-        arms[name] = tuple(phase.later(begin - leg.begin_s) for begin, leg in begins for phase in leg.phases)
-        pickers |= {leg.fruit: name for leg in legs if leg.fruit is not None}
+    arms = getattr(given, "phases", {})
+    tours = getattr(given, "tours", {})
+    pickers = {fruit: name for name, own in tours.items() for tour in own for fruit in tour.order if fruit in picked}
     frames = {arm.name: f"{arm.name}_{arm.robot.tool_frame}" for arm in given.cell.arms}
     # What was shown of all arms, as one certificate, without its course over time.
     least = min(given.parts, key=lambda part: part.min_clearance_m)

@@ -1,0 +1,137 @@
+"""Two arms and more pick one tree together (--trees), beside each of them alone; judged by Pinocchio and coal alone.
+
+Orchard arms stand side by side or above one another, `DISTANCE` from the trunk; thin wood and fruit give way, and what
+of it is in a base is left out. Fruit hangs as the files have it, or at tips of branches; a tree in which an arm would
+stand or wait is turned by a quarter.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from studies.harness import Asked, Row, Study
+from studies.measure import timed
+from studies.outside import contacts
+
+from hplan.errors import HplanError, InputError, TourError
+from hplan.planning.cell import Cell
+from hplan.planning.options import PlanOptions
+from hplan.planning.world import without_inside
+from hplan.robot.model import Robot, load_robot
+from hplan.scene.cell import CellRobot, CellScene
+from hplan.scene.model import Scene, Start
+from hplan.scene.orchard import MeasuredOptions, measured_orchard
+from hplan.tour.cell_tour import CellTour, plan_cell_tour
+from hplan.tour.tour import TourOptions, plan_tour
+
+#: Of the trunk from the bases, how far what is thin gives way [m], and how many fruits hang there at most.
+DISTANCE, YIELDS, FRUITS = 1.4, 0.02, 80
+
+#: Where arms wait, below others and elsewhere [deg]; where their bases stand [m].
+BELOW, ABOVE, HIGHER = (0.0, 65.0, -140.0, -100.0), (0.0, 90.0, 90.0, 90.0), 1.2
+STANDS = {
+    "side by side": [(0.0, -0.45, 0.0), (0.0, 0.45, 0.0)],
+    "one above the other": [(0.0, 0.0, 0.0), (0.0, 0.0, HIGHER)],
+    "three": [(0.0, -0.8, 0.0), (0.0, 0.0, 0.0), (0.0, 0.8, 0.0)],
+    "four": [(0.0, y, z) for y in (-0.45, 0.45) for z in (0.0, HIGHER)],
+}
+
+#: Both have about half of the fruit where nobody has a smaller share of an equal one than this.
+EQUAL = 0.8
+
+
+def _problems(asked: Asked) -> list[tuple[Path, str]]:
+    files = sorted((asked.trees or Path()).glob("*.csv"))[asked.first :][: asked.count]
+    chosen = [list(STANDS)[int(number)] for number in asked.values.get("stands", (0, 1))]
+    return [(file, stands) for stands in chosen for file in files]
+
+
+def cell_of(robot: Robot, tree: Scene, stands: str) -> Cell:
+    """The arms before a tree."""
+    places = STANDS[stands]
+    waits = [BELOW if (*place[:2], HIGHER) in places and place[2] < HIGHER else ABOVE for place in places]
+    arms = tuple(
+        CellRobot(name=name, position=place, start=Start(joints_deg=wait))
+        for name, place, wait in zip("abcd", places, waits, strict=False)
+    )
+    scene = CellScene(name=stands, robots=arms, obstacles=tree.obstacles, fruits=tree.fruits)
+    return Cell.of(scene, {arm.name: robot for arm in arms})
+
+
+def _picked(asked: Asked, file: Path, stands: str, yaw_deg: float) -> tuple[CellTour, float]:
+    """A tree, picked, and the CPU time that this took [ms].
+
+    Raises:
+        InputError: An arm stands or waits in the tree.
+        HplanError: As `plan_cell_tour`.
+    """
+    robot, fruits = load_robot("orchard_harvester"), int(asked.values.get("fruits", (FRUITS,))[0])
+    options = MeasuredOptions(
+        distance=DISTANCE, yaw_deg=yaw_deg, fruits=fruits, wood_yields=YIELDS, fruit_yields=YIELDS
+    )
+    tree = measured_orchard([file], options)
+    inside = {name for arm in cell_of(robot, tree, stands).arms for name in without_inside(robot, arm.scene)[1]}
+    kept = {
+        key: tuple(item for item in getattr(tree, key) if item.name not in inside or not item.yields)
+        for key in ("obstacles", "fruits")
+    }
+    cell = cell_of(robot, tree.model_copy(update=kept), stands)
+    return timed(lambda: plan_cell_tour(cell, PlanOptions(effort=asked.effort)))
+
+
+def _alone(asked: Asked, cell: Cell, name: str) -> float:
+    """How many fruits a second an arm picks that is there alone."""
+    arm = cell.arm(name)
+    try:
+        tour = plan_tour(arm.robot, arm.scene, PlanOptions(effort=asked.effort), tour=TourOptions(back=True))
+    except TourError:
+        return 0.0
+    return len(tour.order) / tour.duration
+
+
+def _row(asked: Asked, problem: tuple[Path, str]) -> Row:
+    file, stands = problem
+    row: Row = {"name": f"{file.stem} {stands}", "stands": stands, "solved": False}
+    for yaw_deg in (0.0, 90.0):
+        try:
+            found, ms = _picked(asked, file, stands, yaw_deg)
+            break
+        except HplanError as error:
+            row |= {"how": error.kind, "message": error.message}
+            if not isinstance(error, InputError):
+                return row
+    else:
+        return row
+    cell, report = found.cell, found.report
+    alone = max(_alone(asked, cell, arm.name) for arm in cell.arms)
+    shares = [sum(name in found.picked for tour in own for name in tour.order) for own in found.tours.values()]
+    rate, arms = len(found.picked) / found.trajectory.duration, len(cell.arms)
+    equal = len(shares) == arms and min(shares) * arms >= EQUAL * sum(shares)
+    rigid = tuple(item for item in cell.scene.obstacles if not item.yields)
+    firm = cell.task(cell.configuration({})).model_copy(update={"obstacles": rigid, "fruits": ()})
+    with_wood, with_arms = contacts(cell.robot, firm, found.trajectory)
+    return row | {
+        "solved": found.verified, "how": "verified" if found.verified else "not verified", "turned_deg": yaw_deg,
+        "picked": len(found.picked), "shares": "/".join(map(str, shares)), "equal": equal, "s": 1e-3 * ms,
+        "a_fruit_s": 1.0 / rate, "alone_a_fruit_s": 1.0 / alone, "to_one_alone": rate / alone,
+        "to_one_where_equal": rate / alone if equal else None,
+        "parallel": report["parallel_ratio"], "idle_s": max(report["idle_s"].values()),
+        "given_up": sum("in the way for good" in why for why in found.unreached.values()),
+        "contacts": with_arms, "with_wood": with_wood, "fault": with_arms + with_wood > 0,
+    }  # fmt: skip
+
+
+CELL_TREES = Study(
+    "cell_trees",
+    "orchard arms that pick one tree together, beside one alone (--trees)",
+    _row,
+    (
+        *("solved", "how", "picked", "shares", "equal", "a_fruit_s", "alone_a_fruit_s", "to_one_alone"),
+        *("to_one_where_equal", "parallel", "idle_s", "given_up", "contacts", "with_wood", "s"),
+    ),
+    _problems,
+    by="stands",
+    count=(None, 1),
+    needs=("trees",),
+    warm=0,
+)

@@ -1,11 +1,13 @@
-r"""Clearance over the whole of a motion: conservative advancement along its cubics, each pair with its own steps.
+r"""Clearance over the whole of a motion: conservative advancement along its cubics, each pair with its own looks.
 
 A pair is a link and an obstacle, a turning shape of the turret and an obstacle, or two parts of the arm. Each has a
 moving body: with an obstacle the link, or the turret, which the yaw alone moves; with two parts of the arm one of them
-as seen from the other. A pair's spare clearance is its distance, by coal, beyond the one to be kept. Its moving
-body may travel that far, less the clearance shown so far (at most half of the spare clearance of any pair), before the
-pair is asked again; so at least the clearance shown remains at all times. Places are counted in rows. Where the proof
-has to give up, the rest of the motion is searched for the worst.
+as seen from the other. A pair's spare clearance is its distance, by coal, beyond the one to be kept. A look at a pair
+counts to both sides: as far as its moving body travels no more than its spare clearance there, less the clearance shown
+so far (at most half of the spare clearance of any pair), before and after, at least the clearance shown remains. So the
+next look at a pair is further ahead than the last one shows, and where the two leave a gap, there is one in its middle.
+Places are counted in rows. Where a pair is too near, the proof goes on as far as it gets without looking ahead; where
+it has to give up, the rest of the motion is searched for the worst.
 
 How far a moving body travels within a piece of the motion, and how far tracking errors displace it, is bounded in
 `hplan.certificate.motion_bound`. Two parts that can never be as far apart as is asked for must not touch
@@ -15,11 +17,11 @@ How far a moving body travels within a piece of the motion, and how far tracking
 in piece :math:`r` of the motion. It is replaced by the piecewise linear :math:`\tilde m` with the values
 :math:`M_r = \max(m_{r - 1}, m_r)` at the rows, so that :math:`\tilde m(x) \ge m_r` at every place :math:`x` of piece
 :math:`r`. With :math:`T` what the moving body travels up to a place and :math:`V` by how much :math:`\tilde m` has
-risen in all up to there, both piecewise linear, a pair of distance :math:`d(a)` when coal is asked at :math:`a` has at
-every later place
+risen and fallen in all up to there, both piecewise linear, a pair of distance :math:`d(a)` when coal is asked at
+:math:`a` has at every other place
 
 .. math::
-    d(x) - \tilde m(x) \ge d(a) - [T(x) - T(a)] - \tilde m(a) - [V(x) - V(a)],
+    d(x) - \tilde m(x) \ge d(a) - |T(x) - T(a)| - \tilde m(a) - |V(x) - V(a)|,
 
 so the advancement counts :math:`T + V` as travel and :math:`d(a) - \tilde m(a)`, less the distance to be kept, as
 spare clearance.
@@ -33,6 +35,7 @@ from __future__ import annotations
 
 import heapq
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
@@ -50,6 +53,10 @@ SMALLEST_STEP = 1e-5
 #: Largest fraction of a pair's spare clearance that its moving body may travel before the next look: far away, coal's
 #: distances are good to a fraction of them.
 MOST_TRAVEL = 0.99
+
+#: How far ahead of what is shown a pair is asked next, in parts of what its last look shows to one side. Together with
+#: the pair that is due, others are asked that are due before it has gone so many times as far.
+_AHEAD, _TOGETHER = 0.8, 8.0
 
 #: Of more pairs than this for each moving body lower bounds are computed before coal is asked; so many of the nearest
 #: are asked first where all are. A bound is enough where it leaves at least so much spare clearance [m].
@@ -121,7 +128,7 @@ def prove_clearance(
     while going:
         if search.checks % _CHECKS_BETWEEN_LOOKS == 1:
             check_deadline()
-        pairs, at, q = _first(search.pairs[1], bezier)
+        pairs, at, q = _next(bezier, search.mover_of, search.movers, search.pairs)
         if at == math.inf:
             end = float(len(bezier))
             return Proof("shown", needed + search.shown, search.contact(), search.checks, end, search.nearest[2])
@@ -129,10 +136,6 @@ def prove_clearance(
             return search.worst("checks")
         search.place(q, at)
         going = search.ask(pairs, at)
-        # Together with the pair that is due, those that would be before it is due again.
-        others = _due_before(search.pairs[1], pairs)
-        if going and len(others):
-            going = search.ask(others, at)
     return search.worst("too near")
 
 
@@ -142,9 +145,10 @@ class Advancement:
     Attributes:
         movers: (2, bodies, rows + 1) at each row, how much nearer each moving body may be than in the motion, and how
             far it has travelled [m].
-        pairs: (2, pairs) for each pair the distance to be kept, coal's error with it [m], and the place where it is to
-            be asked again, infinite where that is after the end. (Arrays, for a named tuple of them costs a call of a
-            kernel 2 us more, and there are 200 calls.)
+        pairs: (5, pairs) for each pair the distance to be kept, coal's error with it [m]; the place where it is to be
+            asked next, infinite where that is after the end; and in travel of its moving body, up to where its
+            clearance is shown, below 0 before the first look, from where on beyond a gap, infinite for none, and up to
+            where then [m]. (Arrays, for a named tuple of them costs a call of a kernel 2 us more, and there are 100.)
         mover_of: (pairs,) each pair's moving body.
         shown: Clearance shown of every pair so far, beyond the one needed [m].
         nearest: The smallest distance so far [m], the pair, and where.
@@ -168,7 +172,7 @@ class Advancement:
                 mover_of, moved, nearer = with_obstacles(checker, mover_of, moved, nearer, clock)
             sway = at_rows(nearer, len(bezier))
             if len(deviations) > 1:
-                moved = moved + np.maximum(np.diff(sway, axis=1), 0.0)
+                moved = moved + np.abs(np.diff(sway, axis=1))
             travel = np.column_stack([np.zeros(len(moved)), np.cumsum(moved, axis=1)])
             within = (travel[:, 1:] <= _LONGEST_TRAVEL).all(axis=0)
         self.bounded = int(within.sum())
@@ -178,10 +182,12 @@ class Advancement:
             travel[:, 1:] = np.cumsum(moved, axis=1)
         self.movers = np.stack([sway, travel])
         self._may_lack = needed - checker.kept(needed)
-        self.pairs = np.stack([checker.kept(needed) + checker.distance_errors, np.full(len(checker.pairs), math.inf)])
+        none = np.zeros(len(checker.pairs))
+        kept = checker.kept(needed) + checker.distance_errors
+        self.pairs = np.stack([kept, none, none - np.finfo(np.float64).tiny, none + math.inf, none])
         self.mover_of = mover_of
         self._many = math.inf if checker.moving is not None else max(_MANY * len(moved), 2 * FIRST)
-        self._at, self.shown, self.checks = 0.0, math.inf, 1
+        self._ahead, self.shown, self.checks = _AHEAD, math.inf, 1
         self.nearest = math.inf, 0, 0.0
 
     def place(self, q: FloatArray, at: float) -> None:
@@ -210,19 +216,35 @@ class Advancement:
         """
         if len(pairs) >= self._many:
             bounds = self._checker.lower_bounds(pairs)
-            pairs = _put_off_far(pairs, bounds, at, self.shown, self.mover_of, self.movers, self.pairs)
+            pairs = _put_off_far(pairs, bounds, at, self.shown, self._ahead, self.mover_of, self.movers, self.pairs)
             if len(pairs) == 0:
                 return True
         return self.take(pairs, self._checker.distances_of(pairs), at)
 
     def take(self, pairs: IntArray, distances: FloatArray, at: float) -> bool:
         """Take distances of some pairs at a place; True if the proof goes on."""
-        self._at = at
-        least, self.shown = _put_off(pairs, distances, at, self.shown, self.mover_of, self.movers, self.pairs)
+        least, shown = _put_off(pairs, distances, at, self.shown, self._ahead, self.mover_of, self.movers, self.pairs)
         if isinstance(self._may_lack, np.ndarray):
             least = int((distances + self._may_lack[pairs]).argmin())
         self._see(float(distances[least]), int(pairs[least]), at)
-        return self.shown > 0.0
+        if shown > 0.0:
+            self.shown = shown
+        elif self._ahead > 0.0:
+            self._only_forward()
+        else:
+            return False
+        return True
+
+    def _only_forward(self) -> None:
+        """Go on from where clearance is shown, and look no further ahead: that says how far it can be shown."""
+        self._ahead = 0.0
+        self.pairs[1] = [place if place < len(self._bezier) else math.inf for place in self._places()]
+        self.pairs[3] = math.inf
+
+    def _places(self) -> Iterator[float]:
+        """Of each pair the place up to which its clearance is shown; infinite where that is the end."""
+        for mover, upto in zip(self.mover_of.tolist(), self.pairs[2].tolist(), strict=True):
+            yield 0.0 if upto < 0.0 else place_after(self.movers[1, mover], 0.0, upto)
 
     def _see(self, distance: float, pair: int, at: float) -> float:
         """Take down a distance if it is the smallest; returns it as if the pair had to keep what is needed."""
@@ -244,8 +266,9 @@ class Advancement:
         """
         mover_of, (sway_at_rows, travel) = self.mover_of, self.movers
         rows, least = len(self._bezier), math.inf
-        first = min(int(self._at), rows - 1)
-        end = self._at if outcome != "travel" else float(self.bounded)
+        shown = min(*self._places(), float(rows))
+        first = min(int(shown), rows - 1)
+        end = shown if outcome != "travel" else float(self.bounded)
         due = [(first, pair) for pair in range(len(self._checker.pairs))]
         while due:
             check_deadline()
@@ -285,22 +308,27 @@ def point_at(bezier: FloatArray, at: float) -> FloatArray:
 
 
 @kernel
-def _first(due: FloatArray, bezier: FloatArray) -> tuple[IntArray, float, FloatArray]:
-    """The pair that is due first, the place (infinite: after the end), and the configuration there."""
+def _next(
+    bezier: FloatArray, mover_of: IntArray, movers: FloatArray, all_pairs: FloatArray
+) -> tuple[IntArray, float, FloatArray]:
+    """The pair that is due first, and others that may as well be asked there.
+
+    Returns:
+        Their numbers, the place (infinite: after the end), and the configuration there.
+    """
+    due, upto = all_pairs[1], all_pairs[2]
     first = np.argmin(due)
-    return np.array([first]), due[first], point_at(bezier, min(due[first], float(bezier.shape[0])))
-
-
-@kernel
-def _due_before(due: FloatArray, pairs: IntArray) -> IntArray:
-    """Pairs that are due before one is; none where that is after the end."""
-    place = due[pairs[0]]
-    count, before = 0, np.empty(len(due), dtype=np.int64)
-    for pair in range(len(due)):
-        if due[pair] < place < math.inf:
-            before[count] = pair
-            count += 1
-    return before[:count]
+    at, count, asked = due[first], 0, np.empty(len(due), dtype=np.int64)
+    if at < math.inf:
+        travel = movers[1, mover_of[first]]
+        ahead = _TOGETHER * (_linear(travel, at) - upto[first])
+        before = min(place_after(travel, at, ahead), len(travel) - 1.0)
+        for pair in range(len(due)):
+            soon = due[pair] <= before and upto[pair] <= _linear(movers[1, mover_of[pair]], at)
+            if pair == first or soon:
+                asked[count] = pair
+                count += 1
+    return asked[:count], at, point_at(bezier, min(at, float(bezier.shape[0])))
 
 
 @kernel
@@ -313,15 +341,15 @@ def _linear(values: FloatArray, at: float) -> float:
 
 @kernel
 def _put_off(
-    pairs: IntArray, distances: FloatArray, at: float, shown: float,
+    pairs: IntArray, distances: FloatArray, at: float, shown: float, ahead: float,
     mover_of: IntArray, movers: FloatArray, all_pairs: FloatArray,
 ) -> tuple[int, float]:  # fmt: skip
-    """Write down where pairs are due again that were asked at a place.
+    """Write down what looks at a place show, and where the pairs are due again.
 
     Returns:
-        Which of them has the smallest distance, and the clearance then shown; 0 where the proof has to give up.
+        Which of them has the smallest distance, and the clearance then shown; 0 where one is too near.
     """
-    sway, travel, kept, due = movers[0], movers[1], all_pairs[0], all_pairs[1]
+    sway, kept = movers[0], all_pairs[0]
     least = 0
     spare_clearances = np.empty(len(pairs))
     for i in range(len(pairs)):
@@ -335,13 +363,13 @@ def _put_off(
     if not shown > 0.0:
         return least, 0.0
     for i in range(len(pairs)):
-        due[pairs[i]] = _due_after(travel[mover_of[pairs[i]]], at, spare_clearances[i], shown)
+        _take_down(pairs[i], at, spare_clearances[i], shown, ahead, movers[1, mover_of[pairs[i]]], all_pairs)
     return least, shown
 
 
 @kernel
 def _put_off_far(
-    pairs: IntArray, bounds: FloatArray, at: float, shown: float,
+    pairs: IntArray, bounds: FloatArray, at: float, shown: float, ahead: float,
     mover_of: IntArray, movers: FloatArray, all_pairs: FloatArray,
 ) -> IntArray:  # fmt: skip
     """As `_put_off` by lower bounds of distances, of the pairs whose bounds are large and leave the clearance shown.
@@ -349,14 +377,14 @@ def _put_off_far(
     Returns:
         The other pairs.
     """
-    sway, travel, kept, due = movers[0], movers[1], all_pairs[0], all_pairs[1]
+    sway, kept = movers[0], all_pairs[0]
     left = np.empty(len(pairs), dtype=np.int64)
     count = 0
     for i in range(len(pairs)):
         pair = pairs[i]
         spare_clearance = bounds[i] - (_linear(sway[mover_of[pair]], at) + kept[pair])
         if spare_clearance >= FAR and 0.5 * spare_clearance >= shown:
-            due[pair] = _due_after(travel[mover_of[pair]], at, spare_clearance, shown)
+            _take_down(pair, at, spare_clearance, shown, ahead, movers[1, mover_of[pair]], all_pairs)
         else:
             left[count] = pair
             count += 1
@@ -364,12 +392,29 @@ def _put_off_far(
 
 
 @kernel
-def _due_after(travel: FloatArray, at: float, spare_clearance: float, shown: float) -> float:
-    """Where a pair is due again; infinite after the end of the motion, and where its parts may touch."""
-    if not spare_clearance < math.inf:
-        return math.inf
-    place = place_after(travel, at, min(spare_clearance - shown, MOST_TRAVEL * spare_clearance))
-    return max(place, np.nextafter(at, math.inf)) if place <= len(travel) - 1 else math.inf
+def _take_down(
+    pair: int, at: float, spare_clearance: float, shown: float, ahead: float, travel: FloatArray, all_pairs: FloatArray
+) -> None:
+    """Write down how far to both sides a look at a pair shows the clearance, and where the pair is due again."""
+    due, upto, gap_end, then_to = all_pairs[1], all_pairs[2], all_pairs[3], all_pairs[4]
+    here, end = _linear(travel, at), travel[-1]
+    step = min(spare_clearance - shown, MOST_TRAVEL * spare_clearance)
+    if here - step <= upto[pair]:
+        upto[pair] = max(upto[pair], here + step)
+        if gap_end[pair] <= upto[pair]:
+            upto[pair] = max(upto[pair], then_to[pair])
+            gap_end[pair] = math.inf
+    elif gap_end[pair] <= here + step and here - step <= then_to[pair]:
+        gap_end[pair], then_to[pair] = min(gap_end[pair], here - step), max(then_to[pair], here + step)
+    elif here - step < gap_end[pair]:
+        gap_end[pair], then_to[pair] = here - step, here + step
+    if upto[pair] >= end:
+        due[pair] = math.inf
+        return
+    part = 0.5 * (gap_end[pair] - upto[pair])
+    if not part < math.inf:
+        part = min(ahead * step, 0.5 * (end - upto[pair]))
+    due[pair] = min(place_after(travel, 0.0, upto[pair] + part), len(travel) - 1.0)
 
 
 @kernel

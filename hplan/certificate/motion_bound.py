@@ -8,9 +8,25 @@ no more than the body travels by the joints after j alone. So within the piece i
 .. math:: r_{bj} = \min(R_{bj}, \rho_{bj} + \tfrac12 \sum_{k > j} R_{bk} \max |q_k'|),
 
 and no point of the body travels farther than :math:`\sum_j r_{bj} \max |q_j'|`, the rates being those of the cubic in
-its own parameter, by the hull of its derivative's Bezier points. Of two bodies of the robot the joints that carry both
-do not count, and of the others the travels of both add up. Joints that are off by their deviations move a body by no
-more than :math:`\sum_j R_{bj} \delta_j`. (Of joints that slide, a deviation in rad counts as so many metres.)
+its own parameter, by the hull of its derivative's Bezier points.
+
+Nor does it where joints undo what others do. In the middle, where joint j moves a point by :math:`J_j` for each unit,
+all together move the centre of the ball at :math:`v = \sum_j q_j' J_j` and turn the body at :math:`\omega`. Elsewhere
+in the piece rates differ by at most :math:`\varepsilon_j`, and configurations by half of :math:`m_j = \max |q_j'|` at
+most. Turning joint k by an angle changes the :math:`J_j` of any point by no more than that times the R of the outer
+one of the two joints: what is carried turns as a whole, what carries leaves the axis of j where it is. So the travel is
+at most
+
+.. math:: |v| + |\omega| \rho_b + \sum_j |J_j| \varepsilon_j
+    + \sum_j m_j (\tfrac12 R_{bj} m_j + \sum_{k > j} R_{bk} m_k),
+
+with :math:`\rho_b` the radius of the ball, and :math:`|J_j|` at most the distance of the axis from the centre and that
+radius. The smaller bound of both counts.
+
+Of two bodies of the robot the joints that carry both do not count, and of the others the travels of both add up: these
+are the last joints of each, and both bounds hold for them alone, as seen from what carries both. Joints that are off by
+their deviations move a body by no more than :math:`\sum_j R_{bj} \delta_j`. (Of joints that slide, a deviation in rad
+counts as so many metres.)
 """
 
 from __future__ import annotations
@@ -27,7 +43,7 @@ from hplan.collision.arm_pairs import ArmParts, arm_parts
 from hplan.collision.coal_scene import CoalScene
 from hplan.collision.flat_bodies import joints_alone
 from hplan.collision.placed_bodies import place_joints
-from hplan.collision.vectors import cross, dot, placed_point, sub
+from hplan.collision.vectors import cross, dot, moved_on, placed_point, sub, turned
 from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel
 from hplan.scene.limits import FARTHEST_M
@@ -123,11 +139,14 @@ def motion_of_movers(
         deviations may bring its pairs nearer [m].
     """
     parts, robot = checker.parts, checker.robot
-    rates = 3.0 * np.abs(np.diff(bezier, axis=1)).max(axis=1)
+    slopes = 3.0 * np.diff(bezier, axis=1)
+    rates = np.abs(slopes).max(axis=1)
+    paces = 0.25 * (slopes[:, 0] + slopes[:, 2]) + 0.5 * slopes[:, 1]
+    uneven = np.abs(slopes - paces[:, None]).max(axis=1)
     middles = 0.125 * (bezier[:, 0] + bezier[:, 3]) + 0.375 * (bezier[:, 1] + bezier[:, 2])
     of_bodies, reaches = _reaches(parts, deviations)
     joints, middles = joints_alone(robot), np.ascontiguousarray(middles)
-    travels = _travels(middles, rates, of_bodies, parts.rows, joints, *parts.movers)
+    travels = _travels(middles, rates, paces, uneven, of_bodies, parts.rows, joints, *parts.movers)
     return _mover_of(checker), travels, reaches @ deviations.T
 
 
@@ -139,14 +158,16 @@ def _reaches(parts: ArmParts, deviations: FloatArray) -> tuple[FloatArray, Float
 
 @kernel
 def _travels(
-    middles: FloatArray, rates: FloatArray, reach: FloatArray, bodies: FloatArray, numbers: FloatArray,
-    both: IntArray, counts: FloatArray,
+    middles: FloatArray, rates: FloatArray, paces: FloatArray, uneven: FloatArray, reach: FloatArray,
+    bodies: FloatArray, numbers: FloatArray, both: IntArray, counts: FloatArray,
 ) -> FloatArray:  # fmt: skip
     """(movers, pieces) how far each mover travels within each piece at most [m].
 
     Args:
         middles: (pieces, dof) configurations in the middle of the pieces.
         rates: (pieces, dof) largest rates of the joints within them.
+        paces: (pieces, dof) their rates in the middle.
+        uneven: (pieces, dof) by how much rates differ from those at most.
         reach: (bodies, dof) motion-bound coefficients R.
         bodies: As `ArmParts.rows`.
         numbers: As `joints_alone`.
@@ -155,31 +176,43 @@ def _travels(
     pieces, dof = middles.shape
     joints = int(numbers[flat.JOINTS])
     travels, moved, frames = np.empty((len(both), pieces)), np.zeros((len(reach), dof)), np.empty((dof + 1, 12))
+    # The first joint of each of a mover's bodies that moves it as seen from the other; -1 for none.
+    first = np.full((len(both), 2), -1)
+    for mover in range(len(both)):
+        for side in range(2):
+            j = int(bodies[both[mover, side], 0]) if both[mover, side] >= 0 else dof
+            while j < dof and counts[mover, j] > 0.0:
+                first[mover, side] = j
+                j = int(numbers[joints + flat.JOINT_SIZE * j + flat.PARENT])
     for piece in range(pieces):
         place_joints(middles[piece], numbers, frames)
         for b in range(len(reach)):
-            j, outer = int(bodies[b, 0]), 0.0
+            j, outer, total, bent, turn, speed = int(bodies[b, 0]), 0.0, 0.0, 0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
             at = placed_point(frames[j], bodies[b], 1)
             while j < dof:
-                own, f = joints + flat.JOINT_SIZE * j, frames[j]
+                own, f, rate, pace = joints + flat.JOINT_SIZE * j, frames[j], rates[piece, j], paces[piece, j]
                 tx, ty, tz = numbers[own + flat.TURN], numbers[own + flat.TURN + 1], numbers[own + flat.TURN + 2]
+                radius = near = reach[b, j]
                 if tx == 0.0 and ty == 0.0 and tz == 0.0:
-                    moved[b, j] = rates[piece, j]
+                    f, shift = frames[int(numbers[own + flat.PARENT])], own + flat.SHIFT
+                    along = turned(f, (numbers[shift], numbers[shift + 1], numbers[shift + 2]))
                 else:
-                    axis = (
-                        f[0] * tx + f[1] * ty + f[2] * tz,
-                        f[3] * tx + f[4] * ty + f[5] * tz,
-                        f[6] * tx + f[7] * ty + f[8] * tz,
-                    )
-                    off = cross(axis, sub(at, (f[9], f[10], f[11])))
-                    radius = math.sqrt(dot(off, off)) + bodies[b, 4] + 0.5 * outer
-                    moved[b, j] = min(reach[b, j], radius) * rates[piece, j]
-                outer += reach[b, j] * rates[piece, j]
+                    axis = turned(f, (tx, ty, tz))
+                    along = cross(axis, sub(at, (f[9], f[10], f[11])))
+                    near = min(near, math.sqrt(dot(along, along)) + bodies[b, 4])
+                    radius = min(radius, near + 0.5 * outer)
+                    turn = moved_on(turn, axis, pace)
+                speed = moved_on(speed, along, pace)
+                total += radius * rate
+                bent += near * uneven[piece, j] + rate * (0.5 * reach[b, j] * rate + outer)
+                outer += reach[b, j] * rate
+                together = math.sqrt(dot(speed, speed)) + math.sqrt(dot(turn, turn)) * bodies[b, 4] + bent
+                moved[b, j] = together if together < total else total
                 j = int(numbers[own + flat.PARENT])
         for mover in range(len(both)):
-            one, other, total = both[mover, 0], both[mover, 1], 0.0
-            for j in range(dof):
-                if counts[mover, j] > 0.0:
-                    total += moved[one, j] + (moved[other, j] if other >= 0 else 0.0)
+            total = 0.0
+            for side in range(2):
+                if first[mover, side] >= 0:
+                    total += moved[both[mover, side], first[mover, side]]
             travels[mover, piece] = total
     return travels

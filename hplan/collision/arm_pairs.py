@@ -128,11 +128,12 @@ class ArmParts(Record):
 
     @cached_property
     def rows(self) -> FloatArray:
-        """(bodies, 5) joint of each (`dof` for the ground), and centre and radius of a ball that holds it."""
+        """(bodies, 5) joint of each (`dof` for the ground), and centre and radius of a ball that holds its core."""
         found = np.empty((len(self.bodies), 5))
         for row, body in zip(found, self.bodies, strict=True):
             row[1:4], radius = ball_about(body.core)
-            row[0], row[4] = body.joint % (self.robot.dof + 1), radius * (1.0 + 1e-12) + body.rounding
+            row[0], row[4] = body.joint % (self.robot.dof + 1), radius * (1.0 + 1e-12)
+            row[4] += 0.0 if body.exact else body.rounding
         return frozen(found)
 
     def reaches(self, beyond: float = 0.0) -> tuple[FloatArray, FloatArray]:

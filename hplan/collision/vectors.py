@@ -33,6 +33,22 @@ def sub(a: Vector, b: Vector) -> Vector:
 
 
 @kernel
+def moved_on(a: Vector, b: Vector, factor: float) -> Vector:
+    """The sum a + factor b."""
+    return a[0] + factor * b[0], a[1] + factor * b[1], a[2] + factor * b[2]
+
+
+@kernel
+def turned(pose: Pose, d: Vector) -> Vector:
+    """A direction turned by the pose."""
+    return (
+        pose[0] * d[0] + pose[1] * d[1] + pose[2] * d[2],
+        pose[3] * d[0] + pose[4] * d[1] + pose[5] * d[2],
+        pose[6] * d[0] + pose[7] * d[1] + pose[8] * d[2],
+    )
+
+
+@kernel
 def turned_back(pose: Pose, d: Vector) -> Vector:
     """A direction as seen from what the pose places."""
     return (

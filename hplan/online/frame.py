@@ -18,7 +18,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hplan.base.arguments import between, instance, number, whole
+from hplan.base.arguments import between, instance, list_of, number, whole
 from hplan.base.arrays import FloatArray, Record, as_array, frozen, numbers, readonly
 from hplan.base.units import FARTHEST_JOINT
 from hplan.collision.obstacle_rows import solid_rows
@@ -40,7 +40,8 @@ from hplan.online.hidden_points import hidden
 from hplan.online.swept_reach import SweptReach
 from hplan.robot.model import Robot
 from hplan.scene.limits import FARTHEST_M
-from hplan.scene.obstacles import Solid
+from hplan.scene.obstacle_kind import FromData
+from hplan.scene.obstacles import KINDS, Obstacle, Solid
 from hplan.scene.solids import rpy_rotation
 from hplan.scene.tracks import Track
 
@@ -71,6 +72,8 @@ class CloudOptions:
         most_remembered: Most hidden points that are kept; the oldest go first.
         unseen_edge_m: Edge of the voxels by which unknown space is solid (`hplan.online.seen_space`), where it is; that
             of the first frame holds.
+        known_free: Shapes in which space is known to be free without being seen, where unknown space is solid, as the
+            lane that the machine has driven in: of voxels whose middles are in one.
     """
 
     growth_m: float = 5e-3
@@ -81,6 +84,7 @@ class CloudOptions:
     neighbour_m: float = 0.02
     most_remembered: int = 100_000
     unseen_edge_m: float = 0.05
+    known_free: tuple[Obstacle, ...] = ()
 
     def __post_init__(self) -> None:
         """Check the values; what is wrong is an `OptionError`."""
@@ -90,6 +94,9 @@ class CloudOptions:
             between(name, getattr(self, name), 0.0, FARTHEST_M)
         whole("least_points", self.least_points, 1)
         whole("most_remembered", self.most_remembered, 0)
+        for item in list_of("known_free", self.known_free, KINDS, "obstacles"):
+            if isinstance(item, FromData):
+                raise OptionError("known_free", item.name, "no mesh and no cloud")
 
 
 @dataclass(frozen=True)
@@ -172,7 +179,7 @@ class Frame(Record):
             InputError: Points, a pose or joints that are none; a pose that is no rigid motion.
             OptionError: A radius that is not positive, or a time that is none.
         """
-        rotation, position = _rigid(pose)
+        rotation, position = rigid(pose)
         return cls(
             points=_points(points),
             radius=number("radius", radius, f"a number of metres > 0 and <= {FARTHEST_M:g}", _is_size),
@@ -383,7 +390,7 @@ def _points(points: ArrayLike) -> Any:
     return found
 
 
-def _rigid(pose: ArrayLike | None) -> tuple[FloatArray, FloatArray]:
+def rigid(pose: ArrayLike | None) -> tuple[FloatArray, FloatArray]:
     """Rotation and position of a pose.
 
     Raises:

@@ -21,10 +21,11 @@ from typing import Final
 import numpy as np
 
 from hplan.base.arrays import BoolArray, FloatArray
-from hplan.base.kernels import inlined, kernel
+from hplan.base.kernels import any_int, inlined, kernel
 
 #: Cells along each side of the cube.
 CELLS: Final = 180
+_CELLS: Final = any_int(CELLS)
 
 
 @inlined
@@ -51,15 +52,58 @@ def _direction(x: float, y: float, z: float) -> int:
 
 
 @kernel
-def _note_ranges(points: FloatArray, ranges: FloatArray) -> None:
-    """Write the least squared range of each direction, of points in the camera's frame."""
+def cells_about(x: float, y: float, z: float, radius: float, cells: int) -> tuple[int, int, int, int, int]:
+    """The cells of all directions to a ball: the side's first cell, first and last column, first and last line.
+
+    Sides are cut into so many cells each way. There is no column (the last before the first) where the ball is about
+    the camera, or on more than one side of the cube.
+    """
+    side, longest, u, v = side_of_cube(x, y, z)
+    near, far = longest - radius, longest + radius
+    if near <= 0.0:
+        return 0, 0, -1, 0, -1
+    left, right, low, high = u - radius, u + radius, v - radius, v + radius
+    left, right = left / (near if left < 0.0 else far), right / (near if right > 0.0 else far)
+    low, high = low / (near if low < 0.0 else far), high / (near if high > 0.0 else far)
+    if left < -1.0 or right > 1.0 or low < -1.0 or high > 1.0:
+        return 0, 0, -1, 0, -1
+    half = 0.5 * cells
+    columns = int(left * half + half), min(int(right * half + half), cells - 1)
+    lines = int(low * half + half), min(int(high * half + half), cells - 1)
+    return side * cells * cells, columns[0], columns[1], lines[0], lines[1]
+
+
+@kernel
+def _note_ranges(points: FloatArray, balls: FloatArray, ranges: FloatArray) -> None:
+    """Write the least squared range of each direction, of points in the camera's frame.
+
+    A point on the way through a ball, (k, 4) centres and radii, counts as where the ray comes out of it.
+    """
+    meets = np.zeros(ranges.shape[0], dtype=np.bool_)
+    for b in range(balls.shape[0]):
+        begin, first, last, top, bottom = cells_about(balls[b, 0], balls[b, 1], balls[b, 2], balls[b, 3], _CELLS)
+        for column in range(first, last + 1):
+            for line in range(top, bottom + 1):
+                meets[begin + column * CELLS + line] = True
     for n in range(points.shape[0]):
         x, y, z = np.float64(points[n, 0]), np.float64(points[n, 1]), np.float64(points[n, 2])
-        if math.isfinite(x) and math.isfinite(y) and math.isfinite(z):
-            square = x * x + y * y + z * z
-            if 0.0 < square < math.inf:
-                cell = _direction(x, y, z)
-                ranges[cell] = min(ranges[cell], square)
+        if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(z)):
+            continue
+        square = x * x + y * y + z * z
+        if not 0.0 < square < math.inf:
+            continue
+        cell = _direction(x, y, z)
+        if meets[cell]:
+            length = math.sqrt(square)
+            away = float(length)
+            for b in range(balls.shape[0]):
+                bx, by, bz = balls[b, 0], balls[b, 1], balls[b, 2]
+                along = (x * bx + y * by + z * bz) / length
+                within = balls[b, 3] * balls[b, 3] - (bx * bx + by * by + bz * bz - along * along)
+                if within > 0.0 and abs(away - along) <= math.sqrt(within):
+                    away = along + math.sqrt(within)
+            square = np.float64(away * away)
+        ranges[cell] = min(ranges[cell], square)
 
 
 @kernel
@@ -71,10 +115,15 @@ def _mark_hidden(points: FloatArray, ranges: FloatArray, tolerance: float, hidde
         hidden[n] = least == math.inf or math.sqrt(least) < math.sqrt(x * x + y * y + z * z) - tolerance
 
 
-def shortest_ranges(frame: FloatArray) -> FloatArray:
-    """(6 CELLS^2,) least squared range of each direction of (n, 3) points in the camera's frame; infinite for none."""
+def shortest_ranges(frame: FloatArray, through: FloatArray | None = None) -> FloatArray:
+    """(6 CELLS^2,) least squared range of each direction of (n, 3) points in the camera's frame; infinite for none.
+
+    Args:
+        through: (k, 4) centres and radii of balls in the camera's frame: a point in one counts as where the ray through
+            it comes out of the ball [m].
+    """
     ranges = np.full(6 * CELLS * CELLS, np.inf)
-    _note_ranges(frame, ranges)
+    _note_ranges(frame, np.zeros((0, 4)) if through is None else through, ranges)
     return ranges
 
 

@@ -15,19 +15,24 @@ from dataclasses import replace
 from threading import RLock
 from typing import Any, Literal, NamedTuple, TypeAlias, TypeVar, overload
 
+import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
 from hplan.base.arguments import between, number, one_of, text
+from hplan.base.arrays import FloatArray, numbers, readonly
 from hplan.base.deadline import Cancel, TimeIsUpError, time_limit
 from hplan.base.forking import renewed_in_children
 from hplan.certificate.certificate import with_violations
 from hplan.certificate.retimed_certificate import CertifiedMotion
+from hplan.collision.obstacle_rows import solid_rows
 from hplan.collision.reach import largest_sway
-from hplan.errors import InputError, OptionError, SceneError
+from hplan.errors import HplanError, InputError, NotInTimeError, OptionError, PlanCancelledError, SceneError
 from hplan.online.arm_shape import arm_solids
-from hplan.online.frame import CloudOptions, Frame, FrameReport, SeenPoints, filter_frame
+from hplan.online.body_distances import distances_from_bodies
+from hplan.online.frame import CloudOptions, Frame, FrameReport, SeenPoints, filter_frame, rigid
 from hplan.online.frame_kernels import Scratch
+from hplan.online.next_view import NextView, shows, sweep
 from hplan.online.scene_cloud import check_cloud_name, solids_named, with_cloud
 from hplan.online.seen_space import UNSEEN, SeenSpace
 from hplan.online.splice import RunningMotion, SplicedResult
@@ -417,15 +422,15 @@ class Planner:
             with self._changing:
                 check_cloud_name(self.scene, name)
                 self.scene = with_cloud(self.scene, name, cloud)
-                if unseen is not None:
+                if unknown == "solid":
                     check_cloud_name(self.scene, UNSEEN)
                     self.scene, self._closing = with_cloud(self.scene, UNSEEN, unseen), unseen
                 self._seen[name] = found.seen
                 self._cropped[name] = _Cropped(cloud, found.kept_m, scene.base_track)
         return found.report
 
-    def _unseen(self, scene: Scene, frame: Frame, options: CloudOptions, ignore: Sequence[str]) -> PointCloud:
-        """What closes off the space that was not seen, a frame having been taken.
+    def _unseen(self, scene: Scene, frame: Frame, options: CloudOptions, ignore: Sequence[str]) -> PointCloud | None:
+        """What closes off the space that was not seen, a frame having been taken; None where all is known.
 
         Raises:
             OptionError: The base moves; or voxels far too small.
@@ -435,12 +440,19 @@ class Planner:
         if self._space is None:
             self._space = SeenSpace(self.robot, options.unseen_edge_m)
         space, now_s = self._space, frame.time_s
-        space.see(frame.points, (frame.rotation, frame.position), now_s, frame.radius)
-        space.free(arm_solids(self.robot, frame.joints), now_s, options.arm_padding_m)
-        fruits = [fruit.name for fruit in scene.fruits if fruit.name in ignore]
-        space.free(solids_named(scene, fruits, UNSEEN, now_s), now_s, options.ignore_padding_m)
+        names = [fruit.name for fruit in scene.fruits if fruit.name in ignore]
+        fruits = solids_named(scene, names, UNSEEN, now_s)
+        # One that sways is no ball.
+        balls = [
+            (*fruit.core[0], fruit.rounding + options.ignore_padding_m) for fruit in fruits if len(fruit.core) == 1
+        ]
+        space.see(frame.points, (frame.rotation, frame.position), now_s, frame.radius, np.array(balls).reshape(-1, 4))
+        space.free(arm_solids(self.robot, frame.joints), now_s, options.arm_padding_m + space.radius)
+        space.free(fruits, now_s, space.radius)
+        space.free([solid for item in options.known_free for solid in item.solids], now_s, 0.0)
         self._known_since_s = now_s - frame.keep_s
-        return PointCloud.thinned(UNSEEN, space.border(self._known_since_s), space.radius)
+        border = space.border(self._known_since_s)
+        return PointCloud.thinned(UNSEEN, border, space.radius) if len(border) else None
 
     def _check_known(self, scene: Scene) -> None:
         """Refuse a start that is not in known space, where unknown space is solid: nothing closes it off from there."""
@@ -450,6 +462,94 @@ class Planner:
         if self._space is None or not self._space.holds(arm_solids(self.robot, start), self._known_since_s):
             raise InputError("start: the arm is in space that was not seen, and unknown space is solid: give a frame "
                 "with the joints that it has there", option="start")  # fmt: skip
+
+    def next_view(
+        self,
+        views: Sequence[ArrayLike],
+        *,
+        field_of_view_deg: tuple[float, float],
+        farthest_m: float,
+        carried_by: str | None = None,
+        mount: ArrayLike | None = None,
+        cancel: Cancel | None = None,
+    ) -> NextView | None:
+        """From which of some views a camera would see most of what keeps the arm from its goal, not being known.
+
+        A motion to the goal is planned past what is known to be there, as if all unknown space were free. Of the voxels
+        that it sweeps and that are not known those count that a view would look through: in its field of view, and
+        nothing known in front of them, the arm among it. What is not known hides nothing here, so a view may show less
+        than it promises; leave out what was looked from already.
+
+        Args:
+            views: Poses of the camera, camera to `base_link` as for `set_cloud`; z looks ahead, x to the right, y down.
+                With `carried_by`: (dof,) configurations at which the arm may look.
+            field_of_view_deg: Width and height of what the camera sees [deg].
+            farthest_m: How far it measures [m].
+            carried_by: The frame of the arm that carries the camera. Then the view is proposed that shows most of those
+                to which a motion through known space is certified.
+            mount: Camera to that frame, a pose as above; None where they are the same.
+            cancel: As for `hplan.plan`.
+
+        Returns:
+            None where the motion would sweep known space alone, or no view shows any of the other.
+
+        Raises:
+            InputError: No frame was taken with `unknown="solid"`; views or a mount that are none, or a frame that the
+                arm does not have.
+            OptionError: Angles not within 0 and 180 degrees, or no distance.
+            HplanError: As `plan`: what is known is in the way already.
+        """
+        wide, high = (between("field_of_view_deg", angle, 1.0, 179.0) for angle in field_of_view_deg)
+        between("farthest_m", farthest_m, 0.0, FARTHEST_M)
+        with self._turn(cancel):
+            scene, space, since_s = self.scene, self._space, self._known_since_s
+            if space is None:
+                raise InputError('next_view: no frame was taken with unknown="solid"')
+            self._check_crops(scene, self.options)
+            self._begin_of(None, scene)
+            known = with_cloud(scene, UNSEEN, None)
+            path = plan_with(self._cache, known, self.options).trajectory.position
+            unseen = space.unknown(sweep(self.robot, path, space.edge), since_s)
+            found = list[tuple[int, int]]()
+            for number, view in enumerate(views):
+                joints, pose = self._view(view, carried_by, mount)
+                arm = [
+                    body
+                    for body in arm_solids(self.robot, path[0] if joints is None else joints)
+                    # What the camera is in hides nothing.
+                    if distances_from_bodies(pose[None, :3, 3], *solid_rows([body], 0.0))[0] > 0.0
+                ]
+                solids = [*known.solids_with_goal, *arm]
+                shown = shows(unseen, space.radius, pose, solids, (wide, high), farthest_m)
+                found.append((-int(shown.sum()), number))
+            for count, number in sorted(found):
+                if count == 0:
+                    break
+                joints, pose = self._view(views[number], carried_by, mount)
+                motion = None
+                if joints is not None:
+                    there = scene.model_copy(update={"goal": Goal(joints_rad=tuple(joints.tolist()))})
+                    self._check_known(there)
+                    try:
+                        motion = plan_with(self._cache, there, self.options)
+                    except (NotInTimeError, PlanCancelledError):
+                        raise
+                    except HplanError:
+                        continue
+                return NextView(number, readonly(pose), -count / len(unseen), readonly(unseen), motion)
+            return None
+
+    def _view(
+        self, view: ArrayLike, carried_by: str | None, mount: ArrayLike | None
+    ) -> tuple[FloatArray | None, FloatArray]:
+        """The joints of a view where the arm carries the camera, and its pose."""
+        rotation, position = rigid(view if carried_by is None else mount)
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = rotation, position
+        if carried_by is None:
+            return None, pose
+        joints = self.robot.check_configuration(numbers("views", view, (self.robot.dof,)), "views")
+        return joints, self.robot.forward_kinematics(joints, carried_by) @ pose
 
     def aim(self, *, start: Start | None = None, goal: Goal | None = None) -> None:
         """Begin elsewhere, or go elsewhere.

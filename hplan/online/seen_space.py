@@ -2,16 +2,18 @@
 
 A grid of voxels about all that the arm can reach notes when each was last known to be free. A frame frees a voxel that
 lies wholly in view: the directions about the camera are cut into cells (`hplan.online.hidden_points`), and in each one
-that the ball about the voxel covers something was measured, all of it farther off than the ball. The arm frees where it
-stands, and what is as near to it as its padding: nothing else can be seen there. So do fruits whose points are to be
-ignored, with what is as near to them: else no hand came to them.
+that the ball about the voxel covers something was measured, all of it farther off than the ball. What ends in a fruit
+whose points are to be ignored counts as measured where the ray comes out of the fruit, for there is no wood in it. The
+arm frees where it stands, and what is as near to it as its padding: nothing else can be seen there. Voxels that such a
+fruit is in are free too, else no hand came to it.
 
 What is not known is closed off by the voxels that border on what is, a ball about each: from where the arm is known to
 be it cannot get past them. They are an obstacle as any other, so motions are planned and certified past them.
 
 Not covered: what is thinner than the pixels are apart, for a cell with one return counts as looked through; a return
-that is missing beside others in its cell; what comes into space that was seen free, for as long as that is kept. A
-direction without any return frees nothing, and an outlier in front hides what is behind it.
+that is missing beside others in its cell; what comes into space that was seen free, for as long as that is kept; what
+is in one voxel with a fruit to be picked. A direction without any return frees nothing, and an outlier in front hides
+what is behind it.
 """
 
 from __future__ import annotations
@@ -23,20 +25,23 @@ from typing import Final
 import numpy as np
 
 from hplan.base.arrays import BoolArray, FloatArray, IntArray
-from hplan.base.kernels import kernel
+from hplan.base.kernels import inlined, kernel
+from hplan.collision.distances import Vector
 from hplan.collision.obstacle_rows import solid_rows
 from hplan.errors import OptionError
 from hplan.online.arm_shape import reach_ball
 from hplan.online.body_distances import distances_from_bodies
-from hplan.online.hidden_points import CELLS, shortest_ranges, side_of_cube
+from hplan.online.hidden_points import CELLS, cells_about, shortest_ranges
 from hplan.robot.model import Robot
 from hplan.scene.obstacles import Solid
 
 #: Name of the obstacle that closes off what is not known.
 UNSEEN: Final = "unseen"
 
-#: Most voxels of a grid.
+#: Most voxels of a grid; how many on each side of a block are looked at together first, by cells so much wider.
 _MOST: Final = 20_000_000
+_BLOCK: Final = 4
+_TOGETHER: Final = 4
 
 
 class SeenSpace:
@@ -57,14 +62,17 @@ class SeenSpace:
         self.edge, self.radius = edge, 0.5 * math.sqrt(3.0) * edge
         *centre, reach = reach_ball(robot).tolist()
         # A voxel more on each side: what borders on space within reach is in the grid.
-        count = 2 * math.ceil(reach / edge) + 4
+        count = _BLOCK * math.ceil((2.0 * reach / edge + 4.0) / _BLOCK)
         if count**3 > _MOST:
-            least = 2.0 * reach / (_MOST ** (1.0 / 3.0) - 6.0)
+            least = 2.0 * reach / (_MOST ** (1.0 / 3.0) - 8.0)
             raise OptionError("unseen_edge_m", edge, f"at least {least:.3g} m for a reach of {reach:.3g} m")
         self._corner = np.array(centre) - 0.5 * count * edge
         self.times: FloatArray = np.full((count, count, count), -math.inf)
 
-    def see(self, points: FloatArray, pose: tuple[FloatArray, FloatArray], time_s: float, margin_m: float) -> None:
+    def see(
+        self, points: FloatArray, pose: tuple[FloatArray, FloatArray], time_s: float, margin_m: float,
+        through: FloatArray | None = None,
+    ) -> None:  # fmt: skip
         """Take a frame: free what it has looked through.
 
         Args:
@@ -72,20 +80,35 @@ class SeenSpace:
             pose: (3, 3) rotation and (3,) position of the camera in `base_link` [m].
             time_s: When it was taken [s].
             margin_m: So much nearer than measured something may be [m].
+            through: (k, 4) centres and radii of balls in `base_link` with nothing in them but what may be ignored: a
+                ray that ends in one goes on to its other side [m].
         """
         rotation, position = pose
-        ranges = shortest_ranges(points)
-        _see(self.times, self._corner, self.edge, ranges, rotation, position, np.array([time_s, margin_m]))
+        if through is not None:
+            through = np.column_stack([(through[:, :3] - position) @ rotation, through[:, 3]])
+        ranges = shortest_ranges(points, through)
+        ranges[ranges == math.inf] = 0.0
+        together = ranges.reshape(6, CELLS // _TOGETHER, _TOGETHER, CELLS // _TOGETHER, _TOGETHER)
+        coarse = np.stack([together.min(axis=4).min(axis=2).ravel(), together.max(axis=4).max(axis=2).ravel()])
+        both = np.stack([ranges, ranges]), coarse
+        _see(self.times, self._corner, self.edge, both, rotation, position, np.array([time_s, margin_m]))
 
-    def free(self, solids: Iterable[Solid], time_s: float, padding_m: float) -> None:
-        """Take as free, at a time [s], where some solids are and what is as near to them as a padding [m]."""
-        for place, inside in self._about(solids, padding_m + self.radius):
+    def free(self, solids: Iterable[Solid], time_s: float, within_m: float) -> None:
+        """Take as free, at a time [s], the voxels whose middles are in some solids or so near to them [m]."""
+        for place, inside in self._about(solids, within_m):
             part = self.times[place]
             part[inside] = np.maximum(part[inside], time_s)
 
     def holds(self, solids: Iterable[Solid], since_s: float) -> bool:
         """True if all that some solids touch was known to be free since a time [s]."""
-        return all((self.times[place][inside] >= since_s).all() for place, inside in self._about(solids, self.radius))
+        return not len(self.unknown(solids, since_s))
+
+    def unknown(self, solids: Iterable[Solid], since_s: float) -> FloatArray:
+        """(k, 3) middles of the voxels that some solids touch and that were not known to be free since a time [m]."""
+        found = np.zeros(self.times.shape, dtype=np.bool_)
+        for place, inside in self._about(solids, self.radius):
+            found[place] |= inside & ~(self.times[place] >= since_s)
+        return self._middles(np.argwhere(found))
 
     def border(self, since_s: float) -> FloatArray:
         """(k, 3) middles of the voxels not known to be free since a time that border on such as are [m]."""
@@ -119,53 +142,75 @@ class SeenSpace:
 
 
 @kernel
-def _see(
-    times: FloatArray, corner: FloatArray, edge: float, ranges: FloatArray, rotation: FloatArray, position: FloatArray,
-    frame: FloatArray,
-) -> None:  # fmt: skip
-    """Write the frame's time to the voxels that it looks through.
+def _looks_through(
+    x: float, y: float, z: float, radius: float, away: float, nearest: float, ranges: FloatArray
+) -> tuple[bool, bool]:
+    """Whether all that was measured in the directions to a ball is at least so far away, and whether any is farther.
 
     Args:
-        ranges: Least squared range of each cell of directions; infinite for none.
+        away: How far everything has to be for the first [m].
+        nearest: And anything for the second, which is True where not all of the directions are looked at [m].
+        ranges: (2, 6 n^2) least and largest squared range of each cell of directions, zero where there is none.
+    """
+    cells = int(math.sqrt(ranges.shape[1] / 6.0) + 0.5)
+    begin, first, last, top, bottom = cells_about(x, y, z, radius, cells)
+    free, any_free = last >= first, last < first or nearest <= 0.0
+    least, most = away * away, nearest * nearest
+    for column in range(first, last + 1):
+        for cell in range(begin + column * cells + top, begin + column * cells + bottom + 1):
+            free = free and ranges[0, cell] >= least
+            any_free = any_free or ranges[1, cell] >= most
+            if any_free and not free:
+                return False, True
+    return free, any_free
+
+
+@kernel
+def _see(
+    times: FloatArray, corner: FloatArray, edge: float, ranges: tuple[FloatArray, FloatArray], rotation: FloatArray,
+    position: FloatArray, frame: FloatArray,
+) -> None:  # fmt: skip
+    """Write the frame's time to the voxels that it looks through: by blocks where all or none of one are.
+
+    Args:
+        ranges: Of the cells of directions, and of coarser ones, as `_looks_through` has them.
         frame: (2,) time [s] and margin [m].
     """
-    radius, half = 0.5 * math.sqrt(3.0) * edge, 0.5 * CELLS
-    time_s, margin = frame[0], frame[1]
-    x0, y0 = corner[0] + 0.5 * edge - position[0], corner[1] + 0.5 * edge - position[1]
-    z0 = corner[2] + 0.5 * edge - position[2]
-    for i in range(times.shape[0]):
-        for j in range(times.shape[1]):
-            for k in range(times.shape[2]):
-                if times[i, j, k] >= time_s:
-                    continue
-                dx, dy, dz = x0 + i * edge, y0 + j * edge, z0 + k * edge
-                x = rotation[0, 0] * dx + rotation[1, 0] * dy + rotation[2, 0] * dz
-                y = rotation[0, 1] * dx + rotation[1, 1] * dy + rotation[2, 1] * dz
-                z = rotation[0, 2] * dx + rotation[1, 2] * dy + rotation[2, 2] * dz
-                side, longest, u, v = side_of_cube(x, y, z)
-                near = longest - radius
-                if near <= 0.0:
-                    continue
-                # Slopes of all directions to the ball; those of more than one side of the cube are left.
-                far = longest + radius
-                left, right = u - radius, u + radius
-                low, high = v - radius, v + radius
-                left, right = left / (near if left < 0.0 else far), right / (near if right > 0.0 else far)
-                low, high = low / (near if low < 0.0 else far), high / (near if high > 0.0 else far)
-                if left < -1.0 or right > 1.0 or low < -1.0 or high > 1.0:
-                    continue
-                away = math.sqrt(x * x + y * y + z * z) + radius + margin
-                least = away * away
-                first, last = int(left * half + half), min(int(right * half + half), CELLS - 1)
-                top, bottom = int(low * half + half), min(int(high * half + half), CELLS - 1)
-                free = True
-                for column in range(first, last + 1):
-                    begin = (side * CELLS + column) * CELLS
-                    for line in range(begin + top, begin + bottom + 1):
-                        if not least <= ranges[line] < math.inf:
-                            free = False
-                            break
+    radius, time_s, margin = 0.5 * math.sqrt(3.0) * edge, frame[0], frame[1]
+    all_of, fine, coarse = radius * _BLOCK, ranges[0], ranges[1]
+    for block in np.ndindex(times.shape[0] // _BLOCK, times.shape[1] // _BLOCK, times.shape[2] // _BLOCK):
+        i0, j0, k0 = block[0] * _BLOCK, block[1] * _BLOCK, block[2] * _BLOCK
+        x, y, z = _seen_at(corner, edge, (i0 + 0.5 * _BLOCK, j0 + 0.5 * _BLOCK, k0 + 0.5 * _BLOCK), rotation, position)
+        away = math.sqrt(x * x + y * y + z * z)
+        # Voxels' middles are nearer than the block's by the difference of the radii at most.
+        free, any_free = _looks_through(
+            x, y, z, all_of, away + all_of + margin, away - all_of + 2.0 * radius + margin, coarse
+        )
+        if not any_free:
+            continue
+        for i in range(i0, i0 + _BLOCK):
+            for j in range(j0, j0 + _BLOCK):
+                for k in range(k0, k0 + _BLOCK):
+                    if times[i, j, k] >= time_s:
+                        continue
                     if not free:
-                        break
-                if free:
+                        x, y, z = _seen_at(corner, edge, (i + 0.5, j + 0.5, k + 0.5), rotation, position)
+                        away = math.sqrt(x * x + y * y + z * z) + radius + margin
+                        if not _looks_through(x, y, z, radius, away, 0.0, fine)[0]:
+                            continue
                     times[i, j, k] = time_s
+
+
+@inlined
+def _seen_at(corner: FloatArray, edge: float, place: Vector, rotation: FloatArray, position: FloatArray) -> Vector:
+    """A place in the grid, counted in voxels, in the camera's frame."""
+    dx, dy, dz = (
+        corner[0] + place[0] * edge - position[0],
+        corner[1] + place[1] * edge - position[1],
+        corner[2] + place[2] * edge - position[2],
+    )
+    return (
+        rotation[0, 0] * dx + rotation[1, 0] * dy + rotation[2, 0] * dz,
+        rotation[0, 1] * dx + rotation[1, 1] * dy + rotation[2, 1] * dz,
+        rotation[0, 2] * dx + rotation[1, 2] * dy + rotation[2, 2] * dz,
+    )

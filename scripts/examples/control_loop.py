@@ -1,6 +1,6 @@
 """Pick fruit beside a controller at 100 Hz: cloud in, fruit chosen, motion spliced, stop on demand, in MuJoCo.
 
-    python scripts/examples/control_loop.py [SECONDS]
+    python scripts/examples/control_loop.py [SECONDS] [--unknown solid] [--tree FILE --distance M]
 
 What the planner knows of the trees is what four depth cameras see of the simulated ones, with noise: above and below,
 on both sides of the arm. While the arm rests they look closely, at all their pixels for several frames; what they see
@@ -12,13 +12,21 @@ A certificate covers what was seen, each point with a ball about it, and no more
 being hidden, out of view or between pixels (unseen space counts as free); what comes to the arm faster than frames do;
 wood within `CLOSE_NOISE_M` of a fruit, which cannot be told from it; a point measured farther off than the ball is
 wide. What the arm touches is therefore counted by MuJoCo, among the true trees.
+
+With `--unknown solid` the arm stays in space that a close look has seen through, and in the lane that the machine has
+driven in. Where it cannot get to a fruit so, a fifth camera on a mast looks from where `Planner.next_view` proposes. A
+ray that nothing returns is taken to be free as far as the camera measures: true here, of a real camera to be shown.
+Not covered then: wood thinner than the pixels of a close look are apart, 9 mm 2 m away, and wood in a voxel of
+`VOXEL_M` that a fruit to be picked is in.
 """
 
 from __future__ import annotations
 
-import sys
+import argparse
 import time
 from dataclasses import dataclass, field
+from itertools import product
+from pathlib import Path
 
 import numpy as np
 
@@ -26,9 +34,13 @@ import hplan
 from hplan.apps.execution.plant import Plant
 from hplan.apps.execution.simulated_arm import CONTROL_PERIOD, SimulatedArm, Touch
 from hplan.certificate.retimed_certificate import CertifiedMotion
+from hplan.collision.obstacle_rows import solid_rows
 from hplan.errors import ConfigurationInCollisionError, HplanError, NotInTimeError
+from hplan.online.body_distances import distances_from_bodies
 from hplan.online.frame import CloudOptions
-from hplan.scene import Goal, Scene, Start
+from hplan.online.planner import Unknown
+from hplan.scene import Box, Goal, Scene, Start
+from hplan.scene.orchard import MeasuredOptions, measured_orchard
 from hplan.trajectory.trajectory import Trajectory
 
 #: Period of the loop, of the camera, and how far ahead a new motion takes over [s].
@@ -52,13 +64,28 @@ SPARE_M = 0.005
 #: What a controller may be off by [rad].
 TRACKING_ERROR_RAD = 0.0002
 
+#: How far a camera measures, and the edge of the voxels of what was seen [m].
+RANGE_M, VOXEL_M = 6.0, 0.03
+
+#: What the machine has driven through: free, where unknown space is solid.
+LANE = Box(name="lane", center=(-1.0, 0.0, 1.25), size=(2.5, 6.0, 2.5))
+
+#: Radius of the smallest fruit [m].
+LEAST_FRUIT_M = 0.015
+
+#: How long the mast takes to bring its camera elsewhere [s], and from how many places it may look at one fruit's way.
+MAST_S, MOST_VIEWS = 1.0, 2
+
 
 class Camera:
     """A depth camera that does not move: rays through a pinhole, with noise.
 
     Attributes:
         pose: (4, 4) camera to `base_link`; z looks ahead, x to the right, y down.
+        view_deg: Width and height of a field of view that it has all of [deg].
     """
+
+    view_deg = 2.0 * np.degrees(np.arctan((1.1, 0.8)))
 
     def __init__(self, position: tuple[float, float, float], target: tuple[float, float, float]) -> None:
         """Look from a position at a target [m]."""
@@ -71,11 +98,11 @@ class Camera:
         self._rays /= np.linalg.norm(self._rays, axis=2)[:, :, None]
         self._random = np.random.default_rng(1)
 
-    def frame(self, machine: SimulatedArm, *, closely: bool) -> np.ndarray:
-        """(n, 3) points in the camera's frame, NaN where nothing is seen: the mean of several frames, or a few [m]."""
+    def frame(self, machine: SimulatedArm, *, closely: bool, beyond: float = np.nan) -> np.ndarray:
+        """(n, 3) points in the camera's frame: the mean of several frames, or a few; `beyond` where nothing is [m]."""
         rays = self._rays.reshape(-1, 3) if closely else self._rays[::3, ::3].reshape(-1, 3)
         distance, _ = machine.cast_rays(self.pose[:3, 3], rays @ self.pose[:3, :3].T)
-        distance[~np.isfinite(distance)] = np.nan
+        distance[~(distance < RANGE_M)] = beyond
         noise = 0.001 * np.nan_to_num(distance) ** 2
         distance += self._random.normal(0.0, noise / np.sqrt(LOOK_S * CLOSE_RATE) if closely else noise)
         points: np.ndarray = distance[:, None] * rays
@@ -87,6 +114,7 @@ class Log:
     """What happened: fruits reached and left, motions to them, frames, splices, stops, times, contacts."""
 
     picked: list[str] = field(default_factory=list)
+    views: int = 0
     left: list[str] = field(default_factory=list)
     motions: list[hplan.PlanResult] = field(default_factory=list)
     frames: int = 0
@@ -101,7 +129,7 @@ class Log:
 class ControlLoop:
     """A planner, a controller and a simulated arm."""
 
-    def __init__(self, scene: Scene, options: hplan.PlanOptions) -> None:
+    def __init__(self, scene: Scene, options: hplan.PlanOptions, unknown: Unknown = "free") -> None:
         """Begin at the start of a scene; its obstacles are the simulation's alone, its fruits have been detected."""
         robot = hplan.load_robot(scene.robot)
         home = np.array(scene.start.configuration)
@@ -109,14 +137,19 @@ class ControlLoop:
         self.machine = SimulatedArm(robot, there, Plant(bandwidth=200.0))
         self.machine.place(home)
         self.cameras = {
-            f"{name} {across}": Camera((0.2, side, up), (1.3, 0.3 * side, at))
-            for name, up, at in (("above", 2.2, 1.4), ("below", 1.0, 1.7))
-            for across, side in (("right", -0.7), ("left", 0.7))
+            f"{name} {across}": Camera((-0.4, side, up), (1.3, 0.0, at))
+            for name, up, at in (("above", 2.4, 1.0), ("below", 0.5, 1.5))
+            for across, side in (("right", -1.4), ("left", 1.4))
         }
+        self.unknown = unknown
+        spots = product((1.5, 2.0, 2.5, 1.0, 0.5), (-1.0, -0.5, 0.0, 0.5, 1.0, -1.5, 1.5))
+        self.mast = {f"mast {n}": Camera((-0.4, side, up), (1.3, 0.0, 1.4)) for n, (up, side) in enumerate(spots)}
         self.planner = hplan.Planner(robot, there.with_obstacles(()), options)
         self.log, self.todo = Log(), [fruit.name for fruit in scene.fruits]
         self.running: hplan.PlanResult | CertifiedMotion | None = None
         self.resting, self.waits_until_s, self.fruit, self.has_looked = home, LOOK_S, "", False
+        self.looked_from: list[str] = []
+        self.later: set[str] = set()
 
     @property
     def ends_s(self) -> float:
@@ -142,21 +175,45 @@ class ControlLoop:
             self.log.farthest_off_rad = max(self.log.farthest_off_rad, np.abs(self.machine.position - state[0]).max())
             self.machine.follow(*state)
 
-    def look(self) -> None:
+    def look(self, cameras: dict[str, Camera]) -> None:
         """Look closely, the arm at rest: what is seen is known from then on."""
-        for name, camera in self.cameras.items():
+        solid = self.unknown == "solid"
+        for name, camera in cameras.items():
             self.planner.set_cloud(
-                name, camera.frame(self.machine, closely=True), radius=CLOSE_RADIUS_M, pose=camera.pose,
-                joints=self.machine.position, ignore=self.todo, keep_s=3600.0, time_s=self.machine.time_s,
-                options=CloudOptions(ignore_padding_m=CLOSE_NOISE_M, growth_m=0.003),
+                name, camera.frame(self.machine, closely=True, beyond=RANGE_M if solid else np.nan),
+                radius=CLOSE_RADIUS_M, pose=camera.pose, joints=self.machine.position, ignore=self.todo, keep_s=3600.0,
+                time_s=self.machine.time_s, unknown=self.unknown,
+                options=CloudOptions(
+                    ignore_padding_m=CLOSE_NOISE_M, growth_m=0.003, unseen_edge_m=VOXEL_M, known_free=(LANE,)
+                ),
             )  # fmt: skip
         self.has_looked = True
+
+    def look_again(self) -> bool:
+        """Look at the way to a fruit from where most of it is seen that is not known; False if nothing helps."""
+        left = [name for name in self.mast if name not in self.looked_from]
+        if self.unknown == "free" or len(self.looked_from) == MOST_VIEWS:
+            return False
+        try:
+            view = self.planner.next_view(
+                [self.mast[name].pose for name in left], field_of_view_deg=tuple(Camera.view_deg), farthest_m=RANGE_M
+            )
+        except HplanError:
+            return False  # what is known is in the way
+        if view is None:
+            return False
+        name = left[view.number]
+        self.looked_from.append(name)
+        self.look({name: self.mast[name]})
+        self.log.views += 1
+        self.waits_until_s = self.machine.time_s + MAST_S + LOOK_S
+        return True
 
     def glance(self) -> None:
         """A coarse frame of two cameras; the running motion goes on, or another takes over."""
         names = list(self.cameras)[self.log.frames % 2 :: 2]
         frames = [self.cameras[name].frame(self.machine, closely=False) for name in names]
-        known = [item.name for item in self.planner.scene.obstacles if item.name in self.cameras]
+        known = [item.name for item in self.planner.scene.obstacles if item.name in {**self.cameras, **self.mast}]
         radius = RADIUS_M if self.running is not None else RADIUS_M + SPARE_M
         began = time.perf_counter()
         for name, points in zip(names, frames, strict=True):
@@ -182,7 +239,7 @@ class ControlLoop:
     def choose(self) -> None:
         """Plan to the first fruit that there is a motion to."""
         if not self.has_looked:
-            self.look()
+            self.look(self.cameras)
         here = Start(joints_rad=tuple(self.resting.tolist()))
         while self.running is None and self.todo:
             self.fruit = self.todo[0]
@@ -201,7 +258,14 @@ class ControlLoop:
                 self.todo.append(self.todo.pop(0))  # later, from elsewhere
                 return
             except HplanError:
+                if self.unknown == "solid" and self.fruit not in self.later:
+                    self.later.add(self.fruit)  # first what nothing more has to be seen for
+                    self.todo.append(self.todo.pop(0))
+                    continue
+                if self.look_again():
+                    return
                 self.log.left.append(self.todo.pop(0))
+            self.looked_from = []
 
     def stop(self) -> None:
         """Stop on the path, and wait; what is coming to rest already goes on to do so."""
@@ -228,20 +292,50 @@ class ControlLoop:
         self.fruit = ""
 
 
-def main(seconds: float = 8.0, *, scene: str = "tour", deadline_s: float | None = AHEAD_S) -> Log:
+def tree_in_front(file: Path, distance_m: float, arm: str) -> Scene:
+    """A measured tree. Its fruits are balls about what hung there, some with wood inside: those end before it."""
+    scene = measured_orchard([file], MeasuredOptions(distance=distance_m))
+    wood = solid_rows([solid for item in scene.obstacles for solid in item.solids], 0.0)
+    room = distances_from_bodies(np.array([fruit.center for fruit in scene.fruits]), *wood) - 2.0 * CLOSE_NOISE_M
+    fruits = tuple(
+        fruit.model_copy(update={"radius": min(fruit.radius, float(most))})
+        for fruit, most in zip(scene.fruits, room, strict=True)
+        if most > LEAST_FRUIT_M
+    )
+    return scene.model_copy(update={"robot": arm, "fruits": fruits, "goal": Goal(fruit=fruits[0].name)})
+
+
+def main(
+    seconds: float = 8.0,
+    *,
+    scene: Scene | str = "tour",
+    deadline_s: float | None = AHEAD_S,
+    unknown: Unknown = "free",
+) -> Log:
     """Pick for a while, and tell how it went."""
     options = hplan.PlanOptions(deadline_s=deadline_s, tracking_error=TRACKING_ERROR_RAD)
-    loop = ControlLoop(hplan.load_scene(scene), options)
+    loop = ControlLoop(hplan.load_scene(scene) if isinstance(scene, str) else scene, options, unknown)
     for number in range(round(seconds / TICK_S)):
         loop.tick(number)
     log = loop.log
     log.contacts = loop.machine.contacts
     print(f"{len(log.picked)} fruits picked, {len(log.left)} left, in {seconds:g} s: {', '.join(log.picked)}")
-    print(f"{log.frames} frames, {log.spliced} motions spliced, {log.stops} stops")
+    print(f"{log.frames} frames, {log.views} views from the mast, {log.spliced} motions spliced, {log.stops} stops")
     print(f"frames taken up in {np.median(log.seen_ms):.0f} ms, planned anew in {np.median(log.planned_ms):.0f} ms")
     print(f"joints at most {1e3 * log.farthest_off_rad:.2f} mrad off; contacts: {log.contacts or 'none'}")
     return log
 
 
 if __name__ == "__main__":
-    main(*map(float, sys.argv[1:2]))
+    parser = argparse.ArgumentParser(description="Pick fruit beside a controller, in MuJoCo.")
+    parser.add_argument("seconds", type=float, nargs="?", default=8.0, help="of simulation")
+    parser.add_argument("--unknown", choices=("free", "solid"), default="free", help="what space counts as not seen")
+    parser.add_argument("--tree", type=Path, help="a measured tree instead of the tour that ships with hplan")
+    parser.add_argument("--distance", type=float, default=1.4, help="of the tree [m]")
+    parser.add_argument("--arm", default="orchard_harvester", help="that picks from the tree")
+    parser.add_argument("--deadline", type=float, default=AHEAD_S, help="of each plan [s]; 0 for none")
+    asked = parser.parse_args()
+    orchard: Scene | str = "tour"
+    if asked.tree is not None:
+        orchard = tree_in_front(asked.tree, asked.distance, asked.arm)
+    main(asked.seconds, scene=orchard, deadline_s=asked.deadline or None, unknown=asked.unknown)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import inspect
 import math
 import warnings
 from collections.abc import Callable, Iterator, Mapping
@@ -139,6 +140,17 @@ KINDS: dict[str, tuple[Any, ...]] = {"number": NO_NUMBER, "positive": NO_POSITIV
     "name": NO_NAME, "path": NO_PATH, "file": NO_FILE, "whole": NO_WHOLE, "matrix": NO_MATRIX, "object": NO_OBJECT,
     "length": NO_LENGTH, "size": (*NO_NUMBER, -1.0), "other": NO_OBJECT[1:], "real": NO_NUMBER[1:],
     "count": NO_WHOLE[1:], "place": NO_VECTOR[1:], "turn": NO_VECTOR[:-3]}  # fmt: skip
+#: What arguments of these names are, where a case does not say otherwise.
+USUAL = {
+    argument: kind
+    for kind, arguments in {
+        "name": "name", "vector": "center", "length": "radius", "file": "path", "matrix": "waypoints", "whole": "seed",
+        "turn": "rpy_deg", "size": "sigma sigmas tracking_error tracking_delay_s", "positive": "speed deviation_rad",
+        "number": "yaw_deg", "count": "workers", "other": "options tour zone fruit_zone",
+        "object": "cell grid model motion obstacle occupancy playback result robot scene spec trajectory",
+    }.items()
+    for argument in arguments.split()
+}  # fmt: skip
 A_STUDY = {"name": "small", "arms": ("harvester",), "trees": ("tree.csv",)}
 #: What stands for None among good arguments, and for each argument that has to be such an object.
 OBJECTS = {
@@ -151,21 +163,24 @@ Case = tuple[Callable[..., Any], dict[str, Any], dict[str, tuple[Any, ...]]]
 
 
 def case(
-    function: Callable[..., Any], kinds: str, bad: Mapping[str, tuple[Any, ...]] = MappingProxyType({}), **good: Any
+    function: Callable[..., Any],
+    kinds: str = "",
+    bad: Mapping[str, tuple[Any, ...]] = MappingProxyType({}),
+    **good: Any,
 ) -> Case:
-    """A function with good arguments, the kinds of some of them, and values that others cannot have."""
-    named = dict(word.split(":") for word in kinds.split())
+    """A function with good arguments, the kinds of those that are not the usual ones, and values others cannot have."""
+    arguments = inspect.signature(function).parameters
+    usual = {name: kind for name, kind in USUAL.items() if name in arguments and name not in bad}
+    named = usual | dict(word.split(":") for word in kinds.split())
     known = {argument: None for argument, kind in named.items() if kind == "object" and argument in OBJECTS}
     return function, known | good, {argument: KINDS[kind] for argument, kind in named.items()} | dict(bad)
 
 
 CASES: dict[str, Case] = {
-    "Sphere": case(
-        Sphere, "name:name center:vector radius:length sigma:size", {"kind": ("box", None), "colour": ("red",)}, **BALL
-    ),
-    "Capsule": case(Capsule, "name:name start:vector end:vector radius:length", **ROD),
-    "Box": case(Box, "name:name center:vector size:vector rpy_deg:turn", **BOX),
-    "Cylinder": case(Cylinder, "name:name center:vector length:length radius:length rpy_deg:turn", **CAN),
+    "Sphere": case(Sphere, bad={"kind": ("box", None), "colour": ("red",)}, **BALL),
+    "Capsule": case(Capsule, "start:vector end:vector", **ROD),
+    "Box": case(Box, "size:vector", **BOX),
+    "Cylinder": case(Cylinder, "length:length", **CAN),
     "Track": case(
         Track,
         "about:place",
@@ -179,20 +194,18 @@ CASES: dict[str, Case] = {
         shifts_m=((0.0, 0.0, 0.0), (0.0, 1.0, 0.0)),
     ),
     "Sway": case(Sway, "direction:vector amplitude_m:length", direction=(0.0, 1.0, 0.0), amplitude_m=0.1),
-    "Fruit": case(Fruit, "name:name center:vector radius:length", **BALL),
+    "Fruit": case(Fruit, **BALL),
     "Mesh.of": case(
         Mesh.of,
-        "name:name vertices:matrix faces:matrix scale:length position:vector",
+        "vertices:matrix faces:matrix scale:length position:vector",
         {"colour": ("red",)},
         name="m",
         vertices=TETRA[0],
         faces=TETRA[1],
     ),
-    "PointCloud.of": case(
-        PointCloud.of, "points:matrix name:name radius:length", name="p", points=TETRA[0], radius=0.1
-    ),
+    "PointCloud.of": case(PointCloud.of, "points:matrix", name="p", points=TETRA[0], radius=0.1),
     "Mesh.write": case(Mesh.of("m", *TETRA).write, "path:path", path="m.ply"),
-    "Start": case(Start, "", {"joints_deg": (None, "0", 1.0), "joints_rad": ((0.0,),)}, joints_deg=(0.0,)),
+    "Start": case(Start, bad={"joints_deg": (None, "0", 1.0), "joints_rad": ((0.0,),)}, joints_deg=(0.0,)),
     "Goal": case(Goal, "position:place", {"fruit": (None, 1), "approach_deg": NO_NUMBER[1:5]}, fruit="apple"),
     "Scene": case(
         a_scene,
@@ -207,11 +220,11 @@ CASES: dict[str, Case] = {
         },
     ),
     "Scene.with_obstacles": case(
-        a_scene().with_obstacles, "", {"obstacles": (("post",), (None,), (START,))}, obstacles=()
+        a_scene().with_obstacles, bad={"obstacles": (("post",), (None,), (START,))}, obstacles=()
     ),
     "PlanOptions": case(
         hplan.PlanOptions,
-        "step_deg:positive rate_hz:length speed:positive tracking_error:size tracking_delay_s:size sigmas:size",
+        "step_deg:positive rate_hz:length",
         {
             "method": (None, "fast", 1),
             "objective": (None, "fun"),
@@ -247,53 +260,46 @@ CASES: dict[str, Case] = {
         time=[0.0, 1.0],
         position=[[0.0], [1.0]],
     ),
-    "plan": case(hplan.plan, "robot:object scene:object options:other"),
+    "plan": case(hplan.plan, bad={"progress": (None, 5, "print")}),
     "finish": case(
         hplan.finish,
-        "robot:object scene:object waypoints:matrix options:other",
-        {"keep_within_rad": (*NO_POSITIVE[1:], 1e-5)},
+        bad={"keep_within_rad": (*NO_POSITIVE[1:], 1e-5)},
         robot=ROBOT,
         scene=a_scene(),
         waypoints=([0.0] * 4, [0.1] * 4),
     ),
-    "plan_tour": case(
-        hplan.plan_tour, "robot:object scene:object options:other tour:other", {"fruits": ("apple", 1, [1])}
-    ),
-    "plan_poses": case(hplan.plan_poses, "robot:object scene:object options:other", poses=None),
-    "reachable": case(
-        hplan.reachable, "robot:object scene:object options:other", {"motions": ("yes", 2, None)}, motions=False
-    ),
-    "load_cell": case(hplan.load_cell, "path:file", path="cell.yaml"),
-    "plan_cell": case(hplan.plan_cell, "cell:object options:other", cell=a_cell()),
-    "plan_cell_tour": case(hplan.plan_cell_tour, "cell:object options:other", cell=a_cell()),
+    "plan_tour": case(hplan.plan_tour, bad={"fruits": ("apple", 1, [1])}),
+    "plan_poses": case(hplan.plan_poses, poses=None),
+    "reachable": case(hplan.reachable, bad={"motions": ("yes", 2, None)}, motions=False),
+    "load_cell": case(hplan.load_cell, path="cell.yaml"),
+    "plan_cell": case(hplan.plan_cell, cell=a_cell()),
+    "plan_cell_tour": case(hplan.plan_cell_tour, cell=a_cell()),
     "certify_cell": case(
         hplan.certify_cell,
-        "cell:object motion:object options:other check_ends:other",
+        "check_ends:other",
         cell=a_cell(),
         motion=a_cell().together({}),
     ),
-    "replan_cell": case(hplan.replan_cell, "result:object", result=None, t=0.5, arm="a"),
+    "replan_cell": case(hplan.replan_cell, result=None, t=0.5, arm="a"),
     "check": case(
         hplan.check,
-        "robot:object scene:object",
-        {
+        bad={
             "q": (None, "0", [0.0], [NAN] * 4, [[0.0] * 5], [[0.0] * 4, [0.0]]),
             "time_s": ("0", NAN),
             "sigmas": (-1.0, "3", NAN),
         },
         q=[0.0, 0.0, 0.0, 0.0],
     ),
-    "warm_up": case(hplan.warm_up, "robot:object"),
-    "Planner": case(hplan.Planner, "robot:object scene:object options:other"),
-    "Planner.add": case(a_planner().add, "obstacle:object", obstacle=Sphere(**BALL)),
-    "Planner.remove": case(a_planner().remove, "name:name", name="ball"),
+    "warm_up": case(hplan.warm_up),
+    "Planner": case(hplan.Planner),
+    "Planner.add": case(a_planner().add, obstacle=Sphere(**BALL)),
+    "Planner.remove": case(a_planner().remove, name="ball"),
     "Planner.move": case(
-        a_planner().move, "name:name center:vector radius:length", {"size": (1.0,), "kind": ("box",)}, name="ball"
+        a_planner().move, "center:vector radius:length", {"size": (1.0,), "kind": ("box",)}, name="ball"
     ),
     "Planner.set_cloud": case(
         a_planner().set_cloud,
-        "name:name radius:length options:other",
-        {
+        bad={
             "points": ("points", 1.0, [1.0]),
             "pose": ("pose", 1.0, [1.0] * 5),
             "joints": ("joints", 1.0, [0.0]),
@@ -308,23 +314,20 @@ CASES: dict[str, Case] = {
     ),
     "Planner.aim": case(
         a_planner().aim,
-        "",
-        {"start": ("start", 1.0, GOAL.model_copy(update={"joints_deg": None})), "goal": ("goal", 1.0, (0.0,) * 4)},
+        bad={"start": ("start", 1.0, GOAL.model_copy(update={"joints_deg": None})), "goal": ("goal", 1.0, (0.0,) * 4)},
     ),
     "Planner.replan": case(
         lambda **given: a_running_planner().replan(**given),
-        "",
-        {"at": (*NO_NUMBER[1:], -1.0, 99.0), "now": (*NO_NUMBER[1:], -1.0, 0.2), "cancel": (1.0, "stop")},
+        bad={"at": (*NO_NUMBER[1:], -1.0, 99.0), "now": (*NO_NUMBER[1:], -1.0, 0.2), "cancel": (1.0, "stop")},
         at=0.1,
     ),
     "Planner.stop_at": case(
         lambda **given: a_running_planner().stop_at(**given), "t:size", {"now": (*NO_NUMBER[1:], -1.0, 99.0)}, t=0.1
     ),
-    "Trajectory.stop_at": case(a_trajectory().stop_at, "t:size robot:object", t=0.5, robot=ROBOT),
-    "Trajectory.scaled": case(a_trajectory().scaled, "profile:positive robot:object", profile=0.5, robot=ROBOT),
+    "Trajectory.stop_at": case(a_trajectory().stop_at, "t:size", t=0.5, robot=ROBOT),
+    "Trajectory.scaled": case(a_trajectory().scaled, "profile:positive", profile=0.5, robot=ROBOT),
     "certify": case(
         hplan.certify,
-        "robot:object scene:object trajectory:object tracking_error:size tracking_delay_s:size sigmas:size "
         "checker:other",
         {
             "rest_to_rest": (None, "no", 1.0),
@@ -333,25 +336,23 @@ CASES: dict[str, Case] = {
             "begin_s": (None, "1", NAN, math.inf),
         },
     ),
-    "execute": case(execute, "robot:object scene:object motion:object"),
-    "load_robot": case(hplan.load_robot, "path:file limits:file srdf:file", {"tool_frame": (*NO_NAME[1:], "nothing")}),
-    "load_scene": case(hplan.load_scene, "path:file"),
-    "parse_scene": case(parse_scene, "", {"text": (None, b"", 1)}, text=""),
-    "dump_scene": case(dump_scene, "scene:object", scene=a_scene()),
-    "save_scene": case(hplan.save_scene, "scene:object path:path", scene=a_scene(), path="a.yaml"),
-    "read_csv": case(hplan.read_csv, "path:file", path="a"),
-    "read_motion": case(read_motion, "path:file", path="a"),
-    "write_csv": case(
-        hplan.write_csv, "trajectory:object path:path robot:other", trajectory=a_trajectory(), path="a.csv"
-    ),
+    "execute": case(execute),
+    "load_robot": case(hplan.load_robot, "limits:file srdf:file", {"tool_frame": (*NO_NAME[1:], "nothing")}),
+    "load_scene": case(hplan.load_scene),
+    "parse_scene": case(parse_scene, bad={"text": (None, b"", 1)}, text=""),
+    "dump_scene": case(dump_scene, scene=a_scene()),
+    "save_scene": case(hplan.save_scene, "path:path", scene=a_scene(), path="a.yaml"),
+    "read_csv": case(hplan.read_csv, path="a"),
+    "read_motion": case(read_motion, path="a"),
+    "write_csv": case(hplan.write_csv, "path:path robot:other", trajectory=a_trajectory(), path="a.csv"),
     "write_text": case(write_text, "path:path", {"text": ("\ud800", None, b"")}, path="a", text=""),
     "Robot.check_configuration": case(
-        ROBOT.check_configuration, "", {"q": (None, "0000", 1.0)}, q=[0.0] * 4, which="start"
+        ROBOT.check_configuration, bad={"q": (None, "0000", 1.0)}, q=[0.0] * 4, which="start"
     ),
     "FruitZone": case(FruitZone, "low:number high:number reach:length"),
     "OrchardOptions": case(
         OrchardOptions,
-        "name:name seed:whole trees:whole spacing:length fruit_zone:object clearance:size",
+        "trees:whole spacing:length fruit_zone:object clearance:size",
         {
             "form": (None, "bush", []),
             "wire_heights": (None, "12", 1.0),
@@ -361,35 +362,31 @@ CASES: dict[str, Case] = {
             "posts": (None, 1),
         },
     ),
-    "generate": case(generate, "options:other", {"start_deg": (None, "0", 1.0)}),
+    "generate": case(generate, bad={"start_deg": (None, "0", 1.0)}),
     "MeasuredOptions": case(
         MeasuredOptions,
-        "name:name distance:number spacing:number height:number yaw_deg:number seed:whole clearance:number "
-        "wood_yields:size yields_below:size fruit_yields:size fruits:count fruit_zone:other",
-        {"goal": (1, ""), "fruit_radius": NO_LENGTH[1:]},
+        "distance:number spacing:number height:number clearance:number "
+        "wood_yields:size yields_below:size fruit_yields:size fruits:count",
+        {"goal": (1, ""), "robot": (1, "", "arm"), "fruit_radius": NO_LENGTH[1:]},
     ),
     "measured_orchard": case(
         measured_orchard,
-        "options:other",
-        {"paths": (None, "p1.csv", []), "start_deg": (None, "0")},
+        bad={"paths": (None, "p1.csv", []), "start_deg": (None, "0")},
         paths=None,
         options=MeasuredOptions(fruits=2),
     ),
-    "import_capsules": case(
-        import_capsules, "path:file position:vector yaw_deg:number", {"prefix": (None, 1)}, path="p.csv"
-    ),
-    "import_tree": case(import_tree, "path:file position:vector yaw_deg:number", {"prefix": (None, 1)}, path="p.csv"),
+    "import_capsules": case(import_capsules, "position:vector", {"prefix": (None, 1)}, path="p.csv"),
+    "import_tree": case(import_tree, "position:vector", {"prefix": (None, 1)}, path="p.csv"),
     "fruit_at_tips": case(
         fruit_at_tips,
-        "count:whole radius:length seed:whole zone:other",
+        "count:whole",
         {"capsules": (None, "rod", [None])},
         capsules=[Capsule(**ROD)],
         count=1,
     ),
     "ArmSpec": case(
         ArmSpec,
-        "name:name",
-        {
+        bad={
             "link_lengths": (None, "12", 1.0),
             "lower": (None, (NAN,) * 4, (0.0,)),
             "has_yaw": (None, "yes", 2),
@@ -398,15 +395,13 @@ CASES: dict[str, Case] = {
         },
         **SPEC,
     ),
-    "write_robot": case(write_robot, "spec:object urdf_path:path", spec=HARVESTER, urdf_path="a.urdf"),
-    "load_member": case(load_member, "spec:object", spec=HARVESTER),
-    "Study": case(Study, "name:name", {"arms": (None, "arm", 1.0, ()), "trees": (None, "tree", 1.0, ((),))}, **A_STUDY),
-    "run_study": case(
-        run_study, "rows:path workers:count", {"study": (3, "missing.yaml", ()), "executor": (3, "pool")}, study=None
-    ),
+    "write_robot": case(write_robot, "urdf_path:path", spec=HARVESTER, urdf_path="a.urdf"),
+    "load_member": case(load_member, spec=HARVESTER),
+    "Study": case(Study, bad={"arms": (None, "arm", 1.0, ()), "trees": (None, "tree", 1.0, ((),))}, **A_STUDY),
+    "run_study": case(run_study, "rows:path", {"study": (3, "missing.yaml", ()), "executor": (3, "pool")}, study=None),
     "RowOptions": case(
         hplan.RowOptions,
-        "distance:positive step:positive speed:positive acceleration:positive lift_speed:positive share:positive "
+        "distance:positive step:positive acceleration:positive lift_speed:positive share:positive "
         "settling:number detaching:number",
         {
             "heights": (None, "up", (), (NAN,)),
@@ -417,85 +412,68 @@ CASES: dict[str, Case] = {
     ),
     "plan_row": case(
         hplan.plan_row,
-        "robot:object scene:object workers:count",
-        {"row": (3, "row"), "tour": (3, "tour"), "executor": (3, "pool")},
+        bad={"row": (3, "row"), "tour": (3, "tour"), "executor": (3, "pool")},
     ),
-    "cross_check": case(cross_check, "urdf_path:file samples:whole seed:whole", urdf_path="a.urdf"),
+    "cross_check": case(cross_check, "urdf_path:file samples:whole", urdf_path="a.urdf"),
     "Grid.over": case(
         Grid.over,
-        "",
-        {"lower": (None, "0", 1.0), "upper": (None, [NAN], [INF]), "step": (None, "1", NAN)},
+        bad={"lower": (None, "0", 1.0), "upper": (None, [NAN], [INF]), "step": (None, "1", NAN)},
         lower=[0.0],
         upper=[1.0],
         step=0.1,
     ),
     "Occupancy.from_mask": case(
         Occupancy.from_mask,
-        "grid:object",
-        {"occupied": (None, np.zeros((3, 3)), [[False]])},
+        bad={"occupied": (None, np.zeros((3, 3)), [[False]])},
         grid=free().grid,
         occupied=np.zeros((3, 3), dtype=np.bool_),
     ),
     **{
-        function.__name__: case(
+        "reachable nodes" if function is reachable else function.__name__: case(
             function,
-            "occupancy:object",
-            {"start": (None, "00", (0,), (0.0, 0.0), (9, 9), (NAN, 0), [[0], [0, 1]], 0, NoArray())},
+            bad={"start": (None, "00", (0,), (0.0, 0.0), (9, 9), (NAN, 0), [[0], [0, 1]], 0, NoArray())},
             occupancy=free(),
             start=(0, 0),
             **({} if function is reachable else {"goal": (2, 2)}),
         )
         for function in (dense_search, reachable, slices_with_path, two_level_search)
     },
-    "rounded_path": case(
-        rounded_path, "waypoints:matrix deviation_rad:positive", waypoints=[[0.0] * 4], deviation_rad=0.1
-    ),
-    "largest_deviation": case(
-        largest_deviation, "positions:matrix waypoints:matrix", positions=[[0.0] * 4], waypoints=[[0.0] * 4]
-    ),
+    "rounded_path": case(rounded_path, waypoints=[[0.0] * 4], deviation_rad=0.1),
+    "largest_deviation": case(largest_deviation, "positions:matrix", positions=[[0.0] * 4], waypoints=[[0.0] * 4]),
     "limits_of": case(
         limits_of,
-        "model:object",
-        {"acceleration": (None, "a", NAN), "jerk": ("a", NAN, -1.0), "torque": (None, "no")},
+        bad={"acceleration": (None, "a", NAN), "jerk": ("a", NAN, -1.0), "torque": (None, "no")},
         model=ROBOT.model,
         acceleration=1.0,
     ),
-    "limit_shares": case(
-        limit_shares, "trajectory:object limits:object", trajectory=a_trajectory(), limits=limits_of(ROBOT.model, 1.0)
-    ),
+    "limit_shares": case(limit_shares, "limits:object", trajectory=a_trajectory(), limits=limits_of(ROBOT.model, 1.0)),
     "time_waypoints": case(
         time_waypoints,
-        "model:object waypoints:matrix limits:object deviation_rad:positive rate_hz:positive speed:positive",
+        "limits:object rate_hz:positive",
         model=ROBOT.model,
         waypoints=[[0.0] * 4, [0.1] * 4],
         limits=limits_of(ROBOT.model, 1.0),
     ),
     "read_machine": case(
         read_machine,
-        "path:file",
-        {"joints": ("wrist", 1, [1]), "hold": (1, "wrist", {"wrist": "a"})},
+        bad={"joints": ("wrist", 1, [1]), "hold": (1, "wrist", {"wrist": "a"})},
         path=str(ROBOT.urdf_path),
     ),
-    "read_waypoints": case(
-        read_waypoints, "path:file", {"joint_names": (None, "a", [1])}, path="w.csv", joint_names=["a"]
-    ),
+    "read_waypoints": case(read_waypoints, bad={"joint_names": (None, "a", [1])}, path="w.csv", joint_names=["a"]),
     "Trajectory.since": case(a_trajectory().since, "row:whole", row=1),
     "Trajectory.until": case(a_trajectory().until, "row:whole", row=1),
     "Trajectory.positions": case(
-        a_trajectory().positions, "", {"clock": (*NO_MATRIX[:3], [NAN], [[0.0]])}, clock=[0.0]
+        a_trajectory().positions, bad={"clock": (*NO_MATRIX[:3], [NAN], [[0.0]])}, clock=[0.0]
     ),
-    "Robot.tool_positions": case(ROBOT.tool_positions, "", {"q": (None, "1234", 1.0)}, q=[0.0] * 4),
-    "Robot.yaw_of": case(ROBOT.yaw_of, "", {"q": (None, "0000", 1.0)}, q=[0.0] * 4),
+    "Robot.tool_positions": case(ROBOT.tool_positions, bad={"q": (None, "1234", 1.0)}, q=[0.0] * 4),
+    "Robot.yaw_of": case(ROBOT.yaw_of, bad={"q": (None, "0000", 1.0)}, q=[0.0] * 4),
     "Robot.plane_at": case(ROBOT.plane_at, "yaw:number", yaw=0.0),
-    "Robot.sway": case(ROBOT.sway, "", {"deviation": (None, "0.1", NAN)}, deviation=0.1),
-    "plan progress": case(hplan.plan, "", {"progress": (None, 5, "print")}, robot=None, scene=None),
-    "Playback.of": case(Playback.of, "result:object", result=None),
-    "Playback": case(
-        Playback, "trajectory:object begin_s:number", {"picked": (None, [], {1: 0.0}), "phases": (None, 1.0, [None])}
-    ),
+    "Robot.sway": case(ROBOT.sway, bad={"deviation": (None, "0.1", NAN)}, deviation=0.1),
+    "Playback.of": case(Playback.of, result=None),
+    "Playback": case(Playback, "begin_s:number", {"picked": (None, [], {1: 0.0}), "phases": (None, 1.0, [None])}),
     "write_page": case(
         write_page,
-        "robot:object scene:object playback:object path:path",
+        "path:path",
         playback=Playback(a_trajectory()),
         path="a.html",
     ),

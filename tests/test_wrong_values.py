@@ -274,12 +274,7 @@ CASES: dict[str, Case] = {
     "load_cell": case(hplan.load_cell, path="cell.yaml"),
     "plan_cell": case(hplan.plan_cell, cell=a_cell()),
     "plan_cell_tour": case(hplan.plan_cell_tour, cell=a_cell()),
-    "certify_cell": case(
-        hplan.certify_cell,
-        "check_ends:other",
-        cell=a_cell(),
-        motion=a_cell().together({}),
-    ),
+    "certify_cell": case(hplan.certify_cell, "check_ends:other", cell=a_cell(), motion=a_cell().together({})),
     "replan_cell": case(hplan.replan_cell, result=None, t=0.5, arm="a"),
     "check": case(
         hplan.check,
@@ -378,11 +373,7 @@ CASES: dict[str, Case] = {
     "import_capsules": case(import_capsules, "position:vector", {"prefix": (None, 1)}, path="p.csv"),
     "import_tree": case(import_tree, "position:vector", {"prefix": (None, 1)}, path="p.csv"),
     "fruit_at_tips": case(
-        fruit_at_tips,
-        "count:whole",
-        {"capsules": (None, "rod", [None])},
-        capsules=[Capsule(**ROD)],
-        count=1,
+        fruit_at_tips, "count:whole", {"capsules": (None, "rod", [None])}, capsules=[Capsule(**ROD)], count=1
     ),
     "ArmSpec": case(
         ArmSpec,
@@ -410,10 +401,7 @@ CASES: dict[str, Case] = {
             "carried": (None, "vehicle", (1,)),
         },
     ),
-    "plan_row": case(
-        hplan.plan_row,
-        bad={"row": (3, "row"), "tour": (3, "tour"), "executor": (3, "pool")},
-    ),
+    "plan_row": case(hplan.plan_row, bad={"row": (3, "row"), "tour": (3, "tour"), "executor": (3, "pool")}),
     "cross_check": case(cross_check, "urdf_path:file samples:whole", urdf_path="a.urdf"),
     "Grid.over": case(
         Grid.over,
@@ -455,9 +443,7 @@ CASES: dict[str, Case] = {
         limits=limits_of(ROBOT.model, 1.0),
     ),
     "read_machine": case(
-        read_machine,
-        bad={"joints": ("wrist", 1, [1]), "hold": (1, "wrist", {"wrist": "a"})},
-        path=str(ROBOT.urdf_path),
+        read_machine, bad={"joints": ("wrist", 1, [1]), "hold": (1, "wrist", {"wrist": "a"})}, path=str(ROBOT.urdf_path)
     ),
     "read_waypoints": case(read_waypoints, bad={"joint_names": (None, "a", [1])}, path="w.csv", joint_names=["a"]),
     "Trajectory.since": case(a_trajectory().since, "row:whole", row=1),
@@ -471,12 +457,7 @@ CASES: dict[str, Case] = {
     "Robot.sway": case(ROBOT.sway, bad={"deviation": (None, "0.1", NAN)}, deviation=0.1),
     "Playback.of": case(Playback.of, result=None),
     "Playback": case(Playback, "begin_s:number", {"picked": (None, [], {1: 0.0}), "phases": (None, 1.0, [None])}),
-    "write_page": case(
-        write_page,
-        "path:path",
-        playback=Playback(a_trajectory()),
-        path="a.html",
-    ),
+    "write_page": case(write_page, "path:path", playback=Playback(a_trajectory()), path="a.html"),
     "corner_grid": case(corner_grid, "path:object"),
     "read_planning_scene": case(read_planning_scene, "source:file", source={"world": {}}),
 }

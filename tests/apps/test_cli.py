@@ -374,6 +374,3 @@ def test_a_grid_too_large_for_memory_is_no_fault(
     assert json.loads((tmp_path / "out" / "report.json").read_text())["certificate"]["verified"]
     assert main([*arguments, "--method", "dense"]) == 6
     assert "no grid of 8 deg or less has fewer than" in capsys.readouterr().err
-
-
-# Imports

@@ -96,10 +96,7 @@ def test_near_miss_is_verified_and_its_clearance_close(robot, scene):
         certificate = certify(robot, scene.with_obstacles([grazed_ball(-gap, 0.604)]), trajectory)
         assert certificate.verified, certificate.violations
         assert 0.3 * gap < certificate.min_clearance_m <= gap + 1e-9
-
-
-def test_scene_clearance_is_asked_for(robot, scene):
-    trajectory = swing(robot, 0.301, 0.901, 0.6, 101)
+    # The scene's clearance is asked for.
     scene = scene.with_obstacles([grazed_ball(-0.01, 0.604)])
     assert certify(robot, scene.model_copy(update={"clearance": 0.0099}), trajectory).verified
     refused = certify(robot, scene.model_copy(update={"clearance": 0.0101}), trajectory)
@@ -270,9 +267,6 @@ def test_limits_are_exact_for_random_rows(robot, scene):
     assert use.acceleration == pytest.approx((np.abs(acceleration) / robot.acceleration_limit).max(), rel=0.02)
     middle, half = 0.5 * (robot.lower + robot.upper), 0.5 * (robot.upper - robot.lower)
     assert use.position >= (np.abs(curve - middle) / half).max() - 1e-12
-
-
-# Tracking error
 
 
 # Trajectories from elsewhere

@@ -79,18 +79,14 @@ def offset_of(robot: Robot, result: PlanResult, motion: Trajectory) -> float:
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_the_approach_begins_in_motion_and_is_straight(robot: Robot, plans: Any, name: str) -> None:
+def test_the_approach_begins_in_motion_and_is_straight_and_smooth(robot: Robot, plans: Any, name: str) -> None:
     _, result, told = plans[name]
     assert told.blended is not None
     assert [phase.name for phase in result.phases] == ["transit", "approach", "retreat"]
     assert np.abs(result.trajectory.velocity[seam_of(result)]).max() > 0.05
     assert offset_of(robot, result, result.trajectory) < 1e-4
     assert result.trajectory.duration < told.stopping - 1e-3
-
-
-@pytest.mark.parametrize("name", SCENES)
-def test_the_seam_is_as_smooth_as_the_rest(robot: Robot, plans: Any, name: str) -> None:
-    _, result, told = plans[name]
+    # The seam is as smooth as the rest.
     motion, seam = result.trajectory, seam_of(result)
     transit, approach = (motion.trajectory for motion in told.blended[1:])
     for quantity in ("position", "velocity", "acceleration", "torque"):

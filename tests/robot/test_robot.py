@@ -81,9 +81,6 @@ def assert_kinematics_match(robot: Robot) -> None:
     np.testing.assert_array_equal(robot.tool_positions(q[3]), tools[3])
 
 
-# The shipped robot
-
-
 # The family
 
 

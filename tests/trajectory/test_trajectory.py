@@ -50,7 +50,7 @@ def assert_equal(one: Trajectory, other: Trajectory) -> None:
 # The trajectory
 
 
-def test_positions_between_rows_are_on_the_cubics():
+def test_positions_and_states_between_rows_are_those_of_the_cubics():
     from scipy.interpolate import CubicHermiteSpline
 
     trajectory = some_trajectory(7)
@@ -60,13 +60,6 @@ def test_positions_between_rows_are_on_the_cubics():
     outside = trajectory.positions(np.array([-1.0, trajectory.duration + 1.0]))
     np.testing.assert_allclose(outside, trajectory.position[[0, -1]], rtol=0, atol=1e-12)
     np.testing.assert_array_equal(some_trajectory(1).positions(np.zeros(2)), some_trajectory(1).position[[0, 0]])
-
-
-def test_states_are_those_of_the_cubics():
-    from scipy.interpolate import CubicHermiteSpline
-
-    trajectory = some_trajectory(5)
-    curve = CubicHermiteSpline(trajectory.time, trajectory.position, trajectory.velocity)
     assert trajectory.velocity[0].any()
     for t in (-1e-13, 0.0, 0.3 * trajectory.duration, 0.71 * trajectory.duration):  # rounding is not before the begin
         for order, values in enumerate(trajectory.state_at(t)):

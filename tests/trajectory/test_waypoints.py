@@ -261,19 +261,16 @@ def test_joint_of_several_coordinates_is_refused_and_can_stay(load, kind):
 
 
 def test_mimic_is_held_with_the_one_it_mimics(load):
-    joints = [f'<joint name="{name}" type="revolute">{LIMIT}' for name in ("arm", "finger", "other")]
-    joints[2] += '<mimic joint="finger"/>'
+    *one, other = [f'<joint name="{name}" type="revolute">{LIMIT}' for name in ("arm", "finger", "other")]
+    joints = [*one, other + '<mimic joint="finger"/>']
     machine = load(*joints)
     assert machine.joint_names == ("arm",)
     assert machine.held == {"finger": 0.0, "other": 0.0}
     for name in ("finger", "other"):
         with pytest.raises(InputError, match=f"'{name}' cannot be moved: .* move as one"):
             load(*joints, joints=[name])
-
-
-def test_what_mimics_a_held_joint_follows_it(load):
-    joints = [f'<joint name="{name}" type="revolute">{LIMIT}' for name in ("arm", "finger", "other")]
-    joints[2] += '<mimic joint="finger" multiplier="-0.5" offset="0.1"/>'
+    # Where that stands elsewhere, it follows.
+    joints = [*one, other + '<mimic joint="finger" multiplier="-0.5" offset="0.1"/>']
     assert load(*joints, hold={"finger": 0.4}).held == {"finger": 0.4, "other": pytest.approx(-0.1)}
     with pytest.raises(InputError, match="'other' cannot be held by itself, for it mimics 'finger'"):
         load(*joints, hold={"other": 0.4})

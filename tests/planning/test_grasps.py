@@ -13,10 +13,10 @@ from hplan.collision.coal_scene import CoalScene
 from hplan.errors import BlockedError
 from hplan.kinematics.planar_inverse_kinematics import reach
 from hplan.kinematics.straight_approach import ApproachPath
-from hplan.planning.grasps import SPARE, Grasp, Target, grasps
+from hplan.planning.grasps import SEARCHED, SPARE, Grasp, Target, grasps, promising
 from hplan.planning.world import World
 from hplan.robot.model import Robot
-from hplan.scene.obstacles import Sphere
+from hplan.scene.obstacles import Box, Sphere
 
 START = np.radians([10.0, 80.0, 80.0, 80.0])
 FRUIT = Sphere(name="fruit", center=at(40.0, 1.3, 1.6), radius=0.04)
@@ -155,3 +155,23 @@ def test_blocked_names_what_is_in_the_way(robot: Robot) -> None:
     assert error.data["tried"] == total == sum(item["configurations"] for item in error.obstacles)
     assert all(item["link"] in robot.arm.link_names for item in error.obstacles)
     assert error.exit_status == 3
+
+
+@pytest.mark.parametrize("behind", [0, 1, 9, 20])
+@pytest.mark.parametrize("beside", [0, 3])
+def test_promising_are_the_first_straight_one_and_some_of_those_before(robot: Robot, behind: int, beside: int) -> None:
+    """Some stand-offs behind a wall, then some on this side of it."""
+    world = World.of(robot, [Box(name="wall", center=(1.0, 0.58, 1.0), size=(1.6, 0.02, 2.4), rpy_deg=(0, 0, 30))])
+
+    def grasp_at(yaw_deg: float) -> Grasp:
+        q = np.radians([yaw_deg, 20.0, 20.0, 20.0])
+        return Grasp(goal=q, standoff=q, distance=0.1, approach=0.0, least_duration=1.0)
+
+    ways = [*(grasp_at(70.0 + i) for i in range(behind)), *(grasp_at(-30.0 - i) for i in range(beside))]
+    start = np.radians([-10.0, 20.0, 20.0, 20.0])
+    straight = [world.field.is_clear(np.stack([start, grasp.standoff]), SPARE) for grasp in ways]
+    assert straight == [False] * behind + [True] * beside
+    likely = promising(ways, Target("it", FRUIT.center, world, world), start)
+    assert 0 < len(likely) <= SEARCHED + 1 or not ways
+    assert not ways or likely[0] is ways[0]
+    assert not beside or likely[-1] is ways[behind]

@@ -163,7 +163,7 @@ def _body(shape: pin.GeometryObject) -> CollisionBody:
     exact = len(points) <= MOST_POINTS
     if not exact:
         hull = hull_of(points, most=MOST_POINTS)
-        points, rounding = hull.core, hull.rounding
+        points, rounding = hull.core, rounding + hull.rounding
     core = frozen(points @ place.rotation.T + place.translation)
     return CollisionBody(shape.name, int(shape.parentJoint) - 1, core, rounding, "", exact, 0.0, -1)
 

@@ -181,7 +181,7 @@ class _Search:
         if certificate.verified:
             return _run(still, self._scene, (phases, motion, certificate), report)
         for spare_s in _SPARE_S:
-            cells = PathInTime(motion, self._field, self._robot, step_s=STEP_S, spare_s=spare_s)
+            cells = PathInTime(motion, self._field, step_s=STEP_S, spare_s=spare_s)
             schedule = earliest_schedule(
                 cells,
                 motion.duration,

@@ -170,7 +170,7 @@ def _turning(
 def _waiting_s(robot: Robot, scene: Scene, motion: Trajectory) -> float | None:
     """Duration of standing still until a motion is clear for good, and of the motion [s]; None for never."""
     field = MovingField(robot, scene, sigmas=3.0, tracking_error=0.0)
-    cells = PathInTime(motion, field, robot, step_s=STEP_S, spare_s=0.0)
+    cells = PathInTime(motion, field, step_s=STEP_S, spare_s=0.0)
     clear = [cells.clear(row) for row in range(math.ceil(max(0.0, field.at_rest_s) / STEP_S) + 2)]
     goes = 1 + max((row for row, free in enumerate(clear) if not free.all()), default=-1)
     if goes == len(clear) or not all(free[0] for free in clear[:goes]):

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from arm_variants import least_by_coal
+from fitted_arms import box, fitted
 from planned import assert_within_limits, task
 
 from hplan.errors import ConfigurationInCollisionError, MovingObstacleError, ObstacleInTimeError
@@ -179,12 +180,24 @@ def test_poses_that_stand_for_a_movement_are_close_together(robot):
     assert len({item.name for item in among.obstacles}) == len(among.obstacles)
 
 
+def test_parts_that_only_tracking_errors_bring_together(tmp_path):
+    """A mast that the upper arm touches where it is higher by a little than it may be."""
+    mast = box((0.05, 0.05, 0.8), (0.3, 0.0, 1.2))
+    robot = fitted(tmp_path, {"turret": [mast]}, high=(20.0, 60.0, 30.0))
+    item = ball(robot, (0.0, (0.0, -1.5, 0.0)), (0.5, (0.0, 1.5, 0.0)))
+    scene = task(START, (0.0, 15.0, 50.0, 20.0), [item])
+    motion = plan(robot, without_moving(scene), PlanOptions(effort="quick")).trajectory
+    exact, off = (MovingField(robot, scene, sigmas=3.0, tracking_error=error) for error in (0.0, 0.1))
+    assert len(off.at(0.0).movers) > len(exact.at(0.0).movers)
+    assert PathInTime(motion, off, step_s=STEP_S, spare_s=0.0).clear(0)[0]
+
+
 def test_cells_that_are_clear_are_clear_all_the_time(robot):
     scene = task(START, GOAL, [ball(robot, (0.0, (0.0, -1.5, 0.0)), (0.5, (0.0, 1.5, 0.0)))], **PLANAR)
     motion = plan(robot, without_moving(scene), PlanOptions(effort="quick")).trajectory
     field = MovingField(robot, scene, sigmas=3.0, tracking_error=0.0)
     spare_s, count = 0.06, 0
-    cells = PathInTime(motion, field, robot, step_s=STEP_S, spare_s=spare_s)
+    cells = PathInTime(motion, field, step_s=STEP_S, spare_s=spare_s)
     for row in range(12):
         clear = cells.clear(row)
         count += clear.sum()

@@ -86,7 +86,7 @@ class PathInTime:
         at_rest_s: Time from which on all rows are alike [s].
     """
 
-    def __init__(self, motion: Trajectory, field: MovingField, robot: Robot, *, step_s: float, spare_s: float) -> None:
+    def __init__(self, motion: Trajectory, field: MovingField, *, step_s: float, spare_s: float) -> None:
         """Look at nothing yet.
 
         Args:
@@ -100,8 +100,7 @@ class PathInTime:
         self.step_s, self.at_rest_s = step_s, field.at_rest_s
         self._field, self._half = field, 0.5 * step_s + spare_s
         turns = np.diff(self.configurations, axis=0)
-        empty = ClearanceField.of(robot, []).only(np.zeros(0, dtype=np.bool_), arm=False)
-        bounds = np.abs(turns) @ empty.reaches.T
+        bounds = np.abs(turns) @ field.at(0.0).reaches.T
         self._travel = 0.5 * np.maximum(np.vstack([bounds[:1], bounds]), np.vstack([bounds, bounds[-1:]]))
         self._last: tuple[int, BoolArray] | None = None
 

@@ -31,6 +31,8 @@ from hplan.optimization.first_order import (
 from hplan.optimization.interior_point import ProgramRows, solve
 from hplan.optimization.minimize_time import minimize_time, rough_motion
 from hplan.optimization.time_problem import TimeProblem
+from hplan.optimization.timed_spline import TimedSpline, even_breaks
+from hplan.optimization.torque_rows import TorqueUse, torque_rows
 from hplan.planning.effort import EFFORTS_OF_BODIES
 from hplan.planning.motion import motion_limits, smoothing_options
 from hplan.planning.options import EFFORT_NAMES, PlanOptions
@@ -74,6 +76,32 @@ def test_torque_limits_are_kept(robot, scene):
     plan = hplan.plan(arm, scene)
     assert plan.certificate.verified
     assert np.abs(plan.trajectory.torque[:, 1]).max() <= weak[1] * 1.001
+
+
+def test_torque_rows_follow_the_torques(robot):
+    def motion(clock):
+        t = np.clip(clock / 0.8, 0.0, 1.0)
+        return 0.3 + np.outer(t**3 * (10.0 - 15.0 * t + 6.0 * t**2), [0.0, 0.6, 0.4, -0.2])
+
+    spline = TimedSpline.near(motion, even_breaks(0.8, 14))
+    limit = np.abs(TorqueUse.of(spline, robot.dynamics, np.ones(4)).use).max(axis=0) + 1e-6
+    use = TorqueUse.of(spline, robot.dynamics, limit)
+    movable = np.array([1, 2, 3])
+    limits = MotionLimits(np.array(robot.lower), np.array(robot.upper), np.ones((3, 4)), movable, np.empty((0, 4)))
+    rows = torque_rows(use, spline, robot.dynamics, limits)
+    rng = np.random.default_rng(1)
+    change, time_scale = rng.uniform(-1e-5, 1e-5, (len(spline.control) - 6, 3)), 1.0 + 1e-5
+    control = np.array(spline.control)
+    control[3:-3, movable] += change
+    after = TorqueUse.of(TimedSpline(control, spline.knots).at_time_scale(time_scale), robot.dynamics, limit)
+    times, joints = np.nonzero(np.abs(use.use) > 0.75)
+    sign = np.sign(use.use[times, joints])
+    actual = sign * (after.use - use.use)[times, joints]
+    matrix = np.zeros((len(rows.upper), change.size))
+    for row, (start, end) in enumerate(zip(rows.starts[:-1], rows.starts[1:], strict=True)):
+        matrix[row, rows.columns[start:end]] = rows.entries[start:end]
+    np.testing.assert_allclose(matrix @ change.ravel() + rows.time_scale * (time_scale - 1.0), actual, atol=2e-7)
+    assert len(rows.upper) > 5
 
 
 PIECES, MARGIN, TRUST = 12, 2e-3, 0.1

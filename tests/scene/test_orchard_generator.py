@@ -304,6 +304,18 @@ def test_random_wood(pieces, count, seed):
     assert all(min(gap(fruit, piece) for piece in wood) <= TOUCHING[1] for fruit in fruits)
 
 
+@settings(max_examples=60)
+@given(st.lists(st.tuples(points, points, st.floats(0.001, 0.05)), min_size=1, max_size=6), points)
+def test_distances_from_wood(pieces, point):
+    wood = [capsule(f"w {i}", *piece) for i, piece in enumerate(pieces)]
+
+    class Ball:
+        center, radius = point, 0.04
+
+    expected = [gap(Ball, piece) + Ball.radius for piece in wood]
+    np.testing.assert_allclose(Canopy(wood, 0.04, FruitZone()).wood_distances(np.array(point)), expected, atol=1e-6)
+
+
 @settings(max_examples=30)
 @given(st.integers(0, 10_000), st.integers(0, 500), st.sampled_from([1, 3, 10, 2**40]))
 def test_cells_are_numbered_as_they_first_appear(seed, count, span):

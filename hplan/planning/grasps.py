@@ -24,13 +24,15 @@ from hplan.collision.coal_scene import Contact
 from hplan.errors import BlockedError
 from hplan.kinematics.approach_angles import Candidates
 from hplan.kinematics.finer_angles import Measured
+from hplan.planning.capture import SAME, caught
 from hplan.planning.joint_ranges import LEAST_MARGIN, JointRanges, joint_ranges
+from hplan.planning.options import PlanOptions
 from hplan.planning.tool_paths import Approaches, ToolPath, tool_of
 from hplan.planning.world import World
 from hplan.robot.limits import rest_to_rest
 from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel, name_margin
-from hplan.scene.model import Fruit
+from hplan.scene.model import Fruit, Scene
 
 #: Configurations that are looked at, about.
 COUNT = 64
@@ -67,6 +69,7 @@ class Grasp(Record):
         least_duration: Duration that no motion from the start by the stand-off to the goal can undercut [s].
         room: Clearance beyond the one to keep that grasp and stand-off have, `SPARE` where they have more [m].
         keeps_turn: Whether the tool does not turn about its axis on the approach.
+        caught: Probability that the fruit is within the gripper's capture range; None where that is not asked.
     """
 
     goal: FloatArray
@@ -76,6 +79,7 @@ class Grasp(Record):
     least_duration: float
     room: float = SPARE
     keeps_turn: bool = False
+    caught: float | None = None
 
     def path(self, robot: Robot, locked: tuple[str, ...] = ()) -> ToolPath | None:
         """The approach, or None where there is none."""
@@ -98,6 +102,9 @@ class Target(Record):
         least_standoff: Shortest approach [m].
         pose: (4, 4) pose of the tool frame or of another one; None where any orientation will do.
         frame: Name of that other frame; None for the tool frame.
+        capture_m: How far the fruit's middle may be off for the gripper to take it, across the approach and along it;
+            None where that is not asked [m].
+        covariance: (3, 3) of the fruit's place [m^2].
     """
 
     what: str
@@ -109,13 +116,18 @@ class Target(Record):
     least_standoff: float = 0.0
     pose: FloatArray | None = None
     frame: str | None = None
+    capture_m: tuple[float, float] | None = None
+    covariance: FloatArray | None = None
 
     @classmethod
-    def of_fruit(cls, world: World, fruit: Fruit, approach_deg: float | tuple[float, float] | None) -> Target:
+    def of_fruit(cls, world: World, fruit: Fruit, scene: Scene, options: PlanOptions) -> Target:
         """The center of a fruit, one of a world's solids; the tool is clear of it where the approach begins."""
         least = fruit.radius + tool_of(world.robot).thickness(world.deviation) + world.clearance + 2.0 * SPARE
-        touching = world.touching(fruit.name, fruit.hangs_from)
-        return cls(f"fruit {fruit.name!r}", fruit.center, world, touching, approach_deg, fruit, least)
+        return cls(
+            f"fruit {fruit.name!r}", fruit.center, world, world.touching(fruit.name, fruit.hangs_from),
+            scene.goal.approach_deg, fruit, least, capture_m=options.capture_m,
+            covariance=fruit.place_covariance + scene.shared_error,
+        )  # fmt: skip
 
     def transit_world(self, grasp: Grasp) -> World:
         """The world of the motion to the stand-off; without an approach it leads to the fruit itself."""
@@ -252,13 +264,27 @@ def _sorted(
     limits = robot.velocity_limit, robot.acceleration_limit
     turns = np.abs(begins - start), np.abs(goals - begins)
     least = sum(rest_to_rest(turn, *limits).max(axis=1) for turn in turns)
+    shares = None
+    if target.capture_m is not None and target.covariance is not None:
+        shares = caught(np.array([_ahead(robot, goal) for goal in goals]), target.covariance, target.capture_m)
     return tuple(
         Grasp(
             frozen(goals[i].copy()), chosen[numbers[i]][1], float(distances[i]), float(found.approach[numbers[i]]),
-            float(least[i]), rooms[i], target.pose is not None,
+            float(least[i]), rooms[i], target.pose is not None, None if shares is None else float(shares[i]),
         )
         for i in ties.argsort(least).tolist()
+        if shares is None or shares[i] >= shares.max() - SAME
     )  # fmt: skip
+
+
+def _ahead(robot: Robot, goal: FloatArray) -> FloatArray:
+    """(3,) where the tool points at a (dof,) configuration: along the last link or, of a general arm, its z axis."""
+    pose = robot.forward_kinematics(goal)
+    if robot.planar is None:
+        return np.asarray(pose[:3, 2])
+    link = pose[:3, 3] - robot.forward_kinematics(goal, robot.joint_names[-1])[:3, 3]
+    normal = robot.plane_at(robot.yaw_of(goal))[1][2]
+    return np.asarray(link - (link @ normal) * normal)
 
 
 def promising(found: Sequence[Grasp], target: Target, start: FloatArray) -> list[Grasp]:

@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final, Literal
 
-from hplan.base.arguments import between, by_name, keep_checked, number, one_of, truth, whole
+from hplan.base.arguments import between, by_name, keep_checked, list_between, number, one_of, truth, whole
 from hplan.errors import OptionError
 from hplan.grid.sections import LINK_MODELS, LinkModel
 from hplan.robot.limits import check_rate, check_speed
 from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel
-from hplan.scene.limits import LEAST_RISK
+from hplan.scene.limits import FARTHEST_M, LEAST_RISK
 from hplan.scene.obstacle_kind import Sigmas
 
 Method = Literal["two-level", "dense"]
@@ -54,6 +54,10 @@ class PlanOptions:
             `sigmas`: the growths are found with the motion (`hplan.certificate.touch_risk`). None for `sigmas`.
         standoff: Length of the straight approach [m]; shorter where it cannot be had. None for `STANDOFF` to a fruit or
             a point, and for no approach to a pose.
+        capture_m: How far the middle of a fruit may be off for the gripper to take it: across the approach, and along
+            it [m]. Of all grasps those are left whose approach is best against the error of the fruit's place, within
+            half a percent, and reports say how likely each fruit is caught (`hplan.planning.capture`). None asks for
+            neither.
         certify: False exports what was not certified, and says so.
         bound: True also bounds the durations of all motions from below (`hplan.planning.lower_bound`), which takes
             seconds where the base does not turn and something is in the way. Tours have no bound.
@@ -74,6 +78,7 @@ class PlanOptions:
     sigmas: Sigmas = 3.0
     risk: float | None = None
     standoff: float | None = None
+    capture_m: tuple[float, float] | None = None
     certify: bool = True
     bound: bool = False
     seed: int = 0
@@ -88,6 +93,10 @@ class PlanOptions:
                 raise OptionError("risk", self.risk, "None where motions need not be certified")
         if self.standoff is not None:
             keep_checked(self, {"standoff": (number, "a finite number >= 0", lambda value: value >= 0.0)})
+        if self.capture_m is not None:
+            keep_checked(self, {"capture_m": (list_between, 0.0, FARTHEST_M)})
+            if len(self.capture_m) != 2:
+                raise OptionError("capture_m", self.capture_m, "two lengths, across the approach and along it")
         if self.deadline_s is not None:
             keep_checked(self, {"deadline_s": (number, "a positive number of seconds", lambda value: value > 0.0)})
             if self.bound:

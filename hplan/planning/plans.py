@@ -122,7 +122,7 @@ def _goal(context: PlanningContext, start: FloatArray) -> list[PlanningTask] | T
         return Target("the pose", pose[:3, 3], world, world, pose=pose, frame=goal.frame)
     for fruit in scene.fruits:
         if fruit.name == goal.fruit:
-            return Target.of_fruit(world, fruit, goal.approach_deg)
+            return Target.of_fruit(world, fruit, scene, context.options)
     return Target("the point", np.array(goal.position), world, world, goal.approach_deg)
 
 

@@ -124,7 +124,7 @@ def reachable(
 
 
 def _reach(context: PlanningContext, fruit: Fruit, start: FloatArray, *, motions: bool) -> FruitReach:
-    target = Target.of_fruit(context.world, fruit, context.scene.goal.approach_deg)
+    target = Target.of_fruit(context.world, fruit, context.scene, context.options)
     try:
         found = grasps_or_blocked(
             target, start, standoff=context.options.standoff_m, locked=context.scene.locked_joints

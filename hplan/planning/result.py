@@ -182,6 +182,7 @@ def plan_report(plan: PlanResult) -> dict[str, Any]:
             "approach_deg": math.degrees(grasp.approach),
             "standoff_m": grasp.distance,
             "joints_rad": grasp.goal.tolist(),
+            **({} if grasp.caught is None else {"caught": grasp.caught}),
         },
         **({"bound": _bound_report(plan.bound, bounded)} if options.bound else {}),
         **plan.told,

@@ -136,7 +136,7 @@ class Motions:
             HplanError: One of `NO_MOTION`: it is blocked, or no certified motion leads there.
         """
         context, hub = self._context, self._moves.stops[self._hub].configuration
-        target = Target.of_fruit(context.world, fruit, context.scene.goal.approach_deg)
+        target = Target.of_fruit(context.world, fruit, context.scene, context.options)
         found = grasps(target, hub, standoff=context.options.standoff_m, locked=context.scene.locked_joints)
         self._sought += 1
         approach, plan = next(plans_to_grasps(context, target, found, hub))

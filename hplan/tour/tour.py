@@ -278,6 +278,7 @@ class _TourPlanner:
         self, stages: Sequence[_Stage], legs: Sequence[Leg], picked: Mapping[str, float], unreached: Sequence[Unreached]
     ) -> dict[str, Any]:
         """The first part of the report of a tour, in the shape of `tour.json`."""
+        caught = [leg.grasp.caught for leg in legs if leg.grasp is not None and leg.grasp.caught is not None]
         return {
             "status": "ok",
             "scene": self.scene.name,
@@ -296,12 +297,14 @@ class _TourPlanner:
                     "duration_s": leg.trajectory.duration,
                     "phases": [vars(phase) for phase in leg.phases],
                     "joints_rad": None if leg.grasp is None else leg.grasp.goal.tolist(),
+                    **({"caught": leg.grasp.caught} if leg.grasp and leg.grasp.caught is not None else {}),
                     "verified": leg.certificate.verified,
                     "min_clearance_m": leg.certificate.min_clearance_m,
                 }
                 for leg in legs
             ],
             "unreached": [{"fruit": item.fruit, "error": item.error.as_dict()} for item in unreached],
+            **({"expected_fruit": sum(caught)} if caught else {}),
             # Of the fruits that can be reached among all the others; by true durations.
             "totals_s": {"fruits": len(stages[0].motions.fruits), **stages[0].totals},
             "planner": {

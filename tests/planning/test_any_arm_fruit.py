@@ -142,7 +142,9 @@ def test_what_is_out_of_reach_and_what_is_blocked_are_told_apart(picker: Robot) 
 def test_how_far_a_tool_stands_out(picker: Robot) -> None:
     assert tool_of(picker).thickness(0.0) == pytest.approx(0.0, abs=1e-9)
     world = World.of(picker, [])
-    wide = Target.of_fruit(world, FRUITS[0], None).least_standoff
+    wide = Target.of_fruit(
+        world, FRUITS[0], scene_of(picker, Goal(fruit=FRUITS[0].name)), hplan.PlanOptions()
+    ).least_standoff
     assert wide == pytest.approx(0.035 + 2e-3)
     # A box on the flange that ends 2 cm beyond the tool frame.
     text = picker.urdf_text or picker.urdf_path.read_text()

@@ -79,7 +79,7 @@ def grasps_of(robot: Robot, scene: Scene) -> tuple[tuple[Grasp, ...], list[Grasp
     """All grasps of the goal's fruit, and the likely ones."""
     world, start = PlanningCache(robot).world(scene, COARSE), scene.start.configuration
     fruit = next(fruit for fruit in scene.fruits if fruit.name == scene.goal.fruit)
-    target = Target.of_fruit(world, fruit, None)
+    target = Target.of_fruit(world, fruit, scene, COARSE)
     found = grasps(target, start, standoff=0.1, locked=scene.locked_joints)
     return found, promising(found, target, start)
 
@@ -329,7 +329,7 @@ def test_a_stand_off_with_little_room_is_better_than_none(orchard_arm: Robot) ->
     """A ball behind the wrist at the stand-off: the fruit is touched on the approach only, not on the whole motion."""
     free, room = scene(orchard_arm, 10.0), 3e-4
     options = PlanOptions(standoff=0.0)  # the shortest approach alone
-    target = Target.of_fruit(PlanningCache(orchard_arm).world(free, options), APPLE, 10.0)
+    target = Target.of_fruit(PlanningCache(orchard_arm).world(free, options), APPLE, free, options)
     grasp = grasps(target, free.start.configuration, standoff=0.0)[0]
     origin, axes = orchard_arm.plane_at(grasp.standoff[0])
     elbow, wrist, tool = origin + orchard_arm.arm.joint_points(grasp.standoff[1:])[-3:] @ axes[:2]

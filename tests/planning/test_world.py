@@ -104,6 +104,15 @@ def test_each_link_sways_by_its_own(robot: Robot) -> None:
                 world.check_clear(q, "here")
 
 
+def test_bodies_of_the_sections_are_grown_by_clearance_and_uncertainty(robot: Robot) -> None:
+    world = World.of(robot, BALLS, clearance=0.01, tracking_error=0.002, sigmas=2.0)
+    bodies = world.bodies(0.003)
+    assert bodies.deviation == 0.002
+    radii = np.array([0.1, 0.12, 0.14]) + world.clearance + 0.003
+    np.testing.assert_allclose(bodies.balls.radii, radii)
+    assert bodies.names == ("sure", "vague", "vaguer")
+
+
 def test_refusal_of_a_configuration_names_the_largest_error(robot: Robot) -> None:
     """True: with a little less the configuration is taken, with a little more it is not."""
     rng, kinds = np.random.default_rng(6), {"free": 0, "margin": 0, "contact": 0}

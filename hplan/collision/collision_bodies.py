@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Final, NamedTuple
 
 import coal
@@ -42,6 +43,9 @@ _CONVEX: Final = 1e-3
 #: A mesh that fills less of its hull is cut, into so many pieces at most.
 _FILLED: Final = 0.8
 _PIECES: Final = 4
+
+#: Meshes whose bodies are kept: arms beside each other, and all of them as one robot, have the same.
+_MESHES: Final = 64
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,7 +134,7 @@ def bodies_of(
         RobotFileError: As `collision_bodies`.
     """
     joint, place = int(shape.parentJoint), shape.placement
-    solids = _mesh(shape.geometry) if isinstance(shape.geometry, coal.BVHModelBase) else [_primitive(shape.geometry)]
+    solids = _mesh(shape.geometry) if isinstance(shape.geometry, coal.BVHModelBase) else (_primitive(shape.geometry),)
     for piece, solid in enumerate(solids):
         if solid is None:
             kind = type(shape.geometry).__name__
@@ -156,11 +160,18 @@ def _primitive(geometry: coal.CollisionGeometry) -> _Solid | None:
     return None
 
 
-def _mesh(mesh: coal.BVHModelBase) -> list[_Solid]:
+def _mesh(mesh: coal.BVHModelBase) -> tuple[_Solid, ...]:
     """The hull of a mesh, or of its pieces."""
-    vertices = np.asarray(mesh.vertices(), dtype=np.float64)
     corners = (mesh.tri_indices(number) for number in range(mesh.num_tris))
     faces = np.array([[three[0], three[1], three[2]] for three in corners], dtype=np.int64)
+    return _of_mesh(np.asarray(mesh.vertices(), dtype=np.float64).tobytes(), faces.tobytes(), MOST_POINTS)
+
+
+@lru_cache(maxsize=_MESHES)
+def _of_mesh(points: bytes, triangles: bytes, most: int) -> tuple[_Solid, ...]:
+    """The hull of a mesh, or of its pieces, of so many points at most: of its vertices and its triangles."""
+    vertices = np.frombuffer(points, dtype=np.float64).reshape(-1, 3)
+    faces = np.frombuffer(triangles, dtype=np.int64).reshape(-1, 3)
     thicker = (vertices[:, None] + thickening(vertices)).reshape(-1, 3)
     judged, is_closed = convex_hull_shape(vertices), _is_closed(faces)
     if is_closed:
@@ -168,15 +179,15 @@ def _mesh(mesh: coal.BVHModelBase) -> list[_Solid]:
     filled = float(_volumes(vertices, faces).sum()) / float(judged.computeVolume())
     if filled < _FILLED and is_closed:
         pieces = convex_pieces(vertices, faces, most=_PIECES).hulls
-        return [_hull("mesh piece", piece.core, piece.rounding, convex_shape(piece)) for piece in pieces]
+        return tuple(_hull("mesh piece", piece.core, piece.rounding, convex_shape(piece), most) for piece in pieces)
     convex = filled >= 1.0 - _CONVEX
-    hull = _hull("mesh" if convex else "mesh hull", thicker, 0.0, judged)
-    return [hull._replace(exact=convex and hull.growth == 0.0)]
+    hull = _hull("mesh" if convex else "mesh hull", thicker, 0.0, judged, most)
+    return (hull._replace(exact=convex and hull.growth == 0.0),)
 
 
-def _hull(kind: str, points: FloatArray, rounding: float, judged: coal.CollisionGeometry) -> _Solid:
-    """The hull of (n, 3) points, grown by a radius."""
-    hull = hull_of(points, most=MOST_POINTS)
+def _hull(kind: str, points: FloatArray, rounding: float, judged: coal.CollisionGeometry, most: int) -> _Solid:
+    """The hull of (n, 3) points, grown by a radius, of so many points at most."""
+    hull = hull_of(points, most=most)
     return _Solid(kind, hull.core, hull.rounding + rounding, False, hull.rounding, judged)
 
 

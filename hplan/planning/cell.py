@@ -59,6 +59,8 @@ class CellArm(Record):
         joints: (dof,) which joints of the cell's robot are its own.
         base: Where the frame of `robot` and `scene` is in the cell's.
         is_waiting: True if it has no goal and stays where it is.
+        drop_off: Where on a tour it lets fruit go, as its base sees it; None where it carries nothing.
+        every: How many fruits it carries there at most.
     """
 
     name: str
@@ -67,6 +69,13 @@ class CellArm(Record):
     joints: IntArray
     base: pin.SE3
     is_waiting: bool
+    drop_off: Goal | None = None
+    every: int = 1
+
+    @property
+    def tool_frame(self) -> str:
+        """The tool frame's name in the cell's robot."""
+        return f"{self.name}_{self.robot.tool_frame.removeprefix(f'{self.name}_')}"
 
     def starting(self, q: FloatArray) -> CellArm:
         """The arm where it begins at another (dof,) configuration."""
@@ -479,10 +488,11 @@ def _arm(scene: CellScene, given: CellRobot, robot: Robot, placement: pin.SE3, w
     task = scene.task(goal, given.start)
     if placement.rotation[2, 2] < 1.0:
         robot, placement = joined_robots({given.name: (robot, placement)}, given.name), pin.SE3.Identity()
+    drop = given.drop_off and _seen_from(placement, scene.task(given.drop_off, given.start)).goal
     task = _seen_from(placement, task)
     names = [joint.removeprefix(f"{given.name}_") for joint in robot.joint_names]
     joints = readonly([whole.joint_names.index(f"{given.name}_{joint}") for joint in names], np.int64)
-    return CellArm(given.name, robot, task, joints, placement, given.goal is None)
+    return CellArm(given.name, robot, task, joints, placement, given.goal is None, drop, given.every)
 
 
 def _seen_from(base: pin.SE3, task: Scene) -> Scene:

@@ -194,9 +194,9 @@ class _CellPlanner:
             around = self._around(found)
         except PlanCancelledError:
             raise
-        except HplanError as error:
+        except (HplanError, TimeIsUpError) as error:
             if found is None:
-                raise self._told(error) from error
+                raise (self._told(error) if isinstance(error, HplanError) else error) from error
             around = None
         each = [result for result in (found, around) if result is not None]
         if not each:

@@ -33,6 +33,8 @@ class CellRobot(StrictModel):
         rpy_deg: How its base is turned [deg].
         start: Configuration at which it begins, at rest.
         goal: What it is to reach; None where it stays, or where the goal is to pick fruit on a tour.
+        drop_off: Where on a tour it lets fruit go, by joints, a position or a pose; None where it takes it in itself.
+        every: How many fruits it carries there at most.
     """
 
     name: Name
@@ -44,11 +46,15 @@ class CellRobot(StrictModel):
     rpy_deg: Vector = (0.0, 0.0, 0.0)
     start: Start
     goal: Goal | None = None
+    drop_off: Goal | None = None
+    every: Annotated[int, Field(ge=1)] = 1
 
     @model_validator(mode="after")
     def _begins_at_rest(self) -> CellRobot:
         if self.start.is_moving:
             raise fault("a robot of a cell begins at rest", "start")
+        if self.drop_off is not None and self.drop_off.fruit is not None:
+            raise fault("fruit is let go at joints, a position or a pose, not at a fruit", "drop_off", "fruit")
         return self
 
 

@@ -20,7 +20,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from hplan.base.arguments import instance
-from hplan.base.arrays import FloatArray, Record
+from hplan.base.arrays import Record
 from hplan.base.deadline import Cancel, TimeIsUpError, time_limit
 from hplan.base.lazy_import import InNotebook
 from hplan.certificate.certificate import Certificate
@@ -32,7 +32,8 @@ from hplan.planning.reachable import reachable
 from hplan.planning.task import Progress, no_progress
 from hplan.planning.timetable import SPARES, Timetable
 from hplan.planning.world import World
-from hplan.scene.model import Goal
+from hplan.scene.model import Fruit, Goal
+from hplan.tour.carried import carrying
 from hplan.tour.result import Leg, TourResult
 from hplan.tour.tour import TourOptions, plan_tour
 from hplan.trajectory.trajectory import Phase, Trajectory
@@ -40,6 +41,10 @@ from hplan.trajectory.trajectory import Phase, Trajectory
 #: An arm that moves no faster rests [rad/s, m/s]; times so near are the same [s].
 _AT_REST: Final = 1e-9
 _SAME_S: Final = 1e-6
+
+#: So many fruits change hands for tours that end together, while these differ by more than this much of a fruit's time.
+_BALANCINGS: Final = 2
+_UNEVEN: Final = 0.5
 
 #: By how much arms that stand are thicker to others that pass them [m]: more than samples have to keep, by `_BEYOND`.
 _BEYOND: Final = 5e-4
@@ -58,6 +63,7 @@ class CellTour(Record, InNotebook):
             it is run as it is, at rests the arm may wait.
         phases: The parts of each arm's motion that are run, by name; in between it waits.
         picked: For each fruit that is picked when a tool is at it [s].
+        dropped: For each fruit that is let go at a drop-off when [s].
         unreached: The fruits that are not picked, and why.
     """
 
@@ -67,6 +73,7 @@ class CellTour(Record, InNotebook):
     tours: Mapping[str, tuple[TourResult, ...]]
     phases: Mapping[str, tuple[Phase, ...]]
     picked: Mapping[str, float]
+    dropped: Mapping[str, float]
     unreached: Mapping[str, str]
 
     @property
@@ -135,6 +142,10 @@ def plan_cell_tour(
 
 
 def _planned(cell: Cell, options: PlanOptions, progress: Progress) -> CellTour:
+    carry = [arm.tool_frame for arm in cell.arms if arm.drop_off is not None]
+    thickest = max((fruit.radius for fruit in cell.scene.fruits), default=0.0)
+    # Whoever ever carries has the room that it then takes all along.
+    cell = replace(cell, robot=carrying(cell.robot, thickest, carry)) if carry and thickest else cell
     World.of(cell.robot, (), clearance=cell.scene.clearance).check_clear(cell.configuration({}), "start")
     apart = replace(cell, arms=tuple(_among_others(cell, arm, _THICKER) for arm in cell.arms))
     progress("who reaches what")
@@ -142,6 +153,7 @@ def _planned(cell: Cell, options: PlanOptions, progress: Progress) -> CellTour:
     tours = _tours(apart, options, able, reasons, progress)
     if not tours:
         raise TourError(list(reasons.items()))
+    tours = _balanced(apart, options, able, tours, progress)
     for spare in SPARES[1:]:
         progress("together")
         found = _Schedule(cell, options, spare).filled(tours, reasons)
@@ -228,18 +240,58 @@ def _tours(
     return tours
 
 
+def _balanced(
+    cell: Cell,
+    options: PlanOptions,
+    able: Mapping[str, Sequence[str]],
+    tours: dict[str, TourResult],
+    progress: Progress,
+) -> dict[str, TourResult]:
+    """The tours, with fruit of the longest given to the arm that is done soonest, as long as all end sooner for it."""
+    bases = {arm.name: np.array(arm.position) for arm in cell.scene.robots}
+    centers = {fruit.name: np.array(fruit.center) for fruit in cell.scene.fruits}
+    for _ in range(_BALANCINGS):
+        ends = {name: tours[name].duration if name in tours else 0.0 for name in bases}
+        giver, taker = (choose(ends, key=lambda name: (round(ends[name], 6), name)) for choose in (max, min))
+        order = tours[giver].order
+        given = sorted(
+            (round(float(np.linalg.norm(centers[f] - bases[taker]) - np.linalg.norm(centers[f] - bases[giver])), 6), f)
+            for f in order
+            if taker in able[f]
+        )
+        if len(order) < 2 or not given or ends[giver] - ends[taker] < _UNEVEN * ends[giver] / len(order):
+            break
+        progress(f"a fruit of {giver} for {taker}")
+        fruit, has = given[0][1], tours[taker].order if taker in tours else ()
+        shares = {giver: [each for each in order if each != fruit], taker: [*has, fruit]}
+        try:
+            found = tours | {name: _tour(cell.arm(name), options, share) for name, share in shares.items()}
+        except TourError:
+            break
+        less = sum(len(tour.order) for tour in found.values()) < sum(len(tour.order) for tour in tours.values())
+        if less or max(tour.duration for tour in found.values()) > ends[giver] - _SAME_S:
+            break
+        tours = found
+    return tours
+
+
 def _tour(arm: CellArm, options: PlanOptions, fruits: Sequence[str], *, back: bool = True) -> TourResult:
     """An arm's tour through fruits and, if asked for, back."""
-    return plan_tour(arm.robot, arm.scene, options, fruits=fruits, tour=TourOptions(back=back))
+    every = None if arm.drop_off is None else arm.every
+    tour = TourOptions(back=back, drop_off=arm.drop_off, every=every)
+    return plan_tour(arm.robot, arm.scene, options, fruits=fruits, tour=tour)
 
 
-def _way_home(arm: CellArm, home: FloatArray, options: PlanOptions) -> TourResult:
-    """A tour without fruit, to a (dof,) configuration."""
-    goal = Goal(joints_rad=tuple(home.tolist()))
-    found = plan(arm.robot, arm.scene.model_copy(update={"goal": goal}), options)
-    motion, phases = found.trajectory, (Phase("return", 0.0, found.trajectory.duration),)
+def _way(arm: CellArm, goal: Goal, options: PlanOptions, carried: Sequence[Fruit] = ()) -> TourResult:
+    """A tour that picks nothing: to the drop-off with what is carried, or home."""
+    robot, name = arm.robot, "return"
+    if carried:
+        robot, name = carrying(robot, max(fruit.radius for fruit in carried)), "drop"
+    found = plan(robot, arm.scene.model_copy(update={"goal": goal}), options)
+    motion, phases = found.trajectory, (Phase(name, 0.0, found.trajectory.duration),)
     legs = (Leg(None, None, 0.0, phases, motion, found.certificate),)
-    return TourResult((), legs, motion, found.certificate, {}, {}, (), found.report, arm.robot, arm.scene)
+    dropped = dict.fromkeys((fruit.name for fruit in carried), motion.duration)
+    return TourResult((), legs, motion, found.certificate, {}, dropped, (), found.report, robot, arm.scene)
 
 
 class _Part(NamedTuple):
@@ -265,7 +317,7 @@ class _Schedule:
         self._cell, self._options, self._thicker = cell, options, spare + _BEYOND
         self._table = Timetable(cell, options, spare)
         self._tours: dict[str, list[TourResult]] = {arm.name: [] for arm in cell.arms}
-        self._picked: dict[str, float] = {}
+        self._picked, self._dropped = dict[str, float](), dict[str, float]()
         self._phases: dict[str, list[Phase]] = {arm.name: [] for arm in cell.arms}
         self._asked: set[tuple[str, tuple[int, ...]]] = set()
 
@@ -296,33 +348,39 @@ class _Schedule:
         if tour not in self._tours[name]:
             self._tours[name].append(tour)
         later = self._table.legs[name][-1][0] - part.begin_s
-        self._picked |= {f: t + later for f, t in tour.picked.items() if part.begin_s < t - _SAME_S < end}
+        for found, times in ((self._picked, tour.picked), (self._dropped, tour.dropped)):
+            found |= {fruit: t + later for fruit, t in times.items() if part.begin_s < t - _SAME_S < end}
         inside = (phase for phase in tour.phases if part.begin_s < 0.5 * (phase.start_s + phase.end_s) < end)
         self._phases[name] += [phase.later(later) for phase in inside]
 
     def _around(self, name: str, fruits: Sequence[str], unreached: dict[str, HplanError]) -> list[_Part]:
         """What an arm still does, from where it is and around the others where they stand, through fruits and home."""
         there = self._cell.starting({each: places[-1] for each, places in self._table.places.items()})
-        arm, asked = there.arm(name), (name, tuple(map(len, self._table.places.values())))
-        now = self._table.free_from(name)
-        gone = {fruit for fruit, time in self._picked.items() if time <= now + _SAME_S}
-        hanging = tuple(fruit for fruit in arm.scene.fruits if fruit.name not in gone)
-        arm = replace(arm, scene=arm.scene.model_copy(update={"fruits": hanging}))
-        arm, home = _among_others(there, arm, self._thicker), self._cell.configuration({})[arm.joints]
-        tours = list[TourResult]()
+        asked = (name, tuple(map(len, self._table.places.values())))
         if asked in self._asked:
             unreached |= dict.fromkeys(fruits, HplanError("another arm is in the way for good"))
             return []  # it stays where it is
         self._asked.add(asked)
+        now, arm, known = self._table.free_from(name), there.arm(name), self._cell.scene.fruits
+        gone = {fruit for fruit, time in self._picked.items() if time <= now + _SAME_S}
+        hanging = tuple(fruit for fruit in arm.scene.fruits if fruit.name not in gone)
+        arm = _among_others(there, replace(arm, scene=arm.scene.model_copy(update={"fruits": hanging})), self._thicker)
+        own = {fruit for tour in self._tours[name] for fruit in tour.order} & self._picked.keys() - self._dropped.keys()
+        tours = list[TourResult]()
         try:
+            if arm.drop_off is not None and own:
+                tours.append(_way(arm, arm.drop_off, self._options, [fruit for fruit in known if fruit.name in own]))
+                arm = arm.starting(tours[-1].trajectory.position[-1])
             if fruits:
                 tours.append(_tour(arm, self._options, fruits, back=False))
-                unreached |= {each.fruit: each.error for each in tours[0].unreached}
-                arm = arm.starting(tours[0].trajectory.position[-1])
+                unreached |= {each.fruit: each.error for each in tours[-1].unreached}
+                arm = arm.starting(tours[-1].trajectory.position[-1])
         except HplanError as error:
             unreached |= dict.fromkeys(fruits, error)
-        with suppress(HplanError):
-            tours.append(_way_home(arm, home, self._options))
+        if arm.drop_off is None or not own or tours:  # what it still carries it could touch something with
+            home = self._cell.configuration({})[arm.joints]
+            with suppress(HplanError):
+                tours.append(_way(arm, Goal(joints_rad=tuple(home.tolist())), self._options))
         return [part for tour in tours for part in _parts(tour)]
 
     def _result(self, unreached: Mapping[str, HplanError]) -> CellTour:
@@ -335,5 +393,6 @@ class _Schedule:
             {name: tuple(tours) for name, tours in self._tours.items() if tours},
             {name: tuple(phases) for name, phases in self._phases.items() if phases},
             self._picked,
+            self._dropped,
             {fruit: str(error) for fruit, error in unreached.items()},
         )

@@ -1,4 +1,4 @@
-"""Two arms and more pick one tree together (--trees), beside each of them alone; judged by Pinocchio and coal alone.
+"""Two arms and more pick one tree together (--trees), beside the quicker alone; judged by Pinocchio and coal alone.
 
 Orchard arms stand side by side or above one another, `DISTANCE` from the trunk; thin wood and fruit give way, and what
 of it is in a base is left out. Fruit hangs as the files have it, or at tips of branches; a tree in which an arm would
@@ -103,8 +103,13 @@ def _row(asked: Asked, problem: tuple[Path, str]) -> Row:
     else:
         return row
     cell, report = found.cell, found.report
-    alone = max(_alone(asked, cell, arm.name) for arm in cell.arms)
-    shares = [sum(name in found.picked for tour in own for name in tour.order) for own in found.tours.values()]
+    own = {
+        name: len({fruit for tour in tours for fruit in tour.order} & set(found.picked))
+        for name, tours in found.tours.items()
+    }
+    busy = {name: max(seconds, 1e-3) for name, seconds in report["busy_s"].items()}
+    quicker = max(own, key=lambda name: own[name] / busy[name])
+    alone, shares = _alone(asked, cell, quicker), list(own.values())
     rate, arms = len(found.picked) / found.trajectory.duration, len(cell.arms)
     equal = len(shares) == arms and min(shares) * arms >= EQUAL * sum(shares)
     rigid = tuple(item for item in cell.scene.obstacles if not item.yields)

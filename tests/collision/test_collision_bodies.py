@@ -86,7 +86,7 @@ def test_bodies_stand_out_beyond_what_coal_judges_by_no_more_than_said(load, nam
         assert stands_out.max() <= body.growth + 1e-9
 
 
-def test_meshes_are_cut_or_made_hulls(tmp_path):
+def test_meshes_are_cut_or_made_hulls(tmp_path, monkeypatch):
     """A ring is far from convex; with a triangle missing there is no inside, and it is one hull."""
     ring = trimesh.Trimesh(*torus(n=12))
     ring.export(tmp_path / "ring.stl")
@@ -104,6 +104,10 @@ def test_meshes_are_cut_or_made_hulls(tmp_path):
     assert [(piece.kind, piece.exact, piece.shape) for piece in ring] == [("mesh piece", False, 0)] * 4
     assert (torn.kind, torn.exact) == ("mesh hull", False)
     assert (second.kind, second.exact, second.growth, len(second.core)) == ("mesh", True, 0.0, 8)
+    monkeypatch.setattr("hplan.collision.collision_bodies.convex_pieces", None)
+    again = load_robot(robot.urdf_text)  # the same meshes, not cut again
+    for one, other in zip(collision_bodies(robot), collision_bodies(again), strict=True):
+        np.testing.assert_array_equal(one.core, other.core)
 
 
 @pytest.mark.parametrize("scale", ["1 1 1", "-1 1 1", "0.2 -0.5 -1"])

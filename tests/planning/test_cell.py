@@ -114,9 +114,10 @@ def plan_alone(arm):
     return plan(arm.robot, arm.scene).trajectory
 
 
-def test_one_begins_later_where_that_is_all_there_is(robot, monkeypatch):
+@pytest.mark.parametrize("error", [CertificationError("none"), TimeIsUpError()])
+def test_one_begins_later_where_that_is_all_there_is(robot, monkeypatch, error):
     def none(*_):
-        raise CertificationError("none")
+        raise error
 
     monkeypatch.setattr("hplan.planning.cell_planner._CellPlanner._around", none)
     result = plan_cell(facing(robot, 1.1, start=FROM, goal=TO))
@@ -251,6 +252,7 @@ def test_a_tilted_base_has_the_gravity_of_the_cell(robot):
                     goal=Goal(joints_deg=TO))  # fmt: skip
     result = plan_cell(Cell.of(CellScene(name="s", robots=(arm,)), {"hung": robot}))
     assert result.certificate.verified
+    result.cell.robot.forward_kinematics(result.trajectory.position, result.cell.arm("hung").tool_frame)
     q = result.trajectory.position[:1]
     model = pin.Model(robot.model)
     model.gravity.linear = -model.gravity.linear
@@ -271,6 +273,7 @@ robots:
   rpy_deg: [0, 0, 180]
   start: {joints_deg: [0, 90, 90, 90]}
   goal: {position: [2.0, 0.3, 1.2]}
+  drop_off: {position: [2.0, 0.3, 1.2]}
 obstacles:
 - {name: post, kind: sphere, center: [0.0, -1.5, 1.2], radius: 0.1}
 """
@@ -280,6 +283,8 @@ def test_files(write):
     cell = load_cell(write("cell.yaml", YAML))
     assert cell.arm("right").robot.name == load_robot("orchard_harvester").name
     assert np.allclose(cell.arm("right").scene.goal.position, (1.0, -0.3, 1.2))
+    assert cell.arm("right").drop_off.position == cell.arm("right").scene.goal.position
+    assert (cell.arm("left").drop_off, cell.arm("right").every) == (None, 1)
     assert plan_cell(cell).certificate.verified
     with pytest.raises(SceneError, match="several robots: load_cell reads it"):
         load_scene(write("same.yaml", YAML))
@@ -287,6 +292,8 @@ def test_files(write):
         load_cell(write("one.yaml", "format: hplan-scene/1\nname: s\n"))
     with pytest.raises(SceneError, match=r"line 7, robots\[1\].name"):
         load_cell(write("names.yaml", YAML.replace("name: right", "name: left")))
+    with pytest.raises(SceneError, match=r"robots\[1\].drop_off.fruit: fruit is let go"):
+        load_cell(write("drop.yaml", YAML.replace("drop_off: {position: [2.0, 0.3, 1.2]}", "drop_off: {fruit: a}")))
     with pytest.raises(SceneError, match=r"robots\[0\].goal"):
         load_cell(write("goal.yaml", YAML.replace("goal: {joints_deg: [40, 60, 60, 60]}", "goal: {fruit: none}")))
 

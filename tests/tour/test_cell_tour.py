@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 
+import coal
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -20,10 +21,13 @@ from hplan.planning.cell import Cell
 from hplan.planning.options import PlanOptions
 from hplan.scene.cell import CellRobot, CellScene
 from hplan.scene.file import load_scene
-from hplan.scene.model import Fruit, Start
+from hplan.scene.model import Fruit, Goal, Start
 from hplan.tour.cell_tour import CellTour, plan_cell_tour
 
 QUICK = PlanOptions(effort="quick")
+
+#: Where fruit is let go.
+DROP = Goal(joints_deg=(0.0, 100.0, 100.0, 60.0))
 
 
 @pytest.fixture(scope="module")
@@ -125,6 +129,49 @@ def test_arms_in_whose_way_others_are_for_good_go_around_and_home(orchard):
     assert len(result.picked) >= 6
     assert max(len(tours) for tours in result.tours.values()) > 1
     np.testing.assert_allclose(result.trajectory.position[-1], result.trajectory.position[0], atol=1e-9)
+
+
+def test_fruit_goes_to_the_drop_offs_and_is_in_nobodys_way(orchard):
+    cell, scene = orchard
+    arms = tuple(arm.model_copy(update={"drop_off": DROP, "every": 2}) for arm in scene.robots)
+    robot = cell.arm("left").robot
+    carrying = scene.model_copy(update={"robots": arms, "fruits": scene.fruits[:6]})
+    result = plan_cell_tour(Cell.of(carrying, {"left": robot, "right": robot}), QUICK)
+    assert result.verified
+    assert len(result.picked) >= 4
+    assert result.dropped.keys() == result.picked.keys()
+    for fruit, time in result.dropped.items():
+        assert time > result.picked[fruit]
+        (own,) = (name for name, tours in result.tours.items() if any(fruit in tour.order for tour in tours))
+        at = result.trajectories[own].positions([time])[0]
+        np.testing.assert_allclose(at, np.radians(DROP.joints_deg), atol=1e-9)
+    assert playable(result)[2].dropped == result.dropped
+    model, geometry = cell.robot.model, pin.GeometryModel(cell.robot.collision_model)
+    for name in ("left", "right"):
+        number = model.getFrameId(f"{name}_tool0")
+        at = model.frames[number]
+        ball = coal.Sphere(max(fruit.radius for fruit in carrying.fruits))
+        geometry.addGeometryObject(pin.GeometryObject(f"{name}_fruit", at.parentJoint, number, at.placement, ball))
+    geometry.removeAllCollisionPairs()
+    shapes = list(enumerate(geometry.geometryObjects))
+    for i, j in ((i, j) for i, one in shapes for j, other in shapes if one.name[:2] == "le" and other.name[:2] == "ri"):
+        geometry.addCollisionPair(pin.CollisionPair(i, j))
+    data, seen = model.createData(), geometry.createData()
+    for q in result.trajectory.positions(np.arange(0.0, result.trajectory.duration, 4e-3)):
+        assert not pin.computeCollisions(model, data, geometry, seen, q, True)
+
+
+def test_what_an_arm_carries_would_touch_another(robot):
+    """Hands side by side, with less than a fruit between them; nothing is carried without a drop-off."""
+    start = Start(joints_deg=(0.0, 60.0, 60.0, 60.0))
+    apple = Fruit(name="apple", center=(9.0, 0.0, 1.0), radius=0.29)
+    for drop_off, error, told in ((None, TourError, "apple"), (DROP, ConfigurationInCollisionError, "start")):
+        arms = (
+            CellRobot(name="a", start=start, drop_off=drop_off),
+            CellRobot(name="b", position=(0.0, 0.32, 0.0), start=start),
+        )
+        with pytest.raises(error, match=told):
+            plan_cell_tour(Cell.of(CellScene(name="s", robots=arms, fruits=(apple,)), {"a": robot, "b": robot}))
 
 
 def test_arms_that_touch_at_the_start_are_refused(robot):

@@ -123,11 +123,11 @@ def playable(result: Shown) -> tuple[Robot, Scene, Playback]:
     arms = getattr(given, "phases", {})
     tours = getattr(given, "tours", {})
     pickers = {fruit: name for name, own in tours.items() for tour in own for fruit in tour.order if fruit in picked}
-    frames = {arm.name: f"{arm.name}_{arm.robot.tool_frame}" for arm in given.cell.arms}
+    frames = {arm.name: arm.tool_frame for arm in given.cell.arms}
     # What was shown of all arms, as one certificate, without its course over time.
     least = min(given.parts, key=lambda part: part.min_clearance_m)
     violations = tuple(violation for part in given.parts for violation in part.violations)
     whole = replace(least, verified=all(part.verified for part in given.parts), violations=violations, subject=None)
     scene = given.cell.task(given.trajectory.position[-1], given.trajectory.position[0])
-    motion = Playback(given.trajectory, picked, certificate=whole, arms=arms, frames=frames, pickers=pickers)
+    motion = Playback(given.trajectory, picked, dropped, certificate=whole, arms=arms, frames=frames, pickers=pickers)
     return given.cell.robot, scene, motion

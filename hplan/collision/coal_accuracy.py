@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from itertools import chain
 
 import coal
 import numpy as np
@@ -48,19 +49,20 @@ def distance_errors(
     Returns:
         (bodies * solids + pairs,) of each moving body with each obstacle, body by body, then of the pairs.
     """
+    every = {id(shape): shape for shape in (*movers, *chain(*pairs))}
+    known = {number: (*_extent(shape), isinstance(shape.geometry, coal.Cylinder)) for number, shape in every.items()}
     curved = np.array([type(solid) is Cylinder for solid in solids], dtype=np.bool_)
-    round_movers = np.array([isinstance(shape.geometry, coal.Cylinder) for shape in movers], dtype=np.bool_)
-    round_pairs = [any(isinstance(shape.geometry, coal.Cylinder) for shape in pair) for pair in pairs]
-    first = np.array([_extent(shape) for shape in movers]).reshape(-1, 2)
+    first = np.array([known[id(shape)] for shape in movers]).reshape(-1, 3)
     second = np.array([_solid_extent(solid) for solid in solids]).reshape(-1, 2)
-    both = np.array([[_extent(shape) for shape in pair] for pair in pairs]).reshape(-1, 2, 2)
+    both = np.array([[known[id(shape)] for shape in pair] for pair in pairs]).reshape(-1, 2, 3)
     among = _errors(first[:, None], second[None])
-    among += np.where(round_movers[:, None] | curved, CURVED - ITERATION, 0.0)
+    among += np.where((first[:, 2:] > 0.0) | curved, CURVED - ITERATION, 0.0)
+    round_pairs = both[:, :, 2].any(axis=1)
     return np.append(among, _errors(both[:, 0], both[:, 1]) + np.where(round_pairs, CURVED - ITERATION, 0.0))
 
 
 def _errors(first: FloatArray, second: FloatArray) -> FloatArray:
-    """Errors of pairs, from (..., 2) size and length of axis of both."""
+    """Errors of pairs, from (..., 2 or more) size and length of axis of both."""
     longer = np.maximum(first[..., 1], second[..., 1])
     shorter = np.minimum(first[..., 1], second[..., 1])
     with np.errstate(divide="ignore"):

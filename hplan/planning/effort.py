@@ -134,7 +134,18 @@ EFFORTS: dict[EffortName, Effort] = {
 
 #: Of general (non-planar) arms: they have more joints, no grids and no floods.
 EFFORTS_OF_BODIES: dict[EffortName, Effort] = {
-    "quick": replace(EFFORTS["quick"], trees=TreesEffort(1, 6_000), long=_WITHIN_A_SECOND, floods=0.0),
+    "quick": replace(
+        EFFORTS["quick"],
+        trees=TreesEffort(1, 6_000),
+        long=_WITHIN_A_SECOND,
+        floods=0.0,
+        starts=StartsEffort(
+            OptimizerEffort((Level(piece_s=0.045, pieces=(30, 44), steps=8, gain=0.01, trust=0.2, enough=0.01),)),
+            rough=1,
+            others=0,
+            finished=1,
+        ),
+    ),
     "default": replace(
         EFFORTS["default"],
         trees=TreesEffort(2, 6_000),

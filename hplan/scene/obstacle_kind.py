@@ -115,7 +115,12 @@ class Turned(Kind):
     @property
     def rotation(self) -> FloatArray:
         """(3, 3) rotation from the obstacle's own frame to `base_link`."""
-        return rpy_rotation(*map(math.radians, self.rpy_deg))
+        return _rotation(self.rpy_deg)
+
+
+@lru_cache(maxsize=4096)
+def _rotation(rpy_deg: tuple[float, float, float]) -> FloatArray:
+    return readonly(rpy_rotation(*map(math.radians, rpy_deg)))
 
 
 class Convex(Kind):

@@ -5,8 +5,10 @@ Positions are in `base_link`, z up, in metres. The classes are the scene file's 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, TypeVar, get_args
 
@@ -28,7 +30,7 @@ from hplan.scene.obstacle_kind import (
 )
 from hplan.scene.obstacle_kind import Solid as Solid  # a name of this module too
 from hplan.scene.prism import prism, prism_excess
-from hplan.scene.solids import CUBE_CORNERS, Cloud, Hull
+from hplan.scene.solids import CUBE_CORNERS, Cloud, Hull, rpy_rotation
 
 if TYPE_CHECKING:
     from hplan.scene.shape_data import PointSet, Surface
@@ -127,7 +129,13 @@ class Box(Turned, Convex):
     @property
     def core(self) -> FloatArray:
         """(8, 3) corners; the obstacle is their hull."""
-        return readonly(np.array(self.center) + (0.5 * CUBE_CORNERS * np.array(self.size)) @ self.rotation.T)
+        return _box_corners(self.center, self.size, self.rpy_deg)
+
+
+@lru_cache(maxsize=4096)
+def _box_corners(center: Vector, size: Vector, rpy_deg: Vector) -> FloatArray:
+    rotation = rpy_rotation(*map(math.radians, rpy_deg))
+    return readonly(np.array(center) + (0.5 * CUBE_CORNERS * np.array(size)) @ rotation.T)
 
 
 class Mesh(FromData):

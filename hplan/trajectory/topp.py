@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -87,14 +88,12 @@ def half_planes(view: PathView, dynamics: InverseDynamics, limits: Limits, grid:
     half = 0.5 * np.diff(grid)
     middle = grid[:-1] + half
     bounds = np.tile([-_BOUND, _BOUND, -_BOUND, _BOUND], (len(grid), 1))
-    velocity = constraint.JointVelocityConstraint(np.maximum(limits.velocity, _TINY))
+    velocity, acceleration = _constraints(limits.velocity.tobytes(), limits.acceleration.tobytes())
     bounds[:, 2:] = np.clip(velocity.compute_constraint_params(view, grid)[6], 0.0, _BOUND)
     fixed = np.zeros((len(grid), 6, 3))
     fixed[:, 0:4, 0], fixed[:, 0:4, 1] = (-1.0, 1.0, 0.0, 0.0), (0.0, 0.0, -1.0, 1.0)
     fixed[:, 0:4, 2] = bounds * (1.0, -1.0, 1.0, -1.0)
     found = [fixed]
-    collocation = constraint.DiscretizationType.Collocation
-    acceleration = constraint.JointAccelerationConstraint(np.maximum(limits.acceleration, _TINY), collocation)
     a, b, c = acceleration.compute_constraint_params(view, middle)[:3]
     linear = [(a, b, c, np.maximum(limits.acceleration, _TINY))]
     if limits.torque is not None:
@@ -112,6 +111,16 @@ def half_planes(view: PathView, dynamics: InverseDynamics, limits: Limits, grid:
             last[:, :, 2] = -limit
             found.append(np.concatenate([kept, last]))
     return np.concatenate(found, axis=1)
+
+
+@lru_cache(maxsize=64)
+def _constraints(
+    velocity: bytes, acceleration: bytes
+) -> tuple[constraint.JointVelocityConstraint, constraint.JointAccelerationConstraint]:
+    """Those of toppra for limits of velocity and acceleration; each writes a text of them, which takes long."""
+    limits = [np.maximum(np.frombuffer(each), _TINY) for each in (velocity, acceleration)]
+    collocation = constraint.DiscretizationType.Collocation
+    return constraint.JointVelocityConstraint(limits[0]), constraint.JointAccelerationConstraint(limits[1], collocation)
 
 
 def passes(rows: FloatArray, steps: FloatArray, rates: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -154,9 +154,11 @@ def _planned(cell: Cell, options: PlanOptions, progress: Progress) -> CellTour:
     if not tours:
         raise TourError(list(reasons.items()))
     tours = _balanced(apart, options, able, tours, progress)
+    names = [arm.name for arm in cell.arms]
     for spare in SPARES[1:]:
         progress("together")
-        found = _Schedule(cell, options, spare).filled(tours, reasons)
+        schedules = [_Schedule(cell, options, spare, order).filled(tours, reasons) for order in (names, names[::-1])]
+        found = min(schedules, key=lambda each: (len(each.unreached), round(each.duration, 6))).result()
         if found.between.verified:
             return found
     raise CertificationError("the tours of all arms together cannot be certified: " + found.between.violations[0])
@@ -311,9 +313,21 @@ def _parts(tour: TourResult) -> list[_Part]:
 
 
 class _Schedule:
-    """When each part of each arm's tours begins."""
+    """When each part of each arm's tours begins.
 
-    def __init__(self, cell: Cell, options: PlanOptions, spare: float) -> None:
+    Attributes:
+        unreached: The fruits that are not picked, and why.
+    """
+
+    def __init__(self, cell: Cell, options: PlanOptions, spare: float, order: Sequence[str]) -> None:
+        """Begin with nothing.
+
+        Args:
+            spare: Distance between arms at samples, as for `Timetable` [m].
+            order: Names of the arms; who comes first goes first where several could.
+        """
+        self.unreached: dict[str, HplanError] = {}
+        self._order = order
         self._cell, self._options, self._thicker = cell, options, spare + _BEYOND
         self._table = Timetable(cell, options, spare)
         self._tours: dict[str, list[TourResult]] = {arm.name: [] for arm in cell.arms}
@@ -321,26 +335,35 @@ class _Schedule:
         self._phases: dict[str, list[Phase]] = {arm.name: [] for arm in cell.arms}
         self._asked: set[tuple[str, tuple[int, ...]]] = set()
 
-    def filled(self, tours: Mapping[str, TourResult], reasons: Mapping[str, HplanError]) -> CellTour:
+    @property
+    def duration(self) -> float:
+        """When the last arm is done [s]."""
+        return self._table.duration
+
+    def filled(self, tours: Mapping[str, TourResult], reasons: Mapping[str, HplanError]) -> _Schedule:
         """The tours with all their parts set out; fruit to which an arm never can go is left out."""
         left = {name: _parts(tour) for name, tour in tours.items()}
-        places, unreached = self._table.places, dict(reasons)
+        self.unreached = dict(reasons)
         waiting: set[str] = set()
         while any(left.values()):
             able = [name for name in left if left[name] and name not in waiting]
             if not able:  # nobody can go on: the one who is done soonest goes around the others
-                name = min((name for name in left if left[name]), key=lambda each: (len(places[each]), each))
+                name = min((name for name in left if left[name]), key=self._turn)
                 fruits = {fruit for part in left[name] for fruit in part.tour.order if fruit not in self._picked}
-                left[name] = self._around(name, sorted(fruits), unreached)
+                left[name] = self._around(name, sorted(fruits))
                 waiting.clear()
                 continue
-            name = min(able, key=lambda each: (len(places[each]), each))
+            name = min(able, key=self._turn)
             if self._table.set_out(name, left[name][0].motion):
                 self._note(name, left[name].pop(0))
                 waiting.clear()
             else:
                 waiting.add(name)
-        return self._result(unreached)
+        return self
+
+    def _turn(self, name: str) -> tuple[int, int]:
+        """When an arm's turn is: who is done soonest goes on."""
+        return len(self._table.places[name]), self._order.index(name)
 
     def _note(self, name: str, part: _Part) -> None:
         """Keep what is done in a part of an arm's tour that was set out."""
@@ -353,12 +376,12 @@ class _Schedule:
         inside = (phase for phase in tour.phases if part.begin_s < 0.5 * (phase.start_s + phase.end_s) < end)
         self._phases[name] += [phase.later(later) for phase in inside]
 
-    def _around(self, name: str, fruits: Sequence[str], unreached: dict[str, HplanError]) -> list[_Part]:
+    def _around(self, name: str, fruits: Sequence[str]) -> list[_Part]:
         """What an arm still does, from where it is and around the others where they stand, through fruits and home."""
         there = self._cell.starting({each: places[-1] for each, places in self._table.places.items()})
         asked = (name, tuple(map(len, self._table.places.values())))
         if asked in self._asked:
-            unreached |= dict.fromkeys(fruits, HplanError("another arm is in the way for good"))
+            self.unreached |= dict.fromkeys(fruits, HplanError("another arm is in the way for good"))
             return []  # it stays where it is
         self._asked.add(asked)
         now, arm, known = self._table.free_from(name), there.arm(name), self._cell.scene.fruits
@@ -373,17 +396,18 @@ class _Schedule:
                 arm = arm.starting(tours[-1].trajectory.position[-1])
             if fruits:
                 tours.append(_tour(arm, self._options, fruits, back=False))
-                unreached |= {each.fruit: each.error for each in tours[-1].unreached}
+                self.unreached |= {each.fruit: each.error for each in tours[-1].unreached}
                 arm = arm.starting(tours[-1].trajectory.position[-1])
         except HplanError as error:
-            unreached |= dict.fromkeys(fruits, error)
+            self.unreached |= dict.fromkeys(fruits, error)
         if arm.drop_off is None or not own or tours:  # what it still carries it could touch something with
             home = self._cell.configuration({})[arm.joints]
             with suppress(HplanError):
                 tours.append(_way(arm, Goal(joints_rad=tuple(home.tolist())), self._options))
         return [part for tour in tours for part in _parts(tour)]
 
-    def _result(self, unreached: Mapping[str, HplanError]) -> CellTour:
+    def result(self) -> CellTour:
+        """The tours on one clock, the arms certified against one another."""
         cell = self._cell
         whole = cell.together(self._table.motions)
         return CellTour(
@@ -394,5 +418,5 @@ class _Schedule:
             {name: tuple(phases) for name, phases in self._phases.items() if phases},
             self._picked,
             self._dropped,
-            {fruit: str(error) for fruit, error in unreached.items()},
+            {fruit: str(error) for fruit, error in self.unreached.items()},
         )

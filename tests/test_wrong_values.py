@@ -230,6 +230,7 @@ CASES: dict[str, Case] = {
             "objective": (None, "fun"),
             "link_model": (None, "x", []),
             "standoff": (*NO_NUMBER[1:], -1.0),
+            "capture_m": (0.01, (0.01,), (0.01, -0.02), "ab"),
             "certify": (None, "no", 1.0),
             "seed": (None, -1, 0.5),
         },

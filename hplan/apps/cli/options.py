@@ -45,7 +45,7 @@ def command_parser(
 
 
 #: Options of `hplan plan` that are `PlanOptions`, of plans with one robot or several.
-OF_PLANS = ("method", "step_deg", "objective", "effort", "link_model", "sigmas", "standoff")
+OF_PLANS = ("method", "step_deg", "objective", "effort", "link_model", "sigmas", "standoff", "capture_m")
 
 #: Options that several commands have: the group of each, its name and help, and what else argparse takes.
 _SHARED: tuple[tuple[str, str, str, dict[str, Any]], ...] = (
@@ -80,6 +80,9 @@ _SHARED: tuple[tuple[str, str, str, dict[str, Any]], ...] = (
         {"type": float, "default": 3.0, "metavar": "K"}),
     ("risk", "--risk", "largest probability that the motion touches anything, in place of --sigmas: obstacles "
         "grow by what it takes", {"type": float, "metavar": "P"}),
+    ("capture", "--capture", "how far the middle of a fruit may be off for the gripper to take it, across its approach "
+        "and along it: grasps are those that catch it most likely",
+        {"dest": "capture_m", "nargs": 2, "type": float, "metavar": ("M", "M")}),
     ("tracking", "--tracking-error", "deviation of each joint that is allowed for",
         {"type": float, "default": 0.0, "metavar": "DEG"}),
     ("tracking", "--tracking-error-m", "that of each that slides; one number is covered, the larger of both in radians "

@@ -114,7 +114,7 @@ def parser(prog: str) -> argparse.ArgumentParser:
     add(
         "--step", dest="step_deg", type=float, default=1.0, metavar="DEG", help="spacing of the joint grid (default: 1)"
     )
-    add_shared(parser, "pace", "tracking", "sigmas", "risk")
+    add_shared(parser, "pace", "tracking", "sigmas", "risk", "capture")
     add(
         "--standoff",
         type=float,
@@ -228,7 +228,8 @@ def show_summary(console: Console, result: PlanResult, folder: Path, files: Sequ
         what = point if grasp["fruit"] is None else escape(grasp["fruit"])
         along = "tool" if result.robot.planar is None else "last link"
         angle = round(grasp["approach_deg"], 1) + 0.0  # no -0.0
-        add("grasp", f"{what}, {along} at {angle:.1f} deg, {_approach_words(grasp['standoff_m'])}")
+        caught = f", caught with {percent(grasp['caught'])} %" if "caught" in grasp else ""
+        add("grasp", f"{what}, {along} at {angle:.1f} deg, {_approach_words(grasp['standoff_m'])}{caught}")
     if result.path is None:
         add("search", "none: start and goal are the same")
     elif planner["method"] == "direct":

@@ -77,7 +77,7 @@ def parser(prog: str) -> argparse.ArgumentParser:
         help="one CSV, or one for each fruit, from rest to rest (default: one)",
     )
     add("--standoff", type=float, metavar="M", help="length of straight approaches (default: 0.1)")
-    add_shared(parser, "pace", "tracking", "deadline", "seed", "mcap", "quiet")
+    add_shared(parser, "capture", "pace", "tracking", "deadline", "seed", "mcap", "quiet")
     return parser
 
 
@@ -106,7 +106,7 @@ def _made(
     from hplan.scene.file import load_scene
     from hplan.tour.tour import plan_tour
 
-    options = plan_options(arguments, "standoff")
+    options = plan_options(arguments, "standoff", "capture_m")
     tour = _tour_options(arguments)
     needs_rosbags(arguments)
     given = load_scene(shipped_scene("tour") if arguments.scene is None else arguments.scene)
@@ -198,6 +198,8 @@ def _facts(result: TourResult, folder: Path, files: Sequence[str]) -> Iterator[t
     report = result.report
     fruits = len(result.order)
     yield "tour", f"[bold]{result.duration:.3f} s[/], {fruits} fruit{'s' if fruits != 1 else ''}"
+    if "expected_fruit" in report:
+        yield "caught", f"{report['expected_fruit']:.1f} of them are to be expected within the gripper's capture range"
     totals = {order: seconds for order, seconds in report["totals_s"].items() if order != "fruits"}
     if len(totals) > 1:
         compared = ", ".join(f"{order} {seconds:.2f} s" for order, seconds in totals.items())

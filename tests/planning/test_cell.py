@@ -13,6 +13,11 @@ import pytest
 from hplan import load_robot, plan, read_csv
 from hplan.apps.cli.main import main
 from hplan.base.deadline import TimeIsUpError
+from hplan.certificate.clearance_proof import point_at
+from hplan.certificate.motion_bound import motion_of_movers
+from hplan.collision.coal_scene import CoalScene
+from hplan.collision.collision_bodies import collision_bodies
+from hplan.collision.touching_pairs import self_pairs
 from hplan.errors import (
     CertificationError,
     ConfigurationInCollisionError,
@@ -57,6 +62,29 @@ def apart(cell: Cell, q: np.ndarray) -> float:
         pin.computeDistances(model, data, geometry, seen, each)
         found.append(min(result.min_distance for result in seen.distanceResults))
     return min(found)
+
+
+@pytest.mark.parametrize("moving", ["left", "right", "both"])
+def test_two_arms_come_nearer_by_no_more_than_the_bound(robot, moving):
+    """Distances between points of bodies of either, while one moves or both do."""
+    cell, rng = facing(robot, 3.0), np.random.default_rng(3)
+    robot, bodies = cell.robot, collision_bodies(cell.robot)
+    scene = CoalScene(robot, [])
+    still = [joint for arm in cell.arms if moving not in (arm.name, "both") for joint in arm.joints]
+    bezier = cell.configuration({}) + np.cumsum(rng.normal(size=(40, 4, robot.dof)) * 0.03, axis=1)
+    bezier[:, :, still] = bezier[:, :1, still]
+    mover_of, moved, _ = motion_of_movers(scene, bezier, np.zeros((1, robot.dof)))
+    data, used = [robot.model.createData() for _ in range(2)], 0.0
+    for piece in range(len(bezier)):
+        for each, end in zip(data, (0.0, 1.0), strict=True):
+            pin.forwardKinematics(robot.model, each, point_at(bezier[piece : piece + 1], end))
+        points = [[each.oMi[body.joint + 1].act(body.core[0]) for body in bodies] for each in data]
+        for mover, (i, j) in zip(mover_of[-len(self_pairs(robot).checked) :], self_pairs(robot).checked, strict=True):
+            if cell.owner(bodies[i].name) != cell.owner(bodies[j].name):
+                before, after = (float(np.linalg.norm(at[i] - at[j])) for at in points)
+                assert abs(after - before) <= moved[mover, piece] + 1e-9
+                used = max(used, abs(after - before) / moved[mover, piece])
+    assert used > 0.5
 
 
 def every(motion, step_s: float = 5e-4) -> np.ndarray:

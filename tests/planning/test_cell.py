@@ -83,7 +83,7 @@ def test_two_arms_come_nearer_by_no_more_than_the_bound(robot, moving):
             if cell.owner(bodies[i].name) != cell.owner(bodies[j].name):
                 before, after = (float(np.linalg.norm(at[i] - at[j])) for at in points)
                 assert abs(after - before) <= moved[mover, piece] + 1e-9
-                used = max(used, abs(after - before) / moved[mover, piece])
+                used = max(used, abs(after - before) / max(moved[mover, piece], 1e-9))
     assert used > 0.5
 
 

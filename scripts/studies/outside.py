@@ -77,7 +77,9 @@ def things_of(scene: Scene) -> list[Thing]:
 def arm_of(robot: Robot) -> Arm:
     """The robot as the judge reads it."""
     touch = tuple((first, second) for first, second, _ in robot.may_touch)
-    return _arm(robot.urdf_text or robot.urdf_path, tuple(robot.held.items()), touch, robot.tool_frame)
+    # Several arms as one robot have no file. Of others the file is read: in the text, what is held is fixed already.
+    urdf = robot.urdf_path if robot.urdf_path.is_file() else robot.urdf_text or robot.urdf_path
+    return _arm(urdf, tuple(robot.held.items()), touch, robot.tool_frame)
 
 
 @cache

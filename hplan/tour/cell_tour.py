@@ -102,7 +102,7 @@ class CellTour(Record, InNotebook):
             "makespan_s": makespan,
             "s_per_fruit": makespan / max(1, len(self.picked)),
             "busy_s": busy,
-            "idle_s": {name: makespan - seconds for name, seconds in busy.items()},
+            "idle_s": {name: max(0.0, makespan - seconds) for name, seconds in busy.items()},
             "parallel_ratio": sum(busy.values()) / (len(busy) * makespan) if makespan > 0.0 else None,
             "speed_up_over_one_arm": sum(busy.values()) / makespan if makespan > 0.0 else None,
             "verified": self.verified,

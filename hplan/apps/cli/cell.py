@@ -142,7 +142,7 @@ def _facts(result: CellResult | CellTour, milliseconds: float, files: str) -> It
         f"{escape(name)} {'nothing near' if d is None else f'{at_least_mm(1e-3 * d)} mm'}"
         for name, d in distances.items()
     )
-    yield "clearance", ", ".join(shown) + "; or more, shown for all times"
+    yield "clearance", ", ".join(shown) + " or more, shown for all times"
     yield "certificate", certificate_words(report["verified"])
     yield "time", f"[bold]{milliseconds:,.0f} ms[/], loading of compiled code included"
     yield "files", escape(files)

@@ -14,8 +14,7 @@ from hplan.base.arguments import decimal, file_path
 from hplan.base.files import ByteBudget
 from hplan.errors import InputError
 
-#: Most bytes of a CSV file (some fifteen minutes of seven joints at 250 Hz), and most characters of a row.
-_MOST_CSV_BYTES: Final = 128_000_000
+#: Most characters of a row.
 _MOST_ROW: Final = 1_000_000
 
 
@@ -51,7 +50,8 @@ class CsvFile:
             InputError: Missing or unreadable file, too large, not UTF-8, or malformed.
         """
         path = file_path("path", path)
-        text = ByteBudget(_MOST_CSV_BYTES).text(
+        # Some fifteen minutes of seven joints at 250 Hz.
+        text = ByteBudget(128_000_000).text(
             path, lambda reason: InputError(f"{what} file {path}: {reason}", path=str(path))
         )
         rows = _rows(path, what, text)

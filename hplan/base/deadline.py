@@ -31,11 +31,6 @@ from hplan.errors import HplanError, NotInTimeError, OptionError, PlanCancelledE
 #: Says whether a call is cancelled: a function that returns a truth value, or an event that is set.
 Cancel: TypeAlias = Callable[[], object] | threading.Event
 
-#: How often cancellation is polled [s].
-_POLL_S = 1e-3
-
-#: Later than any time on the clock, yet finite, so that kernels check for cancellation [s].
-_LATE = 1e300
 
 #: The clock that deadlines are on. (Studies on a machine that others use too take that of the process's own work.)
 CLOCK = time.CLOCK_MONOTONIC
@@ -67,7 +62,8 @@ class TimeLimit:
         """
         self._begin = clock_s()
         self.deadline_s = deadline_s
-        late = _LATE if until_cancelled else np.inf
+        # Later than any time on the clock, yet finite, so that kernels check for cancellation [s].
+        late = 1e300 if until_cancelled else np.inf
         self._values = np.array([late if deadline_s is None else self._begin + deadline_s, 0.0, float(CLOCK)])
         self.until = frozen(self._values[:])
         self._failure: BaseException | None = None
@@ -238,7 +234,8 @@ def _ask(limit: TimeLimit, cancel: Cancel) -> None:
 
 def _watch(limit: TimeLimit, cancel: Cancel, done: threading.Event) -> None:
     """Ask again and again, until the limit is over."""
-    while not (limit.is_cancelled or done.wait(_POLL_S)):
+    # How often cancellation is polled [s].
+    while not (limit.is_cancelled or done.wait(1e-3)):
         _ask(limit, cancel)
 
 

@@ -9,16 +9,12 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
-from typing import Final
 
 from hplan.base.arguments import file_path, instance
 from hplan.errors import OutputError
 
 #: Files that were read since `protecting_inputs` began; None where none are noted.
 _INPUTS: ContextVar[set[Path] | None] = ContextVar("inputs", default=None)
-
-#: Most bytes that a part of a file's name has which follows from a name of the user's; file systems take 255 in all.
-_PART: Final = 96
 
 
 class ByteBudget:
@@ -107,7 +103,8 @@ def is_folder(path: Path) -> bool:
 
 def cut(name: str) -> str:
     """A name, cut where it is too long to be part of a file's."""
-    return name.encode("utf-8", "replace")[:_PART].decode("utf-8", "ignore")
+    # Most bytes that a part of a file's name has which follows from a name of the user's; file systems take 255 in all.
+    return name.encode("utf-8", "replace")[:96].decode("utf-8", "ignore")
 
 
 def write_text(path: Path | str, text: str) -> Path:

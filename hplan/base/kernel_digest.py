@@ -30,8 +30,6 @@ _VERSIONED = frozenset(sys.stdlib_module_names) | {"numpy", "numba", "llvmlite"}
 #: Values that their text tells from all others of their class.
 _WRITTEN_OUT = frozenset((bool, int, float, complex, str, bytes, type(None), type(...)))
 
-#: Kinds that are always known, so that it does not matter whether a kernel really reads them.
-_SIMPLE = (Dispatcher, int, float, np.number, np.ndarray, _Intrinsic)
 
 #: What is known of a function: a digest of its own, and the functions that it refers to.
 _Own = tuple[bytes, tuple[Any, ...]]
@@ -238,7 +236,8 @@ class _Parts:
                 if inside:
                     self.add_read(code, vars(value), ("LOAD_ATTR", "LOAD_METHOD"), (*above, value.__name__))
             elif (
-                isinstance(value, _SIMPLE)
+                # Kinds that are always known, so that it does not matter whether a kernel really reads them.
+                isinstance(value, (Dispatcher, int, float, np.number, np.ndarray, _Intrinsic))
                 or _has_fields(value)
                 or any(each.opname in by and each.argval == name for each in dis.get_instructions(code))
             ):

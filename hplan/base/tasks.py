@@ -15,7 +15,7 @@ from concurrent.futures import (
     wait,
 )
 from multiprocessing import get_context
-from typing import Any, Final, TypeAlias, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 from hplan.base.arguments import whole
 from hplan.errors import OptionError, WorkersLostError
@@ -26,8 +26,6 @@ _R = TypeVar("_R")
 #: What runs tasks: an executor, or what makes one; only the latter can take the place of one that is broken.
 Pool: TypeAlias = Executor | Callable[[], Executor]
 
-#: So often a task may lose its worker.
-_LOSSES: Final = 3
 
 #: Tasks that are handed over at a time, for each worker that there is; on an executor that does not say, in all.
 _AHEAD, _AT_ONCE = 2, 256
@@ -92,7 +90,7 @@ def outcomes(task: Callable[[_T], _R], given: Sequence[_T], pool: Pool, at_once:
                     yield number, future.result()
                 elif not _is_loss(error):
                     raise error
-                elif losses + 1 < _LOSSES:
+                elif losses + 1 < 3:  # so often a task may lose its worker
                     waiting.append((number, losses + 1))
                 else:
                     lost.append(number)

@@ -31,7 +31,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from typing import Literal, TypeAlias
+from typing import Literal, TypeAlias, get_args
 
 import numpy as np
 
@@ -75,7 +75,6 @@ REST = 1e-6
 
 #: When the last link may touch the fruit that is the goal: on a straight approach and back, or during the whole motion.
 GoalContact: TypeAlias = Literal["approach", "motion"]
-_GOAL_CONTACTS: tuple[GoalContact, ...] = ("approach", "motion")
 
 #: A range of the motion's cubics, and the collision checker that holds there.
 Stretch: TypeAlias = tuple[slice, CoalScene]
@@ -222,7 +221,7 @@ def certify(
             raise OptionError("risk", risk, "None with a checker of other solids than the scene's")
         if scene.moves:
             raise MovingObstacleError(scene.first_moving, "a risk is of what stands still")
-    one_of("goal_contact", goal_contact, _GOAL_CONTACTS)
+    one_of("goal_contact", goal_contact, get_args(GoalContact))
     number("begin_s", begin_s, "a finite number of seconds")
     check_joints(trajectory, robot)
     if any(robot.slides) and not trajectory.slides:

@@ -38,8 +38,6 @@ from hplan.trajectory.trajectory import Trajectory, cubic_pieces
 #: Travel between two stations: a part of the distance of the nearest pair, within bounds [m].
 _STATION_FRACTION, _STATION_M = 0.08, (1e-3, 0.05)
 
-#: Most stations of a stretch, about.
-_STATIONS = 20_000
 
 #: Stations of a curve that is to be shown: so many, or for each second, up to so many.
 _SHOWN_STATIONS, _SHOWN_PER_S, _MOST_SHOWN = 300, 40.0, 1200
@@ -275,7 +273,8 @@ class _Stations:
         """Take what the moving bodies travel up to each row, (bodies, rows + 1) [m]; it is bounded up to a row."""
         self._travel = np.append(0.0, np.cumsum(np.diff(travel, axis=1).max(axis=0)))
         self._bounded = bounded
-        self._least = max(_STATION_M[0], float(self._travel[bounded]) / _STATIONS)
+        # Most stations of a stretch, about.
+        self._least = max(_STATION_M[0], float(self._travel[bounded]) / 20_000)
 
     def after(self, place: float, nearest: float) -> float:
         """The station after a place at which the nearest pair is at a distance [m]."""

@@ -70,8 +70,6 @@ _STEP: Final = 0.03
 #: A gap below which an obstacle counts as touched [m]; half-spaces that are looked for at most in a stretch.
 _LEAST, _MOST = 1e-6, any_int(2_000_000)
 
-#: How often the triangles of an icosahedron are cut into four, for the cells of a sphere.
-_CUTS: Final = 4
 
 #: Columns of a moving shape, then of a part of an obstacle: first and last place of its points, radius; then joint and
 #: displacement bound of the shape, or the gap from which on the part is far.
@@ -288,7 +286,8 @@ def _cells() -> tuple[FloatArray, FloatArray, float]:
             if near[i, j] and near[j, k] and near[i, k]
         ]
     )
-    for _ in range(_CUTS):
+    # How often the triangles of an icosahedron are cut into four, for the cells of a sphere.
+    for _ in range(4):
         a, b, c = triangles.transpose(1, 0, 2)
         ab, bc, ca = a + b, b + c, c + a
         cut = [(a, ab, ca), (b, bc, ab), (c, ca, bc), (ab, bc, ca)]

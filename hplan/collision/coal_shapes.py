@@ -27,7 +27,6 @@ LINK_SHAPES: tuple[LinkShapes, ...] = ("capsule", "box", "urdf")
 _UP = np.array([0.0, 0.0, 1.0])
 
 _UNTURNED = np.eye(3)
-_AT_ORIGIN = pin.SE3.Identity()
 
 
 @made_once
@@ -98,7 +97,7 @@ def capsule_shapes(capsules: Sequence[Capsule]) -> list[pin.GeometryObject]:
 
 def solid_shape(obstacle: Convex | Hull) -> pin.GeometryObject:
     """A convex obstacle as a fixed geometry object."""
-    placement = _AT_ORIGIN
+    placement = pin.SE3.Identity()
     if isinstance(obstacle, Sphere):
         placement, shape = pin.SE3(_UNTURNED, np.array(obstacle.center)), coal.Sphere(float(obstacle.radius))
     elif isinstance(obstacle, Capsule):

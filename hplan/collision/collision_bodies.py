@@ -44,9 +44,6 @@ _CONVEX: Final = 1e-3
 _FILLED: Final = 0.8
 _PIECES: Final = 4
 
-#: Meshes whose bodies are kept: arms beside each other, and all of them as one robot, have the same.
-_MESHES: Final = 64
-
 
 @dataclass(frozen=True, eq=False)
 class CollisionBody(Record):
@@ -167,7 +164,8 @@ def _mesh(mesh: coal.BVHModelBase) -> tuple[_Solid, ...]:
     return _of_mesh(np.asarray(mesh.vertices(), dtype=np.float64).tobytes(), faces.tobytes(), MOST_POINTS)
 
 
-@lru_cache(maxsize=_MESHES)
+# Meshes whose bodies are kept: arms beside each other, and all of them as one robot, have the same.
+@lru_cache(maxsize=64)
 def _of_mesh(points: bytes, triangles: bytes, most: int) -> tuple[_Solid, ...]:
     """The hull of a mesh, or of its pieces, of so many points at most: of its vertices and its triangles."""
     vertices = np.frombuffer(points, dtype=np.float64).reshape(-1, 3)

@@ -31,8 +31,6 @@ COLUMNS = 18
 #: A body of so many coordinates at most is its segment, grown by its radius.
 THIN = 6
 
-#: How far balls may be from the ends of the cylinder that they make a capsule of [m].
-_SAME = 1e-9
 
 #: Numbers at the head: how many bodies and how many joints there are; where joints, and where reaches begin.
 BODIES, DOF, JOINTS, REACHES, HEAD = 0, 1, 2, 3, 4
@@ -167,7 +165,8 @@ def _capsules(bodies: Sequence[CollisionBody]) -> Iterator[tuple[CollisionBody, 
         for end in ends:
             for other, ball in enumerate(bodies):
                 off = float(np.linalg.norm(ball.core[0] - end)) + abs(ball.rounding - radius)
-                if ball.kind == "sphere" and ball.joint == tube.joint and off <= _SAME:
+                # How far balls may be from the ends of the cylinder that they make a capsule of [m].
+                if ball.kind == "sphere" and ball.joint == tube.joint and off <= 1e-9:
                     parts.append(other)
                     away = max(away, off)
                     break

@@ -27,9 +27,6 @@ from hplan.scene.solids import Cloud
 #: How deep what a fruit hangs from may be pushed while that fruit may be touched, where it says nothing of it [m].
 HANGING_M = 0.02
 
-#: How far bodies of general (non-planar) arms stay off the points of a cloud that yields as much as it can [m].
-_OUTSIDE = 1e-6
-
 
 @dataclass(frozen=True, eq=False)
 class LinkedSolids(Record):
@@ -140,7 +137,8 @@ def yielded(
         names = pushing_links(robot, yield_links)
         thin = min((body.rounding for body in collision_bodies(robot) if body.name in names), default=0.0)
         # Of the points of a cloud that a body is in coal does not say which is deepest, but that it is in one.
-        most = np.array([solid.rounding + (-_OUTSIDE if isinstance(solid, Cloud) else thin) for solid in solids])
+        # How far bodies of general (non-planar) arms stay off the points of a cloud that yields as much as it can [m].
+        most = np.array([solid.rounding + (-1e-6 if isinstance(solid, Cloud) else thin) for solid in solids])
     found: FloatArray = np.maximum(0.0, np.minimum(depth, most))
     return found
 

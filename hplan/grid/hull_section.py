@@ -29,8 +29,6 @@ _IN_PLANE = 1e-12
 #: Most tangents about one section; where they do not suffice, the section may stand out farther than asked for.
 MOST_TANGENTS = 256
 
-#: Cores of more points than this are not searched for a rounding that their section keeps.
-_ROUNDED_POINTS = 128
 
 #: Largest number of steps to the binding points; the support is a bound after any.
 _STEPS = 64
@@ -122,7 +120,8 @@ def _kept_rounding(points: FloatArray, radius: float) -> float:
     stands at n or higher. Below the plane likewise.
     """
     count = len(points)
-    if count > _ROUNDED_POINTS:
+    # Cores of more points than this are not searched for a rounding that their section keeps.
+    if count > 128:
         return 0.0
     worst = 0.0
     for i in range(count):

@@ -14,14 +14,10 @@ from hplan.kinematics.approach_angles import Candidates, Window
 #: Angles are refined by this factor at a time until they are this near to one another [rad].
 _FACTOR, FINEST = 4, np.radians(0.05)
 
-#: So many angles are refined at a time, those with the largest clearance.
-_BEST = 8
 
 #: An angle is refined where the clearance that is missing may come within one spacing, at this rate [m / rad].
 _RATE = 2.0
 
-#: Continua of configurations that may have the same approach angle: two yaws, two sides of the elbow.
-_CONTINUA = 4
 
 _TURN = 2.0 * np.pi
 
@@ -92,7 +88,8 @@ def _spacing(angles: FloatArray) -> float:
     gaps = np.diff(np.unique(np.round(angles, 9)))
     # Largest spacing that is begun with [rad].
     widest = np.radians(10.0)
-    return float(min(widest, _CONTINUA * gaps.max(initial=0.0)))
+    # Continua of configurations that may have the same approach angle: two yaws, two sides of the elbow.
+    return float(min(widest, 4 * gaps.max(initial=0.0)))
 
 
 def _apart(angles: FloatArray, clearances: FloatArray, spacing: float) -> list[float]:
@@ -102,6 +99,7 @@ def _apart(angles: FloatArray, clearances: FloatArray, spacing: float) -> list[f
         away = (np.array(kept) - angles[which] + np.pi) % _TURN - np.pi
         if not (np.abs(away) < spacing).any():
             kept.append(float(angles[which]))
-            if len(kept) == _BEST:
+            # So many angles are refined at a time, those with the largest clearance.
+            if len(kept) == 8:
                 break
     return kept

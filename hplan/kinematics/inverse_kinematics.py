@@ -29,9 +29,6 @@ _SEEDS, MOST_SEEDS = 64, 100_000
 #: Solutions that differ by less in every joint are one [rad, m].
 SAME = 1e-3
 
-#: How far the columns of a rotation may be from orthonormal.
-_ROTATION = 1e-6
-
 
 def inverse_kinematics(
     robot: Robot,
@@ -109,7 +106,8 @@ def checked_pose(pose: ArrayLike, name: str = "pose") -> FloatArray:
     turn = matrix[:3, :3]
     with np.errstate(over="ignore", invalid="ignore"):
         off = float(np.abs(turn.T @ turn - np.eye(3)).max())
-        right_handed = off <= _ROTATION and float(np.linalg.det(turn)) > 0.0
+        # How far the columns of a rotation may be from orthonormal.
+        right_handed = off <= 1e-6 and float(np.linalg.det(turn)) > 0.0
     if not right_handed or np.abs(matrix[3] - [0.0, 0.0, 0.0, 1.0]).max() > 0.0:
         raise InputError(f"{name}: expected a (4, 4) homogeneous matrix of a rotation and a place", option=name)
     return matrix

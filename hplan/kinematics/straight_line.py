@@ -34,8 +34,6 @@ STEP_M, _STEPS = 5e-3, 4
 #: The most that a joint may change for each metre of the tool: turning [rad/m], sliding [m/m].
 TURNING, _SLIDING = 25.0, 10.0
 
-#: Longest step of a tool that turns [rad]; it counts as `STEP_M`.
-_STEP_RAD = 0.03
 
 #: Lines to a pose keep so far from the joint limits, or as far as their start: a curve through them may pass them by a
 #: little [rad, m].
@@ -94,7 +92,8 @@ def line_to(
     """
     here = robot.forward_kinematics(start)
     shift, turn = pose[:3, 3] - here[:3, 3], pin.log3(here[:3, :3].T @ pose[:3, :3])
-    steps = max(_STEPS, math.ceil(np.linalg.norm(shift) / STEP_M), math.ceil(np.linalg.norm(turn) / _STEP_RAD))
+    # Longest step of a tool that turns [rad]; it counts as `STEP_M`.
+    steps = max(_STEPS, math.ceil(np.linalg.norm(shift) / STEP_M), math.ceil(np.linalg.norm(turn) / 0.03))
     on_line = [
         (here[:3, :3] @ pin.exp3(part * turn), here[:3, 3] + part * shift) for part in np.arange(steps + 1) / steps
     ]

@@ -33,8 +33,6 @@ from hplan.robot.model import Robot
 #: Directions that are tried, and from how many starts each.
 _COUNT, _STARTS = 64, 6
 
-#: Angles at which the spread of directions is measured.
-_ANGLES = 721
 
 #: Headings follow one another by this part of half a turn.
 _GOLDEN = 0.5 * (5.0**0.5 - 1.0)
@@ -143,7 +141,8 @@ def _outward(robot: Robot, place: FloatArray) -> FloatArray:
 def _directions(outward: FloatArray, window: Window | None, count: int) -> FloatArray:
     """(count, 3) unit vectors, spread evenly over those with an approach angle in a window; see the module's text."""
     low, width = (-np.pi, 2.0 * np.pi) if window is None else (window.low, window.width)
-    angles = low + width * np.linspace(0.0, 1.0, _ANGLES)
+    # Angles at which the spread of directions is measured.
+    angles = low + width * np.linspace(0.0, 1.0, 721)
     # Of directions that are asked for, those near the vertical count as if they were so far from it: there are few.
     least_cosine = 0.05
     density = np.maximum(np.abs(np.cos(angles)), least_cosine)

@@ -13,7 +13,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from threading import RLock
-from typing import Any, Literal, NamedTuple, TypeAlias, TypeVar, overload
+from typing import Any, Literal, NamedTuple, TypeAlias, TypeVar, get_args, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -392,7 +392,7 @@ class Planner:
             OptionError: A radius, a time, a depth or options that cannot be.
         """
         yields = between("yields", yields, 0.0, FARTHEST_M)
-        one_of("unknown", unknown, _UNKNOWN)
+        one_of("unknown", unknown, get_args(Unknown))
         options = CloudOptions() if options is None else options
         if unknown == "solid" and joints is None:
             raise OptionError("joints", None, "those of the arm: unknown space is solid but for where it stands")
@@ -622,7 +622,6 @@ def _route(track: Track | None) -> tuple[Any, ...]:
 
 #: What space counts as that was not seen.
 Unknown: TypeAlias = Literal["free", "solid"]
-_UNKNOWN: tuple[Unknown, ...] = ("free", "solid")
 
 #: Differences of lengths that are none [m].
 _SAME_M = 1e-9

@@ -31,8 +31,6 @@ _STEP: Final = 0.6
 #: Radius of fruit, and of the balls that are in the way, where there is room [m].
 _RADIUS: Final = 0.03
 
-#: Plans with a deadline call more than those without; this one leaves time to compile all of that [s].
-_LONG_S: Final = 600.0
 
 #: So many balls stand out of the way, so many times as far from the base as the tool, spread by so much [m].
 _MANY, _FAR, _SPREAD = 60, 1.5, 0.1
@@ -126,7 +124,8 @@ def _is_done(robot: Robot, start: FloatArray, goal: FloatArray, blocked: bool) -
 
 def _other_tasks(robot: Robot, scene: Scene, fruit: Fruit) -> Iterator[tuple[dict[str, Any], PlanOptions]]:
     """What else may be asked for: changes of the scene, and options."""
-    usual = PlanOptions(deadline_s=_LONG_S)
+    # Plans with a deadline call more than those without; this one leaves time to compile all of that [s].
+    usual = PlanOptions(deadline_s=600.0)
     ball, *others = scene.obstacles
     track = Track(times_s=(0.0, 1.0), shifts_m=((0.0, 0.0, fruit.radius), (0.0, 0.0, 0.0)))
     yield {"obstacles": ()}, usual

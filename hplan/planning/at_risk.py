@@ -46,12 +46,6 @@ _ROUNDS = 4
 #: motions keep, half as much again [m].
 _NEAR, _NEAR_M = 0.25, 1.5 * MARGIN
 
-#: Part of the time up to a deadline in which motions are planned.
-_SHARE_OF_TIME = 0.6
-
-#: Probabilities as numbers of standard deviations.
-_PLANE = NormalDist()
-
 
 @dataclass(frozen=True)
 class _Allocation:
@@ -90,7 +84,7 @@ def plan_at_risk(
     allocation = _Allocation(_away(_FIRST * risk), {})
     room: dict[str, float] = {}
     # What is shown of motions takes its part of the time.
-    deadline_s = None if options.deadline_s is None else _SHARE_OF_TIME * options.deadline_s
+    deadline_s = None if options.deadline_s is None else 0.6 * options.deadline_s
     for _ in range(_ROUNDS):
         sigmas = _sigmas(allocation, deviations, scene.clearance, room)
         try:
@@ -143,7 +137,8 @@ def _risk_of(result: PlanResult, scene: Scene, risk: float) -> TouchRisk:
 
 def _away(probability: float) -> float:
     """How many standard deviations away a plane is beyond which a place is with a probability."""
-    return _PLANE.inv_cdf(1.0 - min(max(probability, 1e-12), 0.45))
+    # Probabilities as numbers of standard deviations.
+    return NormalDist().inv_cdf(1.0 - min(max(probability, 1e-12), 0.45))
 
 
 def _room_at_ends(robot: Robot, scene: Scene) -> dict[str, float]:

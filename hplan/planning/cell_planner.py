@@ -55,8 +55,6 @@ _WAYS: Final = ("all at once", "one after the other", "around the others where t
 #: Samples of a motion between which its path is taken for straight [s].
 _ALONG_S: Final = 0.05
 
-#: With a makespan of so many times the longest motion alone nothing quicker is looked for.
-_GOOD: Final = 1.02
 
 #: With more arms than this not every order is tried, but each arm once as the last, and not all joints at once.
 _ALL_ORDERS: Final = 4
@@ -64,8 +62,6 @@ _ALL_ORDERS: Final = 4
 #: By how much arms that stand are thicker where others go around them [m]; where one would touch that, by nothing.
 _THICKER: Final = 1e-3
 
-#: With so many motions of each arm no more step aside.
-_MOST_LEGS: Final = 3
 
 #: How far an arm steps aside, each joint, in turn until there is a place [rad, m]; and how many places are looked at.
 _ASIDE: Final = (0.3, 0.6, 1.2, 2.4)
@@ -177,7 +173,8 @@ class _CellPlanner:
         motions = {name: result.trajectory for name, result in self._alone.items()}
         if not motions:
             raise InputError("plan_cell: no arm of the cell has a goal")
-        enough = _GOOD * max(motion.duration for motion in motions.values())
+        # Nothing quicker is looked for than that.
+        enough = 1.02 * max(motion.duration for motion in motions.values())
         self._progress("together")
         found = self._scheduled(cell, _orders(motions))
         if found is None and len(cell.arms) > 1:
@@ -315,7 +312,7 @@ class _CellPlanner:
             if blocking in waiting and (name, blocking) not in put_behind:
                 put_behind.add((name, blocking))
                 waiting.insert(waiting.index(blocking) + 1, name)
-            elif blocking is not None and len(legs) < _MOST_LEGS * len(alone):
+            elif blocking is not None and len(legs) < 3 * len(alone):  # with more motions none steps aside
                 pairs = [(blocking, name), *([(name, blocking)] if blocking in waiting else [])]
                 for mover, other in pairs:
                     aside = self._aside(there, mover, other, alone[other].position[-1])

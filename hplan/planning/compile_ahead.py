@@ -25,9 +25,6 @@ if TYPE_CHECKING:
     from hplan.base.arrays import FloatArray
     from hplan.planning.task import PlanningTask
 
-#: Elbow and wrist while the shoulder turns, on a path that avoids the ball of the reference scene [deg].
-_FOLDED_DEG = (80.0, 80.0)
-
 
 def is_first_run() -> bool:
     """True if a kernel that every plan needs is not on disk as its source stands."""
@@ -92,7 +89,8 @@ def _reference() -> tuple[PlanningTask, FloatArray]:
     scene = load_scene()
     start, goal = scene.start.configuration, scene.goal.configuration
     waypoints = np.stack([start, start, goal, goal])
-    waypoints[1:3, -2:] = np.radians(_FOLDED_DEG)
+    # Elbow and wrist while the shoulder turns, on a path that avoids the ball of the reference scene [deg].
+    waypoints[1:3, -2:] = np.radians((80.0, 80.0))
     return PlanningCache(load_robot()).context(scene, PlanOptions()).task(start, goal), waypoints
 
 

@@ -37,8 +37,6 @@ from hplan.scene.model import Fruit, Scene
 #: Configurations that are looked at, about.
 COUNT = 64
 
-#: Stand-offs tried in turn, as fractions of the one asked for.
-_FRACTIONS = (1.0, 0.5, 0.2)
 
 #: To how many grasps routes are searched where no straight motion leads to them.
 SEARCHED = 8
@@ -351,7 +349,8 @@ def _distances(standoff: float, least: float) -> list[float]:
     """Lengths of the approach to try, the one asked for first."""
     if standoff <= 0.0 and least <= 0.0:
         return []
-    shorter = {max(least, fraction * standoff) for fraction in _FRACTIONS}
+    # Stand-offs tried in turn, as fractions of the one asked for.
+    shorter = {max(least, fraction * standoff) for fraction in (1.0, 0.5, 0.2)}
     return sorted(shorter, reverse=True)
 
 

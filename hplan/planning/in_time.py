@@ -29,17 +29,9 @@ from hplan.robot.model import Robot
 from hplan.scene.model import Scene, Start
 from hplan.trajectory.trajectory import Phase, Retimed, Trajectory, joined, scaled
 
-#: So much earlier or later than scheduled the arm may be anywhere [s], tried in turn until a motion is certified.
-_SPARE_S: Final = (0.02, 0.06, 0.15)
-
 #: A path around what moves is looked for within so much of the time at which it is in the way [s].
 _MEANWHILE_S: Final = 0.35
 
-#: Longest motion of the scene that is planned around as one [s].
-_LONGEST_SWEPT_S: Final = 30.0
-
-#: A motion that takes no more than so many times as long as one to which nothing is in the way needs no alternative.
-_CLOSE: Final = 1.02
 
 #: Ever quicker plans of a scene, whether anything moves in it or not.
 PlansOf: TypeAlias = Callable[[Scene], Iterator[Plan]]
@@ -158,11 +150,13 @@ class _Search:
         """Scenes in which nothing moves whose motions are looked at, and what they are, in words."""
         scene = self._scene
         yield "the path without what moves", without_moving(scene)
-        if self.first is None or self.best_s <= _CLOSE * self.first[0].duration:
+        # One hardly longer than that to which nothing is in the way needs no alternative.
+        if self.first is None or self.best_s <= 1.02 * self.first[0].duration:
             return
         duration = self.first[0].duration
         when = min(self.first[1].nearest_s or 0.0, duration)
-        end_s = min(duration + 0.5, _LONGEST_SWEPT_S)
+        # Longest motion of the scene that is planned around as one [s].
+        end_s = min(duration + 0.5, 30.0)
         yield "a path around all that it sweeps meanwhile", among_poses(scene, 0.0, end_s)
         yield (
             "a path around where it is when it is in the way",
@@ -180,7 +174,8 @@ class _Search:
         report = {"path": path, "waits_s": 0.0, "slows_down": False, "at_full_speed_s": motion.duration}
         if certificate.verified:
             return _run(still, self._scene, (phases, motion, certificate), report)
-        for spare_s in _SPARE_S:
+        # So much earlier or later than scheduled the arm may be anywhere [s].
+        for spare_s in (0.02, 0.06, 0.15):
             cells = PathInTime(motion, self._field, step_s=STEP_S, spare_s=spare_s)
             schedule = earliest_schedule(
                 cells,

@@ -28,9 +28,7 @@ from hplan.trajectory.retime import time_path
 from hplan.trajectory.spline import SplinePath
 from hplan.trajectory.trajectory import Phase, Trajectory, joined
 
-#: Where tracking errors grow with speed, motions make room for so many times as much, tried in turn until one is
-#: certified; a motion on a given path is run at these fractions of its own speed.
-_SWAYS = (1.0, 1.6, 2.5)
+#: A motion on a given path is run at these fractions of its own speed, tried in turn until one is certified.
 _SPEEDS = (1.0, 0.7, 0.5, 0.35, 0.25, 0.17, 0.12, 0.08, 0.05, 0.03)
 
 #: Where a path comes from: there is none, as start and goal are the same; it is straight, found by trees or on a grid,
@@ -281,7 +279,8 @@ def _optimized(
     limits, dynamics, sway, rate_hz = motion_limits(task), task.robot.dynamics, sway_of(task), task.options.rate_hz
     if sway is None and is_straight(paths[0], task.field, processing):
         return None
-    for room in [None] if sway is None else [times * sway for times in _SWAYS]:
+    # Where tracking errors grow with speed, room is made for so many times as much, until a motion is certified.
+    for room in [None] if sway is None else [times * sway for times in (1.0, 1.6, 2.5)]:
         with task.stage("postprocess"):
             problem = TimeProblem(task.field, task.field, processing, limits, dynamics, rate_hz, sway=room)
             starts = optimization_starts(paths, problem)

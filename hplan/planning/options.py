@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Final, Literal, get_args
 
 from hplan.base.arguments import between, by_name, keep_checked, list_between, number, one_of, truth, whole
 from hplan.errors import OptionError
@@ -15,11 +15,9 @@ from hplan.scene.limits import FARTHEST_M, LEAST_RISK
 from hplan.scene.obstacle_kind import Sigmas
 
 Method = Literal["two-level", "dense"]
-_METHODS: tuple[Method, ...] = ("two-level", "dense")
 
 #: What is asked of a motion.
 Objective = Literal["duration", "length"]
-_OBJECTIVES: tuple[Objective, ...] = ("duration", "length")
 
 #: Length of the straight approach to a fruit or a point, where none is asked for [m].
 STANDOFF = 0.1
@@ -140,8 +138,8 @@ class PlanOptions:
 
 
 _CHECKS = {
-    "method": (one_of, _METHODS),
-    "objective": (one_of, _OBJECTIVES),
+    "method": (one_of, get_args(Method)),
+    "objective": (one_of, get_args(Objective)),
     "effort": (one_of, EFFORT_NAMES),
     "link_model": (one_of, LINK_MODELS),
     "step_deg": (number, f"a number of degrees >= {_FINEST_DEG:g}", lambda step: step >= _FINEST_DEG),

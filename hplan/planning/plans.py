@@ -34,8 +34,7 @@ from hplan.planning.task import PlanningContext, PlanningTask
 from hplan.planning.transits import reused, transits
 from hplan.trajectory.trajectory import Trajectory
 
-#: Configurations at a fruit among which grasps are chosen where a motion is wanted at once, and how many of them.
-_FEW_GRASPS: Final = 24
+#: So many grasps are tried where a motion is wanted at once.
 _FIRST_GRASPS: Final = 3
 
 
@@ -130,7 +129,8 @@ def _to_target(context: PlanningContext, target: Target, start: FloatArray) -> I
     """Ever quicker plans to a target; the last one goes without a stop before the approach where that is quicker."""
     at_once, locked = context.effort.at_once, context.scene.locked_joints
     with context.stage("grasps"):
-        count = _FEW_GRASPS if at_once else COUNT
+        # Where a motion is wanted at once, grasps are chosen among few configurations.
+        count = 24 if at_once else COUNT
         found = grasps(target, start, standoff=context.options.standoff_m, locked=locked, count=count)
         if at_once:
             likely = promising(found, target, start)

@@ -61,8 +61,6 @@ _MOST_POSES = 10_000
 #: Nodes of trees, and the paths between them, lean by this fraction of the tilt at most; what is between has the rest.
 _OF_TILT = 0.7
 
-#: Longest edge of trees that stay upright, for a tilt of one radian [s]; it goes with the root of the tilt.
-_EDGE_S = 0.1
 
 #: Rows of an upright motion are about so far apart [rad]; smoother paths of fewer of them are tried first.
 _ROW, _COARSER = 0.05, (12, 6, 3, 1)
@@ -348,7 +346,8 @@ def _upright(tilt: _Tilt, tasks: Sequence[PlanningTask], number: int) -> _Leg:
         if rows is not None and field.is_clear(rows, 0.1 * to.margin()):
             return _Leg(number, to, rows)
     first, goals, least = tasks[0], np.array([to.problem.goal for to in tasks]), 0.1 * min(to.margin() for to in tasks)
-    held = Held(tilt.within(first), _EDGE_S * math.sqrt(_OF_TILT * tilt.most))
+    # Longest edge of trees that stay upright, for a tilt of one radian [s]; it goes with the root of the tilt.
+    held = Held(tilt.within(first), 0.1 * math.sqrt(_OF_TILT * tilt.most))
     for seed, evaluations in enumerate(_TREES):
         effort = TreeEffort(evaluations, first.effort.trees.seed + seed)
         with first.stage("trees"):

@@ -23,13 +23,6 @@ if TYPE_CHECKING:
     from hplan.scene.obstacle_kind import Sigmas
     from hplan.trajectory.trajectory import Trajectory
 
-#: Packages whose versions a report names.
-_PACKAGES = ("hplan", "pin", "coal", "toppra", "numba", "numpy")
-
-
-#: So many obstacles are told of those that a motion may touch.
-_SHARES = 10
-
 
 @functools.cache
 def _version(package: str) -> str:
@@ -41,7 +34,8 @@ def _version(package: str) -> str:
 
 def versions() -> dict[str, str]:
     """Versions of hplan and of what it stands on."""
-    return {package: _version(package) for package in _PACKAGES}
+    # Packages whose versions a report names.
+    return {package: _version(package) for package in ("hplan", "pin", "coal", "toppra", "numba", "numpy")}
 
 
 def uncertainty_report(scene: Scene, sigmas: Sigmas) -> dict[str, Any]:
@@ -67,7 +61,8 @@ def risk_report(risk: TouchRisk) -> dict[str, Any]:
         "asked": risk.asked,
         "bound": risk.bound,
         "shared": risk.shared,
-        "shares": [vars(share) for share in risk.shares[:_SHARES]],
+        # So many obstacles are told of those that a motion may touch.
+        "shares": [vars(share) for share in risk.shares[:10]],
         "estimate": {"frequency": estimate.frequency, **vars(estimate)},
     }
 

@@ -40,8 +40,6 @@ COARSEST_DEG = 8.0
 #: Most nodes of a grid.
 MOST_CELLS = 1e8
 
-#: A row of yaws takes as much memory as one of so many nodes, however few there are.
-_LEAST_ROW = 32
 
 #: Called with the name of each stage as it begins.
 Progress = Callable[[str], None]
@@ -149,7 +147,8 @@ class PlanningTask(PlanningContext):
             beyond = math.radians(attempt.yaw_range_deg)
             low = max(problem.lower[0], min(problem.start[0], problem.goal[0]) - beyond)
             high = min(problem.upper[0], max(problem.start[0], problem.goal[0]) + beyond)
-            count *= max(1.0 + (high - low) / step, _LEAST_ROW)
+            # A row of yaws takes as much memory as one of so many nodes, however few there are.
+            count *= max(1.0 + (high - low) / step, 32)
         return float(count)
 
     def to_flood(self, yaw_range_deg: float) -> GridAttempt | None:

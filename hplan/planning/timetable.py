@@ -14,9 +14,6 @@ from hplan.planning.options import PlanOptions
 from hplan.trajectory.cubics import Rows
 from hplan.trajectory.trajectory import Trajectory, joined
 
-#: Times at which arms are compared before they are certified [s].
-_STEP_S: Final = 0.005
-
 #: How many of them a motion begins later at a time.
 _LATER: Final = 8
 
@@ -47,7 +44,8 @@ class Timetable:
         """
         start = cell.configuration({})
         self._cell, self._least = cell, cell.scene.clearance + spare
-        self._step = max(1, round(_STEP_S * options.rate_hz)) / options.rate_hz
+        # Times at which arms are compared before they are certified [s].
+        self._step = max(1, round(0.005 * options.rate_hz)) / options.rate_hz
         self.places = {arm.name: start[arm.joints][None] for arm in cell.arms}
         self.legs: dict[str, list[tuple[float, Trajectory]]] = {arm.name: [] for arm in cell.arms}
 

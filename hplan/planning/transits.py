@@ -50,7 +50,6 @@ WORTHWHILE: Final = 0.7
 #: Evaluations of the pairs of trees that look for the first motion of all, and how many of these where the base is
 #: locked: grids find narrow passages there.
 _FIRST_TREES: Final = (1_500, 1_500, 1_500, 1_500, 6_000, 6_000, 6_000, 6_000)
-_PLANAR_TREES: Final = 2
 
 #: The number of a goal, and a motion there.
 Found: TypeAlias = tuple[int, Transit]
@@ -174,7 +173,7 @@ def _at_once(tasks: Sequence[PlanningTask]) -> Iterator[Found]:
 
 def _first_paths(tasks: Sequence[PlanningTask]) -> Iterator[tuple[int, Polyline]]:
     yield from enumerate(map(_straight, tasks))
-    for seed, evaluations in enumerate(_FIRST_TREES if tasks[0].problem.turns else _FIRST_TREES[:_PLANAR_TREES]):
+    for seed, evaluations in enumerate(_FIRST_TREES if tasks[0].problem.turns else _FIRST_TREES[:2]):
         reached = _tree_to_any(tasks, TreeEffort(evaluations, tasks[0].effort.trees.seed + seed))
         if reached is not None:
             yield reached

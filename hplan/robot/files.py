@@ -112,10 +112,6 @@ def robot_files(path: Path | str | None) -> RobotFiles:
     return RobotFiles(found)
 
 
-#: Reasons of an SRDF for which links that it lets touch were never seen to touch: those are checked all the same.
-_NEVER: Final = ("never", "notinsampling")
-
-
 def read_srdf(path: Path, links: Collection[str] | None = None) -> tuple[tuple[str, str, str], ...]:
     """Pairs of links that may touch by an SRDF, and its reason (`by the SRDF` where it gives none).
 
@@ -137,7 +133,8 @@ def read_srdf(path: Path, links: Collection[str] | None = None) -> tuple[tuple[s
             raise RobotFileError(path, f"{line_of(element)}<disable_collisions> names no two links")
         named.append(pair)
         reason = (element.get("reason") or "by the SRDF").strip()
-        if reason.lower().replace(" ", "") not in _NEVER:
+        # Links that were never seen to touch are checked all the same.
+        if reason.lower().replace(" ", "") not in ("never", "notinsampling"):
             found.append((str(pair[0]), str(pair[1]), reason))
     if links is not None and named and not any(set(pair) <= set(links) for pair in named):
         first, second = named[0]

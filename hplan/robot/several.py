@@ -23,10 +23,6 @@ from hplan.robot.urdf_xml import read_urdf_xml
 #: The root, in whose frame all bases stand.
 _ROOT: Final = "base_link"
 
-#: Jerk limit of joints that have none, beside others that have: the whole acceleration within far less than a row
-#: [rad/s^3, m/s^3].
-_NO_JERK: Final = 1e6
-
 
 def joined_robots(arms: Mapping[str, tuple[Robot, pin.SE3]], name: str = "cell") -> Robot:
     """Several robots as one; joints, links and frames are called as before, after the robot's name and `_`.
@@ -73,7 +69,8 @@ def _renamed(name: str, robot: Robot, into: ET.Element, *, jerk: bool) -> str:
             elif each.tag == "limit" and row is not None:
                 each.set("acceleration", repr(float(robot.acceleration_limit[row])))
                 if jerk:
-                    each.set("jerk", repr(_NO_JERK if robot.jerk_limit is None else float(robot.jerk_limit[row])))
+                    # Joints without a jerk limit: the whole acceleration within far less than a row.
+                    each.set("jerk", repr(1e6 if robot.jerk_limit is None else float(robot.jerk_limit[row])))
             for key, tags in (("name", ("link", "joint", "material")), ("link", ("parent", "child"))):
                 if each.tag in tags and each.get(key):
                     each.set(key, f"{name}_{each.get(key)}")

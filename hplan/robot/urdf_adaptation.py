@@ -38,8 +38,6 @@ CONTINUOUS_RANGE: Final = 2.0 * math.pi
 #: A limit of a revolute joint beyond this is none: exporters write 1e16 where a joint turns without end [rad].
 _ENDLESS: Final = 1e3
 
-#: The vertical of `base_link` and that of what carries it may differ by this [rad].
-_TILT: Final = 1e-9
 
 _PACKAGE: Final = "package://"
 
@@ -199,7 +197,8 @@ class _Adaptation:
         values = self._values() if mount else {}
         for joint in mount:
             tilt = _placed(joint, values.get(joint.name)).rotation @ tilt
-        if math.hypot(tilt[0, 2], tilt[1, 2]) > _TILT or tilt[2, 2] < 0.0:
+        # The vertical of `base_link` and that of what carries it may differ by this [rad].
+        if math.hypot(tilt[0, 2], tilt[1, 2]) > 1e-9 or tilt[2, 2] < 0.0:
             angle = math.degrees(math.atan2(math.hypot(tilt[0, 2], tilt[1, 2]), tilt[2, 2]))
             reason = (
                 f"it tilts {_BASE_LINK!r} by {angle:.4g} deg, and gravity would pull along another axis than -z; mount "

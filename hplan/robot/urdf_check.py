@@ -9,7 +9,6 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Final
 
 import coal
 import numpy as np
@@ -20,8 +19,6 @@ from hplan.base.arrays import FloatArray
 from hplan.errors import RobotFileError
 from hplan.robot.urdf_file import CollisionShape, Joint, Link, Urdf
 from hplan.robot.urdf_xml import line_of
-
-_MOVING: Final = ("revolute", "continuous", "prismatic")
 
 
 def check_models(path: Path, urdf: Urdf, model: pin.Model, collision_model: pin.GeometryModel | None = None) -> None:
@@ -110,7 +107,7 @@ class _Check:
         self.same(
             joint.element, name, "its placement", model.jointPlacements[number].homogeneous, placement.homogeneous
         )
-        if joint.kind not in _MOVING:
+        if joint.kind not in ("revolute", "continuous", "prismatic"):
             return number
         self._axis(joint, name, number)
         moved = model.joints[number]

@@ -62,13 +62,6 @@ _EXTENSIONS: Final = frozenset(
 #: The limit that URDF has from 1.2 on, as files for Drake name it; where both are there, URDF's own counts.
 _ACCELERATION: Final = "drake:acceleration"
 
-#: Elements that no program adds attributes to.
-_CLOSED: Final = frozenset({"origin", "mass", "inertia", "axis", "parent", "child"})
-
-_REPEATED: Final = frozenset({"visual", "collision"})
-
-#: Attributes that give the size of a shape.
-_SIZES: Final = {"box": ("size",), "sphere": ("radius",), "cylinder": ("radius", "length")}
 
 _KINDS: Final = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
 
@@ -314,7 +307,8 @@ class _Reader:
                 raise self._bad_number(shape, "scale", where, "3 finite numbers that are not 0")
             return "mesh", scale
         size: list[float] = []
-        for attribute in _SIZES[shape.tag]:
+        # Attributes that give the size of a shape.
+        for attribute in {"box": ("size",), "sphere": ("radius",), "cylinder": ("radius", "length")}[shape.tag]:
             numbers = self._numbers(shape, attribute, where, 3 if attribute == "size" else 1)
             if not all(0.0 < number <= FARTHEST_M for number in numbers):
                 expected = f"a finite number that is positive, at most {FARTHEST_M:g} m"
@@ -364,12 +358,14 @@ class _Reader:
                     continue
                 reason = f"{where}: <{part.tag}> in <{element.tag}> means nothing, expected {', '.join(sorted(known))}"
                 raise self.fault(part, reason)
-            if part.tag in seen and part.tag not in _REPEATED:
+            if part.tag in seen and part.tag not in ("visual", "collision"):
                 raise self.fault(part, f"{where}: a second <{part.tag}> in <{element.tag}>; only one would count")
             seen.add(part.tag)
             attributes = _ATTRIBUTES.get(part.tag, frozenset(part.attrib))
             for attribute in sorted(part.attrib.keys() - attributes):
-                if part.tag in _CLOSED or not self._means_something(attribute, attributes):
+                # Elements that no program adds attributes to.
+                closed = part.tag in ("origin", "mass", "inertia", "axis", "parent", "child")
+                if closed or not self._means_something(attribute, attributes):
                     raise self.fault(part, f"{where}: {attribute} of <{part.tag}> means nothing")
 
     def _means_something(self, name: str, known: frozenset[str]) -> bool:

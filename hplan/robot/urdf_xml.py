@@ -16,9 +16,6 @@ from hplan.errors import RobotFileError
 #: Most bytes of a URDF.
 _MOST_BYTES: Final = 16_000_000
 
-#: Encodings that all readers of URDF understand alike: they take the bytes for UTF-8, whatever is declared.
-_ENCODINGS: Final = ("utf-8", "us-ascii", "ascii")
-
 
 class Element(ET.Element):
     """An element that knows its line; 0 where it is from no file."""
@@ -98,7 +95,8 @@ def _parsed(path: Path, content: bytes) -> ET.Element:
         builder.start(tag, attributes).line = parser.CurrentLineNumber  # type: ignore[attr-defined]
 
     def declaration(_version: str, encoding: str | None, _standalone: int) -> None:
-        if encoding is not None and encoding.lower() not in _ENCODINGS:
+        # Encodings that all readers of URDF understand alike: they take the bytes for UTF-8, whatever is declared.
+        if encoding is not None and encoding.lower() not in ("utf-8", "us-ascii", "ascii"):
             raise RobotFileError(path, f"malformed XML: unknown encoding {encoding!r}; URDF is read as UTF-8")
 
     def document_type(*_: Any) -> None:

@@ -21,7 +21,7 @@ import math
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
-from typing import Annotated, Final, TypeAlias
+from typing import Annotated, TypeAlias
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -33,9 +33,6 @@ from hplan.scene.limits import LONGEST_S, MOST_TRACK_POINTS, Angles, Size, Vecto
 from hplan.scene.solids import rpy_rotation
 
 Time: TypeAlias = Annotated[float, Field(ge=-LONGEST_S, le=LONGEST_S)]
-
-#: Between two poses an obstacle turns by the smaller angle; of a larger turn the sense would not be clear [deg].
-_LARGEST_TURN_DEG: Final = 179.0
 
 
 class Track(StrictModel):
@@ -69,7 +66,8 @@ class Track(StrictModel):
             given, missing = ("about", "rpy_deg") if self.rpy_deg is None else ("rpy_deg", "about")
             raise fault(f"this key is missing: {missing}, for {given} is given", given)
         for number, turn in enumerate(rotation_vectors(self.rotations), start=1):
-            if not np.linalg.norm(turn) <= math.radians(_LARGEST_TURN_DEG):
+            # Obstacles turn by the smaller angle; of a larger turn the sense would not be clear.
+            if not np.linalg.norm(turn) <= math.radians(179.0):
                 raise fault("it turns by 180 degrees between two times: give one between", "rpy_deg", number)
         return self
 

@@ -57,12 +57,6 @@ _Blended: TypeAlias = tuple[Motion | None, Motion, Motion | None]
 #: Other grasps are tried so many times, as long as the tour becomes shorter by this fraction.
 WIDENINGS, _LEAST_GAIN = 8, 5e-3
 
-#: Most nodes of the grids that show that no path leads to a fruit: finer ones take hundreds of megabytes.
-_FLOODED = 2e7
-
-#: So many grasps of all fruits are looked at for that, about, besides those that a tour may take already.
-_LIKELY = 1200
-
 
 class _Step(NamedTuple):
     """A step of a tour: at a place, or from stop to stop.
@@ -102,7 +96,8 @@ class Motions:
         """
         self.fruits = list[str]()
         context = empty if loaded is None else loaded
-        floods = min(context.effort.floods, _FLOODED)
+        # Most nodes of the grids that show that no path leads to a fruit: finer ones take hundreds of megabytes.
+        floods = min(context.effort.floods, 2e7)
         self._context = replace(context, effort=replace(context.effort, floods=floods))
         self._moves = Moves(empty, loaded)
         self._every, self._back, self._carries = every, back, loaded is not None
@@ -207,7 +202,8 @@ class Motions:
             beside = [around[number - 1], *around[number + 1 : number + 2]]
             whole = np.arange(self._begin[fruit], self._begin[fruit + 1])
             bounds = self._moves.least(np.concatenate([beside, self._first + whole]))[: len(beside), len(beside) :]
-            found |= set(whole[ties.argsort(bounds.sum(axis=0))[: _LIKELY // len(self.fruits)]].tolist())
+            # So many grasps of all fruits are looked at for that, about, besides those that a tour may take already.
+            found |= set(whole[ties.argsort(bounds.sum(axis=0))[: 1200 // len(self.fruits)]].tolist())
         return np.array(sorted(found))
 
     def fruits_at(self, places: IntArray) -> IntArray:

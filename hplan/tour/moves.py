@@ -31,12 +31,6 @@ from hplan.robot.limits import Limits, rest_to_rest
 from hplan.scene.model import Fruit
 from hplan.tour.joins import GAIN_S, Joins
 
-#: A motion whose straight one is blocked is reckoned with so many times its least duration until trees look for it.
-_BLOCKED: Final = 1.5
-
-#: A motion near a path of trees lasts about so many times as long as that at the velocity limits.
-_ALONG: Final = 1.2
-
 #: So many rows of bounds are computed at a time.
 _ROWS: Final = 64
 
@@ -152,7 +146,8 @@ class Moves:
                 routes = first_paths(task)
                 if routes and routes[0].seconds < self._joins[loaded].between(a, b):
                     self._routes[key] = routes
-                    self._estimate(key, _ALONG * routes[0].seconds)
+                    # A motion near a path of trees lasts about so many times as long as that at the velocity limits.
+                    self._estimate(key, 1.2 * routes[0].seconds)
                 else:
                     self._plan(key, None)
             elif straight_is_clear(task):
@@ -247,7 +242,8 @@ class Moves:
     def _block(self, key: _Key) -> None:
         """Keep that the straight motion is blocked."""
         self._blocked.add(key)
-        self._estimate(key, _BLOCKED * self.least(key[:2])[0, 1])
+        # What it is reckoned with until trees look for it.
+        self._estimate(key, 1.5 * self.least(key[:2])[0, 1])
 
     def _estimate(self, key: _Key, seconds: float) -> None:
         """Keep about how long a motion lasts that is not planned yet [s]."""

@@ -36,8 +36,6 @@ EXACT, _MOST_STATES = 11, 4_000_000
 #: How many fruits are moved together at most.
 SEGMENT = 3
 
-#: How often the search is begun anew from a disturbed order, before it ends.
-_KICKS = 30
 
 #: Relative gain from which on a change counts.
 _GAIN = 1e-12
@@ -151,7 +149,8 @@ def best(costs: Costs, before: IntArray | None = None, kicked: bool = True) -> V
     if before is None or not kicked or not np.array_equal(order, orders[0]):
         return along(costs, order)  # there is time for kicks once nothing else moves
     random = np.random.default_rng(0)
-    for _ in range(_KICKS):
+    # How often the search is begun anew from a disturbed order, before it ends.
+    for _ in range(30):
         cuts = np.sort(random.choice(np.arange(1, n), size=3, replace=False))
         a, b, c, d = np.split(order, cuts)
         other_cost, other = _improved(np.concatenate([a, c, b, d]), costs)

@@ -9,9 +9,6 @@ import numpy as np
 from scipy.optimize import LinearConstraint, milp
 from scipy.sparse import coo_array
 
-#: How long the solver may look for a better cover [s].
-_SOLVER_S = 60.0
-
 
 def cover(
     costs: Sequence[Mapping[str, float]], each: float, least: int | None = None
@@ -55,7 +52,8 @@ def cover(
             LinearConstraint(within.tocsr(), -np.inf, 0.0),
             LinearConstraint(enough.tocsr(), float(least), np.inf),
         ],
-        options={"time_limit": _SOLVER_S},
+        # How long the solver may look for a better cover [s].
+        options={"time_limit": 60.0},
     )
     if found.x is None:  # no time for any: sets as they come
         best: dict[str, tuple[float, int]] = {}

@@ -8,9 +8,6 @@ import numpy as np
 
 from hplan.errors import OptionError
 
-#: Natural frequency of the position loop [rad/s].
-_BANDWIDTH = 40.0
-
 
 @dataclass(frozen=True)
 class Plant:
@@ -26,7 +23,7 @@ class Plant:
 
     mass_factor: float = 1.0
     command_delay_s: float = 0.0
-    bandwidth: float = _BANDWIDTH
+    bandwidth: float = 40.0
     decoupled: bool = False
 
     def __post_init__(self) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, Final, Literal, TypeAlias
+from typing import Any, Final, Literal, TypeAlias, get_args
 
 import numpy as np
 import pinocchio as pin
@@ -18,7 +18,6 @@ from hplan.scene.solids import hull_of
 
 #: What becomes of a mesh that is not closed: it is refused, or its convex hull is taken.
 OpenMeshes: TypeAlias = Literal["refuse", "hull"]
-_OPEN_MESHES: tuple[OpenMeshes, ...] = ("refuse", "hull")
 
 #: How many numbers give the size of each shape, in the order of a scene file of MoveIt's.
 SIZES: Final = {"sphere": 1, "box": 3, "cylinder": 2, "cone": 2}
@@ -45,7 +44,7 @@ def planning_frame(position: Sequence[float], rpy_deg: Sequence[float], prefix: 
     """
     if not isinstance(prefix, str):
         raise OptionError("prefix", prefix, "text")
-    one_of("open_meshes", open_meshes, _OPEN_MESHES)
+    one_of("open_meshes", open_meshes, get_args(OpenMeshes))
     places = []
     for option, values, most in (("position", position, FARTHEST_M), ("rpy_deg", rpy_deg, 360.0)):
         places.append(list_between(option, values, -most, most))

@@ -24,9 +24,6 @@ from hplan.scene.obstacles import Obstacle
 #: Types of `shape_msgs/msg/SolidPrimitive`.
 _TYPES: Final = {1: "box", 2: "sphere", 3: "cylinder", 4: "cone"}
 
-#: What `operation` of an object may be: it is added.
-_ADDED: Final = (0, "add", "ADD")
-
 
 def read_planning_scene(
     source: Path | str | Mapping[str, Any],
@@ -106,7 +103,8 @@ def _obstacles(world: _World, base: pin.SE3, prefix: str, open_meshes: OpenMeshe
             reason = f"there are two objects {name!r}" if name in names else f"expected a name, got {name!r}"
             raise SceneError(reason, where=f"{where}.id", value=name)
         names.add(name)
-        if item.get("operation", 0) not in _ADDED:
+        # What `operation` of an object may be: it is added.
+        if item.get("operation", 0) not in (0, "add", "ADD"):
             raise SceneError("only objects that are added are read", where=f"{where}.operation")
         if item.get("planes"):
             raise SceneError(NO_PLANE, where=f"{where}.planes")

@@ -24,7 +24,6 @@ from hplan.base.files import write_text
 from hplan.base.polyline import stations
 
 _REGION_COLOR = 0xE07B39
-_MOTION_COLOR = 0x22303C
 _FAR = np.array([0.72, 0.79, 0.85])
 _NEAR = np.array([0.133, 0.188, 0.235])
 _BOX_COLOR = np.array([0.40, 0.46, 0.52, 0.8])
@@ -32,7 +31,6 @@ _FAINT_COLOR = np.array([0.40, 0.46, 0.52, 0.25])
 
 #: Edge of the cube that the joints' ranges become [m].
 _EDGE = 2.0
-_TICK_DEG = 30.0
 _RINGS = 240
 
 
@@ -44,7 +42,7 @@ def render_cspace_page(section: YawSection, title: str) -> str:
     """
     words = f"C-space at yaw {math.degrees(section.yaw):.1f}°"
     far = math.degrees(float(section.yaw_distance.max()))
-    entries = [("Forbidden", [_REGION_COLOR]), ("Motion", [_MOTION_COLOR])]
+    entries = [("Forbidden", [_REGION_COLOR]), ("Motion", [0x22303C])]
     if far > 0.5:
         entries.append((f"Motion at a yaw {far:.0f}° apart", [three.color_of(_FAR)]))
     entries += [("Start", [START_COLOR]), ("Goal", [GOAL_COLOR])]
@@ -116,7 +114,7 @@ def _motion(section: YawSection, motion: FloatArray) -> Body:
 def _ticks(section: YawSection, axis: int) -> list[float]:
     """Angles to be labelled along an axis [deg]."""
     low, high = (math.degrees(float(section.grid.axis(axis)[end])) for end in (0, -1))
-    spacing = _TICK_DEG * max(1, math.ceil((high - low) / 180.0))
+    spacing = 30.0 * max(1, math.ceil((high - low) / 180.0))
     ticks = spacing * np.arange(math.ceil(low / spacing - 1e-9), math.floor(high / spacing + 1e-9) + 1)
     return [float(tick) for tick in ticks]
 

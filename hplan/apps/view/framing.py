@@ -15,14 +15,9 @@ from hplan.base.arrays import FloatArray
 ASPECT = 1.3
 #: Vertical field of view [deg].
 FIELD_OF_VIEW_DEG = 32.0
-_MARGIN = 1.1
 
 #: What is this much nearer to the camera than a point, and this near to it in the picture, covers it [m].
 _BEFORE, _BESIDE = 0.08, 0.03
-
-_GRID_COLOR = (0.35, 0.42, 0.50)
-_SKY_TOP = (0.80, 0.86, 0.92)
-_SKY_BOTTOM = (0.97, 0.97, 0.96)
 
 
 @dataclass(frozen=True)
@@ -48,7 +43,7 @@ def frame(points: FloatArray, azimuth: float, elevation: float) -> Frame:
     # A camera at (a0, b0, d) in the axes (right, up, toward) sees the point (a, b, c) within half-angle tangents t, u
     # exactly if |a - a0| <= (d - c) t and |b - b0| <= (d - c) u: the smallest d has a closed form.
     a, b, c = points @ right, points @ up, points @ toward
-    u = np.tan(np.radians(0.5 * FIELD_OF_VIEW_DEG)) / _MARGIN
+    u = np.tan(np.radians(0.5 * FIELD_OF_VIEW_DEG)) / 1.1  # a margin
     t = u * ASPECT
     left, rightmost = float((c * t - a).max()), float((c * t + a).max())
     low, high = float((c * u - b).max()), float((c * u + b).max())
@@ -124,8 +119,8 @@ def lights(view: Frame) -> list[Json]:
             "/Lights/FillLight",
         )
     ]
-    commands.append(set_property("/Background", "top_color", list(_SKY_TOP)))
-    commands.append(set_property("/Background", "bottom_color", list(_SKY_BOTTOM)))
+    commands.append(set_property("/Background", "top_color", [0.80, 0.86, 0.92]))
+    commands.append(set_property("/Background", "bottom_color", [0.97, 0.97, 0.96]))
     toward = view.camera - view.target
     across = np.array([-toward[1], toward[0], 0.0]) / np.hypot(toward[0], toward[1])
     level = np.array([toward[0], toward[1], 0.0]) / np.hypot(toward[0], toward[1])
@@ -172,7 +167,7 @@ def ground(view: Frame, floor: float) -> Body:
     n = len(ticks)
     x, y = (grid.ravel() for grid in np.meshgrid(ticks, ticks, indexing="ij"))
     fade = np.clip(1.0 - np.hypot(x, y) / extent, 0.0, 1.0)
-    colors = np.column_stack([np.tile(_GRID_COLOR, (n * n, 1)), 0.55 * fade * fade * (3.0 - 2.0 * fade)])
+    colors = np.column_stack([np.tile((0.35, 0.42, 0.50), (n * n, 1)), 0.55 * fade * fade * (3.0 - 2.0 * fade)])
     index = np.arange(n * n).reshape(n, n)
     pairs = np.vstack(
         [

@@ -15,7 +15,6 @@ if TYPE_CHECKING:
 
 #: Colours of the fruit of neighbouring stops.
 _STOPS = (PATH, START, RESTORED, LINKS[1])
-_WOOD = "#C8B49E"
 
 #: Room about what is shown [m], and the most that both views together may take [inch].
 _ROOM_M, _LARGEST = 0.25, (9.0, 8.0)
@@ -71,7 +70,7 @@ def _draw(
     wood = [one for one in result.scene.obstacles if isinstance(one, Capsule)]
     lines = [[(end[1], end[axis]) for end in (one.start, one.end)] for one in wood]
     widths = [max(0.8, 60.0 * one.radius) for one in wood]
-    axes.add_collection(LineCollection(lines, colors=_WOOD, linewidths=widths, capstyle="round", zorder=1))
+    axes.add_collection(LineCollection(lines, colors="#C8B49E", linewidths=widths, capstyle="round", zorder=1))
     stop_of = {name: number for number, stop in enumerate(result.stops) for name in stop.tour.order}
     for fruit in result.scene.fruits:
         number = stop_of.get(fruit.name)

@@ -27,8 +27,6 @@ _GAP = 1e-4
 #: Tries in a row that find no room before there is none.
 _TRIES = 3000
 
-#: Words in the names of capsules that bear no fruit.
-_BARE = frozenset({"trunk", "wire", "post"})
 
 _DOWN = np.array([0.0, 0.0, -1.0])
 
@@ -192,7 +190,7 @@ def _shallowest(canopy: Canopy, places: Iterable[FloatArray]) -> tuple[float, Fl
 
 
 def _bears(capsule: Capsule) -> bool:
-    return _BARE.isdisjoint(capsule.name.lower().split())
+    return {"trunk", "wire", "post"}.isdisjoint(capsule.name.lower().split())
 
 
 def _length(capsule: Capsule) -> float:

@@ -13,7 +13,6 @@ from hplan.errors import OptionError
 
 #: How the trees are trained: branches all around a leader, or arms along the wires.
 Form: TypeAlias = Literal["spindle", "trellis"]
-_FORMS: tuple[Form, ...] = get_args(Form)
 
 #: Where the harvester waits: upper arm upright, forearm level and to the rear, hand down. Nothing of the arm is more
 #: than 5 cm in front of the base's axis then, whatever the row's distance, and a turn of the base sweeps a radius of
@@ -200,7 +199,7 @@ _COMMON_CHECKS = {
     "fruit_yields": (between, 0.0, 1.0),
 }
 _CHECKS = {
-    "form": (one_of, _FORMS),
+    "form": (one_of, get_args(Form)),
     "trees": (whole, 1, 100),
     "branches": (whole, 0, 200),
     "shoots": (whole, 0, 20),

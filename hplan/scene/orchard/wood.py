@@ -19,9 +19,6 @@ from hplan.scene.orchard.options import OrchardOptions
 
 Kind: TypeAlias = Literal["trunk", "arm", "branch", "shoot"]
 
-#: Turn from one branch to the next one up the trunk: no two stand above each other.
-_GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))
-
 
 @dataclass(frozen=True, eq=False)
 class Limb:
@@ -72,7 +69,8 @@ def _spindle_branches(options: OrchardOptions, trunk: Sequence[Limb], random: np
     for number in range(options.branches):
         fraction = (number + random.uniform(0.1, 0.9)) / options.branches
         height = options.first_branch + fraction * 0.96 * (options.tree_height - options.first_branch)
-        azimuth += _GOLDEN_ANGLE + random.uniform(-0.3, 0.3)
+        # The golden angle: no two branches stand above each other.
+        azimuth += math.pi * (3.0 - math.sqrt(5.0)) + random.uniform(-0.3, 0.3)
         length = options.branch_length * (1.0 - 0.65 * fraction) * random.uniform(0.75, 1.0)
         rise = math.radians(random.uniform(10.0, 35.0))
         start, thickness = _at_height(trunk, height)

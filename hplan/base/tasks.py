@@ -61,7 +61,6 @@ def outcomes(task: Callable[[_T], _R], given: Sequence[_T], pool: Pool, at_once:
 
     Args:
         task: A function that can be pickled.
-        given: The values.
         pool: What runs them (`pool_of`).
         at_once: How many are handed over at a time.
 

@@ -115,7 +115,6 @@ def certified_from(
     Args:
         among: Obstacles and the clearance to keep, and the arm among them.
         contacts: When the last link may touch fruits in the other motion; where it is there, it may here.
-        row: Where it begins.
         tracking: Deviation of the joints that is covered.
     """
     scene, checker = among

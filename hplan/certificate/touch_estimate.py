@@ -59,10 +59,7 @@ def touch_estimate(subject: Subject, scene: Scene, draws: int = 10_000, seed: in
     """Draw all errors, and look along the motions whether anything touches.
 
     Args:
-        subject: The motions, as certified.
         scene: What they were certified among; its obstacles have the errors.
-        draws: How many draws.
-        seed: Of the draws.
 
     Raises:
         OptionError: Fewer than one draw.

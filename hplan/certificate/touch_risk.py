@@ -132,7 +132,6 @@ def touch_risk(subject: Subject, scene: Scene, asked: float) -> TouchRisk:
     """Bound the probability that the motions of a certificate touch anything.
 
     Args:
-        subject: The motions, as certified.
         scene: What they were certified among; its obstacles have the errors.
         asked: What the probability is to be at most.
     """

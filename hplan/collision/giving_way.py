@@ -55,8 +55,6 @@ class LinkedSolids(Record):
         """Take solids, those that give way twice.
 
         Args:
-            robot: The arm.
-            solids: The solids.
             growth: By how much they are grown [m], one number or one for each.
             yield_links: Names of the links that may push; None for those of the last two joints.
             beyond: By how much those are grown that are pushed, before they yield [m], one number or one for each.
@@ -98,7 +96,6 @@ def pushing_links(robot: Robot, names: Sequence[str] | None) -> tuple[str, ...]:
     """The links that may push what gives way.
 
     Args:
-        robot: The arm.
         names: Their names; None for those of the last two joints.
 
     Raises:
@@ -120,8 +117,6 @@ def yielded(
     """(solids,) how deep each may be pushed by the links that may [m]; None where none may.
 
     Args:
-        robot: The arm.
-        solids: The solids.
         yield_links: Names of the links that may push; None for those of the last two joints.
         hanging: Names of those that give way by `HANGING_M` where they say nothing else.
 

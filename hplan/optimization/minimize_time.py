@@ -104,7 +104,6 @@ def rough_motion(start: TimedMotion, problem: TimeProblem, effort: Effort) -> Ti
 
     Args:
         start: A clear motion from rest to rest, about within the limits.
-        effort: What may be spent.
     """
     return _of_level(start, _without_torque(problem), effort.levels[0])
 
@@ -116,7 +115,6 @@ def minimize_time(
 
     Args:
         start: A clear motion from rest to rest, about within the limits, between the same positions.
-        effort: What may be spent.
         rough: What `rough_motion` makes of the start, if that is known.
 
     Returns:

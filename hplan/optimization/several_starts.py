@@ -89,7 +89,6 @@ def fastest_motions(
 
     Args:
         starts: The starts, in the order of `optimization_starts`.
-        effort: What may be spent.
         quicker_than_s: Longest duration of a motion that is of use [s].
     """
     several = starts if len(starts) < 2 else [starts[k] for k in _promising(starts, effort).tolist()]

@@ -39,7 +39,6 @@ def shorten(path: FloatArray, field: ClearanceField, *, margin: float, rounds: i
     Args:
         path: (m, dof) waypoints, verified collision-free.
         margin: Clearance asked of shortcuts wherever they are evaluated [m]; what stays of the path keeps its own.
-        rounds: Number of shortcuts tried.
 
     Returns:
         (k, dof) waypoints from the same start to the same goal, verified collision-free, never longer.

@@ -101,7 +101,6 @@ def clear_start(
 
     Args:
         path: (m, dof) waypoints, clear, m >= 2.
-        options: Limits, margin and effort.
         counts: Numbers of control points tried in turn.
     """
     if np.linalg.norm(path[-1] - path[0]) < _NO_MOTION or not field.is_clear(path, SMALLEST_FRACTION * options.margin):

@@ -105,7 +105,6 @@ class TimeProblem(Record):
 
         Args:
             turn: (dof,) by how far joints turn.
-            pieces: Number of pieces.
         """
         limits, seconds = self.limits, 0.0
         jerk = self.arrays.rates[2]

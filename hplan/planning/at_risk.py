@@ -70,7 +70,6 @@ def plan_at_risk(
     """The quickest motion found that touches anything with a probability of at most `risk`.
 
     Args:
-        options: How to plan, otherwise.
         plan: Plans the scene, given the growths as `PlanOptions.sigmas`.
 
     Raises:

@@ -311,7 +311,6 @@ class CellResult(Record, InNotebook):
 
         Args:
             cell: The arms, with the goals that they have then.
-            motion: Of all joints.
             stops: For arms that stop on their paths how; the windows of time in which they may touch fruit follow.
             check_ends: Whether each arm has to reach its goal.
         """
@@ -397,7 +396,6 @@ def certify_between(cell: Cell, motion: Trajectory, options: PlanOptions) -> Cer
     """Certify all arms of a cell against one another alone, as if nothing else were there.
 
     Args:
-        motion: Of all joints.
         options: For the tracking error and delay.
     """
     alone = cell.task(motion.position[-1], motion.position[0], obstacles=False)

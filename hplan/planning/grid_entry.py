@@ -39,7 +39,6 @@ def grid_entry(task: PlanningTask, space: Occupancy, which: Literal["start", "go
     """The nodes that start or goal is joined to nearby; in a tight place those that a path out of it leads to.
 
     Args:
-        which: The end to join.
         margin: Clearance asked of the motions that join them, wherever they are evaluated [m].
 
     Raises:

@@ -305,7 +305,6 @@ def certified_trajectory(
     Where tracking errors grow with speed it is run as slowly as it has to be.
 
     Args:
-        context: Arm, obstacles and options.
         among: The obstacles that a trajectory along it is certified among; those of the context where this is None.
         grid: Path parameters at which its speed is chosen, as `hplan.trajectory.retime.time_path` takes them.
 
@@ -338,7 +337,6 @@ def timed(
     """The fastest trajectory along a path.
 
     Args:
-        context: Arm, obstacles and options.
         limits: What it may use; those of the context where this is None.
         grid: Path parameters at which the speed is chosen; None for those that suit any path.
 
@@ -360,7 +358,6 @@ def certificate_of(
     """The certificate of a trajectory, whatever it says.
 
     Args:
-        context: Arm, obstacles and options.
         among: The obstacles that it is certified among, stretch by stretch; those of the context where this is None.
         rest_to_rest: Whether it has to begin and end at rest.
     """

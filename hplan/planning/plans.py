@@ -49,7 +49,6 @@ def plans(
     """Certified plans, each quicker than the one before; the last one is what the options ask for, or as quick.
 
     Args:
-        context: Arm, scene and options.
         start: (dof,) configuration.
         state: The state of motion there; None at rest.
         before: An earlier motion, to be kept or repaired where that can be; None for none.
@@ -158,7 +157,6 @@ def plans_to_grasps(
     come after all those with one.
 
     Args:
-        context: Arm, scene and options.
         found: Its grasps, those that promise the shortest motions first.
         start: (dof,) configuration from which the arm comes.
         task_to: The motion to plan to a grasp, where it is not that to its stand-off among what the target has there;

@@ -41,7 +41,6 @@ def plans_in_motion(
     """Plans that begin in motion, not each quicker than the one before.
 
     Args:
-        context: Arm, obstacles and options.
         plans_from: Ever quicker plans that begin at rest at a configuration; raises where there is none.
         stop: A motion from the state to rest to be tried before others; None for none.
 

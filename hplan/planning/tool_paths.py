@@ -112,7 +112,6 @@ class Tool:
 
         Args:
             position: (3,) in `base_link` [m].
-            evenly: Those found.
             clearances: Clearances of the links at (n, dof) configurations, (n, links) [m].
             enough: Clearance that is enough [m].
             approach_deg: Approach angle or interval that is asked for; None for all [deg].

@@ -46,8 +46,6 @@ def rest_to_rest(
 
     Args:
         distance: (...) distances >= 0.
-        velocity: Largest speeds.
-        acceleration: Largest accelerations.
         jerk: Largest jerks; None where there is no limit.
 
     Returns:

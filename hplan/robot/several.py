@@ -31,7 +31,6 @@ def joined_robots(arms: Mapping[str, tuple[Robot, pin.SE3]], name: str = "cell")
 
     Args:
         arms: The robots by name, and where their bases stand.
-        name: Name of the whole.
 
     Raises:
         InputError: No robot.

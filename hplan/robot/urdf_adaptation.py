@@ -300,8 +300,6 @@ def standing_values(path: Path, joints: Mapping[str, Joint], hold: Mapping[str, 
     """Where each joint stands if it does not move: as held, as it mimics, at 0 or at the limit nearest to it.
 
     Args:
-        path: The file, for messages.
-        joints: All joints, by name.
         hold: Values at which some are held [rad, m].
 
     Returns:

@@ -29,7 +29,6 @@ def check_models(path: Path, urdf: Urdf, model: pin.Model, collision_model: pin.
     empty).
 
     Args:
-        path: The file, for messages.
         model: Pinocchio's kinematic model, not reduced.
         collision_model: Its collision model, if it is to be compared.
 

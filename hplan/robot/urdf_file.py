@@ -153,7 +153,6 @@ def read_urdf(path: Path, root: ET.Element, *, any_robot: bool = False) -> Urdf:
     matter; of these nothing is refused but what looks like a misspelling, and no number that cannot be read.
 
     Args:
-        path: The file, for messages.
         any_robot: Whether it is a robot of others, for its joints and inertias alone: shapes are not read.
 
     Raises:

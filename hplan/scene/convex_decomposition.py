@@ -68,7 +68,6 @@ def convex_pieces(vertices: FloatArray, faces: IntArray, *, most: int = PIECES) 
     Args:
         vertices: (n, 3) vertices [m].
         faces: (m, 3) triangles, counter-clockwise as seen from outside; closed.
-        most: Most pieces.
 
     Raises:
         ValueError: The vertices lie in one plane.

@@ -158,7 +158,6 @@ class Mesh(FromData):
         """A mesh from (n, 3) vertices and (m, 3) triangles, counter-clockwise as seen from outside.
 
         Args:
-            name: Name of the obstacle.
             vertices: Vertices [m] (before `scale`).
             faces: Rows of the triangles' vertices.
             placement: `position`, `rpy_deg`, `scale`, `sigma`, `covariance`, `yields`.
@@ -225,7 +224,6 @@ class PointCloud(FromData):
         """A cloud from (n, 3) points.
 
         Args:
-            name: Name of the obstacle.
             points: Centres of the balls [m].
             radius: Radius of every ball [m].
             placement: `position`, `rpy_deg`, `sigma`, `covariance`, `yields`.

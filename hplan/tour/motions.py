@@ -89,7 +89,6 @@ class Motions:
         Args:
             empty: The arm as it is, among the obstacles and all fruits that hang among them.
             loaded: The arm as it carries; None where nothing is carried.
-            here: Where the tour begins.
             drop: The drop-off, and how to get there from `home`; None where nothing is carried.
             every: How many fruits are carried at most.
             back: True if the tour goes back.

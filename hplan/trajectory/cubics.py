@@ -114,16 +114,13 @@ def points_of(position: FloatArray, velocity: FloatArray, acceleration: FloatArr
 
 
 def evaluate(pieces: FloatArray, breaks: FloatArray, parameters: ArrayLike, derivative: int = 0) -> FloatArray:
-    """Points or derivatives of Bezier pieces.
+    """Points or derivatives of Bezier pieces; returns (..., dof) values.
 
     Args:
         pieces: (pieces, 4, dof) Bezier points.
         breaks: (pieces + 1,) parameters where they meet.
         parameters: (...) parameters; clipped to these.
         derivative: 0, 1 or 2.
-
-    Returns:
-        (..., dof) values.
     """
     wanted = np.array(parameters, dtype=np.float64)
     values = np.empty((wanted.size, pieces.shape[2]))

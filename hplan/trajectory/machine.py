@@ -157,7 +157,6 @@ def limits_of(
         model: Pinocchio's model; its limits are the URDF's, of which 0 is taken at its word.
         acceleration: (dof,) or one for all [rad/s^2].
         jerk: (dof,) or one for all [rad/s^3]; None leaves it unlimited.
-        torque: Whether torque is limited.
 
     Raises:
         InputError: A limit that is not finite or negative, as where the URDF gives none; names the joint.

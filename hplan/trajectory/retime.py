@@ -77,7 +77,6 @@ def time_path(
         path: The path; its parameter should run about as the joint-space length.
         model: Pinocchio's model, for torques, or what was made from it; its joints are the path's.
         limits: Velocity, acceleration and, where given, torque and jerk limits.
-        rate_hz: Rows per second.
         grid: (n,) increasing path parameters from 0 to the end at which the path speed is chosen; None for those that
             suit any path.
 

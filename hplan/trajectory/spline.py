@@ -78,14 +78,11 @@ class SplinePath(Record):
         return float(self.knots[-1])
 
     def evaluate(self, s: ArrayLike, derivative: int = 0) -> FloatArray:
-        """Points or derivatives with respect to the parameter.
+        """Points or derivatives with respect to the parameter; returns (..., dof) values.
 
         Args:
             s: (...) parameters in [0, end]; clipped to it.
             derivative: 0, 1 or 2.
-
-        Returns:
-            (..., dof) values.
         """
         return evaluate(self.pieces, self.breaks, s, derivative)
 

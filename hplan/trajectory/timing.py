@@ -40,18 +40,14 @@ AT_LIMIT = 0.99
 
 
 def read_waypoints(path: Path | str, joint_names: Sequence[str], slides: Sequence[bool] = ()) -> FloatArray:
-    """Read waypoints from a CSV: a header, then one line for each.
+    """Read waypoints from a CSV: a header, then one line for each; returns (n, dof) waypoints, n >= 1.
 
     A joint's column is `NAME` or `NAME_pos_rad`, in radians, or where it slides `NAME_pos_m`, in metres; columns stand
     in any order, others are ignored, and so are empty lines. A trajectory that hplan wrote can be read as well.
 
     Args:
-        path: CSV file.
         joint_names: The `dof` joints, in the order wanted.
         slides: Of each of them whether it slides; empty where none does.
-
-    Returns:
-        (n, dof) waypoints, n >= 1.
 
     Raises:
         InputError: Missing or unreadable file, a joint without a column or with two, a line of another length, a value
@@ -94,7 +90,6 @@ def time_waypoints(
         waypoints: (n, dof) configurations within the joint limits; equal ones are an empty motion.
         limits: Limits of the motion, as from `limits_of`.
         deviation_rad: Largest distance of path and polyline, Euclidean norm; at least 1e-4.
-        rate_hz: Rows per second.
         speed: Fraction of full speed, in (0, 1].
 
     Raises:
@@ -182,7 +177,6 @@ def limit_shares(trajectory: Trajectory, limits: Limits) -> LimitShares:
     """Measure a trajectory's rows against limits; a joint at rest may have limits of zero.
 
     Args:
-        trajectory: The motion.
         limits: (dof,) limits; for `binding` to say what holds a slowed motion back, scaled like it.
     """
     instance("trajectory", trajectory, Trajectory, "time_waypoints")

@@ -122,7 +122,6 @@ def execute(robot: Robot, scene: Scene, motion: Movement, plant: Plant | None = 
 
     Args:
         robot: The arm; MuJoCo reads its URDF.
-        scene: Obstacles, start and goal.
         motion: The motion; its joints are the robot's, in any order.
         plant: How the simulated machine differs; None where it does not.
 

@@ -35,7 +35,6 @@ def to_joint_trajectory(
     Args:
         trajectory: The motion; each row becomes a point.
         prefix: Put before every joint's name, such as "left_".
-        frame_id: Frame of the header.
         stamp_s: When the motion begins [s]; 0 for as soon as it is received.
         effort: False leaves the torques out, for controllers that take none.
 
@@ -71,7 +70,6 @@ def write_joint_trajectory(trajectory: Trajectory, file: Path | str, **options: 
     `ros2 topic pub --once TOPIC trajectory_msgs/msg/JointTrajectory "$(cat FILE)"` sends either.
 
     Args:
-        trajectory: The motion.
         file: The file; replaced whole or not at all.
         options: As of `to_joint_trajectory`.
 
@@ -91,9 +89,7 @@ def to_joint_state(
     """A row of the motion as a `sensor_msgs/msg/JointState`.
 
     Args:
-        row: Which of its rows.
         prefix: Put before every joint's name.
-        frame_id: Frame of the header.
         stamp_s: When the motion begins [s]; the row's own time is added.
 
     Raises:

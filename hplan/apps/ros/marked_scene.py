@@ -29,9 +29,6 @@ def scene_markers(scene: Scene, frame_id: str = "base_link") -> list[Marker]:
     What moves is in a frame of its own, `obstacle/NAME`, and stands in it where the scene lists it; `scene.poses_at`
     gives the frame's place in the scene's over time.
 
-    Args:
-        frame_id: Frame of its coordinates.
-
     Raises:
         OptionError: It is no scene, or the frame no text.
     """

@@ -28,16 +28,13 @@ NO_OCTOMAP: Final = "an octomap cannot be read; give its points as a point cloud
 
 
 def planning_frame(position: Sequence[float], rpy_deg: Sequence[float], prefix: str, open_meshes: str) -> pin.SE3:
-    """Check the options of readers.
+    """Check the options of readers; returns where the frame is.
 
     Args:
         position: Where the origin of the objects' frame is in `base_link` [m].
         rpy_deg: How that frame is turned: roll, pitch and yaw about fixed axes [deg].
         prefix: What is put before every name.
         open_meshes: What becomes of meshes that are not closed.
-
-    Returns:
-        Where the frame is.
 
     Raises:
         OptionError: Not three numbers each, no text, or neither `refuse` nor `hull`.

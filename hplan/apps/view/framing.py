@@ -66,7 +66,6 @@ def covered(points: FloatArray, before: FloatArray, widths: FloatArray, azimuth:
         points: (m, 3) what is to be seen [m].
         before: (n, 3) points that may hide them [m].
         widths: (n,) radius of each [m].
-        azimuth: Direction of the camera.
     """
     if not len(before):
         return 0.0

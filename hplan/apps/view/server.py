@@ -39,7 +39,6 @@ class LiveView(Closing):
         """Serve a page at a free port.
 
         Args:
-            page: The page.
             others: Pages that it leads to, by the names of their files.
 
         Raises:

@@ -126,7 +126,6 @@ def _planar(
     """The longest duration that is excluded, and the joint whose speed was followed.
 
     Args:
-        problem: Start and goal.
         durations: One that is excluded already, one that would do, that of a motion [s].
 
     Raises:

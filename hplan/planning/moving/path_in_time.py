@@ -90,7 +90,6 @@ class PathInTime:
         """Look at nothing yet.
 
         Args:
-            field: What moves.
             step_s: Time between rows of cells [s].
             spare_s: How much earlier or later than meant the arm may be anywhere [s].
         """

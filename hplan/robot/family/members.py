@@ -36,7 +36,6 @@ def write_robot(spec: ArmSpec, urdf_path: Path | str) -> tuple[Path, Path]:
     """Write a member of the family: the URDF, and the limits YAML beside it.
 
     Args:
-        spec: The arm.
         urdf_path: Where to write the URDF, in a folder that exists; its suffix is `.urdf`.
 
     Returns:
@@ -96,15 +95,11 @@ class CrossCheck:
 
 
 def cross_check(urdf_path: Path | str, samples: int = 100, seed: int = 0) -> CrossCheck:
-    """Compare what Pinocchio and yourdfpy read from a URDF.
+    """Compare what Pinocchio and yourdfpy read from a URDF; returns the deviations found.
 
     Args:
         urdf_path: The file; every movable joint in it is revolute or prismatic.
         samples: Number of random configurations at which all link frames are placed.
-        seed: Seed of their generator.
-
-    Returns:
-        The deviations found.
 
     Raises:
         OptionError: `samples` is not positive.

@@ -49,7 +49,6 @@ def import_tree(
     Lengths are metres, z is up. Capsules may touch and overlap. A row of the kind `fruit` has its centre twice.
 
     Args:
-        path: The CSV.
         position: Where the file's origin comes to stand [m].
         yaw_deg: Turn about the vertical through the file's origin, before that [deg].
         prefix: Put before every name, such as "tree 1 ".

@@ -129,8 +129,6 @@ def fruit_at_tips(
     when all clear places are taken are fruits put where they reach into wood, as little as can be.
 
     Args:
-        capsules: The wood.
-        count: Number of fruits.
         radius: Radius of a fruit [m].
         seed: Shuffles the tips.
         zone: Where the fruits' centres may be; None for anywhere.

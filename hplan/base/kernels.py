@@ -441,12 +441,7 @@ def _takes_files(folder: Path) -> bool:
 
 
 def _read(folder: Path, key: _Key) -> memoryview:
-    """What numba has pickled.
-
-    Raises:
-        OSError: It is not there, or cannot be read.
-        ValueError: It is not what was written.
-    """
+    """What numba has pickled."""
     data = memoryview((folder / key.file_name).read_bytes())
     if data[:_CHECKSUM] != key.checksum(data[_CHECKSUM:]):
         raise ValueError(f"{key.file_name} is damaged")

@@ -167,11 +167,7 @@ class StraightLine(StraightApproach):
 
     @cached_property
     def _lines(self) -> Lines:
-        """The line.
-
-        Raises:
-            ApproachError: It cannot be had.
-        """
+        """The line."""
         back = lines_back(self.robot, self.goal[None], self.standoff, locked=self.locked, keeps_turn=self.keeps_turn)
         if back.reached[0] < len(back.distances):
             largest = float(back.distances[back.reached[0] - 1])

@@ -109,11 +109,7 @@ def approach_angles(robot: Robot, configurations: FloatArray, position: FloatArr
 
 
 def _check_reach(robot: Robot, place: FloatArray) -> None:
-    """Refuse a (3,) position that is farther from the first joint than the stretched arm is long.
-
-    Raises:
-        UnreachableError: It is; says by how much.
-    """
+    """Refuse a (3,) position that is farther from the first joint than the stretched arm is long."""
     model = robot.model
     chain = carriers(robot, robot.tool_joint - 1)
     if not chain:

@@ -199,11 +199,7 @@ def build_models(
 
 
 def _check_moving_joints(path: Path, urdf: Urdf) -> None:
-    """Refuse what a file may say but no robot here can have: joints that mimic, limits of zero.
-
-    Raises:
-        RobotFileError: There is one; names line and element.
-    """
+    """Refuse what a file may say but no robot here can have: joints that mimic, limits of zero."""
     for joint in urdf.joints.values():
         where = f"{line_of(joint.element)}joint {joint.name!r}"
         if joint.element.find("mimic") is not None:

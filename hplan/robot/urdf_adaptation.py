@@ -149,11 +149,7 @@ class _Adaptation:
                 raise InputError(f"joint {name!r} cannot both move and be held", joint=name)
 
     def _tip(self) -> str:
-        """The link that the tool frame is, or is on.
-
-        Raises:
-            RobotFileError: There is none of that name.
-        """
+        """The link that the tool frame is, or is on."""
         frame = self._choice.tool_frame
         if frame in self._urdf.links:
             return frame
@@ -182,9 +178,6 @@ class _Adaptation:
         """Turn round the fixed joints above `base_link`, from which what carries it hangs then.
 
         Nothing that carries shapes is lost; gravity and the vertical stay as they are.
-
-        Raises:
-            RobotFileError: A joint that is not fixed, or a tilt.
         """
         for joint in mount:
             if joint.kind != "fixed" and joint.name not in self._hold:
@@ -218,11 +211,7 @@ class _Adaptation:
         return standing_values(self._path, self._urdf.joints, self._hold)
 
     def _moving(self, chain: list[Joint]) -> set[str]:
-        """Names of the joints that move.
-
-        Raises:
-            RobotFileError: One that mimics or is mimicked, or that is continuous and without velocity or effort limit.
-        """
+        """Names of the joints that move."""
         joints = self._choice.joints
         on_chain = [joint.name for joint in chain if joint.kind != "fixed"]
         moving = {
@@ -261,11 +250,7 @@ class _Adaptation:
         self.held[joint.name] = value
 
     def _bound(self, joint: Joint) -> bool:
-        """Give a joint that turns without end, to one side or to both, limits there; returns True if it is one.
-
-        Raises:
-            RobotFileError: Its limits are beyond any arm's: it slides that far, or begins behind so many turns.
-        """
+        """Give a joint that turns without end, to one side or to both, limits there; returns True if it is one."""
         limit = joint.element.find("limit")
         if limit is None:
             return False  # Pinocchio says that
@@ -388,9 +373,6 @@ def _find_meshes(path: Path, root: ET.Element, choice: RobotChoice) -> bool:
 
     Looked for, as NAME/FILE and then as FILE, in the folders given, in that of the URDF and the four above it, and in
     those of ROS.
-
-    Raises:
-        RobotFileError: There is no such file; says where it was looked for.
     """
     around = [] if path == URDF_TEXT else [path.resolve().parent, *path.resolve().parents[1:5]]
     ros = [Path(folder) for folder in os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep) if folder]

@@ -243,11 +243,7 @@ def _checked_points(points: ArrayLike, what: str, farthest: float) -> FloatArray
 
 
 def _check_closed(points: FloatArray, faces: IntArray) -> None:
-    """Refuse a surface that does not bound a solid.
-
-    Raises:
-        ValueError: It is empty, open, not oriented, flat or inside out.
-    """
+    """Refuse a surface that does not bound a solid."""
     if len(faces) == 0:
         raise ValueError("the mesh is empty: all of its triangles are points or lines")
     size = np.ptp(points, axis=0)

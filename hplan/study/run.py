@@ -266,11 +266,7 @@ def _text(value: Any) -> str:
 
 
 def _read(path: Path) -> list[StudyRow]:
-    """The rows of a file.
-
-    Raises:
-        InputError: They are none of a study.
-    """
+    """The rows of a file."""
     file = CsvFile.read(path, "row", "row")
     if tuple(file.header) != _COLUMNS:
         raise file.fault(1, f"it has no rows of a study; expected {','.join(_COLUMNS)}")

@@ -209,12 +209,7 @@ def _sample(
 def _sample_refined(
     profile: SpeedProfile, dynamics: InverseDynamics, names: tuple[str, ...], limits: Limits, period: float, window: int
 ) -> Trajectory:
-    """The trajectory from rest to rest; where it would be slowed down as a whole, on a grid that is refined there.
-
-    Raises:
-        TimingError: No time-scaling factor keeps the limits.
-        OptionError: More than `MOST_ROWS` rows.
-    """
+    """The trajectory from rest to rest; where it would be slowed down as a whole, on a grid that is refined there."""
     coarse: HplanError | Trajectory
     try:
         coarse, factor = _sample(profile, dynamics, names, limits, period, window)

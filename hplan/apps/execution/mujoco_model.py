@@ -92,11 +92,7 @@ def _mesh_file(name: str, folder: Path) -> str:
 
 
 def _shapes(mujoco: ModuleType, spec: Any, obstacle: Solid, number: int) -> list[dict[str, Any]]:
-    """Arguments of MuJoCo's geometries for an obstacle.
-
-    Raises:
-        InputError: A cloud of more than 2,000 balls.
-    """
+    """Arguments of MuJoCo's geometries for an obstacle."""
     kinds = mujoco.mjtGeom
     if isinstance(obstacle, Sphere):
         return [{"type": kinds.mjGEOM_SPHERE, "pos": obstacle.center, "size": [obstacle.radius, 0.0, 0.0]}]

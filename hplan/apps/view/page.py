@@ -151,11 +151,7 @@ def serve(robot: Robot, scene: Scene, playback: Playback) -> LiveView:
 
 
 def _viewer_source() -> str:
-    """Meshcat's viewer, one JavaScript file, found without importing meshcat (0.2 s).
-
-    Raises:
-        HplanError: meshcat is not installed.
-    """
+    """Meshcat's viewer, one JavaScript file, found without importing meshcat (0.2 s)."""
     found: Any = importlib.util.find_spec("meshcat")
     for folder in [] if found is None else found.submodule_search_locations:
         path = Path(folder) / "viewer" / "dist" / "main.min.js"

@@ -98,11 +98,7 @@ def measured_orchard(
 
 
 def _nearest(fruits: Sequence[Fruit], options: MeasuredOptions) -> tuple[Fruit, ...]:
-    """Those of a tree's own fruits that are wanted, the nearest to the base's axis first.
-
-    Raises:
-        OptionError: A radius is given, which they have.
-    """
+    """Those of a tree's own fruits that are wanted, the nearest to the base's axis first."""
     if options.fruit_radius is not None:
         raise OptionError("fruit_radius", options.fruit_radius, "none: the trees have fruit of their own")
     zone = options.fruit_zone

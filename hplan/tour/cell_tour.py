@@ -4,18 +4,19 @@ Who reaches a fruit alone picks it; of the others each arm takes those that are 
 arm's tour is planned by itself, past the others where they begin, with all fruits hanging that are not its own; fruit
 to which it finds no motion goes to another that can pick it. It is as it would be alone, at rest at the fruits: from
 rest to rest each part begins as soon as what the other arms are already to do leaves room, and nobody moves before that
-holds for ever after. Where nobody can go on, one goes on around the others where they stand: there is no deadlock, at
-worst a fruit that stays. In the end all arms against one another are certified as one motion.
+holds for ever after. Who cannot go on waits or, where all ends sooner for it, goes around the others where they stand,
+through its other fruits as is then best; where nobody can, one has to: there is no deadlock, at worst a fruit that
+stays. In the end all arms against one another are certified as one motion.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -45,6 +46,9 @@ _SAME_S: Final = 1e-6
 #: So many fruits change hands for tours that end together, while these differ by more than this much of a fruit's time.
 _BALANCINGS: Final = 2
 _UNEVEN: Final = 0.5
+
+#: Around others an arm goes at once, rather than wait, where it takes no more longer than this many fruits do.
+_DETOUR: Final = 1.0
 
 #: By how much arms that stand are thicker to others that pass them [m]: more than samples have to keep, by `_BEYOND`.
 _BEYOND: Final = 5e-4
@@ -156,7 +160,9 @@ def _planned(cell: Cell, options: PlanOptions, progress: Progress) -> CellTour:
     names = [arm.name for arm in cell.arms]
     for spare in SPARES[1:]:
         progress("together")
-        schedules = [_Schedule(cell, options, spare, order).filled(tours, reasons) for order in (names, names[::-1])]
+        ways: _Ways = {}
+        kinds = itertools.product((names, names[::-1]), (0.0, _DETOUR))
+        schedules = [_Schedule(cell, options, spare, *kind, ways).filled(tours, reasons) for kind in kinds]
         found = min(schedules, key=lambda each: (len(each.unreached), round(each.duration, 6))).result()
         if found.between.verified:
             return found
@@ -303,6 +309,27 @@ class _Part(NamedTuple):
     motion: Trajectory
 
 
+class _Around(NamedTuple):
+    """What an arm does around others where they stand: through fruits and home; and which of them stay, and why."""
+
+    parts: list[_Part]
+    missed: dict[str, HplanError]
+
+    def takes(self, fruits: Collection[str]) -> float:
+        """How long they take [s]; inf where a fruit stays, or there is no way."""
+        if not self.parts or self.missed.keys() & fruits:
+            return math.inf
+        return _seconds(self.parts)
+
+
+#: Ways around others, by who goes, through which fruits, what it holds, what hangs, and where all stand.
+_Ways: TypeAlias = dict[tuple[Any, ...], _Around]
+
+
+def _seconds(parts: Sequence[_Part]) -> float:
+    return sum(part.motion.duration for part in parts)
+
+
 def _parts(tour: TourResult) -> list[_Part]:
     """A tour, cut wherever the arm rests."""
     rows = tour.trajectory.rows
@@ -318,21 +345,26 @@ class _Schedule:
         unreached: The fruits that are not picked, and why.
     """
 
-    def __init__(self, cell: Cell, options: PlanOptions, spare: float, order: Sequence[str]) -> None:
+    def __init__(
+        self, cell: Cell, options: PlanOptions, spare: float, order: Sequence[str], detour: float, ways: _Ways
+    ) -> None:
         """Begin with nothing.
 
         Args:
             spare: Distance between arms at samples, as for `Timetable` [m].
             order: Names of the arms; who comes first goes first where several could.
+            detour: An arm goes around others instead of waiting where it then takes no more longer than this many
+                fruits do; with 0.0 it waits as long as another can go on.
+            ways: Ways around others that are known, with this spare.
         """
         self.unreached: dict[str, HplanError] = {}
-        self._order = order
+        self._order, self._detour, self._ways = order, detour, ways
         self._cell, self._options, self._thicker = cell, options, spare + _BEYOND
         self._table = Timetable(cell, options, spare)
         self._tours: dict[str, list[TourResult]] = {arm.name: [] for arm in cell.arms}
         self._picked, self._dropped = dict[str, float](), dict[str, float]()
         self._phases: dict[str, list[Phase]] = {arm.name: [] for arm in cell.arms}
-        self._asked: set[tuple[str, tuple[int, ...]]] = set()
+        self._gone: set[tuple[str, tuple[int, ...]]] = set()
 
     @property
     def duration(self) -> float:
@@ -346,18 +378,21 @@ class _Schedule:
         waiting: set[str] = set()
         while any(left.values()):
             able = [name for name in left if left[name] and name not in waiting]
-            if not able:  # nobody can go on: the one who is done soonest goes around the others
-                name = min((name for name in left if left[name]), key=self._turn)
-                fruits = {fruit for part in left[name] for fruit in part.tour.order if fruit not in self._picked}
-                left[name] = self._around(name, sorted(fruits))
-                waiting.clear()
-                continue
-            name = min(able, key=self._turn)
-            if self._table.set_out(name, left[name][0].motion):
+            name = min(able or (name for name in left if left[name]), key=self._turn)
+            if able and self._table.set_out(name, left[name][0].motion):
                 self._note(name, left[name].pop(0))
                 waiting.clear()
-            else:
+                continue
+            fruits = sorted({fruit for part in left[name] for fruit in part.tour.order if fruit not in self._picked})
+            longest = (1.0 + self._detour / (1 + len(fruits))) * _seconds(left[name])
+            if able and (not self._detour or self._around(name, fruits).takes(fruits) > longest):
                 waiting.add(name)
+                continue
+            around = self._around(name, fruits)
+            self._gone.add(self._state(name))
+            left[name] = list(around.parts)
+            self.unreached |= around.missed
+            waiting.clear()
         return self
 
     def _turn(self, name: str) -> tuple[int, int]:
@@ -375,35 +410,45 @@ class _Schedule:
         inside = (phase for phase in tour.phases if part.begin_s < 0.5 * (phase.start_s + phase.end_s) < end)
         self._phases[name] += [phase.later(later) for phase in inside]
 
-    def _around(self, name: str, fruits: Sequence[str]) -> list[_Part]:
+    def _state(self, name: str) -> tuple[str, tuple[int, ...]]:
+        """Who asks for a way, and how far all are."""
+        return name, tuple(map(len, self._table.places.values()))
+
+    def _around(self, name: str, fruits: Sequence[str]) -> _Around:
         """What an arm still does, from where it is and around the others where they stand, through fruits and home."""
-        there = self._cell.starting({each: places[-1] for each, places in self._table.places.items()})
-        asked = (name, tuple(map(len, self._table.places.values())))
-        if asked in self._asked:
-            self.unreached |= dict.fromkeys(fruits, HplanError("another arm is in the way for good"))
-            return []  # it stays where it is
-        self._asked.add(asked)
-        now, arm, known = self._table.free_from(name), there.arm(name), self._cell.scene.fruits
+        if self._state(name) in self._gone:  # it stays where it is
+            return _Around([], dict.fromkeys(fruits, HplanError("another arm is in the way for good")))
+        now = self._table.free_from(name)
         gone = {fruit for fruit, time in self._picked.items() if time <= now + _SAME_S}
+        own = {fruit for tour in self._tours[name] for fruit in tour.order} & self._picked.keys() - self._dropped.keys()
+        rests = {each: places[-1] for each, places in self._table.places.items()}
+        key = (name, *fruits, frozenset(gone), frozenset(own), *(q.tobytes() for q in rests.values()))
+        if key not in self._ways:
+            self._ways[key] = self._found(self._cell.starting(rests), name, fruits, gone, own)
+        return self._ways[key]
+
+    def _found(self, there: Cell, name: str, fruits: Sequence[str], gone: set[str], own: set[str]) -> _Around:
+        """The same, with all arms where they are, without the fruits that are gone, with its own that it carries."""
+        arm, missed = there.arm(name), dict[str, HplanError]()
         hanging = tuple(fruit for fruit in arm.scene.fruits if fruit.name not in gone)
         arm = _among_others(there, replace(arm, scene=arm.scene.model_copy(update={"fruits": hanging})), self._thicker)
-        own = {fruit for tour in self._tours[name] for fruit in tour.order} & self._picked.keys() - self._dropped.keys()
         tours = list[TourResult]()
         try:
             if arm.drop_off is not None and own:
-                tours.append(_way(arm, arm.drop_off, self._options, [fruit for fruit in known if fruit.name in own]))
+                carried = [fruit for fruit in self._cell.scene.fruits if fruit.name in own]
+                tours.append(_way(arm, arm.drop_off, self._options, carried))
                 arm = arm.starting(tours[-1].trajectory.position[-1])
             if fruits:
                 tours.append(_tour(arm, self._options, fruits, back=False))
-                self.unreached |= {each.fruit: each.error for each in tours[-1].unreached}
+                missed = {each.fruit: each.error for each in tours[-1].unreached}
                 arm = arm.starting(tours[-1].trajectory.position[-1])
         except HplanError as error:
-            self.unreached |= dict.fromkeys(fruits, error)
+            missed = dict.fromkeys(fruits, error)
         if arm.drop_off is None or not own or tours:  # what it still carries it could touch something with
             home = self._cell.configuration({})[arm.joints]
             with suppress(HplanError):
                 tours.append(_way(arm, Goal(joints_rad=tuple(home.tolist())), self._options))
-        return [part for tour in tours for part in _parts(tour)]
+        return _Around([part for tour in tours for part in _parts(tour)], missed)
 
     def result(self) -> CellTour:
         """The tours on one clock, the arms certified against one another."""

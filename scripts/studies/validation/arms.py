@@ -61,14 +61,18 @@ def draw_arm(folder: Path, rng: np.random.Generator) -> DrawnArm:
 def named_arm(name: str) -> DrawnArm:
     """A robot by name, read once."""
     if name not in _LOADED:
-        robot = load_robot(name)
-        touch = [(first, second) for first, second, _ in robot.may_touch]
-        arm = Arm(
-            robot.urdf_path, held=robot.held, package_dirs=_package_dirs(robot.urdf_path), may_touch=touch,
-            tool_frame=robot.tool_frame,
-        )  # fmt: skip
-        _LOADED[name] = DrawnArm(name, robot, arm)
+        _LOADED[name] = given_arm(load_robot(name))
     return _LOADED[name]
+
+
+def given_arm(robot: Robot) -> DrawnArm:
+    """A robot that hplan has read, read by the judge too."""
+    touch = [(first, second) for first, second, _ in robot.may_touch]
+    arm = Arm(
+        robot.urdf_path, held=robot.held, package_dirs=_package_dirs(robot.urdf_path), may_touch=touch,
+        tool_frame=robot.tool_frame,
+    )  # fmt: skip
+    return DrawnArm(robot.name, robot, arm)
 
 
 def _package_dirs(urdf: Path) -> list[Path]:

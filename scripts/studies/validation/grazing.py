@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 from studies.harness import Asked, Row, Study
-from studies.validation.arms import NAMED, DrawnArm, draw_arm
+from studies.validation.arms import NAMED, DrawnArm, draw_arm, given_arm
 from studies.validation.episodes import COUNTED, Tally, impatient, warm_up
 from studies.validation.judge import STANDS_M, Motion, Thing, distance
 from studies.validation.random_scenes import direction
@@ -20,6 +20,7 @@ from hplan.certificate.certificate import certify
 from hplan.errors import HplanError
 from hplan.online.planner import Planner
 from hplan.planning.options import PlanOptions
+from hplan.robot.model import Robot
 from hplan.trajectory.trajectory import write_csv
 
 #: Depth of grazing and gap of clear obstacles [m]; radius that they begin with.
@@ -29,13 +30,13 @@ DEPTHS, GAPS, THIN = (1e-4, 5e-3), (1e-3, 5e-3), 1e-3
 _EACH = 4
 
 
-def graze(seed: int, number: int) -> Tally:
-    """One motion of a random arm among nothing, and obstacles put beside it."""
+def graze(seed: int, number: int, robot: Robot | None = None) -> Tally:
+    """One motion of a random arm, or of one robot, among nothing, and obstacles put beside it."""
     warm_up()
     rng, tally = np.random.default_rng([seed, number, 9]), Tally()
     with tempfile.TemporaryDirectory() as name:
         try:
-            drawn = draw_arm(Path(name), rng)
+            drawn = draw_arm(Path(name), rng) if robot is None else given_arm(robot)
             ends = draw_ends(drawn, rng, 0.01)
             if ends is None:
                 return tally
@@ -48,7 +49,7 @@ def graze(seed: int, number: int) -> Tally:
         motion = Motion.read(write_csv(found.trajectory, Path(name) / "motion.csv"))
         for count in range(_EACH):
             # Links of the planar family stand for capsules, and meshes for convex pieces, which are wider.
-            grazes = count % 2 == 0 or drawn.robot.planar is not None or drawn.kind in NAMED
+            grazes = count % 2 == 0 or drawn.robot.planar is not None or robot is not None or drawn.kind in NAMED
             gap = -math.exp(rng.uniform(*np.log(DEPTHS))) if grazes else math.exp(rng.uniform(*np.log(GAPS)))
             placed = _placed(drawn, motion, rng, gap)
             if placed is None:
@@ -88,7 +89,7 @@ def _least(shape: Any, places: list[pin.SE3], thing: Thing, number: int) -> tupl
 
 
 def _row(asked: Asked, number: int) -> Row:
-    return graze(asked.seed, number).row(number)
+    return graze(asked.seed, number, asked.robot).row(number)
 
 
 GRAZING = Study(

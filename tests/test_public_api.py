@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import importlib
+import inspect
 import subprocess
 import sys
 import tomllib
 import zipfile
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +21,25 @@ from hplan.robot.model import load_robot
 from hplan.scene.file import load_scene
 
 ROOT = Path(__file__).parents[1]
+
+
+def _documented() -> Iterator[tuple[str, Callable[..., Any]]]:
+    for name in hplan.__all__:
+        public = getattr(hplan, name)
+        if inspect.isfunction(public):
+            yield name, public
+        elif inspect.isclass(public):
+            methods = ((each, getattr(method, "__func__", method)) for each, method in vars(public).items())
+            yield from ((f"{name}.{each}", method) for each, method in methods if each[0] != "_" or each == "__init__")
+
+
+@pytest.mark.parametrize(
+    ("name", "function"), [(name, each) for name, each in _documented() if inspect.isfunction(each)]
+)
+def test_docstrings_that_list_arguments_list_them_all(name: str, function: Callable[..., Any]) -> None:
+    text = inspect.getdoc(function) or ""
+    asked = [each for each in inspect.signature(function).parameters if each not in ("self", "cls")]
+    assert "Args:" not in text or [each for each in asked if f"    {each}: " not in text] == []
 
 
 @pytest.fixture(scope="module")

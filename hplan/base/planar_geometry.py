@@ -31,12 +31,15 @@ def _turn(a: tuple[float, float], b: tuple[float, float], c: tuple[float, float]
 
 
 def polygon_distances(starts: FloatArray, ends: FloatArray, polygon: FloatArray) -> FloatArray:
-    """Distances of segments from a convex polygon, 0 where they meet; returns (n,) distances.
+    """Distances of segments from a convex polygon, 0 where they meet.
 
     Args:
         starts: (n, 2) one end of each segment.
         ends: (n, 2) the other.
         polygon: (k, 2) corners, counter-clockwise where there are three or more; two are a segment, one is a point.
+
+    Returns:
+        (n,) distances.
     """
     a, b = polygon, np.roll(polygon, -1, axis=0)
     starts, ends = starts[:, None], ends[:, None]

@@ -174,6 +174,7 @@ def certify(
     """Certify a trajectory, wherever it comes from, as `plan` certifies its own.
 
     Args:
+        robot: The arm.
         scene: Obstacles, the clearance to keep, and the task.
         trajectory: The timed motion; its joints are the robot's.
         tracking_error: Largest deviation of any joint from the trajectory at rest [rad; of joints that slide, m].

@@ -31,6 +31,7 @@ def dense_search(occupancy: Occupancy, start: ArrayLike, goal: ArrayLike, *, oct
     """The baseline: shortest path over all free nodes, each joined to all its neighbours (26 in 3-D).
 
     Args:
+        occupancy: Which nodes are free.
         start: (d,) node index.
         goal: (d,) node index.
         octile: Use the octile bound instead of the paper's straight line; same cost, fewer expansions.

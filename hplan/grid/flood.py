@@ -81,10 +81,14 @@ def in_lines(lattice: Lattice) -> tuple[tuple[int, int], IntArray]:
 
 
 def reachable(occupancy: Occupancy, start: ArrayLike) -> BoolArray:
-    """Nodes that can be reached from a node; returns read-only mask of the grid's shape.
+    """Nodes that can be reached from a node.
 
     Args:
+        occupancy: Which nodes are free.
         start: (d,) node index.
+
+    Returns:
+        Read-only mask of the grid's shape.
 
     Raises:
         InputError: The start is no node of the grid, or not free.
@@ -99,6 +103,7 @@ def slices_with_path(occupancy: Occupancy, start: ArrayLike, goal: ArrayLike) ->
     """Slices of the last axis that have a path of their own from the start's row to the goal's.
 
     Args:
+        occupancy: Which nodes are free.
         start: (d,) node index of a free node.
         goal: (d,) node index of a free node.
 

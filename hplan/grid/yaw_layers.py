@@ -42,6 +42,7 @@ def yaw_axis(start: float, goal: float, step: float, lower: float, upper: float,
     """Equally spaced yaws that hold start and goal and go beyond them where the limits allow.
 
     Args:
+        step: Largest spacing.
         lower: Lower limit of the yaw.
         upper: Upper limit of the yaw.
         beyond: How far to go beyond start and goal.

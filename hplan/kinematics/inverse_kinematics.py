@@ -96,6 +96,9 @@ def spread_starts(robot: Robot, begin: FloatArray, chain: Chain, count: int, see
 def checked_pose(pose: ArrayLike, name: str = "pose") -> FloatArray:
     """The pose as an array.
 
+    Args:
+        name: What it is called.
+
     Raises:
         InputError: It is no homogeneous matrix of a rotation and a place.
     """

@@ -139,11 +139,14 @@ class StraightApproach(Record):
         return self.length
 
     def evaluate(self, s: ArrayLike, derivative: int = 0) -> FloatArray:
-        """Points or derivatives with respect to the parameter; returns (..., dof) values.
+        """Points or derivatives with respect to the parameter.
 
         Args:
             s: (...) parameters in [0, end]; clipped to it.
             derivative: 0, 1 or 2.
+
+        Returns:
+            (..., dof) values.
         """
         fraction = np.clip(np.asarray(s, dtype=np.float64) / self.end, 0.0, 1.0)
         distance, rate = self.standoff * (1.0 - fraction), -self.standoff / self.end

@@ -73,6 +73,11 @@ class Planner:
     def __init__(self, robot: Robot, scene: Scene, options: PlanOptions | None = None) -> None:
         """Begin with a scene.
 
+        Args:
+            robot: The arm.
+            scene: Obstacles and task.
+            options: How to plan.
+
         Raises:
             OptionError: One of them is none.
         """
@@ -364,6 +369,7 @@ class Planner:
         clearance, larger tracking errors or another track of the base: plans are refused then until the next frame.
 
         Args:
+            name: Name of the cloud.
             points: (n, 3) or (rows, columns, 3) points in the camera's frame [m]; best float32 or float64.
             radius: Radius of the ball about each point [m].
             pose: Camera to `base_link`: a (4, 4) matrix, or x, y, z [m], roll, pitch, yaw about fixed axes [deg]; None

@@ -311,6 +311,7 @@ class CellResult(Record, InNotebook):
 
         Args:
             cell: The arms, with the goals that they have then.
+            motion: Of all joints.
             stops: For arms that stop on their paths how; the windows of time in which they may touch fruit follow.
             check_ends: Whether each arm has to reach its goal.
         """
@@ -365,6 +366,7 @@ def certify_cell(
     """Certify a motion of a cell, wherever it comes from: each arm among the obstacles, and all against one another.
 
     Args:
+        cell: The arms and their tasks, from `load_cell`.
         motion: Of all joints (`Cell.together`); or of each arm by name, all from the same instant on.
         options: For the tracking error and delay, of every arm, and `sigmas`.
         goal_contact: For each arm, by name, when it may touch its fruit, as `certify` takes it.
@@ -396,6 +398,7 @@ def certify_between(cell: Cell, motion: Trajectory, options: PlanOptions) -> Cer
     """Certify all arms of a cell against one another alone, as if nothing else were there.
 
     Args:
+        motion: Of all joints.
         options: For the tracking error and delay.
     """
     alone = cell.task(motion.position[-1], motion.position[0], obstacles=False)

@@ -116,7 +116,9 @@ def replan_cell(
     they leave room. Where that is not certified together with what they do, all of them stop (`CellResult.stop_at`).
 
     Args:
+        result: The motion.
         t: The instant, on the clock of the motion [s].
+        arm: Name of the arm.
         goal: Where it is to go, in the cell's frame; None for the goal that it has, as after a delay.
         cancel: As for `hplan.plan`.
 

@@ -52,6 +52,7 @@ def check(
     certifies a path. The checker is kept for the next call with the same robot and scene.
 
     Args:
+        robot: The arm.
         scene: Obstacles, fruit, and the clearance to keep.
         q: (dof,) configuration, or (..., dof) of them [rad; of joints that slide, m].
         time_s: Where obstacles move, the time at which they are looked at, as their tracks count it [s].

@@ -47,6 +47,9 @@ def plan(
     same ones begins sooner.
 
     Args:
+        robot: The arm.
+        scene: Obstacles and task.
+        options: How to plan.
         progress: Called with the name of each stage as it begins.
         cancel: A function or an event that says whether it is cancelled; another thread asks it about
             every millisecond.

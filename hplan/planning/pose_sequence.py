@@ -131,6 +131,7 @@ def plan_poses(
         scene: Start, obstacles, clearance to keep, locked joints; its goal does not matter, and a fruit that is its
             goal is an obstacle like the others.
         poses: (n, 4, 4) poses of the tool frame in `base_link` [m].
+        options: How to plan.
         straight: Whether the tool goes straight to each pose, turning evenly meanwhile, or as it likes; one for each,
             or one for all.
         tilt_rad: How far the tool may tilt: the largest angle at any time between what of it is up at the start and

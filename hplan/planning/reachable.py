@@ -85,6 +85,7 @@ def reachable(
     Where a fruit cannot be picked `plan` refuses it too; only `no_motion` is no proof, as `plan` may search longer.
 
     Args:
+        robot: The arm.
         scene: Obstacles and fruits, which all are obstacles to one another.
         options: As for `plan`. With a deadline all fruits have to be looked at before it.
         motions: True also looks for motions from the start, with the effort `quick`, which takes ten times as long.

@@ -125,6 +125,7 @@ def plan_cell_tour(
 
     Args:
         cell: Arms, obstacles and fruits; goals do not matter.
+        options: How to plan.
         progress: Called with what is being done.
         cancel: As for `hplan.plan`.
 

@@ -192,10 +192,13 @@ def plan_row(
     """Choose stops along a row of trees and plan a picking tour at each, from the start and back to it.
 
     Args:
+        robot: The arm.
         scene: The row, along y, as seen from the first side; of its goal only `approach_deg` counts.
         options: How to plan; rows have no deadline.
         row: Where the base may stand.
+        tour: Options of the tours.
         executor: What looks at the candidates, as for `hplan.run_study`; tours are planned here.
+        workers: How many at once.
         progress: Called with what is being done.
 
     Raises:

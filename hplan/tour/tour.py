@@ -99,8 +99,11 @@ def plan_tour(
     """Plan a picking tour from the scene's start; of its goal only `approach_deg` counts, for all fruits.
 
     Args:
+        robot: The arm.
         scene: Obstacles and fruits; all fruits are obstacles until they are picked.
+        options: How to plan.
         fruits: Names of the fruits to pick; all where this is None.
+        tour: Options of the tour.
         progress: Called with what is being done.
         cancel: As for `hplan.plan`.
 

@@ -334,13 +334,16 @@ def cubic_pieces(trajectory: Trajectory) -> tuple[FloatArray, FloatArray]:
 def cubic_states(
     time: FloatArray, position: FloatArray, velocity: FloatArray, clock: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Position, velocity and acceleration on the cubics between rows; after the end, there; returns three of (k, dof).
+    """Position, velocity and acceleration on the cubics between rows; after the end, there.
 
     Args:
         time: (n,) times of the rows, n > 1 [s].
         position: (n, dof).
         velocity: (n, dof) [rad/s].
         clock: (k,) times, none before the first row [s].
+
+    Returns:
+        Three of (k, dof).
     """
     pieces, _ = hermite_pieces(time, position, velocity)
     return evaluate(pieces, time, clock), evaluate(pieces, time, clock, 1), evaluate(pieces, time, clock, 2)
@@ -427,6 +430,7 @@ def write_csv(trajectory: Trajectory, path: Path | str, robot: Robot | None = No
 
     Args:
         trajectory: The motion. Where it does not say which joints slide, as those of hplan do, all count as turning.
+        path: The file.
         robot: The robot that it is of, and that says which slide.
 
     Raises:

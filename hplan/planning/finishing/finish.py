@@ -63,6 +63,7 @@ def finish(
     rest; start and goal of the scene do not matter, and a fruit that is its goal is an obstacle like the others.
 
     Args:
+        robot: The arm.
         scene: Obstacles, clearance to keep, locked joints.
         waypoints: (n, dof) configurations, n >= 2, from start to goal; repeated ones count once.
         options: How to finish it; those of searches do not matter.

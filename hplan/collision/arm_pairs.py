@@ -28,7 +28,8 @@ import numpy as np
 import pinocchio as pin
 
 from hplan.base.arrays import BoolArray, FloatArray, IntArray, Record, frozen, readonly
-from hplan.collision.coal_cloud import distance_from
+from hplan.collision.coal_accuracy import extents
+from hplan.collision.coal_cloud import BareShape, distance_from
 from hplan.collision.coal_shapes import LinkShapes, link_shapes, urdf_shapes
 from hplan.collision.collision_bodies import MOST_POINTS, CollisionBody, ball_about, body_shapes, collision_bodies
 from hplan.collision.reach import carriers, reach_of
@@ -93,6 +94,16 @@ class ArmParts(Record):
         """The shapes that meet obstacles: links, then turret."""
         of_turret = (placed for _, placed in self.turret.values())
         return list(itertools.chain(*self.links.values(), *of_turret))
+
+    @cached_property
+    def bare_shapes(self) -> tuple[BareShape, ...]:
+        """The `shapes` without what is swept about them."""
+        return tuple(BareShape.of(shape.geometry) for shape in self.shapes)
+
+    @cached_property
+    def extents(self) -> tuple[FloatArray, FloatArray]:
+        """Of each of the `shapes`, (shapes, 3), and of both of each pair, (pairs, 2, 3), `coal_accuracy.extents`."""
+        return extents(self.shapes), extents(itertools.chain(*(pair.shapes for pair in self.own))).reshape(-1, 2, 3)
 
     @cached_property
     def bodies(self) -> tuple[CollisionBody, ...]:

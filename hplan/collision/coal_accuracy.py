@@ -16,14 +16,13 @@ Measured on coal 3.0 against long double arithmetic; a proof takes these off eve
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from itertools import chain
+from collections.abc import Iterable, Sequence
 
 import coal
 import numpy as np
 import pinocchio as pin
 
-from hplan.base.arrays import FloatArray
+from hplan.base.arrays import FloatArray, frozen
 from hplan.scene.obstacles import Capsule, Cylinder, Solid, Sphere
 
 #: Where coal iterates [m].
@@ -39,26 +38,28 @@ SIZE = 1e-9
 PARALLEL = 1.5e-7
 
 
-def distance_errors(
-    movers: Sequence[pin.GeometryObject],
-    solids: Sequence[Solid],
-    pairs: Sequence[tuple[pin.GeometryObject, pin.GeometryObject]],
-) -> FloatArray:
+def distance_errors(movers: FloatArray, solids: Sequence[Solid], pairs: FloatArray) -> FloatArray:
     """Upper bounds of the error by which distances are too large [m].
+
+    Args:
+        movers: (bodies, 3) `extents` of moving bodies.
+        pairs: (pairs, 2, 3) of both of each pair.
 
     Returns:
         (bodies * solids + pairs,) of each moving body with each obstacle, body by body, then of the pairs.
     """
-    every = {id(shape): shape for shape in (*movers, *chain(*pairs))}
-    known = {number: (*_extent(shape), isinstance(shape.geometry, coal.Cylinder)) for number, shape in every.items()}
     curved = np.array([type(solid) is Cylinder for solid in solids], dtype=np.bool_)
-    first = np.array([known[id(shape)] for shape in movers]).reshape(-1, 3)
     second = np.array([_solid_extent(solid) for solid in solids]).reshape(-1, 2)
-    both = np.array([[known[id(shape)] for shape in pair] for pair in pairs]).reshape(-1, 2, 3)
-    among = _errors(first[:, None], second[None])
-    among += np.where((first[:, 2:] > 0.0) | curved, CURVED - ITERATION, 0.0)
-    round_pairs = both[:, :, 2].any(axis=1)
-    return np.append(among, _errors(both[:, 0], both[:, 1]) + np.where(round_pairs, CURVED - ITERATION, 0.0))
+    among = _errors(movers[:, None], second[None])
+    among += np.where((movers[:, 2:] > 0.0) | curved, CURVED - ITERATION, 0.0)
+    round_pairs = pairs[:, :, 2].any(axis=1)
+    return np.append(among, _errors(pairs[:, 0], pairs[:, 1]) + np.where(round_pairs, CURVED - ITERATION, 0.0))
+
+
+def extents(shapes: Iterable[pin.GeometryObject]) -> FloatArray:
+    """(n, 3) size, length of the axis, infinite where it is no capsule [m], and 1 for cylinders, of some shapes."""
+    found = [(*_extent(shape), isinstance(shape.geometry, coal.Cylinder)) for shape in shapes]
+    return frozen(np.array(found, dtype=np.float64).reshape(-1, 3))
 
 
 def _errors(first: FloatArray, second: FloatArray) -> FloatArray:

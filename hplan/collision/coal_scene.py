@@ -157,7 +157,6 @@ class CoalScene:
                 never = self.moving.keep_below(never, shape.bottom)
             self._beyond[row, never] = -np.inf
         check_deadline()
-        self._own_shapes = [pair.shapes for pair in parts.own]
         self._farthest = np.array([pair.farthest for pair in parts.own])
         self.own_first = len(obstacles)
         own_names = tuple(dict.fromkeys(pair.other_name for pair in parts.own))
@@ -173,7 +172,8 @@ class CoalScene:
         self._taken_off: FloatArray = np.append(self._beyond, np.zeros(len(parts.own)))
         solids, balls = obstacle_shapes(obstacles), bounding_balls(obstacles)
         check_deadline()
-        self._geometry = GeometryPairs(robot.model, self._mover_shapes, solids, self._own_shapes, balls)
+        own = [pair.shapes for pair in parts.own]
+        self._geometry = GeometryPairs(robot.model, self._mover_shapes, solids, own, balls, parts.bare_shapes)
 
     def __getstate__(self) -> dict[str, Any]:
         """The arguments that it is built from: Pinocchio's data cannot be pickled."""
@@ -186,7 +186,8 @@ class CoalScene:
     @cached_property
     def distance_errors(self) -> FloatArray:
         """(pairs,) by how much distances of `pairs` may be too large [m] (`hplan.collision.coal_accuracy`)."""
-        return distance_errors(self._mover_shapes, self._built["obstacles"], self._own_shapes)
+        movers, own = self.parts.extents
+        return distance_errors(movers, self._built["obstacles"], own)
 
     def covering(self, deviation: float, clearance: float) -> CoalScene:
         """The scene with the pairs that a tracking error [rad] and a clearance [m] require."""

@@ -82,6 +82,7 @@ class GeometryPairs:
         obstacles: Sequence[pin.GeometryObject | PointBlocks],
         chosen: Sequence[tuple[pin.GeometryObject, pin.GeometryObject]] = (),
         balls: FloatArray | None = None,
+        bare: Sequence[BareShape] | None = None,
     ) -> None:
         """Build the geometry models.
 
@@ -89,13 +90,14 @@ class GeometryPairs:
             obstacles: Fixed shapes, and clouds.
             chosen: Further pairs, of moving bodies or of shapes that meet no obstacle.
             balls: (obstacles, 4) centre and radius of a ball about each obstacle, for `lower_bounds`; None for none.
+            bare: The moving shapes without what is swept about them, where that is known.
         """
         self._model = model
         self._geometries: list[pin.GeometryModel] = []
         #: Numbers of each model's pairs among all.
         self._numbers: list[IntArray] = []
         self.count = len(movers) * len(obstacles) + len(chosen)
-        self._movers = [BareShape.of(shape.geometry) for shape in movers]
+        self._movers = [BareShape.of(shape.geometry) for shape in movers] if bare is None else bare
         self._boxes = np.array([[*shape.box.ravel(), shape.radius] for shape in self._movers]).reshape(-1, 7)
         self._balls = np.zeros((0, 4)) if balls is None else balls
         self._clouds = [(column, shape) for column, shape in enumerate(obstacles) if isinstance(shape, PointBlocks)]
@@ -204,9 +206,9 @@ class GeometryPairs:
         query = self._query
         if query.elsewhere:  # the balls are about the obstacles where they were built
             return np.full(len(pairs), _UNBOUNDED)
-        placed = self._placed(query, 0).oMg
-        places = np.array([[*placed[k].rotation.ravel(), *placed[k].translation] for k in range(len(self._movers))])
-        return _lower_bounds(pairs, places.reshape(-1, 12), self._boxes, self._balls)
+        placed = self._placed(query, 0).oMg.tolist()[: len(self._movers)]
+        places = np.array([place.homogeneous for place in placed]).reshape(-1, 4, 4)
+        return _lower_bounds(pairs, places, self._boxes, self._balls)
 
     def in_collision(self, configurations: FloatArray, margins: FloatArray) -> BoolArray:
         """True where any pair is nearer than its margin, (n, dof) configurations, (count,) margins [m] -> (n,)."""
@@ -253,7 +255,7 @@ def _lower_bounds(pairs: IntArray, places: FloatArray, boxes: FloatArray, balls:
 
     Args:
         pairs: (k,) numbers of pairs: each box with each ball, box by box, then others.
-        places: (boxes, 12) rotation, row by row, and translation of each box's frame.
+        places: (boxes, 4, 4) homogeneous transform of each box's frame.
         boxes: (boxes, 7) centre and half sizes there, and radius.
         balls: (balls, 4) centre and radius.
     """
@@ -262,10 +264,11 @@ def _lower_bounds(pairs: IntArray, places: FloatArray, boxes: FloatArray, balls:
         if pairs[n] >= places.shape[0] * count:
             continue
         k, ball = pairs[n] // count, pairs[n] % count
-        x, y, z = balls[ball, 0] - places[k, 9], balls[ball, 1] - places[k, 10], balls[ball, 2] - places[k, 11]
+        place = places[k]
+        x, y, z = balls[ball, 0] - place[0, 3], balls[ball, 1] - place[1, 3], balls[ball, 2] - place[2, 3]
         square = 0.0
         for axis in range(3):
-            along = places[k, axis] * x + places[k, 3 + axis] * y + places[k, 6 + axis] * z
+            along = place[0, axis] * x + place[1, axis] * y + place[2, axis] * z
             beyond = max(0.0, abs(along - boxes[k, axis]) - boxes[k, 3 + axis])
             square += beyond * beyond
         # Rounding errors never make it too large.

@@ -152,7 +152,7 @@ def _solid_rows(obstacles: Sequence[Solid], clearances: Sequence[float], offset:
     for number in np.flatnonzero(~np.array(is_round)).tolist():
         solid, first = obstacles[number], offset + 2
         end = first + solid.core.size
-        table = corner_table(solid.core, first, end)
+        table = corner_table(solid.core, first, end, None if isinstance(solid, Box | Cloud) else solid.hull.faces)
         rows[number], rows[number, CORNERS] = _rows(solid, clearances[number], offset)[0][0], first
         data.append(np.concatenate([[end, end if len(table) else 0], solid.core.ravel(), table]))
         offset += data[-1].size

@@ -19,7 +19,7 @@ from hplan.base.arrays import FloatArray, IntArray
 from hplan.optimization.coarse_profile import coarse_profile
 from hplan.optimization.minimize_time import LONGEST_S, Effort, minimize_time, rough_motion
 from hplan.optimization.path_classes import PARTS, class_numbers
-from hplan.optimization.smooth_path import clear_start, near_field
+from hplan.optimization.smooth_path import SMALLEST_FRACTION, clear_start, near_field
 from hplan.optimization.time_problem import TimeProblem
 from hplan.optimization.timed_spline import TimedSpline
 from hplan.trajectory.speed_profile import SpeedProfile
@@ -71,7 +71,8 @@ def optimization_starts(paths: Sequence[FloatArray], problem: TimeProblem) -> li
     found: list[OptimizationStart] = []
     for number, path in enumerate(paths):
         near = near_field(path, problem.field, NEAR)
-        spline = clear_start(path, near, problem.options)
+        is_clear = near.is_clear(path, SMALLEST_FRACTION * problem.options.margin)
+        spline = clear_start(path, near, problem.options) if is_clear else None
         if spline is not None:
             found.append(
                 OptimizationStart(number, replace(problem, near=near), coarse_profile(spline, problem.options))

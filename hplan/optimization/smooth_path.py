@@ -100,10 +100,10 @@ def clear_start(
     """A spline along a clear path for an optimiser to begin with, verified collision-free; None where none is found.
 
     Args:
-        path: (m, dof) waypoints, clear, m >= 2.
+        path: (m, dof) waypoints, clear, m >= 2; what is made of it is verified, not the path.
         counts: Numbers of control points tried in turn.
     """
-    if np.linalg.norm(path[-1] - path[0]) < _NO_MOTION or not field.is_clear(path, SMALLEST_FRACTION * options.margin):
+    if np.linalg.norm(path[-1] - path[0]) < _NO_MOTION:
         return None
     for margin in (options.margin, 0.25 * options.margin):
         taut = shorten(path, field, margin=margin, rounds=START_SHORTCUTS)

@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 
 from hplan.base import ties
-from hplan.base.arrays import FloatArray
+from hplan.base.arrays import FloatArray, IntArray
 from hplan.scene.solids import CUBE_CORNERS
 
 #: With fewer corners all of them are compared.
@@ -22,12 +22,14 @@ FEW: Final = 16
 OCTANTS: Final = 8
 
 
-def corner_table(corners: FloatArray, first: int, table: int) -> FloatArray:
+def corner_table(corners: FloatArray, first: int, table: int, faces: IntArray | None = None) -> FloatArray:
     """The table of the corners of a hull.
 
     Args:
         corners: (n, 3) corners.
         first: Place of their first coordinate among the numbers that kernels are given, x, y, z of each in turn.
+        table: Place of the table among them.
+        faces: (m, 3) triangles of the hull's corners, where they are known.
 
     Returns:
         Numbers: for each octant (1 for x > 0, 2 for y > 0, 4 for z > 0, added) the place of a corner; for each corner,
@@ -36,14 +38,18 @@ def corner_table(corners: FloatArray, first: int, table: int) -> FloatArray:
     """
     if len(corners) <= FEW:
         return np.zeros(0)
-    from scipy.spatial import ConvexHull, QhullError
+    # A corner of no triangle would have no neighbours.
+    if faces is None or not (np.bincount(faces.ravel(), minlength=len(corners)) > 0).all():
+        from scipy.spatial import ConvexHull, QhullError
 
-    try:
-        simplices = ConvexHull(corners).simplices
-    except QhullError:
-        return np.zeros(0)
-    sides = np.concatenate([simplices[:, [a, b]] for a, b in ((0, 1), (1, 0), (0, 2), (2, 0), (1, 2), (2, 1))])
-    here, there = np.divmod(np.unique(sides[:, 0].astype(np.int64) * len(corners) + sides[:, 1]), len(corners))
+        try:
+            faces = ConvexHull(corners).simplices
+        except QhullError:
+            return np.zeros(0)
+    are_neighbours = np.zeros((len(corners), len(corners)), dtype=np.bool_)
+    for a, b in ((0, 1), (1, 2), (2, 0)):
+        are_neighbours[faces[:, a], faces[:, b]] = are_neighbours[faces[:, b], faces[:, a]] = True
+    here, there = np.nonzero(are_neighbours)
     begin = np.searchsorted(here, np.arange(len(corners) + 1))
     signs = CUBE_CORNERS[np.lexsort(CUBE_CORNERS.T)]  # x changes fastest
     octants = ties.on_raster(corners @ signs.T).argmax(axis=0)

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 
 from hplan.base.data_files import urdf_dir
 from hplan.certificate.certificate import certify
-from hplan.collision.coal_accuracy import CURVED, ITERATION, PARALLEL, SIZE, distance_errors
+from hplan.collision.coal_accuracy import CURVED, ITERATION, PARALLEL, SIZE, distance_errors, extents
 from hplan.collision.coal_cloud import BareShape, PointBlocks, _lower_bounds, distance_from, local_box
 from hplan.collision.coal_scene import CoalScene, base_contacts
 from hplan.collision.coal_shapes import LINK_SHAPES, solid_shape
@@ -32,6 +32,9 @@ from hplan.scene.solids import CUBE_CORNERS, Cloud, hull_of
 from hplan.trajectory.trajectory import Trajectory
 
 FLAT = np.zeros(4)
+
+#: No pairs of parts of the arm, as `distance_errors` takes their extents.
+NO_PAIRS = np.zeros((0, 2, 3))
 
 
 def ball(x, y, z, radius=0.1, name="ball"):
@@ -362,7 +365,7 @@ def capsule_object(radius, length):
 def test_nearly_parallel_capsules(first, second):
     rng, worst, radius = np.random.default_rng(3), 0.0, 0.01
     obstacle = Capsule(name="c", start=(0.0, 0.0, 0.0), end=(0.0, 0.0, second), radius=radius)
-    allowed = distance_errors([capsule_object(radius, first)], [obstacle], [])[0]
+    allowed = distance_errors(extents([capsule_object(radius, first)]), [obstacle], NO_PAIRS)[0]
     for _ in range(1500):
         angle = 10.0 ** rng.uniform(-8.5, -6.5) / (first * second) * rng.choice([-1.0, 1.0])
         along, aside = np.eye(3)[:2]
@@ -385,7 +388,7 @@ def test_nearly_parallel_capsules(first, second):
 def test_capsules_above_large_boxes(size):
     rng = np.random.default_rng(4)
     box = Box(name="b", center=(0.0, 0.0, -0.5 * size), size=(size,) * 3)
-    allowed = distance_errors([capsule_object(0.05, 1.0)], [box], [])[0]
+    allowed = distance_errors(extents([capsule_object(0.05, 1.0)]), [box], NO_PAIRS)[0]
     assert allowed >= SIZE * size
     placed = solid_shape(box)
     for _ in range(500):
@@ -430,7 +433,7 @@ def test_capsules_about_cylinders(sizes, farthest):
         length, radius = np.exp(rng.uniform(*np.log(sizes), 2))
         can = Cylinder(name="c", center=(0.0, 0.0, 0.0), length=length, radius=radius)
         placed, reach = solid_shape(can).geometry, rng.uniform(0.05, 1.5)
-        allowed = distance_errors([capsule_object(0.05, reach)], [can], [])[0]
+        allowed = distance_errors(extents([capsule_object(0.05, reach)]), [can], NO_PAIRS)[0]
         along, away = rng.normal(size=(2, 3)) * [1.0, 1.0, rng.choice([0.0, 1.0])]
         along, away = (ray / np.linalg.norm(ray) for ray in (along, away))
         shares = rng.permutation([1.0, rng.random(), 1.0])[:2]  # on the side, an end, or the rim between them

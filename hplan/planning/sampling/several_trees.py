@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from functools import cached_property
 
 import numpy as np
 
 from hplan.base import ties
-from hplan.base.arrays import FloatArray, frozen
+from hplan.base.arrays import FloatArray, Record, frozen
 from hplan.collision.clearance_field import ClearanceField
 from hplan.optimization.path_classes import PARTS, class_numbers
 from hplan.optimization.shortcut import shorten
@@ -35,18 +35,35 @@ class TreesEffort:
     seed: int = 0
 
 
-class PromisingPath(NamedTuple):
-    """A clear path, and what it may come to.
+@dataclass(frozen=True, eq=False)
+class PromisingPath(Record):
+    """A clear path, and what it may come to, which is found when it is first asked for: beside others.
 
     Attributes:
-        seconds: Its time after shortcuts [s].
         waypoints: (m, dof) its waypoints as they were found.
-        points: (k, dof) points of what shortcuts leave of it, at `PARTS` of its time.
+        field: What it is clear of.
+        velocity: (dof,) velocity limits [rad/s].
+        margin: Clearance asked for wherever a motion is evaluated [m].
     """
 
-    seconds: float
     waypoints: FloatArray
-    points: FloatArray
+    field: ClearanceField
+    velocity: FloatArray
+    margin: float
+
+    @cached_property
+    def _shorter(self) -> FloatArray:
+        return shorten(self.waypoints, self.field, margin=self.margin, rounds=START_SHORTCUTS)
+
+    @property
+    def seconds(self) -> float:
+        """Its time after shortcuts [s]."""
+        return path_time(self._shorter, self.velocity)
+
+    @property
+    def points(self) -> FloatArray:
+        """(k, dof) points of what shortcuts leave of it, at `PARTS` of its time."""
+        return _evenly(self._shorter, self.velocity)
 
 
 def promising_paths(
@@ -74,8 +91,9 @@ def promising_paths(
     for seed in range(grown, effort.pairs):
         path, _ = tree_path(problem, field, velocity, margin, TreeEffort(effort.each, effort.seed + seed))
         if path is not None:
-            shorter = shorten(path, field, margin=margin, rounds=START_SHORTCUTS)
-            found.append(PromisingPath(path_time(shorter, velocity), path, _evenly(shorter, velocity)))
+            found.append(PromisingPath(path, field, velocity, margin))
+    if len(found) < 2:
+        return found
     found = [found[number] for number in ties.argsort([path.seconds for path in found]).tolist()]
     if len(found) <= OF_A_CLASS:
         return found

@@ -39,13 +39,6 @@ from hplan.trajectory.trajectory import Trajectory, cubic_pieces
 _STATION_FRACTION, _STATION_M = 0.08, (1e-3, 0.05)
 
 
-#: Stations of a curve that is to be shown: so many, or for each second, up to so many.
-_SHOWN_STATIONS, _SHOWN_PER_S, _MOST_SHOWN = 300, 40.0, 1200
-
-#: Stands for an infinite clearance where lines are drawn [m].
-_FAR_M = 1e12
-
-
 @dataclass(frozen=True, eq=False)
 class ClearanceCurve(Record):
     """Clearance of a motion over time; between its stations the values are those of straight lines.
@@ -68,8 +61,10 @@ class ClearanceCurve(Record):
     @property
     def shown(self) -> ClearanceCurve:
         """The curve with as many stations as can be seen, for reports and pages; nowhere higher."""
-        wanted = max(_SHOWN_STATIONS, round(_SHOWN_PER_S * float(self.time[-1])))
-        return self.thinned(min(wanted, _MOST_SHOWN))
+        # Stations of a curve that is to be shown: so many, or for each second, up to so many.
+        shown_stations, shown_per_s, most_shown = 300, 40.0, 1200
+        wanted = max(shown_stations, round(shown_per_s * float(self.time[-1])))
+        return self.thinned(min(wanted, most_shown))
 
     def thinned(self, count: int) -> ClearanceCurve:
         """The curve at so many evenly spaced times, where it has more stations; nowhere higher.
@@ -339,6 +334,8 @@ def _lower_of_both(bounds: FloatArray) -> FloatArray:
 
 def _on_lines(clock: FloatArray, time: FloatArray, values: FloatArray) -> FloatArray:
     """Values at times, on straight lines between the values at others; those may be infinite."""
-    lines: FloatArray = np.interp(clock, time, np.clip(values, -_FAR_M, _FAR_M))
-    lines[np.abs(lines) > 1e-3 * _FAR_M] *= np.inf
+    # Stands for an infinite clearance where lines are drawn [m].
+    far_m = 1e12
+    lines: FloatArray = np.interp(clock, time, np.clip(values, -far_m, far_m))
+    lines[np.abs(lines) > 1e-3 * far_m] *= np.inf
     return lines

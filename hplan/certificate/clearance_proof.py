@@ -66,8 +66,6 @@ _MANY, FIRST, FAR = 8, 16, 0.05
 #: that comes to 1.5 mm of an obstacle takes 155. The deadline is checked after so many: a fraction of a millisecond.
 CHECKS, CHECKS_PER_PIECE, _CHECKS_BETWEEN_LOOKS = 20_000, 50, 16
 
-#: Longest travel that is bounded [m]: beyond, its sum over the pieces would be good to less than a micrometre.
-_LONGEST_TRAVEL = 1e5
 
 #: Why a proof ends: the clearance is shown, a pair is too near, or what it may take is used up.
 Outcome: TypeAlias = Literal["shown", "too near", "checks", "travel"]
@@ -166,6 +164,8 @@ class Advancement:
         """Bound what each moving body travels; ask nothing yet."""
         self._bezier, self._checker = bezier, checker
         self._clock = None if checker.moving is None else clock
+        # Longest travel that is bounded [m]: beyond, its sum over the pieces would be good to less than a micrometre.
+        longest_travel = 1e5
         with np.errstate(over="ignore", invalid="ignore"):
             mover_of, moved, nearer = motion_of_movers(checker, bezier, deviations)
             if checker.moving is not None and clock is not None:
@@ -174,11 +174,11 @@ class Advancement:
             if len(deviations) > 1:
                 moved = moved + np.abs(np.diff(sway, axis=1))
             travel = np.column_stack([np.zeros(len(moved)), np.cumsum(moved, axis=1)])
-            within = (travel[:, 1:] <= _LONGEST_TRAVEL).all(axis=0)
+            within = (travel[:, 1:] <= longest_travel).all(axis=0)
         self.bounded = int(within.sum())
         if self.bounded < len(bezier):
             # For the search of the rows alone: after such a piece every pair may be anywhere.
-            moved = np.where(moved <= _LONGEST_TRAVEL, moved, _LONGEST_TRAVEL)
+            moved = np.where(moved <= longest_travel, moved, longest_travel)
             travel[:, 1:] = np.cumsum(moved, axis=1)
         self.movers = np.stack([sway, travel])
         self._may_lack = needed - checker.kept(needed)

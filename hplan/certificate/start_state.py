@@ -16,9 +16,6 @@ from hplan.trajectory.trajectory import Trajectory, cubic_pieces
 #: Fraction of a limit up to which a state keeps it, as for a motion.
 _KEPT = 1.001
 
-#: Differences that count as none: of velocities [rad/s] and accelerations [rad/s^2].
-_SAME_VELOCITY, _SAME_ACCELERATION = 1e-6, 1e-3
-
 
 def start_state(robot: Robot, scene: Scene) -> BoundaryState | None:
     """The state in which the scene's motion begins; None for rest.
@@ -71,9 +68,11 @@ def start_violations(robot: Robot, scene: Scene, trajectory: Trajectory) -> Iter
     if trajectory.samples > 1:
         bezier, duration = cubic_pieces(trajectory)
         pushes.append(6.0 * (bezier[0, 2] - 2.0 * bezier[0, 1] + bezier[0, 0]) / duration[0] ** 2)
+    # Differences that count as none: of velocities [rad/s] and accelerations [rad/s^2].
+    same_velocity, same_acceleration = 1e-6, 1e-3
     for what, found, asked, same in (
-        ("velocity", [trajectory.velocity[0]], state.velocity, _SAME_VELOCITY),
-        ("acceleration", pushes, state.acceleration, _SAME_ACCELERATION),
+        ("velocity", [trajectory.velocity[0]], state.velocity, same_velocity),
+        ("acceleration", pushes, state.acceleration, same_acceleration),
     ):
         off = np.abs(np.array(found) - asked).max(axis=0)
         joint = int(np.where(np.isnan(off), np.inf, off).argmax())

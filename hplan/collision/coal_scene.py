@@ -29,9 +29,6 @@ from hplan.robot.model import Robot
 from hplan.scene.obstacles import Solid
 from hplan.scene.tracks import Movement
 
-#: So many pairs are asked before the others, where bounds tell which are near.
-_FIRST_ASKED = 16
-
 
 @dataclass(frozen=True)
 class Contact:
@@ -314,13 +311,15 @@ class CoalScene:
 
     def nearest_pair(self, q: FloatArray, kept: FloatArray, time_s: float | None = None) -> tuple[int, float]:
         """The pair with the least distance beyond what each of (pairs,) is to keep, and its distance [m]."""
-        if self.moving is not None or len(kept) <= 2 * _FIRST_ASKED:
+        # So many pairs are asked before the others, where bounds tell which are near.
+        first_asked = 16
+        if self.moving is not None or len(kept) <= 2 * first_asked:
             found = self.pair_distances(q, time_s)
             pair = ties.argmin(found - kept)
             return pair, float(found[pair])
         self.place(q)
         bounds = self.lower_bounds(np.arange(len(kept))) - kept
-        first = np.sort(np.argpartition(bounds, _FIRST_ASKED)[:_FIRST_ASKED])
+        first = np.sort(np.argpartition(bounds, first_asked)[:first_asked])
         least = (self.distances_of(first) - kept[first]).min()
         asked = np.flatnonzero(bounds <= least + ties.RASTER)
         found = self.distances_of(asked)

@@ -15,10 +15,6 @@ from hplan.kinematics.approach_angles import Candidates, Window
 _FACTOR, FINEST = 4, np.radians(0.05)
 
 
-#: An angle is refined where the clearance that is missing may come within one spacing, at this rate [m / rad].
-_RATE = 2.0
-
-
 _TURN = 2.0 * np.pi
 
 
@@ -64,8 +60,10 @@ def finer_angles(
     """
     window = Window.of(approach_deg)
     angles, rooms = evenly.candidates.approach, evenly.rooms
-    rates = np.full(rooms.shape[1], _RATE)
-    rates[len(lengths) - 1] = min(_RATE, float(lengths[-1]))
+    # An angle is refined where the clearance that is missing may come within one spacing, at this rate [m / rad].
+    rate = 2.0
+    rates = np.full(rooms.shape[1], rate)
+    rates[len(lengths) - 1] = min(rate, float(lengths[-1]))
     spacing = 0.0 if window is not None and window.width == 0.0 else _spacing(angles)
     between = np.arange(1 - _FACTOR, _FACTOR) / _FACTOR
     while spacing > FINEST:

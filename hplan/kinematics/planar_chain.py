@@ -32,9 +32,6 @@ from hplan.kinematics.approach_angles import WINDOW_TOLERANCE, Window, above
 from hplan.robot.model import Robot
 from hplan.robot.planar_family import PlanarArm
 
-#: A point this far out of reach is reached by a straight or folded arm [m].
-_REACH_TOLERANCE = 1e-10
-
 #: A joint this far beyond its limit is put on it [rad].
 ANGLE_TOLERANCE = 1e-10
 
@@ -332,7 +329,9 @@ def two_links(
     cos = np.where(np.abs(cos) >= 1.0 - _LAST_DIGITS * (square + squares) / product, np.copysign(1.0, cos), cos)
     bend = arccos(cos)
     half = arctan2(far * np.sin(bend), near + far * cos)
-    ok = (distance <= near + far + _REACH_TOLERANCE) & (distance >= np.abs(near - far) - _REACH_TOLERANCE)
+    # A point this far out of reach is reached by a straight or folded arm [m].
+    reach_tolerance = 1e-10
+    ok = (distance <= near + far + reach_tolerance) & (distance >= np.abs(near - far) - reach_tolerance)
     return argument(points), half, bend, ok
 
 

@@ -39,8 +39,6 @@ AXIS_YAWS = 5
 #: Joints are not said to pass a limit by less than this [rad].
 ROUNDING = 1e-8
 
-#: Values tried in turn of each joint beyond three, and how many combinations of them at most.
-_GRID_VALUES, _MOST_COMBINATIONS = (5, 9, 17, 33), 1500
 
 _TURN = 2.0 * np.pi
 
@@ -243,8 +241,10 @@ class _ReachTask:
         if not gridded:
             return [rest[None]]
         grids: list[FloatArray] = []
-        for values in _GRID_VALUES:
-            if values ** len(gridded) <= _MOST_COMBINATIONS or not grids:
+        # Values tried in turn of each joint beyond three, and how many combinations of them at most.
+        grid_values, most_combinations = (5, 9, 17, 33), 1500
+        for values in grid_values:
+            if values ** len(gridded) <= most_combinations or not grids:
                 axes = [np.linspace(arm.lower[j], arm.upper[j], values) for j in gridded]
                 combinations = np.array(list(itertools.product(*axes)))
                 base = np.tile(rest, (len(combinations), 1))

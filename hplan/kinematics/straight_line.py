@@ -35,11 +35,6 @@ STEP_M, _STEPS = 5e-3, 4
 TURNING, _SLIDING = 25.0, 10.0
 
 
-#: Lines to a pose keep so far from the joint limits, or as far as their start: a curve through them may pass them by a
-#: little [rad, m].
-_OFF_LIMITS = 2e-3
-
-
 class Lines(NamedTuple):
     """Straight lines of the tool back from several goals.
 
@@ -100,8 +95,11 @@ def line_to(
     poses = np.array([np.append(rotation.ravel(), place) for rotation, place in on_line])
     poses[-1] = np.append(pose[:3, :3].ravel(), pose[:3, 3])
     chain = chain_of(robot, pose, KEPT)
-    chain.lower[:] = np.minimum(robot.lower + _OFF_LIMITS, start)
-    chain.upper[:] = np.maximum(robot.upper - _OFF_LIMITS, start)
+    # Lines to a pose keep so far from the joint limits, or as far as their start: a curve through them may pass them by
+    # a little [rad, m].
+    off_limits = 2e-3
+    chain.lower[:] = np.minimum(robot.lower + off_limits, start)
+    chain.upper[:] = np.maximum(robot.upper - off_limits, start)
     chain.moves[robot.locked_mask(locked)] = 0.0
     most = np.full((steps + 1, 1), STEP_M) * np.where(robot.slides, _SLIDING, TURNING)
     rows = np.repeat(start[None], steps + 1, axis=0)

@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -44,12 +44,6 @@ from hplan.scene.obstacle_kind import FromData
 from hplan.scene.obstacles import KINDS, Obstacle, Solid
 from hplan.scene.solids import rpy_rotation
 from hplan.scene.tracks import Track
-
-#: Most points of a frame.
-_MOST_FRAME_POINTS: Final = 20_000_000
-
-#: By how much a rotation may fail to be one.
-_RIGID: Final = 1e-5
 
 
 @dataclass(frozen=True)
@@ -381,8 +375,10 @@ def _points(points: ArrayLike) -> Any:
         raise InputError(f"points: expected {expected}, got {array.dtype}", option="points")
     if array.ndim not in (2, 3) or array.shape[-1] != 3:
         raise InputError(f"points has shape {array.shape}, expected {expected}", option="points")
-    if array.size > 3 * _MOST_FRAME_POINTS:
-        raise InputError(f"points: {array.size // 3:,} are more than {_MOST_FRAME_POINTS:,}", option="points")
+    # Most points of a frame.
+    most_frame_points = 20_000_000
+    if array.size > 3 * most_frame_points:
+        raise InputError(f"points: {array.size // 3:,} are more than {most_frame_points:,}", option="points")
     kind = array.dtype if array.dtype in (np.float32, np.float64) else np.float64
     with np.errstate(over="ignore"):  # of longer floats
         found = np.ascontiguousarray(array.reshape(-1, 3), dtype=kind).view()
@@ -409,7 +405,9 @@ def rigid(pose: ArrayLike | None) -> tuple[FloatArray, FloatArray]:
     rotation = matrix[:3, :3]
     with np.errstate(over="ignore", invalid="ignore"):  # of huge numbers the products are inf or NaN
         off, volume = float(np.abs(rotation @ rotation.T - np.eye(3)).max()), float(np.linalg.det(rotation))
-    if not (off <= _RIGID and volume > 0.0) or np.abs(matrix[3] - (0.0, 0.0, 0.0, 1.0)).max() > _RIGID:
+    # By how much a rotation may fail to be one.
+    least = 1e-5
+    if not (off <= least and volume > 0.0) or np.abs(matrix[3] - (0.0, 0.0, 0.0, 1.0)).max() > least:
         raise InputError(
             "pose is no rigid motion: expected a rotation and a shift, [[R, p], [0, 0, 0, 1]], or x, y, z, roll, "
             f"pitch, yaw; R R^T differs from the identity by {off:.3g}, det R is {volume:.3g}",

@@ -9,9 +9,6 @@ import numpy as np
 from hplan.base.arrays import BoolArray, FloatArray, Record
 from hplan.scene.tracks import Poses, Track
 
-#: Spacing of the places along a track at which the reach is taken [m], or of so many of them where that is more.
-_SPACING_M, _MOST_PLACES = 0.05, 4096
-
 
 @dataclass(frozen=True, eq=False)
 class SweptReach(Record):
@@ -33,7 +30,9 @@ class SweptReach(Record):
         # The centre travels no farther than this between two times of the track.
         travel = np.linalg.norm(np.diff(poses.shifts, axis=0), axis=1)
         travel += np.linalg.norm(poses.turns, axis=1) * np.linalg.norm(offset)
-        parts = np.maximum(np.ceil(travel / max(_SPACING_M, float(travel.sum()) / _MOST_PLACES)), 1.0)
+        # Spacing of the places along a track at which the reach is taken [m], or of so many of them where that is more.
+        spacing_m, most_places = 0.05, 4096
+        parts = np.maximum(np.ceil(travel / max(spacing_m, float(travel.sum()) / most_places)), 1.0)
         spans = zip(poses.times[:-1], poses.times[1:], parts.astype(int).tolist(), strict=True)
         clock = np.concatenate([np.linspace(*span, endpoint=False) for span in spans] + [poses.times[-1:]])
         rotations, places = poses.at(clock)

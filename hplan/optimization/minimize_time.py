@@ -42,8 +42,6 @@ LONGEST_S = 600.0
 #: How often the rows of a motion are counted anew until they are enough.
 _TRIES = 4
 
-#: A motion that sways into what is near is slowed down so much, so often at most, before the first step.
-_SLOWER, _SLOWED = 1.5, 9
 
 #: Where an end is in motion, more than this much slower is no remedy for a step that passes limits: the next step is.
 _REPAIRED = 1.02
@@ -216,12 +214,14 @@ def _enough(spline: TimedSpline, problem: TimeProblem, level: Level) -> float:
 
 def _first(start: TimedMotion, problem: TimeProblem, breaks: FloatArray) -> TimedSpline:
     """The spline to begin with: between states of motion one that leaves the start no farther than is clear."""
+    # A motion that sways into what is near is slowed down so much, so often at most, before the first step.
+    slower, slowed = 1.5, 9
     if problem.ends is None or (isinstance(start, TimedSpline) and start.ends is not None):
         spline = TimedSpline.near(start.positions, breaks, problem.ends)
-        for _ in range(_SLOWED if problem.sway is not None else 0):
+        for _ in range(slowed if problem.sway is not None else 0):
             if problem.is_clear(spline):
                 break
-            spline = spline.at_time_scale(_SLOWER)
+            spline = spline.at_time_scale(slower)
         return spline
     # Within these times, tried in turn, a motion is blended into the state of motion at its end: with more it leaves
     # its path for a longer distance, with less it is farther beyond the limits [s].

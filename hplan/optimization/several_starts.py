@@ -27,9 +27,6 @@ from hplan.trajectory.speed_profile import SpeedProfile
 #: Obstacles farther than this from a path are left out of the programs that move it [m].
 NEAR = 0.4
 
-#: A rough motion comes out quicker by no more than about this part of a motion that is known, and of another one.
-_LEFT_TO_GAIN, _AMONG_ROUGH = 0.1, 0.05
-
 
 @dataclass(frozen=True)
 class StartsEffort:
@@ -94,10 +91,12 @@ def fastest_motions(
     """
     several = starts if len(starts) < 2 else [starts[k] for k in _promising(starts, effort).tolist()]
     chosen: list[tuple[OptimizationStart, TimedSpline | None]] = [(start, None) for start in several]
+    # A rough motion comes out quicker by no more than about this part of a motion that is known, and of another one.
+    left_to_gain, among_rough = 0.1, 0.05
     if len(several) > 1:
         chosen = [(start, rough_motion(start.profile, start.problem, effort.optimization)) for start in several]
         times = [math.inf if rough is None else rough.duration for _, rough in chosen]
-        enough = min(quicker_than_s / (1.0 - _LEFT_TO_GAIN), min(times) / (1.0 - _AMONG_ROUGH))
+        enough = min(quicker_than_s / (1.0 - left_to_gain), min(times) / (1.0 - among_rough))
         best = ties.argsort(times)[: effort.finished]
         chosen = [chosen[k] for k in best.tolist() if times[k] <= enough]
     found = [

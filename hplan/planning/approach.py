@@ -32,8 +32,6 @@ from hplan.trajectory.trajectory import Trajectory
 #: lets it pass the stand-off faster, and gives the transit more to do.
 LEADS: Final = (0.02, 0.05, 0.15, 0.3, 0.45)
 
-#: By less than this no motion is quicker than another [s].
-_LEAST_GAIN_S: Final = 1e-6
 
 _Transit = TypeVar("_Transit", bound=Motion)
 
@@ -176,7 +174,9 @@ def blended(
     sides = before, after
     at_rest = [None if side is None else side.from_rest for side in sides]
     stops_s = seconds([motion for motion in at_rest if motion is not None])
-    limit_s = transit.trajectory.duration + stops_s - _LEAST_GAIN_S
+    # By less than this no motion is quicker than another [s].
+    least_gain_s = 1e-6
+    limit_s = transit.trajectory.duration + stops_s - least_gain_s
     found: list[tuple[float, TimedSpline, list[Trajectory | None]]] = []
     number, step = 2, 0
     known: list[Trajectory | None] = []
@@ -193,7 +193,7 @@ def blended(
                 rest.trajectory.duration - other.duration for rest, other in pairs if rest and other is not None
             )
             total_s = spline.duration + stops_s - saved_s
-            if found and total_s > found[-1][0] - _LEAST_GAIN_S:
+            if found and total_s > found[-1][0] - least_gain_s:
                 break
             found.append((total_s, spline, approaches))
             # Where the transit comes to last longer by more than half of what approach and retreat save, try less.

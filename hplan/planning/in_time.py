@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
-from typing import Any, Final, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -28,10 +28,6 @@ from hplan.planning.start_in_motion import after_stop, stops
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene, Start
 from hplan.trajectory.trajectory import Phase, Retimed, Trajectory, joined, scaled
-
-#: A path around what moves is looked for within so much of the time at which it is in the way [s].
-_MEANWHILE_S: Final = 0.35
-
 
 #: Ever quicker plans of a scene, whether anything moves in it or not.
 PlansOf: TypeAlias = Callable[[Scene], Iterator[Plan]]
@@ -158,11 +154,13 @@ class _Search:
         # Longest motion of the scene that is planned around as one [s].
         end_s = min(duration + 0.5, 30.0)
         yield "a path around all that it sweeps meanwhile", among_poses(scene, 0.0, end_s)
+        # A path around what moves is looked for within so much of the time at which it is in the way [s].
+        meanwhile_s = 0.35
         yield (
             "a path around where it is when it is in the way",
-            among_poses(scene, max(0.0, when - _MEANWHILE_S), when + _MEANWHILE_S),
+            among_poses(scene, max(0.0, when - meanwhile_s), when + meanwhile_s),
         )
-        yield "a path around where it is at first", among_poses(scene, 0.0, min(when, _MEANWHILE_S))
+        yield "a path around where it is at first", among_poses(scene, 0.0, min(when, meanwhile_s))
         yield "a path around where it is in the end", among_poses(scene, scene.at_rest_s, scene.at_rest_s)
 
     def _past(self, path: str, still: Plan) -> Plan | None:

@@ -28,9 +28,6 @@ from hplan.trajectory.retime import time_path
 from hplan.trajectory.spline import SplinePath
 from hplan.trajectory.trajectory import Phase, Trajectory, joined
 
-#: A motion on a given path is run at these fractions of its own speed, tried in turn until one is certified.
-_SPEEDS = (1.0, 0.7, 0.5, 0.35, 0.25, 0.17, 0.12, 0.08, 0.05, 0.03)
-
 #: Where a path comes from: there is none, as start and goal are the same; it is straight, found by trees or on a grid,
 #: that of an earlier motion, repaired, or as it was, or it was given.
 Origin: TypeAlias = Literal["none", "direct", "trees", "search", "mended", "kept", "given"]
@@ -313,7 +310,9 @@ def certified_trajectory(
         CertificationError: It is asked for, and something was not shown.
     """
     limits, largest = motion_limits(context), np.empty(0)
-    for speed in _SPEEDS if context.options.tracking.delay_s > 0.0 else _SPEEDS[:1]:
+    # A motion on a given path is run at these fractions of its own speed, tried in turn until one is certified.
+    speeds = (1.0, 0.7, 0.5, 0.35, 0.25, 0.17, 0.12, 0.08, 0.05, 0.03)
+    for speed in speeds if context.options.tracking.delay_s > 0.0 else speeds[:1]:
         if speed < 1.0:
             limits = replace(limits, velocity=np.minimum(limits.velocity, np.maximum(speed * largest, 1e-3)))
         trajectory = timed(context, path, limits, grid)

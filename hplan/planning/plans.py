@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from typing import Final
 
 import numpy as np
 
@@ -33,9 +32,6 @@ from hplan.planning.start_in_motion import plans_in_motion
 from hplan.planning.task import PlanningContext, PlanningTask
 from hplan.planning.transits import reused, transits
 from hplan.trajectory.trajectory import Trajectory
-
-#: So many grasps are tried where a motion is wanted at once.
-_FIRST_GRASPS: Final = 3
 
 
 def plans(
@@ -127,13 +123,15 @@ def _goal(context: PlanningContext, start: FloatArray) -> list[PlanningTask] | T
 def _to_target(context: PlanningContext, target: Target, start: FloatArray) -> Iterator[Plan]:
     """Ever quicker plans to a target; the last one goes without a stop before the approach where that is quicker."""
     at_once, locked = context.effort.at_once, context.scene.locked_joints
+    # So many grasps are tried where a motion is wanted at once.
+    first_grasps = 3
     with context.stage("grasps"):
         # Where a motion is wanted at once, grasps are chosen among few configurations.
         count = 24 if at_once else COUNT
         found = grasps(target, start, standoff=context.options.standoff_m, locked=locked, count=count)
         if at_once:
             likely = promising(found, target, start)
-            found = (*likely[:_FIRST_GRASPS], *likely[_FIRST_GRASPS:][-1:])  # the last may be straight ahead
+            found = (*likely[:first_grasps], *likely[first_grasps:][-1:])  # the last may be straight ahead
     for approach, plan in plans_to_grasps(context, target, found, start):
         quickest = approach, plan
         yield plan

@@ -14,9 +14,6 @@ from hplan.planning.options import PlanOptions
 from hplan.trajectory.cubics import Rows
 from hplan.trajectory.trajectory import Trajectory, joined
 
-#: How many of them a motion begins later at a time.
-_LATER: Final = 8
-
 #: Of so many samples one is looked at, in turn until a pair is too near.
 _COARSE: Final = (32, 4, 1)
 
@@ -92,7 +89,9 @@ class Timetable:
         moving = self._sampled(motion)[1:]
         last = max(map(len, self.places.values()))
         one_by_one = math.isinf(self._least)
-        for begin in [last] if one_by_one else range(len(own), max(len(own), last) + _LATER + 1, _LATER):
+        # How many of them a motion begins later at a time.
+        later = 8
+        for begin in [last] if one_by_one else range(len(own), max(len(own), last) + later + 1, later):
             check_deadline()
             planned = np.concatenate([np.repeat(own[-1:], begin - len(own), axis=0), moving])
             if one_by_one or self._is_clear(name, planned, len(own)):

@@ -44,12 +44,6 @@ _MOST_COARSE: Final = 5e6
 #: To so many goals trees look for a path one by one, before they do to all at once.
 _ONE_BY_ONE: Final = 2
 
-#: A route is searched to a goal that promises to be reached in less than this fraction of a straight motion's time.
-WORTHWHILE: Final = 0.7
-
-#: Evaluations of the pairs of trees that look for the first motion of all, and how many of these where the base is
-#: locked: grids find narrow passages there.
-_FIRST_TREES: Final = (1_500, 1_500, 1_500, 1_500, 6_000, 6_000, 6_000, 6_000)
 
 #: The number of a goal, and a motion there.
 Found: TypeAlias = tuple[int, Transit]
@@ -173,7 +167,10 @@ def _at_once(tasks: Sequence[PlanningTask]) -> Iterator[Found]:
 
 def _first_paths(tasks: Sequence[PlanningTask]) -> Iterator[tuple[int, Polyline]]:
     yield from enumerate(map(_straight, tasks))
-    for seed, evaluations in enumerate(_FIRST_TREES if tasks[0].problem.turns else _FIRST_TREES[:2]):
+    # Evaluations of the pairs of trees that look for the first motion of all, and how many of these where the base is
+    # locked: grids find narrow passages there.
+    first_trees = (1_500, 1_500, 1_500, 1_500, 6_000, 6_000, 6_000, 6_000)
+    for seed, evaluations in enumerate(first_trees if tasks[0].problem.turns else first_trees[:2]):
         reached = _tree_to_any(tasks, TreeEffort(evaluations, tasks[0].effort.trees.seed + seed))
         if reached is not None:
             yield reached
@@ -185,6 +182,8 @@ def _straight(task: PlanningTask) -> Polyline:
 
 def _along_straight(tasks: Sequence[PlanningTask]) -> Iterator[Found]:
     """The straight motion to the first goal that has a clear one, and those to one that may be reached much sooner."""
+    # A route is searched to a goal that promises to be reached in less than this fraction of a straight motion's time.
+    worthwhile = 0.7
     for number, task in enumerate(tasks):
         if not straight_is_clear(task):
             continue
@@ -193,7 +192,7 @@ def _along_straight(tasks: Sequence[PlanningTask]) -> Iterator[Found]:
         except CertificationError:
             continue  # a route may lead to a motion that can be certified
         yield number, direct
-        enough = WORTHWHILE * direct.trajectory.duration
+        enough = worthwhile * direct.trajectory.duration
         better = next((other for other in range(number) if least_duration(tasks[other]) < enough), None)
         if better is not None:
             yield from ((better, motion) for motion in _near_trees(tasks[better]))

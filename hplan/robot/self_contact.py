@@ -84,10 +84,6 @@ class SelfContact:
     bodies: tuple[BaseBody, ...] = ()
 
 
-#: Tracking errors are rounded up to multiples of this [rad].
-_DEVIATION_STEP: Final = 5e-3
-
-
 def self_contact(robot: Robot, *, deviation: float = 0.0, clearance: float = 0.0) -> SelfContact:
     """The pairs of a robot that can touch, decided once.
 
@@ -114,7 +110,9 @@ def rounded_up(deviation: float) -> float:
     """A tracking error that is no less, one of few: that of a motion depends on how fast it is [rad]."""
     if not deviation < math.tau:
         return math.tau  # a whole turn either way is all that there is
-    return _DEVIATION_STEP * math.ceil(deviation / _DEVIATION_STEP - 1e-9)
+    # Tracking errors are rounded up to multiples of this [rad].
+    deviation_step = 5e-3
+    return deviation_step * math.ceil(deviation / deviation_step - 1e-9)
 
 
 def part_of_arm(arm: PlanarArm, first: int, last: int) -> PlanarArm:

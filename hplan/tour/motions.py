@@ -54,9 +54,6 @@ LegMotions: TypeAlias = tuple[str | None, Grasp | None, list[Motion]]
 #: A retreat, a motion without a stop after it, and the approach after that; None for those that it is not blended with.
 _Blended: TypeAlias = tuple[Motion | None, Motion, Motion | None]
 
-#: Other grasps are tried so many times, as long as the tour becomes shorter by this fraction.
-WIDENINGS, _LEAST_GAIN = 8, 5e-3
-
 
 class _Step(NamedTuple):
     """A step of a tour: at a place, or from stop to stop.
@@ -152,6 +149,8 @@ class Motions:
         """The tour that a solver finds by true durations."""
         visits: Visits | None = None
         widened, cost, last = 0, math.inf, False
+        # Other grasps are tried so many times, as long as the tour becomes shorter by this fraction.
+        widenings, least_gain = 8, 5e-3
         while True:
             before, visits = visits, self._solved(solve, visits, last)
             missing = [step for leg in self._steps(visits) for step in leg if not self._known(step)]
@@ -168,7 +167,7 @@ class Motions:
             steps = [step for leg in self._steps(visits) for step in leg if step.place is None]
             if [step for step in steps if self._moves.made_quicker(*step.stops, step.loaded)]:
                 continue
-            if widened == WIDENINGS or visits.cost > (1.0 - _LEAST_GAIN) * cost or not self._widened(visits):
+            if widened == widenings or visits.cost > (1.0 - least_gain) * cost or not self._widened(visits):
                 return visits
             widened, cost = widened + 1, visits.cost
 

@@ -36,8 +36,6 @@ from hplan.trajectory.spline import SplinePath, first_contact
 #: Smallest deviation that can be asked for [rad]: sharper corners are too much for toppra's tolerances.
 LEAST_DEVIATION = 1e-4
 
-#: Largest deviation: farther than any joint is asked to move [rad].
-_MOST_DEVIATION = 1e6
 
 #: Distance up to which waypoints are the same [rad].
 SAME = 1e-9
@@ -69,8 +67,10 @@ def rounded_path(waypoints: ArrayLike, deviation_rad: float) -> SplinePath:
         OptionError: The deviation is too small or not finite.
     """
     points = as_waypoints(waypoints)
-    expected = f"a number of radians >= {LEAST_DEVIATION:g} and <= {_MOST_DEVIATION:g}"
-    number("deviation_rad", deviation_rad, expected, lambda given: LEAST_DEVIATION <= given <= _MOST_DEVIATION)
+    # Largest deviation: farther than any joint is asked to move [rad].
+    most_deviation = 1e6
+    expected = f"a number of radians >= {LEAST_DEVIATION:g} and <= {most_deviation:g}"
+    number("deviation_rad", deviation_rad, expected, lambda given: LEAST_DEVIATION <= given <= most_deviation)
     points = _thinned(points, THINNING * deviation_rad - SAME)
     if len(points) < 2:
         return SplinePath(readonly(np.repeat(points, 4, axis=0)), readonly([0.0] * 4 + [1.0] * 4))

@@ -21,9 +21,6 @@ from hplan.scene.solids import Cloud
 #: Bits of what meets links that may push what gives way, and all others.
 _FIRM, _PUSHES = 1, 2
 
-#: Most balls of a cloud that MuJoCo is given.
-_MOST_BALLS = 2_000
-
 
 def import_mujoco() -> ModuleType:
     """The module `mujoco`.
@@ -108,11 +105,13 @@ def _shapes(mujoco: ModuleType, spec: Any, obstacle: Solid, number: int) -> list
         else:
             kind, size = kinds.mjGEOM_CYLINDER, [obstacle.radius, 0.5 * obstacle.length, 0.0]
         return [{"type": kind, "pos": obstacle.center, "quat": [turn.w, turn.x, turn.y, turn.z], "size": size}]
+    # Most balls of a cloud that MuJoCo is given.
+    most_balls = 2_000
     if isinstance(obstacle, Cloud):
-        if len(obstacle.core) > _MOST_BALLS:
+        if len(obstacle.core) > most_balls:
             raise InputError(
                 f"obstacle {obstacle.name!r} has {len(obstacle.core)} balls, too many for MuJoCo; thin its points to "
-                f"at most {_MOST_BALLS} to execute the motion",
+                f"at most {most_balls} to execute the motion",
                 obstacle=obstacle.name,
                 balls=len(obstacle.core),
             )

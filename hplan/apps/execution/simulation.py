@@ -44,9 +44,6 @@ from hplan.trajectory.trajectory import check_units, cubic_states
 #: How long the last row is held [s].
 HOLD = 0.25
 
-#: Error of each joint that turns [rad], and of each that slides [m], up to which a configuration counts as reached.
-_GOAL_TOLERANCE, _GOAL_TOLERANCE_M = math.radians(0.5), 0.005
-
 
 @dataclass(frozen=True, eq=False)
 class Execution(Record):
@@ -215,6 +212,8 @@ def _executed(
     resting = clock >= duration - 1e-9
     final = np.nan_to_num(np.abs(position[resting] - goal), nan=np.inf).max(axis=0)
     limit = robot.torque_limit
+    # Error of each joint that turns [rad], and of each that slides [m], up to which a configuration counts as reached.
+    goal_tolerance, goal_tolerance_m = math.radians(0.5), 0.005
     return Execution(
         joint_names=robot.joint_names,
         slides=robot.slides,
@@ -224,7 +223,7 @@ def _executed(
         start_error_rad=tuple(np.abs(q_ref[0] - (math.nan if start is None else start)).tolist()),
         max_tracking_error_rad=tuple(error.tolist()),
         final_error_rad=tuple(final.tolist()),
-        ended_at_goal=bool((final <= np.where(robot.slides, _GOAL_TOLERANCE_M, _GOAL_TOLERANCE)).all()),
+        ended_at_goal=bool((final <= np.where(robot.slides, goal_tolerance_m, goal_tolerance)).all()),
         needed_torque_nm=tuple(np.abs(feed).max(axis=0).tolist()),
         peak_torque_nm=tuple(np.abs(torque).max(axis=0).tolist()),
         torque_limit_nm=tuple(limit.tolist()),

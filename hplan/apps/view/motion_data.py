@@ -28,8 +28,6 @@ if TYPE_CHECKING:
 #: Stretches of time of which a chart shows the largest shares.
 STRETCHES = 600
 
-#: Shares that are larger, or of no limit at all, are drawn here.
-_LARGEST_SHARE = 9.99
 
 #: Times that are nearer than this are one [s].
 _SAME_S = 1e-6
@@ -124,7 +122,9 @@ def _shares(values: FloatArray, limit: FloatArray) -> FloatArray:
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
         shares = values / limit
     shares = np.where(np.abs(values) <= 1e-9, 0.0, shares)
-    kept: FloatArray = np.clip(np.nan_to_num(shares, nan=0.0), -_LARGEST_SHARE, _LARGEST_SHARE)
+    # Shares that are larger, or of no limit at all, are drawn here.
+    largest_share = 9.99
+    kept: FloatArray = np.clip(np.nan_to_num(shares, nan=0.0), -largest_share, largest_share)
     return kept
 
 

@@ -16,9 +16,6 @@ if TYPE_CHECKING:
 #: Colours of the fruit of neighbouring stops.
 _STOPS = (PATH, START, RESTORED, LINKS[1])
 
-#: Room about what is shown [m], and the most that both views together may take [inch].
-_ROOM_M, _LARGEST = 0.25, (9.0, 8.0)
-
 
 @styled
 def draw_row(result: RowResult) -> Figure:
@@ -36,9 +33,11 @@ def draw_row(result: RowResult) -> Figure:
     stands = [(place.along, _across(place, result)) for place, names in result.candidates.items() if names]
     fruit = np.array([fruit.center for fruit in scene.fruits])
     (y, x), z = np.concatenate([np.array(stands), fruit[:, 1::-1]]).T, fruit[:, 2]
-    ends = [(float(values.min()) - _ROOM_M, float(values.max()) + _ROOM_M) for values in (y, x, z)]
+    # Room about what is shown [m], and the most that both views together may take [inch].
+    room_m, largest = 0.25, (9.0, 8.0)
+    ends = [(float(values.min()) - room_m, float(values.max()) + room_m) for values in (y, x, z)]
     wide, deep, high = (end - begin for begin, end in ends)
-    scale = min(_LARGEST[0] / wide, _LARGEST[1] / (deep + high))  # inches for each metre
+    scale = min(largest[0] / wide, largest[1] / (deep + high))  # inches for each metre
     title = f"{scene.name}: {share} from {stops} stop{'s' * (stops > 1)}, {pace}"
     figure = new_figure(max(6.4, wide * scale + 1.0), (deep + high) * scale + 2.2, title)
     above, front = figure.subplots(2, 1, height_ratios=(deep, high))

@@ -25,9 +25,6 @@ _SEGMENTS = 48
 _COPY_SEGMENTS = 20
 _HALF_PI = 0.5 * np.pi
 
-# Constants of three.js (and so of WebGL).
-_NOT_EQUAL, _REPLACE = 517, 7681
-
 
 def transform(rotation: ArrayLike | None = None, position: ArrayLike | None = None) -> FloatArray:
     """The (4, 4) matrix of a (3, 3) rotation and a (3,) position [m]."""
@@ -70,6 +67,8 @@ def dots_material(color: int, size: float) -> Json:
 
 def ghost_material(color: int, opacity: float, layer: int) -> Json:
     """A translucent surface that covers each pixel once, however many bodies of the same `layer` lie behind it."""
+    # Constants of three.js (and so of WebGL).
+    not_equal, replace = 517, 7681
     return material(
         color,
         opacity=opacity,
@@ -81,8 +80,8 @@ def ghost_material(color: int, opacity: float, layer: int) -> Json:
         polygonOffsetUnits=8,
         stencilWrite=True,
         stencilRef=layer,
-        stencilFunc=_NOT_EQUAL,
-        stencilZPass=_REPLACE,
+        stencilFunc=not_equal,
+        stencilZPass=replace,
     )
 
 

@@ -30,9 +30,6 @@ _STEP_DEG, _MOST_NODES = 2.0, 100_000
 #: Points of the projected motion, and how near to the yaw they count when the view is chosen.
 _POINTS, _NEAR = 400, math.radians(10.0)
 
-#: Directions that the picture is seen from, none along an axis [deg].
-_AZIMUTHS, _ELEVATIONS = (30, 60, 120, 150, 210, 240, 300, 330), (18, 28, 40)
-
 
 @dataclass(frozen=True, eq=False)
 class YawSection:
@@ -64,8 +61,10 @@ class YawSection:
         size = (nodes - nodes.mean(axis=0)) / (np.array(self.grid.shape) - 1.0)
         weights = np.where(self.yaw_distance <= _NEAR, 1.0, 0.1)
         best, chosen = math.inf, (0.0, 0.0)
-        for elevation in _ELEVATIONS:
-            for azimuth in _AZIMUTHS:
+        # Directions that the picture is seen from, none along an axis [deg].
+        azimuths, elevations = (30, 60, 120, 150, 210, 240, 300, 330), (18, 28, 40)
+        for elevation in elevations:
+            for azimuth in azimuths:
                 towards = view_axes(math.radians(azimuth), math.radians(elevation))[2]
                 behind = float(weights @ hidden(self.field, nodes, towards) / weights.sum())
                 across = size - np.outer(size @ towards, towards)

@@ -29,9 +29,6 @@ from hplan.scene.model import Scene
 from hplan.trajectory.corner_rounding import LEAST_DEVIATION, rounded_path
 from hplan.trajectory.timing import corner_grid
 
-#: Fraction of the margin that the path itself is to have; smoothing asks for the whole where it can be had.
-_PATH_MARGIN = 0.1
-
 
 class _ClearPath(NamedTuple):
     """A polyline verified collision-free, near the one that was given.
@@ -128,9 +125,11 @@ def _shown_clear(context: PlanningContext, path: GivenPath) -> _ClearPath:
         CertificationError: It was not verified collision-free, though no contact was found.
     """
     world, field, points = context.world, context.field, path.points
+    # Fraction of the margin that the path itself is to have; smoothing asks for the whole where it can be had.
+    path_margin = 0.1
     with context.stage("postprocess"):
         spare = float(field.along(points[[0, -1]]).min())
-        margin = _PATH_MARGIN * min(MARGIN, 0.5 * spare) if spare > 0.0 else _PATH_MARGIN * MARGIN
+        margin = path_margin * min(MARGIN, 0.5 * spare) if spare > 0.0 else path_margin * MARGIN
         if spare > 0.0 and field.is_clear(points, margin):
             return _ClearPath(points, ())
         places = list(places_of(world, path, margin))

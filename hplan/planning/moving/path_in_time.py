@@ -28,8 +28,6 @@ from hplan.trajectory.trajectory import Trajectory
 #: Time that a motion takes from station to station at full speed [s].
 _STATION_S: Final = 0.00625
 
-#: Clearance asked for beyond the one to keep [m]: less than that with which paths are planned.
-_MARGIN_M: Final = 2e-4
 
 #: Obstacles that travel no farther than this to either side of a time are not looked at more often [m].
 _RESOLUTION_M: Final = 8e-3
@@ -118,7 +116,9 @@ class PathInTime:
         travel = 0.5 * self._field.travel(begin_s, end_s)
         middle_s = 0.5 * (begin_s + end_s)
         field = self._field.at(middle_s)
-        spare = field.along(self.configurations[stations]) - _MARGIN_M
+        # Clearance asked for beyond the one to keep [m]: less than that with which paths are planned.
+        margin_m = 2e-4
+        spare = field.along(self.configurations[stations]) - margin_m
         clear: BoolArray = np.all(spare - self._travel[stations] > travel, axis=1)
         undecided = np.flatnonzero(~clear & np.all(spare > 0.0, axis=1))
         if len(undecided) == 0:
@@ -131,7 +131,7 @@ class PathInTime:
             return clear
         parts = (np.arange(_PARTS) + 0.5) / _PARTS - 0.5
         places = np.clip(rest[:, None] + parts, 0.0, len(self.configurations) - 1.0) * self._spacing_s
-        spare = field.along(self._motion.positions(places.ravel())) - _MARGIN_M
+        spare = field.along(self._motion.positions(places.ravel())) - margin_m
         spare -= np.repeat(self._travel[rest], _PARTS, axis=0) / _PARTS
         clear[undecided] = np.all(spare.reshape(len(rest), -1) > travel, axis=1)
         return clear

@@ -19,12 +19,6 @@ from hplan.scene.orchard.options import TUCKED_DEG, FruitZone, MeasuredOptions, 
 from hplan.scene.orchard.pieces import DECIMALS, capsule, rounded
 from hplan.scene.orchard.wood import Limb, grow_tree
 
-#: How much fruit is put on measured trees that have none, and its radius [m].
-_PUT, _PUT_RADIUS = 20, 0.04
-
-#: Radius of a post, and its height above the trees' and the topmost wire [m].
-_POST_RADIUS, _POST_EXCESS = 0.04, 0.1
-
 #: The ground, a millimetre below the pedestal, which would touch it else; and a vehicle's body behind the pedestal,
 #: lower than the tucked arm.
 _GROUND = Box(name="ground", center=(0.0, 0.0, -0.051), size=(6.0, 6.0, 0.1))
@@ -88,11 +82,13 @@ def measured_orchard(
         tree, own = import_tree(path, position=position, yaw_deg=options.yaw_deg, prefix=prefix)
         wood += [capsule(piece.name, rounded(piece.start), rounded(piece.end), piece.radius) for piece in tree]
         hung += [fruit.model_copy(update={"center": rounded(fruit.center)}) for fruit in own]
+    # How much fruit is put on measured trees that have none, and its radius [m].
+    put, put_radius = 20, 0.04
     if hung:
         fruits = _nearest(hung, options)
     else:
-        count = _PUT if options.fruits is None else options.fruits
-        radius = _PUT_RADIUS if options.fruit_radius is None else options.fruit_radius
+        count = put if options.fruits is None else options.fruits
+        radius = put_radius if options.fruit_radius is None else options.fruit_radius
         fruits = fruit_at_tips(wood, count, radius, options.seed, zone=options.fruit_zone or FruitZone())
     return _scene(options, wood, fruits, start_deg)
 
@@ -132,10 +128,12 @@ def _trellis(options: OrchardOptions) -> list[Capsule]:
     ]
     if not options.posts:
         return wires
-    top = max(0.8 * options.tree_height, *options.wire_heights, 0.0) + _POST_EXCESS
-    feet = [(x, side * y, _POST_RADIUS) for side in (-1.0, 1.0)]
+    # Radius of a post, and its height above the trees' and the topmost wire [m].
+    post_radius, post_excess = 0.04, 0.1
+    top = max(0.8 * options.tree_height, *options.wire_heights, 0.0) + post_excess
+    feet = [(x, side * y, post_radius) for side in (-1.0, 1.0)]
     posts = [
-        capsule(f"post {number}", rounded(foot), rounded((*foot[:2], top - _POST_RADIUS)), _POST_RADIUS)
+        capsule(f"post {number}", rounded(foot), rounded((*foot[:2], top - post_radius)), post_radius)
         for number, foot in enumerate(feet, start=1)
     ]
     return [*wires, *posts]

@@ -406,8 +406,8 @@ def rigid(pose: ArrayLike | None) -> tuple[FloatArray, FloatArray]:
     with np.errstate(over="ignore", invalid="ignore"):  # of huge numbers the products are inf or NaN
         off, volume = float(np.abs(rotation @ rotation.T - np.eye(3)).max()), float(np.linalg.det(rotation))
     # By how much a rotation may fail to be one.
-    least = 1e-5
-    if not (off <= least and volume > 0.0) or np.abs(matrix[3] - (0.0, 0.0, 0.0, 1.0)).max() > least:
+    most = 1e-5
+    if not (off <= most and volume > 0.0) or np.abs(matrix[3] - (0.0, 0.0, 0.0, 1.0)).max() > most:
         raise InputError(
             "pose is no rigid motion: expected a rotation and a shift, [[R, p], [0, 0, 0, 1]], or x, y, z, roll, "
             f"pitch, yaw; R R^T differs from the identity by {off:.3g}, det R is {volume:.3g}",

@@ -62,8 +62,6 @@ def random_scene(robot: Robot, seed: int, number: int) -> Scene:
     """One scene.
 
     Args:
-        robot: The arm.
-        seed: Of all scenes.
         number: Of this one, from 0 on; its kind is `KINDS[number % len(KINDS)]`.
     """
     rng = np.random.default_rng([seed, number])
@@ -143,7 +141,6 @@ def free_ends(
     """(dof,) start and goal; None where too few of the draws are free.
 
     Args:
-        robot: The arm.
         rng: What configurations are drawn with.
         obstacles: What they are to be free of.
         extent: Reach of the arm [m].

@@ -114,7 +114,6 @@ def run(
     """Rows of a study, in the order of its problems, each as soon as it and those before it are there.
 
     Args:
-        study: What is measured.
         asked: How much of it, with what.
         executor: Where rows are made; None for here.
         told: Called with how many problems are done, and of how many.

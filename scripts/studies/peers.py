@@ -79,7 +79,6 @@ def ompl_path(
     """(m, dof) the simplified path of a planner; None where it found none in time.
 
     Args:
-        world: Arm and obstacles.
         scene: Start, and joints that are locked.
         goal: (dof,) configuration.
         start: (dof,) configuration; None for the scene's.
@@ -176,7 +175,6 @@ def toppra_motion(robot: Robot, path: FloatArray, *, defaults: bool = False) -> 
     """A cubic spline through waypoints, timed by toppra under velocity, acceleration and torque limits.
 
     Args:
-        robot: The arm.
         path: (m, dof) waypoints.
         defaults: As toppra comes: parameters 0 to 1 in equal parts, `ParametrizeSpline`, torque by collocation. Else
             as its users are advised: parameters by length, waypoints among the grid points,

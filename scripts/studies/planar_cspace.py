@@ -23,7 +23,6 @@ def joint_grid(arm: PlanarArm, step: float | FloatArray) -> Grid:
     """Grid over the joint range of the planar joints.
 
     Args:
-        arm: The planar chain.
         step: Largest spacing [rad], one number or one for each joint.
 
     Raises:
@@ -43,11 +42,8 @@ def arm_sections(
     """Cut all obstacles by the arm plane at one yaw, once for each link (their half-widths differ).
 
     Args:
-        robot: The arm.
-        obstacles: The obstacles.
         yaw: Yaw of the arm plane.
         clearance: Distance to keep from every obstacle [m], one number or one for each.
-        link_model: How links are modelled.
 
     Raises:
         OptionError: Unknown link model, a negative clearance, or `rectangle` with an obstacle that is no sphere.

@@ -91,7 +91,6 @@ def measured_orchards(robot: Robot, folder: Path) -> list[Orchard]:
     """Measured trees, one at a time, at each of the distances.
 
     Args:
-        robot: The arm.
         folder: Where the trees are, a CSV of capsules each.
 
     Raises:

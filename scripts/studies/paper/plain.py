@@ -90,7 +90,6 @@ def carried_back(
     Args:
         occupancy: The (N1, N2, N3) C-space.
         paths: Slice -> (m, 3) path.
-        start_slice: The start's slice.
         restoration: Carry back the whole path, or its first waypoint alone.
 
     Returns:

@@ -40,7 +40,6 @@ def draw_arm(folder: Path, rng: np.random.Generator) -> DrawnArm:
 
     Args:
         folder: Where its files may be written.
-        rng: Where its numbers come from.
 
     Raises:
         HplanError: hplan does not take it.

@@ -120,7 +120,6 @@ class Thing:
         """Read an obstacle as scenes list it; meshes have `vertices` and `faces`, clouds `points`.
 
         Args:
-            item: The numbers.
             shift: Where along its sway it is [m].
         """
         self.name: str = item["name"]
@@ -217,9 +216,7 @@ class Arm:
         """Read it.
 
         Args:
-            urdf: The file.
             held: Where joints stand that do not move [rad, m].
-            package_dirs: Folders of its meshes.
             may_touch: Pairs of links that its SRDF lets touch.
             tool_frame: Frame at the end of the arm.
         """
@@ -369,9 +366,6 @@ class Arm:
 
         Args:
             values: (joints,) configuration.
-            things: The obstacles.
-            base: How the base moves.
-            time_s: When.
         """
         places = self.places(self.configurations(self.joints, values[None])[0])
         clock, found = np.array([time_s]), []
@@ -394,10 +388,6 @@ class Arm:
         """Distance of a body from an obstacle, or something above `within` where it is more [m].
 
         Args:
-            number: The body's.
-            place: Where it is.
-            thing: The obstacle.
-            at: (4, 4) where it is.
             within: What is farther apart need not be known.
         """
         body = self.bodies[number]
@@ -482,10 +472,6 @@ def contacts(
     """All pairs that touch along a motion.
 
     Args:
-        arm: The arm.
-        motion: The motion.
-        things: The obstacles.
-        base: How the base moves.
         begin_s: When the motion's time 0 is on the clock of the tracks [s].
         windows: When what the last joint carries may touch an obstacle.
         skip: False to look at every pair at every tick, which takes long.

@@ -120,11 +120,7 @@ def kind_row(robot: Robot, kind: Kind, scenes: int, configurations: int, *, seed
     `examples` of what was missed or differs.
 
     Args:
-        robot: The arm.
-        kind: What the scenes hold.
-        scenes: How many.
         configurations: Of each scene; as many or a few more are looked at.
-        seed: Of the scenes.
     """
     counts = _KindCounts(robot, kind)
     for number in range(scenes):

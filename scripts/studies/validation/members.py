@@ -24,16 +24,7 @@ EFFORT = 5000.0
 
 
 def write_member(folder: Path, rng: np.random.Generator, *, offsets: bool = False) -> Path:
-    """Draw a member and write it.
-
-    Args:
-        folder: Where to write URDF, limits and meshes.
-        rng: Where its numbers come from.
-        offsets: Whether it has offsets.
-
-    Returns:
-        The URDF.
-    """
+    """Draw a member and write it; returns the URDF."""
     count, has_yaw = int(rng.integers(2, 6)), bool(rng.random() < 0.8)
     lengths = np.sort(rng.uniform(0.3, 1.0, count))[::-1]
     widths = np.sort(rng.uniform(0.02, 0.05, count))[::-1]
@@ -85,16 +76,7 @@ _ENDLESS = 0.15
 
 
 def write_chain(folder: Path, rng: np.random.Generator, kind: str) -> Path:
-    """Draw a chain that is no member, and write it.
-
-    Args:
-        folder: Where to write URDF and meshes.
-        rng: Where its numbers come from.
-        kind: One of `CHAINS`.
-
-    Returns:
-        The URDF.
-    """
+    """Draw a chain that is no member, and write it; returns the URDF."""
     height = float(rng.uniform(0.1, 0.5))
     foot = _collision(_box([*rng.uniform(0.1, 0.25, 2), 0.8 * height]), [0.0, 0.0, 0.4 * height])
     parts = ['<?xml version="1.0"?>', '<robot name="chain">', _link("base_link", [foot])]
@@ -162,7 +144,6 @@ def write_stl(path: Path, *blocks: FloatArray) -> None:
     """Write the convex hulls of points, block by block, as binary STL.
 
     Args:
-        path: The file.
         *blocks: (k, 3) points of each [m].
     """
     rows = []

@@ -69,9 +69,7 @@ def random_scene(robot: Robot, kind: Kind, number: int, *, seed: int = 0) -> Ran
 
     Args:
         robot: The arm that is to meet the obstacles.
-        kind: What the scene holds.
         number: Which of the scenes of this kind.
-        seed: Seed of all scenes.
 
     Raises:
         OptionError: Unknown kind, or a number or seed below 0.

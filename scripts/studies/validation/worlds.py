@@ -122,9 +122,6 @@ def draw_world(drawn: DrawnArm, rng: np.random.Generator, *, moving: bool, camer
     """A world in which start and goal are free; None where the arm touches itself nearly everywhere.
 
     Args:
-        drawn: The arm.
-        rng: Where its numbers come from.
-        moving: Whether something moves.
         camera: Whether something is seen by a camera.
     """
     clearance = float(rng.choice([0.0, 0.005, 0.02], p=[0.5, 0.3, 0.2]))
@@ -265,9 +262,6 @@ def draw_seen(
     """(n, 3) points on surfaces about where the arm passes, none near the arm or near what may be ignored.
 
     Args:
-        drawn: The arm.
-        world: What else is there.
-        rng: Where its numbers come from.
         q: (dof,) where the arm is; None for its start.
         time_s: When it is there; None for when the first motion begins.
     """

@@ -39,8 +39,6 @@ def among_yielding(seed: int, number: int, trees: Sequence[Path]) -> Tally:
     """Motions to some fruits of a tree that gives way, each looked at, and again with a bound that it does not keep.
 
     Args:
-        seed: Of all draws.
-        number: Of the case.
         trees: Files of measured trees, of which one is drawn.
     """
     rng, tally = np.random.default_rng([seed, number, 11]), Tally()

@@ -1,4 +1,4 @@
-"""Compiled kernels on disk: whatever is the matter with them, programs run, and say so once."""
+"""Kernels, and what is compiled of them on disk: whatever is the matter with it, programs run, and say so once."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ import pytest
 
 from hplan.base import kernels
 from hplan.base.arrays import FloatArray
-from hplan.base.kernels import KernelCacheWarning, kernel
+from hplan.base.kernels import KernelCacheWarning, any_int, inlined, kernel
 
 ROOT = Path(__file__).parents[2]
 
@@ -415,3 +415,32 @@ def test_an_installation_that_nobody_may_write_to(tmp_path: Path) -> None:
     said, warned = run(site, code, PYTHONPATH=str(site), **NOWHERE)
     assert said.startswith("True [[")
     assert warned.count("KernelCacheWarning") == 1
+
+
+# Without the disk
+
+_THREE = any_int(3)
+
+
+@inlined
+def _twice(x: float) -> float:
+    return 2.0 * x
+
+
+@kernel
+def _power(x: float, times: int) -> float:
+    result = 1.0
+    for _ in range(times):
+        result *= x
+    return result
+
+
+@kernel
+def _all_of_them(x: float, times: int) -> float:
+    return _power(x, times) + _power(x, _THREE) + _twice(x)
+
+
+def test_a_constant_is_no_kind_of_its_own() -> None:
+    assert _all_of_them(2.0, 5) == 32.0 + 8.0 + 4.0
+    assert isinstance(_THREE, np.int64)
+    assert len(_power.overloads) <= 1  # 0 where the kernel that calls it comes from disk

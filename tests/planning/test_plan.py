@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from pathlib import Path
 from typing import Any
 
@@ -196,6 +197,13 @@ def test_another_seed_may_lead_to_another_motion_and_each_is_the_same_every_time
     assert all(result.certificate.verified for result in found)
     first, other, again = (result.certificate.digests for result in found)
     assert first != other == again
+
+
+def test_results_are_a_line(robot: Robot, scene: Scene) -> None:
+    result = plan(robot, scene, PlanOptions(effort="quick"))
+    assert re.fullmatch(r"<Trajectory: \S+ s, \d+ rows, joints base_yaw, .*>", repr(result.trajectory))
+    assert len(repr(result)) < 1500
+    assert len(repr(result.motion)) < 1500
 
 
 def test_what_is_not_finite_becomes_null(tmp_path: Path) -> None:

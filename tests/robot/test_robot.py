@@ -81,6 +81,10 @@ def assert_kinematics_match(robot: Robot) -> None:
     np.testing.assert_array_equal(robot.tool_positions(q[3]), tools[3])
 
 
+def test_a_robot_is_its_name_and_joints(robot):
+    assert repr(robot) == "<Robot 'harvester': 4 joints (base_yaw, shoulder, elbow, wrist), tool frame 'tool0'>"
+
+
 # The family
 
 

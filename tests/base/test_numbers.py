@@ -1,51 +1,18 @@
-"""What kernels and all else are made of: kernels, units, ties, short texts of objects, names that have moved."""
+"""Numbers: units, ties, elementary functions, and arrays as short texts."""
 
 from __future__ import annotations
 
-import importlib
 import itertools
 import math
-import re
-import subprocess
-import sys
 from dataclasses import dataclass
 from fractions import Fraction
 
 import numpy as np
 import pytest
 
-import hplan
 from hplan.base import elementary, ties
 from hplan.base.arrays import FloatArray, Record, readonly
-from hplan.base.kernels import any_int, inlined, kernel
-from hplan.base.moved import MOVED, present_name
 from hplan.base.units import at_least_mm
-
-_THREE = any_int(3)
-
-
-@inlined
-def _twice(x: float) -> float:
-    return 2.0 * x
-
-
-@kernel
-def _power(x: float, times: int) -> float:
-    result = 1.0
-    for _ in range(times):
-        result *= x
-    return result
-
-
-@kernel
-def _all_of_them(x: float, times: int) -> float:
-    return _power(x, times) + _power(x, _THREE) + _twice(x)
-
-
-def test_a_constant_is_no_kind_of_its_own() -> None:
-    assert _all_of_them(2.0, 5) == 32.0 + 8.0 + 4.0
-    assert isinstance(_THREE, np.int64)
-    assert len(_power.overloads) <= 1  # 0 where the kernel that calls it comes from disk
 
 
 @pytest.mark.parametrize(
@@ -109,52 +76,3 @@ def test_a_record_shows_small_values_and_sizes_of_large_ones() -> None:
     assert repr(pair) == shown
     assert repr(Pair(pair.few, pair.many, tuple("abcdefghij"), "x" * 300)).endswith("xx...)")
     assert "names=<10 items>" in repr(Pair(pair.few, pair.many, tuple("abcdefghij"), None))
-
-
-def test_a_robot_is_its_name_and_joints(robot: hplan.Robot) -> None:
-    assert repr(robot) == "<Robot 'harvester': 4 joints (base_yaw, shoulder, elbow, wrist), tool frame 'tool0'>"
-
-
-def test_results_are_a_line(robot: hplan.Robot, scene: hplan.Scene) -> None:
-    result = hplan.plan(robot, scene, hplan.PlanOptions(effort="quick"))
-    assert re.fullmatch(r"<Trajectory: \S+ s, \d+ rows, joints base_yaw, .*>", repr(result.trajectory))
-    assert len(repr(result)) < 1500
-    assert len(repr(result.motion)) < 1500
-
-
-@pytest.mark.parametrize("name", sorted(MOVED))
-def test_an_earlier_name_is_the_same_module(name: str) -> None:
-    assert importlib.import_module(f"hplan.{name}") is importlib.import_module(f"hplan.{MOVED[name]}")
-
-
-@pytest.mark.parametrize(
-    ("before", "now"),
-    [
-        ("hplan.view.page", "hplan.apps.view.page"),
-        ("hplan.timing.trajectory", "hplan.trajectory.trajectory"),
-        ("hplan.smoothing.spline", "hplan.trajectory.spline"),
-        ("hplan.smoothing.repair", "hplan.optimization.repair"),
-    ],
-)
-def test_a_module_of_an_earlier_package_is_no_copy(before: str, now: str) -> None:
-    assert present_name(before) == now
-    assert importlib.import_module(before) is importlib.import_module(now)
-
-
-def test_public_names_of_earlier_packages() -> None:
-    names = {"orchard": "generate", "robot_family": "ArmSpec", "search": "dense_search", "waypoints": "time_waypoints"}
-    assert all(callable(getattr(importlib.import_module(f"hplan.{room}"), name)) for room, name in names.items())
-
-
-@pytest.mark.parametrize("name", ["hplan.timing.nothing", "hplan.nothing"])
-def test_other_names_are_not_found(name: str) -> None:
-    assert present_name("hplan.scene.model") is None
-    with pytest.raises(ModuleNotFoundError):
-        importlib.import_module(name)
-
-
-def test_a_module_that_was_moved_is_run_by_its_earlier_name() -> None:
-    called = subprocess.run(
-        [sys.executable, "-m", "hplan.cli", "--version"], capture_output=True, text=True, check=True
-    )
-    assert called.stdout.startswith("hplan ")

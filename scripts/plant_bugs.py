@@ -140,7 +140,6 @@ class _Copy:
     """A copy of the tree, its compiled kernels with it, in which tests run."""
 
     def __init__(self, root: Path) -> None:
-        """Copy what the tests need."""
         self.root = root
         root.mkdir()
         for name in _COPIED:
@@ -184,11 +183,9 @@ class _Planted:
     """A bug in a copy; compiled kernels are set aside meanwhile, as those with the bug take their place."""
 
     def __init__(self, root: Path, bug: Bug) -> None:
-        """Nothing yet."""
         self._root, self._bug = root, bug
 
     def __enter__(self) -> None:
-        """Plant it."""
         file = self._root / self._bug.file
         self._text = file.read_text(encoding="utf-8")
         changed = self._bug.planted(self._root)
@@ -200,7 +197,6 @@ class _Planted:
         file.write_text(changed, encoding="utf-8")
 
     def __exit__(self, *_: object) -> None:
-        """Put everything back as it was."""
         (self._root / self._bug.file).write_text(self._text, encoding="utf-8")
         for folder in {path.parent for path in (self._root / "hplan").rglob("*.nbc")}:
             shutil.rmtree(folder)

@@ -98,7 +98,6 @@ class Unquoted(str):
     __slots__ = ()
 
     def __repr__(self) -> str:
-        """The text itself."""
         return str(self)
 
 
@@ -134,7 +133,6 @@ class Record:
             cls.__repr__ = cls.__repr__  # type: ignore[method-assign]
 
     def __repr__(self) -> str:
-        """Class and fields, each in a few words."""
         shown = (field.name for field in fields(self) if field.repr)  # type: ignore[arg-type]
         return f"{type(self).__name__}({', '.join(f'{name}={_brief(getattr(self, name))}' for name in shown)})"
 

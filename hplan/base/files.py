@@ -21,7 +21,6 @@ class ByteBudget:
     """Bytes that files may still have, one after the other."""
 
     def __init__(self, most: int) -> None:
-        """Begin with `most` bytes."""
         self.most = self._left = most
 
     def read(self, path: Path, *, is_input: bool = True) -> bytes:

@@ -161,7 +161,6 @@ class Advancement:
         needed: float,
         clock: FloatArray | None = None,
     ) -> None:
-        """Bound what each moving body travels; ask nothing yet."""
         self._bezier, self._checker = bezier, checker
         self._clock = None if checker.moving is None else clock
         # Longest travel that is bounded [m]: beyond, its sum over the pieces would be good to less than a micrometre.

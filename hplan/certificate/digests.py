@@ -162,7 +162,6 @@ class _Digest:
     """A running SHA-256 of texts and arrays, each with its size before it."""
 
     def __init__(self, what: str) -> None:
-        """Begin with what it is a digest of."""
         self._hash = hashlib.sha256()
         self.add_text(what)
 

@@ -177,7 +177,6 @@ class CoalScene:
         return {"built": self._built, "touched": self._touched}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Build it."""
         vars(self).update(vars(_rebuilt(state["built"], state["touched"])))
 
     @cached_property

@@ -21,7 +21,6 @@ class RobotFileError(InputError):
     reason: str
 
     def __init__(self, path: Path | str, reason: str) -> None:
-        """Name the file and what is wrong with it."""
         place = path if str(path) == "URDF text" else f"robot file {path}"
         super().__init__(f"{place}: {reason}", path=str(path), reason=reason)
         self.path = Path(path)
@@ -38,7 +37,6 @@ class RobotFamilyError(InputError):
     reason: str
 
     def __init__(self, robot: str, element: str, reason: str) -> None:
-        """Name the robot, the element of it and what the family asks for."""
         message = f"robot {robot!r} is not a planar arm on an optional yaw: {element}: {reason}"
         super().__init__(message, robot=robot, element=element, reason=reason)
 
@@ -67,7 +65,6 @@ class SceneError(InputError, ValueError):
         line: int | None = None,
         value: Any = None,
     ) -> None:
-        """Name the file, the key, its line and the value."""
         place = self.what if path is None else f"{self.what} file {path}"
         place += "" if line is None else f", line {line}"
         place += f", {where}" if where else ""
@@ -92,7 +89,6 @@ class MovingObstacleError(InputError):
     obstacle: str | None
 
     def __init__(self, obstacle: str | None, reason: str = "") -> None:
-        """Name the obstacle, and say why it must not move."""
         what = "the base has a track" if obstacle is None else f"obstacle {obstacle!r} has a track"
         reason = reason or "this takes scenes in which nothing moves; `scene.at(time_s)` is one as it stands at a time"
         super().__init__(f"{what}: {reason}", obstacle=obstacle)
@@ -123,7 +119,6 @@ class StartStateError(InputError):
     def __init__(
         self, joint: str, quantity: str, value: float, limit: float, unit: str, *, locked: bool = False
     ) -> None:
-        """Name the joint, the quantity (`velocity` or `acceleration`), its value, its limit and their unit."""
         why = "it is locked" if locked else f"its limit is {limit:.6g} {unit}"
         message = f"start: joint {joint!r} has the {quantity} {value:.6g} {unit}; {why}"
         super().__init__(message, joint=joint, quantity=quantity, limit=limit, locked=locked)
@@ -139,7 +134,6 @@ class NotOnMotionError(InputError):
     at_s: float
 
     def __init__(self, joint: str, off_by: float, covered: float, at_s: float, unit: str = "rad") -> None:
-        """Name the joint, its difference and the one that is covered, when it was seen, and their unit."""
         message = (
             f"measured: joint {joint!r} is {off_by:.4g} {unit} from where the running motion has it at {at_s:.10g} s "
             f"on the controller's clock; a tracking error of {covered:.4g} {unit} is covered"
@@ -183,7 +177,6 @@ class OptionError(InputError):
     expected: str
 
     def __init__(self, option: str, value: Any, expected: str) -> None:
-        """Name the option, the value given and what would be right."""
         shown = repr(value)
         shown = shown if len(shown) <= 200 else f"{shown[:197]}..."
         super().__init__(f"{option} = {shown}: expected {expected}", option=option, value=shown, expected=expected)
@@ -197,6 +190,5 @@ class OutputError(InputError):
     reason: str
 
     def __init__(self, path: Path | str, reason: str) -> None:
-        """Name the path and the system's reason."""
         super().__init__(f"cannot write {path}: {reason}", path=str(path), reason=reason)
         self.path = Path(path)

@@ -16,7 +16,6 @@ class TimingError(HplanError):
     cause: str | None
 
     def __init__(self, message: str, *, joint: str | None = None, cause: str | None = None) -> None:
-        """Name the joint and the cause."""
         super().__init__(message, joint=joint, cause=cause)
 
 
@@ -44,7 +43,6 @@ class PathInContactError(HplanError):
     clearance_m: float
 
     def __init__(self, message: str, places: Sequence[Mapping[str, Any]]) -> None:
-        """Store the sentence and the places, the first along the path first."""
         listed = [dict(place) for place in places]
         super().__init__(message, **listed[0], places=listed)
         self.places = tuple(dict(place) for place in listed)
@@ -64,7 +62,6 @@ class UnavoidableContactError(HplanError):
     stop: Any
 
     def __init__(self, reasons: Sequence[str], tried: int, clearance_m: float | None, stop: Any) -> None:
-        """Say what is in the way of the best of so many stops, and how near it comes [m]."""
         super().__init__(
             f"the start's state of motion cannot be left without contact, as far as {tried} stops show; of the best: "
             f"{'; '.join(reasons)}",
@@ -89,7 +86,6 @@ class RunningMotionBlockedError(HplanError):
     begins_s: float
 
     def __init__(self, reasons: Sequence[str], stop: Any, certificate: Any, begins_s: float = 0.0) -> None:
-        """Say what is in the way, and how the arm can stop, from when on."""
         how = "no stop on its path is certified" if stop is None else "it can stop on its path"
         super().__init__(f"the running motion cannot be taken over: {'; '.join(reasons)}; {how}", reasons=list(reasons))
         self.data["can_stop"] = stop is not None

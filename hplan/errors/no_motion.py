@@ -45,7 +45,6 @@ class UnreachableError(HplanError):
     reason: str
 
     def __init__(self, position_m: Sequence[float], reason: str, detail: str, **data: Any) -> None:
-        """Name the position, the reason in a word and in a sentence, and its facts."""
         place = ", ".join(f"{value:.6g}" for value in position_m)
         message = f"the tool cannot reach ({place}) m: {detail}"
         super().__init__(message, position_m=list(position_m), reason=reason, **data)
@@ -68,7 +67,6 @@ class ApproachError(HplanError):
     def __init__(
         self, standoff_m: float, reason: str, detail: str, *, largest_standoff_m: float, joint: str | None = None
     ) -> None:
-        """Name the stand-off asked for, the reason in a word and in a sentence, and the largest one possible [m]."""
         super().__init__(
             f"no straight approach from {standoff_m:.6g} m: {detail}",
             standoff_m=standoff_m,
@@ -103,7 +101,6 @@ class BlockedError(HplanError):
         best_clearance_m: float | None = None,
         needed_clearance_m: float = 0.0,
     ) -> None:
-        """Name what cannot be reached, how many configurations were tried, what is in their way and by how much."""
         names = ", ".join(f"{o['obstacle']!r} ({o['link']}: {o['configurations']})" for o in obstacles[:3])
         more = f", and so do {refined} at finer approach angles" if refined else ""
         if best_clearance_m is not None and best_clearance_m > 0.0:
@@ -129,7 +126,6 @@ class TourError(HplanError):
     exit_status = 3
 
     def __init__(self, reasons: Sequence[tuple[str, HplanError]]) -> None:
-        """Name the fruits and why each cannot be picked."""
         first = "".join(f"; {name!r}: {error.message}" for name, error in reasons[:3])
         super().__init__(
             f"none of {len(reasons)} fruits can be picked{first}{'; ...' if len(reasons) > 3 else ''}",
@@ -149,7 +145,6 @@ class NotFoundError(HplanError):
     tried: list[str]
 
     def __init__(self, tried: Sequence[str], **data: Any) -> None:
-        """Say what was tried."""
         message = f"no motion was found, and it was not shown that there is none; tried: {'; '.join(tried)}"
         super().__init__(message, tried=list(tried), **data)
 
@@ -164,7 +159,6 @@ class ObstacleInTimeError(NotFoundError):
     at_s: float | None
 
     def __init__(self, obstacle: str | None, at_s: float | None, tried: Sequence[str]) -> None:
-        """Name the obstacle and the time, and say what was tried."""
         super().__init__(tried, obstacle=obstacle, at_s=at_s)
         if obstacle is not None and at_s is not None:
             self.add(f"obstacle {obstacle!r} is in the way at {at_s:.4g} s")
@@ -177,7 +171,6 @@ class NotInTimeError(NotFoundError):
     elapsed_s: float
 
     def __init__(self, deadline_s: float, elapsed_s: float, tried: Sequence[str]) -> None:
-        """Say what was tried within the time."""
         listed = "; ".join(tried) or "nothing, as time was up at once"
         message = f"no motion was found in time: {1e3 * deadline_s:.6g} ms are over; tried: {listed}"
         HplanError.__init__(self, message, tried=list(tried), deadline_s=deadline_s, elapsed_s=elapsed_s)
@@ -190,7 +183,6 @@ class PlanCancelledError(HplanError):
     elapsed_s: float
 
     def __init__(self, elapsed_s: float) -> None:
-        """Say after which time."""
         super().__init__(f"the plan was cancelled after {1e3 * elapsed_s:.3g} ms", elapsed_s=elapsed_s)
 
 
@@ -204,7 +196,6 @@ class WorkersLostError(HplanError):
     tasks: list[int]
 
     def __init__(self, tasks: Sequence[int], of: int) -> None:
-        """Store which of how many tasks."""
         message = (
             f"{len(tasks)} of {of} tasks did not end, as the processes that had them were lost (out of memory, killed, "
             "or a machine gone); the others are done"

@@ -20,7 +20,6 @@ class HplanError(Exception):
     exit_status: ClassVar[int] = 1
 
     def __init__(self, message: str, **data: Any) -> None:
-        """Store the sentence and its facts, each as an attribute too."""
         super().__init__(message)
         vars(self).update(data)
         self.message = message

@@ -67,7 +67,6 @@ class LayerCache:
     """
 
     def __init__(self, most_bytes: int = 64_000_000) -> None:
-        """Hold nothing yet."""
         self._most_bytes = most_bytes
         self._bytes = 0
         self._held: dict[bytes, WordArray] = {}
@@ -78,7 +77,6 @@ class LayerCache:
         return self._most_bytes
 
     def __setstate__(self, most_bytes: int) -> None:
-        """Hold nothing yet."""
         self.__init__(most_bytes)  # type: ignore[misc]
 
     def free_words(self, robot: Robot, sections: ArmSections, planar: Grid) -> WordArray:

@@ -81,7 +81,6 @@ class CloudOptions:
     known_free: tuple[Obstacle, ...] = ()
 
     def __post_init__(self) -> None:
-        """Check the values; what is wrong is an `OptionError`."""
         between("growth_m", self.growth_m, 1e-4, 1.0)
         between("unseen_edge_m", self.unseen_edge_m, 1e-3, 1.0)
         for name in ("arm_padding_m", "ignore_padding_m", "reach_margin_m", "neighbour_m"):

@@ -114,7 +114,6 @@ class Scratch:
     """
 
     def __init__(self) -> None:
-        """Begin with room for a small frame."""
         self._numbers: ShortArray = np.empty(0, dtype=np.int32)
         first_voxels = 16_384
         self._voxels, self._table = _room_for(first_voxels)

@@ -107,7 +107,6 @@ class Planner:
         }
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Go on from there."""
         vars(self).update(state)
         self._make_ready()
 

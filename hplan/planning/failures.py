@@ -240,7 +240,6 @@ class FailuresError(Exception):
     """
 
     def __init__(self, errors: tuple[HplanError, ...]) -> None:
-        """Store the errors."""
         super().__init__(errors)
         self.errors = errors
 

@@ -83,7 +83,6 @@ class PlanOptions:
     deadline_s: float | None = None
 
     def __post_init__(self) -> None:
-        """Check every value; what is wrong is an `OptionError`."""
         keep_checked(self, _CHECKS)
         if self.risk is not None:
             keep_checked(self, {"risk": (between, LEAST_RISK, 1.0)})

@@ -17,7 +17,6 @@ class StageClock:
     """Wall-clock time of each stage [s]; a stage entered again adds up."""
 
     def __init__(self) -> None:
-        """Start the clock of the whole."""
         self._begin = time.perf_counter()
         self.seconds = dict.fromkeys(STAGES, 0.0)
 

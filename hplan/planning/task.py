@@ -204,7 +204,6 @@ class LastWorld:
     """The last world that was made, and what of: another one takes its place."""
 
     def __init__(self) -> None:
-        """Begin with none."""
         self._kept: tuple[tuple[tuple[Solid, ...], float, float, Sigmas, tuple[str, ...] | None], World] | None = None
 
     @classmethod
@@ -233,7 +232,6 @@ class PlanningCache:
     """Results that one plan leaves for the next: the robot's planar layers, and the last world."""
 
     def __init__(self, robot: Robot, last: LastWorld | None = None) -> None:
-        """Begin with nothing, or with the last world of others."""
         self.robot = robot
         self.layers = LayerCache()
         self._last = LastWorld() if last is None else last

@@ -87,7 +87,6 @@ class Robot(PlanarNames, Record):
     may_touch: tuple[tuple[str, str, str], ...] = ()
 
     def __repr__(self) -> str:
-        """Name, joints and tool frame."""
         joints = ", ".join(self.joint_names)
         return f"<Robot {self.name!r}: {self.dof} joints ({joints}), tool frame {self.tool_frame!r}>"
 

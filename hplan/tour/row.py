@@ -78,7 +78,6 @@ class RowOptions:
     carried: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        """Check every value; what is wrong is an `OptionError`."""
         keep_checked(self, _CHECKS)
         if not self.heights:
             raise OptionError("heights", self.heights, "at least one height")

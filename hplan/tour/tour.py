@@ -67,7 +67,6 @@ class TourOptions:
     grasps: int = 4
 
     def __post_init__(self) -> None:
-        """Check every value; what is wrong is an `OptionError`."""
         if self.drop_off is not None and instance("drop_off", self.drop_off, Goal).fruit is not None:
             raise OptionError("drop_off", self.drop_off.fruit, "joints or a position, not a fruit")
         if self.every is not None:
@@ -164,7 +163,6 @@ class _TourPlanner:
     """A tour in the making: the arm, empty and loaded, and the stages so far."""
 
     def __init__(self, robot: Robot, scene: Scene, options: PlanOptions, tour: TourOptions, progress: Progress) -> None:
-        """Check the start and make the arm ready."""
         self._begin = time.perf_counter()
         self.robot, self.scene, self.options, self.tour, self.progress = robot, scene, options, tour, progress
         self.cache = PlanningCache(robot)

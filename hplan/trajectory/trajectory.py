@@ -76,7 +76,6 @@ class Trajectory(Record):
     slides: tuple[bool, ...] = ()
 
     def __post_init__(self) -> None:
-        """Check shapes, values and time, and make the arrays read-only."""
         object.__setattr__(self, "joint_names", list_of("trajectory: joint_names", self.joint_names, str, "names"))
         time = numbers("trajectory: time", self.time, (None,))
         object.__setattr__(self, "time", time)
@@ -93,7 +92,6 @@ class Trajectory(Record):
         object.__setattr__(self, "slides", slides)
 
     def __repr__(self) -> str:
-        """Duration, number of rows and joints."""
         return f"<Trajectory: {self.duration:.6g} s, {self.samples} rows, joints {', '.join(self.joint_names)}>"
 
     @property

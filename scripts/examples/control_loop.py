@@ -88,7 +88,6 @@ class Camera:
     view_deg = 2.0 * np.degrees(np.arctan((1.1, 0.8)))
 
     def __init__(self, position: tuple[float, float, float], target: tuple[float, float, float]) -> None:
-        """Look from a position at a target [m]."""
         ahead = np.subtract(target, position) / np.linalg.norm(np.subtract(target, position))
         right = np.cross(ahead, (0.0, 0.0, 1.0)) / np.linalg.norm(np.cross(ahead, (0.0, 0.0, 1.0)))
         self.pose = np.eye(4)

@@ -38,7 +38,6 @@ class Bodies:
     """Distances of two arms of a cell by coal, the second shifted."""
 
     def __init__(self, cell: Cell, motion: Trajectory) -> None:
-        """Place all bodies along a motion."""
         model, self._geometry = cell.robot.model, pin.GeometryModel(cell.robot.collision_model)
         self._geometry.removeAllCollisionPairs()
         of_second = [body.name.startswith(f"{cell.arms[1].name}_") for body in self._geometry.geometryObjects]

@@ -57,7 +57,6 @@ class _Terminal:
         self.fault: OSError | ValueError | None = None
 
     def __getattr__(self, name: str) -> Any:
-        """Attribute of the stream."""
         return getattr(self._stream, name)
 
     def write(self, text: str) -> int:

@@ -27,7 +27,6 @@ class Plant:
     decoupled: bool = False
 
     def __post_init__(self) -> None:
-        """Check the values; what is wrong is an `OptionError`."""
         for option, least in (("mass_factor", 0.0), ("command_delay_s", None), ("bandwidth", 0.0)):
             value = getattr(self, option)
             if not (np.isfinite(value) and (value >= 0.0 if least is None else value > least)):

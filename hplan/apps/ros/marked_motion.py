@@ -76,7 +76,6 @@ class NearestPairs:
     """Lines between the nearest links and obstacles of a motion."""
 
     def __init__(self, robot: Robot, scene: Scene, certificate: Certificate, frame_id: str) -> None:
-        """Prepare the shapes of the pairs that are ever nearest."""
         self._robot, self._frame_id = robot, frame_id
         self._curve: ClearanceCurve | None = certificate.clearance_curve
         self._pairs: Sequence[tuple[str, str]] = ()

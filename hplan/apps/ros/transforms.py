@@ -43,7 +43,6 @@ class LinkFrames:
     """
 
     def __init__(self, robot: Robot) -> None:
-        """Find the links and their parents."""
         self._model = robot.model
         self._data = robot.model.createData()
         frames = robot.model.frames.tolist()

@@ -56,7 +56,6 @@ class Playback:
     pickers: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Check what is to be shown; what is wrong is an `InputError`."""
         instance("trajectory", self.trajectory, Trajectory, "plan or read_csv")
         for option in ("picked", "dropped"):
             times = getattr(self, option)

@@ -20,11 +20,9 @@ class Closing:
         raise NotImplementedError
 
     def __enter__(self) -> Self:
-        """Return it."""
         return self
 
     def __exit__(self, *_: object) -> None:
-        """End it."""
         self.close()
 
 

@@ -89,13 +89,11 @@ class Body:
     """An object under construction: meshes that share geometries and materials, under one node of the viewer."""
 
     def __init__(self) -> None:
-        """Start with nothing."""
         self._geometries: list[Json] = []
         self._materials: list[Json] = []
         self._meshes: list[Json] = []
 
     def __len__(self) -> int:
-        """Number of meshes."""
         return len(self._meshes)
 
     def add(

@@ -38,7 +38,6 @@ class FruitZone:
     reach: float = 2.0 * FARTHEST
 
     def __post_init__(self) -> None:
-        """Check every value; what is wrong is an `OptionError`."""
         height = between, -FARTHEST, FARTHEST
         keep_checked(self, {"low": height, "high": height, "reach": (between, 1e-3, 2.0 * FARTHEST)})
         if not self.low < self.high:
@@ -70,7 +69,6 @@ class _Row:
     hangs_within: float | None = None
 
     def __post_init__(self) -> None:
-        """Check these values; what is wrong is an `OptionError`."""
         keep_checked(self, _COMMON_CHECKS)
         _keep_given(self, "hangs_within")
         if self.robot is not None:
@@ -138,7 +136,6 @@ class OrchardOptions(_Row):
     vehicle: bool = False
 
     def __post_init__(self) -> None:
-        """Check every value; what is wrong is an `OptionError`."""
         super().__post_init__()
         keep_checked(self, _CHECKS)
         heights = self.wire_heights
@@ -179,7 +176,6 @@ class MeasuredOptions(_Row):
     fruit_zone: FruitZone | None = None
 
     def __post_init__(self) -> None:
-        """Check every value; what is wrong is an `OptionError`."""
         super().__post_init__()
         keep_checked(self, _MEASURED_CHECKS)
         _keep_given(self, *_FRUIT_CHECKS)

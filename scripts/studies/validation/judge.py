@@ -86,7 +86,6 @@ class Moves:
     """A pose that changes with time: x is at about + shift + R (x - about)."""
 
     def __init__(self, track: Mapping[str, Any]) -> None:
-        """Read a track as scenes list it."""
         self.times = np.array(track["times_s"], dtype=np.float64)
         self.shifts = np.array(track["shifts_m"], dtype=np.float64)
         self.about = np.array(track.get("about") or (0.0, 0.0, 0.0), dtype=np.float64)

@@ -24,8 +24,9 @@ with :math:`\rho_b` the radius of the ball, and :math:`|J_j|` at most the distan
 radius. The smaller bound of both counts.
 
 Of two bodies of the robot the joints that carry both do not count, and of the others the travels of both add up: these
-are the last joints of each, and both bounds hold for them alone, as seen from what carries both. Joints that are off by
-their deviations move a body by no more than :math:`\sum_j R_{bj} \delta_j`. (Of joints that slide, a deviation in rad
+are the last joints of each, and both bounds hold for them alone, as seen from what carries both. Pairs of bodies of the
+same two links move alike: they are one mover, that travels as far as the farthest of them. Joints that are off by their
+deviations move a body by no more than :math:`\sum_j R_{bj} \delta_j`. (Of joints that slide, a deviation in rad
 counts as so many metres.)
 """
 
@@ -135,8 +136,8 @@ def motion_of_movers(
         deviations: (k, dof) largest deviations of the joints [rad, m].
 
     Returns:
-        (pairs,) what moves of each pair; (movers, pieces) how far each travels in each piece; (movers, k) by how much
-        deviations may bring its pairs nearer [m].
+        (pairs,) what moves of each pair: a body, or all bodies of two links; (movers, pieces) how far each travels in
+        each piece; (movers, k) by how much deviations may bring its pairs nearer [m].
     """
     parts, robot = checker.parts, checker.robot
     slopes = 3.0 * np.diff(bezier, axis=1)
@@ -146,8 +147,18 @@ def motion_of_movers(
     middles = 0.125 * (bezier[:, 0] + bezier[:, 3]) + 0.375 * (bezier[:, 1] + bezier[:, 2])
     of_bodies, reaches = _reaches(parts, deviations)
     joints, middles = joints_alone(robot), np.ascontiguousarray(middles)
-    travels = _travels(middles, rates, paces, uneven, of_bodies, parts.rows, joints, *parts.movers)
-    return _mover_of(checker), travels, reaches @ deviations.T
+    alike, nearer = _alike(parts), reaches @ deviations.T
+    travels = _travels(middles, rates, paces, uneven, of_bodies, parts.rows, joints, *parts.movers, alike)
+    farthest = np.zeros((len(travels), nearer.shape[1]))
+    np.maximum.at(farthest, alike, nearer)
+    return alike[_mover_of(checker)], travels, farthest
+
+
+def _alike(parts: ArmParts) -> IntArray:
+    """(movers,) for each mover of the parts the number of those that move alike: all pairs of the same two links."""
+    both, alone = parts.movers[0], len(parts.shapes)
+    _, number = np.unique(parts.rows[both[alone:], 0], axis=0, return_inverse=True)
+    return np.concatenate([np.arange(alone), alone + number.ravel()])
 
 
 def _reaches(parts: ArmParts, deviations: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -159,7 +170,7 @@ def _reaches(parts: ArmParts, deviations: FloatArray) -> tuple[FloatArray, Float
 @kernel
 def _travels(
     middles: FloatArray, rates: FloatArray, paces: FloatArray, uneven: FloatArray, reach: FloatArray,
-    bodies: FloatArray, numbers: FloatArray, both: IntArray, counts: FloatArray,
+    bodies: FloatArray, numbers: FloatArray, both: IntArray, counts: FloatArray, alike: IntArray,
 ) -> FloatArray:  # fmt: skip
     """(movers, pieces) how far each mover travels within each piece at most [m].
 
@@ -172,10 +183,12 @@ def _travels(
         bodies: As `ArmParts.rows`.
         numbers: As `joints_alone`.
         both: As `ArmParts.movers`, as `counts`.
+        alike: The number of the mover that each of them is, as `_alike`.
     """
     pieces, dof = middles.shape
     joints = int(numbers[flat.JOINTS])
-    travels, moved, frames = np.empty((len(both), pieces)), np.zeros((len(reach), dof)), np.empty((dof + 1, 12))
+    movers = int(alike.max()) + 1 if len(alike) else 0
+    travels, moved, frames = np.zeros((pieces, movers)), np.zeros((len(reach), dof)), np.empty((dof + 1, 12))
     # The first joint of each of a mover's bodies that moves it as seen from the other; -1 for none.
     first = np.full((len(both), 2), -1)
     for mover in range(len(both)):
@@ -214,5 +227,5 @@ def _travels(
             for side in range(2):
                 if first[mover, side] >= 0:
                     total += moved[both[mover, side], first[mover, side]]
-            travels[mover, piece] = total
-    return travels
+            travels[piece, alike[mover]] = max(travels[piece, alike[mover]], total)
+    return np.ascontiguousarray(travels.T)

@@ -17,6 +17,7 @@ import numpy as np
 import yaml
 from studies.harness import Asked, Row, Study
 from studies.measure import timed
+from studies.peers import peer_row
 
 from hplan.certificate.certificate import certify
 from hplan.errors import HplanError
@@ -31,6 +32,9 @@ from hplan.scene.solids import quaternion_rotation, rpy_of
 KINDS, EVERY = ("easy", "medium", "hard"), 10
 
 _ACCELERATION = 5.0
+
+#: What a planner beside hplan has for each problem [s].
+PEER_S = 20.0
 
 
 @cache
@@ -100,19 +104,22 @@ def _row(asked: Asked, problem: tuple[str, Path, Path]) -> Row:
     try:
         result, milliseconds = timed(lambda: plan(robot, scene, PlanOptions(effort=asked.effort)))
     except HplanError as error:
-        return row | {"how": error.kind}
-    certificate, proof_ms = timed(lambda: certify(robot, scene, result.trajectory))
-    return row | {
-        "solved": certificate.verified, "how": "certified", "s": 1e-3 * milliseconds, "certificate_ms": proof_ms,
-        "duration_s": result.trajectory.duration, "fault": not certificate.verified,
-    }  # fmt: skip
+        row |= {"how": error.kind, "message": error.message}
+    else:
+        certificate, proof_ms = timed(lambda: certify(robot, scene, result.trajectory))
+        row |= {
+            "solved": certificate.verified, "how": "certified", "s": 1e-3 * milliseconds, "certificate_ms": proof_ms,
+            "duration_s": result.trajectory.duration, "fault": not certificate.verified,
+        }  # fmt: skip
+    row |= peer_row(asked, robot, scene, row.get("duration_s"), PEER_S)
+    return row | {"missed": not row["solved"] and row.get("peer_solved", False)}
 
 
 BAXTER = Study(
     "baxter",
     "both arms of a Baxter among shelves (VAMP's problems; --files)",
     _row,
-    ("solved", "how", "s", "certificate_ms", "duration_s"),
+    ("solved", "how", "missed", "s", "certificate_ms", "duration_s", "peer_solved", "peer_ms", "to_peer"),
     problems,
     by="kind",
     needs=("files",),

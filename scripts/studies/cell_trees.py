@@ -79,14 +79,15 @@ def _picked(asked: Asked, file: Path, stands: str, yaw_deg: float) -> tuple[Cell
     return timed(lambda: plan_cell_tour(cell, PlanOptions(effort=asked.effort)))
 
 
-def _alone(asked: Asked, cell: Cell, name: str) -> float:
-    """How many fruits a second an arm picks that is there alone."""
+def _alone(asked: Asked, cell: Cell, name: str) -> tuple[float, float]:
+    """How many fruits a second an arm picks that is there alone, and which part of its time is the way out and home."""
     arm = cell.arm(name)
     try:
         tour = plan_tour(arm.robot, arm.scene, PlanOptions(effort=asked.effort), tour=TourOptions(back=True))
     except TourError:
-        return 0.0
-    return len(tour.order) / tour.duration
+        return 0.0, 0.0
+    out, home = tour.phases[0], tour.phases[-1]
+    return len(tour.order) / tour.duration, (out.end_s - out.start_s + home.end_s - home.start_s) / tour.duration
 
 
 def _row(asked: Asked, problem: tuple[Path, str]) -> Row:
@@ -109,7 +110,7 @@ def _row(asked: Asked, problem: tuple[Path, str]) -> Row:
     }
     busy = {name: max(seconds, 1e-3) for name, seconds in report["busy_s"].items()}
     quicker = max(own, key=lambda name: own[name] / busy[name])
-    alone, shares = _alone(asked, cell, quicker), list(own.values())
+    (alone, ways), shares = _alone(asked, cell, quicker), list(own.values())
     rate, arms = len(found.picked) / found.trajectory.duration, len(cell.arms)
     equal = len(shares) == arms and min(shares) * arms >= EQUAL * sum(shares)
     rigid = tuple(item for item in cell.scene.obstacles if not item.yields)
@@ -119,6 +120,7 @@ def _row(asked: Asked, problem: tuple[Path, str]) -> Row:
         "solved": found.verified, "how": "verified" if found.verified else "not verified", "turned_deg": yaw_deg,
         "picked": len(found.picked), "shares": "/".join(map(str, shares)), "equal": equal, "s": 1e-3 * ms,
         "a_fruit_s": 1.0 / rate, "alone_a_fruit_s": 1.0 / alone, "to_one_alone": rate / alone,
+        "at_best": 1.0 / ((1.0 - ways) / arms + ways),  # its tour in as many parts, each arm out and home
         "to_one_where_equal": rate / alone if equal else None,
         "parallel": report["parallel_ratio"], "idle_s": max(report["idle_s"].values()),
         "given_up": sum("in the way for good" in why for why in found.unreached.values()),
@@ -131,7 +133,7 @@ CELL_TREES = Study(
     "orchard arms that pick one tree together, beside one alone (--trees)",
     _row,
     (
-        *("solved", "how", "picked", "shares", "equal", "a_fruit_s", "alone_a_fruit_s", "to_one_alone"),
+        *("solved", "how", "picked", "shares", "equal", "a_fruit_s", "alone_a_fruit_s", "to_one_alone", "at_best"),
         *("to_one_where_equal", "parallel", "idle_s", "given_up", "contacts", "with_wood", "s"),
     ),
     _problems,

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any, Final, NamedTuple, TypeAlias
@@ -157,13 +157,15 @@ def _planned(cell: Cell, options: PlanOptions, progress: Progress) -> CellTour:
     tours = _tours(apart, options, able, reasons, progress)
     if not tours:
         raise TourError(list(reasons.items()))
-    tours = _balanced(apart, options, able, tours, progress)
+    shared = list(_balanced(apart, options, able, tours, progress))
     names = [arm.name for arm in cell.arms]
     for spare in SPARES[1:]:
         progress("together")
         ways: _Ways = {}
-        kinds = itertools.product((names, names[::-1]), (0.0, _DETOUR))
-        schedules = [_Schedule(cell, options, spare, *kind, ways).filled(tours, reasons) for kind in kinds]
+        schedules = [
+            _Schedule(cell, options, spare, order, detour, ways).filled(tours, reasons)
+            for tours, order, detour in itertools.product(shared, (names, names[::-1]), (0.0, _DETOUR))
+        ]
         found = min(schedules, key=lambda each: (len(each.unreached), round(each.duration, 6))).result()
         if found.between.verified:
             return found
@@ -254,8 +256,9 @@ def _balanced(
     able: Mapping[str, Sequence[str]],
     tours: dict[str, TourResult],
     progress: Progress,
-) -> dict[str, TourResult]:
-    """The tours, with fruit of the longest given to the arm that is done soonest, as long as all end sooner for it."""
+) -> Iterator[dict[str, TourResult]]:
+    """The tours, then with fruit of the longest given to the arm that is done soonest, as long as all end sooner."""
+    yield tours
     bases = {arm.name: np.array(arm.position) for arm in cell.scene.robots}
     centers = {fruit.name: np.array(fruit.center) for fruit in cell.scene.fruits}
     for _ in range(_BALANCINGS):
@@ -280,7 +283,7 @@ def _balanced(
         if less or max(tour.duration for tour in found.values()) > ends[giver] - _SAME_S:
             break
         tours = found
-    return tours
+        yield tours
 
 
 def _tour(arm: CellArm, options: PlanOptions, fruits: Sequence[str], *, back: bool = True) -> TourResult:

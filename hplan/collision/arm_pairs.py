@@ -227,7 +227,7 @@ def _link_pairs(
         for pair in itertools.product(shapes[j], shapes[i]):
             yield ArmPair(names[j], names[i], pair)
     for body in contact.bodies:
-        placed = _placed(robot, body.shape)
+        placed = _placed(robot, body.number)
         for link in body.links:
             for shape in shapes[link]:
                 yield ArmPair(names[link], body.name, (shape, placed))

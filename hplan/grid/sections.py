@@ -33,8 +33,9 @@ from hplan.errors import OptionError
 from hplan.grid.cutting_arrays import ArmPlane, LinkExtents
 from hplan.grid.prepared_obstacles import PreparedObstacles, prepare_obstacles
 from hplan.grid.section_kernels import cut_balls, cut_hulls
+from hplan.robot.base_shapes import BaseShape
 from hplan.robot.model import Robot
-from hplan.robot.self_contact import BaseBody, SelfContact, radius_in_plane, self_contact
+from hplan.robot.self_contact import SelfContact, radius_in_plane, self_contact
 
 #: How a link is modelled: the capsule, the paper's three cases to the letter, or the exact rectangle.
 LinkModel: TypeAlias = Literal["capsule", "paper", "rectangle"]
@@ -212,7 +213,7 @@ def _with_own_pairs(
 _BASE: WeakKeyDictionary[Robot, dict[tuple[float, float], ArmSections]] = WeakKeyDictionary()
 
 
-def _constant_sections(robot: Robot, parts: Sequence[BaseBody], obstacles: PreparedObstacles) -> ArmSections:
+def _constant_sections(robot: Robot, parts: Sequence[BaseShape], obstacles: PreparedObstacles) -> ArmSections:
     """Sections of those parts of turret and pedestal that are cut the same at every yaw, made once."""
     known, kept = _BASE.get(robot, {}), (obstacles.own_clearance, obstacles.deviation)
     if kept not in known:
@@ -221,7 +222,7 @@ def _constant_sections(robot: Robot, parts: Sequence[BaseBody], obstacles: Prepa
     return known[kept]
 
 
-def _base_sections(robot: Robot, parts: Sequence[BaseBody], obstacles: PreparedObstacles, yaw: float) -> ArmSections:
+def _base_sections(robot: Robot, parts: Sequence[BaseShape], obstacles: PreparedObstacles, yaw: float) -> ArmSections:
     """Sections of parts of turret and pedestal, to each link that can touch them."""
     grown = prepare_obstacles(parts, clearance=obstacles.own_clearance, deviation=obstacles.deviation)
     cut = _cut(robot, grown, yaw, "capsule", within_reach=True)

@@ -45,5 +45,5 @@ def reach_ball(robot: Robot) -> FloatArray:
     axes = np.hypot(abs(ahead) + np.cumsum(arm.lengths), np.abs(across + arm.lateral))
     radius = float((axes + arm.half_widths).max())
     for shape in base_shapes(robot):
-        radius = max(radius, float(np.linalg.norm(shape.points - centre, axis=1).max()) + shape.rounding)
+        radius = max(radius, float(np.linalg.norm(shape.core - centre, axis=1).max()) + shape.rounding)
     return frozen(np.append(centre, radius))

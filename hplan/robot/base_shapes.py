@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Final
+from typing import ClassVar, Final, Literal
 
 import coal
 import numpy as np
@@ -39,11 +39,12 @@ class BaseShape:
         number: Its place among the geometry objects of `Robot.collision_model`.
         carrier: `TURRET` or `GROUND`.
         placement: Its place in `base_link` at yaw 0.
-        points: (k, 3) points in `base_link` at yaw 0 whose hull, grown by `rounding`, holds it [m]; where it is round,
+        core: (k, 3) points in `base_link` at yaw 0 whose hull, grown by `rounding`, holds it [m]; where it is round,
             the hull of all that they sweep about the yaw axis.
-        rounding: Radius about the points [m].
+        rounding: Radius about the core [m].
         is_round: Whether a turn about the yaw axis leaves it as it is.
         axis: (3,) the foot of the yaw axis in `base_link` [m].
+        links: The links that can touch it, where that was asked (`hplan.robot.self_contact`).
     """
 
     number: int
@@ -51,26 +52,35 @@ class BaseShape:
     carrier: int
     geometry: coal.CollisionGeometry
     placement: pin.SE3
-    points: FloatArray
+    core: FloatArray
     rounding: float
     is_round: bool
     axis: FloatArray
+    links: tuple[int, ...] = ()
+
+    #: It is the hull of its core grown by its rounding.
+    is_point_set: ClassVar[Literal[False]] = False
+
+    @property
+    def follows_arm_plane(self) -> bool:
+        """True if the arm plane cuts it the same at every yaw: it is round, or turns with the plane."""
+        return self.is_round or self.carrier == TURRET
 
     @cached_property
     def radius(self) -> float:
         """Largest distance of its points from the yaw axis [m]."""
-        x, y, _ = (self.points - self.axis).T
+        x, y, _ = (self.core - self.axis).T
         return float(np.hypot(x, y).max()) + self.rounding
 
     @cached_property
     def bottom(self) -> float:
         """Height of its lowest point [m]."""
-        return float(self.points[:, 2].min()) - self.rounding
+        return float(self.core[:, 2].min()) - self.rounding
 
     @cached_property
     def top(self) -> float:
         """Height of its highest point [m]."""
-        return float(self.points[:, 2].max()) + self.rounding
+        return float(self.core[:, 2].max()) + self.rounding
 
     def distance_from(self, point: FloatArray) -> float:
         """Distance from a (3,) point, both at yaw 0 [m]; not above 0 inside."""
@@ -177,7 +187,7 @@ def _base_shape(robot: Robot, number: int) -> BaseShape:
         carrier=GROUND if shape.parentJoint == 0 else TURRET,
         geometry=filled_shape(robot, number),
         placement=placement,
-        points=frozen(points @ placement.rotation.T + placement.translation),
+        core=frozen(points @ placement.rotation.T + placement.translation),
         rounding=float(rounding),
         is_round=is_round,
         axis=frozen(axis),

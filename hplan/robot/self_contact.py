@@ -18,7 +18,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache, partial
-from typing import Final, Literal
+from typing import Final
 
 import numpy as np
 
@@ -41,37 +41,6 @@ _CORNERS: Final = 32
 
 
 @dataclass(frozen=True, eq=False)
-class BaseBody:
-    """A convex shape of turret or pedestal that some link can touch.
-
-    Attributes:
-        shape: Its number among the geometry objects of `Robot.collision_model`.
-        carrier: `TURRET` or `GROUND`.
-        core: (k, 3) points in `base_link`, at yaw 0, whose hull, grown by `rounding`, holds it [m].
-        rounding: Radius about the core [m].
-        is_round: Whether it is the same at every yaw.
-    """
-
-    name: str
-    shape: int
-    carrier: int
-    core: FloatArray
-    rounding: float
-    links: tuple[int, ...]
-    is_round: bool = True
-
-    @property
-    def is_point_set(self) -> Literal[False]:
-        """False: it is the hull of its core grown by its rounding."""
-        return False
-
-    @property
-    def follows_arm_plane(self) -> bool:
-        """True if the arm plane cuts it the same at every yaw: it is round, or turns with the plane."""
-        return self.is_round or self.carrier == TURRET
-
-
-@dataclass(frozen=True, eq=False)
 class SelfContact:
     """The pairs that can touch.
 
@@ -81,7 +50,7 @@ class SelfContact:
     """
 
     links: tuple[tuple[int, int], ...] = ()
-    bodies: tuple[BaseBody, ...] = ()
+    bodies: tuple[BaseShape, ...] = ()
 
 
 def self_contact(robot: Robot, *, deviation: float = 0.0, clearance: float = 0.0) -> SelfContact:
@@ -145,13 +114,13 @@ def _link_pairs(arm: PlanarArm, clearance: float) -> tuple[tuple[int, int], ...]
     return tuple(pairs)
 
 
-def _bodies(robot: Robot, arm: PlanarArm, deviation: float, clearance: float) -> list[BaseBody]:
+def _bodies(robot: Robot, arm: PlanarArm, deviation: float, clearance: float) -> list[BaseShape]:
     """Shapes of turret and pedestal that some link can touch."""
     found = []
     normal = np.cross(*robot.plane_axes)
     for shape in base_shapes(robot):
         still_in_plane = not shape.is_round and (shape.carrier == TURRET or not robot.has_yaw)
-        core = shape.points if still_in_plane else _swept(shape)
+        core = shape.core if still_in_plane else _swept(shape)
         # Its shadow in the arm plane holds its section there, at every yaw.
         shadow = convex_hull((core - robot.plane_origin) @ robot.plane_axes.T)
         aside = (core - robot.plane_origin) @ normal
@@ -167,10 +136,8 @@ def _bodies(robot: Robot, arm: PlanarArm, deviation: float, clearance: float) ->
             if off_plane <= radius + reach and _can_touch(part_of_arm(arm, 0, link), shadow, radius + reach):
                 touching.append(link)
         if touching:
-            own = frozen(np.unique(core if shape.is_round else shape.points, axis=0))
-            found.append(
-                BaseBody(shape.name, shape.number, shape.carrier, own, shape.rounding, tuple(touching), shape.is_round)
-            )
+            own = frozen(np.unique(core if shape.is_round else shape.core, axis=0))
+            found.append(replace(shape, core=own, links=tuple(touching)))
     return found
 
 
@@ -201,7 +168,7 @@ def is_held(robot: Robot, shape: BaseShape, deviation: float, link: int, clearan
 
 def _swept(shape: BaseShape) -> FloatArray:
     """Core points of a hull, to be grown by the rounding, that holds what a shape sweeps about the yaw axis."""
-    points = shape.points - shape.axis
+    points = shape.core - shape.axis
     # It lies in the hull of the rings that the points sweep.
     profile = np.column_stack([np.hypot(points[:, 0], points[:, 1]), points[:, 2]])
     profile = convex_hull(np.vstack([profile, profile * [-1.0, 1.0]]))

@@ -313,7 +313,7 @@ def test_what_carries_the_shoulder_is_left_out_and_nothing_else(tmp_path):
     beside = box((0.1, 0.1, 0.3), (0.2, 0.0, 0.35))
     robot = fitted(tmp_path, {"turret": [*forks, beside]}, low=-60.0)
     assert {shape.number for shape in base_shapes(robot)} == {0, 1, 2, 3, 4}
-    found = {body.shape: body.links for body in self_contact(robot).bodies}
+    found = {body.number: body.links for body in self_contact(robot).bodies}
     assert 0 in found[4]
     assert all(0 not in found.get(shape, ()) for shape in (1, 2, 3))
 

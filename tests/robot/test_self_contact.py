@@ -112,7 +112,7 @@ def random_arms(rng, folder, count):
 def named_pairs(robot):
     contact = self_contact(robot)
     links = {(j, i) for i, j in contact.links}
-    bodies = {(k, str(body.shape)) for body in contact.bodies for k in body.links}
+    bodies = {(k, str(body.number)) for body in contact.bodies for k in body.links}
     return links | bodies
 
 
@@ -243,7 +243,7 @@ def own_clearances(robot, field, truth, q, found):
     bodies, distances = self_contact(robot).bodies, truth.distances(q)
     pairs = field.movers[int(field.numbers[BODIES]) :, [OUTER, INNER]].astype(int).tolist()
     links = robot.arm.link_count
-    other = [inner if inner < links else str(bodies[inner - links].shape) for _, inner in pairs]
+    other = [inner if inner < links else str(bodies[inner - links].number) for _, inner in pairs]
     expected = np.array([distances[outer, inner] for (outer, _), inner in zip(pairs, other, strict=True)])
     return expected, found[len(found) - len(pairs) :]
 

@@ -11,6 +11,7 @@ from typing import Any
 import coal
 import numpy as np
 import pinocchio as pin
+from planned import straight
 
 from hplan.robot.family.members import write_robot
 from hplan.robot.family.spec import ArmSpec
@@ -183,12 +184,7 @@ def _convex(geometry: pin.GeometryObject) -> coal.CollisionGeometry:
 
 def quintic(robot: Robot, start_deg, end_deg, duration: float = 6.0, count: int = 301) -> Trajectory:
     """A straight motion from rest to rest."""
-    start, end = np.radians(start_deg), np.radians(end_deg)
-    t = np.linspace(0.0, 1.0, count)[:, None]
-    s, ds, dds = 10 * t**3 - 15 * t**4 + 6 * t**5, 30 * t**2 * (1 - t) ** 2, 60 * t * (1 - t) * (1 - 2 * t)
-    turn = end - start
-    q, v, a = start + s * turn, ds / duration * turn, dds / duration**2 * turn
-    return Trajectory(robot.joint_names, duration * t[:, 0], q, v, a, robot.dynamics.torques(q, v, a), robot.slides)
+    return straight(robot, np.radians(start_deg), np.radians(end_deg), duration, (count - 1) / duration)
 
 
 def scene_of(start_deg, goal_deg=None, obstacles=(), **more) -> Scene:

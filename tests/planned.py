@@ -229,6 +229,15 @@ def between_twigs(side: float = 0.085) -> Scene:
     )
 
 
+def straight(robot: Robot, start: Any, end: Any, duration: float = 2.0, rate_hz: float = 250.0) -> Trajectory:
+    """From rest to rest, straight in joint space, by a polynomial of degree 5; `start` and `end` in radians."""
+    t = np.linspace(0.0, 1.0, round(duration * rate_hz) + 1)[:, None]
+    s, ds, dds = 10 * t**3 - 15 * t**4 + 6 * t**5, 30 * t**2 * (1 - t) ** 2, 60 * t * (1 - t) * (1 - 2 * t)
+    turn = np.asarray(end, dtype=np.float64) - start
+    q, v, a = start + s * turn, ds / duration * turn, dds / duration**2 * turn
+    return Trajectory(robot.joint_names, duration * t[:, 0], q, v, a, robot.dynamics.torques(q, v, a), robot.slides)
+
+
 def on_cubics(trajectory: Trajectory, time: FloatArray) -> FloatArray:
     """(n, dof) positions at (n,) times on the cubic Hermite curves through the rows."""
     row = np.clip(np.searchsorted(trajectory.time, time, side="right") - 1, 0, trajectory.samples - 2)

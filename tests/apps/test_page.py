@@ -10,6 +10,7 @@ import pinocchio as pin
 import pytest
 from any_arms import loaded_arm
 from pages import animation_of, commands_of, objects, orchard
+from planned import straight
 from shapes import crate
 
 from hplan.apps.view import scene_stage
@@ -44,12 +45,8 @@ CHROMIUM_FLAGS = (
 GOAL = (0.0, math.pi / 4, math.pi / 3, math.radians(70.0))
 
 
-def motion(robot: Robot, goal: Any = GOAL, *, duration: float = 2.0, rate: float = 250.0) -> Trajectory:
-    time = np.linspace(0.0, duration, round(duration * rate) + 1)
-    x = time / duration
-    position = (10 * x**3 - 15 * x**4 + 6 * x**5)[:, None] * np.asarray(goal)
-    nothing = np.zeros_like(position)
-    return Trajectory(robot.joint_names, time, position, nothing, nothing, nothing)
+def motion(robot: Robot, goal: Any = GOAL) -> Trajectory:
+    return straight(robot, np.zeros(robot.dof), goal)
 
 
 OBSTACLES = (

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from any_arms import GANTRY
-from planned import between_twigs, post, task
+from planned import between_twigs, post, straight, task
 from script_loader import load_script
 from shapes import torus
 
@@ -47,16 +47,8 @@ def csv_file(planned: PlanResult, tmp_path_factory: pytest.TempPathFactory) -> P
     return write_csv(planned.trajectory, tmp_path_factory.mktemp("motion") / "trajectory.csv")
 
 
-def straight(robot: Robot, scene: Scene, duration: float, rows: int = 201) -> RecordedMotion:
-    """From start to goal in a straight line, with a smooth start and end."""
-    start, goal = scene.start.joints(), scene.goal.joints()
-    assert start is not None
-    assert goal is not None
-    u = np.linspace(0.0, 1.0, rows)
-    share, rate = u**3 * (10 - 15 * u + 6 * u**2), 30 * u**2 * (1 - u) ** 2 / duration
-    return RecordedMotion(
-        robot.joint_names, u * duration, start + share[:, None] * (goal - start), rate[:, None] * (goal - start)
-    )
+def between_ends(robot: Robot, scene: Scene, duration: float) -> Trajectory:
+    return straight(robot, scene.start.configuration, scene.goal.configuration, duration, 100.0)
 
 
 def faster(trajectory: Trajectory, factor: float) -> RecordedMotion:
@@ -84,13 +76,13 @@ def test_what_gives_way_is_pushed_and_not_touched(yields: float) -> None:
     ball = Sphere(name="ball", center=center, radius=0.03, yields=yields)
     given = {"start": Start(joints_rad=start), "goal": Goal(joints_rad=goal), "obstacles": (ball,)}
     scene = Scene(name="ball", **given)
-    result = execute(robot, scene, straight(robot, scene, 2.0))
+    result = execute(robot, scene, between_ends(robot, scene, 2.0))
     assert result.ok == (yields > 0.0)
     (touch,) = result.pushes if yields else result.contacts
     assert (touch.link, touch.obstacle, touch.is_push) == ("hand", "ball", yields > 0.0)
     assert 0.005 < touch.depth_m < 0.0125 or not yields
     assert off_deg(result) < 0.1 or not yields
-    firm = execute(robot, scene.model_copy(update={"yield_links": ("forearm",)}), straight(robot, scene, 2.0))
+    firm = execute(robot, scene.model_copy(update={"yield_links": ("forearm",)}), between_ends(robot, scene, 2.0))
     assert not firm.ok
     assert not firm.pushes
 
@@ -130,7 +122,7 @@ def test_a_motion_that_only_grazes(robot: Robot) -> None:
         scene = Scene(
             name="graze", start=Start(joints_deg=(0,) * 4), goal=Goal(joints_deg=(0, 60, 0, 0)), obstacles=(ball,)
         )
-        result = execute(robot, scene, straight(robot, scene, 2.5))
+        result = execute(robot, scene, between_ends(robot, scene, 2.5))
         assert [(touch.link, touch.obstacle) for touch in result.contacts] == ([("hand", "small")] if touches else [])
 
 
@@ -246,7 +238,7 @@ def test_command(robot: Robot, scene: Scene, csv_file: Path, tmp_path: Path, cap
     assert "touched nothing, ended at the goal" in text
     assert all(joint in text for joint in robot.joint_names)
 
-    motion = straight(robot, scene, 4.0)
+    motion = between_ends(robot, scene, 4.0)
     header = ",".join(["time_s", *(f"{name}_pos_rad" for name in robot.joint_names)])
     rows = [",".join(map(repr, row)) for row in np.column_stack([motion.time, motion.position]).tolist()]
     plain = tmp_path / "plain [1].csv"

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
-from planned import on_cubics
+from planned import on_cubics, straight
 
 from hplan.certificate import certificate as certificates
 from hplan.certificate.clearance_proof import point_at
@@ -31,20 +31,6 @@ def rows(robot, time, position, velocity, acceleration=None):
     position, velocity = np.asarray(position, dtype=float), np.asarray(velocity, dtype=float)
     acceleration = np.zeros_like(position) if acceleration is None else acceleration
     return Trajectory(robot.joint_names, np.asarray(time, dtype=float), position, velocity, acceleration, 0 * position)
-
-
-def quintic(robot, start, end, duration=2.0, rate=250.0):
-    """From rest to rest along a straight joint-space motion."""
-    time = np.linspace(0.0, duration, round(duration * rate) + 1)
-    s = time[:, None] / duration
-    turn = np.asarray(end, dtype=float) - start
-    return rows(
-        robot,
-        time,
-        start + turn * (10 * s**3 - 15 * s**4 + 6 * s**5),
-        turn * (30 * s**2 - 60 * s**3 + 30 * s**4) / duration,
-        turn * (60 * s - 180 * s**2 + 120 * s**3) / duration**2,
-    )
 
 
 def interpolated(trajectory, step=FINE):
@@ -115,7 +101,7 @@ def test_contact_at_an_end_is_refused(robot, scene):
     assert certificate.min_clearance_m == pytest.approx(depth)
     outside = np.zeros(4)
     for start, end in ((inside, outside), (outside, inside)):
-        assert not certify(robot, scene, quintic(robot, start, end, 6.0)).verified
+        assert not certify(robot, scene, straight(robot, start, end, 6.0)).verified
 
 
 def random_obstacles(rng):
@@ -145,7 +131,7 @@ def test_random_motions_are_judged_as_dense_sampling_judges_them(robot, scene):
         start[0], end[0] = rng.uniform(-0.5, 1.0, 2)
         if checker.distances(start).min() <= 1e-3:
             continue
-        trajectory = quintic(robot, start, end, 0.4)  # so fast that limits are broken; only clearance is judged here
+        trajectory = straight(robot, start, end, 0.4)  # so fast that limits are broken; only clearance is judged here
         certificate = certify(robot, world, trajectory, checker=checker)
         sampled = sampled_clearance(checker, trajectory)
         if any(violation.startswith("link") for violation in certificate.violations):
@@ -165,7 +151,7 @@ def test_no_more_is_certified_than_what_is_left_when_the_motion_ends_before_the_
     world = scene.with_obstacles([ball])
     checker = CoalScene(robot, world.solids)
     for end in np.arange(0.1, 1.35, 0.05).tolist():
-        trajectory = quintic(robot, np.zeros(4), np.array([end, 0.0, 0.0, 0.0]), 4.0)
+        trajectory = straight(robot, np.zeros(4), np.array([end, 0.0, 0.0, 0.0]), 4.0)
         certificate = certify(robot, world, trajectory)
         assert certificate.verified
         true = checker.distances(trajectory.position[-1]).min()
@@ -225,7 +211,7 @@ def test_acceleration(robot, scene, share, verified, sign):
 
 @pytest.mark.parametrize(("share", "verified"), [(1.0, True), (1.005, False)])
 def test_torque(robot, scene, share, verified):
-    trajectory = quintic(robot, np.radians([0, 10, 20, 30]), np.radians([20, 40, 40, 10]), 3.0)
+    trajectory = straight(robot, np.radians([0, 10, 20, 30]), np.radians([20, 40, 40, 10]), 3.0)
     data = robot.model.createData()
     torque = np.array(
         [
@@ -248,7 +234,7 @@ def test_position(robot, scene, beyond, joint, side):
     middle, half = 0.5 * (robot.lower + robot.upper), 0.5 * (robot.upper - robot.lower)
     end = middle.copy()
     end[joint] += side * (1.0 + beyond) * half[joint]
-    certificate = certify(robot, scene.with_obstacles([]), quintic(robot, middle, end, 6.0))
+    certificate = certify(robot, scene.with_obstacles([]), straight(robot, middle, end, 6.0))
     assert certificate.limit_use.position == pytest.approx(1.0 + beyond, abs=1e-9)
     assert [v.split()[0] for v in certificate.violations] == (["position"] if beyond else [])
 
@@ -301,12 +287,12 @@ def test_motion_that_is_not_at_rest_at_its_ends_is_refused(robot, scene, end):
 
 def test_motions_one_after_the_other(robot, scene):
     """The worst of all parts."""
-    straight = quintic(robot, np.zeros(4), np.array([0.2, 0.0, 0.0, 0.0]))
-    back = straight.reversed
+    there = straight(robot, np.zeros(4), np.array([0.2, 0.0, 0.0, 0.0]))
+    back = there.reversed
     moving = replace(back, velocity=np.where(np.arange(back.samples)[:, None] == back.samples - 1, 0.1, back.velocity))
     near = scene.with_obstacles([Sphere(name="near", center=(1.0, -0.3, 0.6), radius=0.1)])
     far = scene.with_obstacles([Sphere(name="far", center=(1.0, -0.8, 0.6), radius=0.1)])
-    parts = [certify(robot, far, straight), certify(robot, near, moving, rest_to_rest=True)]
+    parts = [certify(robot, far, there), certify(robot, near, moving, rest_to_rest=True)]
     for some in (parts, parts[::-1]):
         whole = certificates.all_of(some)
         assert not whole.verified
@@ -322,7 +308,7 @@ def test_motions_one_after_the_other(robot, scene):
 
 @pytest.mark.parametrize("column", ["acceleration", "torque"])
 def test_column_beyond_the_limit_is_refused(robot, scene, column):
-    motion = quintic(robot, np.zeros(4), np.array([0.0, 0.2, 0.1, 0.1]))
+    motion = straight(robot, np.zeros(4), np.array([0.0, 0.2, 0.1, 0.1]))
     values = np.array(getattr(motion, column))
     values[7, 2] = 1e4
     certificate = certify(robot, scene, replace(motion, **{column: values}))

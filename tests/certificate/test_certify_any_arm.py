@@ -11,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from any_arms import ARMS, GANTRY, loaded_arm
+from planned import straight
 
 import hplan
 from hplan.apps.cli.main import main
@@ -56,7 +57,6 @@ def free_configurations(robot: Robot, count: int, seed: int, clearance: float = 
 
 def motion_between(robot: Robot, start: np.ndarray, end: np.ndarray, samples: int = 40) -> Trajectory:
     """From rest to rest, straight in joint space, within the limits but for torque."""
-    u = np.linspace(0.0, 1.0, samples)
     way = end - start
     fastest = max(
         (1.875 * np.abs(way) / robot.velocity_limit).max(),
@@ -64,11 +64,8 @@ def motion_between(robot: Robot, start: np.ndarray, end: np.ndarray, samples: in
         1e-2,
     )
     duration = 1.1 * float(fastest)
-    s = u**3 * (10.0 - 15.0 * u + 6.0 * u * u)
-    v = 30.0 * u * u * (1.0 - u) ** 2 / duration
-    a = (60.0 * u - 180.0 * u * u + 120.0 * u**3) / duration**2
-    columns = [start + s[:, None] * way, v[:, None] * way, a[:, None] * way]
-    return Trajectory(robot.joint_names, duration * u, *columns, np.zeros((samples, robot.dof)), robot.slides)
+    motion = straight(robot, start, end, duration, (samples - 1) / duration)
+    return replace(motion, torque=np.zeros((samples, robot.dof)))
 
 
 def scene_of(robot: Robot, trajectory: Trajectory, obstacles, clearance: float) -> Scene:
@@ -366,10 +363,7 @@ BEGIN, END = np.array([0.2, 0.3]), np.array([0.7, 0.5])
 
 
 def motion() -> Trajectory:
-    u, pace = np.linspace(0.0, 1.0, 20)[:, None], 0.25
-    q = BEGIN + (3.0 * u**2 - 2.0 * u**3) * (END - BEGIN)
-    v, a = 6.0 * u * (1.0 - u) * pace * (END - BEGIN), (6.0 - 12.0 * u) * pace**2 * (END - BEGIN)
-    return Trajectory(ROBOT.joint_names, u[:, 0] / pace, q, v, a, ROBOT.dynamics.torques(q, v, a), ROBOT.slides)
+    return straight(ROBOT, BEGIN, END, 4.0, 5.0)
 
 
 def scene(*obstacles: Sphere) -> Scene:

@@ -9,6 +9,7 @@ import coal
 import numpy as np
 import pinocchio as pin
 import pytest
+from planned import straight
 
 from hplan.certificate.certificate import certify
 from hplan.certificate.motion_bound import motion_of_movers
@@ -18,7 +19,6 @@ from hplan.errors import ConfigurationInCollisionError, NoPathError
 from hplan.planning.plan import plan
 from hplan.robot.model import Robot, load_robot
 from hplan.scene.model import Goal, Scene, Start
-from hplan.trajectory.trajectory import Trajectory
 
 LIMIT = '<limit lower="-2.5" upper="2.5" velocity="2" effort="500" acceleration="5"/>'
 INERTIAL = '<inertial><mass value="1"/><inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial>'
@@ -57,13 +57,6 @@ def crane(*, turns: bool) -> Robot:
 ROBOTS = {turns: crane(turns=turns) for turns in (False, True)}
 
 
-def motion(robot: Robot, start: np.ndarray, goal: np.ndarray) -> Trajectory:
-    u, pace = np.linspace(0.0, 1.0, 30)[:, None], 0.2
-    q = start + (3.0 * u**2 - 2.0 * u**3) * (goal - start)
-    v, a = 6.0 * u * (1.0 - u) * pace * (goal - start), (6.0 - 12.0 * u) * pace**2 * (goal - start)
-    return Trajectory(robot.joint_names, u[:, 0] / pace, q, v, a, robot.dynamics.torques(q, v, a))
-
-
 def scene(start: np.ndarray, goal: np.ndarray, clearance: float = 0.0) -> Scene:
     ends = {"start": Start(joints_rad=tuple(start.tolist())), "goal": Goal(joints_rad=tuple(goal.tolist()))}
     return Scene(name="s", clearance=clearance, **ends)
@@ -91,7 +84,7 @@ def test_a_boom_over_its_own_plate_is_judged_as_it_is(turns, lift):
     robot = ROBOTS[turns]
     assert robot.planar is not None
     start, goal = lifted(robot, 1.0), lifted(robot, lift)
-    found = certify(robot, scene(start, goal), motion(robot, start, goal))
+    found = certify(robot, scene(start, goal), straight(robot, start, goal, 5.0, 6.0))
     least = min(depth(robot, q) for q in np.linspace(start, goal, 200))
     assert found.verified == (least > 0.0)
     assert found.min_clearance_m <= least + 1e-9
@@ -147,9 +140,11 @@ def test_motion_and_sway_of_what_is_as_it_is(turns):
 def test_a_clearance_is_kept_as_far_as_it_can_be():
     robot = ROBOTS[False]
     start, goal = lifted(robot, 1.0), lifted(robot, 0.3)
-    assert certify(robot, scene(start, goal, 0.01), motion(robot, start, goal)).verified
-    assert not certify(robot, scene(start, lifted(robot, 0.0), 0.01), motion(robot, start, lifted(robot, 0.0))).verified
+    assert certify(robot, scene(start, goal, 0.01), straight(robot, start, goal, 5.0, 6.0)).verified
+    assert not certify(
+        robot, scene(start, lifted(robot, 0.0), 0.01), straight(robot, start, lifted(robot, 0.0), 5.0, 6.0)
+    ).verified
     # Never as far apart as that: it is asked only whether they touch.
-    assert certify(robot, scene(start, goal, 0.2), motion(robot, start, goal)).verified
-    error = certify(robot, scene(start, goal), motion(robot, start, goal), tracking_error=0.4)
+    assert certify(robot, scene(start, goal, 0.2), straight(robot, start, goal, 5.0, 6.0)).verified
+    error = certify(robot, scene(start, goal), straight(robot, start, goal, 5.0, 6.0), tracking_error=0.4)
     assert not error.verified

@@ -11,6 +11,7 @@ from any_arms import LIFT, loaded_arm
 from arm_variants import VARIANTS, load_variant
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from planned import straight
 from scipy.spatial.transform import Rotation, Slerp
 
 from hplan.certificate import torque_bound
@@ -161,14 +162,6 @@ TIMES = (-1.0, 1.5, 3.0)
 turns = st.tuples(*(st.floats(-40.0, 40.0),) * 3)
 
 
-def motion() -> Trajectory:
-    u = np.linspace(0.0, 1.0, 20)[:, None]
-    way = END - BEGIN
-    q, v = BEGIN + (3.0 * u**2 - 2.0 * u**3) * way, 6.0 * u * (1.0 - u) / DURATION * way
-    a = (6.0 - 12.0 * u) / DURATION**2 * way
-    return Trajectory(ROBOT.joint_names, u[:, 0] * DURATION, q, v, a, ROBOT.dynamics.torques(q, v, a), ROBOT.slides)
-
-
 def scene(rpy_deg) -> Scene:
     ends = {"start": Start(joints_rad=tuple(BEGIN.tolist())), "goal": Goal(joints_rad=tuple(END.tolist()))}
     still = ((0.0, 0.0, 0.0),) * 3
@@ -185,7 +178,7 @@ def base_at(rpy_deg, clock):
 @settings(max_examples=10)
 @given(turns, turns, turns)
 def test_torques_are_bounded_whatever_the_tilt(first, second, third):
-    found, clock, model = motion(), np.linspace(0.0, DURATION, 60), ROBOT.model.copy()
+    found, clock, model = straight(ROBOT, BEGIN, END, DURATION, 5.0), np.linspace(0.0, DURATION, 60), ROBOT.model.copy()
     certificate = certify(ROBOT, scene((first, second, third)), found)
     data, worst = model.createData(), 0.0
     states = zip(*cubic_states(found.time, found.position, found.velocity, clock), strict=True)
@@ -212,5 +205,5 @@ def test_the_largest_tilt_is_that_of_many_times(first, second, third):
 
 def test_a_base_that_turns_upright_adds_nothing():
     upright = ((0.0, 0.0, 10.0), (0.0, 0.0, 120.0), (0.0, 0.0, -40.0))
-    still = certify(ROBOT, scene(((0.0, 0.0, 0.0),) * 3), motion()).limit_use
-    assert certify(ROBOT, scene(upright), motion()).limit_use == still
+    still = certify(ROBOT, scene(((0.0, 0.0, 0.0),) * 3), straight(ROBOT, BEGIN, END, DURATION, 5.0)).limit_use
+    assert certify(ROBOT, scene(upright), straight(ROBOT, BEGIN, END, DURATION, 5.0)).limit_use == still

@@ -125,7 +125,7 @@ class Bodies:
             (geometry.parentJoint, robot.model.frames[geometry.parentFrame].name, _convex(geometry), geometry.placement)
             for geometry in robot.collision_model.geometryObjects
         ]
-        self.moving = 2 if robot.has_yaw else 1
+        self.moving = 2 if robot.planar is not None and robot.has_yaw else 1
         pairs = [
             (a, b)
             for a, b in itertools.combinations(range(len(self.shapes)), 2)

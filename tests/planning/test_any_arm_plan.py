@@ -1,12 +1,14 @@
-"""Plans of general (non-planar) arms, from joints to joints."""
+"""Plans of general (non-planar) arms, from joints to joints, among obstacles that move too."""
 
 from __future__ import annotations
 
 import re
 
+import coal
 import numpy as np
 import pytest
 from any_arms import LIFT, loaded_arm
+from fitted_arms import Bodies
 
 from hplan.certificate.certificate import certify
 from hplan.errors import ConfigurationInCollisionError, InputError, NotFoundError, OptionError, RobotFileError
@@ -14,8 +16,9 @@ from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
 from hplan.robot.limits import Limits
 from hplan.robot.model import Robot, load_robot
-from hplan.scene.model import Goal, Scene
+from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Box, Obstacle, Sphere
+from hplan.scene.tracks import Track
 from hplan.trajectory.retime import time_path
 from hplan.trajectory.spline import SplinePath
 
@@ -103,3 +106,19 @@ def test_a_robot_without_shapes_is_neither_planned_for_nor_certified() -> None:
     path = SplinePath.through(np.linspace(bare.lower + 0.1, bare.lower + 0.2, 5))
     with pytest.raises(RobotFileError, match="no link that moves has a <collision>: it could touch nothing"):
         certify(bare, scene, time_path(path, bare.dynamics, limits, rate_hz=100.0))
+
+
+@pytest.mark.parametrize("leaves_s", [0.6, 2.0])
+def test_it_waits_for_a_ball_that_leaves_its_path(arm: Robot, leaves_s: float) -> None:
+    """The ball is put where its track has it, and is as far off as the certificate says."""
+    start, goal = np.array([-1.3, -0.6, 1.0, 0.2, 0.3, 0.0]), np.array([1.3, -0.6, 1.0, 0.2, 0.3, 0.0])
+    middle, rise = arm.tool_positions(0.5 * (start + goal)), np.array([0.0, 0.0, 0.8])
+    away = Track(times_s=(0.0, leaves_s), shifts_m=((0.0, 0.0, 0.0), tuple(rise.tolist())))
+    ball = Sphere(name="ball", center=tuple(middle.tolist()), radius=0.06, track=away)
+    ends = {"start": Start(joints_rad=tuple(start.tolist())), "goal": Goal(joints_rad=tuple(goal.tolist()))}
+    result = plan(arm, Scene(name="s", obstacles=(ball,), clearance=0.005, **ends), QUICK)
+    assert result.certificate.verified
+    bodies, shape, clock = Bodies(arm, samples=0), coal.Sphere(0.06), np.arange(0.0, result.trajectory.duration, 5e-3)
+    places = (coal.Transform3s(np.eye(3), middle + min(1.0, at / leaves_s) * rise) for at in clock)
+    least = min(map(bodies.from_obstacles, result.trajectory.positions(clock), ([(shape, at)] for at in places)))
+    assert least >= result.certificate.min_clearance_m - 1e-6 > 0.005 - 1e-6

@@ -1,4 +1,4 @@
-"""RRT-Connect on the compiled clearance field."""
+"""RRT-Connect on the compiled clearance field: one pair of trees, and several."""
 
 from __future__ import annotations
 
@@ -9,8 +9,11 @@ import pytest
 
 from hplan.base.arrays import FloatArray
 from hplan.collision.coal_scene import CoalScene
+from hplan.optimization.shortcut import shorten
+from hplan.optimization.smooth_path import START_SHORTCUTS
 from hplan.planning.definition import Problem, check_problem
 from hplan.planning.sampling.rrt_connect import EDGE_S, TreeEffort, tree_path
+from hplan.planning.sampling.several_trees import TreesEffort, path_time, promising_paths
 from hplan.planning.world import World
 from hplan.robot.model import Robot
 from hplan.scene import Box, Scene, Sphere
@@ -67,3 +70,14 @@ def test_locked_joints_stay(robot: Robot, scene: Scene) -> None:
     path = path_of(robot, problem, world, TreeEffort(100_000))
     assert path is not None
     assert (path[:, 0] == problem.start[0]).all()
+
+
+def test_of_several_each_pair_is_one_that_grows_alone(robot: Robot, blocked: tuple[Problem, World]) -> None:
+    """The quickest path of every class first."""
+    (problem, world), velocity = blocked, robot.velocity_limit
+    grown = (path_of(robot, problem, world, TreeEffort(50_000, seed)) for seed in range(3))
+    alone = [path for path in grown if path is not None]
+    times = [path_time(shorten(path, world.field, margin=MARGIN, rounds=START_SHORTCUTS), velocity) for path in alone]
+    paths = promising_paths(problem, world.field, velocity, MARGIN, TreesEffort(3, 50_000))
+    assert [path.seconds for path in paths] == pytest.approx(sorted(times), abs=1e-9)
+    assert all(any(np.array_equal(path.waypoints, other) for other in alone) for path in paths)

@@ -25,9 +25,9 @@ radius. The smaller bound of both counts.
 
 Of two bodies of the robot the joints that carry both do not count, and of the others the travels of both add up: these
 are the last joints of each, and both bounds hold for them alone, as seen from what carries both. Pairs of bodies of the
-same two links move alike: they are one mover, that travels as far as the farthest of them. Joints that are off by their
-deviations move a body by no more than :math:`\sum_j R_{bj} \delta_j`. (Of joints that slide, a deviation in rad
-counts as so many metres.)
+same two links that are about as far out are one mover (`ArmParts.alike`), which travels as far as the farthest of them.
+Joints that are off by their deviations move a body by no more than :math:`\sum_j R_{bj} \delta_j`. (Of joints that
+slide, a deviation in rad counts as so many metres.)
 """
 
 from __future__ import annotations
@@ -136,7 +136,7 @@ def motion_of_movers(
         deviations: (k, dof) largest deviations of the joints [rad, m].
 
     Returns:
-        (pairs,) what moves of each pair: a body, or all bodies of two links; (movers, pieces) how far each travels in
+        (pairs,) what moves of each pair, as `ArmParts.alike` has it; (movers, pieces) how far each travels in
         each piece; (movers, k) by how much deviations may bring its pairs nearer [m].
     """
     parts, robot = checker.parts, checker.robot
@@ -147,18 +147,10 @@ def motion_of_movers(
     middles = 0.125 * (bezier[:, 0] + bezier[:, 3]) + 0.375 * (bezier[:, 1] + bezier[:, 2])
     of_bodies, reaches = _reaches(parts, deviations)
     joints, middles = joints_alone(robot), np.ascontiguousarray(middles)
-    alike, nearer = _alike(parts), reaches @ deviations.T
-    travels = _travels(middles, rates, paces, uneven, of_bodies, parts.rows, joints, *parts.movers, alike)
-    farthest = np.zeros((len(travels), nearer.shape[1]))
-    np.maximum.at(farthest, alike, nearer)
-    return alike[_mover_of(checker)], travels, farthest
-
-
-def _alike(parts: ArmParts) -> IntArray:
-    """(movers,) for each mover of the parts the number of those that move alike: all pairs of the same two links."""
-    both, alone = parts.movers[0], len(parts.shapes)
-    _, number = np.unique(parts.rows[both[alone:], 0], axis=0, return_inverse=True)
-    return np.concatenate([np.arange(alone), alone + number.ravel()])
+    travels = _travels(middles, rates, paces, uneven, of_bodies, parts.rows, joints, *parts.movers, parts.alike)
+    nearer = np.zeros((len(travels), len(deviations)))
+    np.maximum.at(nearer, parts.alike, reaches @ deviations.T)
+    return parts.alike[_mover_of(checker)], travels, nearer
 
 
 def _reaches(parts: ArmParts, deviations: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -183,7 +175,7 @@ def _travels(
         bodies: As `ArmParts.rows`.
         numbers: As `joints_alone`.
         both: As `ArmParts.movers`, as `counts`.
-        alike: The number of the mover that each of them is, as `_alike`.
+        alike: The number of the mover that each of them is, as `ArmParts.alike`.
     """
     pieces, dof = middles.shape
     joints = int(numbers[flat.JOINTS])

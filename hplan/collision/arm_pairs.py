@@ -28,6 +28,7 @@ import numpy as np
 import pinocchio as pin
 
 from hplan.base.arrays import BoolArray, FloatArray, IntArray, Record, frozen, readonly
+from hplan.base.ties import RASTER, on_raster
 from hplan.collision.coal_accuracy import extents
 from hplan.collision.coal_cloud import BareShape, distance_from
 from hplan.collision.coal_shapes import LinkShapes, link_shapes, urdf_shapes
@@ -56,6 +57,9 @@ _ROUNDING: Final = 1e-9
 
 #: Neighbours may overlap up to this many times the distance that they keep from their joint.
 _FOLD_REACH: Final = 3.0
+
+#: Pairs of the same links are one mover where their motion-bound coefficients differ by less than such a factor or so.
+_AS_FAR: Final = 1.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,6 +140,15 @@ class ArmParts(Record):
                 joints = list(carriers(self.robot, self.bodies[body].joint)) if body >= 0 else []
                 counts[row, joints] = 1.0 - counts[row, joints]
         return readonly(np.array(both).reshape(-1, 2), np.int64), frozen(counts)
+
+    @cached_property
+    def alike(self) -> IntArray:
+        """(movers,) one number for those of `movers` that move alike: pairs of the same two links, about as far out."""
+        alone, reaches = len(self.shapes), self.reaches()[1]
+        out = np.rint(np.log(on_raster(reaches[alone:].sum(axis=1)) + RASTER) / math.log(_AS_FAR))
+        links = self.rows[self.movers[0][alone:], 0]
+        _, number = np.unique(np.column_stack([links, out]), axis=0, return_inverse=True)
+        return readonly(np.append(np.arange(alone), alone + number.ravel()), np.int64)
 
     @cached_property
     def rows(self) -> FloatArray:

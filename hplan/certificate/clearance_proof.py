@@ -143,10 +143,11 @@ class Advancement:
     Attributes:
         movers: (2, bodies, rows + 1) at each row, how much nearer each moving body may be than in the motion, and how
             far it has travelled [m].
-        pairs: (5, pairs) for each pair the distance to be kept, coal's error with it [m]; the place where it is to be
-            asked next, infinite where that is after the end; and in travel of its moving body, up to where its
+        pairs: (6, pairs) for each pair the distance to be kept, coal's error with it [m]; the place where it is to be
+            asked next, infinite where that is after the end; in travel of its moving body, up to where its
             clearance is shown, below 0 before the first look, from where on beyond a gap, infinite for none, and up to
-            where then [m]. (Arrays, for a named tuple of them costs a call of a kernel 2 us more, and there are 100.)
+            where then [m]; and by how much less than what is needed it has to keep [m]. (Arrays, for a named tuple of
+            them costs a call of a kernel 2 us more, and there are 100.)
         mover_of: (pairs,) each pair's moving body.
         shown: Clearance shown of every pair so far, beyond the one needed [m].
         nearest: The smallest distance so far [m], the pair, and where.
@@ -180,10 +181,10 @@ class Advancement:
             moved = np.where(moved <= longest_travel, moved, longest_travel)
             travel[:, 1:] = np.cumsum(moved, axis=1)
         self.movers = np.stack([sway, travel])
-        self._may_lack = needed - checker.kept(needed)
         none = np.zeros(len(checker.pairs))
         kept = checker.kept(needed) + checker.distance_errors
-        self.pairs = np.stack([kept, none, none - np.finfo(np.float64).tiny, none + math.inf, none])
+        may_lack = none + (needed - checker.kept(needed))
+        self.pairs = np.stack([kept, none, none - np.finfo(np.float64).tiny, none + math.inf, none, may_lack])
         self.mover_of = mover_of
         self._many = math.inf if checker.moving is not None else max(_MANY * len(moved), 2 * FIRST)
         self._ahead, self.shown, self.checks = _AHEAD, math.inf, 1
@@ -223,8 +224,6 @@ class Advancement:
     def take(self, pairs: IntArray, distances: FloatArray, at: float) -> bool:
         """Take distances of some pairs at a place; True if the proof goes on."""
         least, shown = _put_off(pairs, distances, at, self.shown, self._ahead, self.mover_of, self.movers, self.pairs)
-        if isinstance(self._may_lack, np.ndarray):
-            least = int((distances + self._may_lack[pairs]).argmin())
         self._see(float(distances[least]), int(pairs[least]), at)
         if shown > 0.0:
             self.shown = shown
@@ -247,16 +246,14 @@ class Advancement:
 
     def _see(self, distance: float, pair: int, at: float) -> float:
         """Take down a distance if it is the smallest; returns it as if the pair had to keep what is needed."""
-        lacks = float(self._may_lack[pair]) if isinstance(self._may_lack, np.ndarray) else 0.0
-        self.nearest = min(self.nearest, (distance + lacks, pair, at))
-        return distance + lacks
+        distance += float(self.pairs[5, pair])
+        self.nearest = min(self.nearest, (distance, pair, at))
+        return distance
 
     def contact(self) -> Contact:
         """The nearest pair by name, and its distance; one that may be nearer than others counts as farther away."""
         distance, pair, _ = self.nearest
-        if isinstance(self._may_lack, np.ndarray):
-            distance -= float(self._may_lack[pair])
-        return self._checker.contact(*self._checker.pairs[pair], distance)
+        return self._checker.contact(*self._checker.pairs[pair], distance - float(self.pairs[5, pair]))
 
     def worst(self, outcome: Outcome) -> Proof:
         """The report of a proof that gave up: the smallest distance at the rows from there on.
@@ -346,13 +343,14 @@ def _put_off(
     """Write down what looks at a place show, and where the pairs are due again.
 
     Returns:
-        Which of them has the smallest distance, and the clearance then shown; 0 where one is too near.
+        Which of them is nearest, as if all had to keep what is needed, and the clearance then shown; 0 where one is too
+        near.
     """
-    sway, kept = movers[0], all_pairs[0]
+    sway, kept, may_lack = movers[0], all_pairs[0], all_pairs[5]
     least = 0
     spare_clearances = np.empty(len(pairs))
     for i in range(len(pairs)):
-        if not distances[i] >= distances[least]:
+        if not distances[i] + may_lack[pairs[i]] >= distances[least] + may_lack[pairs[least]]:
             least = i
         spare_clearance = distances[i] - (_linear(sway[mover_of[pairs[i]]], at) + kept[pairs[i]])
         spare_clearances[i] = spare_clearance

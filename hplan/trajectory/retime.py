@@ -153,15 +153,17 @@ def _smoothing_window(profile: SpeedProfile, limits: Limits, period: float) -> i
         return 1
     jerk = limits.jerk
     moves = np.ptp(profile.path.evaluate(profile.grid), axis=0) > NO_MOTION
+    enough = int(np.ceil((2.0 * limits.acceleration[moves] / (jerk[moves] * period)).max(initial=1.0)))
+    if enough == 1:
+        return 1
     # The mean of m control points changes its acceleration by the difference of two raw ones m rows apart, over m.
     raw = _rows(profile, replace(limits, jerk=None), period, 1).acceleration[:, moves]
     padded = np.concatenate([np.zeros_like(raw[:1]), raw, np.zeros_like(raw[:1])])
     allowed = jerk[moves] * period * (1.0 + 1e-6)
-    enough = int(np.ceil((2.0 * limits.acceleration[moves] / (jerk[moves] * period)).max(initial=1.0)))
     for window in _windows(min(enough, len(padded) - 1)):
         if (np.abs(padded[window:] - padded[:-window]) <= allowed * window).all():
             return window
-    return max(1, enough)
+    return enough
 
 
 def _windows(end: int) -> Iterator[int]:

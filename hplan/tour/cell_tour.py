@@ -1,12 +1,13 @@
 """Arms that pick together: the fruits shared out, each arm's own tour, its parts set out when the others leave room.
 
-Who reaches a fruit alone picks it; of the others each arm takes those that are near, as many as its neighbours. Each
-arm's tour is planned by itself, past the others where they begin, with all fruits hanging that are not its own; fruit
-to which it finds no motion goes to another that can pick it. It is as it would be alone, at rest at the fruits: from
-rest to rest each part begins as soon as what the other arms are already to do leaves room, and nobody moves before that
-holds for ever after. Who cannot go on waits or, where all ends sooner for it, goes around the others where they stand,
-through its other fruits as is then best; where nobody can, one has to: there is no deadlock, at worst a fruit that
-stays. In the end all arms against one another are certified as one motion.
+Who reaches a fruit alone picks it; of the others each arm takes those that are near, as many as its neighbours, or,
+where all ends sooner for it, one the low and another the high ones. Each arm's tour is planned by itself, past others
+where they begin, with all fruits hanging that are not its own; fruit to which it finds no motion goes to another that
+can pick it. It is as it would be alone, at rest at the fruits: from rest to rest each part begins as soon as what the
+other arms are already to do leaves room, and nobody moves before that holds for ever after. Who cannot go on waits or,
+where all ends sooner for it, goes around the others where they stand, through its other fruits as is then best; where
+nobody can, one has to: there is no deadlock, at worst a fruit that stays. In the end all arms against one another are
+certified as one motion.
 """
 
 from __future__ import annotations
@@ -154,17 +155,20 @@ def _planned(cell: Cell, options: PlanOptions, progress: Progress) -> CellTour:
     apart = replace(cell, arms=tuple(_among_others(cell, arm, _THICKER) for arm in cell.arms))
     progress("who reaches what")
     able, reasons = _able(apart, options)
-    tours = _tours(apart, options, able, reasons, progress)
-    if not tours:
-        raise TourError(list(reasons.items()))
-    shared = list(_balanced(apart, options, able, tours, progress))
-    names = [arm.name for arm in cell.arms]
+    names, shared = [arm.name for arm in cell.arms], list[tuple[dict[str, TourResult], dict[str, HplanError]]]()
+    for lowest in ((),) if options.effort == "quick" else ((), names, names[::-1]):
+        without = dict(reasons)
+        tours = _tours(apart, options, able, _shares(apart, able, lowest), without, progress)
+        if tours:
+            shared += [(each, without) for each in _balanced(apart, options, able, tours, progress)]
+    if not shared:
+        raise TourError(list(without.items()))
     for spare in SPARES[1:]:
         progress("together")
         ways: _Ways = {}
         schedules = [
-            _Schedule(cell, options, spare, order, detour, ways).filled(tours, reasons)
-            for tours, order, detour in itertools.product(shared, (names, names[::-1]), (0.0, _DETOUR))
+            _Schedule(cell, options, spare, order, detour, ways).filled(*each)
+            for each, order, detour in itertools.product(shared, (names, names[::-1]), (0.0, _DETOUR))
         ]
         found = min(schedules, key=lambda each: (len(each.unreached), round(each.duration, 6))).result()
         if found.between.verified:
@@ -194,22 +198,22 @@ def _able(cell: Cell, options: PlanOptions) -> tuple[dict[str, list[str]], dict[
     return able, reasons
 
 
-def _shares(cell: Cell, able: Mapping[str, Sequence[str]]) -> dict[str, list[str]]:
-    """The fruits of each arm, about as many of each."""
+def _shares(cell: Cell, able: Mapping[str, Sequence[str]], lowest: Sequence[str] = ()) -> dict[str, list[str]]:
+    """The fruits of each arm, about as many of each: those near it or, with names, the lowest for the first of them."""
     bases = {arm.name: np.array(arm.position) for arm in cell.scene.robots}
     shares: dict[str, list[str]] = {name: [] for name in bases}
     shared = []
     for fruit in cell.scene.fruits:
-        names = able[fruit.name]
+        names = sorted(able[fruit.name], key=lowest.index) if lowest else list(able[fruit.name])
         if len(names) == 1:
             shares[names[0]].append(fruit.name)
         elif names:
             near, far = (float(np.linalg.norm(fruit.center - bases[name])) for name in names[:2])
-            shared.append((round(near - far, 6), fruit.name))
+            shared.append((round(fruit.center[2] if lowest else near - far, 6), fruit.name, names))
     most = math.ceil((len(shared) + sum(map(len, shares.values()))) / len(shares))
-    for _, fruit_name in sorted(shared):  # who is far nearer than the others chooses first
-        with_room = [name for name in able[fruit_name] if len(shares[name]) < most]
-        shares[(with_room or able[fruit_name])[0]].append(fruit_name)
+    for _, fruit_name, names in sorted(shared):  # who is far nearer than the others chooses first
+        with_room = [name for name in names if len(shares[name]) < most]
+        shares[(with_room or names)[0]].append(fruit_name)
     return shares
 
 
@@ -217,11 +221,12 @@ def _tours(
     cell: Cell,
     options: PlanOptions,
     able: Mapping[str, Sequence[str]],
+    shares: dict[str, list[str]],
     reasons: dict[str, HplanError],
     progress: Progress,
 ) -> dict[str, TourResult]:
     """The tour of each arm; fruit to which one finds no motion goes to the next that can pick it."""
-    tours, shares, missed_by = dict[str, TourResult](), _shares(cell, able), dict[str, set[str]]()
+    tours, missed_by = dict[str, TourResult](), dict[str, set[str]]()
     changed = {name for name, share in shares.items() if share}
     while changed:
         handed = set[str]()

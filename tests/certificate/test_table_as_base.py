@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 import trimesh
 from any_arms import limb
+from planned import straight
 
 from hplan.certificate.certificate import certify
 from hplan.collision.coal_scene import base_contacts
@@ -15,7 +15,6 @@ from hplan.robot.model import Robot, load_robot
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Sphere
 from hplan.scene.tracks import Track
-from hplan.trajectory.trajectory import Trajectory
 
 
 @pytest.fixture(scope="module")
@@ -35,13 +34,8 @@ def robot(tmp_path_factory) -> Robot:
 
 
 def certified(robot: Robot, ball: Sphere):
-    q = np.array([[0.2], [0.4]])
-    none = np.zeros_like(q)
-    motion = Trajectory(
-        robot.joint_names, np.array([0.0, 2.0]), q, none, none, robot.dynamics.torques(q, none, none), robot.slides
-    )
     scene = Scene(name="s", start=Start(joints_rad=(0.2,)), goal=Goal(joints_rad=(0.4,)), obstacles=(ball,))
-    return certify(robot, scene, motion)
+    return certify(robot, scene, straight(robot, (0.2,), (0.4,), 2.0, 10.0))
 
 
 def test_what_lies_under_the_table_is_not_in_it(robot):

@@ -123,11 +123,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def study_of(name: str) -> Study:
-    """The study of a name.
-
-    Raises:
-        OptionError: There is none.
-    """
+    """The study of a name."""
     if name not in STUDIES:
         raise OptionError("STUDY", name, f"one of {', '.join(STUDIES)}")
     module, attribute = STUDIES[name].split(":")
@@ -136,11 +132,7 @@ def study_of(name: str) -> Study:
 
 
 def _value(text: str) -> tuple[str, tuple[float, ...]]:
-    """A name and its numbers.
-
-    Raises:
-        OptionError: Another text.
-    """
+    """A name and its numbers."""
     name, _, numbers = text.partition("=")
     try:
         return name, tuple(map(float, numbers.split(",")))

@@ -135,11 +135,7 @@ def packed(site: Path, pure: str, out: Path) -> Path:
 
 
 def try_it(wheel: Path, folder: Path) -> None:
-    """Run commands of an installed wheel, with nothing else of hplan in sight and nowhere to write but an empty folder.
-
-    Raises:
-        SystemExit: One fails, writes to standard error, or compiles a kernel.
-    """
+    """Run commands of an installed wheel, with nothing else of hplan in sight, in an empty folder alone."""
     site, here = folder / "site", folder / "here"
     here.mkdir(parents=True)
     install = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--target", str(site), str(wheel)]

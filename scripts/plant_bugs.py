@@ -60,11 +60,7 @@ class Bug:
     what: str
 
     def planted(self, root: Path) -> str:
-        """The text of the file with the bug.
-
-        Raises:
-            ValueError: The file does not hold the old text exactly once, or the new one is no Python.
-        """
+        """The text of the file with the bug."""
         text = (root / self.file).read_text(encoding="utf-8")
         if (count := text.count(self.old)) != 1:
             raise ValueError(f"{self.file} holds its text {count} times")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,8 +12,6 @@ from hplan.errors import OptionError
 
 #: An angle this far outside the interval asked for is in it [rad].
 WINDOW_TOLERANCE = 1e-7
-
-_TURN = 2.0 * np.pi
 
 
 @dataclass(frozen=True)
@@ -52,7 +51,7 @@ class Window(Record):
         if ends.shape not in ((1,), (2,)) or not np.isfinite(ends).all() or ends[0] > ends[-1]:
             raise OptionError("approach_deg", approach_deg, expected)
         low, high = np.radians(ends[[0, -1]])
-        return None if high - low >= _TURN else cls(float(low), float(high - low))
+        return None if high - low >= math.tau else cls(float(low), float(high - low))
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,5 +71,5 @@ class Candidates(Record):
 
 def above(angle: FloatArray, low: FloatArray | float) -> FloatArray:
     """Differences of angles from another, in [0, 2 pi)."""
-    difference: FloatArray = (angle - low) % _TURN
+    difference: FloatArray = (angle - low) % math.tau
     return difference

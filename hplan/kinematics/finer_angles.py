@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -13,9 +14,6 @@ from hplan.kinematics.approach_angles import Candidates, Window
 
 #: Angles are refined by this factor at a time until they are this near to one another [rad].
 _FACTOR, FINEST = 4, np.radians(0.05)
-
-
-_TURN = 2.0 * np.pi
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +92,7 @@ def _apart(angles: FloatArray, clearances: FloatArray, spacing: float) -> list[f
     """The angles to refine: the best that are not within a spacing of a better one."""
     kept: list[float] = []
     for which in np.argsort(-np.round(clearances, 9), kind="stable").tolist():
-        away = (np.array(kept) - angles[which] + np.pi) % _TURN - np.pi
+        away = (np.array(kept) - angles[which] + np.pi) % math.tau - np.pi
         if not (np.abs(away) < spacing).any():
             kept.append(float(angles[which]))
             # So many angles are refined at a time, those with the largest clearance.

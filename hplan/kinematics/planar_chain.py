@@ -19,6 +19,7 @@ intervals are feasible: none is overlooked, however narrow.
 from __future__ import annotations
 
 import cmath
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -38,8 +39,6 @@ ANGLE_TOLERANCE = 1e-10
 #: Arms with no joint left to adjust reach a point from which they are this far away [m].
 MATCH_TOLERANCE = 1e-6
 
-_TURN = 2.0 * np.pi
-_LAST_DIGITS = 1e-15
 _SIDES = np.array([1.0, -1.0])
 
 #: Directions of the last link tried where limits are set aside, and how often the best is refined.
@@ -113,7 +112,7 @@ class FreeChain(Record):
         relative = absolute.copy()
         relative[..., 1:] -= absolute[..., :-1]
         q = self.signs * (relative - self.offsets) - self.lower
-        q += self.lower - _TURN * np.floor((q + ANGLE_TOLERANCE) / _TURN)
+        q += self.lower - math.tau * np.floor((q + ANGLE_TOLERANCE) / math.tau)
         return q
 
     def keeps_limits(self, q: FloatArray) -> BoolArray:
@@ -188,7 +187,7 @@ class FreeChain(Record):
         if len(self.free) < 3:
             index, absolute = self._isolated(points)
             return index, *self._excess(self.joints(absolute))
-        step = _TURN / _TRIED
+        step = math.tau / _TRIED
         tried = np.tile(np.arange(_TRIED) * step, (len(points), 1))
         for closer in range(_CLOSER + 1):
             index, absolute = self._directed(points, tried)
@@ -206,7 +205,7 @@ class FreeChain(Record):
     def _excess(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Joint angles, whole turns taken off where that brings them nearer to their range, and their distance."""
         below = q > 0.5 * (self.lower + self.upper) + np.pi
-        q = np.where(below & ~(q <= self.upper), q - _TURN, q)
+        q = np.where(below & ~(q <= self.upper), q - math.tau, q)
         return q, np.maximum(np.maximum(self.lower - q, q - self.upper), 0.0)
 
     def _isolated(self, points: ComplexArray) -> tuple[IntArray, FloatArray]:
@@ -281,11 +280,11 @@ class FreeChain(Record):
         self, points: ComplexArray, corners: FloatArray, low: FloatArray | None, width: float
     ) -> tuple[FloatArray, FloatArray, BoolArray]:
         """Intervals of the last piece's angle between corners: (b, j) starts and widths, (b, 2, j) feasible elbows."""
-        cuts = corners[..., 2] % _TURN
+        cuts = corners[..., 2] % math.tau
         if low is not None:
-            cuts = np.concatenate([cuts, (low[:, None] + [0.0, width]) % _TURN], axis=1)
+            cuts = np.concatenate([cuts, (low[:, None] + [0.0, width]) % math.tau], axis=1)
         cuts.sort(axis=1)
-        widths = np.diff(cuts, axis=1, append=cuts[:, :1] + _TURN)
+        widths = np.diff(cuts, axis=1, append=cuts[:, :1] + math.tau)
         middle = cuts + 0.5 * widths
         absolute, ok = self._with_last(points[:, None], middle)
         feasible = (self.keeps_limits(self.joints(absolute)) & ok[..., :1]).transpose(0, 2, 1)
@@ -326,7 +325,7 @@ def two_links(
     squares, square = near * near + far * far, distance * distance
     cos = (square - squares) / product
     # Rounding of the last digit would bend a straight elbow by 1e-8; nearer than that it is straight, or folded.
-    cos = np.where(np.abs(cos) >= 1.0 - _LAST_DIGITS * (square + squares) / product, np.copysign(1.0, cos), cos)
+    cos = np.where(np.abs(cos) >= 1.0 - 1e-15 * (square + squares) / product, np.copysign(1.0, cos), cos)
     bend = arccos(cos)
     half = arctan2(far * np.sin(bend), near + far * cos)
     # A point this far out of reach is reached by a straight or folded arm [m].
@@ -350,13 +349,13 @@ def _both_elbows(
 def _merged(spans: list[tuple[float, float]]) -> list[tuple[float, float]]:
     """Intervals (low, width) of angles as few intervals (low, high), from low in (-pi, pi] on."""
     merged: list[list[float]] = []
-    for low, width in sorted(((np.pi - (np.pi - low) % _TURN, width) for low, width in spans)):
+    for low, width in sorted(((np.pi - (np.pi - low) % math.tau, width) for low, width in spans)):
         if merged and low <= merged[-1][1] + WINDOW_TOLERANCE:
             merged[-1][1] = max(merged[-1][1], low + width)
         else:
             merged.append([low, low + width])
     # The last may run on into the first.
-    while len(merged) > 1 and merged[-1][1] >= merged[0][0] + _TURN - WINDOW_TOLERANCE:
+    while len(merged) > 1 and merged[-1][1] >= merged[0][0] + math.tau - WINDOW_TOLERANCE:
         first = merged.pop(0)
-        merged[-1][1] = max(merged[-1][1], first[1] + _TURN)
-    return [(float(low), float(min(high, low + _TURN))) for low, high in merged]
+        merged[-1][1] = max(merged[-1][1], first[1] + math.tau)
+    return [(float(low), float(min(high, low + math.tau))) for low, high in merged]

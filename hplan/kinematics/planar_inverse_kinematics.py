@@ -40,10 +40,8 @@ AXIS_YAWS = 5
 ROUNDING = 1e-8
 
 
-_TURN = 2.0 * np.pi
-
 #: Where a joint may turn by many whole turns, values farther than this from its start are left out [rad].
-_FARTHEST = 2.0 * _TURN
+_FARTHEST = 2.0 * math.tau
 
 
 def reach(
@@ -99,7 +97,7 @@ def reach_at(
 
 def _candidates(configurations: FloatArray, direction: FloatArray) -> Candidates | None:
     """Configurations with their (k,) angles of the last link; None where k = 0."""
-    approach = np.pi - (np.pi - direction) % _TURN
+    approach = np.pi - (np.pi - direction) % math.tau
     return Candidates(frozen(configurations), frozen(approach)) if len(configurations) else None
 
 
@@ -188,8 +186,8 @@ class _ReachTask:
         else:
             out = np.sqrt(max(distance**2 - across**2, 0.0)) * np.array([1.0, -1.0])
             yaws = math.atan2(y, x) - math.atan2(fy, fx) - arctan2(0.0 - across, out)
-        turns = np.floor((yaws - robot.lower[0] + ANGLE_TOLERANCE) / _TURN)
-        return _Views(yaws - _TURN * turns, (out - ahead) + 1j * height, max(0.0, abs(across) - distance))
+        turns = np.floor((yaws - robot.lower[0] + ANGLE_TOLERANCE) / math.tau)
+        return _Views(yaws - math.tau * turns, (out - ahead) + 1j * height, max(0.0, abs(across) - distance))
 
     @property
     def yaw_excess(self) -> FloatArray:
@@ -197,7 +195,7 @@ class _ReachTask:
         if not self.robot.has_yaw:
             return np.zeros(1)
         yaw, lower, upper = self.views.yaw, self.robot.lower[0], self.robot.upper[0]
-        excess: FloatArray = np.maximum(np.minimum(yaw - upper, lower + _TURN - yaw), 0.0)
+        excess: FloatArray = np.maximum(np.minimum(yaw - upper, lower + math.tau - yaw), 0.0)
         return excess
 
     @cached_property
@@ -262,7 +260,7 @@ class _ReachTask:
             yaw = np.minimum(self.views.yaw[views], robot.upper[0])
             q[:, 0] = np.maximum(yaw, robot.lower[0])[found.point % len(views)]
         direction = found.direction
-        more = ~self.held & (q <= robot.upper - _TURN + ANGLE_TOLERANCE).any(axis=0)
+        more = ~self.held & (q <= robot.upper - math.tau + ANGLE_TOLERANCE).any(axis=0)
         for joint in np.flatnonzero(more):
             q, direction = self._with_whole_turns(q, direction, int(joint))
         order = np.lexsort(np.round(q, 7).T[::-1])
@@ -275,10 +273,10 @@ class _ReachTask:
         """Repeat solutions for every whole turn that a joint may make, `_FARTHEST` from the start."""
         lower, upper = self.robot.lower[joint], self.robot.upper[joint]
         near = 0.5 * (lower + upper) if self.start is None else self.start[joint]
-        first = max(0, math.floor((near - _FARTHEST - lower) / _TURN))
-        turns = np.arange(first, math.ceil((min(upper, near + _FARTHEST) - lower + ANGLE_TOLERANCE) / _TURN))
+        first = max(0, math.floor((near - _FARTHEST - lower) / math.tau))
+        turns = np.arange(first, math.ceil((min(upper, near + _FARTHEST) - lower + ANGLE_TOLERANCE) / math.tau))
         turned = np.repeat(q, len(turns), axis=0)
-        turned[:, joint] += _TURN * np.tile(turns, len(q))
+        turned[:, joint] += math.tau * np.tile(turns, len(q))
         kept = (turned[:, joint] <= upper + ANGLE_TOLERANCE) & (np.abs(turned[:, joint] - near) <= _FARTHEST)
         turned[:, joint] = np.minimum(turned[:, joint], upper)
         return turned[kept], np.repeat(direction, len(turns))[kept]
@@ -373,7 +371,7 @@ def _limit_reason(task: _ReachTask) -> UnreachableError:
     joints = [shift + joint for joint in task.chain.free]
     if robot.has_yaw:
         yaw = task.views.yaw
-        out = yaw - np.where(yaw - robot.upper[0] > robot.lower[0] + _TURN - yaw, _TURN, 0.0)
+        out = yaw - np.where(yaw - robot.upper[0] > robot.lower[0] + math.tau - yaw, math.tau, 0.0)
         view = index % len(views)
         joints, q = [0, *joints], np.column_stack([out[view], q])
         excess = np.column_stack([task.yaw_excess[view], excess])

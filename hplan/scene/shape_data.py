@@ -12,7 +12,7 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,10 +21,6 @@ from hplan.base.arrays import FloatArray, IntArray, as_array, readonly
 from hplan.base.files import ByteBudget, write_text
 from hplan.scene.convex_decomposition import Pieces, convex_pieces
 from hplan.scene.limits import FARTHEST_M, MOST_POINTS, MOST_TRIANGLES
-
-#: Files that hold a surface, and files that hold points.
-_MESH_FORMATS: Final = (".stl", ".ply", ".obj", ".off")
-_POINT_FORMATS: Final = (".ply", ".xyz")
 
 _T = TypeVar("_T")
 
@@ -155,7 +151,7 @@ def read_surface(path: Path, budget: ByteBudget) -> Surface:
     Raises:
         ValueError: It is too large, cannot be read, or its surface is not closed, flat or inside out.
     """
-    loaded = _load(path, budget, _MESH_FORMATS, "mesh")
+    loaded = _load(path, budget, (".stl", ".ply", ".obj", ".off"), "mesh")
     faces = getattr(loaded, "faces", None)
     if faces is None or len(faces) == 0:
         raise ValueError("the mesh is empty: it has no triangles")
@@ -168,7 +164,7 @@ def read_points(path: Path, budget: ByteBudget) -> PointSet:
     Raises:
         ValueError: It cannot be read, is empty or too large, or none of its points is finite.
     """
-    loaded = _load(path, budget, _POINT_FORMATS, "point")
+    loaded = _load(path, budget, (".ply", ".xyz"), "point")
     vertices = getattr(loaded, "vertices", None)
     points = np.zeros((0, 3)) if vertices is None else np.asarray(vertices, dtype=np.float64)
     finite = np.isfinite(points).all(axis=-1)

@@ -3,16 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 
 from hplan.base.arrays import BoolArray, FloatArray
 from hplan.scene.solids import Hull
-
-#: How far pieces may stand out: this [m], or this fraction of the mesh's longest side where that is more.
-_TOLERANCE: Final = 5e-3
-_RELATIVE_TOLERANCE: Final = 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +32,8 @@ class SolidVoxels:
         from scipy import ndimage
 
         low, high = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
-        tolerance = max(_TOLERANCE, _RELATIVE_TOLERANCE * float((high - low).max()))
+        # How far pieces may stand out: 5 mm, or a fraction of the mesh's longest side where that is more.
+        tolerance = max(5e-3, 0.02 * float((high - low).max()))
         edge = 0.5 * tolerance
         origin = low - 0.5 * edge
         shape = tuple((np.ceil((high - low) / edge) + 2).astype(int).tolist())

@@ -231,11 +231,7 @@ def panda() -> Robot:
 
 
 def panda_problems(folder: Path, set_name: str) -> list[dict[str, Any]]:
-    """The problems of a set.
-
-    Raises:
-        InputError: There is no such file.
-    """
+    """The problems of a set."""
     file = folder / f"panda_{set_name}.json"
     try:
         found: list[dict[str, Any]] = json.loads(file.read_text(encoding="utf-8"))

@@ -58,9 +58,6 @@ def problem_of(record: dict[str, Any], trees: Path | None) -> FastestProblem:
     Args:
         record: What the set's file says.
         trees: Folder of measured trees; None will do for planar problems.
-
-    Raises:
-        InputError: It is not the problem that the best known duration is of, or its tree is not there.
     """
     robot, scene = _made(record, trees)
     found, name = digest_of(robot, scene), record["name"]

@@ -117,9 +117,6 @@ def run(
         asked: How much of it, with what.
         executor: Where rows are made; None for here.
         told: Called with how many problems are done, and of how many.
-
-    Raises:
-        InputError: Something that the study needs is not given.
     """
     missing = [name for name in study.needs if getattr(asked, name) is None]
     if missing:
@@ -243,11 +240,7 @@ def compare(before: Sequence[Row], after: Sequence[Row], columns: Sequence[str])
 
 
 def read_rows(file: Path) -> list[Row]:
-    """Rows of a file that a run has written.
-
-    Raises:
-        InputError: It cannot be read, or is none.
-    """
+    """Rows of a file that a run has written."""
     try:
         lines = [json.loads(line) for line in file.read_text(encoding="utf-8").splitlines()]
     except (OSError, ValueError) as error:

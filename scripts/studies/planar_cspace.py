@@ -80,11 +80,7 @@ def planar_sections(
     link_model: LinkModel = "capsule",
     names: Sequence[str] | None = None,
 ) -> ArmSections:
-    """Sections of obstacles given in the arm plane itself, not yet grown by any link.
-
-    Raises:
-        OptionError: Unknown link model, or `rectangle` with a section that is no disc.
-    """
+    """Sections of obstacles given in the arm plane itself, not yet grown by any link."""
     one_of("link_model", link_model, LINK_MODELS)
     hulls = [RoundedPolygon(convex_hull(section.vertices), section.radius) for section in sections]
     default = tuple(f"section {index}" for index in range(len(sections)))

@@ -100,11 +100,7 @@ def measured_orchards(robot: Robot, folder: Path) -> list[Orchard]:
 
 
 def measured_orchard(robot: Robot, file: Path, distance: float) -> Orchard:
-    """A measured tree with fruit, at a distance [m] in front of the base.
-
-    Raises:
-        InputError: A file that is not in order, or a tree with too little room for its fruit.
-    """
+    """A measured tree with fruit, at a distance [m] in front of the base."""
     wood = import_capsules(file, position=(distance, 0.0, 0.0))
     branches = sum(piece.name.split()[0] != "trunk" for piece in wood)
     try:

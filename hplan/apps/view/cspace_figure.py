@@ -16,7 +16,6 @@ if TYPE_CHECKING:
 
 #: Colours of the motion, at the yaw and farthest from it.
 _NEAR, _FAR = INK, "#A9BBCB"
-_WIDTHS = 3.2, 1.2
 
 
 @styled
@@ -73,7 +72,7 @@ def _draw_motion(axes: Any, section: YawSection, towards: Any, color_of: Any) ->
     pieces = np.stack([points[:-1], points[1:]], axis=1)
     dark = covered[:-1] | covered[1:]
     fraction = section.yaw_distance[:-1] / max(float(section.yaw_distance.max()), 1e-9)
-    widths = _WIDTHS[0] + fraction * (_WIDTHS[1] - _WIDTHS[0])
+    widths = 3.2 - 2.0 * fraction
     colors = np.array([color_of(distance) for distance in section.yaw_distance[:-1]])
     # Every other two pieces of what is hidden: dots.
     dots = dark & (np.arange(len(dark)) % 4 < 2)

@@ -16,9 +16,6 @@ ASPECT = 1.3
 #: Vertical field of view [deg].
 FIELD_OF_VIEW_DEG = 32.0
 
-#: What is this much nearer to the camera than a point, and this near to it in the picture, covers it [m].
-_BEFORE, _BESIDE = 0.08, 0.03
-
 
 @dataclass(frozen=True)
 class Frame:
@@ -73,8 +70,9 @@ def covered(points: FloatArray, before: FloatArray, widths: FloatArray, azimuth:
     flat = np.column_stack([right, up])
     seen, others = points @ flat, before @ flat
     apart = np.hypot(*(seen[:, None, axis] - others[None, :, axis] for axis in range(2)))
-    nearer = (before @ toward)[None] > (points @ toward)[:, None] + _BEFORE
-    return float((nearer & (apart < _BESIDE + widths)).any(axis=1).mean())
+    # What is so much nearer to the camera than a point, and so near to it in the picture, covers it [m].
+    nearer = (before @ toward)[None] > (points @ toward)[:, None] + 0.08
+    return float((nearer & (apart < 0.03 + widths)).any(axis=1).mean())
 
 
 def view_axes(azimuth: float, elevation: float) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -37,10 +37,6 @@ START_COLOR = 0x3D7EFF
 GOAL_COLOR = 0x12A150
 APPROACH_COLOR = 0xF08A1D
 
-#: The camera stands to the side of the arm plane, turned forwards, or backwards, by this and raised by this [deg].
-_AZIMUTH_DEG = 32.0
-_ELEVATION_DEG = 17.0
-
 #: Rings of all tubes of the tool path together, about, and how far apart they are at least [m].
 _RINGS, _RING_SPACING = 900, 0.02
 
@@ -256,11 +252,12 @@ def _frame(robot: Robot, stands: Sequence[Scene], trajectory: Trajectory, picks:
     configurations = trajectory.position[rows]
     yaws = [robot.yaw_of(q) for q in (trajectory.position[picks] if len(picks) > 1 else configurations)]
     yaw = 0.5 * (min(yaws) + max(yaws))
-    elevation = np.radians(_ELEVATION_DEG)
+    # The camera stands to the side of the arm plane, turned forwards or backwards, and raised [deg].
+    aside, elevation = 32.0, np.radians(17.0)
     arm = _arm_points(robot, configurations)
     blocking = [_blocking_points(scene) for scene in stands]
     before, widths = (np.concatenate(values) for values in zip(*blocking, strict=True))
-    sides = yaw + np.radians([turn for side in (-90.0, 90.0) for turn in (side + _AZIMUTH_DEG, side - _AZIMUTH_DEG)])
+    sides = yaw + np.radians([turn for side in (-90.0, 90.0) for turn in (side + aside, side - aside)])
     hidden = [framing.covered(arm, before, widths, azimuth, elevation) for azimuth in sides]
     visible = _visible_points(robot, stands, np.vstack([arm, _corners(robot, configurations)]), floor)
     return framing.frame(visible, float(sides[int(np.argmin(hidden))]), elevation)

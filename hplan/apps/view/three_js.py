@@ -21,9 +21,6 @@ Json: TypeAlias = dict[str, Any]
 
 #: Segments of a full turn of a round body.
 _SEGMENTS = 48
-#: Segments of a full turn of bodies of which there may be hundreds.
-_COPY_SEGMENTS = 20
-_HALF_PI = 0.5 * np.pi
 
 
 def transform(rotation: ArrayLike | None = None, position: ArrayLike | None = None) -> FloatArray:
@@ -275,6 +272,7 @@ def add_capsules(
         radii: (n,) radii [m].
     """
     walls, caps = [], []
+    segments = 20  # of a full turn: there may be hundreds of such bodies
     for start, end, radius in zip(starts, ends, radii, strict=True):
         length = float(np.linalg.norm(end - start))
         turn = _turn_y_to((end - start) / length) if length > 0.0 else np.eye(3)
@@ -282,10 +280,10 @@ def add_capsules(
             walls.append(transform(turn * [radius, length, radius], 0.5 * (start + end)))
         caps += [transform(turn * radius, end), transform(turn * [radius, -radius, -radius], start)]
     if walls:
-        wall = {**cylinder(1.0, 1.0, open_ended=True), "radialSegments": _COPY_SEGMENTS}
+        wall = {**cylinder(1.0, 1.0, open_ended=True), "radialSegments": segments}
         body.add_copies(wall, surface, np.array(walls), name=name)
-    half = {"widthSegments": _COPY_SEGMENTS, "heightSegments": _COPY_SEGMENTS // 4}
-    cap = {**sphere(1.0), **half, "thetaStart": 0.0, "thetaLength": round(_HALF_PI, 9)}
+    half = {"widthSegments": segments, "heightSegments": segments // 4}
+    cap = {**sphere(1.0), **half, "thetaStart": 0.0, "thetaLength": round(0.5 * np.pi, 9)}
     body.add_copies(cap, surface, np.array(caps), name=f"{name} ends")
 
 

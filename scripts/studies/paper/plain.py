@@ -118,11 +118,7 @@ def second_level(
 
 
 def path_found(result: SearchResult) -> IntArray:
-    """The (m, 3) path of a search that must have one.
-
-    Raises:
-        NoPathError: It has none.
-    """
+    """The (m, 3) path of a search that must have one."""
     if result.path is None:
         raise NoPathError("the search found no path from start to goal", reached_cells=result.expansions.total)
     return result.path

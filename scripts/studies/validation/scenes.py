@@ -70,9 +70,6 @@ def random_scene(robot: Robot, kind: Kind, number: int, *, seed: int = 0) -> Ran
     Args:
         robot: The arm that is to meet the obstacles.
         number: Which of the scenes of this kind.
-
-    Raises:
-        OptionError: Unknown kind, or a number or seed below 0.
     """
     if kind not in KINDS:
         raise OptionError("kind", kind, f"one of {', '.join(KINDS)}")

@@ -348,7 +348,7 @@ def test_bounds_hold_what_points_do(tmp_path, has_yaw, offsets):
         start, turn = rng.uniform(-1.0, 1.0, (2, robot.dof))
         bezier = start + np.linspace(0.0, 1.0, 4)[None, :, None] * turn
         _, moved, sways = motion_of_movers(checker, bezier, np.abs(turn)[None])
-        for number, (first, second) in enumerate(both.tolist()):
+        for number, (first, second) in zip(parts.alike, both.tolist(), strict=True):
             went = np.linalg.norm(ends(start + turn, first, second) - ends(start, first, second), axis=1).max()
             assert went <= moved[number, 0] + 1e-9
             assert moved[number, 0] <= sways[number, 0] + 1e-9

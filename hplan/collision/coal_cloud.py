@@ -17,12 +17,12 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-from hplan.base.arrays import FloatArray, IntArray
+from hplan.base.arrays import FloatArray
 from hplan.base.deadline import check_deadline
 from hplan.base.kernels import kernel
 from hplan.collision.coal_shapes import beyond_geometry, capsule_shapes, solid_shape, triangle_tree
 from hplan.robot.base_shapes import coal_distance
-from hplan.scene.cloud_tree import halves, tree_of
+from hplan.scene.cloud_tree import parts_of, tree_of
 from hplan.scene.obstacles import Capsule, Solid
 from hplan.scene.solids import Cloud
 
@@ -82,21 +82,17 @@ class PointBlocks:
         balls: (blocks, 4) centre and radius of a ball about the points of each block [m].
     """
 
-    def __init__(self, points: FloatArray) -> None:
-        """Cut (n, 3) points, in the order of a tree that is split at medians, into blocks.
+    def __init__(self, points: FloatArray, tree: FloatArray) -> None:
+        """Cut points into blocks.
 
         Args:
-            points: The points, n > 0 [m].
+            points: (n, 3) points in the order of the tree, n > 0 [m].
+            tree: Its nodes, as in `hplan.scene.solids.Cloud`.
         """
-        self._points = points
-        self._starts: IntArray = halves(len(points), _BLOCK)
-        first, counts = self._starts[:-1], np.diff(self._starts)
-        low, high = np.minimum.reduceat(points, first), np.maximum.reduceat(points, first)
-        centres = 0.5 * (low + high)
-        distances = np.linalg.norm(points - np.repeat(centres, counts, axis=0), axis=1)
+        blocks = parts_of(tree, _BLOCK)
+        self._points, self._spans = points, blocks[:, :2].astype(np.int64)
         # Rounding errors, and the specks, never make a ball too small.
-        radii = np.maximum.reduceat(distances, first) * (1.0 + 1e-12) + 2.0 * _SPECK
-        self.balls: FloatArray = np.column_stack([centres, radii])
+        self.balls: FloatArray = blocks[:, 3:] * (1.0, 1.0, 1.0, 1.0 + 1e-12) + (0.0, 0.0, 0.0, 2.0 * _SPECK)
         self._trees: dict[int, coal.BVHModelOBBRSS] = {}
 
     @classmethod
@@ -104,11 +100,11 @@ class PointBlocks:
         """The blocks of a cloud, cut once."""
         found = _KNOWN.get(cloud)
         if found is None:
-            points = cloud.core
-            if len(cloud.tree) == 0:  # its points are in no order
+            points, tree = cloud.core, cloud.tree
+            if len(tree) == 0:  # its points are in no order
                 points = points.copy()
-                tree_of(points, _BLOCK)
-            found = _KNOWN[cloud] = cls(points)
+                tree = tree_of(points, _BLOCK)
+            found = _KNOWN[cloud] = cls(points, tree)
         return found
 
     def distance(self, shape: BareShape, placement: pin.SE3) -> float:
@@ -134,7 +130,7 @@ class PointBlocks:
         """The points of a block as tiny triangles about them, built once."""
         tree = self._trees.get(block)
         if tree is None:
-            inside = self._points[self._starts[block] : self._starts[block + 1]]
+            inside = self._points[slice(*self._spans[block])]
             corners = (inside[:, None] + _CORNERS).reshape(-1, 3)
             tree = self._trees[block] = triangle_tree(corners, np.arange(len(corners)).reshape(-1, 3))
         return tree

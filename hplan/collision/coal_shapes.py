@@ -126,6 +126,8 @@ def bounding_balls(obstacles: Sequence[Solid]) -> FloatArray:
         elif type(obstacle) is Capsule:
             (x, y, z), (u, v, w) = obstacle.start, obstacle.end
             balls[number] = 0.5 * (x + u), 0.5 * (y + v), 0.5 * (z + w), 0.5 * math.dist(obstacle.start, obstacle.end)
+        elif isinstance(obstacle, Cloud) and len(obstacle.tree):
+            balls[number] = obstacle.tree[0, 3:]
         else:
             core = obstacle.core
             centre = 0.5 * (core.min(axis=0) + core.max(axis=0))

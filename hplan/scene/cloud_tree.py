@@ -123,37 +123,50 @@ def box_centres(points: FloatArray, numbers: ShortArray, count: int) -> tuple[Fl
 
 
 @kernel
-def _swap(points: FloatArray, a: int, b: int) -> None:
-    for axis in range(3):
-        points[a, axis], points[b, axis] = points[b, axis], points[a, axis]
+def _put_first(points: FloatArray, first: int, last: int, axis: int, bound: float) -> int:
+    """Rearrange the points first..last - 1 so that those with a coordinate below a bound come first.
+
+    Points change places without a branch: half of the time it would be guessed wrong, which costs most of all.
+
+    Returns:
+        Where the others begin.
+    """
+    end = first
+    for i in range(first, last):
+        x, y, z, at = points[i, 0], points[i, 1], points[i, 2], points[i, axis]
+        points[i, 0], points[i, 1], points[i, 2] = points[end, 0], points[end, 1], points[end, 2]
+        points[end, 0], points[end, 1], points[end, 2] = x, y, z
+        end += int(at < bound)
+    return end
+
+
+@inlined
+def _median(a: float, b: float, c: float) -> float:
+    return max(min(a, b), min(max(a, b), c))
 
 
 @kernel
 def _part_at(points: FloatArray, first: int, last: int, middle: int, axis: int) -> None:
     """Rearrange the points first..last - 1 so that none before `middle` has a larger coordinate than any from there on.
 
-    Hoare's selection, the pivot a median of three.
+    A selection, the pivot a median of three medians.
     """
-    low, high = first, last - 1
-    while low < high:
-        a, b, c = points[low, axis], points[(low + high) // 2, axis], points[high, axis]
-        pivot = max(min(a, b), min(max(a, b), c))
-        i, j = low, high
-        while i <= j:
-            while points[i, axis] < pivot:
-                i += 1
-            while points[j, axis] > pivot:
-                j -= 1
-            if i <= j:
-                _swap(points, i, j)
-                i += 1
-                j -= 1
-        if middle <= j:
-            high = j
-        elif middle >= i:
-            low = i
-        else:
-            return
+    while last - first > 1:
+        at, step = points[first:last, axis], (last - first - 1) // 8
+        pivot = _median(
+            _median(at[0], at[step], at[2 * step]),
+            _median(at[3 * step], at[4 * step], at[5 * step]),
+            _median(at[6 * step], at[7 * step], at[-1]),
+        )
+        others = _put_first(points, first, last, axis, pivot)
+        if middle < others:
+            last = others
+        elif others > first:
+            first = others
+        else:  # nothing is below the pivot: those at it come first
+            first = _put_first(points, first, last, axis, np.nextafter(pivot, np.inf))
+            if middle < first:
+                return
 
 
 @kernel
@@ -163,16 +176,17 @@ def _bounds(points: FloatArray, first: int, last: int, node: FloatArray) -> int:
     Returns:
         The longest side of the box.
     """
-    size, longest, longest_side = np.empty(3), 0, -1.0
-    for axis in range(3):
-        low = high = points[first, axis]
-        for i in range(first + 1, last):
-            low, high = min(low, points[i, axis]), max(high, points[i, axis])
-        node[3 + axis], size[axis] = 0.5 * (low + high), high - low
-    for axis in range(3):
-        if size[axis] > longest_side:
-            longest, longest_side = axis, size[axis]
-    x, y, z, square = node[3], node[4], node[5], 0.0
+    x = right = points[first, 0]
+    y = far = points[first, 1]
+    z = top = points[first, 2]
+    for i in range(first + 1, last):  # all axes at once: none waits for the one before
+        x, right = min(x, points[i, 0]), max(right, points[i, 0])
+        y, far = min(y, points[i, 1]), max(far, points[i, 1])
+        z, top = min(z, points[i, 2]), max(top, points[i, 2])
+    wide, deep, high = right - x, far - y, top - z
+    longest = 0 if wide >= deep and wide >= high else 1 if deep >= high else 2
+    x, y, z, square = 0.5 * (x + right), 0.5 * (y + far), 0.5 * (z + top), 0.0
+    node[3], node[4], node[5] = x, y, z
     for i in range(first, last):
         dx, dy, dz = points[i, 0] - x, points[i, 1] - y, points[i, 2] - z
         square = max(square, dx * dx + dy * dy + dz * dz)
@@ -218,14 +232,9 @@ def tree_of(points: FloatArray, leaf: int) -> FloatArray:
     return nodes[:number].copy()
 
 
-def halves(count: int, most: int) -> IntArray:
-    """(k + 1,) where the parts of a tree with at most so many points begin, and where the last one ends."""
-    starts, stack = [0], [(0, count)]
-    while stack:
-        first, last = stack.pop()
-        if last - first > most:
-            middle = (first + last) // 2
-            stack += [(middle, last), (first, middle)]
-        else:
-            starts.append(last)
-    return np.array(starts, dtype=np.int64)
+def parts_of(tree: FloatArray, most: int) -> FloatArray:
+    """(k, 7) the largest nodes of a tree with at most so many points, no fewer than a leaf may have."""
+    small = tree[tree[:, 1] - tree[:, 0] <= most]
+    ends = np.maximum.accumulate(np.append(0.0, small[:-1, 1]))  # what begins before them is below another one
+    found: FloatArray = small[small[:, 0] >= ends]
+    return found

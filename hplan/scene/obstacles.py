@@ -263,7 +263,9 @@ class PointCloud(FromData):
     @property
     def points(self) -> FloatArray:
         """(n, 3) centres of all balls in `base_link` [m], before near ones are merged."""
-        points: FloatArray = self._data.points @ self.rotation.T + np.array(self.position)
+        points: FloatArray = self._data.points
+        if any((*self.position, *self.rpy_deg)):  # a product takes as long as a tree, and a camera's cloud needs none
+            points = points @ self.rotation.T + np.array(self.position)
         return points
 
     @property

@@ -229,8 +229,8 @@ def _checked_points(points: ArrayLike, what: str, farthest: float) -> FloatArray
         raise ValueError(f"there are no {what}")
     if found.ndim != 2 or found.shape[1] != 3:
         raise ValueError(f"{what} should be (n, 3) numbers, got shape {found.shape}")
-    bad = ~np.isfinite(found).all(axis=1)
-    if bad.any():
+    if not np.isfinite(found).all():
+        bad = ~np.isfinite(found).all(axis=1)
         first = int(bad.argmax())
         raise ValueError(f"{int(bad.sum())} of {len(found)} {what} are not finite; the first is number {first}")
     if float(np.abs(found).max()) > farthest:

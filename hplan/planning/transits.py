@@ -15,6 +15,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from typing import Final, TypeAlias
 
 import numpy as np
@@ -26,7 +27,7 @@ from hplan.planning.effort import GridAttempt
 from hplan.planning.failures import WIDTHS, EnclosedError, FailuresError, without_path
 from hplan.planning.grid_route import find_route
 from hplan.planning.motion import Polyline, Transit, along, certificate_of, improving, last, quickest, required
-from hplan.planning.sampling.rrt_connect import TreeEffort, tree_path
+from hplan.planning.sampling.rrt_connect import Pairs, TreeEffort, tree_path
 from hplan.planning.sampling.several_trees import PromisingPath, TreesEffort, promising_paths
 from hplan.planning.task import COARSEST_DEG, MOST_CELLS, PlanningTask
 from hplan.robot.limits import least_duration as least_between
@@ -132,19 +133,20 @@ def straight_is_clear(task: PlanningTask) -> bool:
 
 def _stages(tasks: Sequence[PlanningTask]) -> Sequence[_Stage]:
     """What is tried in turn until a motion is found."""
-    first = tasks[0]
+    first, pairs = tasks[0], Pairs()
     if any(task.problem.is_empty for task in tasks):
         return (_at_rest,)
     if first.effort.at_once:
         return (_at_once,)
+    by_trees, by_long_trees = partial(_by_trees, pairs=pairs), partial(_by_long_trees, pairs=pairs)
     if first.problem.turns:
-        stages: Sequence[_Stage] = (_along_straight, _by_trees, _by_long_trees)
+        stages: Sequence[_Stage] = (_along_straight, by_trees, by_long_trees)
     elif first.cells(GridAttempt()) > _LARGE_PLANAR:
         # Trees take a fraction of the time, and their paths are shorter than those that a flood of the grid finds.
-        stages = (_by_trees, _by_long_trees, _on_grids)
+        stages = (by_trees, by_long_trees, _on_grids)
     else:
-        stages = (_on_grids, _by_long_trees)
-    return stages if first.effort.long.pairs else [stage for stage in stages if stage is not _by_long_trees]
+        stages = (_on_grids, by_long_trees)
+    return stages if first.effort.long.pairs else [stage for stage in stages if stage is not by_long_trees]
 
 
 def _at_rest(tasks: Sequence[PlanningTask]) -> Iterator[Found]:
@@ -199,27 +201,27 @@ def _along_straight(tasks: Sequence[PlanningTask]) -> Iterator[Found]:
         return
 
 
-def _by_trees(tasks: Sequence[PlanningTask]) -> Iterator[Found]:
+def _by_trees(tasks: Sequence[PlanningTask], pairs: Pairs) -> Iterator[Found]:
     """Motions along sampled paths to the first goal that has any, or to several that may be reached sooner."""
     compared, best_s = tasks[0].effort.compared, math.inf
     for number, task in enumerate(tasks[: max(_ONE_BY_ONE, compared)]):
         if math.isfinite(best_s) and (compared == 1 or least_duration(task) >= best_s):
             continue
-        for motion in _near_trees(task):
+        for motion in _near_trees(task, pairs):
             best_s = min(best_s, motion.trajectory.duration)
             yield number, motion
 
 
-def _near_trees(task: PlanningTask) -> Iterator[Transit]:
+def _near_trees(task: PlanningTask, pairs: Pairs | None = None) -> Iterator[Transit]:
     """The motion along the path of one pair of trees, then the quickest along many paths."""
     effort = task.effort
-    first = first_paths(task)
+    first = first_paths(task, pairs)
     known = near_paths(task, first)
     if known is not None:
         yield known
         if known.trajectory.duration <= effort.close * least_duration(task):
             return
-    found = _tree_paths(task, effort.trees, first, 1)
+    found = _tree_paths(task, effort.trees, first, 1, pairs)
     if known is not None:  # along the first
         found = [path for path in found if path is not first[0]]
     known_s = math.inf if known is None else known.trajectory.duration
@@ -228,9 +230,9 @@ def _near_trees(task: PlanningTask) -> Iterator[Transit]:
         yield other
 
 
-def first_paths(task: PlanningTask) -> list[PromisingPath]:
-    """The path that one pair of trees finds, if it finds one."""
-    return _tree_paths(task, replace(task.effort.trees, pairs=1))
+def first_paths(task: PlanningTask, pairs: Pairs | None = None) -> list[PromisingPath]:
+    """The path that one pair of trees finds, if it finds one; `pairs` as `tree_path` takes them."""
+    return _tree_paths(task, replace(task.effort.trees, pairs=1), pairs=pairs)
 
 
 def near_paths(task: PlanningTask, paths: Sequence[PromisingPath]) -> Transit | None:
@@ -246,14 +248,18 @@ def _quickest(task: PlanningTask, polylines: Sequence[Polyline], quicker_than_s:
 
 
 def _tree_paths(
-    task: PlanningTask, effort: TreesEffort, known: Sequence[PromisingPath] = (), grown: int = 0
+    task: PlanningTask,
+    effort: TreesEffort,
+    known: Sequence[PromisingPath] = (),
+    grown: int = 0,
+    pairs: Pairs | None = None,
 ) -> list[PromisingPath]:
     """The paths of several pairs of trees, with those that so many of them have found already, the best first."""
     if not _may_sample(task):
         return []
     margin, velocity = 0.1 * task.margin(), task.robot.velocity_limit
     with task.stage("trees"):
-        return promising_paths(task.problem, task.field, velocity, margin, effort, known, grown)
+        return promising_paths(task.problem, task.field, velocity, margin, effort, known, grown, pairs)
 
 
 def _polylines(paths: Sequence[PromisingPath]) -> list[Polyline]:
@@ -277,7 +283,7 @@ def _may_sample(task: PlanningTask) -> bool:
     return task.problem.turns or task.options.method == "two-level"
 
 
-def _by_long_trees(tasks: Sequence[PlanningTask]) -> Iterator[Found]:
+def _by_long_trees(tasks: Sequence[PlanningTask], pairs: Pairs) -> Iterator[Found]:
     """A motion to whichever goal trees with more effort reach."""
     if not _may_sample(tasks[0]):
         return
@@ -285,7 +291,7 @@ def _by_long_trees(tasks: Sequence[PlanningTask]) -> Iterator[Found]:
     at_once = tasks[0].robot.planar is None  # another path takes as long again
     long = tasks[0].effort.long
     for seed in range(long.pairs):
-        reached = _tree_to_any(tasks, TreeEffort(long.each, long.seed + seed))
+        reached = _tree_to_any(tasks, TreeEffort(long.each, long.seed + seed), pairs)
         if reached is None:
             continue
         number, polyline = reached
@@ -301,12 +307,15 @@ def _by_long_trees(tasks: Sequence[PlanningTask]) -> Iterator[Found]:
             return
 
 
-def _tree_to_any(tasks: Sequence[PlanningTask], effort: TreeEffort) -> tuple[int, Polyline] | None:
+def _tree_to_any(
+    tasks: Sequence[PlanningTask], effort: TreeEffort, pairs: Pairs | None = None
+) -> tuple[int, Polyline] | None:
     """The number of whichever goal a pair of trees reaches, and the path as found; None where they reach none."""
     goals, first = np.array([task.problem.goal for task in tasks]), tasks[0]
     margin = 0.1 * min(task.margin() for task in tasks)
     with first.stage("trees"):
-        path, _ = tree_path(first.problem, first.field, first.robot.velocity_limit, margin, effort, goals=goals)
+        velocity = first.robot.velocity_limit
+        path, _ = tree_path(first.problem, first.field, velocity, margin, effort, goals=goals, pairs=pairs)
     return None if path is None else (int((goals == path[-1]).all(axis=1).argmax()), Polyline(path, "trees"))
 
 
@@ -377,5 +386,7 @@ def _why_none(tasks: Sequence[PlanningTask]) -> Iterator[HplanError]:
 
 
 def _trees_tried(task: PlanningTask) -> str:
-    evaluations = sum(trees.pairs * trees.each for trees in (task.effort.trees, task.effort.long))
-    return f"trees with {evaluations} evaluations of the clearance"
+    each: dict[int, int] = {}  # by their seeds: some of the long ones have grown before
+    for trees in (task.effort.trees, task.effort.long):
+        each |= dict.fromkeys(range(trees.seed, trees.seed + trees.pairs), trees.each)
+    return f"trees with {sum(each.values())} evaluations of the clearance"

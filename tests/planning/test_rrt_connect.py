@@ -12,7 +12,7 @@ from hplan.collision.coal_scene import CoalScene
 from hplan.optimization.shortcut import shorten
 from hplan.optimization.smooth_path import START_SHORTCUTS
 from hplan.planning.definition import Problem, check_problem
-from hplan.planning.sampling.rrt_connect import EDGE_S, TreeEffort, tree_path
+from hplan.planning.sampling.rrt_connect import EDGE_S, Pairs, TreeEffort, tree_path
 from hplan.planning.sampling.several_trees import TreesEffort, path_time, promising_paths
 from hplan.planning.world import World
 from hplan.robot.model import Robot
@@ -61,6 +61,28 @@ def test_nothing_is_found_through_a_plate(robot: Robot) -> None:
     start, goal = np.array([0.0, 1.5, 0.1, 0.1]), np.array([0.0, 0.0, 0.1, 0.1])
     problem = check_problem(world, start, goal, locked_joints=("base_yaw",))
     assert path_of(robot, problem, world, TreeEffort(20_000)) is None
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_trees_that_grow_on_are_those_that_grow_at_once(
+    robot: Robot, blocked: tuple[Problem, World], seed: int
+) -> None:
+    problem, world = blocked
+    arguments, pairs = (problem, world.field, robot.velocity_limit, MARGIN), Pairs()
+    at_once, used = tree_path(*arguments, TreeEffort(50_000, seed))
+    assert at_once is not None
+    for less in (used // 8, used // 4):
+        path, so_far = tree_path(*arguments, TreeEffort(less, seed), pairs=pairs)
+        assert path is None
+        assert so_far >= less
+    (pair,) = pairs.values()
+    before = int(pair.first.size[0] + pair.second.size[0])
+    path, in_all = tree_path(*arguments, TreeEffort(50_000, seed), pairs=pairs)
+    assert path is not None
+    assert np.array_equal(path, at_once)
+    assert in_all == used
+    assert pair.first.size[0] + pair.second.size[0] > before > 2
+    assert not pairs
 
 
 def test_locked_joints_stay(robot: Robot, scene: Scene) -> None:

@@ -11,7 +11,7 @@ gives the same path on every machine. Where no path is found, nothing is shown.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -71,6 +71,27 @@ class Tree(NamedTuple):
     size: IntArray
 
 
+class Pair(NamedTuple):
+    """Two trees that have not met so far, to be grown on.
+
+    Attributes:
+        samples: Where they were to grow to next, from the second of `looks` on.
+        looks: (2,) evaluations that were left, and the number of the next sample.
+        evaluations: Those that there were in all.
+    """
+
+    first: Tree
+    second: Tree
+    generator: np.random.Generator
+    samples: FloatArray
+    looks: IntArray
+    evaluations: int
+
+
+#: Pairs by their seed and margin, by which field it is, and by their goals.
+Pairs: TypeAlias = dict[tuple[int, float, int, bytes], Pair]
+
+
 class Held(NamedTuple):
     """What all nodes of trees keep.
 
@@ -100,7 +121,7 @@ class Surroundings(NamedTuple):
 
 def tree_path(
     problem: Problem, field: ClearanceField, velocity: FloatArray, margin: float, effort: TreeEffort,
-    *, goals: FloatArray | None = None, held: Held | None = None,
+    *, goals: FloatArray | None = None, held: Held | None = None, pairs: Pairs | None = None,
 ) -> tuple[FloatArray | None, int]:  # fmt: skip
     """A clear path of straight motions from start to goal.
 
@@ -110,23 +131,34 @@ def tree_path(
         margin: Clearance asked for wherever a motion is evaluated [m].
         goals: (k, dof) configurations of which one is to be reached, whichever comes first; None for the problem's.
         held: What all nodes keep, as start and goals do; None for nothing.
+        pairs: Those from the same start that have grown with less effort: this one grows on, and is left there where
+            its trees do not meet. None where each begins anew.
 
     Returns:
         (m, dof) waypoints, m >= 2, or None where none was found; and the evaluations that it took.
     """
     ends = np.array(problem.goal[None] if goals is None else goals)
-    first, second = _tree(problem.start[None]), _tree(ends)
+    key = effort.seed, margin, id(field), ends.tobytes()
+    known = None if pairs is None else pairs.pop(key, None)
     arm = Surroundings(1.0 / velocity, field.arrays, margin, EDGE_S if held is None else held.edge_s)
     chain = () if held is None else held.chain
-    generator = np.random.Generator(np.random.PCG64(effort.seed))
-    looks = np.array([effort.evaluations], dtype=np.int64)
+    if known is None:
+        generator, nothing = np.random.Generator(np.random.PCG64(effort.seed)), np.zeros((0, len(problem.start)))
+        looks = np.zeros(2, dtype=np.int64)
+        known = Pair(_tree(problem.start[None]), _tree(ends), generator, nothing, looks, 0)
+    first, second, generator, samples, looks, before = known
+    looks[0] += effort.evaluations - before
     path = None
     while path is None and looks[0] > 0 and max(first.size[0], second.size[0]) < _MOST_NODES - _CHUNK:
-        joined = _grow(_samples(generator, problem, ends), first, second, arm, chain, looks)
+        if looks[1] == len(samples):
+            samples, looks[1] = _samples(generator, problem, ends), 0
+        joined = _grow(samples, first, second, arm, chain, looks)
         check_deadline()
         if joined[0] >= 0:
             there = np.concatenate([_branch(first, int(joined[0]))[::-1], _branch(second, int(joined[1]))])
             path = frozen(there[np.append(True, (np.diff(there, axis=0) != 0.0).any(axis=1))])
+    if path is None and pairs is not None:
+        pairs[key] = Pair(first, second, generator, samples, looks, effort.evaluations)
     return path, effort.evaluations - int(looks[0])
 
 
@@ -167,9 +199,9 @@ def _grow(
 ) -> IntArray:
     """Grow both trees by some samples; the nodes at which they meet, or -1."""
     joined = np.full(2, -1, dtype=np.int64)
-    for s in range(samples.shape[0]):
-        if looks[0] <= 0 or is_up(arm.field.until):
-            break
+    while looks[1] < samples.shape[0] and looks[0] > 0 and not is_up(arm.field.until):
+        s = looks[1]
+        looks[1] += 1
         forward = first.size[0] <= second.size[0]
         tree, towards = (first, second) if forward else (second, first)
         new = _extend(tree, _nearest(tree, samples[s], arm), samples[s], arm, chain, looks)

@@ -15,7 +15,7 @@ from hplan.optimization.path_classes import PARTS, class_numbers
 from hplan.optimization.shortcut import shorten
 from hplan.optimization.smooth_path import START_SHORTCUTS
 from hplan.planning.definition import Problem
-from hplan.planning.sampling.rrt_connect import TreeEffort, tree_path
+from hplan.planning.sampling.rrt_connect import Pairs, TreeEffort, tree_path
 
 #: So many paths of a class are of use, as smoothing may fail.
 OF_A_CLASS = 3
@@ -74,6 +74,7 @@ def promising_paths(
     effort: TreesEffort,
     known: Sequence[PromisingPath] = (),
     grown: int = 0,
+    pairs: Pairs | None = None,
 ) -> list[PromisingPath]:
     """Clear paths of straight motions from start to goal, the most promising of every class.
 
@@ -82,6 +83,7 @@ def promising_paths(
         velocity: (dof,) velocity limits [rad/s].
         margin: Clearance asked for wherever a motion is evaluated [m].
         grown: How many of the pairs have grown already, and found these.
+        pairs: As `hplan.planning.sampling.rrt_connect.tree_path`.
 
     Returns:
         The paths, those that are known among them, the quickest first; of each class
@@ -89,7 +91,8 @@ def promising_paths(
     """
     found = list(known)
     for seed in range(grown, effort.pairs):
-        path, _ = tree_path(problem, field, velocity, margin, TreeEffort(effort.each, effort.seed + seed))
+        each = TreeEffort(effort.each, effort.seed + seed)
+        path, _ = tree_path(problem, field, velocity, margin, each, pairs=pairs)
         if path is not None:
             found.append(PromisingPath(path, field, velocity, margin))
     if len(found) < 2:

@@ -26,6 +26,7 @@ from hplan.errors import InputError, OptionError
 from hplan.online.arm_shape import arm_solids, reach_ball
 from hplan.online.body_distances import Bodies, distances_from_bodies
 from hplan.online.frame_kernels import (
+    COUNT,
     IGNORED,
     MIDDLE,
     NOT_FINITE,
@@ -274,11 +275,11 @@ def filter_frame(
     left_out = Bodies(*solid_rows(ignored, options.ignore_padding_m))
     scratch = Scratch() if scratch is None else scratch
     voxels, in_voxel, tally = scratch.put_into_voxels(frame.points, placement, arm, left_out)
-    isolated = np.zeros(len(voxels.counts), dtype=np.bool_)
+    isolated = np.zeros(len(voxels), dtype=np.bool_)
     if options.least_points > 1:
         mark_isolated(voxels, placement, options.least_points, options.neighbour_m, isolated)
     points, growth_m = middles(frame.points, placement, in_voxel, voxels, isolated)
-    counts = voxels.counts[(voxels.counts > 0) & ~isolated]
+    counts = voxels[(voxels[:, COUNT] > 0) & ~isolated, COUNT]
     if swept is not None:
         # The ball about all that is swept holds more than that; a point is no farther from that of its voxel than this.
         near = swept.comes_near(frame.listed(points), growth_m)
@@ -298,7 +299,7 @@ def filter_frame(
         out_of_reach=int(tally[OUT_OF_REACH]),
         of_arm=int(tally[OF_ARM]),
         ignored=int(tally[IGNORED]),
-        isolated=int(voxels.counts[isolated].sum()),
+        isolated=int(voxels[isolated, COUNT].sum()),
         kept=kept,
         remembered=len(old.points),
         forgotten=forgotten,

@@ -28,6 +28,14 @@ _NONE, _ALL, _SOME = 0, 1, 2
 #: In place of the number of a voxel: all of it is of the arm, or of what is ignored.
 _ARM_ALONE, _IGNORED_ALONE = -2, -3
 
+#: Columns of the hash table, which has open addressing and is as large as a power of two: the packed place of a voxel,
+#: -1 where there is none; and `_PARTS` times its number, and how much of it is in the arm, and four times how much is
+#: in what is ignored. What a point changes stands together: going to memory takes as long as all the rest.
+_KEY, _VALUE, _PARTS = 0, 1, 16
+
+#: Column of a voxel with how many points it has, behind the least and largest coordinates of its points.
+COUNT = 6
+
 #: Of no more bodies than this to be ignored each point is asked that is not in the voxel of the one before.
 _FEW = any_int(4)
 
@@ -49,34 +57,6 @@ class Placement(NamedTuple):
     position: FloatArray
     reach: FloatArray
     edge: FloatArray
-
-
-class Voxels(NamedTuple):
-    """Voxels that may hold points which stay, numbered as they first appear.
-
-    Attributes:
-        keys: (m,) place in the grid, packed.
-        boxes: (m, 6) least and largest coordinates of its points [m].
-        counts: (m,) how many points it has.
-        parts: (m,) how much of it is in the arm, and four times how much is in what is ignored.
-    """
-
-    keys: IntArray
-    boxes: FloatArray
-    counts: ShortArray
-    parts: ShortArray
-
-
-class VoxelTable(NamedTuple):
-    """A hash table with open addressing, its size a power of two.
-
-    Attributes:
-        keys: (size,) packed places; -1 where there is none.
-        numbers: (size,) number of the voxel; `_ARM_ALONE` or `_IGNORED_ALONE` where no point of it stays.
-    """
-
-    keys: IntArray
-    numbers: ShortArray
 
 
 @kernel
@@ -120,7 +100,7 @@ class Scratch:
 
     def put_into_voxels(
         self, points: FloatArray, placement: Placement, arm: Bodies, ignored: Bodies
-    ) -> tuple[Voxels, ShortArray, IntArray]:
+    ) -> tuple[FloatArray, ShortArray, IntArray]:
         """Put the points of a frame that stay into voxels.
 
         Args:
@@ -130,32 +110,29 @@ class Scratch:
             ignored: What is to be left out, grown by its padding.
 
         Returns:
-            The voxels, of which some may hold no point; (n,) the voxel of each point, -1 where it does not stay; (4,)
-            how many do not stay, by the reason. All but the last until the next frame is put.
+            (m, 7) the voxels that may hold points which stay, as they first appear: least and largest coordinates of
+            their points [m], and how many; (n,) the voxel of each point, -1 where it does not stay; (4,) how many do
+            not stay, by the reason. All but the last until the next frame is put.
         """
         if len(self._numbers) < len(points):
             self._numbers = np.empty(len(points), dtype=np.int32)
         numbers, tally = self._numbers[: len(points)], np.zeros(4, dtype=np.int64)
         done = np.zeros(3, dtype=np.int64)
-        self._table.keys.fill(-1)
+        self._table[:, _KEY] = -1
         while True:
             _fill(points, placement, arm, ignored, self._voxels, self._table, done, numbers, tally)
             count = int(done[1])
             if done[0] == len(points):
-                keys, boxes, counts, parts = self._voxels
-                return Voxels(keys[:count], boxes[:count], counts[:count], parts[:count]), numbers, tally
-            more, table = _room_for(4 * len(self._voxels.counts))
-            more.keys[:count], more.boxes[:count] = self._voxels.keys[:count], self._voxels.boxes[:count]
-            more.counts[:count], more.parts[:count] = self._voxels.counts[:count], self._voxels.parts[:count]
+                return self._voxels[:count], numbers, tally
+            more, table = _room_for(4 * len(self._voxels))
+            more[:count] = self._voxels[:count]
             _copy_table(self._table, table)
             self._voxels, self._table = more, table
 
 
-def _room_for(count: int) -> tuple[Voxels, VoxelTable]:
-    """Arrays for so many voxels, and a table with none in it."""
-    counts, parts = np.empty(count, dtype=np.int32), np.empty(count, dtype=np.int32)
-    voxels = Voxels(np.empty(count, dtype=np.int64), np.empty((count, 6)), counts, parts)
-    return voxels, VoxelTable(np.full(2 * count, -1, dtype=np.int64), np.empty(2 * count, dtype=np.int32))
+def _room_for(count: int) -> tuple[FloatArray, IntArray]:
+    """Room for so many voxels, and a table with none in it."""
+    return np.empty((count, COUNT + 1)), np.full((2 * count, 2), -1, dtype=np.int64)
 
 
 @inlined
@@ -164,28 +141,27 @@ def _packed(i: int, j: int, k: int) -> int:
 
 
 @kernel
-def _place(key: int, keys: IntArray) -> int:
+def _place(key: int, table: IntArray) -> int:
     """Where a key stands in a table, or where it belongs: there stands -1."""
-    mask = len(keys) - 1
+    mask = len(table) - 1
     place: int = np.int64((np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)) >> np.uint64(38)) & mask  # type: ignore[assignment]
-    while keys[place] >= 0 and keys[place] != key:
+    while table[place, _KEY] >= 0 and table[place, _KEY] != key:
         place = (place + 1) & mask
     return place
 
 
 @kernel
-def _copy_table(smaller: VoxelTable, table: VoxelTable) -> None:
-    keys, numbers = table
-    for key, number in zip(smaller.keys, smaller.numbers):  # noqa: B905  # numba knows no `strict`
-        if key >= 0:
-            place = _place(key, keys)
-            keys[place], numbers[place] = key, number
+def _copy_table(smaller: IntArray, table: IntArray) -> None:
+    for entry in range(len(smaller)):
+        if smaller[entry, _KEY] >= 0:
+            place = _place(smaller[entry, _KEY], table)
+            table[place, _KEY], table[place, _VALUE] = smaller[entry, _KEY], smaller[entry, _VALUE]
 
 
 # The arrays stay the same in here: where a loop makes larger ones, numba counts all of them at every turn, 200 ns.
 @kernel
 def _fill(
-    points: FloatArray, placement: Placement, arm: Bodies, ignored: Bodies, voxels: Voxels, table: VoxelTable,
+    points: FloatArray, placement: Placement, arm: Bodies, ignored: Bodies, voxels: FloatArray, table: IntArray,
     done: IntArray, numbers: ShortArray, tally: IntArray,
 ) -> None:  # fmt: skip
     """Put points into voxels until all are, or there is no room for another voxel.
@@ -193,10 +169,8 @@ def _fill(
     `done` has how many points were put before, how many voxels there are, and how many places of the table are used.
     """
     rotation, position, reach, edge = placement.rotation, placement.position, placement.reach, placement.edge[0]
-    keys, boxes, counts, parts = voxels
-    table_keys, table_numbers = table
     per_metre, square = 1.0 / edge, reach[3] * reach[3]
-    last, number, few = -1, 0, ignored.rows.shape[0] <= _FEW
+    last, number, part, few = -1, 0, _NONE, ignored.rows.shape[0] <= _FEW
     first, count, used = done[0], done[1], done[2]
     for n in range(first, points.shape[0]):
         numbers[n] = -1
@@ -216,36 +190,38 @@ def _fill(
             if few and _is_ignored_alone((x, y, z), arm, ignored):
                 tally[IGNORED] += 1
                 continue
-            place = _place(key, table_keys)
-            if table_keys[place] < 0:
-                if count == len(counts) or 2 * used >= len(table_keys):
+            place = _place(key, table)
+            if table[place, _KEY] < 0:
+                if count == len(voxels) or 2 * used >= len(table):
                     done[0], done[1], done[2] = n, count, used
                     return
                 middle = (reach[0] + (i + 0.5) * edge, reach[1] + (j + 0.5) * edge, reach[2] + (k + 0.5) * edge)
                 part = _parts_inside(middle, arm, ignored, edge)
-                table_keys[place], table_numbers[place] = key, part
+                table[place, _KEY], table[place, _VALUE] = key, part
                 used += 1
                 if part >= 0:
-                    table_numbers[place], keys[count], parts[count], counts[count] = count, key, part, 0
+                    table[place, _VALUE], voxels[count, COUNT] = _PARTS * count + part, 0.0
                     for axis in range(3):
-                        boxes[count, axis], boxes[count, 3 + axis] = math.inf, -math.inf
+                        voxels[count, axis], voxels[count, 3 + axis] = math.inf, -math.inf
                     count += 1
-            last, number = key, table_numbers[place]
+            last, number = key, table[place, _VALUE]
+            if number >= 0:
+                number, part = number // _PARTS, number % _PARTS
         if number < 0:
             tally[OF_ARM if number == _ARM_ALONE else IGNORED] += 1
             continue
-        if parts[number] != 0:
-            if _is_inside(parts[number] % 4, (x, y, z), arm.rows, arm.data):
+        if part != _NONE:
+            if _is_inside(part % 4, (x, y, z), arm.rows, arm.data):
                 tally[OF_ARM] += 1
                 continue
-            if _is_inside(parts[number] // 4, (x, y, z), ignored.rows, ignored.data):
+            if _is_inside(part // 4, (x, y, z), ignored.rows, ignored.data):
                 tally[IGNORED] += 1
                 continue
         numbers[n] = number
-        counts[number] += 1
-        boxes[number, 0], boxes[number, 3] = min(boxes[number, 0], x), max(boxes[number, 3], x)
-        boxes[number, 1], boxes[number, 4] = min(boxes[number, 1], y), max(boxes[number, 4], y)
-        boxes[number, 2], boxes[number, 5] = min(boxes[number, 2], z), max(boxes[number, 5], z)
+        voxels[number, COUNT] += 1.0
+        voxels[number, 0], voxels[number, 3] = min(voxels[number, 0], x), max(voxels[number, 3], x)
+        voxels[number, 1], voxels[number, 4] = min(voxels[number, 1], y), max(voxels[number, 4], y)
+        voxels[number, 2], voxels[number, 5] = min(voxels[number, 2], z), max(voxels[number, 5], z)
     done[0], done[1], done[2] = points.shape[0], count, used
 
 
@@ -270,7 +246,7 @@ def _parts_inside(middle: Vector, arm: Bodies, ignored: Bodies, edge: float) -> 
 
 
 @kernel
-def mark_isolated(voxels: Voxels, placement: Placement, least: int, distance: float, isolated: BoolArray) -> None:
+def mark_isolated(voxels: FloatArray, placement: Placement, least: int, distance: float, isolated: BoolArray) -> None:
     """Mark voxels with few points about them: in voxels whose boxes are within a distance of theirs.
 
     Voxels stand in larger cells, by the first corners of their boxes: of two within the distance these are in one cell,
@@ -280,33 +256,32 @@ def mark_isolated(voxels: Voxels, placement: Placement, least: int, distance: fl
         distance: A point with so many within this distance, itself among them, stays [m].
         isolated: (m,) written.
     """
-    boxes, counts, reach = voxels.boxes, voxels.counts, placement.reach
+    reach = placement.reach
     edge = max(distance, placement.edge[0]) + placement.edge[0]
     size = 64
-    while size < 2 * len(counts):
+    while size < 2 * len(voxels):
         size *= 2
     # The last voxel of each cell, and of each voxel the one before it in its cell.
-    keys, last = np.full(size, -1, dtype=np.int64), np.empty(size, dtype=np.int32)
-    before = np.empty(len(counts), dtype=np.int32)
-    for number in range(len(counts)):
-        if counts[number] > 0:
-            key = _cell_of(boxes[number], reach, edge)
-            place = _place(key, keys)
-            before[number] = last[place] if keys[place] >= 0 else -1
-            keys[place], last[place] = key, number
-    for number in range(len(counts)):
-        if 0 < counts[number] < least:
-            near, key = 0, _cell_of(boxes[number], reach, edge)
+    cells = np.full((size, 2), -1, dtype=np.int64)
+    before = np.empty(len(voxels), dtype=np.int32)
+    for number in range(len(voxels)):
+        if voxels[number, COUNT] > 0:
+            key = _cell_of(voxels[number], reach, edge)
+            place = _place(key, cells)
+            before[number] = cells[place, _VALUE]
+            cells[place, _KEY], cells[place, _VALUE] = key, number
+    for number in range(len(voxels)):
+        if 0 < voxels[number, COUNT] < least:
+            near, key = 0.0, _cell_of(voxels[number], reach, edge)
             for turn in range(27):
                 if near >= least:
                     break
                 step = (turn + 13) % 27  # its own cell first
                 offset = ((step // 9 - 1) << (2 * BITS)) + ((step // 3 % 3 - 1) << BITS) + step % 3 - 1
-                place = _place(key + offset, keys)
-                other = last[place] if keys[place] >= 0 else -1
+                other = cells[_place(key + offset, cells), _VALUE]
                 while other >= 0 and near < least:
-                    if _box_gap(boxes[number], boxes[other]) <= distance:
-                        near += counts[other]
+                    if _box_gap(voxels[number], voxels[other]) <= distance:
+                        near += voxels[other, COUNT]
                     other = before[other]
             isolated[number] = near < least
 
@@ -331,7 +306,7 @@ def _cell_of(box: FloatArray, middle: FloatArray, edge: float) -> int:
 
 @kernel
 def middles(
-    points: FloatArray, placement: Placement, numbers: ShortArray, voxels: Voxels, dropped: BoolArray
+    points: FloatArray, placement: Placement, numbers: ShortArray, voxels: FloatArray, dropped: BoolArray
 ) -> tuple[FloatArray, float]:
     """One point for each voxel: the middle of the box about its points.
 
@@ -344,15 +319,14 @@ def middles(
         (k, 3) points, and the largest distance of a point from the one of its voxel [m].
     """
     rotation, position = placement.rotation, placement.position
-    _, boxes, counts, _ = voxels
-    found, halves = np.empty((len(counts), 3)), np.empty(len(counts))
-    for number in range(len(counts)):
+    found, halves = np.empty((len(voxels), 3)), np.empty(len(voxels))
+    for number in range(len(voxels)):
         square = 0.0
         for axis in range(3):
-            low, high = boxes[number, axis], boxes[number, 3 + axis]
+            low, high = voxels[number, axis], voxels[number, 3 + axis]
             found[number, axis] = low if low == high else 0.5 * (low + high)
             square += 0.25 * (high - low) * (high - low)
-        halves[number] = square if counts[number] > 1 and not dropped[number] else -1.0
+        halves[number] = square if voxels[number, COUNT] > 1 and not dropped[number] else -1.0
     # No point is farther than half the diagonal of its box: most voxels need no second look.
     growth = 0.0
     for n in range(points.shape[0]):
@@ -364,8 +338,8 @@ def middles(
             dx, dy, dz = x - found[number, 0], y - found[number, 1], z - found[number, 2]
             growth = max(growth, dx * dx + dy * dy + dz * dz)
     count = 0
-    for number in range(len(counts)):
-        if counts[number] > 0 and not dropped[number]:
+    for number in range(len(voxels)):
+        if voxels[number, COUNT] > 0 and not dropped[number]:
             for axis in range(3):
                 found[count, axis] = found[number, axis]
             count += 1

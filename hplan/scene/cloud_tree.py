@@ -1,7 +1,7 @@
 """The points of a cloud, merged where they are near to one another, and the tree over them: compiled.
 
 The tree is split at the median of the longest side of the box about a node's points, until few are left. Neighbours
-stand together in its order. A million points take about a second, 30,000 take 10 ms.
+stand together in its order. 444,000 points take 60 ms.
 
 Voxels are numbered as they first appear, by a hash table with open addressing: an array of numbers, empty places -1,
 its size a power of two. The cells themselves are rows of three whole numbers; two are one if all three are the same.

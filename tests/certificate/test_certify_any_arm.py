@@ -213,6 +213,20 @@ def test_no_body_travels_farther_than_its_bound(load, name):
     assert used.max() > 0.9
 
 
+def test_pairs_that_are_one_mover_count_as_the_farthest_of_them(load, monkeypatch):
+    robot, rng = load("panda"), np.random.default_rng(15)
+    parts = (checker := CoalScene(robot, [])).parts
+    bezier = rng.uniform(robot.lower, robot.upper, (10, 1, robot.dof)) + 0.05 * rng.normal(size=(10, 4, robot.dof))
+    alike, deviations = parts.alike, np.full((1, robot.dof), 0.01)
+    together = motion_of_movers(checker, bezier, deviations)[1:]
+    monkeypatch.setitem(vars(parts), "alike", np.arange(len(alike)))
+    alone = motion_of_movers(checker, bezier, deviations)[1:]
+    assert alike.max() + 1 < len(alike)
+    for of_mover, of_pair in zip(together, alone, strict=True):
+        farthest = [of_pair[alike == number].max(axis=0) for number in range(alike.max() + 1)]
+        assert of_mover.tolist() == np.array(farthest).tolist()
+
+
 @pytest.mark.parametrize("name", ["toy", "lift"])
 def test_tracking_errors_take_from_the_clearance(load, name):
     robot = load(name)

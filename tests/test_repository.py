@@ -34,3 +34,8 @@ def test_templates_and_hooks_are_what_they_say() -> None:
     checks = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
     for hook in local["hooks"][:3]:
         assert hook["entry"] in checks, hook["id"]
+
+
+def test_tests_that_the_checks_name_are_there() -> None:
+    (named,) = re.findall(r"tests/\{(.*)\}\.py", (ROOT / ".ci" / "run").read_text(encoding="utf-8"))
+    assert [name for name in named.split(",") if not (ROOT / "tests" / f"{name}.py").is_file()] == []

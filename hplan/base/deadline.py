@@ -31,7 +31,6 @@ from hplan.errors import HplanError, NotInTimeError, OptionError, PlanCancelledE
 #: Says whether a call is cancelled: a function that returns a truth value, or an event that is set.
 Cancel: TypeAlias = Callable[[], object] | threading.Event
 
-
 #: The clock that deadlines are on. (Studies on a machine that others use too take that of the process's own work.)
 CLOCK = time.CLOCK_MONOTONIC
 

@@ -30,7 +30,6 @@ _VERSIONED = frozenset(sys.stdlib_module_names) | {"numpy", "numba", "llvmlite"}
 #: Values that their text tells from all others of their class.
 _WRITTEN_OUT = frozenset((bool, int, float, complex, str, bytes, type(None), type(...)))
 
-
 #: What is known of a function: a digest of its own, and the functions that it refers to.
 _Own = tuple[bytes, tuple[Any, ...]]
 

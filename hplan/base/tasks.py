@@ -26,7 +26,6 @@ _R = TypeVar("_R")
 #: What runs tasks: an executor, or what makes one; only the latter can take the place of one that is broken.
 Pool: TypeAlias = Executor | Callable[[], Executor]
 
-
 #: Tasks that are handed over at a time, for each worker that there is; on an executor that does not say, in all.
 _AHEAD, _AT_ONCE = 2, 256
 

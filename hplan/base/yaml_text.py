@@ -26,7 +26,6 @@ _PLAIN: dict[str, tuple[str, list[str], Callable[[str], Any]]] = {
     ),
 }
 
-
 #: Most keys, values, lists and mappings of a document. (PyYAML reads about 30,000 a second.)
 MOST_VALUES: Final = 500_000
 

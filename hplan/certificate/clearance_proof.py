@@ -66,7 +66,6 @@ _MANY, FIRST, FAR = 8, 16, 0.05
 #: that comes to 1.5 mm of an obstacle takes 155. The deadline is checked after so many: a fraction of a millisecond.
 CHECKS, CHECKS_PER_PIECE, _CHECKS_BETWEEN_LOOKS = 20_000, 50, 16
 
-
 #: Why a proof ends: the clearance is shown, a pair is too near, or what it may take is used up.
 Outcome: TypeAlias = Literal["shown", "too near", "checks", "travel"]
 
@@ -181,9 +180,9 @@ class Advancement:
             moved = np.where(moved <= longest_travel, moved, longest_travel)
             travel[:, 1:] = np.cumsum(moved, axis=1)
         self.movers = np.stack([sway, travel])
-        none = np.zeros(len(checker.pairs))
-        kept = checker.kept(needed) + checker.distance_errors
-        may_lack = none + (needed - checker.kept(needed))
+        none, asked = np.zeros(len(checker.pairs)), checker.kept(needed)
+        kept = asked + checker.distance_errors
+        may_lack = none + (needed - asked)
         self.pairs = np.stack([kept, none, none - np.finfo(np.float64).tiny, none + math.inf, none, may_lack])
         self.mover_of = mover_of
         self._many = math.inf if checker.moving is not None else max(_MANY * len(moved), 2 * FIRST)

@@ -70,7 +70,6 @@ _STEP: Final = 0.03
 #: A gap below which an obstacle counts as touched [m]; half-spaces that are looked for at most in a stretch.
 _LEAST, _MOST = 1e-6, any_int(2_000_000)
 
-
 #: Columns of a moving shape, then of a part of an obstacle: first and last place of its points, radius; then joint and
 #: displacement bound of the shape, or the gap from which on the part is far.
 _FIRST, _LAST, _RADIUS, _JOINT, _SWAY, _FARTHEST = 0, 1, 2, 3, 4, 3

@@ -23,8 +23,11 @@ from hplan.scene.solids import Cloud, Hull
 LinkShapes: TypeAlias = Literal["capsule", "box", "urdf"]
 LINK_SHAPES: tuple[LinkShapes, ...] = ("capsule", "box", "urdf")
 
+#: The axis of coal's capsules.
+_UP = np.array([0.0, 0.0, 1.0])
 
 _UNTURNED = np.eye(3)
+_AT_ORIGIN = pin.SE3.Identity()
 
 
 @made_once
@@ -95,7 +98,7 @@ def capsule_shapes(capsules: Sequence[Capsule]) -> list[pin.GeometryObject]:
 
 def solid_shape(obstacle: Convex | Hull) -> pin.GeometryObject:
     """A convex obstacle as a fixed geometry object."""
-    placement = pin.SE3.Identity()
+    placement = _AT_ORIGIN
     if isinstance(obstacle, Sphere):
         placement, shape = pin.SE3(_UNTURNED, np.array(obstacle.center)), coal.Sphere(float(obstacle.radius))
     elif isinstance(obstacle, Capsule):
@@ -154,6 +157,4 @@ def _along(start: FloatArray, end: FloatArray) -> tuple[pin.SE3, float]:
     length = math.sqrt(axis @ axis)  # as `np.linalg.norm`, in a tenth of the time
     if length == 0.0:
         return pin.SE3(_UNTURNED, 0.5 * (start + end)), length
-    # The axis of coal's capsules.
-    up = np.array([0.0, 0.0, 1.0])
-    return pin.SE3(pin.Quaternion.FromTwoVectors(up, axis / length), 0.5 * (start + end)), length
+    return pin.SE3(pin.Quaternion.FromTwoVectors(_UP, axis / length), 0.5 * (start + end)), length

@@ -31,7 +31,6 @@ COLUMNS = 18
 #: A body of so many coordinates at most is its segment, grown by its radius.
 THIN = 6
 
-
 #: Numbers at the head: how many bodies and how many joints there are; where joints, and where reaches begin.
 BODIES, DOF, JOINTS, REACHES, HEAD = 0, 1, 2, 3, 4
 

@@ -29,7 +29,6 @@ _IN_PLANE = 1e-12
 #: Most tangents about one section; where they do not suffice, the section may stand out farther than asked for.
 MOST_TANGENTS = 256
 
-
 #: Largest number of steps to the binding points; the support is a bound after any.
 _STEPS = 64
 

@@ -39,7 +39,6 @@ AXIS_YAWS = 5
 #: Joints are not said to pass a limit by less than this [rad].
 ROUNDING = 1e-8
 
-
 #: Where a joint may turn by many whole turns, values farther than this from its start are left out [rad].
 _FARTHEST = 2.0 * math.tau
 

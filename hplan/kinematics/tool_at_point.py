@@ -33,7 +33,6 @@ from hplan.robot.model import Robot
 #: Directions that are tried, and from how many starts each.
 _COUNT, _STARTS = 64, 6
 
-
 #: Headings follow one another by this part of half a turn.
 _GOLDEN = 0.5 * (5.0**0.5 - 1.0)
 

@@ -31,7 +31,6 @@ _STEP: Final = 0.6
 #: Radius of fruit, and of the balls that are in the way, where there is room [m].
 _RADIUS: Final = 0.03
 
-
 #: So many balls stand out of the way, so many times as far from the base as the tool, spread by so much [m].
 _MANY, _FAR, _SPREAD = 60, 1.5, 0.1
 

@@ -42,7 +42,6 @@ LONGEST_S = 600.0
 #: How often the rows of a motion are counted anew until they are enough.
 _TRIES = 4
 
-
 #: Where an end is in motion, more than this much slower is no remedy for a step that passes limits: the next step is.
 _REPAIRED = 1.02
 

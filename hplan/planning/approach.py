@@ -32,7 +32,6 @@ from hplan.trajectory.trajectory import Trajectory
 #: lets it pass the stand-off faster, and gives the transit more to do.
 LEADS: Final = (0.02, 0.05, 0.15, 0.3, 0.45)
 
-
 _Transit = TypeVar("_Transit", bound=Motion)
 
 

@@ -55,13 +55,11 @@ _WAYS: Final = ("all at once", "one after the other", "around the others where t
 #: Samples of a motion between which its path is taken for straight [s].
 _ALONG_S: Final = 0.05
 
-
 #: With more arms than this not every order is tried, but each arm once as the last, and not all joints at once.
 _ALL_ORDERS: Final = 4
 
 #: By how much arms that stand are thicker where others go around them [m]; where one would touch that, by nothing.
 _THICKER: Final = 1e-3
-
 
 #: How far an arm steps aside, each joint, in turn until there is a place [rad, m]; and how many places are looked at.
 _ASIDE: Final = (0.3, 0.6, 1.2, 2.4)

@@ -37,7 +37,6 @@ from hplan.scene.model import Fruit, Scene
 #: Configurations that are looked at, about.
 COUNT = 64
 
-
 #: To how many grasps routes are searched where no straight motion leads to them.
 SEARCHED = 8
 

@@ -32,7 +32,6 @@ from hplan.trajectory.trajectory import Phase, Trajectory, joined
 #: that of an earlier motion, repaired, or as it was, or it was given.
 Origin: TypeAlias = Literal["none", "direct", "trees", "search", "mended", "kept", "given"]
 
-
 _T = TypeVar("_T")
 _Whole: TypeAlias = tuple[tuple[Phase, ...], Trajectory, Certificate]
 

@@ -61,7 +61,6 @@ _MOST_POSES = 10_000
 #: Nodes of trees, and the paths between them, lean by this fraction of the tilt at most; what is between has the rest.
 _OF_TILT = 0.7
 
-
 #: Rows of an upright motion are about so far apart [rad]; smoother paths of fewer of them are tried first.
 _ROW, _COARSER = 0.05, (12, 6, 3, 1)
 

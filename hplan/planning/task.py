@@ -40,7 +40,6 @@ COARSEST_DEG = 8.0
 #: Most nodes of a grid.
 MOST_CELLS = 1e8
 
-
 #: Called with the name of each stage as it begins.
 Progress = Callable[[str], None]
 

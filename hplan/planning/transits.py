@@ -45,7 +45,6 @@ _MOST_COARSE: Final = 5e6
 #: To so many goals trees look for a path one by one, before they do to all at once.
 _ONE_BY_ONE: Final = 2
 
-
 #: The number of a goal, and a motion there.
 Found: TypeAlias = tuple[int, Transit]
 _Stage: TypeAlias = Callable[[Sequence[PlanningTask]], Iterator[Found]]

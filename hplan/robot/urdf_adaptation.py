@@ -38,7 +38,6 @@ CONTINUOUS_RANGE: Final = 2.0 * math.pi
 #: A limit of a revolute joint beyond this is none: exporters write 1e16 where a joint turns without end [rad].
 _ENDLESS: Final = 1e3
 
-
 _PACKAGE: Final = "package://"
 
 

@@ -62,7 +62,6 @@ _EXTENSIONS: Final = frozenset(
 #: The limit that URDF has from 1.2 on, as files for Drake name it; where both are there, URDF's own counts.
 _ACCELERATION: Final = "drake:acceleration"
 
-
 _KINDS: Final = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
 
 

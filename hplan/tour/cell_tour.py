@@ -156,9 +156,11 @@ def _planned(cell: Cell, options: PlanOptions, progress: Progress) -> CellTour:
     progress("who reaches what")
     able, reasons = _able(apart, options)
     names, shared = [arm.name for arm in cell.arms], list[tuple[dict[str, TourResult], dict[str, HplanError]]]()
-    for lowest in ((),) if options.effort == "quick" else ((), names, names[::-1]):
+    lowest = ((),) if options.effort == "quick" else ((), names, names[::-1])
+    every = [_shares(apart, able, each) for each in lowest]
+    for shares in [each for number, each in enumerate(every) if each not in every[:number]]:
         without = dict(reasons)
-        tours = _tours(apart, options, able, _shares(apart, able, lowest), without, progress)
+        tours = _tours(apart, options, able, shares, without, progress)
         if tours:
             shared += [(each, without) for each in _balanced(apart, options, able, tours, progress)]
     if not shared:
@@ -394,10 +396,10 @@ class _Schedule:
                 continue
             fruits = sorted({fruit for part in left[name] for fruit in part.tour.order if fruit not in self._picked})
             longest = (1.0 + self._detour / (1 + len(fruits))) * _seconds(left[name])
-            if able and (not self._detour or self._around(name, fruits).takes(fruits) > longest):
+            around = self._around(name, fruits) if self._detour or not able else None
+            if around is None or (able and around.takes(fruits) > longest):
                 waiting.add(name)
                 continue
-            around = self._around(name, fruits)
             self._gone.add(self._state(name))
             left[name] = list(around.parts)
             self.unreached |= around.missed
@@ -437,7 +439,7 @@ class _Schedule:
         return self._ways[key]
 
     def _found(self, there: Cell, name: str, fruits: Sequence[str], gone: set[str], own: set[str]) -> _Around:
-        """The same, with all arms where they are, without the fruits that are gone, with its own that it carries."""
+        """As `_around`, all arms being where they are, without fruits that are gone, with its own that it carries."""
         arm, missed = there.arm(name), dict[str, HplanError]()
         hanging = tuple(fruit for fruit in arm.scene.fruits if fruit.name not in gone)
         arm = _among_others(there, replace(arm, scene=arm.scene.model_copy(update={"fruits": hanging})), self._thicker)

@@ -36,7 +36,6 @@ EXACT, _MOST_STATES = 11, 4_000_000
 #: How many fruits are moved together at most.
 SEGMENT = 3
 
-
 #: Relative gain from which on a change counts.
 _GAIN = 1e-12
 

@@ -36,7 +36,6 @@ from hplan.trajectory.spline import SplinePath, first_contact
 #: Smallest deviation that can be asked for [rad]: sharper corners are too much for toppra's tolerances.
 LEAST_DEVIATION = 1e-4
 
-
 #: Distance up to which waypoints are the same [rad].
 SAME = 1e-9
 

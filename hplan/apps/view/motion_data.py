@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 #: Stretches of time of which a chart shows the largest shares.
 STRETCHES = 600
 
-
 #: Times that are nearer than this are one [s].
 _SAME_S = 1e-6
 

@@ -28,7 +28,6 @@ from hplan.trajectory.trajectory import Trajectory
 #: Time that a motion takes from station to station at full speed [s].
 _STATION_S: Final = 0.00625
 
-
 #: Obstacles that travel no farther than this to either side of a time are not looked at more often [m].
 _RESOLUTION_M: Final = 8e-3
 

@@ -27,7 +27,6 @@ _GAP = 1e-4
 #: Tries in a row that find no room before there is none.
 _TRIES = 3000
 
-
 _DOWN = np.array([0.0, 0.0, -1.0])
 
 

@@ -52,8 +52,11 @@ STUDIES = {
     "baxter": "baxter:BAXTER",
 }
 
+#: Who can solve the problems of a study too.
+PEERS = ("RRTConnect", "BITstar", "roboplan")
+
 _DESCRIPTION = """\
-Measure hplan, beside peers with --peer: OMPL's planners, toppra on their paths (extra bench). Times are CPU
+Measure hplan, beside peers with --peer: OMPL's planners, toppra on their paths, roboplan (extra bench). Times are CPU
 times of a thread; trust ratios within one run. Without names all studies are run that need nothing else.
 """
 
@@ -110,8 +113,7 @@ def _parser() -> argparse.ArgumentParser:
     add("--seed", type=int, default=0, metavar="N", help="seed of problems and planners (default: 0)")
     add("--jobs", type=int, default=1, metavar="N", help="processes (default: 1)")
     add("--effort", choices=("quick", "default", "best"), default="default", help="of hplan (default: default)")
-    add("--peer", nargs="?", const="RRTConnect", choices=("RRTConnect", "BITstar"), help="let OMPL's planner solve the "
-        "problems too (default: RRTConnect)")  # fmt: skip
+    add("--peer", nargs="?", const=PEERS[0], choices=PEERS, help=f"who solves the problems too (default: {PEERS[0]})")
     add("--trees", type=Path, metavar="DIR", help="folder of measured trees, a CSV of capsules each")
     add("--files", type=Path, metavar="DIR", help="folder of MotionBenchMaker's sets, panda_SET.json each")
     add("--values", nargs="+", default=[], metavar="NAME=X,Y", help="numbers of a study, as deadlines=20,50 [ms]")

@@ -24,7 +24,7 @@ import pinocchio as pin
 from studies.harness import Asked, Row, Study
 from studies.measure import or_error, planned, ratio, timed
 from studies.outside import contacts, path_is_clear
-from studies.peers import RESOLUTION, ompl_path, seed_ompl, toppra_motion, world_of
+from studies.peers import RESOLUTION, ompl_path, roboplan_row, seed_ompl, toppra_motion, world_of
 from studies.validation.random_scenes import direction
 
 from hplan.base.arrays import FloatArray
@@ -280,6 +280,8 @@ def _panda_row(asked: Asked, problem: tuple[str, Robot, Scene]) -> Row:
         row["fault"] |= row["contacts"] + row["own_contacts"] > 0
     if asked.peer is None:
         return row
+    if asked.peer == "roboplan":
+        return row | roboplan_row(asked, robot, scene, row.get("duration_s"))
     seed_ompl(asked.seed + 1)
     world, goal = world_of(robot, scene), scene.goal.configuration
     path, row["peer_ms"] = timed(lambda: ompl_path(world, scene, goal, seconds=FIND_S, resolution=RESOLUTION))
@@ -293,11 +295,11 @@ def _panda_row(asked: Asked, problem: tuple[str, Robot, Scene]) -> Row:
 
 PANDA = Study(
     "panda",
-    "MotionBenchMaker's problems for the Panda (--files, panda_SET.json each); --peer: toppra on OMPL's paths",
+    "MotionBenchMaker's problems for the Panda (--files, panda_SET.json); --peer: roboplan, toppra on OMPL's paths",
     _panda_row,
     (
         *("certified", "ms", "duration_s", "origin", "contacts", "own_contacts"),
-        *("peer_solved", "peer_ms", "to_spline", "spline_touches"),
+        *("peer_solved", "peer_ms", "to_spline", "spline_touches", "to_peer", "peer_touches", "peer_over_limits"),
     ),
     problems=_panda_scenes,
     by="set",

@@ -47,7 +47,7 @@ class Asked:
         first: Number of the first problem.
         seed: Of the problems, and of planners that draw.
         effort: What hplan spends on a motion.
-        peer: OMPL's planner that solves the problems too; None for none.
+        peer: Who solves the problems too, one of OMPL's planners or roboplan; None for nobody.
         robot: The arm, where a study takes any; None for its own.
         trees: Folder of measured trees, a CSV of capsules each.
         files: Folder of problems in files.

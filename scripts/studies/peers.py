@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from studies.harness import Asked, Row
 from studies.measure import or_error, ratio, timed
-from studies.outside import TimedMotion, contacts
+from studies.outside import TimedMotion, contacts, findings
 
 from hplan.base.arrays import FloatArray
 from hplan.base.lazy_import import extra
@@ -28,10 +28,11 @@ from hplan.planning.world import World
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 
-PLANNERS = ("RRTConnect", "BITstar")
-
 #: What a planner has to find a path, and to simplify it [s of CPU]; what motions of its path keep [m].
 PATIENCE_S, SIMPLIFY_S, MARGIN_M = 10.0, 1.0, 1e-5
+
+#: A share of a limit that counts as beyond it.
+_OVER = 1.01
 
 #: Fraction of the space's extent by which OMPL steps along motions unless it is told otherwise.
 RESOLUTION = 0.01
@@ -82,7 +83,7 @@ def ompl_path(
         scene: Start, and joints that are locked.
         goal: (dof,) configuration.
         start: (dof,) configuration; None for the scene's.
-        planner: One of `PLANNERS`; RRTConnect stops at its first path, BITstar when time is up.
+        planner: RRTConnect stops at its first path, BITstar when time is up.
         seconds: CPU time to find it.
         resolution: Distance between configurations that are checked, as a fraction of the space's extent, as OMPL has
             it; a path may then touch something in between. None to have each motion verified by hplan's kernel.
@@ -168,6 +169,23 @@ def peer_row(asked: Asked, robot: Robot, scene: Scene, duration_s: float | None,
         "to_peer": ratio(duration_s, finished),
         "to_spline": None if spline is None else ratio(duration_s, spline.duration),
         "spline_touches": None if spline is None else any(contacts(robot, scene, spline)),
+    }
+
+
+def roboplan_row(asked: Asked, robot: Robot, scene: Scene, duration_s: float | None) -> Row:
+    """What roboplan makes of a scene: CPU of path, shortcuts and timing; the arm is loaded before."""
+    from studies.roboplan_peer import RoboplanArm
+
+    arm = RoboplanArm(robot, scene, asked.seed + 1)
+    motion, ms = timed(lambda: arm.motion(scene.start.configuration, scene.goal.configuration))
+    row = {"peer_solved": motion is not None, "peer_ms": ms}
+    if motion is None:
+        return row
+    seen = findings(robot, scene, motion)
+    return row | {
+        "to_peer": ratio(duration_s, motion.duration),
+        "peer_touches": seen["contacts"] > 0,
+        "peer_over_limits": max(seen["velocity"], seen["acceleration"]) > _OVER,
     }
 
 

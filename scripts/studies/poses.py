@@ -5,12 +5,14 @@ Each pose is taken by some clear configuration; whether there is a motion throug
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+
 import numpy as np
 import pinocchio as pin
 from studies.arms import random_scene, reach_of
 from studies.harness import Asked, Row, Study
-from studies.measure import or_error, outcome, timed
-from studies.outside import contacts
+from studies.measure import or_error, outcome, ratio, timed
+from studies.outside import TimedMotion, contacts
 
 from hplan.base.arrays import FloatArray
 from hplan.collision.coal_scene import CoalScene
@@ -95,21 +97,22 @@ def _taken(robot: Robot, rng: np.random.Generator, checker: CoalScene, pose: Flo
     return None
 
 
-def tool_along(robot: Robot, found: PlanResult, poses: FloatArray, ways: tuple[bool, ...]) -> Row:
-    """Largest tilt, distance from straight lines and from poses, by Pinocchio at many places of a motion."""
+def tool_along(
+    robot: Robot, start: FloatArray, motions: Sequence[TimedMotion], poses: FloatArray, ways: Sequence[bool]
+) -> Row:
+    """Largest tilt, distance from straight lines and from poses, by Pinocchio at many places of a motion to each."""
     data, model, frame = robot.model.createData(), robot.model, robot.model.getFrameId(robot.tool_frame)
 
     def at(q: FloatArray) -> FloatArray:
         pin.framesForwardKinematics(model, data, q)
         return np.array(data.oMf[frame].homogeneous)
 
-    begin = at(found.trajectory.position[0])
+    begin = at(start)
     row = {"tilt_deg": 0.0, "off_line_mm": 0.0, "off_pose_mm": 0.0}
     places = [begin[:3, 3], *poses[:, :3, 3]]
-    for phase in found.phases:
-        number = int(phase.name.split()[1])
-        clock = np.linspace(phase.start_s, phase.end_s, max(3, int(LOOKS_HZ * (phase.end_s - phase.start_s))))
-        tool = np.array([at(q) for q in found.trajectory.positions(clock)])
+    for number, motion in enumerate(motions, start=1):
+        clock = np.linspace(0.0, motion.duration, max(3, int(LOOKS_HZ * motion.duration)))
+        tool = np.array([at(q) for q in motion.positions(clock)])
         up = tool[:, :3, :3] @ begin[2, :3]
         row["tilt_deg"] = max(row["tilt_deg"], float(np.degrees(np.arccos(np.clip(up[:, 2], -1.0, 1.0))).max()))
         row["off_pose_mm"] = max(row["off_pose_mm"], 1e3 * float(np.linalg.norm(tool[-1, :3, 3] - places[number])))
@@ -134,7 +137,7 @@ def _sequence_row(asked: Asked, number: int) -> Row:
     row = outcome(found, ms) | {"name": f"poses {asked.seed}-{number}", "ways": f"{sum(ways)} of {POSES} straight"}
     row.pop("origin" if row["solved"] else "", None)
     if not isinstance(found, HplanError):
-        row |= tool_along(robot, found, poses, ways)
+        row |= tool_along(robot, scene.start.configuration, _phases(found), poses, ways)
         told = found.report["poses"]["phases"]
         row["touches"] = any(contacts(robot, scene, found.trajectory))
         row["fault"] = bool(
@@ -143,14 +146,52 @@ def _sequence_row(asked: Asked, number: int) -> Row:
             or row["off_line_mm"] > 1e3 * max([phase["deviation_m"] or 0.0 for phase in told])
             or row["tilt_deg"] > np.degrees(TILT_RAD) or row["off_line_mm"] > 1e3 * DEVIATION_M
         )  # fmt: skip
+    if asked.peer == "roboplan":
+        row |= _roboplan_row(asked, robot, scene, poses, ways, row.get("duration_s"))
     return row
+
+
+def _phases(found: PlanResult) -> list[TimedMotion]:
+    """The motion to each pose."""
+
+    def from_start_of(begin_s: float) -> Callable[[FloatArray], FloatArray]:
+        return lambda t: found.trajectory.positions(begin_s + t)
+
+    return [TimedMotion(phase.end_s - phase.start_s, from_start_of(phase.start_s)) for phase in found.phases]
+
+
+def _roboplan_row(
+    asked: Asked, robot: Robot, scene: Scene, poses: FloatArray, ways: Sequence[bool], duration_s: float | None
+) -> Row:
+    """What roboplan makes of a sequence; its roll and pitch within the half-width of the square that fits the tilt."""
+    from studies.roboplan_peer import RoboplanArm
+
+    start, within = scene.start.configuration, (TILT_RAD - 0.5 * LEAN_RAD) / np.sqrt(2.0)
+    arm = or_error(lambda: RoboplanArm(robot, scene, asked.seed + 1))
+    if isinstance(arm, HplanError):  # clouds
+        return {"peer_solved": None}
+    motions, ms = timed(lambda: arm.pose_motions(start, poses, ways, within))
+    if motions is None:
+        return {"peer_solved": False, "peer_ms": ms}
+    told = tool_along(robot, start, motions, poses, ways)
+    return {
+        "peer_solved": True,
+        "peer_ms": ms,
+        "to_peer": ratio(duration_s, sum(motion.duration for motion in motions)),
+        "peer_tilt_deg": told["tilt_deg"],
+        "peer_off_line_mm": told["off_line_mm"],
+        "peer_touches": any(any(contacts(robot, scene, motion)) for motion in motions),
+    }
 
 
 POSE_SEQUENCES = Study(
     "poses",
     "sequences of poses, the tool upright within 10 deg, and within 1 mm of straight lines",
     _sequence_row,
-    ("certified", "ms", "duration_s", "origin", "tilt_deg", "off_line_mm", "off_pose_mm", "touches"),
+    (
+        *("certified", "ms", "duration_s", "origin", "tilt_deg", "off_line_mm", "off_pose_mm", "touches"),
+        *("peer_solved", "peer_ms", "to_peer", "peer_tilt_deg", "peer_off_line_mm", "peer_touches"),
+    ),
     by="ways",
     count=(100, 3),
     warm=3,

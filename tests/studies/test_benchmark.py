@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from importlib.util import find_spec
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -97,16 +98,28 @@ def test_peers(tmp_path: Path) -> None:
     assert row["to_peer"] < 1.05
 
 
+def test_roboplan_as_a_peer(tmp_path: Path) -> None:
+    """Its motions are looked at as hplan's: tool upright within the angle, on its line within its 5 mm."""
+    pytest.importorskip("roboplan")
+    (row,) = rows_of("poses", tmp_path, "--peer", "roboplan")
+    assert row["peer_solved"]
+    assert 0.9 < row["to_peer"] < 1.1  # two of three motions are straight
+    assert row["peer_tilt_deg"] < 10.0
+    assert row["off_line_mm"] < row["peer_off_line_mm"] < 5.0
+
+
 def test_motionbenchmaker(tmp_path: Path) -> None:
     problems = Path(__file__).parents[3] / "shared" / "data" / "motionbenchmaker"
     if not problems.is_dir():
         pytest.skip("MotionBenchMaker's problems are not beside the project")
     try:
-        rows = rows_of("panda", tmp_path, "--files", str(problems), "--effort", "quick")
+        peer = ["--peer", "roboplan"] if find_spec("roboplan") else []
+        rows = rows_of("panda", tmp_path, "--files", str(problems), "--effort", "quick", *peer)
     except InputError as error:
         pytest.skip(error.message)
     assert len(rows) == 7
     assert all(row["certified"] and row["contacts"] + row["own_contacts"] == 0 for row in rows)
+    assert all(row["peer_solved"] and row["to_peer"] < 1.3 for row in rows if peer)
 
 
 def test_tracking(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -142,7 +142,7 @@ class RoboplanArm:
         for goal in sorted(ends, key=lambda q: float(np.abs(q - start).max())):
             try:
                 return self._timed(self._path(start, goal, upright))
-            except RuntimeError:
+            except (RuntimeError, MemoryError):  # some paths of 2,000 waypoints are too much for its splines
                 continue
         return None
 

@@ -17,6 +17,7 @@ import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, Final, NamedTuple, TypeAlias
 
 import numpy as np
@@ -37,7 +38,7 @@ from hplan.planning.world import World
 from hplan.scene.model import Fruit, Goal
 from hplan.tour.carried import carrying
 from hplan.tour.result import Leg, TourResult
-from hplan.tour.tour import TourOptions, plan_tour
+from hplan.tour.tour import TourOptions, TourPlanner
 from hplan.trajectory.trajectory import Phase, Trajectory
 
 #: An arm that moves no faster rests [rad/s, m/s]; times so near are the same [s].
@@ -54,6 +55,10 @@ _DETOUR: Final = 1.0
 #: By how much arms that stand are thicker to others that pass them [m]: more than samples have to keep, by `_BEYOND`.
 _BEYOND: Final = 5e-4
 _THICKER: Final = SPARES[1] + _BEYOND
+
+
+#: The tour of each arm, and why fruits are not in any.
+_Shared: TypeAlias = tuple[dict[str, TourResult], dict[str, HplanError]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,27 +160,38 @@ def _planned(cell: Cell, options: PlanOptions, progress: Progress) -> CellTour:
     apart = replace(cell, arms=tuple(_among_others(cell, arm, _THICKER) for arm in cell.arms))
     progress("who reaches what")
     able, reasons = _able(apart, options)
-    names, shared = [arm.name for arm in cell.arms], list[tuple[dict[str, TourResult], dict[str, HplanError]]]()
+    names, shared = [arm.name for arm in cell.arms], list[_Shared]()
+    pickers = {
+        arm.name: _Picker(arm, options, [fruit for fruit in able if arm.name in able[fruit]]) for arm in apart.arms
+    }
     lowest = ((),) if options.effort == "quick" else ((), names, names[::-1])
     every = [_shares(apart, able, each) for each in lowest]
     for shares in [each for number, each in enumerate(every) if each not in every[:number]]:
         without = dict(reasons)
-        tours = _tours(apart, options, able, shares, without, progress)
+        tours = _tours(pickers, able, shares, without, progress)
         if tours:
-            shared += [(each, without) for each in _balanced(apart, options, able, tours, progress)]
+            shared += [(each, without) for each in _balanced(apart, pickers, able, tours, progress)]
     if not shared:
         raise TourError(list(without.items()))
     for spare in SPARES[1:]:
         progress("together")
         ways: _Ways = {}
-        schedules = [
-            _Schedule(cell, options, spare, order, detour, ways).filled(*each)
-            for each, order, detour in itertools.product(shared, (names, names[::-1]), (0.0, _DETOUR))
-        ]
-        found = min(schedules, key=lambda each: (len(each.unreached), round(each.duration, 6))).result()
+        best = list[_Schedule]()
+        for each in sorted(shared, key=_at_best):
+            for order, detour in itertools.product((names, names[::-1]), (0.0, _DETOUR)):
+                if not best or _at_best(each) < best[0].ends:
+                    schedule = _Schedule(cell, options, spare, order, detour, ways).filled(*each)
+                    best = sorted([*best, schedule], key=lambda schedule: schedule.ends)[:1]
+        found = best[0].result()
         if found.between.verified:
             return found
     raise CertificationError("the tours of all arms together cannot be certified: " + found.between.violations[0])
+
+
+def _at_best(shared: _Shared) -> tuple[int, float]:
+    """What `_Schedule.ends` is at best, where nobody waits."""
+    tours, reasons = shared
+    return len(reasons), round(max(tour.duration for tour in tours.values()), 6)
 
 
 def _among_others(there: Cell, arm: CellArm, thicker: float) -> CellArm:
@@ -219,9 +235,38 @@ def _shares(cell: Cell, able: Mapping[str, Sequence[str]], lowest: Sequence[str]
     return shares
 
 
+class _Picker:
+    """Tours of an arm, what one finds of motions kept for the others."""
+
+    def __init__(self, arm: CellArm, options: PlanOptions, able: Sequence[str]) -> None:
+        """Begin without any; of an arm that never goes to its drop-off it is not asked how it would."""
+        self._arm, self._options, self._able = arm, options, able
+        self._tours: dict[frozenset[str], TourResult | TourError] = {}
+
+    @cached_property
+    def _planner(self) -> TourPlanner:
+        return _planner(self._arm, self._options, self._able)
+
+    def tour(self, fruits: Sequence[str]) -> TourResult:
+        """The tour through fruits and home.
+
+        Raises:
+            TourError: It can pick none of them.
+        """
+        key = frozenset(fruits)
+        if key not in self._tours:
+            try:
+                self._tours[key] = self._planner.run(fruits)
+            except TourError as error:
+                self._tours[key] = error
+        found = self._tours[key]
+        if isinstance(found, TourError):
+            raise found
+        return found
+
+
 def _tours(
-    cell: Cell,
-    options: PlanOptions,
+    pickers: Mapping[str, _Picker],
     able: Mapping[str, Sequence[str]],
     shares: dict[str, list[str]],
     reasons: dict[str, HplanError],
@@ -232,20 +277,18 @@ def _tours(
     changed = {name for name, share in shares.items() if share}
     while changed:
         handed = set[str]()
-        for arm in cell.arms:
-            if arm.name not in changed:
-                continue
-            progress(f"tour of {arm.name}")
+        for arm in [name for name in pickers if name in changed]:
+            progress(f"tour of {arm}")
             try:
-                tours[arm.name] = _tour(arm, options, shares[arm.name])
-                missed = {each.fruit: each.error for each in tours[arm.name].unreached}
+                tours[arm] = pickers[arm].tour(shares[arm])
+                missed = {each.fruit: each.error for each in tours[arm].unreached}
             except TourError as error:
-                tours.pop(arm.name, None)
+                tours.pop(arm, None)
                 missed = dict(error.reasons)
             reasons |= missed
             for fruit in missed:
-                shares[arm.name].remove(fruit)
-                missed_by.setdefault(fruit, set()).add(arm.name)
+                shares[arm].remove(fruit)
+                missed_by.setdefault(fruit, set()).add(arm)
                 others = [name for name in able[fruit] if name not in missed_by[fruit]]
                 for name in others[:1]:
                     shares[name].append(fruit)
@@ -259,7 +302,7 @@ def _tours(
 
 def _balanced(
     cell: Cell,
-    options: PlanOptions,
+    pickers: Mapping[str, _Picker],
     able: Mapping[str, Sequence[str]],
     tours: dict[str, TourResult],
     progress: Progress,
@@ -283,7 +326,7 @@ def _balanced(
         fruit, has = given[0][1], tours[taker].order if taker in tours else ()
         shares = {giver: [each for each in order if each != fruit], taker: [*has, fruit]}
         try:
-            found = tours | {name: _tour(cell.arm(name), options, share) for name, share in shares.items()}
+            found = tours | {name: pickers[name].tour(share) for name, share in shares.items()}
         except TourError:
             break
         less = sum(len(tour.order) for tour in found.values()) < sum(len(tour.order) for tour in tours.values())
@@ -293,11 +336,11 @@ def _balanced(
         yield tours
 
 
-def _tour(arm: CellArm, options: PlanOptions, fruits: Sequence[str], *, back: bool = True) -> TourResult:
-    """An arm's tour through fruits and, if asked for, back."""
+def _planner(arm: CellArm, options: PlanOptions, fruits: Sequence[str], *, back: bool = True) -> TourPlanner:
+    """What plans an arm's tours through some of the fruits and, if asked for, back."""
     every = None if arm.drop_off is None else arm.every
     tour = TourOptions(back=back, drop_off=arm.drop_off, every=every)
-    return plan_tour(arm.robot, arm.scene, options, fruits=fruits, tour=tour)
+    return TourPlanner(arm.robot, arm.scene, options, tour, fruits)
 
 
 def _way(arm: CellArm, goal: Goal, options: PlanOptions, carried: Sequence[Fruit] = ()) -> TourResult:
@@ -378,9 +421,9 @@ class _Schedule:
         self._gone: set[tuple[str, tuple[int, ...]]] = set()
 
     @property
-    def duration(self) -> float:
-        """When the last arm is done [s]."""
-        return self._table.duration
+    def ends(self) -> tuple[int, float]:
+        """How many fruits are not picked, and when the last arm is done [s], rounded."""
+        return len(self.unreached), round(self._table.duration, 6)
 
     def filled(self, tours: Mapping[str, TourResult], reasons: Mapping[str, HplanError]) -> _Schedule:
         """The tours with all their parts set out; fruit to which an arm never can go is left out."""
@@ -450,7 +493,7 @@ class _Schedule:
                 tours.append(_way(arm, arm.drop_off, self._options, carried))
                 arm = arm.starting(tours[-1].trajectory.position[-1])
             if fruits:
-                tours.append(_tour(arm, self._options, fruits, back=False))
+                tours.append(_planner(arm, self._options, fruits, back=False).run(fruits))
                 missed = {each.fruit: each.error for each in tours[-1].unreached}
                 arm = arm.starting(tours[-1].trajectory.position[-1])
         except HplanError as error:

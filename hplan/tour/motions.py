@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from itertools import islice
@@ -31,6 +31,7 @@ import numpy as np
 
 from hplan.base import ties
 from hplan.base.arrays import FloatArray, IntArray, readonly
+from hplan.errors import HplanError, UnreachableError
 from hplan.planning.approach import Approach, blended
 from hplan.planning.failures import NO_MOTION
 from hplan.planning.grasps import Grasp, Target, grasps
@@ -71,10 +72,10 @@ class _Step(NamedTuple):
 
 
 class Motions:
-    """Places to pick from, and the motions between them.
+    """Places to pick from, and the motions between them: what one tour has found others over more or less fruit have.
 
     Attributes:
-        fruits: The fruits, in the order in which they were added.
+        fruits: The fruits of the tour, in the order in which they were first added.
     """
 
     def __init__(
@@ -100,7 +101,8 @@ class Motions:
         self._here, self._home = self._moves.stop(here), self._moves.stop(home)
         self._hub = self._home if drop is None else self._moves.stop(Stop(drop.task.problem.goal))
         self._moves.drop_at(self._hub)
-        self._begin = [0]
+        self._begin, self._names, self._numbers = [0], list[str](), np.zeros(0, dtype=np.int64)
+        self._failed: dict[str, HplanError] = {}
         self._first = len(self._moves.stops)  # stop of the first place
         self._places: list[Approach] = []
         self._pick_s: list[float] = []  # of each place the least duration of approach and retreat, or the true one [s]
@@ -117,7 +119,7 @@ class Motions:
         return self._sought + self._moves.planned
 
     def add(self, fruit: Fruit, keep: int) -> None:
-        """Find grasps of a fruit: one that the hub is shown to lead to, and others by their bounds alone.
+        """Find grasps of a fruit, once: one that the hub is shown to lead to, and others by their bounds alone.
 
         Args:
             keep: Among how many grasps the best is sought at a time.
@@ -126,6 +128,22 @@ class Motions:
             UnreachableError: No configuration has the tool there.
             HplanError: One of `NO_MOTION`: it is blocked, or no certified motion leads there.
         """
+        if fruit.name in self._failed:
+            raise self._failed[fruit.name]
+        if fruit.name not in self._names:
+            try:
+                self._add(fruit, keep)
+            except (UnreachableError, *NO_MOTION) as error:
+                error.__context__ = None  # which keeps grids in memory, as the traceback does
+                self._failed[fruit.name] = error
+                raise
+
+    def choose(self, fruits: Collection[str]) -> None:
+        """Say which of the fruits that were added the tour is over."""
+        self.fruits = [name for name in self._names if name in fruits]
+        self._numbers = np.flatnonzero([name in fruits for name in self._names])
+
+    def _add(self, fruit: Fruit, keep: int) -> None:
         context, hub = self._context, self._moves.stops[self._hub].configuration
         target = Target.of_fruit(context.world, fruit, context.scene, context.options)
         found = grasps(target, hub, standoff=context.options.standoff_m, locked=context.scene.locked_joints)
@@ -143,7 +161,7 @@ class Motions:
         spread = begin + np.linspace(0, len(found) - 1, max(0, keep - 1)).astype(int)
         self._active.append(sorted({place, *spread.tolist()}))
         self._begin.append(len(self._places))
-        self.fruits.append(fruit.name)
+        self._names.append(fruit.name)
 
     def settle(self, solve: Solver) -> Visits:
         """The tour that a solver finds by true durations."""
@@ -173,7 +191,7 @@ class Motions:
 
     def _solved(self, solve: Solver, before: Visits | None, last: bool) -> Visits:
         """The tour over active places that a solver finds."""
-        places = np.array([place for active in self._active for place in active])
+        places = np.array([place for fruit in self._numbers.tolist() for place in self._active[fruit]])
         found = solve(self._costs(places), None if before is None else self.fruits_at(before.places), last)
         return replace(found, places=places[found.places])
 
@@ -181,9 +199,9 @@ class Motions:
         """True if other grasps promise a quicker tour in the same order: they become active, in place of others."""
         order = self.fruits_at(visits.places)
         likely = self._likely(visits)
-        promised = likely[along(self._costs(likely), order).places]
+        promised = likely[along(self._costs(likely), order).places].tolist()
         wider = False
-        for fruit, place, other in zip(order.tolist(), visits.places.tolist(), promised.tolist(), strict=True):
+        for fruit, place, other in zip(self._numbers[order].tolist(), visits.places.tolist(), promised, strict=True):
             active = self._active[fruit]
             kept = list(dict.fromkeys([place, other, *active]))[: len(active)]
             wider |= other in kept and other not in active
@@ -192,21 +210,23 @@ class Motions:
 
     def _likely(self, visits: Visits) -> IntArray:
         """The active places, and of each fruit those with the least bounds to where the arm is before and after it."""
-        found, around = {place for active in self._active for place in active}, [self._here]
+        numbers = self._numbers
+        found, around = {place for fruit in numbers.tolist() for place in self._active[fruit]}, [self._here]
         for place, dropped in zip(visits.places.tolist(), visits.dropped.tolist(), strict=True):
             around += [self._first + place, self._hub] if dropped else [self._first + place]
-        for fruit, place in zip(self.fruits_at(visits.places).tolist(), visits.places.tolist(), strict=True):
+        fruits = numbers[self.fruits_at(visits.places)].tolist()
+        for fruit, place in zip(fruits, visits.places.tolist(), strict=True):
             number = around.index(self._first + place)
             beside = [around[number - 1], *around[number + 1 : number + 2]]
             whole = np.arange(self._begin[fruit], self._begin[fruit + 1])
             bounds = self._moves.least(np.concatenate([beside, self._first + whole]))[: len(beside), len(beside) :]
             # So many grasps of all fruits are looked at for that, about, besides those that a tour may take already.
-            found |= set(whole[ties.argsort(bounds.sum(axis=0))[: 1200 // len(self.fruits)]].tolist())
+            found |= set(whole[ties.argsort(bounds.sum(axis=0))[: 1200 // len(fruits)]].tolist())
         return np.array(sorted(found))
 
     def fruits_at(self, places: IntArray) -> IntArray:
-        """The numbers of the fruits at places."""
-        return np.searchsorted(self._begin, places, side="right") - 1
+        """The numbers, among those of the tour, of the fruits at places."""
+        return np.searchsorted(self._numbers, np.searchsorted(self._begin, places, side="right") - 1)
 
     def legs(self, visits: Visits, *, back: bool, stops: bool) -> list[LegMotions]:
         """The legs of a tour: the fruit's name, how it is taken, the motions there and, if it is, to the drop-off.
@@ -217,7 +237,7 @@ class Motions:
         """
         places = visits.places.tolist()
         names: list[tuple[str | None, Grasp | None]] = [
-            (self.fruits[bisect(self._begin, place) - 1], self._places[place].grasp) for place in places
+            (self._names[bisect(self._begin, place) - 1], self._places[place].grasp) for place in places
         ]
         legs = [[step for step in leg if step.name != "return"] for leg in self._steps(visits)]
         if back:
@@ -325,7 +345,7 @@ class Motions:
         else:
             last = empty[3:, 2] if self._back else np.zeros(len(pick))
         return Costs(
-            begin=readonly(np.searchsorted(places, self._begin), np.int64),
+            begin=readonly(np.searchsorted(self.fruits_at(places), np.arange(len(self.fruits) + 1)), np.int64),
             first=readonly(ties.on_raster(empty[0, 3:] + pick)),
             onward=readonly(ties.on_raster(loaded[3:, 3:] + pick)),
             drop=readonly(ties.on_raster(drop)),

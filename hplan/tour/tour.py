@@ -126,7 +126,7 @@ def plan_tour(
         try:
             # It is the whole that is wanted in time: motions are planned as without a deadline.
             whole = replace(options, deadline_s=None)
-            return _TourPlanner(robot, scene, whole, tour or TourOptions(), progress).run(names)
+            return TourPlanner(robot, scene, whole, tour or TourOptions(), names, progress).run(names)
         except TimeIsUpError:
             raise limit.error([f"a tour over {len(names)} fruits"]) from None
 
@@ -159,66 +159,80 @@ class _Stage:
     unreached: list[Unreached]
 
 
-class _TourPlanner:
-    """A tour in the making: the arm, empty and loaded, and the stages so far."""
+class TourPlanner:
+    """Tours of an arm: what one finds of motions among all fruits those over other fruits have."""
 
-    def __init__(self, robot: Robot, scene: Scene, options: PlanOptions, tour: TourOptions, progress: Progress) -> None:
+    def __init__(
+        self,
+        robot: Robot,
+        scene: Scene,
+        options: PlanOptions,
+        tour: TourOptions,
+        names: Sequence[str],
+        progress: Progress = no_progress,
+    ) -> None:
+        """Arguments and errors as those of `plan_tour`; `names` are the fruits that may be picked."""
         self._begin = time.perf_counter()
         self.robot, self.scene, self.options, self.tour, self.progress = robot, scene, options, tour, progress
-        self.cache = PlanningCache(robot)
+        self._empty, self._loaded, self._drop = PlanningCache(robot), None, None
         if scene.start.is_moving:
             raise SceneError("tours begin at rest; the start has a velocity or an acceleration", where="start")
         self.start = robot.check_configuration(robot.joints_of(scene.start, "start"), "start")
-        self.context = self.cache.context(scene, options)
+        self.context = self._empty.context(scene, options)
         self.context.world.check_base(robot.yaw_of(self.start))
         self.context.task(self.start, self.start)
+        if tour.drop_off is not None:
+            progress("drop-off")
+            thickest = max(fruit.radius for fruit in scene.fruits if fruit.name in names)
+            self._loaded = PlanningCache(carrying(robot, thickest))
+            self._drop = drop_off(tour.drop_off, self.context, self._loaded.context(scene, options), self.start)
+        self._whole = self._motions(scene, Stop(self.start))
 
-    def run(self, names: list[str]) -> TourResult:
-        """The tour; what is blocked is tried again among what the fruits picked before it leave."""
-        loaded, drop = None, None
-        if self.tour.drop_off is not None:
-            self.progress("drop-off")
-            thickest = max(fruit.radius for fruit in self.scene.fruits if fruit.name in names)
-            loaded = PlanningCache(carrying(self.robot, thickest))
-            drop = drop_off(self.tour.drop_off, self.context, loaded.context(self.scene, self.options), self.start)
-        home = Stop(self.start)
-        scene, here, stages = self.scene, home, list[_Stage]()
+    def _motions(self, scene: Scene, here: Stop) -> Motions:
+        """The motions among what hangs in a scene, from where the arm is."""
+        return Motions(
+            self._empty.context(scene, self.options),
+            None if self._loaded is None else self._loaded.context(scene, self.options),
+            here=here, home=Stop(self.start), drop=self._drop, every=self.tour.every or 1, back=self.tour.back,
+        )  # fmt: skip
+
+    def run(self, names: Sequence[str]) -> TourResult:
+        """The tour over some of the fruits; what is blocked is tried again among what those picked before it leave."""
+        motions, scene, stages = self._whole, self.scene, list[_Stage]()
         left, unreached = names, list[Unreached]()
         while left:
-            motions = Motions(
-                self.cache.context(scene, self.options),
-                None if loaded is None else loaded.context(scene, self.options),
-                here=here, home=home, drop=drop, every=self.tour.every or 1, back=self.tour.back,
-            )  # fmt: skip
             fruits = {fruit.name: fruit for fruit in scene.fruits}
             stage = self._stage(motions, [fruits[name] for name in left])
             unreached = [item for item in unreached if item.fruit not in left] + stage.unreached
             if not math.isfinite(stage.visits.cost) or not motions.fruits:
                 break
             stages.append(stage)
-            here = motions.end(stage.visits)
             gone = set(motions.fruits)
             scene = scene.model_copy(update={"fruits": tuple(f for f in scene.fruits if f.name not in gone)})
             left = [item.fruit for item in stage.unreached if not isinstance(item.error, UnreachableError)]
+            if left:
+                motions = self._motions(scene, motions.end(stage.visits))
         if not stages:
             raise TourError([(item.fruit, item.error) for item in unreached])
         return self._result(stages, unreached)
 
     def _stage(self, motions: Motions, fruits: Sequence[Fruit]) -> _Stage:
         """The tour over all those of some fruits that can be reached."""
-        unreached = []
+        unreached, given = list[Unreached](), list[str]()
         for number, fruit in enumerate(fruits):
             self.progress(f"fruit {number + 1} of {len(fruits)}")
             try:
                 motions.add(fruit, self.tour.grasps)
             except (UnreachableError, *NO_MOTION) as error:
-                error.__context__ = None  # which keeps grids in memory, as the traceback does
                 unreached.append(Unreached(fruit.name, error.with_traceback(None)))
+            else:
+                given.append(fruit.name)
+        motions.choose(given)
         self.progress("order")
         found: dict[str, Visits] = {}
         if motions.fruits:
             orders = sorted(_ORDERS, key=lambda order: order != self.tour.order)
-            found = {order: _visits(motions, order) for order in (orders if self.tour.compare else orders[:1])}
+            found = {order: _visits(motions, order, given) for order in (orders if self.tour.compare else orders[:1])}
         totals = {order: self._duration(motions, visits) for order, visits in found.items()}
         if self.tour.order == "best" and found:
             # By durations with stops; without them another order may be quicker.
@@ -313,11 +327,11 @@ class _TourPlanner:
         }
 
 
-def _visits(motions: Motions, order: Order) -> Visits:
+def _visits(motions: Motions, order: Order, given: Sequence[str]) -> Visits:
     """The tour in the best order, in that of the nearest neighbour, or in the one given; places as good as can be."""
     if order == "best":
         return motions.settle(best)
-    fixed = np.arange(len(motions.fruits))
+    fixed = np.array([motions.fruits.index(name) for name in given])
     if order == "nearest":
         fixed = motions.fruits_at(motions.settle(lambda costs, *_: nearest(costs)).places)
     return motions.settle(lambda costs, *_: along(costs, fixed))

@@ -33,7 +33,7 @@ from hplan.tour.joins import Joins
 from hplan.tour.moves import Moves, Stop
 from hplan.tour.ordering import SEGMENT, Costs, Visits, along, best, nearest
 from hplan.tour.result import TourResult
-from hplan.tour.tour import TourOptions, plan_tour
+from hplan.tour.tour import TourOptions, TourPlanner, plan_tour
 from hplan.trajectory.trajectory import Trajectory, read_csv
 
 OPTIONS = PlanOptions(rate_hz=100.0)
@@ -147,6 +147,19 @@ def checkers(robot: Robot, scene: Scene, result: TourResult) -> Callable[[float]
         return made[len(here)]
 
     return at
+
+
+def test_tours_over_other_fruits_have_the_motions_of_those_before(robot, scene):
+    options = TourOptions(drop_off=DROP, every=2, back=True)
+    planner = TourPlanner(robot, scene, OPTIONS, options, "abcd")
+    counts = []
+    for names in ("abc", "bcd", "dab", "abcd", "bc"):
+        result = planner.run(names)
+        assert set(result.order) == set(names)
+        assert_sound(robot, scene, result)
+        counts.append(result.report["planner"]["motions_planned"])
+    alone = plan_tour(robot, scene, OPTIONS, fruits=list("bcd"), tour=options).report["planner"]["motions_planned"]
+    assert counts[1] - counts[0] < 0.75 * alone
 
 
 def test_order_is_best_and_certified(robot: Robot, scene: Scene, tour: TourResult) -> None:

@@ -139,14 +139,3 @@ def list_of(option: str, values: Any, kind: Any, what: str) -> tuple[Any, ...]:
         return item
 
     return each(option, values, f"a list of {what}", check)
-
-
-def keep_checked(record: Any, checks: Mapping[str, tuple[Any, ...]]) -> None:
-    """Check fields of a frozen dataclass and keep what the checks give.
-
-    Args:
-        record: The dataclass, in its `__post_init__`.
-        checks: For each field a function of this module, and what that takes after the field's name and value.
-    """
-    for option, (check, *limits) in checks.items():
-        object.__setattr__(record, option, check(option, getattr(record, option), *limits))

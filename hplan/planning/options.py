@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final, Literal, get_args
+from typing import Annotated, Literal
 
-from hplan.base.arguments import between, by_name, keep_checked, list_between, number, one_of, truth, whole
+from pydantic import Field
+
+from hplan.base.options import NotNegative, Options, Positive
 from hplan.errors import OptionError
-from hplan.grid.sections import LINK_MODELS, LinkModel
-from hplan.robot.limits import check_rate, check_speed
+from hplan.grid.sections import LinkModel
 from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel
 from hplan.scene.limits import FARTHEST_M, LEAST_RISK
-from hplan.scene.obstacle_kind import Sigmas
 
 Method = Literal["two-level", "dense"]
 
@@ -22,16 +22,15 @@ Objective = Literal["duration", "length"]
 #: Length of the straight approach to a fruit or a point, where none is asked for [m].
 STANDOFF = 0.1
 
-#: Finest joint grid that can be asked for [deg]: of a single joint that turns once, more nodes than any grid may have.
-_FINEST_DEG: Final = 1e-7
-
 #: How much is spent on a faster motion.
 EffortName = Literal["quick", "default", "best"]
 EFFORT_NAMES: tuple[EffortName, ...] = ("quick", "default", "best")
 
+_CaptureRange = Annotated[float, Field(ge=0.0, le=FARTHEST_M)]
+
 
 @dataclass(frozen=True)
-class PlanOptions:
+class PlanOptions(Options):
     """Options of a plan, checked.
 
     Attributes:
@@ -65,42 +64,30 @@ class PlanOptions:
     """
 
     method: Method = "two-level"
-    step_deg: float = 1.0
+    # Of a single joint that turns once, a finer grid has more nodes than any may have.
+    step_deg: Annotated[float, Field(ge=1e-7)] = 1.0
     objective: Objective = "duration"
     effort: EffortName = "default"
     link_model: LinkModel = "capsule"
-    rate_hz: float = 250.0
-    speed: float = 1.0
-    tracking_error: float = 0.0
-    tracking_delay_s: float = 0.0
-    sigmas: Sigmas = 3.0
-    risk: float | None = None
-    standoff: float | None = None
-    capture_m: tuple[float, float] | None = None
+    rate_hz: Annotated[float, Field(ge=1.0, le=100_000.0)] = 250.0
+    speed: Annotated[float, Field(gt=0.0, le=1.0)] = 1.0
+    tracking_error: NotNegative = 0.0
+    tracking_delay_s: NotNegative = 0.0
+    sigmas: NotNegative | Annotated[dict[str, NotNegative], Field(min_length=1)] = 3.0
+    risk: Annotated[float, Field(ge=LEAST_RISK, le=1.0)] | None = None
+    standoff: NotNegative | None = None
+    capture_m: tuple[_CaptureRange, _CaptureRange] | None = None
     certify: bool = True
     bound: bool = False
-    seed: int = 0
-    deadline_s: float | None = None
+    seed: Annotated[int, Field(ge=0, le=2**31)] = 0
+    deadline_s: Positive | None = None
 
     def __post_init__(self) -> None:
-        keep_checked(self, _CHECKS)
-        if self.risk is not None:
-            keep_checked(self, {"risk": (between, LEAST_RISK, 1.0)})
-            if not self.certify:
-                raise OptionError("risk", self.risk, "None where motions need not be certified")
-        if self.standoff is not None:
-            keep_checked(self, {"standoff": (number, "a finite number >= 0", lambda value: value >= 0.0)})
-        if self.capture_m is not None:
-            keep_checked(self, {"capture_m": (list_between, 0.0, FARTHEST_M)})
-            if len(self.capture_m) != 2:
-                raise OptionError("capture_m", self.capture_m, "two lengths, across the approach and along it")
-        if self.deadline_s is not None:
-            keep_checked(self, {"deadline_s": (number, "a positive number of seconds", lambda value: value > 0.0)})
-            if self.bound:
-                raise OptionError("bound", self.bound, "False where there is a deadline: a bound may take seconds")
-        check_rate(self.rate_hz)
-        check_speed(self.speed)
-        TrackingModel(self.tracking_error, self.tracking_delay_s)
+        super().__post_init__()
+        if self.risk is not None and not self.certify:
+            raise OptionError("risk", self.risk, "None where motions need not be certified")
+        if self.deadline_s is not None and self.bound:
+            raise OptionError("bound", self.bound, "False where there is a deadline: a bound may take seconds")
 
     def check_for(self, robot: Robot | None, *, takes_risk: bool = False) -> None:
         """Refuse the dense search for robots without a grid, and a risk where there is more than a single plan.
@@ -134,15 +121,3 @@ class PlanOptions:
     def certified_tracking(self) -> TrackingModel:
         """The deviation that certificates cover, whether motions need to be certified or not."""
         return TrackingModel(self.tracking_error, self.tracking_delay_s)
-
-
-_CHECKS = {
-    "method": (one_of, get_args(Method)),
-    "objective": (one_of, get_args(Objective)),
-    "effort": (one_of, EFFORT_NAMES),
-    "link_model": (one_of, LINK_MODELS),
-    "step_deg": (number, f"a number of degrees >= {_FINEST_DEG:g}", lambda step: step >= _FINEST_DEG),
-    "sigmas": (by_name, "a finite number >= 0", lambda value: value >= 0.0),
-    "seed": (whole, 0, 2**31),
-    **dict.fromkeys(("certify", "bound"), (truth,)),
-}

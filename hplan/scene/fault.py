@@ -6,11 +6,11 @@ from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
-import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 from pydantic_core import PydanticCustomError
 
 from hplan.base.arrays import MOST_SHOWN, Unquoted
+from hplan.base.options import plain
 from hplan.errors import SceneError
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ class StrictModel(BaseModel, metaclass=_SceneErrors):
     @model_validator(mode="before")
     @classmethod
     def _takes_arrays(cls, content: Any) -> Any:
-        return {key: _tupled(value) for key, value in content.items()} if isinstance(content, dict) else content
+        return {key: plain(value) for key, value in content.items()} if isinstance(content, dict) else content
 
     if not TYPE_CHECKING:
 
@@ -69,13 +69,6 @@ class StrictModel(BaseModel, metaclass=_SceneErrors):
                     continue
                 long = isinstance(value, tuple) and len(value) > MOST_SHOWN
                 yield name, Unquoted(f"<{len(value)} items>") if long else value
-
-
-def _tupled(value: Any) -> Any:
-    """A value with tuples in place of lists and arrays, and Python's numbers in place of NumPy's."""
-    if isinstance(value, np.ndarray | np.generic):
-        value = value.tolist()
-    return tuple(map(_tupled, value)) if isinstance(value, list) else value
 
 
 def validated(kind: type[_Part], content: Any, context: dict[str, Any]) -> _Part:

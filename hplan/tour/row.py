@@ -16,10 +16,13 @@ from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
-from typing import Any, Final, Literal, NamedTuple
+from typing import Annotated, Any, Final, Literal, NamedTuple, TypeAlias
 
-from hplan.base.arguments import between, instance, keep_checked, list_between, list_of, one_of, truth
+from pydantic import Field
+
+from hplan.base.arguments import instance
 from hplan.base.arrays import Record
+from hplan.base.options import Options
 from hplan.base.tasks import Pool, outcomes, pool_of
 from hplan.collision.reach import reach_ball
 from hplan.errors import HplanError, InputError, MovingObstacleError, OptionError, TourError
@@ -44,9 +47,13 @@ _TREE: Final = re.compile(r"tree \d+(?= )")
 
 Objective = Literal["stops", "time"]
 
+#: A speed or acceleration of the vehicle, and a time in which the arm waits [s].
+_Rate: TypeAlias = Annotated[float, Field(ge=0.001, le=100.0)]
+_Pause: TypeAlias = Annotated[float, Field(ge=0.0, le=3600.0)]
+
 
 @dataclass(frozen=True)
-class RowOptions:
+class RowOptions(Options):
     """Where the base may stand, and how it gets there.
 
     Attributes:
@@ -64,23 +71,18 @@ class RowOptions:
         carried: Names of obstacles that stand on the vehicle.
     """
 
-    distance: float = 1.4
+    distance: Annotated[float, Field(ge=0.1, le=100.0)] = 1.4
     both: bool = True
-    step: float = 0.1
-    heights: tuple[float, ...] = (0.0,)
+    step: Annotated[float, Field(ge=0.01, le=100.0)] = 0.1
+    heights: Annotated[tuple[Annotated[float, Field(ge=-10.0, le=10.0)], ...], Field(min_length=1)] = (0.0,)
     objective: Objective = "stops"
-    share: float = 1.0
-    speed: float = 0.5
-    acceleration: float = 0.5
-    lift_speed: float = 0.1
-    settling: float = 0.5
-    detaching: float = 1.0
+    share: Annotated[float, Field(ge=0.01, le=1.0)] = 1.0
+    speed: _Rate = 0.5
+    acceleration: _Rate = 0.5
+    lift_speed: _Rate = 0.1
+    settling: _Pause = 0.5
+    detaching: _Pause = 1.0
     carried: tuple[str, ...] = ()
-
-    def __post_init__(self) -> None:
-        keep_checked(self, _CHECKS)
-        if not self.heights:
-            raise OptionError("heights", self.heights, "at least one height")
 
     def drive_s(self, way: float, lift: float = 0.0) -> float:
         """How long the vehicle takes from rest to rest, and the lift beside it [s].
@@ -99,19 +101,6 @@ class RowOptions:
     def cost_of_stop(self) -> float:
         """What a stop costs beyond its motions [s]; infinite where it is the number of stops that counts."""
         return math.inf if self.objective == "stops" else self.settling + self.speed / self.acceleration
-
-
-_CHECKS = {
-    "distance": (between, 0.1, 100.0),
-    "both": (truth,),
-    "step": (between, 0.01, 100.0),
-    "heights": (list_between, -10.0, 10.0),
-    "objective": (one_of, ("stops", "time")),
-    "share": (between, 0.01, 1.0),
-    **dict.fromkeys(("speed", "acceleration", "lift_speed"), (between, 0.001, 100.0)),
-    **dict.fromkeys(("settling", "detaching"), (between, 0.0, 3600.0)),
-    "carried": (list_of, str, "names"),
-}
 
 
 class Place(NamedTuple):

@@ -12,13 +12,15 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 import numpy as np
+from pydantic import Field
 
 from hplan.base import ties
-from hplan.base.arguments import instance, keep_checked, list_of, one_of, truth, whole
+from hplan.base.arguments import instance, list_of
 from hplan.base.deadline import Cancel, TimeIsUpError, time_limit
+from hplan.base.options import Options
 from hplan.certificate.certificate import all_of
 from hplan.certificate.digests import Digests
 from hplan.errors import CertificationError, OptionError, SceneError, TourError, UnreachableError
@@ -39,11 +41,11 @@ from hplan.trajectory.retime import resting
 from hplan.trajectory.trajectory import joined
 
 Order = Literal["best", "nearest", "given"]
-_ORDERS: tuple[Order, ...] = ("best", "nearest", "given")
+_ORDERS: tuple[Order, ...] = get_args(Order)
 
 
 @dataclass(frozen=True)
-class TourOptions:
+class TourOptions(Options):
     """Options of a tour.
 
     Attributes:
@@ -59,30 +61,19 @@ class TourOptions:
     """
 
     drop_off: Goal | None = None
-    every: int | None = None
+    every: Annotated[int, Field(ge=1)] | None = None
     back: bool = False
     order: Order = "best"
     stops: bool = False
     compare: bool = False
-    grasps: int = 4
+    grasps: Annotated[int, Field(ge=1)] = 4
 
     def __post_init__(self) -> None:
-        if self.drop_off is not None and instance("drop_off", self.drop_off, Goal).fruit is not None:
+        super().__post_init__()
+        if self.drop_off is not None and self.drop_off.fruit is not None:
             raise OptionError("drop_off", self.drop_off.fruit, "joints or a position, not a fruit")
-        if self.every is not None:
-            if self.drop_off is None:
-                raise OptionError("every", self.every, "a drop-off with it")
-            keep_checked(self, {"every": (whole, 1)})
-        keep_checked(
-            self,
-            {
-                "order": (one_of, _ORDERS),
-                "grasps": (whole, 1),
-                "back": (truth,),
-                "stops": (truth,),
-                "compare": (truth,),
-            },
-        )
+        if self.every is not None and self.drop_off is None:
+            raise OptionError("every", self.every, "a drop-off with it")
 
 
 def plan_tour(

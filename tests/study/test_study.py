@@ -174,7 +174,7 @@ def test_two_studies_do_not_write_to_one_file(file: Path, monkeypatch: pytest.Mo
     ("old", "new", "line", "said"),
     [
         ("orchard_harvester", "ur7", 5, "ur7"),
-        ("shoulder_height: [0.6, 0.8]", "shoulder_height: [-1]", 6, "positive"),
+        ("shoulder_height: [0.6, 0.8]", "shoulder_height: [-1]", 6, "expected greater than 0"),
         ("shoulder_height:", "shoulder:", 6, "shoulder"),
         ("start_deg: [0, 90, 90, 90]", "start_deg: [0, 90]", 6, "start"),
         ("tree*.csv", "bush*.csv", 7, "no file"),

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import math
-import re
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Annotated
 
-from hplan.base.arguments import each, instance, keep_checked, number, truth
+from pydantic import Field
+
+from hplan.base.options import Options, Positive
 from hplan.errors import OptionError
 
 _HALF_PI = math.pi / 2
 
 
 @dataclass(frozen=True)
-class Gripper:
+class Gripper(Options):
     """A gripper about the end of the last link, which collides as a capsule that ends at `tool0`.
 
     Attributes:
@@ -24,21 +24,13 @@ class Gripper:
         half_width: Radius of its capsule [m].
     """
 
-    mass: float
-    length: float
-    half_width: float
-
-    def __post_init__(self) -> None:
-        """Check every value.
-
-        Raises:
-            OptionError: A value that is no positive number.
-        """
-        keep_checked(self, dict.fromkeys(("mass", "length", "half_width"), (_positive,)))
+    mass: Positive
+    length: Positive
+    half_width: Positive
 
 
 @dataclass(frozen=True)
-class ArmSpec:
+class ArmSpec(Options):
     """One member of the family: n planar links on an optional yaw.
 
     The per-joint values follow `joint_names`: the yaw first where there is one, then the n planar
@@ -65,48 +57,40 @@ class ArmSpec:
         link_offsets: How far each link's body lies beside the arm plane, to the left; None where all lie in it [m].
     """
 
-    name: str
-    link_lengths: tuple[float, ...]
-    link_half_widths: tuple[float, ...]
-    link_masses: tuple[float, ...]
+    # A double hyphen in the name would end the XML comment that quotes the spec.
+    name: Annotated[str, Field(pattern="^[A-Za-z][A-Za-z0-9_]*(-[A-Za-z0-9_]+)*$")]
+    link_lengths: Annotated[tuple[Positive, ...], Field(min_length=1)]
+    link_half_widths: tuple[Positive, ...]
+    link_masses: tuple[Positive, ...]
     lower: tuple[float, ...]
     upper: tuple[float, ...]
-    velocity: tuple[float, ...]
-    effort: tuple[float, ...]
-    acceleration: tuple[float, ...]
-    jerk: tuple[float, ...] | None = None
-    shoulder_height: float = 0.6
+    velocity: tuple[Positive, ...]
+    effort: tuple[Positive, ...]
+    acceleration: tuple[Positive, ...]
+    jerk: tuple[Positive, ...] | None = None
+    shoulder_height: Positive = 0.6
     has_yaw: bool = True
-    base_mass: float = 40.0
-    turret_mass: float = 12.0
+    base_mass: Positive = 40.0
+    turret_mass: Positive = 12.0
     gripper: Gripper | None = None
     yaw_axis: tuple[float, float] = (0.0, 0.0)
     shoulder_offset: float = 0.0
     link_offsets: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
-        """Check every value and keep sequences as tuples of floats.
-
-        Raises:
-            OptionError: A value is no finite number or out of its range, or a count does not match.
-        """
-        positive, finite = (_numbers, _positive), (_numbers, _finite)
-        keep_checked(self, {"name": (_name,), "has_yaw": (truth,), "link_lengths": (*positive, None)})
+        super().__post_init__()
         joints = self.n_links + int(self.has_yaw)
-        keep_checked(self, dict.fromkeys(("link_half_widths", "link_masses"), (*positive, self.n_links)))
-        keep_checked(self, dict.fromkeys(("velocity", "effort", "acceleration"), (*positive, joints)))
-        if self.jerk is not None:
-            keep_checked(self, {"jerk": (*positive, joints)})
-        keep_checked(self, dict.fromkeys(("lower", "upper"), (*finite, joints)))
+        for count, fields in (
+            (self.n_links, ("link_half_widths", "link_masses", "link_offsets")),
+            (joints, ("lower", "upper", "velocity", "effort", "acceleration", "jerk")),
+        ):
+            for field in fields:
+                values = getattr(self, field)
+                if values is not None and len(values) != count:
+                    raise OptionError(field, values, f"{count} numbers")
         for joint, lower, upper in zip(self.joint_names, self.lower, self.upper, strict=True):
             if not lower < upper:
                 raise OptionError(f"lower[{joint}]", lower, f"less than the upper limit {upper!r}")
-        keep_checked(self, dict.fromkeys(("shoulder_height", "base_mass", "turret_mass"), (_positive,)))
-        keep_checked(self, {"yaw_axis": (*finite, 2), "shoulder_offset": (_finite,)})
-        if self.link_offsets is not None:
-            keep_checked(self, {"link_offsets": (*finite, self.n_links)})
-        if self.gripper is not None:
-            instance("gripper", self.gripper, Gripper)
 
     @property
     def n_links(self) -> int:
@@ -141,33 +125,6 @@ class ArmSpec:
     def link_names(self) -> tuple[str, ...]:
         """Names of all links, from the ground to the tool."""
         return ("base_link", "turret", *self.arm_link_names, "tool0")
-
-
-def _name(option: str, name: Any) -> str:
-    # A double hyphen would end the XML comment that quotes the spec.
-    pattern = r"[A-Za-z][A-Za-z0-9_]*(-[A-Za-z0-9_]+)*"
-    if not (isinstance(name, str) and re.fullmatch(pattern, name)):
-        raise OptionError(option, name, "letters, digits, '_' and single '-', a letter first")
-    return name
-
-
-def _finite(option: str, value: Any) -> float:
-    return number(option, value, "a finite number")
-
-
-def _positive(option: str, value: Any) -> float:
-    found = _finite(option, value)
-    if not found > 0.0:
-        raise OptionError(option, found, "a positive number")
-    return found
-
-
-def _numbers(option: str, values: Any, check: Callable[[str, Any], float], count: int | None) -> tuple[float, ...]:
-    expected = "at least one number" if count is None else f"{count} numbers"
-    found = each(option, values, expected, check)
-    if not found or (count is not None and len(found) != count):
-        raise OptionError(option, values, expected)
-    return found
 
 
 HARVESTER = ArmSpec(

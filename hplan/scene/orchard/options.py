@@ -5,10 +5,13 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import dataclass
-from typing import Final, Literal, TypeAlias, get_args
+from typing import Annotated, Final, Literal, TypeAlias
 
-from hplan.base.arguments import between, instance, keep_checked, list_between, one_of, text, truth, whole
+from pydantic import Field
+
+from hplan.base.arguments import one_of
 from hplan.base.data_files import shipped_robots
+from hplan.base.options import Options, Text
 from hplan.errors import OptionError
 
 #: How the trees are trained: branches all around a leader, or arms along the wires.
@@ -22,9 +25,13 @@ TUCKED_DEG: Final = (0.0, 90.0, 90.0, 90.0)
 #: Largest coordinate of anything in an orchard [m]; beyond it a file is in other units than metres.
 FARTHEST: Final = 1000.0
 
+#: A coordinate, and a length that something may give way or be kept away by [m].
+_Coordinate: TypeAlias = Annotated[float, Field(ge=-FARTHEST, le=FARTHEST)]
+_UpToOne: TypeAlias = Annotated[float, Field(ge=0.0, le=1.0)]
+
 
 @dataclass(frozen=True)
-class FruitZone:
+class FruitZone(Options):
     """Zone of the fruits' centres: a disc about the base's axis, between two heights.
 
     Attributes:
@@ -33,13 +40,12 @@ class FruitZone:
         reach: Greatest distance from the base's axis, the z axis of `base_link` [m].
     """
 
-    low: float = -FARTHEST
-    high: float = FARTHEST
-    reach: float = 2.0 * FARTHEST
+    low: _Coordinate = -FARTHEST
+    high: _Coordinate = FARTHEST
+    reach: Annotated[float, Field(ge=1e-3, le=2.0 * FARTHEST)] = 2.0 * FARTHEST
 
     def __post_init__(self) -> None:
-        height = between, -FARTHEST, FARTHEST
-        keep_checked(self, {"low": height, "high": height, "reach": (between, 1e-3, 2.0 * FARTHEST)})
+        super().__post_init__()
         if not self.low < self.high:
             raise OptionError("high", self.high, f"more than low, {self.low:g} m")
 
@@ -53,28 +59,25 @@ REACHED: Final = {"harvester": FruitZone(1.45, 2.05, 1.7), "orchard_harvester": 
 
 
 @dataclass(frozen=True)
-class _Row:
+class _Row(Options):
     """What rows of grown and of measured trees have in common (`OrchardOptions`)."""
 
-    name: str = "orchard"
+    name: Text = "orchard"
     robot: str | None = None
-    seed: int = 0
-    spacing: float = 1.1
-    distance: float = 1.4
-    goal: str | None = None
-    clearance: float = 0.0
-    wood_yields: float = 0.0
-    yields_below: float = 0.008
-    fruit_yields: float = 0.0
-    hangs_within: float | None = None
+    seed: Annotated[int, Field(ge=0)] = 0
+    spacing: Annotated[float, Field(ge=0.2, le=10.0)] = 1.1
+    distance: Annotated[float, Field(ge=0.3, le=100.0)] = 1.4
+    goal: Text | None = None
+    clearance: _UpToOne = 0.0
+    wood_yields: _UpToOne = 0.0
+    yields_below: Annotated[float, Field(ge=0.0, le=10.0)] = 0.008
+    fruit_yields: _UpToOne = 0.0
+    hangs_within: _UpToOne | None = None
 
     def __post_init__(self) -> None:
-        keep_checked(self, _COMMON_CHECKS)
-        _keep_given(self, "hangs_within")
+        super().__post_init__()
         if self.robot is not None:
             one_of("robot", self.robot, shipped_robots())
-        if self.goal is not None:
-            text("goal", self.goal, "the name of a fruit, or None for the first")
 
 
 @dataclass(frozen=True)
@@ -117,27 +120,26 @@ class OrchardOptions(_Row):
     """
 
     form: Form = "spindle"
-    trees: int = 3
-    tree_height: float = 2.7
-    trunk_radius: float = 0.03
-    branches: int = 18
-    branch_length: float = 0.6
-    first_branch: float = 0.6
-    shoots: int = 2
-    wire_heights: tuple[float, ...] = (0.8, 1.5, 2.2)
-    wire_radius: float = 0.0015
+    trees: Annotated[int, Field(ge=1, le=100)] = 3
+    tree_height: Annotated[float, Field(ge=0.5, le=10.0)] = 2.7
+    trunk_radius: Annotated[float, Field(ge=0.005, le=0.3)] = 0.03
+    branches: Annotated[int, Field(ge=0, le=200)] = 18
+    branch_length: Annotated[float, Field(ge=0.1, le=3.0)] = 0.6
+    first_branch: Annotated[float, Field(ge=0.05, le=10.0)] = 0.6
+    shoots: Annotated[int, Field(ge=0, le=20)] = 2
+    wire_heights: tuple[Annotated[float, Field(ge=0.01, le=10.0)], ...] = (0.8, 1.5, 2.2)
+    wire_radius: Annotated[float, Field(ge=0.0001, le=0.05)] = 0.0015
     posts: bool = True
-    fruits: int = 24
-    fruit_radius: float = 0.04
+    fruits: Annotated[int, Field(ge=1, le=1000)] = 24
+    fruit_radius: Annotated[float, Field(ge=0.005, le=0.2)] = 0.04
     fruit_zone: FruitZone = REACHED["harvester"]
-    picked: tuple[int, ...] = ()
-    stem: float = 0.02
+    picked: tuple[Annotated[int, Field(ge=1)], ...] = ()
+    stem: Annotated[float, Field(ge=0.0, le=0.2)] = 0.02
     ground: bool = False
     vehicle: bool = False
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        keep_checked(self, _CHECKS)
         heights = self.wire_heights
         if any(high <= low for low, high in itertools.pairwise(heights)):
             raise OptionError("wire_heights", heights, "heights that increase")
@@ -145,13 +147,10 @@ class OrchardOptions(_Row):
             raise OptionError("first_branch", self.first_branch, f"less than the tree's height, {self.tree_height:g} m")
         if self.form == "trellis" and not any(height < self.tree_height for height in heights):
             raise OptionError("wire_heights", heights, f"a wire below the tree's height, {self.tree_height:g} m")
-        picked = list_between("picked", self.picked, 1, self.fruits)
-        if not all(number.is_integer() for number in picked):
-            raise OptionError("picked", self.picked, "whole numbers")
-        numbers = tuple(map(int, picked))
-        object.__setattr__(self, "picked", numbers)
-        if len(set(numbers)) < len(numbers) or len(numbers) == self.fruits:
-            raise OptionError("picked", numbers, f"numbers that differ, and fewer than {self.fruits}")
+        picked = set(self.picked)
+        if len(picked) < len(self.picked) or len(picked) == self.fruits or max(picked, default=0) > self.fruits:
+            expected = f"numbers from 1 to {self.fruits} that differ, and not all of them"
+            raise OptionError("picked", self.picked, expected)
 
 
 @dataclass(frozen=True)
@@ -168,62 +167,11 @@ class MeasuredOptions(_Row):
         fruit_zone: Where their centres may be; None for anywhere, or where fruit is put that no file has.
     """
 
-    name: str = "measured"
-    height: float = 0.0
-    yaw_deg: float = 0.0
-    fruits: int | None = None
-    fruit_radius: float | None = None
+    name: Text = "measured"
+    spacing: Annotated[float, Field(ge=0.0, le=FARTHEST)] = 1.1
+    distance: _Coordinate = 1.4
+    height: _Coordinate = 0.0
+    yaw_deg: _Coordinate = 0.0
+    fruits: Annotated[int, Field(ge=0, le=10_000)] | None = None
+    fruit_radius: Annotated[float, Field(ge=1e-3, le=1.0)] | None = None
     fruit_zone: FruitZone | None = None
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        keep_checked(self, _MEASURED_CHECKS)
-        _keep_given(self, *_FRUIT_CHECKS)
-
-
-def _keep_given(options: _Row, *keys: str) -> None:
-    keep_checked(options, {key: _FRUIT_CHECKS[key] for key in keys if getattr(options, key) is not None})
-
-
-#: Check of each option, and the least and greatest value; measures in metres.
-_COMMON_CHECKS = {
-    "name": (text,),
-    "seed": (whole, 0),
-    "clearance": (between, 0.0, 1.0),
-    "wood_yields": (between, 0.0, 1.0),
-    "yields_below": (between, 0.0, 10.0),
-    "fruit_yields": (between, 0.0, 1.0),
-}
-_CHECKS = {
-    "form": (one_of, get_args(Form)),
-    "trees": (whole, 1, 100),
-    "branches": (whole, 0, 200),
-    "shoots": (whole, 0, 20),
-    "fruits": (whole, 1, 1000),
-    "spacing": (between, 0.2, 10.0),
-    "distance": (between, 0.3, 100.0),
-    "tree_height": (between, 0.5, 10.0),
-    "trunk_radius": (between, 0.005, 0.3),
-    "branch_length": (between, 0.1, 3.0),
-    "first_branch": (between, 0.05, 10.0),
-    "wire_radius": (between, 0.0001, 0.05),
-    "fruit_radius": (between, 0.005, 0.2),
-    "stem": (between, 0.0, 0.2),
-    "posts": (truth,),
-    "ground": (truth,),
-    "vehicle": (truth,),
-    "fruit_zone": (instance, FruitZone),
-    "wire_heights": (list_between, 0.01, 10.0),
-}
-_MEASURED_CHECKS = {
-    "spacing": (between, 0.0, FARTHEST),
-    "distance": (between, -FARTHEST, FARTHEST),
-    "height": (between, -FARTHEST, FARTHEST),
-    "yaw_deg": (between, -FARTHEST, FARTHEST),
-}
-_FRUIT_CHECKS = {
-    "fruits": (whole, 0, 10_000),
-    "fruit_radius": (between, 1e-3, 1.0),
-    "fruit_zone": (instance, FruitZone),
-    "hangs_within": (between, 0.0, 1.0),
-}

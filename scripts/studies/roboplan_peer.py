@@ -33,7 +33,7 @@ with extra("bench", "a peer needs roboplan"):
 _WORLD, _COLOR = "universe", np.ones(4)
 
 #: Group of all joints; most nodes of a tree, and seconds for it; steps between rows of a trajectory [s].
-_GROUP, _NODES, _PATIENCE_S, _STEP_S = "arm", 100_000, 10.0, 0.005
+_GROUP, _NODES, _PATIENCE_S, _STEP_S = "arm", 20_000, 10.0, 0.005
 
 
 class RoboplanArm:

@@ -198,6 +198,7 @@ RANDOM = Study(
     _random,
     ("straight", "certified", "missed", "ms", "duration_s", "origin", "contacts", "peer_solved", "peer_ms"),
     count=(200, 3),
+    peers=("RRTConnect",),
     needs=("robot",),
     warm=2,
 )
@@ -304,6 +305,7 @@ PANDA = Study(
     problems=_panda_scenes,
     by="set",
     needs=("files",),
+    peers=("RRTConnect", "roboplan"),
     warm=7,
 )
 

@@ -24,7 +24,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from hplan.errors import InputError
+from hplan.errors import InputError, OptionError
 from hplan.planning.options import EffortName
 from hplan.robot.model import Robot, load_robot
 
@@ -93,6 +93,7 @@ class Study:
         by: Key of the rows that groups them; empty for no groups.
         count: Problems where no number is asked for, None for all; and in a quick run.
         needs: What has to be given: `trees`, `files`, `robot`.
+        peers: Who can solve its problems too.
         warm: So many problems are solved in each process before any counts, so that kernels are loaded.
     """
 
@@ -105,6 +106,7 @@ class Study:
     totals: tuple[str, ...] = ()
     count: tuple[int | None, int] = (None, 3)
     needs: tuple[str, ...] = ()
+    peers: tuple[str, ...] = ("RRTConnect", "BITstar")
     warm: int = 1
 
 
@@ -121,6 +123,8 @@ def run(
     missing = [name for name in study.needs if getattr(asked, name) is None]
     if missing:
         raise InputError(f"{study.name}: needs --{' and --'.join(missing)}", study=study.name, missing=missing)
+    if asked.peer not in (None, *study.peers):
+        raise OptionError("--peer", asked.peer, f"one of {', '.join(study.peers)} for {study.name}")
     problems = list(study.problems(asked))
     warm = problems[:: max(1, math.ceil(len(problems) / max(1, study.warm)))] if study.warm else []
     made = partial(_rows, study, asked, warm)

@@ -146,7 +146,7 @@ def _sequence_row(asked: Asked, number: int) -> Row:
             or row["off_line_mm"] > 1e3 * max([phase["deviation_m"] or 0.0 for phase in told])
             or row["tilt_deg"] > np.degrees(TILT_RAD) or row["off_line_mm"] > 1e3 * DEVIATION_M
         )  # fmt: skip
-    if asked.peer == "roboplan":
+    if asked.peer is not None:
         row |= _roboplan_row(asked, robot, scene, poses, ways, row.get("duration_s"))
     return row
 
@@ -194,5 +194,6 @@ POSE_SEQUENCES = Study(
     ),
     by="ways",
     count=(100, 3),
+    peers=("roboplan",),
     warm=3,
 )

@@ -149,6 +149,7 @@ def test_bad_input(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
         (["recheck", "--count", "0"], "--count"),
         (["everything"], "one of reference"),
         (["random"], "needs --robot"),
+        (["clutter", "--peer", "roboplan"], "one of RRTConnect, BITstar for clutter"),
         (["deadlines", "--values", "deadlines"], "--values"),
         (["recheck", "--compare", str(tmp_path), str(tmp_path)], "no study is in both"),
         (["trees", "--trees", str(tmp_path)], "there is no CSV"),

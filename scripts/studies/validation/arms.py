@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import numpy as np
+from studies.outside import arm_of
 from studies.validation.judge import Arm
 from studies.validation.members import CHAINS, write_chain, write_member
 
@@ -16,8 +18,6 @@ NAMED = ("panda", "ur3", "ur5", "ur10", "orchard_harvester")
 
 #: Shares of members and of chains; the others are robots by name.
 _MEMBERS, _CHAINS = 0.4, 0.45
-
-_LOADED: dict[str, DrawnArm] = {}
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,23 +57,12 @@ def draw_arm(folder: Path, rng: np.random.Generator) -> DrawnArm:
     return named_arm(NAMED[int(rng.integers(len(NAMED)))])
 
 
+@cache
 def named_arm(name: str) -> DrawnArm:
-    """A robot by name, read once."""
-    if name not in _LOADED:
-        _LOADED[name] = given_arm(load_robot(name))
-    return _LOADED[name]
+    """A robot by name."""
+    return given_arm(load_robot(name))
 
 
 def given_arm(robot: Robot) -> DrawnArm:
     """A robot that hplan has read, read by the judge too."""
-    touch = [(first, second) for first, second, _ in robot.may_touch]
-    arm = Arm(
-        robot.urdf_path, held=robot.held, package_dirs=_package_dirs(robot.urdf_path), may_touch=touch,
-        tool_frame=robot.tool_frame,
-    )  # fmt: skip
-    return DrawnArm(robot.name, robot, arm)
-
-
-def _package_dirs(urdf: Path) -> list[Path]:
-    """The folders about a URDF."""
-    return [folder for folder in urdf.parents if len(folder.parts) > 2]
+    return DrawnArm(robot.name, robot, arm_of(robot))

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from collections.abc import Set as AbstractSet
-from copy import copy
 from pathlib import Path
 
 import coal
 import numpy as np
 from studies.harness import Asked, Row, Study
-from studies.outside import arm_of, things_of
+from studies.outside import things_of
 from studies.validation.episodes import COUNTED, Tally
 from studies.validation.judge import TICK_S, Arm, Body, Contact, Motion, Window, contacts
 
@@ -80,7 +79,7 @@ def _scene(robot: Robot, rng: np.random.Generator, trees: Sequence[Path]) -> tup
 
 def _thick(robot: Robot) -> Arm:
     """The arm as coal has it from the URDF, each of its links as the capsule that it is taken for."""
-    arm = copy(arm_of(robot))
+    arm = Arm(robot.urdf_path, tool_frame=robot.tool_frame)
     widths = dict(zip(robot.arm.link_names, robot.arm.half_widths.tolist(), strict=True))
     still = [body for body in arm.bodies if body.joint <= robot.arm_slice.start]
     arm.bodies = still + [

@@ -42,9 +42,6 @@ _TRIED = (
     "plan row.yaml",
 )
 
-#: What is tried besides: the README's program, and an arm that is not planar.
-_ANY_ARM = "import hplan.apps.cli.warmup as warmup; warmup.warm_up_any_arm()"
-
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
@@ -143,7 +140,9 @@ def try_it(wheel: Path, folder: Path) -> None:
     environment = {"PATH": os.defpath, "PYTHONPATH": str(site), "HOME": os.devnull, "PYTHONDONTWRITEBYTECODE": "1"}
     readme = (ROOT / "README.md").read_text(encoding="utf-8").partition("```python\n")[2].partition("```")[0]
     commands = [*(f"{name} --help" for name in COMMANDS), *_TRIED]
-    programs = [*(["-m", "hplan.apps.cli", *words.split()] for words in commands), ["-c", readme], ["-c", _ANY_ARM]]
+    # What is tried besides: the README's program, and an arm that is not planar.
+    any_arm = "import hplan.apps.cli.warmup as warmup; warmup.warm_up_any_arm()"
+    programs = [*(["-m", "hplan.apps.cli", *words.split()] for words in commands), ["-c", readme], ["-c", any_arm]]
     for words in programs:
         begin = time.perf_counter()
         command = [sys.executable, "-P", *words]

@@ -28,9 +28,6 @@ exit status:
 #: Fruits of the tour that is planned.
 _TOUR = ("fruit 01", "fruit 02", "fruit 03", "fruit 06", "fruit 09")
 
-#: What glibc is told to do without; its sine has code of its own for these.
-_C_LIBRARY = "glibc.cpu.hwcaps=-AVX2,-AVX2_Usable,-FMA,-FMA_Usable,-FMA4,-FMA4_Usable"
-
 
 def variants() -> dict[str, dict[str, str]]:
     """The environment of each variant, by its name."""
@@ -39,7 +36,9 @@ def variants() -> dict[str, dict[str, str]]:
 
     optional = [name for name in core.__cpu_dispatch__ if core.__cpu_features__[name]]
     numpy = {"NPY_DISABLE_CPU_FEATURES": " ".join(optional)} if optional else {}
-    library = {"GLIBC_TUNABLES": _C_LIBRARY}
+    # What glibc is told to do without; its sine has code of its own for these.
+    c_library = "glibc.cpu.hwcaps=-AVX2,-AVX2_Usable,-FMA,-FMA_Usable,-FMA4,-FMA4_Usable"
+    library = {"GLIBC_TUNABLES": c_library}
     numba = {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""}
     kinds = {
         "numpy": numpy,

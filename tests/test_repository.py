@@ -12,15 +12,14 @@ import hplan
 
 ROOT = Path(__file__).resolve().parents[1]
 
-#: What PyPI and conda-forge call the same.
-CONDA_NAMES = {"meshcat": "meshcat-python", "pin": "pinocchio"}
-
 
 def test_the_conda_recipe_asks_for_what_the_package_does() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     recipe = yaml.safe_load((ROOT / "scripts" / "conda" / "recipe.yaml").read_text(encoding="utf-8"))
     asked = [re.split(r"(?=>=)", dependency) for dependency in project["dependencies"]]
-    wanted = {f"{CONDA_NAMES.get(name, name)} {least}" for name, least in asked}
+    # What PyPI and conda-forge call the same.
+    conda_names = {"meshcat": "meshcat-python", "pin": "pinocchio"}
+    wanted = {f"{conda_names.get(name, name)} {least}" for name, least in asked}
     assert set(recipe["requirements"]["run"]) == wanted | {f"python {project['requires-python']}"}
     assert recipe["context"]["version"] == project["version"] == hplan.__version__
     assert recipe["build"]["python"]["entry_points"] == [f"{k} = {v}" for k, v in project["scripts"].items()]

@@ -8,14 +8,10 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
 
 from hplan.base.arguments import decimal, file_path
 from hplan.base.files import ByteBudget
 from hplan.errors import InputError
-
-#: Most characters of a row.
-_MOST_ROW: Final = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -110,12 +106,15 @@ def _rows(path: Path, what: str, text: str) -> Iterator[tuple[int, list[str]]]:
     """The rows of a text, each with the number of its last line."""
     length = 0
 
+    # Most characters of a row.
+    most_row = 1_000_000
+
     def lines() -> Iterator[str]:
         nonlocal length
         for line in io.StringIO(text, newline=""):
             length += len(line)
-            if length > _MOST_ROW:
-                raise csv.Error(f"the row has more than {_MOST_ROW:,} characters")
+            if length > most_row:
+                raise csv.Error(f"the row has more than {most_row:,} characters")
             yield line
 
     reader = csv.reader(lines(), strict=True)

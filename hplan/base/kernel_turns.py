@@ -12,16 +12,12 @@ import time
 from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
-from typing import Final
 
 #: Each is called before a kernel is compiled, with its name and how many kernels were called so far, this one included.
 LISTENERS: list[Callable[[str, int], None]] = []
 
 #: How long another process is waited for, and how often it is asked whether it is done [s].
 _PATIENCE_S, _ASKED_S = 120.0, 0.05
-
-#: The file of a folder whose bytes are locked: one for each kernel.
-_FILE: Final = "turns.lock"
 
 
 def wait_for_turn(folder: Path, name: str) -> bool:
@@ -60,7 +56,8 @@ def end_turn(folder: Path, name: str) -> None:
 def _opened(folder: Path) -> int:
     """Kept open: closing it would end all turns of this process."""
     folder.mkdir(parents=True, exist_ok=True)
-    return os.open(folder / _FILE, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
+    # Of its bytes one is locked for each kernel.
+    return os.open(folder / "turns.lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
 
 
 def _place(name: str) -> int:

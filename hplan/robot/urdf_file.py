@@ -62,8 +62,6 @@ _EXTENSIONS: Final = frozenset(
 #: The limit that URDF has from 1.2 on, as files for Drake name it; where both are there, URDF's own counts.
 _ACCELERATION: Final = "drake:acceleration"
 
-_KINDS: Final = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
-
 
 @dataclass(frozen=True, eq=False)
 class Inertial:
@@ -215,8 +213,9 @@ class _Reader:
         name, kind = str(element.get("name")), element.get("type")
         where = f"joint {name!r}"
         self._check_parts(element, where)
-        if kind not in _KINDS:
-            raise self.fault(element, f"{where}: its type is {kind!r}, expected one of {', '.join(_KINDS)}")
+        kinds = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
+        if kind not in kinds:
+            raise self.fault(element, f"{where}: its type is {kind!r}, expected one of {', '.join(kinds)}")
         axis = element.find("axis")
         return Joint(
             element,

@@ -31,9 +31,6 @@ Measure = Literal["reach", "tour", "row"]
 #: Arms whose specification can be varied.
 _SPECS: Final = {spec.name: spec for spec in (HARVESTER, ORCHARD_HARVESTER)}
 
-#: Most designs of a study.
-MOST_DESIGNS: Final = 100_000
-
 
 class _Part(StrictModel):
     """A part of a study; its errors are `StudyError`."""
@@ -163,8 +160,10 @@ class Study(_Part):
     @model_validator(mode="after")
     def _is_of_some_size(self) -> Self:
         count = math.prod(map(len, (self.trees, self.distances, self.heights, self.turns_deg, self.yields)))
-        if count * sum(math.prod(map(len, arm.vary.values())) for arm in self.arms) > MOST_DESIGNS:
-            raise fault(f"more than {MOST_DESIGNS:,} designs")
+        # Most designs of a study.
+        most_designs = 100_000
+        if count * sum(math.prod(map(len, arm.vary.values())) for arm in self.arms) > most_designs:
+            raise fault(f"more than {most_designs:,} designs")
         names = [name for arm in self.arms for name, _ in arm.members()]
         again = next((name for name in names if names.count(name) > 1), None)
         if again is not None:

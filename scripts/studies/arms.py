@@ -51,9 +51,6 @@ APART = 0.4
 #: Where obstacles stand, as fractions of the reach from the base's axis and height.
 NEAREST, FARTHEST = 0.25, 1.0
 
-#: Thickness of the floor, and its depth below the base [m].
-FLOOR_M = 0.05
-
 #: Configurations drawn for the ends of a scene, before its obstacles are drawn again.
 DRAWS = 400
 
@@ -95,7 +92,9 @@ def _obstacles(
 ) -> list[Obstacle]:
     """The floor, and so many boxes, balls, capsules and clouds that nothing of which the base holds touches."""
     bottom = min(-0.01, _lowest(robot))
-    floor = Box(name="floor", center=(0.0, 0.0, bottom - 0.5 * FLOOR_M - 0.01), size=(4.0, 4.0, FLOOR_M))
+    # Thickness of the floor, and its depth below the base [m].
+    floor_m = 0.05
+    floor = Box(name="floor", center=(0.0, 0.0, bottom - 0.5 * floor_m - 0.01), size=(4.0, 4.0, floor_m))
     found: list[Obstacle] = [floor]
     kinds = [kind for kind, count in enumerate(counts) for _ in range(count)]
     for kind in kinds:

@@ -35,9 +35,6 @@ BEST_KNOWN = Path(__file__).with_name("best_known.json")
 #: Seed of the planar problems; decimals that go into a digest, as sines differ in the last bit from machine to machine.
 SEED, _DECIMALS = 14, 9
 
-#: A duration is shorter than another only by more than this part of it.
-SHORTER = 1e-9
-
 
 class FastestProblem(NamedTuple):
     """A problem, what the file says of it, its arm and scene."""
@@ -145,7 +142,9 @@ def _row(_: Asked, problem: FastestProblem) -> Row:
             row["certified"] and told["certified"],
             row["fault"] or told.get("fault", False),
         )
-    known_s = record["duration_s"] * (1.0 - SHORTER)
+    # A duration is shorter than another only by more than this part of it.
+    shorter = 1e-9
+    known_s = record["duration_s"] * (1.0 - shorter)
     best_s, by = min((known_s, record["by"]), *((s, who) for who, s in found.items() if s is not None))
     improved = best_s < known_s
     best_s = best_s if improved else record["duration_s"]

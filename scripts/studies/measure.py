@@ -28,9 +28,6 @@ from hplan.scene.model import Scene
 
 _T = TypeVar("_T")
 
-#: Packages beside those of a report whose versions matter here.
-_PEERS = ("ompl", "scipy")
-
 
 def timed(run: Callable[[], _T]) -> tuple[_T, float]:
     """What a function returns, and its CPU time [ms]."""
@@ -83,7 +80,7 @@ def ratio(value: float | None, other: float | None) -> float | None:
 def environment() -> dict[str, Any]:
     """Processor, system and versions."""
     found = versions()
-    for package in _PEERS:
+    for package in ("ompl", "scipy"):  # beside those of a report
         try:
             found[package] = metadata.version(package)
         except metadata.PackageNotFoundError:

@@ -31,9 +31,6 @@ ARMS = ("harvester", "orchard_harvester", "drawn")
 #: What balls leave beside the sweep [m].
 ROOMS = (2e-4, 5e-4, 2e-3, 6e-3)
 
-#: Start and goal have so much clearance [m].
-LEAST = 1e-3
-
 #: Balls of a pinch, how many of them leave no more than the room, their radii, and what the others leave more [m].
 BALLS, CLOSE_BALLS, RADII, FARTHER = (6, 12), (2, 4), (0.02, 0.25), (0.005, 0.06)
 
@@ -84,7 +81,9 @@ def _is_narrow(robot: Robot, scene: Scene) -> bool:
     except HplanError:
         return False
     ends = np.stack([problem.start, problem.goal])
-    return problem.spare_clearance >= LEAST and not world.field.is_clear(ends, 1e-6)
+    # Start and goal have so much clearance [m].
+    least = 1e-3
+    return problem.spare_clearance >= least and not world.field.is_clear(ends, 1e-6)
 
 
 @cache

@@ -14,9 +14,6 @@ from hplan.robot.model import Robot
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import AnyObstacle, Box, Capsule, Sphere
 
-#: Risks that are asked for.
-RISKS = 0.1, 0.01, 0.001
-
 #: Obstacles of a scene, and their standard deviations [m].
 OBSTACLES, SIGMAS = (25, 60), (0.003, 0.02)
 
@@ -64,7 +61,7 @@ def _row(asked: Asked, number: int) -> list[Row]:
     count = len(scene.obstacles)
     _, plain = planned(robot, scene, PlanOptions(effort=asked.effort))
     rows = []
-    for risk in RISKS:
+    for risk in (0.1, 0.01, 0.001):
         _, equal = planned(robot, scene, _growing(asked, NormalDist().inv_cdf(1.0 - risk / count)))
         _, sigmas = planned(robot, scene, _growing(asked, float(chi(3).isf(risk / count))))
         found, row = planned(robot, scene, PlanOptions(effort=asked.effort, risk=risk))

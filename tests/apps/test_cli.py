@@ -200,10 +200,6 @@ def test_options_out_of_range(run: Run, option: str, value: str, capsys: pytest.
 # Failures: one message, one status, one report and no trajectory
 
 
-#: Errors of what is read, before a job begins.
-OF_READING = {"InputError", "OptionError", "RobotFamilyError", "RobotFileError", "SceneError"}
-
-
 @pytest.fixture
 def fails(
     run: Run, done: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
@@ -216,6 +212,9 @@ def fails(
     show = terminal.show_error
     monkeypatch.setattr(terminal, "show_error", lambda console, error: (shown.append(error), show(console, error)))
 
+    # Errors of what is read, before a job begins.
+    of_reading = {"InputError", "OptionError", "RobotFamilyError", "RobotFileError", "SceneError"}
+
     def job(status: int, *arguments: object, of_plan: bool = False) -> tuple[dict[str, Any], str]:
         folder = Path(shutil.copytree(done, tmp_path / "out"))
         before = {path.name: path.read_bytes() for path in folder.iterdir()}
@@ -226,7 +225,7 @@ def fails(
         assert out == ""
         error = json.loads(report_text(shown[-1].as_dict()))
         assert f"error ({error['kind']}): {error['message']}" in words(err)
-        if error["kind"] in OF_READING and not of_plan:
+        if error["kind"] in of_reading and not of_plan:
             assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
         else:
             assert {path.name for path in folder.iterdir()} == {"report.json"}

@@ -15,8 +15,6 @@ import hplan
 from hplan.apps.cli.main import main
 from hplan.base.data_files import shipped_scene
 
-TO_DROP_OFF = ["--drop-off-joints", "90", "45", "45", "45", "--every", "2", "--back"]
-
 
 @pytest.fixture(scope="module")
 def plans(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -31,7 +29,8 @@ def tours(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder of a tour with a CSV for each leg."""
     folder = tmp_path_factory.mktemp("tour")
     fruits = ["--fruits", "fruit 01", "fruit 04", "fruit 09"]
-    assert main(["tour", "--out", str(folder), *fruits, *TO_DROP_OFF, "--csv", "each", "--quiet"]) == 0
+    to_drop_off = ["--drop-off-joints", "90", "45", "45", "45", "--every", "2", "--back"]
+    assert main(["tour", "--out", str(folder), *fruits, *to_drop_off, "--csv", "each", "--quiet"]) == 0
     return folder
 
 

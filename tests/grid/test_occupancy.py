@@ -17,7 +17,6 @@ from hplan.grid.occupancy import occupancy
 from hplan.grid.sections import LINK_MODELS
 from hplan.robot.planar_family import PlanarArm
 
-TABLE_1_COUNTS = {"capsule": 128_891, "paper": 127_973, "rectangle": 127_342}
 #: Cells this close to the boundary may be either [m].
 BAND = 1e-9
 
@@ -147,7 +146,8 @@ def test_reference_scene_cell_for_cell(robot, table_1, model):
     grid, discs = table_1
     result = occupancy(robot.arm, planar_sections(discs, robot.arm.half_widths, link_model=model), grid)
     assert grid.shape == (91, 91, 91)
-    assert result.occupied_count == result.occupied.sum() == TABLE_1_COUNTS[model]
+    table_1_counts = {"capsule": 128_891, "paper": 127_973, "rectangle": 127_342}
+    assert result.occupied_count == result.occupied.sum() == table_1_counts[model]
     np.testing.assert_array_equal(result.occupied, MARGINS[model](robot.arm, grid, discs) <= 0.0)
 
 

@@ -20,8 +20,6 @@ from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 from hplan.scene.obstacles import Sphere
 
-WORKERS = 4
-
 
 @pytest.fixture(autouse=True)
 def switching() -> Iterator[None]:
@@ -74,7 +72,8 @@ def test_queries_of_one_collision_scene(robot: Robot) -> None:
     """Where the arm is placed for one question must not move before it is answered."""
     scene = CoalScene(robot, scenes()[0].solids)
     pairs = np.arange(len(scene.pairs))
-    places = np.random.default_rng(0).uniform(robot.lower, robot.upper, (WORKERS, robot.dof))
+    workers = 4
+    places = np.random.default_rng(0).uniform(robot.lower, robot.upper, (workers, robot.dof))
 
     def ask(q: np.ndarray) -> np.ndarray:
         answers = []

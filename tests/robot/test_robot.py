@@ -210,14 +210,12 @@ FAMILY_FAULTS = {
 }  # fmt: skip
 
 
-#: Faults for which it is not a robot at all.
-NO_ROBOT = ("continuous joint", "axis without direction", "no tool frame", "limits swapped", "limits equal")
-
-
 @pytest.mark.parametrize("case", FAMILY_FAULTS)
 def test_family_faults_name_the_element(load_edited, case):
     edits, message = FAMILY_FAULTS[case]
-    of_any_robot = case in NO_ROBOT
+    # Faults for which it is not a robot at all.
+    no_robot = ("continuous joint", "axis without direction", "no tool frame", "limits swapped", "limits equal")
+    of_any_robot = case in no_robot
     with pytest.raises(RobotFileError if of_any_robot else RobotFamilyError) as caught:
         assert load_edited(*edits).family
     assert message in caught.value.message

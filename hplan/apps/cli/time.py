@@ -37,9 +37,6 @@ if TYPE_CHECKING:
 #: Where the motion goes unless something else is said.
 OUT = Path("timed.csv")
 
-#: Columns of poses.
-_POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
-
 #: Options that take a scene, and such that do not.
 _WITH_SCENE = (
     *("keep_path", "effort", "seed", "sigmas", "tracking_error", "tracking_error_m", "tracking_delay", "deadline_ms"),
@@ -146,6 +143,8 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int
 def _finished(arguments: argparse.Namespace, folder: JobFolder, errors: Console) -> tuple[PlanResult, list[str]]:
     """Finish the path among the obstacles of the scene, and write what came of it; gives the names of its files."""
     _check_options(arguments)
+    # Columns of poses.
+    pose = ("x", "y", "z", "qx", "qy", "qz", "qw")
     with progress_line(errors, quiet=arguments.quiet) as status:
         status("reading robot and scene")
         with loading():
@@ -159,7 +158,7 @@ def _finished(arguments: argparse.Namespace, folder: JobFolder, errors: Console)
         scene = load_scene(arguments.scene)
         arguments.robot = arguments.urdf
         robot = robot_of(arguments, scene)
-        names, slides = (_POSE, (False,) * 7) if arguments.poses else (robot.joint_names, robot.slides)
+        names, slides = (pose, (False,) * 7) if arguments.poses else (robot.joint_names, robot.slides)
         waypoints = read_waypoints(arguments.waypoints, names, slides)
         within_rad = math.radians(arguments.deviation) if arguments.keep_path else None
 

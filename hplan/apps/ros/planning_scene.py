@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import pinocchio as pin
 import yaml
@@ -20,9 +20,6 @@ from hplan.base.yaml_text import read_yaml
 from hplan.errors import SceneError
 from hplan.scene.limits import MOST_SCENE_BYTES, Vector
 from hplan.scene.obstacles import Obstacle
-
-#: Types of `shape_msgs/msg/SolidPrimitive`.
-_TYPES: Final = {1: "box", 2: "sphere", 3: "cylinder", 4: "cone"}
 
 
 def read_planning_scene(
@@ -147,9 +144,11 @@ def _shape(name: str, content: Mapping[str, Any], place: pin.SE3, where: str, op
         faces = [row.get("vertex_indices") if isinstance(row, Mapping) else row for row in triangles]
         return mesh(name, vertices, [list(_list(face, corners)) for face in faces], place, open_meshes)
     kind = content.get("type")
-    kind = _TYPES.get(kind, kind) if type(kind) is int else kind
+    # Types of `shape_msgs/msg/SolidPrimitive`.
+    types = {1: "box", 2: "sphere", 3: "cylinder", 4: "cone"}
+    kind = types.get(kind, kind) if type(kind) is int else kind
     if not isinstance(kind, str) or kind not in SIZES:
-        expected = ", ".join(f"{number} ({word})" for number, word in _TYPES.items())
+        expected = ", ".join(f"{number} ({word})" for number, word in types.items())
         raise SceneError(f"expected one of {expected}; got {kind!r}", where=f"{where}.type", value=kind)
     sizes = _list(content.get("dimensions"), f"{where}.dimensions")
     if len(sizes) != SIZES[kind] or not all(map(is_number, sizes)):

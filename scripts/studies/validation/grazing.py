@@ -26,9 +26,6 @@ from hplan.trajectory.trajectory import write_csv
 #: Depth of grazing and gap of clear obstacles [m]; radius that they begin with.
 DEPTHS, GAPS, THIN = (1e-4, 5e-3), (1e-3, 5e-3), 1e-3
 
-#: Obstacles of a motion.
-_EACH = 4
-
 
 def graze(seed: int, number: int, robot: Robot | None = None) -> Tally:
     """One motion of a random arm, or of one robot, among nothing, and obstacles put beside it."""
@@ -47,7 +44,7 @@ def graze(seed: int, number: int, robot: Robot | None = None) -> Tally:
             tally.refused[error.kind] += 1
             return tally
         motion = Motion.read(write_csv(found.trajectory, Path(name) / "motion.csv"))
-        for count in range(_EACH):
+        for count in range(4):
             # Links of the planar family stand for capsules, and meshes for convex pieces, which are wider.
             grazes = count % 2 == 0 or drawn.robot.planar is not None or robot is not None or drawn.kind in NAMED
             gap = -math.exp(rng.uniform(*np.log(DEPTHS))) if grazes else math.exp(rng.uniform(*np.log(GAPS)))

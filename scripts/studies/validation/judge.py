@@ -40,9 +40,6 @@ STANDS_M = 1e-3
 #: Of triangles that cut triangles coal does not know how deep: told is this [m].
 CUT_M = 2e-3
 
-#: Random configurations at all of which a pair of bodies touches that is left out.
-ALWAYS = 300
-
 #: Pairs that were seen this far apart are not asked further [m].
 _FAR = 0.1
 
@@ -324,7 +321,9 @@ class Arm:
     def farthest_apart(self) -> dict[tuple[int, int], float]:
         """How far apart pairs of bodies that move to each other are seen at random configurations [m]."""
         found = {(a, b): -math.inf for a, b in itertools.combinations(range(len(self.bodies)), 2) if self.between(a, b)}
-        for q in self.configurations(self.joints, self.drawn(np.random.default_rng(0), ALWAYS)):
+        # Random configurations at all of which a pair of bodies touches that is left out.
+        always = 300
+        for q in self.configurations(self.joints, self.drawn(np.random.default_rng(0), always)):
             places = self.places(q)
             for pair, most in found.items():
                 if most <= _FAR:

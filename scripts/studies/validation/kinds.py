@@ -52,9 +52,6 @@ SCENES, CONFIGURATIONS = 20, 20_000
 #: Nodes of a planar grid, about; a scene has as many grids, each at its yaw, as its configurations take.
 NODES: Final = 1_000
 
-#: coal takes points for tiny triangles: of clouds a distance may be this much too small [m].
-_CLOUD_TOLERANCE: Final = 5e-7
-
 #: Told in full of what was missed.
 EXAMPLES: Final = 5
 
@@ -64,7 +61,9 @@ class _KindCounts:
 
     def __init__(self, robot: Robot, kind: Kind) -> None:
         self._robot, self._kind = robot, kind
-        self._tolerance = _CLOUD_TOLERANCE if kind == "points" else CONTACT_TOLERANCE
+        # coal takes points for tiny triangles: of clouds a distance may be this much too small [m].
+        cloud_tolerance = 5e-7
+        self._tolerance = cloud_tolerance if kind == "points" else CONTACT_TOLERANCE
         keys = ("configurations", "colliding", "missed", "differing", "in_contact", "spare", "lost")
         self._counts, self._widest_m, self._examples = dict.fromkeys(keys, 0), 0.0, list[Row]()
 

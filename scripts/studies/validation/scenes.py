@@ -37,9 +37,6 @@ _MOST, _MOST_FRUITS = 4, 20
 #: Half of a scene's sector of yaw.
 _SECTOR: Final = math.radians(25.0)
 
-#: How far an obstacle's middle may be from the link's axis that it is put at, besides its own size [m].
-_AROUND: Final = 0.05
-
 #: How far an obstacle stays off the shoulder, where all configurations would collide [m]; so many places are tried.
 _OFF_SHOULDER, _TRIES = 0.15, 20
 
@@ -105,12 +102,14 @@ def random_scene(robot: Robot, kind: Kind, number: int, *, seed: int = 0) -> Ran
 def _spot(robot: Robot, rng: np.random.Generator, sector: tuple[float, float], size: float) -> Vector:
     """A place about as far from some link's axis as something of this radius touches it, and off the shoulder."""
     place = np.zeros(3)
+    # How far an obstacle's middle may be from the link's axis that it is put at, besides its own size [m].
+    around = 0.05
     for _ in range(_TRIES):
         points = robot.arm.joint_points(rng.uniform(robot.arm.lower, robot.arm.upper))
         link = int(rng.integers(robot.arm.link_count))
         on_axis = points[link] + rng.random() * (points[link + 1] - points[link])
         origin, axes = robot.plane_at(float(rng.uniform(*sector)))
-        place = origin + on_axis @ axes[:2] + direction(rng) * rng.random() * (size + _AROUND)
+        place = origin + on_axis @ axes[:2] + direction(rng) * rng.random() * (size + around)
         if np.linalg.norm(place - origin) >= size + _OFF_SHOULDER:
             break
     return vector(place)

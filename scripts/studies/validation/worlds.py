@@ -39,9 +39,6 @@ SEEN, BALL_M = "seen", 0.012
 #: takes what is near for the arm itself.
 ROOM_M, ROOM_OF_SEEN_M = 0.01, 0.1
 
-#: Points stay so far from what may be ignored [m].
-BESIDE_IGNORED_M = 0.035
-
 #: Tries to find what is asked for.
 _TRIES = 60
 
@@ -274,8 +271,10 @@ def draw_seen(
     if q is None:
         room_m = BALL_M + ROOM_M + world.clearance
         points = points[drawn.arm.beside(world.goal, seen_from_base(world, points, time_s)) > room_m]
+    # Points stay so far from what may be ignored [m].
+    beside_ignored_m = 0.035
     for ball in world.balls_at(time_s):
-        points = points[np.linalg.norm(points - ball["center"], axis=1) > ball["radius"] + BESIDE_IGNORED_M]
+        points = points[np.linalg.norm(points - ball["center"], axis=1) > ball["radius"] + beside_ignored_m]
     return points
 
 

@@ -1,4 +1,8 @@
-"""Measure hplan beside its peers: one command for all studies, rows of numbers as they come, tables, comparisons."""
+"""Measure hplan beside its peers: one command for all studies, rows of numbers as they come, tables, comparisons.
+
+Peers, with --peer: OMPL's planners, toppra on their paths, roboplan (extra bench). Times are CPU
+times of a thread; trust ratios within one run. Without names all studies are run that need nothing else.
+"""
 
 from __future__ import annotations
 
@@ -55,11 +59,6 @@ STUDIES = {
 #: Who can solve the problems of a study too.
 PEERS = ("RRTConnect", "BITstar", "roboplan")
 
-_DESCRIPTION = """\
-Measure hplan, beside peers with --peer: OMPL's planners, toppra on their paths, roboplan (extra bench). Times are CPU
-times of a thread; trust ratios within one run. Without names all studies are run that need nothing else.
-"""
-
 _EPILOG = """\
 studies:
   reference   the reference scene: stages, searches, C-space, motions, planners
@@ -103,7 +102,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = command_parser(_DESCRIPTION, _EPILOG)
+    parser = command_parser(__doc__, _EPILOG)
     add = parser.add_argument
     add("studies", nargs="*", metavar="STUDY", help="what to measure (default: all that need nothing)")
     add("--out", type=Path, metavar="DIR", help="folder to write into (default: a temporary one, named in the end)")

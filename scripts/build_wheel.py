@@ -1,4 +1,10 @@
-"""Build a wheel that brings its kernels compiled: for this Python, numba, NumPy and platform."""
+"""Build a wheel that brings its kernels compiled: for this Python, numba, NumPy and platform.
+
+The wheel is built from the sources, all that `hplan warmup` does is done with it, and the kernels compiled by that are
+added: for any processor with the instructions of x86-64-v3 (from 2013 on). Where another version of numba, NumPy or
+Python is installed beside it, or the processor is older, kernels are compiled as without. The source distribution is
+built beside it.
+"""
 
 from __future__ import annotations
 
@@ -26,13 +32,6 @@ from hplan.base.kernels import made_for, portable_processor
 
 ROOT = Path(__file__).resolve().parents[1]
 
-_DESCRIPTION = """\
-The wheel is built from the sources, all that `hplan warmup` does is done with it, and the kernels compiled by that are
-added: for any processor with the instructions of x86-64-v3 (from 2013 on). Where another version of numba, NumPy or
-Python is installed beside it, or the processor is older, kernels are compiled as without. The source distribution is
-built beside it.
-"""
-
 #: Commands that are tried: all with `--help`, and some for real.
 _TRIED = (
     "plan --out a",
@@ -45,7 +44,7 @@ _TRIED = (
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
-    parser = argparse.ArgumentParser(description=_DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=ROOT / "dist", metavar="DIR", help="folder (default: dist)")
     parser.add_argument("--processes", type=int, default=os.cpu_count(), metavar="N", help="at a time (default: all)")
     parser.add_argument("--try", action="store_true", dest="tried", help="run what is in it, outside the clone")

@@ -1,4 +1,9 @@
-"""Plan the same tasks as other processors would, and say whether what comes out is the same."""
+"""Plan the same tasks as other processors would, and say whether what comes out is the same.
+
+NumPy, OpenBLAS, the C library and numba choose their code by the processor, and sums taken in another order differ in
+their last bits. Here each is told to take the code of an older processor, in a process of its own, and the results are
+compared with those of an ordinary run: choices (nodes, grasps, orders, numbers of rows) and numbers.
+"""
 
 from __future__ import annotations
 
@@ -12,12 +17,6 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-
-_DESCRIPTION = """\
-NumPy, OpenBLAS, the C library and numba choose their code by the processor, and sums taken in another order differ in
-their last bits. Here each is told to take the code of an older processor, in a process of its own, and the results are
-compared with those of an ordinary run: choices (nodes, grasps, orders, numbers of rows) and numbers.
-"""
 
 _EPILOG = """\
 exit status:
@@ -54,7 +53,7 @@ def variants() -> dict[str, dict[str, str]]:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
     parser = argparse.ArgumentParser(
-        description=_DESCRIPTION, epilog=_EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter
+        description=__doc__, epilog=_EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("names", nargs="*", metavar="VARIANT", help=f"of {', '.join(variants())} (default: all)")
     parser.add_argument(

@@ -1,4 +1,9 @@
-"""Plant bugs one at a time in a copy of the tree, and say which of them the tests notice."""
+"""Plant bugs one at a time in a copy of the tree, and say which of them the tests notice.
+
+Each bug of tests/planted_bugs.toml is one small change to the package: a text that a file holds exactly once, and what
+stands there instead. It is planted in a copy of the tree, the tests named with it run until the first that fails, and
+the file is put back. A bug that no test notices is a hole in the suite.
+"""
 
 from __future__ import annotations
 
@@ -18,12 +23,6 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 TABLE = ROOT / "tests" / "planted_bugs.toml"
-
-_DESCRIPTION = """\
-Each bug of tests/planted_bugs.toml is one small change to the package: a text that a file holds exactly once, and what
-stands there instead. It is planted in a copy of the tree, the tests named with it run until the first that fails, and
-the file is put back. A bug that no test notices is a hole in the suite.
-"""
 
 _EPILOG = """\
 exit status:
@@ -75,7 +74,7 @@ class Bug:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
     parser = argparse.ArgumentParser(
-        description=_DESCRIPTION, epilog=_EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter
+        description=__doc__, epilog=_EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("ids", nargs="*", metavar="ID", help="the bugs to plant (default: all)")
     parser.add_argument("--check", action="store_true", help="only see that all of them fit the tree")

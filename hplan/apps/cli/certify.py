@@ -1,4 +1,8 @@
-"""The command `hplan certify`: certify a trajectory of anyone's, or what a plan left in its folder."""
+"""Certify a trajectory in a scene: clearance, limits, start and goal, for all times.
+
+Of a folder written by hplan its trajectory is certified, as its report says it was, and robot, scene and trajectory are
+compared with those of the report.
+"""
 
 from __future__ import annotations
 
@@ -35,12 +39,6 @@ from hplan.base.units import at_least_mm
 if TYPE_CHECKING:
     from rich.console import Console
 
-_DESCRIPTION = """\
-Certify a trajectory in a scene: clearance, limits, start and goal, for all times. Of a folder written by hplan its
-trajectory is certified, as its report says it was, and robot, scene and trajectory are compared with those of the
-report.
-"""
-
 _EXIT_STATUS = """\
 exit status:
   0  certified
@@ -51,7 +49,7 @@ exit status:
 
 def parser(prog: str) -> argparse.ArgumentParser:
     """The parser of the command's arguments."""
-    parser = command_parser(_DESCRIPTION, _EXIT_STATUS, prog=prog)
+    parser = command_parser(__doc__, _EXIT_STATUS, prog=prog)
     add = parser.add_argument
     add("trajectory", type=Path, help="CSV, or the folder of a job")
     add_shared(parser, "scene", "robot", "parts", "contacts", "tracking", "sigmas", "risk")

@@ -1,4 +1,4 @@
-"""The command `hplan completion`: a script that completes subcommands, options and shipped scenes in a shell."""
+"""Print a script that completes hplan's words in a shell, from the options that there are today."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from hplan.base.data_files import shipped_scenes
 if TYPE_CHECKING:
     from rich.console import Console
 
-_DESCRIPTION = "Print a script that completes hplan's words in a shell, from the options that there are today."
 _EPILOG = """\
 for this shell: source <(hplan completion bash)
 for later ones, write it to ~/.local/share/bash-completion/completions/hplan
@@ -55,6 +54,6 @@ def _script() -> str:
 
 def parser(prog: str) -> argparse.ArgumentParser:
     """The parser of the command's arguments."""
-    parser = command_parser(_DESCRIPTION, _EPILOG, prog=prog)
+    parser = command_parser(__doc__, _EPILOG, prog=prog)
     parser.add_argument("shell", choices=("bash",), help="the shell")
     return parser

@@ -1,4 +1,9 @@
-"""The command `hplan execute`: run a trajectory on a simulated arm, and say what it touched and where it ended."""
+"""Run a trajectory in MuJoCo: the robot's own URDF with torque motors, the scene's obstacles as solid bodies.
+
+A 1 kHz controller follows it (inverse dynamics ahead, PD on what is left). Takes trajectories of any planner. The
+masses may be others than the controller knows, and the controller late; with a tracking error it says whether that was
+kept.
+"""
 
 from __future__ import annotations
 
@@ -14,12 +19,6 @@ if TYPE_CHECKING:
 
     from hplan.apps.execution.simulation import Execution
     from hplan.scene.model import Scene
-
-_DESCRIPTION = """\
-Run a trajectory in MuJoCo: the robot's own URDF with torque motors, the scene's obstacles as solid bodies, and a
-1 kHz controller (inverse dynamics ahead, PD on what is left). Takes trajectories of any planner. The masses may be
-others than the controller knows, and the controller late; with a tracking error it says whether that was kept.
-"""
 
 _EPILOG = """\
 the CSV: one header line, time_s and NAME_pos_rad for each joint of the robot
@@ -61,7 +60,7 @@ def run(arguments: argparse.Namespace, console: Console, _: Console) -> int:
 
 def parser(prog: str) -> argparse.ArgumentParser:
     """The parser of the command's arguments."""
-    parser = command_parser(_DESCRIPTION, _EPILOG, prog=prog)
+    parser = command_parser(__doc__, _EPILOG, prog=prog)
     parser.add_argument("trajectory", type=Path, metavar="TRAJECTORY.csv", help="the motion")
     add_shared(parser, "scene", "robot", "parts")
     add = parser.add_argument

@@ -1,4 +1,4 @@
-"""The command `hplan`: finds the subcommand that its first word names, and loads no other."""
+"""Motion planning for fruit-harvesting arms."""
 
 from __future__ import annotations
 
@@ -30,7 +30,6 @@ COMMANDS = {
 }
 
 _USAGE = "hplan COMMAND [options]\n       hplan [SCENE] [options]    short for hplan plan"
-_DESCRIPTION = "Motion planning for fruit-harvesting arms."
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -40,11 +39,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         width = max(map(len, COMMANDS))
         lines = [f"  {name:{width}}  {line}" for name, line in COMMANDS.items()]
         epilog = "\n".join(["commands:", *lines, "", "hplan COMMAND --help says more of each."])
-        command_parser(_DESCRIPTION, epilog, prog="hplan", usage=_USAGE).parse_args(words[:1])
+        command_parser(__doc__, epilog, prog="hplan", usage=_USAGE).parse_args(words[:1])
     if words and words[0] in COMMANDS:
         return run_subcommand(words[0], f"hplan {words[0]}", words[1:])
     if words and (near := _near_command(words[0])):
-        command_parser(_DESCRIPTION, "", prog="hplan", usage=_USAGE).error(
+        command_parser(__doc__, "", prog="hplan", usage=_USAGE).error(
             f"{words[0]!r} is no command and no scene; did you mean {near!r}?"
         )
     return run_subcommand("plan", "hplan", words)

@@ -29,13 +29,13 @@ OUT = Path("out")
 
 
 def command_parser(
-    description: str, epilog: str, *, prog: str | None = None, usage: str | None = None
+    description: str | None, epilog: str, *, prog: str | None = None, usage: str | None = None
 ) -> argparse.ArgumentParser:
-    """A parser whose help gives the description in lines of 79 and the epilog as it stands."""
+    """A parser whose help gives the description, a docstring, in lines of 79 and the epilog as it stands."""
     parser = argparse.ArgumentParser(
         prog=prog,
         usage=usage,
-        description=textwrap.fill(description, 79),
+        description=textwrap.fill(" ".join((description or "").split()), 79),
         epilog=epilog,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

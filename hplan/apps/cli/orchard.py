@@ -1,4 +1,7 @@
-"""The command `hplan orchard`: make a row of trees, grown from a seed or measured, with fruit to reach for."""
+"""Write a scene with a row of fruit trees in front of the arm.
+
+The same options give the same file, byte for byte. Fruit is counted from the base outwards; the first is the goal.
+"""
 
 from __future__ import annotations
 
@@ -15,11 +18,6 @@ if TYPE_CHECKING:
 
     from hplan.scene.model import Scene
     from hplan.scene.orchard import FruitZone
-
-_DESCRIPTION = """\
-Write a scene with a row of fruit trees in front of the arm. The same options give the same file, byte for byte.
-Fruit is counted from the base outwards; the first is the goal.
-"""
 
 _EPILOG = """\
 TREE.csv: a header, then a line for each straight piece of wood, in metres, z
@@ -43,7 +41,7 @@ _MEASURED = ("turn", "height")
 
 def parser(prog: str) -> argparse.ArgumentParser:
     """The parser of the command's arguments."""
-    parser = command_parser(_DESCRIPTION, _EPILOG, prog=prog)
+    parser = command_parser(__doc__, _EPILOG, prog=prog)
     source = parser.add_mutually_exclusive_group()
     source.add_argument("--import", nargs="+", type=Path, metavar="TREE.csv", dest="files", help="measured trees")
     source.add_argument(

@@ -1,4 +1,7 @@
-"""The command `hplan plan`: plan a scene, write what the controller needs, say how it went."""
+"""Plan a collision-free motion of a harvesting arm, time it, certify it, and write it for the controller.
+
+Writes trajectory.csv, report.json and an animated scene.html.
+"""
 
 from __future__ import annotations
 
@@ -49,11 +52,6 @@ if TYPE_CHECKING:
     from hplan.robot.model import Robot
     from hplan.scene.model import Scene
 
-_DESCRIPTION = """\
-Plan a collision-free motion of a harvesting arm, time it, certify it, and write it for the controller:
-trajectory.csv, report.json and an animated scene.html.
-"""
-
 _EXIT_STATUS = """\
 exit status:
   0  done
@@ -102,7 +100,7 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int
 
 def parser(prog: str) -> argparse.ArgumentParser:
     """The parser of the command's arguments."""
-    parser = command_parser(_DESCRIPTION, _EXIT_STATUS, prog=prog)
+    parser = command_parser(__doc__, _EXIT_STATUS, prog=prog)
     add = parser.add_argument
     add_shared(parser, "scene", "out", "robot", "parts", "contacts")
     add("--method", choices=("two-level", "dense"), default="two-level", help="search (default: two-level)")

@@ -1,4 +1,8 @@
-"""The command `hplan row`: where to stop along a row of trees, and a picking tour at each stop."""
+"""Choose the stops along a row of trees from which all fruit within reach is picked, and plan a tour at each.
+
+Writes stop-NN.csv for the controller and stop-NN.html for each stop, scene.html with all of them, row.json and, where
+matplotlib is there, row.png.
+"""
 
 from __future__ import annotations
 
@@ -16,12 +20,6 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from hplan.tour.row import RowResult
-
-_DESCRIPTION = """\
-Choose the stops along a row of trees from which all fruit within reach is picked, and plan a tour at each. Writes
-stop-NN.csv for the controller and stop-NN.html for each stop, scene.html with all of them, row.json and, where
-matplotlib is there, row.png.
-"""
 
 _EPILOG = """\
 The scene shows the row, along y, as the base sees it at y = 0 on the first
@@ -43,7 +41,7 @@ _OPTIONS = ("distance", "step", "heights", "objective", "share", "lift_speed", "
 
 def parser(prog: str) -> argparse.ArgumentParser:
     """The parser of the command's arguments."""
-    parser = command_parser(_DESCRIPTION, _EPILOG, prog=prog)
+    parser = command_parser(__doc__, _EPILOG, prog=prog)
     add = parser.add_argument
     add("scene", help="scene file, or name of a shipped scene")
     add_shared(parser, "out", "robot", "parts")

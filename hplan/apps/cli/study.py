@@ -1,4 +1,8 @@
-"""The command `hplan study`: many designs measured, each a row that stays, and which of them no other beats."""
+"""Measure every arm of a study before every tree, at every distance, height and turn.
+
+Writes study.csv, a row for each design as it comes, study.json and, where matplotlib is there, study.png. Called again
+it goes on where it was cut off.
+"""
 
 from __future__ import annotations
 
@@ -20,11 +24,6 @@ if TYPE_CHECKING:
 
     from hplan.base.tasks import Pool
     from hplan.study.run import Choice, StudyResult
-
-_DESCRIPTION = """\
-Measure every arm of a study before every tree, at every distance, height and turn. Writes study.csv, a row for each
-design as it comes, study.json and, where matplotlib is there, study.png. Called again it goes on where it was cut off.
-"""
 
 _EPILOG = """\
 format: hplan-study/1
@@ -50,7 +49,7 @@ ROWS, STUDY_REPORT, FIGURE = "study.csv", "study.json", "study.png"
 
 def parser(prog: str) -> argparse.ArgumentParser:
     """The parser of the command's arguments."""
-    parser = command_parser(_DESCRIPTION, _EPILOG, prog=prog)
+    parser = command_parser(__doc__, _EPILOG, prog=prog)
     add = parser.add_argument
     add("study", type=Path, metavar="STUDY.yaml", help="what to measure")
     add("--out", type=Path, default=OUT, metavar="DIR", help="folder to write into, and to go on in (default: out)")

@@ -1,6 +1,7 @@
-"""The command `hplan time`: time a motion through waypoints for any robot that Pinocchio reads.
+"""Time the fastest motion through waypoints, from rest to rest, under velocity, torque and acceleration limits.
 
-Without a scene it knows no obstacles. With one the path is verified, finished, and certified: a job like a plan.
+Corners are rounded within a guaranteed deviation. With --scene the path is verified collision-free, shortened (or
+kept), smoothed, timed and certified, or refused with the place where it is in contact.
 """
 
 from __future__ import annotations
@@ -44,12 +45,6 @@ _WITH_SCENE = (
 )
 _WITHOUT_SCENE = ("acceleration", "no_torque", "joints")
 
-_DESCRIPTION = """\
-Time the fastest motion through waypoints, from rest to rest, under the URDF's velocity and torque limits and given
-acceleration limits. Corners are rounded within a guaranteed deviation. With --scene the path is verified
-collision-free, shortened (or kept), smoothed, timed and certified, or refused with the place where it is in contact.
-"""
-
 _EPILOG = """\
 WAYPOINTS.csv: a header, then a line for each waypoint. Columns NAME or, in
 radians, NAME_pos_rad, of prismatic joints NAME_pos_m, in any order; continuous
@@ -74,7 +69,7 @@ exit status:
 
 def parser(prog: str) -> argparse.ArgumentParser:
     """The parser of the command's arguments."""
-    parser = command_parser(_DESCRIPTION, _EPILOG, prog=prog)
+    parser = command_parser(__doc__, _EPILOG, prog=prog)
     add = parser.add_argument
     add("urdf", type=Path, metavar="ROBOT", help="a URDF, or the name of a robot (panda, ur5 ...); meshes are "
         "needed with --scene only")  # fmt: skip

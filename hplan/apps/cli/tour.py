@@ -1,4 +1,8 @@
-"""The command `hplan tour`: many fruits from one start, in the order in which the arm is done soonest."""
+"""Plan a picking tour through the fruits of a scene, from its start.
+
+The order is that in which the certified motions take the least time in all. Writes tour.csv, tour.json and an animated
+scene.html.
+"""
 
 from __future__ import annotations
 
@@ -20,11 +24,6 @@ if TYPE_CHECKING:
 
     from hplan.tour.result import Leg, TourResult
     from hplan.tour.tour import TourOptions
-
-_DESCRIPTION = """\
-Plan a picking tour through the fruits of a scene, from its start, in the order in which the certified motions take the
-least time in all. Writes tour.csv, tour.json and an animated scene.html.
-"""
 
 _EPILOG = """\
 Without a drop-off the arm takes fruit into itself; with one it carries fruit
@@ -52,7 +51,7 @@ KERNELS = 80
 
 def parser(prog: str) -> argparse.ArgumentParser:
     """The parser of the command's arguments."""
-    parser = command_parser(_DESCRIPTION, _EPILOG, prog=prog)
+    parser = command_parser(__doc__, _EPILOG, prog=prog)
     add_shared(parser, "scene", "out", "robot", "parts", "contacts", scene="tour")
     add = parser.add_argument
     add("--fruits", nargs="+", metavar="NAME", help="fruits to pick (default: all)")

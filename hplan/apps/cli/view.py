@@ -1,4 +1,8 @@
-"""The command `hplan view`: the animated page of what a job left in its folder, or of a trajectory."""
+"""Show a motion: write its animated page, and serve it live until interrupted.
+
+Of a folder that `plan` or `tour` wrote the latest job's motion is shown, in the scene that its report names if that
+ships with hplan. The pages that `row` wrote are served as they are.
+"""
 
 from __future__ import annotations
 
@@ -22,12 +26,6 @@ if TYPE_CHECKING:
     from hplan.robot.model import Robot
     from hplan.scene.model import Scene
 
-_DESCRIPTION = """\
-Show a motion: write its animated page, and serve it live until interrupted. Of a folder that `plan` or `tour` wrote the
-latest job's motion is shown, in the scene that its report names if that ships with hplan. The pages that `row` wrote
-are served as they are.
-"""
-
 _EPILOG = """\
 Robot, scene and trajectory are compared with those of the folder's report. If
 they are others nothing is written; the CSV by itself can be shown all the same.
@@ -42,7 +40,7 @@ exit status:
 
 def parser(prog: str) -> argparse.ArgumentParser:
     """The parser of the command's arguments."""
-    parser = command_parser(_DESCRIPTION, _EPILOG, prog=prog)
+    parser = command_parser(__doc__, _EPILOG, prog=prog)
     add = parser.add_argument
     add("motion", type=Path, metavar="FOLDER_OR_CSV", help="the folder of a job, or a trajectory")
     add_shared(parser, "scene", "robot", "parts", scene="the job's, or the paper's reference scene")

@@ -1,4 +1,8 @@
-"""The command `hplan warmup`: compile whatever hplan may call, at once, instead of bit by bit when it is called."""
+"""Compile the numerical kernels for all that hplan does, and keep them, so that no later command waits for that.
+
+They are kept beside hplan, or where that cannot be written to in the user's cache folder (NUMBA_CACHE_DIR names
+another).
+"""
 
 from __future__ import annotations
 
@@ -25,11 +29,6 @@ from hplan.errors import OptionError
 
 if TYPE_CHECKING:
     from rich.console import Console
-
-_DESCRIPTION = """\
-Compile the numerical kernels for all that hplan does, and keep them, so that no later command waits for that. They are
-kept beside hplan, or where that cannot be written to in the user's cache folder (NUMBA_CACHE_DIR names another).
-"""
 
 _EPILOG = """\
 exit status:
@@ -77,7 +76,7 @@ _COMPILED = "compiled "
 
 def parser(prog: str) -> argparse.ArgumentParser:
     """The parser of the command's arguments."""
-    parser = command_parser(_DESCRIPTION, _EPILOG, prog=prog)
+    parser = command_parser(__doc__, _EPILOG, prog=prog)
     parser.add_argument("--processes", type=int, metavar="N", help="how many at a time (default: one for each core)")
     add_shared(parser, "quiet")
     return parser

@@ -11,22 +11,22 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Final
+from typing import Final, Literal
 
 import numpy as np
 import pinocchio as pin
-import yaml
-from pydantic import BaseModel, ConfigDict, PositiveFloat, ValidationError
 
 from hplan.base.arguments import file_path
 from hplan.base.arrays import FloatArray
 from hplan.base.data_files import LIMITS_SUFFIX, robot_names, shipped_limits, shipped_robots, urdf_dir
-from hplan.base.files import ByteBudget, is_file
-from hplan.base.yaml_text import read_yaml
-from hplan.errors import InputError, RobotFileError
+from hplan.base.files import is_file
+from hplan.base.options import Positive
+from hplan.errors import InputError, RobotFileError, SceneError
 from hplan.robot.urdf_check import check_models
 from hplan.robot.urdf_file import Urdf, read_urdf
 from hplan.robot.urdf_xml import URDF_TEXT, is_urdf_text, line_of, read_urdf_xml
+from hplan.scene.fault import StrictModel
+from hplan.scene.file import read_model
 
 #: Key `format` of a limits file.
 LIMITS_FORMAT = "hplan-limits/1"
@@ -212,16 +212,14 @@ def _check_moving_joints(path: Path, urdf: Urdf) -> None:
                 raise RobotFileError(path, reason)
 
 
-class _LimitsFile(BaseModel):
+class _LimitsFile(StrictModel):
     """The limits YAML: what URDF has no word for, by joint name."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, strict=True)
-
-    format: str
-    acceleration_rad_s2: dict[str, PositiveFloat] | None = None
-    acceleration_m_s2: dict[str, PositiveFloat] | None = None
-    jerk_rad_s3: dict[str, PositiveFloat] | None = None
-    jerk_m_s3: dict[str, PositiveFloat] | None = None
+    format: Literal["hplan-limits/1"]
+    acceleration_rad_s2: dict[str, Positive] | None = None
+    acceleration_m_s2: dict[str, Positive] | None = None
+    jerk_rad_s3: dict[str, Positive] | None = None
+    jerk_m_s3: dict[str, Positive] | None = None
 
 
 def find_limits(
@@ -285,26 +283,13 @@ def read_limits(
             metres; a limit that is not positive.
     """
     try:
-        most_limits_bytes = 1_000_000
-        content, _ = read_yaml(ByteBudget(most_limits_bytes).read(path).decode("utf-8"))
-        limits = _LimitsFile.model_validate(content)
-    except OSError as error:
-        reason = f"{error.strerror}; it gives the acceleration limits, where the URDF does not: {_LIMITS_ADVICE}"
-        raise RobotFileError(path, reason) from error
-    except yaml.MarkedYAMLError as error:
-        line = "" if error.problem_mark is None else f"line {error.problem_mark.line + 1}: "
-        raise RobotFileError(path, f"{line}malformed YAML: {error.problem}") from error
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = "".join(f"{part}: " for part in first["loc"])
-        if first["loc"] == ("format",) and first["type"] == "missing":
-            raise RobotFileError(path, f"{where}this key is missing; expected {LIMITS_FORMAT!r}") from error
-        raise RobotFileError(path, f"{where}{first['msg']} (got {first['input']!r})") from error
-    except ValueError as error:
-        reason = "it is not UTF-8 text" if isinstance(error, UnicodeDecodeError) else str(error)
-        raise RobotFileError(path, reason) from error
-    if limits.format != LIMITS_FORMAT:
-        raise RobotFileError(path, f"format is {limits.format!r}, expected {LIMITS_FORMAT!r}")
+        limits = read_model(_LimitsFile, path)
+    except SceneError as error:
+        places = (f"line {error.line}" if error.line else None), error.where
+        hint = f"; expected format: {LIMITS_FORMAT}" if error.where == "format" else ""
+        if not is_file(path):
+            hint = f"; it gives the acceleration limits, where the URDF does not: {_LIMITS_ADVICE}"
+        raise RobotFileError(path, ": ".join([*filter(None, places), error.reason + hint])) from error
 
     known, kinds = frozenset(others), dict(zip(joint_names, slides, strict=True))
 

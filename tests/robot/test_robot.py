@@ -367,15 +367,15 @@ jerk_rad_s3: {b: 20, a: 1e1}
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        (GOOD_LIMITS, "", "valid dictionary"),
-        ("{a: 1", "{a: 0", "acceleration_rad_s2: a: Input should be greater than 0 (got 0)"),
+        (GOOD_LIMITS, "", "expected a mapping of keys"),
+        ("{a: 1", "{a: 0", "line 2: acceleration_rad_s2.a: input should be greater than 0 (got 0)"),
         ("{a: 1", "{a: .nan", "finite number (got nan)"),
         ("{a: 1, ", "{", "acceleration_rad_s2: joints missing ['a'], unknown []"),
         ("{a: 1", "{a: 1, a: 9", "line 2: malformed YAML: key 'a' stands on line 2 already"),
         ("acceleration_rad_s2: {a: 1, b: 2.5}", "", "acceleration_rad_s2 is missing"),
-        ("format: hplan-limits/1", "", "format: this key is missing; expected 'hplan-limits/1'"),
-        ("jerk_rad_s3", "snap", "snap: Extra inputs are not permitted"),
-        ("hplan-limits/1", "hplan-limits/2", "format is 'hplan-limits/2', expected 'hplan-limits/1'"),
+        ("format: hplan-limits/1", "", "format: this key is missing; expected format: hplan-limits/1"),
+        ("jerk_rad_s3", "snap", "line 3: snap: unknown key"),
+        ("hplan-limits/1", "hplan-limits/2", "format: input should be 'hplan-limits/1' (got 'hplan-limits/2')"),
     ],
 )
 def test_bad_limits(tmp_path, old, new, message):

@@ -24,16 +24,8 @@ from hplan.scene.model import Scene
 from hplan.scene.solids import Cloud
 from hplan.trajectory.trajectory import Trajectory
 
-#: Namespace of the markers of motion and certificate.
+#: Namespace of the markers of motion and certificate; its numbers are 0 to 2.
 _CERTIFICATE: Final = "certificate"
-
-#: Numbers of its markers.
-_PATH, _WORDS, _NEAREST = 0, 1, 2
-
-_PATH_COLOR, _SHOWN_COLOR, _REFUSED_COLOR, _PAIR_COLOR = 0x1F6FEB, 0x2DA44E, 0xD7263D, 0xFFC53D
-
-#: Width of lines, height of text [m].
-_LINE_M, _PAIR_M, _TEXT_M = 0.004, 0.008, 0.08
 
 
 def path_marker(robot: Robot, positions: FloatArray, frame_id: str) -> Marker:
@@ -41,23 +33,24 @@ def path_marker(robot: Robot, positions: FloatArray, frame_id: str) -> Marker:
     line = mark.points(robot.tool_positions(positions))
     if len(line) == 1:
         line *= 2
-    return mark.head(frame_id=frame_id, ns=_CERTIFICATE, number=_PATH) | {
+    return mark.head(frame_id=frame_id, ns=_CERTIFICATE, number=0) | {
         "type": mark.LINE_STRIP,
         "pose": mark.pose(),
-        "scale": xyz((_LINE_M, 0.0, 0.0)),
-        "color": mark.color(_PATH_COLOR),
+        "scale": xyz((0.004, 0.0, 0.0)),
+        "color": mark.color(0x1F6FEB),
         "points": line,
     }
 
 
 def words_marker(robot: Robot, positions: FloatArray, certificate: Certificate, frame_id: str) -> Marker:
     """What the certificate says, above the base and all places of the tool in (n, dof) configurations."""
-    place = [0.0, 0.0, float(robot.tool_positions(positions)[:, 2].max()) + 2.0 * _TEXT_M]
-    return mark.head(frame_id=frame_id, ns=_CERTIFICATE, number=_WORDS) | {
+    height_m = 0.08
+    place = [0.0, 0.0, float(robot.tool_positions(positions)[:, 2].max()) + 2.0 * height_m]
+    return mark.head(frame_id=frame_id, ns=_CERTIFICATE, number=1) | {
         "type": mark.TEXT,
         "pose": mark.pose(place),
-        "scale": xyz((0.0, 0.0, _TEXT_M)),
-        "color": mark.color(_SHOWN_COLOR if certificate.verified else _REFUSED_COLOR),
+        "scale": xyz((0.0, 0.0, height_m)),
+        "color": mark.color(0x2DA44E if certificate.verified else 0xD7263D),
         "text": certificate_text(certificate),
     }
 
@@ -107,7 +100,7 @@ class NearestPairs:
             q: (dof,) configuration.
             moved: How obstacles that move stand then to where the scene lists them.
         """
-        head = mark.head(frame_id=self._frame_id, ns=_CERTIFICATE, number=_NEAREST)
+        head = mark.head(frame_id=self._frame_id, ns=_CERTIFICATE, number=2)
         link, name = self._pair(time_s)
         shapes = self._solids.get(name, [])
         if link not in self._links or not shapes:
@@ -122,8 +115,8 @@ class NearestPairs:
         return head | {
             "type": mark.LINE_LIST,
             "pose": mark.pose(),
-            "scale": xyz((_PAIR_M, 0.0, 0.0)),
-            "color": mark.color(_PAIR_COLOR),
+            "scale": xyz((0.008, 0.0, 0.0)),
+            "color": mark.color(0xFFC53D),
             "points": mark.points(ends),
         }
 

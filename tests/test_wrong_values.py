@@ -9,8 +9,8 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping
 from functools import cache
 from pathlib import Path
-from types import MappingProxyType
-from typing import Any
+from types import MappingProxyType, NoneType, UnionType
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 import pytest
@@ -23,6 +23,7 @@ from hplan.apps.ros import read_moveit_scene, read_planning_scene
 from hplan.apps.view.page import write_page
 from hplan.apps.view.playback import Playback
 from hplan.base.files import write_text
+from hplan.base.options import Options
 from hplan.errors import HplanError, InputError, SceneError
 from hplan.grid import dense_search, reachable, slices_with_path, two_level_search
 from hplan.grid.grid import Grid, Occupancy
@@ -176,7 +177,36 @@ def case(
     return function, known | good, {argument: KINDS[kind] for argument, kind in named.items()} | dict(bad)
 
 
+def of_options(kind: type[Options], **good: Any) -> Case:
+    """A class of options, with values that the type of each field does not have."""
+    return kind, good, {name: wrong_for(hint) for name, hint in get_type_hints(kind).items()}
+
+
+#: Values that are not of a type.
+NONE_OF: dict[Any, tuple[Any, ...]] = {float: NO_NUMBER, int: NO_WHOLE, bool: (None, "no", 1.0, 2), str: NO_NAME,
+    tuple: (None, "12", 1.0, (NAN,), (None,)), Literal: (None, "nothing", 1, [])}  # fmt: skip
+
+
+def wrong_for(hint: Any) -> tuple[Any, ...]:
+    members = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
+    kinds = (get_origin(member) or member for member in members)
+    values = next((NONE_OF[kind] for kind in kinds if kind in NONE_OF), NO_OBJECT)
+    return tuple(value for value in values if value is not None or NoneType not in members)
+
+
 CASES: dict[str, Case] = {
+    **{
+        kind.__name__: of_options(kind, **good)
+        for kind, good in (
+            (hplan.PlanOptions, {}),
+            (TourOptions, {"drop_off": GOAL}),
+            (hplan.RowOptions, {}),
+            (FruitZone, {}),
+            (OrchardOptions, {}),
+            (MeasuredOptions, {}),
+            (ArmSpec, SPEC),
+        )
+    },
     "Sphere": case(Sphere, bad={"kind": ("box", None), "colour": ("red",)}, **BALL),
     "Capsule": case(Capsule, "start:vector end:vector", **ROD),
     "Box": case(Box, "size:vector", **BOX),
@@ -222,32 +252,7 @@ CASES: dict[str, Case] = {
     "Scene.with_obstacles": case(
         a_scene().with_obstacles, bad={"obstacles": (("post",), (None,), (START,))}, obstacles=()
     ),
-    "PlanOptions": case(
-        hplan.PlanOptions,
-        "step_deg:positive rate_hz:length",
-        {
-            "method": (None, "fast", 1),
-            "objective": (None, "fun"),
-            "link_model": (None, "x", []),
-            "standoff": (*NO_NUMBER[1:], -1.0),
-            "capture_m": (0.01, (0.01,), (0.01, -0.02), "ab"),
-            "certify": (None, "no", 1.0),
-            "seed": (None, -1, 0.5),
-        },
-    ),
     "TrackingModel": case(TrackingModel, "still_rad:size delay_s:size"),
-    "TourOptions": case(
-        TourOptions,
-        "grasps:whole",
-        {
-            "drop_off": ("there", 1.0, Goal(fruit="apple")),
-            "every": (0, -1, 1.5),
-            "order": (None, "worst", []),
-            "back": (None, "yes"),
-            "compare": (None, 1.0),
-        },
-        drop_off=GOAL,
-    ),
     "Trajectory": case(
         a_trajectory,
         "position:matrix velocity:matrix acceleration:matrix torque:matrix",
@@ -345,26 +350,7 @@ CASES: dict[str, Case] = {
     "Robot.check_configuration": case(
         ROBOT.check_configuration, bad={"q": (None, "0000", 1.0)}, q=[0.0] * 4, which="start"
     ),
-    "FruitZone": case(FruitZone, "low:number high:number reach:length"),
-    "OrchardOptions": case(
-        OrchardOptions,
-        "trees:whole spacing:length fruit_zone:object clearance:size",
-        {
-            "form": (None, "bush", []),
-            "wire_heights": (None, "12", 1.0),
-            "picked": (None, "1", (0,)),
-            "goal": (1, ""),
-            "robot": (1, "", "arm"),
-            "posts": (None, 1),
-        },
-    ),
     "generate": case(generate, bad={"start_deg": (None, "0", 1.0)}),
-    "MeasuredOptions": case(
-        MeasuredOptions,
-        "distance:number spacing:number height:number clearance:number "
-        "wood_yields:size yields_below:size fruit_yields:size fruits:count",
-        {"goal": (1, ""), "robot": (1, "", "arm"), "fruit_radius": NO_LENGTH[1:]},
-    ),
     "measured_orchard": case(
         measured_orchard,
         bad={"paths": (None, "p1.csv", []), "start_deg": (None, "0")},
@@ -376,32 +362,10 @@ CASES: dict[str, Case] = {
     "fruit_at_tips": case(
         fruit_at_tips, "count:whole", {"capsules": (None, "rod", [None])}, capsules=[Capsule(**ROD)], count=1
     ),
-    "ArmSpec": case(
-        ArmSpec,
-        bad={
-            "link_lengths": (None, "12", 1.0),
-            "lower": (None, (NAN,) * 4, (0.0,)),
-            "has_yaw": (None, "yes", 2),
-            "shoulder_height": (*NO_POSITIVE[:6], 0.0, -1.0),
-            "base_mass": NO_POSITIVE[:6],
-        },
-        **SPEC,
-    ),
     "write_robot": case(write_robot, "urdf_path:path", spec=HARVESTER, urdf_path="a.urdf"),
     "load_member": case(load_member, spec=HARVESTER),
     "Study": case(Study, bad={"arms": (None, "arm", 1.0, ()), "trees": (None, "tree", 1.0, ((),))}, **A_STUDY),
     "run_study": case(run_study, "rows:path", {"study": (3, "missing.yaml", ()), "executor": (3, "pool")}, study=None),
-    "RowOptions": case(
-        hplan.RowOptions,
-        "distance:positive step:positive acceleration:positive lift_speed:positive share:positive "
-        "settling:number detaching:number",
-        {
-            "heights": (None, "up", (), (NAN,)),
-            "objective": (None, "best"),
-            "both": (None, 1),
-            "carried": (None, "vehicle", (1,)),
-        },
-    ),
     "plan_row": case(hplan.plan_row, bad={"row": (3, "row"), "tour": (3, "tour"), "executor": (3, "pool")}),
     "cross_check": case(cross_check, "urdf_path:file samples:whole", urdf_path="a.urdf"),
     "Grid.over": case(

@@ -17,6 +17,7 @@ import pytest
 
 import hplan
 from hplan.apps.cli.job_folder import read_report
+from hplan.apps.execution.plant import Plant
 from hplan.apps.execution.recorded_motion import RecordedMotion, read_motion
 from hplan.apps.execution.simulation import execute
 from hplan.apps.ros import read_moveit_scene, read_planning_scene
@@ -27,6 +28,7 @@ from hplan.base.options import Options
 from hplan.errors import HplanError, InputError, SceneError
 from hplan.grid import dense_search, reachable, slices_with_path, two_level_search
 from hplan.grid.grid import Grid, Occupancy
+from hplan.online.frame import CloudOptions
 from hplan.robot.family.members import HARVESTER, ArmSpec, cross_check, load_member, write_robot
 from hplan.robot.tracking import TrackingModel
 from hplan.scene.cell import CellRobot, CellScene
@@ -205,6 +207,8 @@ CASES: dict[str, Case] = {
             (OrchardOptions, {}),
             (MeasuredOptions, {}),
             (ArmSpec, SPEC),
+            (CloudOptions, {}),
+            (Plant, {}),
         )
     },
     "Sphere": case(Sphere, bad={"kind": ("box", None), "colour": ("red",)}, **BALL),

@@ -13,13 +13,15 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Annotated, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
+from pydantic import Field
 
-from hplan.base.arguments import between, instance, list_of, number, whole
+from hplan.base.arguments import instance, number
 from hplan.base.arrays import FloatArray, Record, as_array, frozen, numbers, readonly
+from hplan.base.options import Options
 from hplan.base.units import FARTHEST_JOINT
 from hplan.collision.obstacle_rows import solid_rows
 from hplan.errors import InputError, OptionError
@@ -41,14 +43,15 @@ from hplan.online.hidden_points import hidden
 from hplan.online.swept_reach import SweptReach
 from hplan.robot.model import Robot
 from hplan.scene.limits import FARTHEST_M
-from hplan.scene.obstacle_kind import FromData
-from hplan.scene.obstacles import KINDS, Obstacle, Solid
+from hplan.scene.obstacle_kind import Convex, Solid
 from hplan.scene.solids import rpy_rotation
 from hplan.scene.tracks import Track
 
+_Length: TypeAlias = Annotated[float, Field(ge=0.0, le=FARTHEST_M)]
+
 
 @dataclass(frozen=True)
-class CloudOptions:
+class CloudOptions(Options):
     """How frames become obstacles.
 
     Attributes:
@@ -68,29 +71,18 @@ class CloudOptions:
         unseen_edge_m: Edge of the voxels by which unknown space is solid (`hplan.online.seen_space`), where it is; that
             of the first frame holds.
         known_free: Shapes in which space is known to be free without being seen, where unknown space is solid, as the
-            lane that the machine has driven in: of voxels whose middles are in one.
+            lane that the machine has driven in: of voxels whose middles are in one. No meshes, and no clouds.
     """
 
-    growth_m: float = 5e-3
-    arm_padding_m: float = 0.03
-    ignore_padding_m: float = 0.02
-    reach_margin_m: float = 0.1
-    least_points: int = 1
-    neighbour_m: float = 0.02
-    most_remembered: int = 100_000
-    unseen_edge_m: float = 0.05
-    known_free: tuple[Obstacle, ...] = ()
-
-    def __post_init__(self) -> None:
-        between("growth_m", self.growth_m, 1e-4, 1.0)
-        between("unseen_edge_m", self.unseen_edge_m, 1e-3, 1.0)
-        for name in ("arm_padding_m", "ignore_padding_m", "reach_margin_m", "neighbour_m"):
-            between(name, getattr(self, name), 0.0, FARTHEST_M)
-        whole("least_points", self.least_points, 1)
-        whole("most_remembered", self.most_remembered, 0)
-        for item in list_of("known_free", self.known_free, KINDS, "obstacles"):
-            if isinstance(item, FromData):
-                raise OptionError("known_free", item.name, "no mesh and no cloud")
+    growth_m: Annotated[float, Field(ge=1e-4, le=1.0)] = 5e-3
+    arm_padding_m: _Length = 0.03
+    ignore_padding_m: _Length = 0.02
+    reach_margin_m: _Length = 0.1
+    least_points: Annotated[int, Field(ge=1)] = 1
+    neighbour_m: _Length = 0.02
+    most_remembered: Annotated[int, Field(ge=0)] = 100_000
+    unseen_edge_m: Annotated[float, Field(ge=1e-3, le=1.0)] = 0.05
+    known_free: tuple[Convex, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
-from hplan.errors import OptionError
+from hplan.base.options import NotNegative, Options, Positive
 
 
 @dataclass(frozen=True)
-class Plant:
+class Plant(Options):
     """Parameters of the simulated machine that its controller does not know, and the stiffness of the controller.
 
     Attributes:
@@ -21,13 +19,7 @@ class Plant:
             stiff loop of joints that push one another does not come to rest.
     """
 
-    mass_factor: float = 1.0
-    command_delay_s: float = 0.0
-    bandwidth: float = 40.0
+    mass_factor: Positive = 1.0
+    command_delay_s: NotNegative = 0.0
+    bandwidth: Positive = 40.0
     decoupled: bool = False
-
-    def __post_init__(self) -> None:
-        for option, least in (("mass_factor", 0.0), ("command_delay_s", None), ("bandwidth", 0.0)):
-            value = getattr(self, option)
-            if not (np.isfinite(value) and (value >= 0.0 if least is None else value > least)):
-                raise OptionError(option, value, f"a finite number {'>= 0' if least is None else '> 0'}")

@@ -20,7 +20,7 @@ from hplan.errors import InputError
 from hplan.robot.files import named_robot
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
-from hplan.scene.obstacles import PointCloud
+from hplan.scene.obstacle_kind import FromData
 from hplan.trajectory.trajectory import Trajectory
 
 #: Limits are looked at so often [s].
@@ -65,7 +65,8 @@ def things_of(scene: Scene) -> list[Thing]:
     """Obstacles and fruit as the judge has them."""
     items = [obstacle.model_dump(mode="json", by_alias=True) for obstacle in scene.obstacles]
     for item, obstacle in zip(items, scene.obstacles, strict=True):
-        item |= {"points": obstacle.points} if isinstance(obstacle, PointCloud) else {}
+        if isinstance(obstacle, FromData):  # dumps hold no data; in its own frame, for the judge places it by itself
+            item |= {key: getattr(obstacle._data, key, None) for key in ("vertices", "faces", "points")}
         for key in ("track", "sway"):  # dumps of scenes do not hold them
             moves = getattr(obstacle, key, None)
             item[key] = None if moves is None else moves.model_dump()

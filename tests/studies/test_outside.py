@@ -9,9 +9,10 @@ from studies.outside import TimedMotion, contacts, findings, path_is_clear
 
 from hplan.robot.model import Robot
 from hplan.scene.model import Goal, Scene
-from hplan.scene.obstacles import Box, Capsule, Cylinder, PointCloud, Sphere
+from hplan.scene.obstacles import Box, Capsule, Cylinder, Mesh, PointCloud, Sphere
 from hplan.scene.tracks import Track
 
+BLOCK = Box(name="block", center=(0.0, 0.0, 0.0), size=(0.1, 0.1, 0.1)).surface
 STILL = TimedMotion(1.0, lambda clock: np.zeros((len(clock), 4)) + 0.5)
 
 
@@ -25,7 +26,8 @@ def scene_with(robot: Robot, kind: str, off_m: float) -> Scene:
         "box": lambda: Box(name="it", center=where, size=(0.1, 0.1, 0.1), rpy_deg=(10.0, 20.0, 30.0)),
         "cylinder": lambda: Cylinder(name="it", center=where, radius=0.05, length=0.1),
         "capsule": lambda: Capsule(name="it", start=where, end=tuple((at + 0.03).tolist()), radius=0.05),
-        "cloud": lambda: PointCloud.of("it", at + 0.01 * np.eye(3), radius=0.02),
+        "cloud": lambda: PointCloud.of("it", 0.01 * np.eye(3), radius=0.02, position=where),
+        "mesh": lambda: Mesh.of("it", *BLOCK, position=where, rpy_deg=(10.0, 20.0, 30.0)),
         "track": lambda: Sphere(
             name="it", center=listed, radius=0.05, track=Track(times_s=(0.0, 0.5, 1.0), shifts_m=shifts)
         ),
@@ -36,7 +38,7 @@ def scene_with(robot: Robot, kind: str, off_m: float) -> Scene:
     return empty.with_obstacles([made[kind]()])
 
 
-@pytest.mark.parametrize("kind", ["sphere", "box", "cylinder", "capsule", "cloud", "track", "fruit"])
+@pytest.mark.parametrize("kind", ["sphere", "box", "cylinder", "capsule", "cloud", "mesh", "track", "fruit"])
 def test_contact_is_found_where_it_is(robot: Robot, kind: str) -> None:
     assert contacts(robot, scene_with(robot, kind, 0.0), STILL)[0] > 0
     assert contacts(robot, scene_with(robot, kind, 0.5), STILL) == (0, 0)

@@ -22,9 +22,10 @@ from pathlib import Path
 
 import numpy as np
 from studies.harness import Asked, Row, Study
+from studies.outside import things_of
 from studies.validation.arms import DrawnArm, named_arm
 from studies.validation.episodes import COUNTED, Tally, windows
-from studies.validation.judge import Motion, Moves, Thing, contacts, things_of
+from studies.validation.judge import Motion, Moves, Thing, contacts
 from studies.validation.random_scenes import direction
 from studies.validation.worlds import (
     BALL_M,
@@ -92,10 +93,6 @@ class _Soak:
             for k, at in enumerate(drawn.robot.tool_positions(q) for q in drawn.arm.drawn(rng, 4))
         )
         world = World(*ends, items=tuple(items), fruits=fruits)
-        # Dumps of a scene do not hold them.
-        self.data = {
-            item["name"]: {key: item[key] for key in ("vertices", "faces", "points") if key in item} for item in items
-        }
         self.clouds = [self.cloud(rng) for _ in range(CLOUDS)]
         self.frames: OrderedDict[str, int] = OrderedDict()
         self.planner = Planner(drawn.robot, world.scene(), PlanOptions(effort="quick", deadline_s=DEADLINE_S))
@@ -152,21 +149,15 @@ class _Soak:
         self.count("looked", kind)
         if cloud is None:
             return
-        known = [
-            {**item.model_dump(by_alias=True, mode="json"), **self.data.get(item.name, {}), **_told(item.track)}
-            for item in scene.obstacles
-            if item.name != SEEN
-        ]
-        fruits = [{"kind": "sphere", **item.model_dump(mode="json")} for item in scene.fruits]
         with self.lock:
             number, self.handed = self.handed, self.handed + 1
         if number >= MOST_SAMPLES:  # each is as likely to be kept
             number = int(np.random.default_rng().integers(number + 1))
         if number >= MOST_SAMPLES:
             return
-        sample = pickle.dumps(
-            ([*known, *fruits], kind, cloud, windows(certificate, fruits), begin_s, from_s, _told(scene.base_track))
-        )
+        known = scene.model_copy(update={"obstacles": tuple(o for o in scene.obstacles if o.name != SEEN)})
+        allowed = windows(certificate, [fruit.model_dump() for fruit in scene.fruits])
+        sample = pickle.dumps((known, kind, cloud, allowed, begin_s, from_s))
         write_csv(trajectory, self.folder / f"{number}.csv")
         (self.folder / f"{number}.pickle").write_bytes(sample)
 
@@ -273,15 +264,14 @@ class _Soak:
         """Look at the samples."""
         for number in range(min(self.handed, MOST_SAMPLES)):
             sample = pickle.loads((self.folder / f"{number}.pickle").read_bytes())
-            known, kind, cloud, allowed, begin_s, from_s, base = sample
+            known, kind, cloud, allowed, begin_s, from_s = sample
             things = things_of(known)
             if cloud >= 0:
                 things.append(Thing({"name": SEEN, "kind": "points", "points": self.clouds[cloud], "radius": BALL_M}))
             motion = Motion.read(self.folder / f"{number}.csv", from_s)
-            moves = Moves(base["track"]) if base else None
-            found = contacts(self.drawn.arm, motion, things, base=moves, begin_s=begin_s, windows=allowed)
-            tracked = any("track" in item for item in known)
-            self.tally.looked_in["base drives" if base else "obstacles move" if tracked else "still"] += 1
+            base = None if known.base_track is None else Moves(known.base_track.model_dump())
+            found = contacts(self.drawn.arm, motion, things, base=base, begin_s=begin_s, windows=allowed)
+            self.tally.looked_in["base drives" if base else "obstacles move" if known.moves else "still"] += 1
             self.tally.ticks += len(motion.times)
             for contact in found:
                 self.tally.faults.append({"kind": kind, "sample": number, **vars(contact)})
@@ -310,11 +300,6 @@ def soak(seed: int, seconds: float) -> Row:
 def _end_s(plan: PlanResult) -> float:
     """When a motion ends, on the clock on the wall [s]; NaN where it has not begun."""
     return plan.begins_s + plan.trajectory.duration
-
-
-def _told(track: Track | None) -> Item:
-    """A track as scenes list it."""
-    return {} if track is None else {"track": track.model_dump(mode="json")}
 
 
 def _digest(scene: Scene) -> str | None:

@@ -58,9 +58,9 @@ MOST_TRAVEL = 0.99
 #: the pair that is due, others are asked that are due before it has gone so many times as far.
 _AHEAD, _TOGETHER = 0.8, 8.0
 
-#: Of more pairs than this for each moving body lower bounds are computed before coal is asked; so many of the nearest
-#: are asked first where all are. A bound is enough where it leaves at least so much spare clearance [m].
-_MANY, FIRST, FAR = 8, 16, 0.05
+#: Of more pairs than this, and than the arm has bodies, lower bounds are computed before coal is asked; so many of the
+#: nearest are asked first where all are. A bound is enough where it leaves at least so much spare clearance [m].
+_MANY, FIRST, FAR = 32, 16, 0.05
 
 #: Configurations at which the proof may evaluate distances: some, and for each piece of the motion. A motion of 1.8 s
 #: that comes to 1.5 mm of an obstacle takes 155. The deadline is checked after so many: a fraction of a millisecond.
@@ -169,23 +169,24 @@ class Advancement:
             mover_of, moved, nearer = motion_of_movers(checker, bezier, deviations)
             if checker.moving is not None and clock is not None:
                 mover_of, moved, nearer = with_obstacles(checker, mover_of, moved, nearer, clock)
-            sway = at_rows(nearer, len(bezier))
+            # Written in place: where there are many movers, copies take longer than what is computed.
+            self.movers = np.zeros((2, len(moved), len(bezier) + 1))
+            sway, travel = self.movers[0], self.movers[1, :, 1:]
+            sway[:] = at_rows(nearer)
             if len(deviations) > 1:
                 moved = moved + np.abs(np.diff(sway, axis=1))
-            travel = np.column_stack([np.zeros(len(moved)), np.cumsum(moved, axis=1)])
-            within = (travel[:, 1:] <= longest_travel).all(axis=0)
-        self.bounded = int(within.sum())
-        if self.bounded < len(bezier):
+            np.cumsum(moved, axis=1, out=travel)
+        self.bounded = len(bezier)
+        if not (travel[:, -1] <= longest_travel).all():
+            self.bounded = int((travel <= longest_travel).all(axis=0).sum())
             # For the search of the rows alone: after such a piece every pair may be anywhere.
-            moved = np.where(moved <= longest_travel, moved, longest_travel)
-            travel[:, 1:] = np.cumsum(moved, axis=1)
-        self.movers = np.stack([sway, travel])
+            np.cumsum(np.where(moved <= longest_travel, moved, longest_travel), axis=1, out=travel)
         none, asked = np.zeros(len(checker.pairs)), checker.kept(needed)
         kept = asked + checker.distance_errors
         may_lack = none + (needed - asked)
         self.pairs = np.stack([kept, none, none - np.finfo(np.float64).tiny, none + math.inf, none, may_lack])
         self.mover_of = mover_of
-        self._many = math.inf if checker.moving is not None else max(_MANY * len(moved), 2 * FIRST)
+        self._many = math.inf if checker.moving is not None else _MANY + len(checker.parts.bodies)
         self._ahead, self.shown, self.checks = _AHEAD, math.inf, 1
         self.nearest = math.inf, 0, 0.0
 

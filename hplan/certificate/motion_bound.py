@@ -49,6 +49,10 @@ from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel
 from hplan.scene.limits import FARTHEST_M
 
+#: So many pieces have one bound at most, and fewer where a joint would turn farther in them [rad, m].
+_TOGETHER: Final = 8
+_TURN: Final = 0.03
+
 #: Farther than anything of a robot and a scene is apart [m].
 _FARTHEST: Final = 100.0 * FARTHEST_M
 
@@ -91,10 +95,10 @@ def _mover_of(checker: CoalScene) -> IntArray:
     return np.concatenate([np.repeat(np.arange(alone), checker.own_first), np.arange(alone, alone + own)])
 
 
-def at_rows(sway: FloatArray, pieces: int) -> FloatArray:
-    """(bodies, pieces + 1) the larger displacement bound of the two pieces at each row, from those of the pieces."""
+def at_rows(sway: FloatArray) -> FloatArray:
+    """(bodies, k + 1) the larger displacement bound of the pieces at each row, from those of k; (bodies, 1) of one."""
     if sway.shape[1] == 1:
-        return np.repeat(sway, pieces + 1, axis=1)
+        return sway
     return np.maximum(np.column_stack([sway[:, :1], sway]), np.column_stack([sway, sway[:, -1:]]))
 
 
@@ -141,16 +145,21 @@ def motion_of_movers(
     """
     parts, robot = checker.parts, checker.robot
     slopes = 3.0 * np.diff(bezier, axis=1)
-    rates = np.abs(slopes).max(axis=1)
-    paces = 0.25 * (slopes[:, 0] + slopes[:, 2]) + 0.5 * slopes[:, 1]
-    uneven = np.abs(slopes - paces[:, None]).max(axis=1)
-    middles = 0.125 * (bezier[:, 0] + bezier[:, 3]) + 0.375 * (bezier[:, 1] + bezier[:, 2])
+    fastest, slowest = slopes.max(axis=1), slopes.min(axis=1)
+    largest = float(np.abs(slopes).max())
+    together = max(1, min(_TOGETHER, int(_TURN / largest))) if largest > 1e-3 * _TURN else _TOGETHER
+    starts = np.arange(0, len(bezier), together if largest < math.inf else 1)
+    pieces = np.diff(starts, append=len(bezier))
+    fastest = pieces[:, None] * np.maximum.reduceat(fastest, starts)
+    slowest = pieces[:, None] * np.minimum.reduceat(slowest, starts)
+    inner, odd = bezier[starts + pieces // 2], (pieces % 2 == 1)[:, None]
+    middles = np.where(odd, 0.125 * (inner[:, 0] + inner[:, 3]) + 0.375 * (inner[:, 1] + inner[:, 2]), inner[:, 0])
     of_bodies, reaches = _reaches(parts, deviations)
-    joints, middles = joints_alone(robot), np.ascontiguousarray(middles)
-    travels = _travels(middles, rates, paces, uneven, of_bodies, parts.rows, joints, *parts.movers, parts.alike)
+    motion = middles, np.maximum(fastest, -slowest), 0.5 * (fastest + slowest), 0.5 * (fastest - slowest)
+    travels = _travels(*motion, of_bodies, parts.rows, joints_alone(robot), *parts.movers, parts.alike)
     nearer = np.zeros((len(travels), len(deviations)))
     np.maximum.at(nearer, parts.alike, reaches @ deviations.T)
-    return parts.alike[_mover_of(checker)], travels, nearer
+    return parts.alike[_mover_of(checker)], np.repeat(travels / pieces, pieces, axis=1), nearer
 
 
 def _reaches(parts: ArmParts, deviations: FloatArray) -> tuple[FloatArray, FloatArray]:

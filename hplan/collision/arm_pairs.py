@@ -33,6 +33,7 @@ from hplan.collision.coal_accuracy import extents
 from hplan.collision.coal_cloud import BareShape, distance_from
 from hplan.collision.coal_shapes import LinkShapes, link_shapes, urdf_shapes
 from hplan.collision.collision_bodies import MOST_POINTS, CollisionBody, ball_about, body_shapes, collision_bodies
+from hplan.collision.geometry_pairs import ArmPairs
 from hplan.collision.reach import carriers, reach_of
 from hplan.collision.touching_pairs import BEYOND, SelfPairs, one_joint, pairs_among, self_pairs
 from hplan.errors import RobotFileError
@@ -60,6 +61,9 @@ _FOLD_REACH: Final = 3.0
 
 #: Pairs of the same links are one mover where their motion-bound coefficients differ by less than such a factor or so.
 _AS_FAR: Final = 1.2
+
+#: So many pairs of its own have a model that all scenes of the arm share: looks at two models take longer.
+_MANY: Final = 256
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,8 +105,27 @@ class ArmParts(Record):
 
     @cached_property
     def bare_shapes(self) -> tuple[BareShape, ...]:
-        """The `shapes` without what is swept about them."""
-        return tuple(BareShape.of(shape.geometry) for shape in self.shapes)
+        """The `shapes`, then all others that are of pairs, without what is swept about them."""
+        return tuple(BareShape.of(shape.geometry) for shape in self._every.values())
+
+    @cached_property
+    def shape_pairs(self) -> tuple[tuple[pin.GeometryObject, pin.GeometryObject], ...] | ArmPairs:
+        """The shapes of the pairs of its own; of many in a model that all scenes share."""
+        pairs = tuple(pair.shapes for pair in self.own)
+        return ArmPairs(self.shapes, pairs) if len(pairs) >= _MANY else pairs
+
+    @cached_property
+    def own_names(self) -> tuple[tuple[str, ...], IntArray]:
+        """Names of the parts that another can touch, and (pairs, 2) moving body and part of each pair."""
+        movers = {name: number for number, name in enumerate((*self.links, *self.turret))}
+        names = {name: number for number, name in enumerate(dict.fromkeys(pair.other_name for pair in self.own))}
+        numbers = [(movers[pair.mover_name], names[pair.other_name]) for pair in self.own]
+        return tuple(names), readonly(np.array(numbers).reshape(-1, 2), np.int64)
+
+    @cached_property
+    def farthest(self) -> FloatArray:
+        """(pairs,) how far apart the two of each pair were seen at most [m]; infinite as in `ArmPair`."""
+        return frozen(np.array([pair.farthest for pair in self.own]))
 
     @cached_property
     def extents(self) -> tuple[FloatArray, FloatArray]:

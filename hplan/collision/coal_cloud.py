@@ -59,6 +59,13 @@ class BareShape(NamedTuple):
     radius: float
     thin: BareShape | None = None
 
+    @property
+    def core_box(self) -> list[float]:
+        """(7,) centre and half sizes of a box in the shape's frame, and the radius about it: together they hold it."""
+        shape, (centre, half) = self.geometry, self.box
+        rounding = float(shape.radius) if isinstance(shape, (coal.Sphere, coal.Capsule)) else 0.0
+        return [*centre, *np.maximum(half - rounding, 0.0), self.radius + rounding]
+
     @classmethod
     def of(cls, shape: coal.CollisionGeometry) -> BareShape:
         """A shape of the arm; one that nothing is swept about is itself."""

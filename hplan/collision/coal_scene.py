@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -140,7 +140,7 @@ class CoalScene:
         movers = [*parts.links.values(), *(placed for _, placed in parts.turret.values())]
         # The shapes of moving body k are the rows from `_first_shape[k]` on.
         self._first_shape = np.cumsum([0, *(len(of_mover) for of_mover in movers[:-1])])
-        self.link_shapes = list(chain(*parts.links.values()))
+        self.link_shapes = list(itertools.chain(*parts.links.values()))
         self._mover_shapes = parts.shapes
         self._last = np.flatnonzero([shape.parentJoint == parts.tool_joint for shape in self.link_shapes])
         # To be taken off coal's distance of each shape from each obstacle [m].
@@ -148,29 +148,28 @@ class CoalScene:
         grown = np.broadcast_to(np.asarray(growth, dtype=np.float64), beyond.shape)
         beyond += grown
         self._beyond: FloatArray = np.tile(beyond, (len(self._mover_shapes), 1))
-        for row, shape in enumerate(chain(*(of_body for of_body, _ in parts.turret.values())), len(self.link_shapes)):
+        for row, shape in enumerate(
+            itertools.chain(*(of_body for of_body, _ in parts.turret.values())), len(self.link_shapes)
+        ):
             never = below(robot, shape, obstacles, grown)
             if self.moving is not None:
                 never = self.moving.keep_below(never, shape.bottom)
             self._beyond[row, never] = -np.inf
         check_deadline()
-        self._farthest = np.array([pair.farthest for pair in parts.own])
         self.own_first = len(obstacles)
-        own_names = tuple(dict.fromkeys(pair.other_name for pair in parts.own))
+        own_names, own = parts.own_names
         self.obstacle_names = (*(obstacle.name for obstacle in obstacles), *own_names)
         mover_of = [mover for mover, of_mover in enumerate(movers) for _ in of_mover]
-        self.pairs = [(mover, obstacle) for mover in mover_of for obstacle in range(len(obstacles))]
-        self.pairs += [
-            (self.mover_names.index(pair.mover_name), self.own_first + own_names.index(pair.other_name))
-            for pair in parts.own
-        ]
+        self.pairs = list(itertools.product(mover_of, range(len(obstacles))))
+        self.pairs += zip(own[:, 0].tolist(), (self.own_first + own[:, 1]).tolist(), strict=True)
         self._yielded = self._depths(yielded(robot, obstacles, yield_links), yield_links)
         # Parts of the arm do not grow.
         self._taken_off: FloatArray = np.append(self._beyond, np.zeros(len(parts.own)))
         solids, balls = obstacle_shapes(obstacles), bounding_balls(obstacles)
         check_deadline()
-        own = [pair.shapes for pair in parts.own]
-        self._geometry = GeometryPairs(robot.model, self._mover_shapes, solids, own, balls, parts.bare_shapes)
+        self._geometry = GeometryPairs(
+            robot.model, self._mover_shapes, solids, parts.shape_pairs, balls, parts.bare_shapes
+        )
 
     def __getstate__(self) -> dict[str, Any]:
         """The arguments that it is built from: Pinocchio's data cannot be pickled."""
@@ -244,10 +243,10 @@ class CoalScene:
         Bodies as the URDF has them may be nearer to each other where they can never be as far apart. What gives way
         may be pushed: it is negative then, whatever the clearance.
         """
-        if self._yielded is None and not np.isfinite(self._farthest).any():
+        if self._yielded is None and not np.isfinite(self.parts.farthest).any():
             return clearance
         found = np.full(len(self.pairs), clearance)
-        found[self._beyond.size :] = needed(self._farthest, clearance)
+        found[self._beyond.size :] = needed(self.parts.farthest, clearance)
         return self._but_pushed(found)
 
     def _but_pushed(self, kept: FloatArray) -> FloatArray:

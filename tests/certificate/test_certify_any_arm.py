@@ -213,6 +213,39 @@ def test_no_body_travels_farther_than_its_bound(load, name):
     assert used.max() > 0.9
 
 
+@pytest.mark.parametrize("name", ["panda", "gantry"])
+def test_what_short_pieces_have_in_common_bounds_travel_between_any_two_places(load, name):
+    """Of a smooth motion in rows so close that several pieces have one bound."""
+    robot, rng = load(name), np.random.default_rng(16)
+    checker = CoalScene(robot, [Sphere(name="far", center=(9.0, 0.0, 0.0), radius=0.1)])
+    bodies, data = collision_bodies(robot), robot.model.createData()
+    moving = [number for number, body in enumerate(bodies) if body.joint >= 0]
+    used = 0.0
+    for _ in range(4):
+        rows, waves = np.linspace(0.0, 0.5, 60)[:, None], rng.uniform(0.5, 6.0, (2, robot.dof))
+        middle = rng.uniform(robot.lower, robot.upper)
+        position = middle + 0.1 * np.sin(waves[0] * rows + waves[1])
+        velocity = 0.1 * waves[0] * np.cos(waves[0] * rows + waves[1]) * (rows[1] - rows[0])
+        ends = (position[:-1], velocity[:-1] / 3.0), (position[1:], velocity[1:] / 3.0)
+        bezier = np.stack([ends[0][0], ends[0][0] + ends[0][1], ends[1][0] - ends[1][1], ends[1][0]], axis=1)
+        mover_of, moved, _ = motion_of_movers(checker, bezier, np.zeros((1, robot.dof)))
+        assert (moved[:, 0] == moved[:, 1]).all()  # several have one bound
+        travel = np.column_stack([np.zeros(len(moved)), np.cumsum(moved, axis=1)])
+        for _ in range(30):
+            seen, upto = [], []
+            for at in rng.uniform(0.0, len(bezier), 2):
+                pin.forwardKinematics(robot.model, data, point_at(bezier, float(at)))
+                seen.append([data.oMi[bodies[number].joint + 1].copy() for number in moving])
+                upto.append([np.interp(at, np.arange(len(bezier) + 1), travel[mover]) for mover in mover_of])
+            allowed = np.abs(np.subtract(*upto))
+            for row, (number, first, second) in enumerate(zip(moving, *seen, strict=True)):
+                a, b = (bodies[number].core @ place.rotation.T + place.translation for place in (first, second))
+                went = np.linalg.norm(b - a, axis=1).max()
+                assert went <= allowed[row] + 1e-9
+                used = max(used, went / (allowed[row] + 1e-12))
+    assert used > 0.9
+
+
 def test_pairs_that_are_one_mover_count_as_the_farthest_of_them(load, monkeypatch):
     robot, rng = load("panda"), np.random.default_rng(15)
     parts = (checker := CoalScene(robot, [])).parts

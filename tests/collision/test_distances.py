@@ -14,6 +14,7 @@ from scipy.spatial import ConvexHull
 
 import hplan.collision.geometry_pairs as module
 from hplan.base.arrays import FloatArray
+from hplan.collision import arm_pairs
 from hplan.collision.body_kernels import off_body, off_row
 from hplan.collision.coal_scene import CoalScene
 from hplan.collision.coal_shapes import capsule_shapes, solid_shape
@@ -254,6 +255,30 @@ def test_models_of_few_obstacles_answer_as_one_of_all(wide, links, count, monkey
         np.testing.assert_array_equal(
             parts.in_collision(configurations, margin=margin), whole.in_collision(configurations, margin=margin)
         )
+
+
+def test_scenes_that_share_a_model_of_the_arms_own_pairs_answer_each_for_itself(wide, monkeypatch):
+    rng = np.random.default_rng(9)
+    obstacles = random_obstacles(rng, 4)
+    alone = CoalScene(wide, obstacles)
+    monkeypatch.setattr(arm_pairs, "_MANY", 1)
+    monkeypatch.delitem(vars(alone.parts), "shape_pairs")
+    first, second = CoalScene(wide, obstacles), CoalScene(wide, [])
+    assert isinstance(first.parts.shape_pairs, module.ArmPairs)
+    monkeypatch.delitem(vars(alone.parts), "shape_pairs")
+    pairs = np.arange(len(alone.pairs))
+    of_arm = pairs[-len(alone.parts.own) :]
+    for q, other in rng.uniform(wide.lower, wide.upper, (20, 2, wide.dof)):
+        for checker, at in ((alone, q), (first, q), (second, other)):
+            checker.place(at)
+        distances = alone.distances_of(pairs)
+        np.testing.assert_allclose(first.distances_of(pairs), distances, rtol=1e-12, atol=1e-12)
+        bounds = first.lower_bounds(pairs)
+        assert (bounds <= distances + alone.distance_errors).all()
+        np.testing.assert_array_equal(alone.lower_bounds(pairs), bounds)
+        elsewhere = alone.pair_distances(other)[of_arm]
+        np.testing.assert_allclose(second.distances_of(of_arm - of_arm[0]), elsewhere, rtol=1e-12, atol=1e-12)
+    assert (bounds[of_arm] > 0.0).any()
 
 
 EXACT = Wanted(np.inf, 0.0, 1e-12, 0.0)

@@ -213,7 +213,7 @@ def test_no_body_travels_farther_than_its_bound(load, name):
     assert used.max() > 0.9
 
 
-@pytest.mark.parametrize("name", ["panda", "gantry"])
+@pytest.mark.parametrize("name", ["panda", "lift"])
 def test_what_short_pieces_have_in_common_bounds_travel_between_any_two_places(load, name):
     """Of a smooth motion in rows so close that several pieces have one bound."""
     robot, rng = load(name), np.random.default_rng(16)

@@ -20,7 +20,6 @@ from __future__ import annotations
 
 import cmath
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,9 +27,7 @@ import numpy as np
 from hplan.base import ties
 from hplan.base.arrays import BoolArray, ComplexArray, FloatArray, IntArray, Record
 from hplan.base.elementary import arccos, arctan2, argument, modulus
-from hplan.errors import InputError
 from hplan.kinematics.approach_angles import WINDOW_TOLERANCE, Window, above
-from hplan.robot.model import Robot
 from hplan.robot.planar_family import PlanarArm
 
 #: A joint this far beyond its limit is put on it [rad].
@@ -293,47 +290,6 @@ class FreeChain(Record):
         return cuts, widths, feasible
 
 
-def locked_mask(robot: Robot, locked: Sequence[str]) -> BoolArray:
-    """(dof,) which joints stand still.
-
-    Raises:
-        InputError: A joint that does not exist.
-    """
-    for name in locked:
-        if name not in robot.joint_names:
-            raise InputError(f"there is no joint {name!r}; the robot has {', '.join(robot.joint_names)}", joint=name)
-    return np.array([name in locked for name in robot.joint_names])
-
-
-def two_links(
-    near: FloatArray | float, far: FloatArray | float, points: ComplexArray
-) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
-    """Angles at which two links reach points; the arrays broadcast.
-
-    Args:
-        near: Lengths of the first link [m].
-        far: Lengths of the second [m].
-        points: Points, seen from the first link's joint [m].
-
-    Returns:
-        Bearing of the point; angle at the joint between bearing and first link, in [0, pi]; angle between the links,
-        in [0, pi]; whether the point is in reach. The first link is at bearing - half and the second at bend from
-        it, or the first at bearing + half and the second at -bend.
-    """
-    distance = modulus(points)
-    product = np.maximum(2.0 * near * far, 1e-300)
-    squares, square = near * near + far * far, distance * distance
-    cos = (square - squares) / product
-    # Rounding of the last digit would bend a straight elbow by 1e-8; nearer than that it is straight, or folded.
-    cos = np.where(np.abs(cos) >= 1.0 - 1e-15 * (square + squares) / product, np.copysign(1.0, cos), cos)
-    bend = arccos(cos)
-    half = arctan2(far * np.sin(bend), near + far * cos)
-    # A point this far out of reach is reached by a straight or folded arm [m].
-    reach_tolerance = 1e-10
-    ok = (distance <= near + far + reach_tolerance) & (distance >= np.abs(near - far) - reach_tolerance)
-    return argument(points), half, bend, ok
-
-
 def _both_elbows(
     l1: FloatArray | float, l2: FloatArray | float, points: ComplexArray
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
@@ -341,8 +297,18 @@ def _both_elbows(
 
     A straight or folded elbow is one configuration, not two.
     """
-    bearing, half, bend, ok = two_links(l1, l2, points)
-    first = bearing[..., None] - _SIDES * half[..., None]
+    distance = modulus(points)
+    product = np.maximum(2.0 * l1 * l2, 1e-300)
+    squares, square = l1 * l1 + l2 * l2, distance * distance
+    cos = (square - squares) / product
+    # Rounding of the last digit would bend a straight elbow by 1e-8; nearer than that it is straight, or folded.
+    cos = np.where(np.abs(cos) >= 1.0 - 1e-15 * (square + squares) / product, np.copysign(1.0, cos), cos)
+    bend = arccos(cos)
+    half = arctan2(l2 * np.sin(bend), l1 + l2 * cos)
+    # A point this far out of reach is reached by a straight or folded arm [m].
+    reach_tolerance = 1e-10
+    ok = (distance <= l1 + l2 + reach_tolerance) & (distance >= np.abs(l1 - l2) - reach_tolerance)
+    first = argument(points)[..., None] - _SIDES * half[..., None]
     return first, first + _SIDES * bend[..., None], np.stack([ok, ok & (bend > 0.0) & (bend < np.pi)], axis=-1)
 
 

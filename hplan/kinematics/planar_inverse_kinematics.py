@@ -27,7 +27,7 @@ from hplan.base.arrays import BoolArray, ComplexArray, FloatArray, IntArray, fro
 from hplan.base.elementary import arctan2, modulus, product
 from hplan.errors import InputError, OptionError, UnreachableError
 from hplan.kinematics.approach_angles import Candidates, Window
-from hplan.kinematics.planar_chain import ANGLE_TOLERANCE, MATCH_TOLERANCE, FreeChain, Reached, locked_mask
+from hplan.kinematics.planar_chain import ANGLE_TOLERANCE, MATCH_TOLERANCE, FreeChain, Reached
 from hplan.robot.model import Robot
 
 #: Configurations between the ends of continua, where no number is given.
@@ -143,7 +143,7 @@ class _ReachTask:
             raise InputError(f"position: expected x, y, z in metres, got {position!r}") from error
         if target.shape != (3,) or not np.isfinite(target).all():
             raise InputError(f"position: expected three finite numbers x, y, z in metres, got {target.tolist()}")
-        held = locked_mask(robot, locked)
+        held = robot.locked_mask(locked)
         if locked and start is None:
             raise OptionError("start", None, "the configuration whose values the locked joints keep")
         return cls(robot, target, window, None if start is None else robot.check_configuration(start, "start"), held)

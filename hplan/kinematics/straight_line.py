@@ -1,9 +1,10 @@
-"""Straight lines of any robot's tool: to its goal along the z axis of its frame, which does not turn, or to a pose.
+"""Straight lines of a tool: to its goal along its axis (`Robot.tool_axis`), which does not turn, or to a pose.
 
 The tool is drawn back from the goal along the axis by short steps (`hplan.kinematics.damped_steps.draw_back`); about
 the axis it may turn, or keeps its turn. Cubic splines lead through the configurations, as functions of the distance,
 with continuous second derivatives. A step that changes a joint by too much is not made: the arm is near a singular
-configuration there, or would go on in another branch.
+configuration there, or would go on in another branch. At a goal that is singular itself, as with a straight elbow, a
+first step that is much shorter shows it.
 """
 
 from __future__ import annotations
@@ -33,6 +34,9 @@ STEP_M, _STEPS = 5e-3, 4
 
 #: The most that a joint may change for each metre of the tool: turning [rad/m], sliding [m/m].
 TURNING, _SLIDING = 25.0, 10.0
+
+#: Part of the first step in which no joint may change by more than that either.
+_AT_GOAL = 1.0 / 64.0
 
 
 class Lines(NamedTuple):
@@ -66,9 +70,15 @@ def lines_back(
     distances: FloatArray = distance * np.arange(count + 1) / count
     chain = chain_of(robot, np.eye(4), KEPT if keeps_turn else ABOUT_Z)
     chain.moves[robot.locked_mask(locked)] = 0.0
+    towards = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), robot.tool_axis).toRotationMatrix()
+    chain.placement[:9] = (chain.placement[:9].reshape(3, 3) @ towards).ravel()
     most = np.diff(distances, prepend=0.0)[:, None] * np.where(robot.slides, _SLIDING, TURNING)
-    rows, reached = np.empty((len(goals), count + 1, robot.dof)), np.zeros(len(goals), dtype=np.int64)
-    draw_back(np.array(goals, dtype=np.float64), distances, most, chain, rows, reached)
+    ends, rows = np.array(goals, dtype=np.float64), np.empty((len(goals), count + 1, robot.dof))
+    begun, reached = np.zeros((2, len(goals)), dtype=np.int64)
+    draw_back(ends, _AT_GOAL * distances[:2], _AT_GOAL * most[:2], chain, rows[:, :2].copy(), begun)
+    draw_back(ends, distances, most, chain, rows, reached)
+    stays = begun < 2
+    rows[stays], reached[stays] = ends[stays, None], 1
     return Lines(distances, rows, reached)
 
 
@@ -109,61 +119,19 @@ def line_to(
 
 
 @dataclass(frozen=True, eq=False)
-class StraightApproach(Record):
+class StraightLine(Record):
     """A straight path of the tool from the stand-off to the goal; its parameter is the distance, scaled to `length`.
 
     Attributes:
         goal: (dof,) configuration at the goal.
         standoff: Distance of the tool from its goal where the path begins [m].
+        keeps_turn: Whether the tool may not turn about its axis.
     """
 
     robot: Robot
     goal: FloatArray
     standoff: float
     locked: tuple[str, ...] = ()
-
-    @cached_property
-    def length(self) -> float:
-        """Joint-space length, by Gauss-Legendre quadrature."""
-        raise NotImplementedError
-
-    def joints_at(self, distance: FloatArray, derivative: int) -> FloatArray:
-        """(..., dof) configurations at (...) distances from the goal [m], or derivatives with respect to these."""
-        raise NotImplementedError
-
-    @property
-    def end(self) -> float:
-        """Last parameter; the first is 0."""
-        return self.length
-
-    def evaluate(self, s: ArrayLike, derivative: int = 0) -> FloatArray:
-        """Points or derivatives with respect to the parameter.
-
-        Args:
-            s: (...) parameters in [0, end]; clipped to it.
-            derivative: 0, 1 or 2.
-
-        Returns:
-            (..., dof) values.
-        """
-        fraction = np.clip(np.asarray(s, dtype=np.float64) / self.end, 0.0, 1.0)
-        distance, rate = self.standoff * (1.0 - fraction), -self.standoff / self.end
-        if derivative > 0:
-            return self.joints_at(distance, derivative) * rate**derivative + 0.0  # no zero has a sign
-        # Rounding, and what a spline leaves a limit by.
-        q = np.minimum(np.maximum(self.joints_at(distance, 0), self.robot.lower), self.robot.upper)
-        q[distance == 0.0] = self.goal
-        return q
-
-
-@dataclass(frozen=True, eq=False)
-class StraightLine(StraightApproach):
-    """The straight path from the stand-off to the goal along the tool's axis.
-
-    Attributes:
-        keeps_turn: Whether the tool may not turn about the axis.
-    """
-
     keeps_turn: bool = False
 
     @cached_property
@@ -188,6 +156,11 @@ class StraightLine(StraightApproach):
         """Joint-space length, by Gauss-Legendre quadrature."""
         return curve_length(lambda t: np.linalg.norm(self._spline(t, 1), axis=-1), self._lines.distances)
 
+    @property
+    def end(self) -> float:
+        """Last parameter; the first is 0."""
+        return self.length
+
     @cached_property
     def breaks(self) -> FloatArray:
         """Increasing parameters where the spline's pieces meet, the ends among them."""
@@ -195,9 +168,22 @@ class StraightLine(StraightApproach):
         breaks[-1] = self.end
         return frozen(breaks)
 
-    def joints_at(self, distance: FloatArray, derivative: int) -> FloatArray:
-        """(..., dof) configurations at (...) distances from the goal [m], or derivatives with respect to these."""
-        q: FloatArray = self._spline(distance, derivative)
-        if derivative == 0:
-            q[distance == self.standoff] = self._lines.rows[0, -1]
+    def evaluate(self, s: ArrayLike, derivative: int = 0) -> FloatArray:
+        """Points or derivatives with respect to the parameter.
+
+        Args:
+            s: (...) parameters in [0, end]; clipped to it.
+            derivative: 0, 1 or 2.
+
+        Returns:
+            (..., dof) values.
+        """
+        fraction = np.clip(np.asarray(s, dtype=np.float64) / self.end, 0.0, 1.0)
+        distance, rate = self.standoff * (1.0 - fraction), -self.standoff / self.end
+        values: FloatArray = self._spline(distance, derivative)
+        if derivative > 0:
+            return values * rate**derivative + 0.0  # no zero has a sign
+        # Rounding, and what a spline leaves a limit by.
+        q = np.minimum(np.maximum(values, self.robot.lower), self.robot.upper)
+        q[distance == self.standoff], q[distance == 0.0] = self._lines.rows[0, -1], self.goal
         return q

@@ -24,10 +24,11 @@ from hplan.collision.coal_scene import Contact
 from hplan.errors import BlockedError
 from hplan.kinematics.approach_angles import Candidates
 from hplan.kinematics.finer_angles import Measured
+from hplan.kinematics.straight_line import StraightLine
 from hplan.planning.capture import SAME, caught
 from hplan.planning.joint_ranges import LEAST_MARGIN, JointRanges, joint_ranges
 from hplan.planning.options import PlanOptions
-from hplan.planning.tool_paths import Approaches, ToolPath, tool_of
+from hplan.planning.tool_paths import Approaches, tool_of
 from hplan.planning.world import World
 from hplan.robot.limits import rest_to_rest
 from hplan.robot.model import Robot
@@ -78,7 +79,7 @@ class Grasp(Record):
     keeps_turn: bool = False
     caught: float | None = None
 
-    def path(self, robot: Robot, locked: tuple[str, ...] = ()) -> ToolPath | None:
+    def path(self, robot: Robot, locked: tuple[str, ...] = ()) -> StraightLine | None:
         """The approach, or None where there is none."""
         if self.distance <= 0.0:
             return None
@@ -232,7 +233,7 @@ def grasps_or_blocked(
     tool = tool_of(target.world.robot, locked, target.pose is not None)
     found = tool.soonest(found, count)
     goals = frozen(found.configurations)
-    lengths = _distances(standoff, target.least_standoff) if tool.may_be_straight else []
+    lengths = _distances(standoff, target.least_standoff)
     approaches = cache(lambda: tool.approaches(goals))
 
     @cache
@@ -263,7 +264,8 @@ def _sorted(
     least = sum(rest_to_rest(turn, *limits).max(axis=1) for turn in turns)
     shares = None
     if target.capture_m is not None and target.covariance is not None:
-        shares = caught(np.array([_ahead(robot, goal) for goal in goals]), target.covariance, target.capture_m)
+        ahead = robot.forward_kinematics(goals)[:, :3, :3] @ robot.tool_axis
+        shares = caught(ahead, target.covariance, target.capture_m)
     return tuple(
         Grasp(
             frozen(goals[i].copy()), chosen[numbers[i]][1], float(distances[i]), float(found.approach[numbers[i]]),
@@ -272,16 +274,6 @@ def _sorted(
         for i in ties.argsort(least).tolist()
         if shares is None or shares[i] >= shares.max() - SAME
     )  # fmt: skip
-
-
-def _ahead(robot: Robot, goal: FloatArray) -> FloatArray:
-    """(3,) where the tool points at a (dof,) configuration: along the last link or, of a general arm, its z axis."""
-    pose = robot.forward_kinematics(goal)
-    if robot.planar is None:
-        return np.asarray(pose[:3, 2])
-    link = pose[:3, 3] - robot.forward_kinematics(goal, robot.joint_names[-1])[:3, 3]
-    normal = robot.plane_at(robot.yaw_of(goal))[1][2]
-    return np.asarray(link - (link @ normal) * normal)
 
 
 def promising(found: Sequence[Grasp], target: Target, start: FloatArray) -> list[Grasp]:
@@ -358,8 +350,8 @@ def _clear_approaches(
 ) -> dict[int, tuple[float, FloatArray]]:
     """Length of the approach and stand-off of the goals, by their number, where arm and approach are clear.
 
-    The approach is looked at along a polyline of a few points; `Grasp.path` is the exact one, and the certificate is
-    about that.
+    The approach is looked at along a polyline of a few points; `Grasp.path` has more, and the certificate is about
+    that.
     """
     chosen: dict[int, tuple[float, FloatArray]] = {}
     enough = tool_of(target.world.robot).enough

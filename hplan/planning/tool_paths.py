@@ -1,7 +1,7 @@
 """Configurations with the tool at a point or a pose, and straight approaches to them, of robots of any kind.
 
-Those of the planar family are in closed form (`hplan.kinematics`): its tool comes along the last link. Of any other
-robot they are sought (`hplan.kinematics`), and the tool comes along the z axis of its frame.
+Configurations of the planar family are in closed form, those of any other robot are sought; the tool of either comes
+along its axis (`Robot.tool_axis`), as `hplan.kinematics.straight_line` finds.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,7 +23,6 @@ from hplan.kinematics.approach_angles import Candidates
 from hplan.kinematics.finer_angles import Measured, finer_angles
 from hplan.kinematics.inverse_kinematics import inverse_kinematics
 from hplan.kinematics.planar_inverse_kinematics import reach, reach_at
-from hplan.kinematics.straight_approach import ApproachPath, Stretches, standoffs
 from hplan.kinematics.straight_line import StraightLine, lines_back
 from hplan.kinematics.tool_at_point import approach_angles, tool_at_point
 from hplan.robot.model import Robot
@@ -33,9 +32,6 @@ _LOOKS = (0.25, 0.5, 0.75, 1.0)
 
 #: Where no configuration is clear, so many directions are tried.
 _MORE = 256
-
-#: A straight approach.
-ToolPath: TypeAlias = ApproachPath | StraightLine
 
 
 class Approaches(NamedTuple):
@@ -151,7 +147,7 @@ class Tool:
 
         return drawn_back
 
-    def path(self, goal: FloatArray, standoff: float) -> ToolPath:
+    def path(self, goal: FloatArray, standoff: float) -> StraightLine:
         """The straight approach from a stand-off [m] to a (dof,) goal."""
         return StraightLine(self._robot, goal, standoff, self._locked, self._keeps_turn)
 
@@ -159,11 +155,6 @@ class Tool:
         """From how far the tool can come straight to a (dof,) goal, at most `longest` [m]."""
         lines = lines_back(self._robot, goal[None], longest, locked=self._locked, keeps_turn=self._keeps_turn)
         return float(lines.distances[lines.reached[0] - 1])
-
-    @property
-    def may_be_straight(self) -> bool:
-        """True unless too few joints may move for any straight approach."""
-        return True
 
     def thickness(self, deviation: float) -> float:
         """How far a tool at a point stands out towards it or, of a planar arm, about it [m].
@@ -213,26 +204,6 @@ class _PlanarTool(Tool):
         last, aside = self._robot.arm.link_count - 1, float(self._robot.arm.lateral[-1])
         normals = [self._robot.plane_at(yaw)[1][2] for yaw in yaws]
         return max(field.of_point(last, np.asarray(position) + aside * normal) for normal in normals)
-
-    def approaches(self, goals: FloatArray) -> Callable[[float], Approaches]:
-        back = Stretches.back_from(self._robot, goals, self._locked)
-
-        def stretched(length: float) -> Approaches:
-            looks = np.broadcast_to(length * np.array(_LOOKS), (len(goals), len(_LOOKS)))
-            approached = np.concatenate([goals[:, None], back.configurations(goals, looks)], axis=1)
-            return Approaches(back.largest(length) >= length, approached)
-
-        return stretched
-
-    def path(self, goal: FloatArray, standoff: float) -> ToolPath:
-        return ApproachPath(self._robot, goal, standoff, self._locked)
-
-    def largest_standoff(self, goal: FloatArray, longest: float) -> float:
-        return float(standoffs(self._robot, goal[None], longest, locked=self._locked).largest[0])
-
-    @property
-    def may_be_straight(self) -> bool:
-        return sum(name not in self._locked for name in self._robot.arm.joint_names) >= 3
 
     def thickness(self, deviation: float) -> float:
         return float(self._robot.arm.half_widths[-1] + self._robot.sway(deviation)[-1])

@@ -130,6 +130,17 @@ class Robot(PlanarNames, Record):
         return int(self.model.frames[self.model.getFrameId(self.tool_frame)].parentJoint)
 
     @cached_property
+    def tool_axis(self) -> FloatArray:
+        """(3,) unit vector in the tool frame along which the tool points: z; of a planar arm along its last link."""
+        if self.planar is None:
+            return readonly([0.0, 0.0, 1.0])
+        pose, joint = (self.forward_kinematics(self.lower, name) for name in (None, self.joint_names[-1]))
+        normal = self.planar.plane_at(self.planar.yaw_of(self.lower))[1][2]
+        along = pose[:3, 3] - joint[:3, 3]
+        along -= (along @ normal) * normal
+        return readonly(pose[:3, :3].T @ along / np.linalg.norm(along))
+
+    @cached_property
     def _made(self) -> dict[Hashable, Any]:
         return {}
 

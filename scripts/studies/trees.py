@@ -25,8 +25,8 @@ from hplan.base.data_files import scenes_dir
 from hplan.collision.clearance_field import ClearanceField
 from hplan.errors import HplanError, InputError, OptionError, UnreachableError
 from hplan.kinematics.planar_inverse_kinematics import reach
-from hplan.kinematics.straight_approach import standoffs
 from hplan.planning.options import PlanOptions
+from hplan.planning.tool_paths import tool_of
 from hplan.robot.limits import least_duration
 from hplan.robot.model import Robot
 from hplan.scene.file import load_scene
@@ -41,8 +41,8 @@ DISTANCES = (1.4, 1.0, 1.8)
 FRUITS, RADIUS, STANDOFF = 20, 0.04, 0.1
 
 #: Configurations at a fruit that are looked at, about; the clearance of a grasp and of its stand-off, half of it all
-#: along the approach [m], and where an approach is looked at, as shares of its length.
-GRASPS, SPARE, _LOOKS = 64, 1e-3, (0.25, 0.5, 0.75, 1.0)
+#: along the approach [m].
+GRASPS, SPARE = 64, 1e-3
 
 
 @dataclass(frozen=True)
@@ -159,8 +159,8 @@ def _standoff(robot: Robot, scene: Scene, fruit: Fruit, home: FloatArray) -> Flo
     goals = goals[touching.along(goals).min(axis=1) > SPARE]
     if not len(goals):
         return "blocked"
-    stages = [standoffs(robot, goals, share * STANDOFF) for share in _LOOKS]
-    ways = np.stack([goals, *(stage.configurations for stage in stages)], axis=1)[stages[-1].feasible]
+    feasible, polylines = tool_of(robot).approaches(goals)(STANDOFF)
+    ways = polylines[feasible]
     if not len(ways):
         return "no_approach"
     clear = [way[-1] for way in ways if world.clearance(way[-1]) > SPARE and touching.is_clear(way, 0.5 * SPARE)]

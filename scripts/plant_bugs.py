@@ -1,8 +1,8 @@
 """Plant bugs one at a time in a copy of the tree, and say which of them the tests notice.
 
 Each bug of tests/planted_bugs.toml is one small change to the package: a text that a file holds exactly once, and what
-stands there instead. It is planted in a copy of the tree, the tests named with it run until the first that fails, and
-the file is put back. A bug that no test notices is a hole in the suite.
+stands there instead. It is planted in a copy of the tree, and the tests named with it run until the first that fails.
+A bug that no test notices is a hole in the suite.
 """
 
 from __future__ import annotations
@@ -88,13 +88,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(line)
     if arguments.check or stale:
         return 2 if stale else 0
-    with tempfile.TemporaryDirectory() as folder:
-        return _campaign(bugs, _Copy(Path(folder) / "tree"))
+    return _campaign(bugs)
 
 
-def read_table(path: Path = TABLE) -> list[Bug]:
-    """The bugs of a table."""
-    with path.open("rb") as stream:
+def read_table() -> list[Bug]:
+    """The bugs of the table."""
+    with TABLE.open("rb") as stream:
         rows = tomllib.load(stream)["bug"]
     return [Bug(**{**row, "tests": tuple(row["tests"])}) for row in rows]
 
@@ -110,17 +109,16 @@ def _stale(bugs: Sequence[Bug]) -> list[str]:
     return lines
 
 
-def _campaign(bugs: Sequence[Bug], copy: _Copy) -> int:
+def _campaign(bugs: Sequence[Bug]) -> int:
     """Plant bug after bug, telling of each; returns the exit status."""
     caught, missed, broken = 0, list[str](), list[str]()
     for bug in bugs:
         begin = time.perf_counter()
-        with copy.planted(bug):
-            failure = copy.failure(bug.tests)
+        failure = _failure(bug.tests, bug)
         if failure is None:
             missed.append(bug.id)
             verdict = "MISSED"
-        elif not copy.passes(failure):
+        elif "::" in failure and _failure((failure,)) is not None:
             broken.append(bug.id)
             verdict = "BROKEN"  # the test fails without the bug, too
         else:
@@ -131,73 +129,34 @@ def _campaign(bugs: Sequence[Bug], copy: _Copy) -> int:
     return 2 if broken else 5 if missed else 0
 
 
-class _Copy:
-    """A copy of the tree, its compiled kernels with it, in which tests run."""
+def _failure(tests: Sequence[str], bug: Bug | None = None) -> str | None:
+    """The first test that fails, or what keeps the tests from running; None where all pass.
 
-    def __init__(self, root: Path) -> None:
-        self.root = root
-        root.mkdir()
+    They run in a copy of the tree, its compiled kernels with it, in which a bug may be planted.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        root = Path(folder)
         for name in _COPIED:
             source, target = ROOT / name, root / name
             if source.is_dir():
                 shutil.copytree(source, target, ignore=shutil.ignore_patterns("*.pyc", ".*_cache"))
             elif source.exists():
                 shutil.copy2(source, target)
-        self._passes: dict[str, bool] = {}
-
-    def failure(self, tests: Sequence[str]) -> str | None:
-        """The first test that fails, or what keeps the tests from running; None where all pass."""
+        if bug is not None:
+            (root / bug.file).write_text(bug.planted(ROOT), encoding="utf-8")
         command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", "--no-header", *tests]
         own = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
-        own["PYTHONPATH"] = str(self.root)
+        own["PYTHONPATH"] = str(root)
         try:
             done = subprocess.run(
-                command, cwd=self.root, env=own, capture_output=True, text=True, timeout=_PATIENCE_S, check=False
+                command, cwd=root, env=own, capture_output=True, text=True, timeout=_PATIENCE_S, check=False
             )
         except subprocess.TimeoutExpired:
             return f"no end after {_PATIENCE_S:.0f} s"
-        if done.returncode == 0:
-            return None
-        named = re.findall(r"^(?:FAILED|ERROR) (.+?)(?: - .*)?$", done.stdout, re.MULTILINE)
-        return named[0] if named else f"pytest ends with {done.returncode}: {done.stdout[-200:]!r}"
-
-    def passes(self, test: str) -> bool:
-        """Whether a test passes in the tree as it is; whatever is no test does."""
-        if "::" not in test:
-            return True
-        if test not in self._passes:
-            self._passes[test] = self.failure([test]) is None
-        return self._passes[test]
-
-    def planted(self, bug: Bug) -> _Planted:
-        """The copy with a bug, for a while."""
-        return _Planted(self.root, bug)
-
-
-class _Planted:
-    """A bug in a copy; compiled kernels are set aside meanwhile, as those with the bug take their place."""
-
-    def __init__(self, root: Path, bug: Bug) -> None:
-        self._root, self._bug = root, bug
-
-    def __enter__(self) -> None:
-        file = self._root / self._bug.file
-        self._text = file.read_text(encoding="utf-8")
-        changed = self._bug.planted(self._root)
-        self._aside = Path(tempfile.mkdtemp(dir=self._root.parent))
-        self._folders = {path.parent for path in (self._root / "hplan").rglob("*.nbc")}
-        for folder in self._folders:
-            target = self._aside / folder.relative_to(self._root)
-            shutil.copytree(folder, target)
-        file.write_text(changed, encoding="utf-8")
-
-    def __exit__(self, *_: object) -> None:
-        (self._root / self._bug.file).write_text(self._text, encoding="utf-8")
-        for folder in {path.parent for path in (self._root / "hplan").rglob("*.nbc")}:
-            shutil.rmtree(folder)
-        for folder in self._folders:
-            shutil.copytree(self._aside / folder.relative_to(self._root), folder, dirs_exist_ok=True)
-        shutil.rmtree(self._aside)
+    if done.returncode == 0:
+        return None
+    named = re.findall(r"^(?:FAILED|ERROR) (.+?)(?: - .*)?$", done.stdout, re.MULTILINE)
+    return named[0] if named else f"pytest ends with {done.returncode}: {done.stdout[-200:]!r}"
 
 
 if __name__ == "__main__":

@@ -11,22 +11,18 @@ import xml.etree.ElementTree as ET
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
 
 import numpy as np
 import yaml
 from studies.harness import Asked, Row, Study
-from studies.measure import timed
+from studies.measure import planned, timed
 from studies.peers import peer_row
 
+from hplan.apps.ros.planning_scene import read_planning_scene
 from hplan.certificate.certificate import certify
-from hplan.errors import HplanError
 from hplan.planning.options import PlanOptions
-from hplan.planning.plan import plan
 from hplan.robot.model import Robot, load_robot
 from hplan.scene.model import Goal, Scene, Start
-from hplan.scene.obstacles import Box, Cylinder
-from hplan.scene.solids import quaternion_rotation, rpy_of
 
 #: Kinds of problems, and which of each 600 are looked at: every so many.
 KINDS, EVERY = ("easy", "medium", "hard"), 10
@@ -71,20 +67,7 @@ def problems(asked: Asked) -> list[tuple[str, Path, Path]]:
 
 def scene_of(robot: Robot, name: str, scene: Path, request: Path) -> Scene:
     """The scene of a problem; ends are moved into the limits where they are a rounding error outside."""
-    world, task = (yaml.load(path.read_text(), Loader=yaml.CSafeLoader) for path in (scene, request))
-    obstacles = []
-    for item in world["world"]["collision_objects"]:
-        for number, (shape, pose) in enumerate(zip(item["primitives"], item["primitive_poses"], strict=True)):
-            place: dict[str, Any] = {
-                "name": f"{item['id']} {number}",
-                "center": tuple(map(float, pose["position"])),
-                "rpy_deg": rpy_of(quaternion_rotation(pose["orientation"])),
-            }
-            size = tuple(map(float, shape["dimensions"]))
-            solid = (
-                Box(**place, size=size) if shape["type"] == "box" else Cylinder(**place, length=size[0], radius=size[1])
-            )
-            obstacles.append(solid)
+    task = yaml.load(request.read_text(), Loader=yaml.CSafeLoader)
     state = task["start_state"]["joint_state"]
     ends = (
         dict(zip(state["name"], state["position"], strict=True)),
@@ -93,24 +76,18 @@ def scene_of(robot: Robot, name: str, scene: Path, request: Path) -> Scene:
     start, goal = (
         tuple(np.clip([end[joint] for joint in robot.joint_names], robot.lower, robot.upper).tolist()) for end in ends
     )
-    return Scene(name=name, obstacles=tuple(obstacles), start=Start(joints_rad=start), goal=Goal(joints_rad=goal))
+    obstacles = read_planning_scene(scene)
+    return Scene(name=name, obstacles=obstacles, start=Start(joints_rad=start), goal=Goal(joints_rad=goal))
 
 
 def _row(asked: Asked, problem: tuple[str, Path, Path]) -> Row:
     kind, scene_file, request = problem
-    row: Row = {"name": f"{kind} {scene_file.stem}", "kind": kind, "solved": False}
     robot = baxter(asked.files or Path())
     scene = scene_of(robot, scene_file.stem, scene_file, request)
-    try:
-        result, milliseconds = timed(lambda: plan(robot, scene, PlanOptions(effort=asked.effort)))
-    except HplanError as error:
-        row |= {"how": error.kind, "message": error.message}
-    else:
-        certificate, proof_ms = timed(lambda: certify(robot, scene, result.trajectory))
-        row |= {
-            "solved": certificate.verified, "how": "certified", "s": 1e-3 * milliseconds, "certificate_ms": proof_ms,
-            "duration_s": result.trajectory.duration, "fault": not certificate.verified,
-        }  # fmt: skip
+    found, row = planned(robot, scene, PlanOptions(effort=asked.effort))
+    row |= {"name": f"{kind} {scene_file.stem}", "kind": kind}
+    if found is not None:
+        _, row["certificate_ms"] = timed(lambda: certify(robot, scene, found.trajectory))
     row |= peer_row(asked, robot, scene, row.get("duration_s"), PEER_S)
     return row | {"missed": not row["solved"] and row.get("peer_solved", False)}
 
@@ -119,7 +96,7 @@ BAXTER = Study(
     "baxter",
     "both arms of a Baxter among shelves (VAMP's problems; --files)",
     _row,
-    ("solved", "how", "missed", "s", "certificate_ms", "duration_s", "peer_solved", "peer_ms", "to_peer"),
+    ("certified", "origin", "missed", "ms", "certificate_ms", "duration_s", "peer_solved", "peer_ms", "to_peer"),
     problems,
     by="kind",
     needs=("files",),

@@ -12,6 +12,7 @@ from itertools import combinations
 from pathlib import Path
 from typing import Any
 
+import coal
 import numpy as np
 import pinocchio as pin
 from studies.outside import TimedMotion
@@ -19,6 +20,7 @@ from studies.outside import TimedMotion
 from hplan.base.arrays import FloatArray
 from hplan.base.lazy_import import extra
 from hplan.collision.coal_scene import CoalScene
+from hplan.collision.coal_shapes import solid_shape
 from hplan.errors import HplanError, InputError
 from hplan.kinematics.inverse_kinematics import inverse_kinematics
 from hplan.robot.files import named_robot
@@ -67,30 +69,22 @@ class RoboplanArm:
 
     def _place(self, obstacle: Obstacle) -> list[str]:
         """Add an obstacle; names of its parts."""
-        name, pose = obstacle.name, np.eye(4)
-        names = [name]
-        if isinstance(obstacle, Sphere):
-            pose[:3, 3] = obstacle.center
-            self._scene.addSphereGeometry(name, _WORLD, core.Sphere(obstacle.radius), pose, _COLOR)
-        elif isinstance(obstacle, Box):
-            pose[:3, :3], pose[:3, 3] = pin.rpy.rpyToMatrix(np.radians(obstacle.rpy_deg)), obstacle.center
-            self._scene.addBoxGeometry(name, _WORLD, core.Box(*obstacle.size), pose, _COLOR)
-        elif isinstance(obstacle, Cylinder):
-            pose[:3, :3], pose[:3, 3] = pin.rpy.rpyToMatrix(np.radians(obstacle.rpy_deg)), obstacle.center
-            self._scene.addCylinderGeometry(name, _WORLD, core.Cylinder(obstacle.radius, obstacle.length), pose, _COLOR)
-        elif isinstance(obstacle, Capsule):
-            ends = np.array([obstacle.start, obstacle.end])
-            length = float(np.linalg.norm(ends[1] - ends[0]))
-            turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), (ends[1] - ends[0]) / length)
-            pose[:3, :3], pose[:3, 3] = turn.toRotationMatrix(), ends.mean(axis=0)
-            self._scene.addCylinderGeometry(name, _WORLD, core.Cylinder(obstacle.radius, length), pose, _COLOR)
-            balls = [
-                Sphere(name=f"{name} {i}", center=tuple(end), radius=obstacle.radius) for i, end in enumerate(ends)
-            ]
-            return [name, *(part for ball in balls for part in self._place(ball))]
+        if not isinstance(obstacle, Sphere | Box | Cylinder | Capsule):
+            raise InputError(f"{obstacle.name}: roboplan is given primitives alone")
+        name, placed = obstacle.name, solid_shape(obstacle)
+        where, solid = (placed.placement.homogeneous, _COLOR), placed.geometry
+        if isinstance(solid, coal.Sphere):
+            self._scene.addSphereGeometry(name, _WORLD, core.Sphere(solid.radius), *where)
+        elif isinstance(solid, coal.Box):
+            self._scene.addBoxGeometry(name, _WORLD, core.Box(*(2.0 * solid.halfSide)), *where)
         else:
-            raise InputError(f"{name}: roboplan is given primitives alone")
-        return names
+            can = core.Cylinder(solid.radius, 2.0 * solid.halfLength)
+            self._scene.addCylinderGeometry(name, _WORLD, can, *where)
+        if not isinstance(obstacle, Capsule):
+            return [name]
+        ends = enumerate((obstacle.start, obstacle.end))
+        balls = [Sphere(name=f"{name} {number}", center=end, radius=obstacle.radius) for number, end in ends]
+        return [name, *(part for ball in balls for part in self._place(ball))]
 
     def motion(self, start: FloatArray, goal: FloatArray) -> TimedMotion | None:
         """RRT-Connect, shortcuts and TOPP-RA between two (dof,) configurations; None where it finds none."""

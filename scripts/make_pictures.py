@@ -86,11 +86,11 @@ def still(page: str, script: str = "") -> bytes:
         return _png(*few_colors([Image.open(picture).convert("RGB")]))
 
 
-def frames(page: str, times_s: Sequence[float], size: tuple[int, int] = SIZE) -> list[Image.Image]:
+def frames(page: str, times_s: Sequence[float]) -> list[Image.Image]:
     """Pictures of a page's motion at some times [s]."""
-    html = _alone(page, size, _FRAMES % ",".join(f"{time:.3f}" for time in times_s))
+    html = _alone(page, SIZE, _FRAMES % ",".join(f"{time:.3f}" for time in times_s))
     with tempfile.TemporaryDirectory() as folder:
-        text = _browse(html, Path(folder), "--dump-dom", size)
+        text = _browse(html, Path(folder), "--dump-dom", SIZE)
     found = re.findall(r"data:image/png;base64,([\w+/=]+)", text.rpartition("frames:")[2])
     if len(found) != len(times_s):
         raise RuntimeError(f"Chromium drew {len(found)} of {len(times_s)} frames")

@@ -47,10 +47,10 @@ OFFSETS: dict[str, tuple[str, tuple[float, ...], tuple[float, ...]]] = {
 }
 
 
-def load_variant(name: str, folder: Path, *, touches_itself: bool = False) -> Robot:
+def load_variant(name: str, folder: Path) -> Robot:
     """Write the URDF of a variant into a folder and load it; joints may turn by +-2.5 rad, the yaw by +-3.
 
-    Unless said otherwise, links pass through one another, so that a test is of obstacles alone.
+    Links pass through one another, so that a test is of obstacles alone.
     """
     has_yaw, xyz, rpy, axes = VARIANTS[name]
     foot, aside, body = OFFSETS.get(name, ("0 0 0", (0.0,) * len(axes), (0.0,) * len(axes)))
@@ -88,8 +88,7 @@ def load_variant(name: str, folder: Path, *, touches_itself: bool = False) -> Ro
     (folder / "variant.limits.yaml").write_text(f"format: hplan-limits/1\nacceleration_rad_s2: {{{table}}}\n")
     robot = load_robot(path)
     np.testing.assert_allclose(robot.arm.half_widths, widths, rtol=1e-12)
-    if not touches_itself:
-        robot.cached("self_contact", lambda: lambda *_: SelfContact())  # whatever tracking error and clearance
+    robot.cached("self_contact", lambda: lambda *_: SelfContact())  # whatever tracking error and clearance
     return robot
 
 

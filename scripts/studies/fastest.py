@@ -74,8 +74,7 @@ def _made(record: dict[str, Any], trees: Path | None) -> tuple[Robot, Scene]:
         robot = load_robot(record["arm"])
         return robot, random_scene(robot, SEED, record["number"]).scene
     if record["kind"] == "pinch":
-        drawn = pinch(SEED, record["number"], record["arm"], record["room_m"])
-        return drawn.robot, drawn.scene
+        return pinch(SEED, record["number"], record["arm"], record["room_m"])
     if trees is None:
         raise InputError(f"{record['name']}: the folder of measured trees is not given", name=record["name"])
     orchard = _orchard(record["arm"], trees / f"{record['tree']}.csv", record["distance_m"])
@@ -108,19 +107,19 @@ def read_records(path: Path = BEST_KNOWN) -> list[dict[str, Any]]:
     return found
 
 
-def improve(rows: Iterable[Row], path: Path = BEST_KNOWN) -> int:
+def improve(rows: Iterable[Row]) -> int:
     """Write durations of a run that are shorter than the best known to the file; returns how many.
 
     The caller writes it only where it is asked to: a run alone leaves the file as it is.
     """
-    records, improved = read_records(path), 0
+    records, improved = read_records(), 0
     best = {row["name"]: row for row in rows if row.get("improved")}
     for record in records:
         if record["name"] in best:
             row, improved = best[record["name"]], improved + 1
             record |= {"duration_s": round(row["best_s"], 9), "by": row["by"]}
     lines = ",\n".join(json.dumps(record) for record in records)
-    path.write_text(f'{{"format": "hplan-best-known/1", "problems": [\n{lines}\n]}}\n', encoding="utf-8")
+    BEST_KNOWN.write_text(f'{{"format": "hplan-best-known/1", "problems": [\n{lines}\n]}}\n', encoding="utf-8")
     return improved
 
 

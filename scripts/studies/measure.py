@@ -36,9 +36,9 @@ def timed(run: Callable[[], _T]) -> tuple[_T, float]:
     return value, 1e3 * (time.thread_time() - begin)
 
 
-def median_ms(run: Callable[[], object], repetitions: int, *, budget_ms: float = 1500.0) -> float:
+def median_ms(run: Callable[[], object], repetitions: int) -> float:
     """Median CPU time of repeated calls, the first not counted; fewer of those that take long [ms]."""
-    once = timed(run)[1]
+    once, budget_ms = timed(run)[1], 1500.0
     affordable = min(repetitions, int(budget_ms / max(once, 1e-3)))
     return float(np.median([timed(run)[1] for _ in range(affordable)])) if affordable > 1 else once
 

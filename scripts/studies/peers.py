@@ -23,7 +23,6 @@ from hplan.collision.clearance_field import ClearanceField
 from hplan.errors import HplanError
 from hplan.optimization.shortcut import shorten
 from hplan.planning.finishing.finish import finish
-from hplan.planning.options import EffortName, PlanOptions
 from hplan.planning.world import World
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
@@ -72,7 +71,6 @@ def ompl_path(
     scene: Scene,
     goal: FloatArray,
     *,
-    start: FloatArray | None = None,
     planner: str = "RRTConnect",
     seconds: float = PATIENCE_S,
     resolution: float | None = None,
@@ -82,14 +80,13 @@ def ompl_path(
     Args:
         scene: Start, and joints that are locked.
         goal: (dof,) configuration.
-        start: (dof,) configuration; None for the scene's.
         planner: RRTConnect stops at its first path, BITstar when time is up.
         seconds: CPU time to find it.
         resolution: Distance between configurations that are checked, as a fraction of the space's extent, as OMPL has
             it; a path may then touch something in between. None to have each motion verified by hplan's kernel.
     """
     base, geometric, _ = ompl()
-    robot, begin = world.robot, scene.start.configuration if start is None else start
+    robot, begin = world.robot, scene.start.configuration
     joints = np.flatnonzero(~robot.locked_mask(scene.locked_joints)).tolist()
     space, bounds = base.RealVectorStateSpace(len(joints)), base.RealVectorBounds(len(joints))
     for axis, joint in enumerate(joints):
@@ -140,11 +137,11 @@ def world_of(robot: Robot, scene: Scene) -> World:
     return World.of(robot, scene.solids_with_goal, clearance=scene.clearance)
 
 
-def finished_s(robot: Robot, scene: Scene, path: FloatArray | None, effort: EffortName = "default") -> float | None:
+def finished_s(robot: Robot, scene: Scene, path: FloatArray | None) -> float | None:
     """Duration of the certified motion that hplan makes of somebody's path; None where there is none [s]."""
     if path is None:
         return None
-    found = or_error(lambda: finish(robot, scene, path, PlanOptions(effort=effort)))
+    found = or_error(lambda: finish(robot, scene, path))
     return None if isinstance(found, HplanError) else found.trajectory.duration
 
 

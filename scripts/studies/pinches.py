@@ -9,7 +9,7 @@ import math
 from collections.abc import Sequence
 from functools import cache
 from itertools import pairwise
-from typing import NamedTuple, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from studies.validation.random_scenes import vector
@@ -41,18 +41,8 @@ SAMPLE = math.radians(0.1)
 _Drawn: TypeAlias = tuple[FloatArray, FloatArray, Sequence[Sphere]]
 
 
-class Pinch(NamedTuple):
-    """A problem: its number, the room that is left [m], arm, robot and scene."""
-
-    number: int
-    room_m: float
-    arm: str
-    robot: Robot
-    scene: Scene
-
-
-def pinch(seed: int, number: int, arm: str, room: float) -> Pinch:
-    """The pinch with a number, for one of `ARMS`, with so much room [m]."""
+def pinch(seed: int, number: int, arm: str, room: float) -> tuple[Robot, Scene]:
+    """Arm and scene of the pinch with a number, for one of `ARMS`, with so much room [m]."""
     random = np.random.default_rng([seed, number])
     robot = drawn_member(seed, number) if arm == "drawn" else load_robot(arm)
     while True:
@@ -67,7 +57,7 @@ def pinch(seed: int, number: int, arm: str, room: float) -> Pinch:
             obstacles=tuple(obstacles),
         )
         if _is_narrow(robot, scene):
-            return Pinch(number, room, arm, robot, scene)
+            return robot, scene
 
 
 def _is_narrow(robot: Robot, scene: Scene) -> bool:

@@ -55,14 +55,12 @@ class PlanarScene:
         space: Its C-space.
         start: (d,) node index.
         goal: (d,) node index.
-        spare_clearance_m: Smaller clearance of start and goal [m].
     """
 
     scene: Scene
     space: Occupancy
     start: IntArray
     goal: IntArray
-    spare_clearance_m: float
 
     @property
     def has_path(self) -> bool:
@@ -103,8 +101,7 @@ def random_scene(robot: Robot, seed: int, number: int) -> PlanarScene:
             world.check_base(robot.yaw_of(scene.start.configuration))
         except InputError:
             continue
-        spare = min(float(world.checker.distances(end.configuration).min()) for end in (scene.start, scene.goal))
-        return PlanarScene(scene, space, pair[0].astype(np.int64), pair[1].astype(np.int64), spare)
+        return PlanarScene(scene, space, pair[0].astype(np.int64), pair[1].astype(np.int64))
 
 
 def discs_in_plane(robot: Robot, discs: FloatArray) -> list[Sphere]:
@@ -217,8 +214,7 @@ def bound_problem(seed: int, number: int) -> tuple[Robot, Scene, str]:
     """Arm, scene and kind of a problem of bounds, from the seed and its number alone."""
     kind, turn = BOUND_KINDS[number % len(BOUND_KINDS)], number // len(BOUND_KINDS)
     if kind == "pinch":
-        drawn = pinch(seed, number, ARMS[turn % len(ARMS)], ROOMS[turn // len(ARMS) % len(ROOMS)])
-        return drawn.robot, drawn.scene, kind
+        return *pinch(seed, number, ARMS[turn % len(ARMS)], ROOMS[turn // len(ARMS) % len(ROOMS)]), kind
     robot, clearance = load_robot(kind), CLEARANCES[turn % len(CLEARANCES)]
     return robot, random_scene(robot, seed, number).scene.model_copy(update={"clearance": clearance}), kind
 

@@ -35,14 +35,12 @@ def arm_sections(
     robot: Robot,
     obstacles: Sequence[ConvexObstacle],
     *,
-    yaw: float = 0.0,
     clearance: ArrayLike = 0.0,
     link_model: LinkModel = "capsule",
 ) -> ArmSections:
-    """Cut all obstacles by the arm plane at one yaw, once for each link (their half-widths differ).
+    """Cut all obstacles by the arm plane at yaw 0, once for each link (their half-widths differ).
 
     Args:
-        yaw: Yaw of the arm plane.
         clearance: Distance to keep from every obstacle [m], one number or one for each.
 
     Raises:
@@ -50,13 +48,13 @@ def arm_sections(
         InputError: An obstacle without core points, or with a point or radius that is not finite.
     """
     prepared = prepare_obstacles(obstacles, clearance=clearance)
-    return sections_at(robot, prepared, yaw, link_model=link_model, within_reach=False)
+    return sections_at(robot, prepared, 0.0, link_model=link_model, within_reach=False)
 
 
-def sampled_occupancy(checker: CoalScene, grid: Grid, yaw: float = 0.0) -> BoolArray:
-    """Mask of a grid over the planar joints: True where coal finds some link in contact with an obstacle."""
+def sampled_occupancy(checker: CoalScene, grid: Grid) -> BoolArray:
+    """Mask of a grid over the planar joints, at yaw 0: True where coal finds some link in contact with an obstacle."""
     nodes = grid.coordinates(np.stack(np.unravel_index(np.arange(grid.size), grid.shape), axis=-1))
-    q = np.column_stack([np.full(len(nodes), yaw), nodes]) if checker.robot.has_yaw else nodes
+    q = np.column_stack([np.zeros(len(nodes)), nodes]) if checker.robot.has_yaw else nodes
     return checker.in_collision(q).reshape(grid.shape)
 
 
@@ -78,13 +76,11 @@ def planar_sections(
     half_widths: FloatArray,
     *,
     link_model: LinkModel = "capsule",
-    names: Sequence[str] | None = None,
 ) -> ArmSections:
     """Sections of obstacles given in the arm plane itself, not yet grown by any link."""
     one_of("link_model", link_model, LINK_MODELS)
     hulls = [RoundedPolygon(convex_hull(section.vertices), section.radius) for section in sections]
-    default = tuple(f"section {index}" for index in range(len(sections)))
-    names = default if names is None else tuple(names)
+    names = tuple(f"section {index}" for index in range(len(sections)))
     if link_model == "rectangle":
         for name, hull in zip(names, hulls, strict=True):
             if len(hull.vertices) != 1:

@@ -19,10 +19,10 @@ CUBE, _SPHERE, CYLINDER, LINE_STRIP, LINE_LIST, SPHERE_LIST, TEXT, TRIANGLES = 1
 ADD, DELETE, DELETE_ALL = 0, 2, 3
 
 
-def head(*, frame_id: str, ns: str, number: int, stamp_ns: int = 0) -> Marker:
+def head(*, frame_id: str, ns: str, number: int) -> Marker:
     """What every marker has; at time 0 it stays where its frame is."""
     return {
-        "header": {"stamp": message_time(stamp_ns), "frame_id": frame_id},
+        "header": {"stamp": message_time(0), "frame_id": frame_id},
         "ns": ns,
         "id": number,
         "action": ADD,

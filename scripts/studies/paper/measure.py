@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple, TypeVar
 
 import numpy as np
 from studies.harness import Row, plain, table
-from studies.measure import environment
+from studies.measure import environment, median_ms
 from studies.paper.plain import RESTORATIONS, PlainTwoLevel, Restoration, path_found, plain_two_level
 from studies.planar_cspace import arm_sections, joint_grid
 
@@ -174,13 +173,8 @@ def demonstration() -> tuple[Occupancy, IntArray, IntArray]:
 
 
 def _timed(work: Callable[[], _T], repetitions: int) -> tuple[_T, float]:
-    """The result and the median time of some runs [ms]; one before all warms up."""
-    result, times = work(), []
-    for _ in range(repetitions):
-        begin = time.perf_counter()
-        work()
-        times.append(1e3 * (time.perf_counter() - begin))
-    return result, float(np.median(times))
+    """The result and the median CPU time of some runs [ms]."""
+    return work(), median_ms(work, repetitions)
 
 
 def _run(result: SearchResult, ms: float, scale: float = 1.0) -> Run:

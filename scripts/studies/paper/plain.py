@@ -8,7 +8,6 @@ one waypoint alone, it does not. The first reading is the default.
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 from typing import Literal, TypeAlias, get_args
 
@@ -34,8 +33,6 @@ class PlainTwoLevel:
         expansions: Slice -> nodes expanded there.
         union: (N1, N2, N3) mask of the sparse graph's nodes.
         second: Search on the union.
-        layer_s: Time of the slices [s].
-        total_s: Time of all of it [s].
     """
 
     paths: dict[int, IntArray]
@@ -43,8 +40,6 @@ class PlainTwoLevel:
     expansions: dict[int, int]
     union: BoolArray
     second: SearchResult
-    layer_s: float
-    total_s: float
 
 
 def plain_two_level(
@@ -64,7 +59,6 @@ def plain_two_level(
         last_slice: Last slice searched, not below the goal's; by default the goal's.
         restoration: What is carried back towards the start.
     """
-    begin = time.perf_counter()
     flat = _slice_grid(occupancy.grid)
     last = int(goal[2]) if last_slice is None else last_slice
     paths: dict[int, IntArray] = {}
@@ -75,11 +69,9 @@ def plain_two_level(
         expansions[number] = result.expansions.total
         if result.path is not None:
             paths[number] = at_height(result.path, number)
-    layers_done = time.perf_counter()
     heads = carried_back(occupancy, paths, int(start[2]), restoration)
     union, second = second_level(occupancy, [*paths.values(), *heads.values()], start, goal)
-    done = time.perf_counter()
-    return PlainTwoLevel(paths, heads, expansions, union, second, layers_done - begin, done - begin)
+    return PlainTwoLevel(paths, heads, expansions, union, second)
 
 
 def carried_back(

@@ -465,24 +465,22 @@ def contacts(
     base: Moves | None = None,
     begin_s: float = 0.0,
     windows: Sequence[Window] = (),
-    skip: bool = True,
 ) -> list[Contact]:
     """All pairs that touch along a motion.
 
     Args:
         begin_s: When the motion's time 0 is on the clock of the tracks [s].
         windows: When what the last joint carries may touch an obstacle.
-        skip: False to look at every pair at every tick, which takes long.
     """
     look = _Look(arm, motion, things, base, begin_s)
-    found = [look.pair(a, b, skip) for a, b in arm.own_pairs]
+    found = [look.pair(a, b) for a, b in arm.own_pairs]
     for number, thing in enumerate(things):
         near = look.near(thing)
         for k, body in enumerate(arm.bodies):
             allowed = [
                 each for each in windows if each.name == thing.name and arm.carrier(body.joint) == arm.last_joint
             ]
-            found.append(look.obstacle(k, number, near[:, k], allowed, skip))
+            found.append(look.obstacle(k, number, near[:, k], allowed))
     return [contact for contact in found if contact is not None]
 
 
@@ -541,11 +539,11 @@ class _Look:
         first, middle, last = gone[[a for a, _ in self.edges]], gone[self.middles], gone[[c for _, c in self.edges]]
         return np.maximum(middle - first, last - middle)
 
-    def obstacle(self, k: int, number: int, near: Any, allowed: Sequence[Window], skip: bool) -> Contact | None:
+    def obstacle(self, k: int, number: int, near: Any, allowed: Sequence[Window]) -> Contact | None:
         """A body against an obstacle."""
         arm, thing = self.arm, self.things[number]
         moves = self.base is not None or thing.moves is not None
-        pieces = [edge for edge, each in zip(self.edges, near.tolist(), strict=True) if each or not skip]
+        pieces = [edge for edge, each in zip(self.edges, near.tolist(), strict=True) if each]
         if arm.standing[k] and not moves:
             pieces = [(0, 0)]
         for window in allowed:
@@ -558,7 +556,7 @@ class _Look:
             return arm.apart(k, self.places(tick)[k], thing, self.where(number, tick), within)
 
         gone = self.gone[:, k] + self._travel(thing)
-        return self._search(apart, gone, pieces, least, (arm.bodies[k].name, thing.name), skip)
+        return self._search(apart, gone, pieces, least, (arm.bodies[k].name, thing.name))
 
     def _without(self, pieces: Sequence[tuple[int, int]], window: Window) -> Iterator[tuple[int, int]]:
         """Pieces without the ticks of a window."""
@@ -569,25 +567,23 @@ class _Look:
                 breaks = np.flatnonzero(np.diff(ticks) > 1)
                 yield from zip(ticks[np.r_[0, breaks + 1]].tolist(), ticks[np.r_[breaks, -1]].tolist(), strict=True)
 
-    def pair(self, a: int, b: int, skip: bool) -> Contact | None:
+    def pair(self, a: int, b: int) -> Contact | None:
         """Two bodies of the arm."""
         joints = self.arm.between(a, b)
         gone = self.turned[:, joints] @ (self.levers[a] + self.levers[b])[joints]
         apart = np.linalg.norm(self.centres[:, a] - self.centres[:, b], axis=1) - self.radii[a] - self.radii[b]
         near = apart <= self._come(gone)
-        pieces = [edge for edge, each in zip(self.edges, near.tolist(), strict=True) if each or not skip]
+        pieces = [edge for edge, each in zip(self.edges, near.tolist(), strict=True) if each]
 
         def distance_at(tick: int, within: float) -> float:
             return self.arm.own((a, b), self.places(tick), within)
 
-        return self._search(
-            distance_at, gone, pieces, CONTACT_M, (self.arm.bodies[a].name, self.arm.bodies[b].name), skip
-        )
+        names = self.arm.bodies[a].name, self.arm.bodies[b].name
+        return self._search(distance_at, gone, pieces, CONTACT_M, names)
 
     def _search(
-        self, apart: Any, gone: FloatArray, pieces: Sequence[tuple[int, int]], least: float, names: tuple[str, str],
-        skip: bool,
-    ) -> Contact | None:  # fmt: skip
+        self, apart: Any, gone: FloatArray, pieces: Sequence[tuple[int, int]], least: float, names: tuple[str, str]
+    ) -> Contact | None:
         """The contact of a pair in pieces of the motion, each halved where it is not free as a whole."""
         stack, touching = list(pieces), False
         while stack and not touching:
@@ -596,7 +592,7 @@ class _Look:
             come = max(gone[m] - gone[a], gone[c] - gone[m])
             found = apart(m, come)
             touching = found < -least
-            if found <= come or not skip:
+            if found <= come:
                 stack += [piece for piece in ((a, m - 1), (m + 1, c)) if piece[0] <= piece[1]]
         if not touching:
             return None

@@ -54,7 +54,7 @@ def rows_of(study: str, out: Path, *options: str) -> list[dict]:
     ],
 )
 def test_a_study_runs(study: str, first: int, tmp_path: Path) -> None:
-    rows = rows_of(study, tmp_path, "--first", str(first))
+    rows = rows_of(study, tmp_path, "--first", str(first), "--effort", "quick")
     assert rows
     assert not any(row["fault"] for row in rows if "fault" in row)
     assert len({row["name"] for row in rows}) == len(rows)

@@ -48,7 +48,10 @@ def distance_from_bodies(point: Vector, rows: FloatArray, data: FloatArray, enou
         elif kind == row.BOX:
             apart = _box_distance((-dx, -dy, -dz), rows[s])
         elif kind == row.HULL:
-            apart = point_hull(point, data, int(ax), int(ay), int(az), limit + rows[s, row.RADIUS])
+            most = limit + rows[s, row.RADIUS]
+            apart = point_hull(point, data, int(ax), int(ay), int(az), most)
+            if apart >= most and apart > 0.0:  # it may be farther than that number
+                continue
         elif kind == row.LEAF:
             for p in range(int(rows[s, row.POINTS]), int(rows[s, row.POINTS_END]), 3):
                 apart = min(apart, point_segment((data[p], data[p + 1], data[p + 2]), point, still))

@@ -14,7 +14,7 @@ from hplan.collision.coal_cloud import distance_from
 from hplan.collision.obstacle_rows import solid_rows
 from hplan.errors import InputError, OptionError
 from hplan.online.arm_shape import arm_solids, reach_ball
-from hplan.online.body_distances import distances_from_bodies
+from hplan.online.body_distances import distance_from_bodies, distances_from_bodies
 from hplan.online.frame import CloudOptions, Frame, SeenPoints, filter_frame
 from hplan.online.frame_kernels import Scratch
 from hplan.robot.model import load_robot
@@ -116,6 +116,19 @@ def test_distances_of_points_from_solids_of_all_kinds(seed):
         np.testing.assert_allclose(found[outside], expected[outside], atol=3e-6)
         assert (found[~outside] <= 2e-5).all()
     assert (distances_from_bodies(points, *solid_rows([], 0.0)) == np.inf).all()
+
+
+def test_a_distance_asked_for_up_to_a_limit_is_that_distance_or_none():
+    rng = np.random.default_rng(0)
+    solids = [hull_of(rng.normal(size=(12, 3)) * 0.3 + [1.0, 0.0, 1.1], "hull"), *random_obstacles(rng, 4)]
+    rows, data = solid_rows(solids, 0.03)
+    points = np.concatenate([solid.core for solid in solids])
+    points = points[rng.integers(0, len(points), 5000)] + rng.normal(0.0, 0.05, (5000, 3))
+    expected = distances_from_bodies(points, rows, data)
+    assert ((expected > 0.0) & (expected < 0.01)).sum() > 100
+    for limit in (0.0, 0.05):
+        found = np.array([distance_from_bodies(tuple(point), rows, data, limit) for point in points])
+        np.testing.assert_allclose(found, np.where(expected <= limit, expected, np.inf), atol=1e-12)
 
 
 def test_the_arm_is_in_its_reach_ball(robot):

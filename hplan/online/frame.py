@@ -266,16 +266,15 @@ def filter_frame(
     arm = Bodies(*solid_rows([] if frame.joints is None else arm_solids(robot, frame.joints), options.arm_padding_m))
     left_out = Bodies(*solid_rows(ignored, options.ignore_padding_m))
     scratch = Scratch() if scratch is None else scratch
-    voxels, in_voxel, tally = scratch.put_into_voxels(frame.points, placement, arm, left_out)
+    voxels, staying, in_voxel, tally = scratch.put_into_voxels(frame.points, placement, arm, left_out)
     isolated = np.zeros(len(voxels), dtype=np.bool_)
     if options.least_points > 1:
         mark_isolated(voxels, placement, options.least_points, options.neighbour_m, isolated)
-    points, growth_m = middles(frame.points, placement, in_voxel, voxels, isolated)
-    counts = voxels[(voxels[:, COUNT] > 0) & ~isolated, COUNT]
+    points, growth_m = middles(staying, in_voxel, voxels, isolated)
     if swept is not None:
         # The ball about all that is swept holds more than that; a point is no farther from that of its voxel than this.
         near = swept.comes_near(frame.listed(points), growth_m)
-        tally[OUT_OF_REACH] += int(counts[~near].sum())
+        tally[OUT_OF_REACH] += int(voxels[~isolated, COUNT][~near].sum())
         points = points[near]
     kept = len(points)
     old, forgotten = SeenPoints(), 0

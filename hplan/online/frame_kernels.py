@@ -1,10 +1,9 @@
-"""Kernels of `hplan.online.frame`: one pass over a frame's points, which puts those that stay into voxels.
+"""Kernels of `hplan.online.frame`: a frame's points that stay, put into voxels of a regular grid in `base_link`.
 
-A voxel of a regular grid in `base_link` is made when the first point falls into it. Then it is decided, by the distance
-of its middle from a body, whether all its points are in the body, none, or some: only of the last kind every point is
-asked. So a point costs what it takes to find its voxel, and the body costs what there are of voxels at its surface.
-Points of few bodies that are to be ignored, such as the ground, are known as such without a voxel: seen from afar there
-are as many voxels as points.
+Voxels stand in blocks of 4 x 4 x 4. A block is made when the first point falls into it. Then it is decided, by the
+distance of its middle from a body, whether all its points are in the body, none, or some: only of the last kind every
+point is asked. What stays is sorted by blocks, so that a block's voxels are filled one after another: what a point
+changes is in the processor's cache, in whatever order points come, and voxels near to one another are listed so.
 """
 
 from __future__ import annotations
@@ -22,22 +21,22 @@ from hplan.online.body_distances import Bodies, distance_from_bodies
 #: Places in a tally: rows that are not finite, points out of reach, of the arm, of what is ignored.
 NOT_FINITE, OUT_OF_REACH, OF_ARM, IGNORED = 0, 1, 2, 3
 
-#: How much of a voxel is in a body.
+#: How much of a block is in a body.
 _NONE, _ALL, _SOME = 0, 1, 2
 
-#: In place of the number of a voxel: all of it is of the arm, or of what is ignored.
-_ARM_ALONE, _IGNORED_ALONE = -2, -3
+#: Columns of the hash table, which has open addressing and is as large as a power of two: the packed place of a block,
+#: -1 where there is none, and its number.
+_KEY, _VALUE = 0, 1
 
-#: Columns of the hash table, which has open addressing and is as large as a power of two: the packed place of a voxel,
-#: -1 where there is none; and `_PARTS` times its number, and how much of it is in the arm, and four times how much is
-#: in what is ignored. What a point changes stands together: going to memory takes as long as all the rest.
-_KEY, _VALUE, _PARTS = 0, 1, 16
+#: Columns of a block: how much of it is in the arm, and four times how much in what is ignored; how many points it has.
+_PART, _POINTS = 0, 1
+
+#: A block has so many voxels along each side, a power of two by so many bits.
+_BITS = any_int(2)
+_SIDE = any_int(4)
 
 #: Column of a voxel with how many points it has, behind the least and largest coordinates of its points.
 COUNT = 6
-
-#: Of no more bodies than this to be ignored each point is asked that is not in the voxel of the one before.
-_FEW = any_int(4)
 
 #: Places along an axis are counted from the middle of reach, this much added; so three fit one number.
 BITS, MIDDLE = 21, 2**20
@@ -61,21 +60,13 @@ class Placement(NamedTuple):
 
 @kernel
 def _part_inside(middle: Vector, rows: FloatArray, data: FloatArray, half: float) -> int:
-    """How much of a voxel of half a diagonal can be in a body."""
+    """How much of a block of half a diagonal can be in a body."""
     if rows.shape[0] == 0:
         return _NONE
     apart = distance_from_bodies(middle, rows, data, half)
     if apart > half:
         return _NONE
     return _ALL if apart <= -half else _SOME
-
-
-@kernel
-def _is_inside(part: int, point: Vector, rows: FloatArray, data: FloatArray) -> bool:
-    """Whether a point of a voxel of which so much is in a body is in it."""
-    if part == _SOME:
-        return distance_from_bodies(point, rows, data, 0.0) <= 0.0
-    return part == _ALL
 
 
 @inlined
@@ -94,13 +85,15 @@ class Scratch:
     """
 
     def __init__(self) -> None:
-        self._numbers: ShortArray = np.empty(0, dtype=np.int32)
-        first_voxels = 16_384
-        self._voxels, self._table = _room_for(first_voxels)
+        self._rows: ShortArray = np.empty((3, 0), dtype=np.int32)
+        self._placed: FloatArray = np.empty((0, 3))
+        self._voxels: FloatArray = np.empty((0, COUNT + 1))
+        first_blocks = 4096
+        self._blocks, self._table = _room_for(first_blocks)
 
     def put_into_voxels(
         self, points: FloatArray, placement: Placement, arm: Bodies, ignored: Bodies
-    ) -> tuple[FloatArray, ShortArray, IntArray]:
+    ) -> tuple[FloatArray, FloatArray, ShortArray, IntArray]:
         """Put the points of a frame that stay into voxels.
 
         Args:
@@ -110,29 +103,36 @@ class Scratch:
             ignored: What is to be left out, grown by its padding.
 
         Returns:
-            (m, 7) the voxels that may hold points which stay, as they first appear: least and largest coordinates of
-            their points [m], and how many; (n,) the voxel of each point, -1 where it does not stay; (4,) how many do
-            not stay, by the reason. All but the last until the next frame is put.
+            (m, 7) the voxels that hold points which stay: least and largest coordinates of their points [m], and how
+            many; (k, 3) these points in `base_link` [m]; (k,) the voxel of each; (4,) how many do not stay, by the
+            reason. All but the last until the next frame is put.
         """
-        if len(self._numbers) < len(points):
-            self._numbers = np.empty(len(points), dtype=np.int32)
-        numbers, tally = self._numbers[: len(points)], np.zeros(4, dtype=np.int64)
-        done = np.zeros(3, dtype=np.int64)
+        if self._rows.shape[1] < len(points):
+            self._rows = np.empty((3, len(points)), dtype=np.int32)
+        rows, numbers, order = self._rows
+        found = Found(np.zeros(3, dtype=np.int64), rows, numbers, np.zeros(4, dtype=np.int64))
         self._table[:, _KEY] = -1
         while True:
-            _fill(points, placement, arm, ignored, self._voxels, self._table, done, numbers, tally)
-            count = int(done[1])
-            if done[0] == len(points):
-                return self._voxels[:count], numbers, tally
-            more, table = _room_for(4 * len(self._voxels))
-            more[:count] = self._voxels[:count]
+            _find_blocks(points, placement, arm, ignored, self._blocks, self._table, found)
+            looked_at, count, kept = found.done.tolist()
+            if looked_at == len(points):
+                break
+            more, table = _room_for(4 * len(self._blocks))
+            more[:count] = self._blocks
             _copy_table(self._table, table)
-            self._voxels, self._table = more, table
+            self._blocks, self._table = more, table
+        if len(self._placed) < kept:
+            self._placed, self._voxels = np.empty((kept, 3)), np.empty((kept, COUNT + 1))
+        blocks, placed = self._blocks[:count], self._placed[:kept]
+        _sort_by_block(points, placement, found, blocks, order, placed)
+        # Of the sorted points the blocks are known: voxels are numbered where these stood.
+        voxels = _fill(placed, placement, blocks, self._voxels, numbers)
+        return self._voxels[:voxels], placed, numbers[:kept], found.tally
 
 
-def _room_for(count: int) -> tuple[FloatArray, IntArray]:
-    """Room for so many voxels, and a table with none in it."""
-    return np.empty((count, COUNT + 1)), np.full((2 * count, 2), -1, dtype=np.int64)
+def _room_for(count: int) -> tuple[IntArray, IntArray]:
+    """Room for so many blocks, and a table with none in it."""
+    return np.empty((count, 2), dtype=np.int64), np.full((4 * count, 2), -1, dtype=np.int64)
 
 
 @inlined
@@ -142,9 +142,13 @@ def _packed(i: int, j: int, k: int) -> int:
 
 @kernel
 def _place(key: int, table: IntArray) -> int:
-    """Where a key stands in a table, or where it belongs: there stands -1."""
+    """Where a key stands in a table, or where it belongs: there stands -1.
+
+    Four cells in a row have places in a row: going to memory takes as long as all the rest.
+    """
     mask = len(table) - 1
-    place: int = np.int64((np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)) >> np.uint64(38)) & mask  # type: ignore[assignment]
+    row: int = np.int64((np.uint64(key >> 2) * np.uint64(0x9E3779B97F4A7C15)) >> np.uint64(38))  # type: ignore[assignment]
+    place = ((row << 2) | (key & 3)) & mask
     while table[place, _KEY] >= 0 and table[place, _KEY] != key:
         place = (place + 1) & mask
     return place
@@ -158,22 +162,36 @@ def _copy_table(smaller: IntArray, table: IntArray) -> None:
             table[place, _KEY], table[place, _VALUE] = smaller[entry, _KEY], smaller[entry, _VALUE]
 
 
+class Found(NamedTuple):
+    """What `_find_blocks` has found so far.
+
+    Attributes:
+        done: How many points were looked at, how many blocks there are, how many points stay.
+        rows: The rows of the points that stay.
+        in_block: The block of each of these.
+        tally: How many points do not stay, by the reason.
+    """
+
+    done: IntArray
+    rows: ShortArray
+    in_block: ShortArray
+    tally: IntArray
+
+
 # The arrays stay the same in here: where a loop makes larger ones, numba counts all of them at every turn, 200 ns.
 @kernel
-def _fill(
-    points: FloatArray, placement: Placement, arm: Bodies, ignored: Bodies, voxels: FloatArray, table: IntArray,
-    done: IntArray, numbers: ShortArray, tally: IntArray,
+def _find_blocks(
+    points: FloatArray, placement: Placement, arm: Bodies, ignored: Bodies, blocks: IntArray, table: IntArray,
+    found: Found,
 ) -> None:  # fmt: skip
-    """Put points into voxels until all are, or there is no room for another voxel.
-
-    `done` has how many points were put before, how many voxels there are, and how many places of the table are used.
-    """
+    """Find the blocks of the points that stay until all are, or there is no room for another block."""
     rotation, position, reach, edge = placement.rotation, placement.position, placement.reach, placement.edge[0]
-    per_metre, square = 1.0 / edge, reach[3] * reach[3]
-    last, number, part, few = -1, 0, _NONE, ignored.rows.shape[0] <= _FEW
-    first, count, used = done[0], done[1], done[2]
+    done, rows, in_block, tally = found.done, found.rows, found.in_block, found.tally
+    arm_rows, arm_data, ignored_rows, ignored_data = arm.rows, arm.data, ignored.rows, ignored.data
+    per_metre, square, side = 1.0 / edge, reach[3] * reach[3], _SIDE * edge
+    last, number, part = -1, 0, _NONE
+    first, count, kept = done[0], done[1], done[2]
     for n in range(first, points.shape[0]):
-        numbers[n] = -1
         if not (math.isfinite(points[n, 0]) and math.isfinite(points[n, 1]) and math.isfinite(points[n, 2])):
             tally[NOT_FINITE] += 1
             continue
@@ -185,79 +203,114 @@ def _fill(
             tally[OUT_OF_REACH] += 1
             continue
         i, j, k = math.floor(dx * per_metre), math.floor(dy * per_metre), math.floor(dz * per_metre)
+        i, j, k = i >> _BITS, j >> _BITS, k >> _BITS
         key = _packed(i, j, k)
-        if key != last:  # neighbours in a frame are often in one voxel
-            if few and _is_ignored_alone((x, y, z), arm, ignored):
-                tally[IGNORED] += 1
-                continue
+        if key != last:  # neighbours in a frame are often in one block
             place = _place(key, table)
             if table[place, _KEY] < 0:
-                if count == len(voxels) or 2 * used >= len(table):
-                    done[0], done[1], done[2] = n, count, used
+                if count == len(blocks):
+                    done[0], done[1], done[2] = n, count, kept
                     return
-                middle = (reach[0] + (i + 0.5) * edge, reach[1] + (j + 0.5) * edge, reach[2] + (k + 0.5) * edge)
-                part = _parts_inside(middle, arm, ignored, edge)
-                table[place, _KEY], table[place, _VALUE] = key, part
-                used += 1
-                if part >= 0:
-                    table[place, _VALUE], voxels[count, COUNT] = _PARTS * count + part, 0.0
-                    for axis in range(3):
-                        voxels[count, axis], voxels[count, 3 + axis] = math.inf, -math.inf
-                    count += 1
+                middle = (reach[0] + (i + 0.5) * side, reach[1] + (j + 0.5) * side, reach[2] + (k + 0.5) * side)
+                blocks[count, _PART], blocks[count, _POINTS] = _parts_inside(middle, arm, ignored, side), 0
+                table[place, _KEY], table[place, _VALUE] = key, count
+                count += 1
             last, number = key, table[place, _VALUE]
-            if number >= 0:
-                number, part = number // _PARTS, number % _PARTS
-        if number < 0:
-            tally[OF_ARM if number == _ARM_ALONE else IGNORED] += 1
-            continue
+            part = blocks[number, _PART]
         if part != _NONE:
-            if _is_inside(part % 4, (x, y, z), arm.rows, arm.data):
+            of_arm, of_ignored = part % 4, part // 4
+            if of_arm == _ALL or (of_arm == _SOME and distance_from_bodies((x, y, z), arm_rows, arm_data, 0.0) <= 0.0):
                 tally[OF_ARM] += 1
                 continue
-            if _is_inside(part // 4, (x, y, z), ignored.rows, ignored.data):
+            if of_ignored == _ALL or (
+                of_ignored == _SOME and distance_from_bodies((x, y, z), ignored_rows, ignored_data, 0.0) <= 0.0
+            ):
                 tally[IGNORED] += 1
                 continue
-        numbers[n] = number
-        voxels[number, COUNT] += 1.0
-        voxels[number, 0], voxels[number, 3] = min(voxels[number, 0], x), max(voxels[number, 3], x)
-        voxels[number, 1], voxels[number, 4] = min(voxels[number, 1], y), max(voxels[number, 4], y)
-        voxels[number, 2], voxels[number, 5] = min(voxels[number, 2], z), max(voxels[number, 5], z)
-    done[0], done[1], done[2] = points.shape[0], count, used
+        rows[kept], in_block[kept] = n, number
+        blocks[number, _POINTS] += 1
+        kept += 1
+    done[0], done[1], done[2] = points.shape[0], count, kept
 
 
 @kernel
-def _is_ignored_alone(point: Vector, arm: Bodies, ignored: Bodies) -> bool:
-    """Whether a point is in what is to be ignored, and not in the arm, which comes first."""
-    return (
-        distance_from_bodies(point, ignored.rows, ignored.data, 0.0) <= 0.0
-        and distance_from_bodies(point, arm.rows, arm.data, 0.0) > 0.0
-    )
-
-
-@kernel
-def _parts_inside(middle: Vector, arm: Bodies, ignored: Bodies, edge: float) -> int:
-    """How much of a voxel is in the arm, and four times how much in what is ignored; less than 0 where none stays."""
-    half = 0.5 * math.sqrt(3.0) * edge
+def _parts_inside(middle: Vector, arm: Bodies, ignored: Bodies, side: float) -> int:
+    """How much of a block is in the arm, and four times how much in what is ignored."""
+    half = 0.5 * math.sqrt(3.0) * side
     of_arm = _part_inside(middle, arm.rows, arm.data, half)
-    if of_arm == _ALL:
-        return _ARM_ALONE
-    of_ignored = _part_inside(middle, ignored.rows, ignored.data, half)
-    return _IGNORED_ALONE if of_arm == _NONE and of_ignored == _ALL else of_arm + 4 * of_ignored
+    return of_arm + 4 * _part_inside(middle, ignored.rows, ignored.data, half)
+
+
+@kernel
+def _sort_by_block(
+    points: FloatArray, placement: Placement, found: Found, blocks: IntArray, order: ShortArray, placed: FloatArray
+) -> None:
+    """Write the points that stay in the order of their blocks; a block gets where those after it begin."""
+    rotation, position, rows, in_block = placement.rotation, placement.position, found.rows, found.in_block
+    begin = 0
+    for number in range(len(blocks)):
+        count = blocks[number, _POINTS]
+        blocks[number, _POINTS] = begin
+        begin += count
+    for place in range(begin):
+        number = in_block[place]
+        order[blocks[number, _POINTS]] = rows[place]
+        blocks[number, _POINTS] += 1
+    for place in range(begin):
+        n = order[place]
+        placed[place, 0], placed[place, 1], placed[place, 2] = _transformed(
+            np.float64(points[n, 0]), np.float64(points[n, 1]), np.float64(points[n, 2]), rotation, position
+        )
+
+
+@kernel
+def _fill(placed: FloatArray, placement: Placement, blocks: IntArray, voxels: FloatArray, numbers: ShortArray) -> int:
+    """Write the voxels of points sorted by their blocks, and the voxel of each; return how many voxels there are."""
+    reach, per_metre, within = placement.reach, 1.0 / placement.edge[0], _SIDE - 1
+    # The voxels of a block, -1 where there is none.
+    known = np.empty(_SIDE * _SIDE * _SIDE, dtype=np.int64)
+    count, begin = 0, 0
+    for block in range(len(blocks)):
+        for slot in range(len(known)):
+            known[slot] = -1
+        for place in range(begin, blocks[block, _POINTS]):
+            x, y, z = placed[place, 0], placed[place, 1], placed[place, 2]
+            i, j, k = (
+                math.floor((x - reach[0]) * per_metre) & within,
+                math.floor((y - reach[1]) * per_metre) & within,
+                math.floor((z - reach[2]) * per_metre) & within,
+            )
+            slot = (i * _SIDE + j) * _SIDE + k
+            number = known[slot]
+            if number < 0:
+                number = known[slot] = count
+                count += 1
+                voxels[number, COUNT] = 0.0
+                for axis in range(3):
+                    voxels[number, axis], voxels[number, 3 + axis] = math.inf, -math.inf
+            numbers[place] = number
+            voxels[number, COUNT] += 1.0
+            voxels[number, 0], voxels[number, 3] = min(voxels[number, 0], x), max(voxels[number, 3], x)
+            voxels[number, 1], voxels[number, 4] = min(voxels[number, 1], y), max(voxels[number, 4], y)
+            voxels[number, 2], voxels[number, 5] = min(voxels[number, 2], z), max(voxels[number, 5], z)
+        begin = blocks[block, _POINTS]
+    return count
 
 
 @kernel
 def mark_isolated(voxels: FloatArray, placement: Placement, least: int, distance: float, isolated: BoolArray) -> None:
     """Mark voxels with few points about them: in voxels whose boxes are within a distance of theirs.
 
-    Voxels stand in larger cells, by the first corners of their boxes: of two within the distance these are in one cell,
-    or in two that touch.
+    Voxels stand in larger cells, by the first corners of their boxes: those within the distance of one are in two cells
+    along each axis at most.
 
     Args:
         distance: A point with so many within this distance, itself among them, stays [m].
         isolated: (m,) written.
     """
-    reach = placement.reach
-    edge = max(distance, placement.edge[0]) + placement.edge[0]
+    # The points of a voxel may be farther apart than its edge by what is rounded.
+    middle, edge = placement.reach, (1.0 + 1e-9) * placement.edge[0]
+    side, square = 2.0 * (distance + edge), distance * distance
     size = 64
     while size < 2 * len(voxels):
         size *= 2
@@ -265,60 +318,73 @@ def mark_isolated(voxels: FloatArray, placement: Placement, least: int, distance
     cells = np.full((size, 2), -1, dtype=np.int64)
     before = np.empty(len(voxels), dtype=np.int32)
     for number in range(len(voxels)):
-        if voxels[number, COUNT] > 0:
-            key = _cell_of(voxels[number], reach, edge)
-            place = _place(key, cells)
-            before[number] = cells[place, _VALUE]
-            cells[place, _KEY], cells[place, _VALUE] = key, number
+        i, j, k = _cells_at(voxels[number, 0], voxels[number, 1], voxels[number, 2], middle, side)
+        key = _packed(i, j, k)
+        place = _place(key, cells)
+        before[number] = cells[place, _VALUE]
+        cells[place, _KEY], cells[place, _VALUE] = key, number
     for number in range(len(voxels)):
-        if 0 < voxels[number, COUNT] < least:
-            near, key = 0.0, _cell_of(voxels[number], reach, edge)
-            for turn in range(27):
-                if near >= least:
-                    break
-                step = (turn + 13) % 27  # its own cell first
-                offset = ((step // 9 - 1) << (2 * BITS)) + ((step // 3 % 3 - 1) << BITS) + step % 3 - 1
-                other = cells[_place(key + offset, cells), _VALUE]
-                while other >= 0 and near < least:
-                    if _box_gap(voxels[number], voxels[other]) <= distance:
-                        near += voxels[other, COUNT]
-                    other = before[other]
-            isolated[number] = near < least
+        if voxels[number, COUNT] >= least or _has_enough(voxels, number, least, square):
+            continue
+        back, x, y, z = distance + edge, voxels[number, 0], voxels[number, 1], voxels[number, 2]
+        first = _cells_at(x - back, y - back, z - back, middle, side)
+        x, y, z = voxels[number, 3] + distance, voxels[number, 4] + distance, voxels[number, 5] + distance
+        last = _cells_at(x, y, z, middle, side)
+        near = 0.0
+        for i in range(first[0], last[0] + 1):
+            for j in range(first[1], last[1] + 1):
+                for k in range(first[2], last[2] + 1):
+                    other = cells[_place(_packed(i, j, k), cells), _VALUE]
+                    while other >= 0 and near < least:
+                        if _are_near(voxels, number, other, square):
+                            near += voxels[other, COUNT]
+                        other = before[other]
+        isolated[number] = near < least
 
 
 @inlined
-def _box_gap(a: FloatArray, b: FloatArray) -> float:
-    """Distance between two boxes of least and largest coordinates."""
-    x = max(0.0, max(a[0] - b[3], b[0] - a[3]))
-    y = max(0.0, max(a[1] - b[4], b[1] - a[4]))
-    z = max(0.0, max(a[2] - b[5], b[2] - a[5]))
-    return math.sqrt(x * x + y * y + z * z)
+def _cells_at(x: float, y: float, z: float, middle: FloatArray, side: float) -> tuple[int, int, int]:
+    return math.floor((x - middle[0]) / side), math.floor((y - middle[1]) / side), math.floor((z - middle[2]) / side)
+
+
+@kernel
+def _has_enough(voxels: FloatArray, number: int, least: int, square: float) -> bool:
+    """Whether there is enough about a voxel in the few that are listed beside it, which are most often near."""
+    near = voxels[number, COUNT]
+    for step in range(1, 5):
+        before, after = number - step, number + step
+        if before >= 0 and _are_near(voxels, number, before, square):
+            near += voxels[before, COUNT]
+        if after < len(voxels) and _are_near(voxels, number, after, square):
+            near += voxels[after, COUNT]
+        if near >= least:
+            return True
+    return False
 
 
 @inlined
-def _cell_of(box: FloatArray, middle: FloatArray, edge: float) -> int:
-    return _packed(
-        math.floor((box[0] - middle[0]) / edge),
-        math.floor((box[1] - middle[1]) / edge),
-        math.floor((box[2] - middle[2]) / edge),
-    )
+def _are_near(voxels: FloatArray, a: int, b: int, square: float) -> bool:
+    """Whether the square of the distance between the boxes of two voxels is at most that."""
+    x = max(0.0, max(voxels[a, 0] - voxels[b, 3], voxels[b, 0] - voxels[a, 3]))
+    y = max(0.0, max(voxels[a, 1] - voxels[b, 4], voxels[b, 1] - voxels[a, 4]))
+    z = max(0.0, max(voxels[a, 2] - voxels[b, 5], voxels[b, 2] - voxels[a, 5]))
+    return bool(x * x + y * y + z * z <= square)
 
 
 @kernel
 def middles(
-    points: FloatArray, placement: Placement, numbers: ShortArray, voxels: FloatArray, dropped: BoolArray
+    points: FloatArray, numbers: ShortArray, voxels: FloatArray, dropped: BoolArray
 ) -> tuple[FloatArray, float]:
     """One point for each voxel: the middle of the box about its points.
 
     Args:
-        points: (n, 3) points in the camera's frame [m].
-        numbers: (n,) the voxel of each point; -1 for none.
+        points: (n, 3) points [m].
+        numbers: (n,) the voxel of each.
         dropped: (m,) voxels that do not stay.
 
     Returns:
         (k, 3) points, and the largest distance of a point from the one of its voxel [m].
     """
-    rotation, position = placement.rotation, placement.position
     found, halves = np.empty((len(voxels), 3)), np.empty(len(voxels))
     for number in range(len(voxels)):
         square = 0.0
@@ -329,17 +395,16 @@ def middles(
         halves[number] = square if voxels[number, COUNT] > 1 and not dropped[number] else -1.0
     # No point is farther than half the diagonal of its box: most voxels need no second look.
     growth = 0.0
-    for n in range(points.shape[0]):
-        number = numbers[n]
-        if number >= 0 and halves[number] > growth:
-            x, y, z = _transformed(
-                np.float64(points[n, 0]), np.float64(points[n, 1]), np.float64(points[n, 2]), rotation, position
-            )
-            dx, dy, dz = x - found[number, 0], y - found[number, 1], z - found[number, 2]
-            growth = max(growth, dx * dx + dy * dy + dz * dz)
+    for place in range(len(numbers)):
+        number = numbers[place]
+        if halves[number] > growth:
+            square = 0.0
+            for axis in range(3):
+                square += (points[place, axis] - found[number, axis]) * (points[place, axis] - found[number, axis])
+            growth = max(growth, square)
     count = 0
     for number in range(len(voxels)):
-        if voxels[number, COUNT] > 0 and not dropped[number]:
+        if not dropped[number]:
             for axis in range(3):
                 found[count, axis] = found[number, axis]
             count += 1

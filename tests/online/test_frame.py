@@ -204,15 +204,26 @@ def test_what_has_enough_about_it_is_no_outlier(robot, seed, distance, least):
 
 
 def test_many_voxels_and_the_memory_of_frames_before(robot):
-    points = np.random.default_rng(0).uniform([0.5, -1, 0.2], [1.5, 1, 1.2], (20_000, 3))
+    rng = np.random.default_rng(0)
+    points = np.repeat(rng.uniform([0.5, -1, 0.2], [1.5, 1, 1.2], (20_000, 3)), 3, axis=0)
+    points = rng.permutation(points + rng.normal(0.0, 2e-3, points.shape))
     frame, scratch = Frame.of(robot, points, radius=RADIUS), Scratch()
     found = filter_frame(robot, frame, CloudOptions(), scratch=scratch)
     filter_frame(robot, Frame.of(robot, points[:99] + 0.1, radius=RADIUS), CloudOptions(), scratch=scratch)
     again = filter_frame(robot, frame, CloudOptions(), scratch=scratch)
     np.testing.assert_array_equal(again.points, found.points)
     assert again.report == found.report
-    cells = np.unique(np.floor((points - reach_ball(robot)[:3]) / (2.0 * 5e-3 / np.sqrt(3.0))), axis=0)
-    assert found.report.kept == len(cells) > 16_384
+    cells = np.floor((points - reach_ball(robot)[:3]) / (2.0 * 5e-3 / np.sqrt(3.0)))
+    blocks = len(np.unique(cells // 4, axis=0))
+    _, number, count = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
+    low, high = np.full((len(count), 3), np.inf), np.full((len(count), 3), -np.inf)
+    np.minimum.at(low, number.ravel(), points)
+    np.maximum.at(high, number.ravel(), points)
+    assert sorted(map(tuple, found.points.round(9))) == sorted(map(tuple, (0.5 * (low + high)).round(9)))
+    growth = np.linalg.norm(points - (0.5 * (low + high))[number.ravel()], axis=1).max()
+    assert found.report.growth_m == pytest.approx(growth, abs=1e-12)
+    assert blocks > 4096  # so that room for them grew
+    assert len(count) < len(points)
 
 
 # What may be given

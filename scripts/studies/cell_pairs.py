@@ -15,6 +15,7 @@ import numpy as np
 import pinocchio as pin
 from studies.harness import Asked, Row, Study
 from studies.measure import timed
+from studies.outside import between_arms
 
 from hplan.base.arrays import FloatArray
 from hplan.errors import HplanError
@@ -38,11 +39,8 @@ class Bodies:
     """Distances of two arms of a cell by coal, the second shifted."""
 
     def __init__(self, cell: Cell, motion: Trajectory) -> None:
-        model, self._geometry = cell.robot.model, pin.GeometryModel(cell.robot.collision_model)
-        self._geometry.removeAllCollisionPairs()
+        model, self._geometry = cell.robot.model, between_arms(cell)
         of_second = [body.name.startswith(f"{cell.arms[1].name}_") for body in self._geometry.geometryObjects]
-        for i, j in np.argwhere(~np.array(of_second)[:, None] & np.array(of_second)).tolist():
-            self._geometry.addCollisionPair(pin.CollisionPair(i, j))
         self._data, data = self._geometry.createData(), model.createData()
         self._second, self._places = np.flatnonzero(of_second).tolist(), []
         for q in motion.positions(np.arange(0.0, motion.duration + LOOK_S, LOOK_S)):

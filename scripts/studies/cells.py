@@ -19,6 +19,7 @@ import pinocchio as pin
 import yaml
 from studies.harness import Asked, Row, Study
 from studies.measure import timed
+from studies.outside import between_arms
 
 from hplan.base.arrays import FloatArray
 from hplan.errors import HplanError, InputError
@@ -136,11 +137,7 @@ def _row(asked: Asked, problem: tuple[str, str, dict[str, Any]]) -> Row:
 
 def _deepest(cell: Cell, q: FloatArray) -> float:
     """Least distance of two bodies of different arms [m], by coal, with the meshes as they are."""
-    model, geometry = cell.robot.model, pin.GeometryModel(cell.robot.collision_model)
-    geometry.removeAllCollisionPairs()
-    arms = [next(arm.name for arm in cell.arms if body.name.startswith(arm.name)) for body in geometry.geometryObjects]
-    for i, j in np.argwhere(np.array(arms)[:, None] < np.array(arms)).tolist():
-        geometry.addCollisionPair(pin.CollisionPair(i, j))
+    model, geometry = cell.robot.model, between_arms(cell)
     data, seen = model.createData(), geometry.createData()
     for each in q:
         if pin.computeCollisions(model, data, geometry, seen, each, True):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
@@ -17,6 +17,7 @@ from studies.validation.judge import TICK_S, Arm, Thing
 
 from hplan.base.arrays import FloatArray
 from hplan.errors import InputError
+from hplan.planning.cell import Cell
 from hplan.robot.files import named_robot
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
@@ -59,6 +60,20 @@ def touching_at(robot: Robot, scene: Scene, clock: FloatArray, motion: Motion) -
 
 def _found(robot: Robot, scene: Scene, motion: judge.Motion) -> list[judge.Contact]:
     return judge.contacts(arm_of(robot), motion, things_of(scene))
+
+
+def between_arms(cell: Cell, more: Sequence[pin.GeometryObject] = ()) -> pin.GeometryModel:
+    """The bodies of a cell with their meshes as they are, and some more, and all pairs of those of different arms."""
+    geometry = pin.GeometryModel(cell.robot.collision_model)
+    geometry.removeAllCollisionPairs()
+    for body in more:
+        geometry.addGeometryObject(body)
+    names = [arm.name for arm in cell.arms]
+    arms = np.array([[body.name.startswith(f"{name}_") for name in names] for body in geometry.geometryObjects])
+    first = arms.argmax(axis=1)
+    for i, j in np.argwhere(first[:, None] < first).tolist():
+        geometry.addCollisionPair(pin.CollisionPair(i, j))
+    return geometry
 
 
 def things_of(scene: Scene) -> list[Thing]:

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
+from studies.outside import between_arms
 
 from hplan import load_robot, plan, read_csv
 from hplan.apps.cli.main import main
@@ -51,11 +52,7 @@ def facing(robot, distance: float, start=TO, goal=FROM, **more) -> Cell:
 
 def apart(cell: Cell, q: np.ndarray) -> float:
     """Least distance of two bodies of different arms, by Pinocchio and coal."""
-    model, geometry = cell.robot.model, pin.GeometryModel(cell.robot.collision_model)
-    geometry.removeAllCollisionPairs()
-    arms = [next(arm.name for arm in cell.arms if body.name.startswith(arm.name)) for body in geometry.geometryObjects]
-    for i, j in np.argwhere(np.array(arms)[:, None] < np.array(arms)).tolist():
-        geometry.addCollisionPair(pin.CollisionPair(i, j))
+    model, geometry = cell.robot.model, between_arms(cell)
     data, seen = model.createData(), geometry.createData()
     found = []
     for each in q:

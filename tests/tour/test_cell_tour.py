@@ -8,6 +8,7 @@ import coal
 import numpy as np
 import pinocchio as pin
 import pytest
+from studies.outside import between_arms
 
 from hplan import load_robot
 from hplan.apps.cli.main import main
@@ -48,6 +49,13 @@ def result(orchard) -> CellTour:
     return plan_cell_tour(orchard[0])
 
 
+def assert_arms_apart(cell, motion, carried=()):
+    model, geometry = cell.robot.model, between_arms(cell, carried)
+    data, seen = model.createData(), geometry.createData()
+    for q in motion.positions(np.arange(0.0, motion.duration, 4e-3)):
+        assert not pin.computeCollisions(model, data, geometry, seen, q, True)
+
+
 def test_picked_fruit_goes_with_the_tool_of_its_arm_on_the_page_and_in_messages(result, tmp_path):
     robot, scene, playback = playable(result)
     found = picks(scene, playback)
@@ -74,15 +82,7 @@ def test_two_arms_pick_at_once(orchard, result):
     assert set(result.picked) | set(result.unreached) == {fruit.name for fruit in scene.fruits}
     assert len(result.picked) >= 7
     assert result.trajectory.duration < 0.8 * sum(t.duration for own in result.tours.values() for t in own)
-    model, geometry = cell.robot.model, pin.GeometryModel(cell.robot.collision_model)
-    geometry.removeAllCollisionPairs()
-    for i, one in enumerate(geometry.geometryObjects):
-        for j, other in enumerate(geometry.geometryObjects):
-            if one.name.startswith("left_") and other.name.startswith("right_"):
-                geometry.addCollisionPair(pin.CollisionPair(i, j))
-    data, seen = model.createData(), geometry.createData()
-    for q in result.trajectory.positions(np.arange(0.0, result.trajectory.duration, 4e-3)):
-        assert not pin.computeCollisions(model, data, geometry, seen, q, True)
+    assert_arms_apart(cell, result.trajectory)
     where = {fruit.name: np.array(fruit.center) for fruit in scene.fruits}
     for name, tours in result.tours.items():
         picked = {fruit: t for fruit, t in result.picked.items() if any(fruit in tour.order for tour in tours)}
@@ -150,19 +150,13 @@ def test_fruit_goes_to_the_drop_offs_and_is_in_nobodys_way(orchard):
         at = result.trajectories[own].positions([time])[0]
         np.testing.assert_allclose(at, np.radians(DROP.joints_deg), atol=1e-9)
     assert playable(result)[2].dropped == result.dropped
-    model, geometry = cell.robot.model, pin.GeometryModel(cell.robot.collision_model)
+    model, balls = cell.robot.model, []
     for name in ("left", "right"):
         number = model.getFrameId(f"{name}_tool0")
         at = model.frames[number]
         ball = coal.Sphere(max(fruit.radius for fruit in carrying.fruits))
-        geometry.addGeometryObject(pin.GeometryObject(f"{name}_fruit", at.parentJoint, number, at.placement, ball))
-    geometry.removeAllCollisionPairs()
-    shapes = list(enumerate(geometry.geometryObjects))
-    for i, j in ((i, j) for i, one in shapes for j, other in shapes if one.name[:2] == "le" and other.name[:2] == "ri"):
-        geometry.addCollisionPair(pin.CollisionPair(i, j))
-    data, seen = model.createData(), geometry.createData()
-    for q in result.trajectory.positions(np.arange(0.0, result.trajectory.duration, 4e-3)):
-        assert not pin.computeCollisions(model, data, geometry, seen, q, True)
+        balls.append(pin.GeometryObject(f"{name}_fruit", at.parentJoint, number, at.placement, ball))
+    assert_arms_apart(cell, result.trajectory, balls)
 
 
 def test_what_an_arm_carries_would_touch_another(robot):

@@ -54,7 +54,7 @@ RATE_HZ, SIZE, COLORS = 12.5, (640, 480), 240
 CHROMIUM = (
     "--headless=new", "--no-sandbox", "--disable-background-networking", "--disable-component-update", "--disable-sync",
     "--no-first-run", "--hide-scrollbars", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
-    "--virtual-time-budget=200",
+    "--virtual-time-budget=200", "--enable-logging=stderr",
 )  # fmt: skip
 
 #: Draws the picture of a page alone, without its words, and keeps what is drawn as the page's text.
@@ -82,7 +82,7 @@ def still(page: str, script: str = "") -> bytes:
     html = _alone(page, (800, 560), script)
     with tempfile.TemporaryDirectory() as folder:
         picture = Path(folder) / "picture.png"
-        _browse(html, Path(folder), f"--screenshot={picture}", (800, 560))
+        browse(html, Path(folder), f"--screenshot={picture}", (800, 560))
         return _png(*few_colors([Image.open(picture).convert("RGB")]))
 
 
@@ -90,15 +90,15 @@ def frames(page: str, times_s: Sequence[float]) -> list[Image.Image]:
     """Pictures of a page's motion at some times [s]."""
     html = _alone(page, SIZE, _FRAMES % ",".join(f"{time:.3f}" for time in times_s))
     with tempfile.TemporaryDirectory() as folder:
-        text = _browse(html, Path(folder), "--dump-dom", SIZE)
+        text = browse(html, Path(folder), "--dump-dom", SIZE).stdout
     found = re.findall(r"data:image/png;base64,([\w+/=]+)", text.rpartition("frames:")[2])
     if len(found) != len(times_s):
         raise RuntimeError(f"Chromium drew {len(found)} of {len(times_s)} frames")
     return [Image.open(io.BytesIO(base64.b64decode(data))).convert("RGB") for data in found]
 
 
-def _browse(html: str, folder: Path, action: str, size: tuple[int, int]) -> str:
-    """Open a page, and what Chromium prints."""
+def browse(html: str, folder: Path, action: str, size: tuple[int, int]) -> subprocess.CompletedProcess[str]:
+    """Open a page, written into a folder, in Chromium."""
     chromium = shutil.which("chromium")
     if chromium is None:
         raise SystemExit("pictures are drawn by chromium, which is not installed")
@@ -106,7 +106,7 @@ def _browse(html: str, folder: Path, action: str, size: tuple[int, int]) -> str:
     page.write_text(html, encoding="utf-8")
     window, profile = "--window-size={},{}".format(*size), f"--user-data-dir={folder / 'profile'}"
     command = [chromium, *CHROMIUM, window, profile, action, page.as_uri()]
-    return subprocess.run(command, capture_output=True, text=True, timeout=300, check=True).stdout
+    return subprocess.run(command, capture_output=True, text=True, timeout=300, check=True)
 
 
 def few_colors(drawn: list[Image.Image]) -> list[Image.Image]:

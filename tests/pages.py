@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+import pytest
 
 from hplan.robot.model import Robot
 from hplan.scene.model import Fruit, Goal, Scene, Start
 from hplan.trajectory.trajectory import Trajectory
+
+needs_chromium = pytest.mark.skipif(shutil.which("chromium") is None, reason="headless chromium is not installed")
 
 
 def steady_motion(robot: Robot, goal: Sequence[float], duration: float = 2.0, rows: int = 501) -> Trajectory:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import shutil
-import subprocess
 from dataclasses import replace
 from html import unescape
 from pathlib import Path
@@ -13,6 +11,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from make_pictures import browse
+from pages import needs_chromium
 
 import hplan
 from hplan.apps.view.motion_data import STRETCHES, motion_data
@@ -206,24 +206,14 @@ document.title = JSON.stringify(seen);
 
 def tried(page: str, acts: str, folder: Path) -> dict[str, Any]:
     """What is seen of a page after some acts, in a window 500 px wide, the least that there is."""
-    chromium = shutil.which("chromium")
-    if chromium is None:
-        pytest.skip("headless chromium is not installed: the player cannot be tried")
-    file = folder / "scene.html"
-    file.write_text(page.replace("</body>", f"{acts}</body>"), encoding="utf-8")
-    flags = ["--headless=new", "--no-sandbox", "--disable-background-networking", "--disable-component-update",
-             "--disable-sync", "--no-first-run", "--window-size=500,844", "--use-gl=angle", "--use-angle=swiftshader",
-             "--enable-unsafe-swiftshader", "--virtual-time-budget=200"]  # fmt: skip
-    profile = f"--user-data-dir={folder / 'profile'}"
-    run = subprocess.run(
-        [chromium, *flags, profile, "--dump-dom", file.as_uri()], capture_output=True, text=True, timeout=60, check=True
-    )
+    run = browse(page.replace("</body>", f"{acts}</body>"), folder, "--dump-dom", (500, 844))
     found = re.search(r"<title>(\{.*?\})</title>", run.stdout)
     assert found is not None, run.stderr[-2000:]
     seen: dict[str, Any] = json.loads(unescape(found.group(1)))
     return seen
 
 
+@needs_chromium
 @pytest.mark.browser
 def test_play_pause_scrub_and_keys_in_a_browser(page: str, result: PlanResult, tmp_path: Path) -> None:
     seen = tried(page, ACTS, tmp_path)

@@ -27,21 +27,6 @@ from hplan.trajectory.retime import time_path
 from hplan.trajectory.spline import SplinePath
 from hplan.trajectory.trajectory import Trajectory
 
-CHROMIUM_FLAGS = (
-    "--headless=new",
-    "--no-sandbox",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-    "--no-first-run",
-    "--hide-scrollbars",
-    "--window-size=1200,800",
-    "--use-gl=angle",
-    "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-    "--enable-logging=stderr",
-    "--virtual-time-budget=1500",
-)
 GOAL = (0.0, math.pi / 4, math.pi / 3, math.radians(70.0))
 
 

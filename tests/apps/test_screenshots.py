@@ -7,15 +7,14 @@ this file, in `screenshots`.
 from __future__ import annotations
 
 import re
-import shutil
-import subprocess
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from make_pictures import browse
+from pages import needs_chromium
 from PIL import Image
-from test_page import CHROMIUM_FLAGS
 
 import hplan
 from hplan.apps.view.cspace_page import render_cspace_page
@@ -54,16 +53,10 @@ def cspace_page() -> str:
 
 def taken(page: str, size: tuple[int, int], folder: Path, name: str) -> Image.Image:
     """A page as Chromium draws it; a window narrower than 500 pixels is a frame within one that it can have."""
-    chromium = shutil.which("chromium")
-    if chromium is None:
-        pytest.skip("headless chromium is not installed: pages cannot be looked at")
-    (folder / "page.html").write_text(page, encoding="utf-8")
-    html = f'<body style="margin:0"><iframe src="page.html" style="border:0;width:{size[0]}px;height:{size[1]}px">'
-    (folder / "window.html").write_text(f"<!doctype html>{html}</iframe></body>", encoding="utf-8")
+    (folder / "inner.html").write_text(page, encoding="utf-8")
+    html = f'<body style="margin:0"><iframe src="inner.html" style="border:0;width:{size[0]}px;height:{size[1]}px">'
     picture = folder / f"{name}.png"
-    command = [chromium, *CHROMIUM_FLAGS, "--window-size={},{}".format(*size), f"--user-data-dir={folder / 'profile'}",
-               f"--screenshot={picture}", (folder / "window.html").as_uri()]  # fmt: skip
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
+    done = browse(f"<!doctype html>{html}</iframe></body>", folder, f"--screenshot={picture}", size)
     assert not re.search(r"CONSOLE.*(Uncaught|[Ee]rror)", done.stderr), done.stderr[-2000:]
     image = Image.open(picture).convert("RGB").crop((0, 0, *size))
     image.save(picture.with_suffix(".jpg"), quality=60)
@@ -75,6 +68,7 @@ def blocks(image: Image.Image) -> np.ndarray:
     return np.asarray(image.convert("RGB").resize(size, Image.Resampling.BOX), dtype=float)
 
 
+@needs_chromium
 @pytest.mark.browser
 @pytest.mark.parametrize(
     ("name", "page", "size"),

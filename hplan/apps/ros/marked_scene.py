@@ -5,10 +5,7 @@ Numbers of markers go with their places in the scene, so that a marker sent agai
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
-import numpy as np
-import pinocchio as pin
+import coal
 
 from hplan.apps.ros import marker_parts as mark
 from hplan.apps.ros.marker_parts import Marker
@@ -16,6 +13,7 @@ from hplan.apps.ros.transforms import xyz
 from hplan.apps.view.scenery import FRUIT_COLOR, GOAL_FRUIT_COLOR, look_of
 from hplan.base.arguments import instance, text
 from hplan.base.arrays import FloatArray
+from hplan.collision.coal_shapes import solid_shape
 from hplan.scene.model import Fruit, Scene
 from hplan.scene.obstacles import Box, Capsule, Cylinder, Obstacle, PointCloud, Sphere
 
@@ -67,33 +65,24 @@ def fruit_marker(scene: Scene, fruit: Fruit, frame_id: str, *, is_goal: bool) ->
 
 def _parts(obstacle: Obstacle) -> list[Marker]:
     """Shapes and places of the markers that make up an obstacle."""
-    if isinstance(obstacle, Sphere):
-        return [mark.ball(obstacle.center, obstacle.radius)]
-    if isinstance(obstacle, Capsule):
-        start, end = np.array(obstacle.start), np.array(obstacle.end)
-        balls = [mark.ball(place, obstacle.radius) for place in (start, end)]
-        length = float(np.linalg.norm(end - start))
-        if length == 0.0:
-            return balls[:1]
-        turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), (end - start) / length).matrix()
-        return [_round(0.5 * (start + end), turn, length, obstacle.radius), *balls]
-    if isinstance(obstacle, Cylinder):
-        return [_round(obstacle.center, obstacle.rotation, obstacle.length, obstacle.radius)]
-    if isinstance(obstacle, Box):
-        return [{"type": mark.CUBE, "pose": mark.pose(obstacle.center, obstacle.rotation), "scale": xyz(obstacle.size)}]
     if isinstance(obstacle, PointCloud):
         return [_balls(solid.core, solid.rounding) for solid in obstacle.solids]
-    vertices, faces = obstacle.surface
-    corners = mark.points(vertices[faces].reshape(-1, 3))
-    return [{"type": mark.TRIANGLES, "pose": mark.pose(), "scale": xyz((1.0, 1.0, 1.0)), "points": corners}]
-
-
-def _round(center: Sequence[float] | FloatArray, rotation: FloatArray, length: float, radius: float) -> Marker:
-    return {
-        "type": mark.CYLINDER,
-        "pose": mark.pose(center, rotation),
-        "scale": xyz((2.0 * radius, 2.0 * radius, length)),
-    }
+    if not isinstance(obstacle, Sphere | Capsule | Cylinder | Box):
+        vertices, faces = obstacle.surface
+        corners = mark.points(vertices[faces].reshape(-1, 3))
+        return [{"type": mark.TRIANGLES, "pose": mark.pose(), "scale": xyz((1.0, 1.0, 1.0)), "points": corners}]
+    placed = solid_shape(obstacle)
+    shape, pose = placed.geometry, mark.pose(placed.placement.translation, placed.placement.rotation)
+    if isinstance(shape, coal.Sphere):
+        return [mark.ball(placed.placement.translation, shape.radius)]
+    if isinstance(shape, coal.Box):
+        return [{"type": mark.CUBE, "pose": pose, "scale": xyz(2.0 * shape.halfSide)}]
+    wide, length = 2.0 * shape.radius, 2.0 * shape.halfLength
+    wall = {"type": mark.CYLINDER, "pose": pose, "scale": xyz((wide, wide, length))}
+    if not isinstance(obstacle, Capsule):
+        return [wall]
+    balls = [mark.ball(end, shape.radius) for end in (obstacle.start, obstacle.end)]
+    return [wall, *balls] if length else balls[:1]
 
 
 def _balls(centers: FloatArray, radius: float) -> Marker:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -65,14 +66,15 @@ def stage(robot: Robot, scene: Scene, playback: Playback) -> list[Json]:
         *scenery.obstacles(scene),
         *scenery.fruits(scene, goal=scene.goal.fruit if len(picks) < 2 else None),
         *scenery.placed_movers(scene, playback.begin_s),
-        *_arm(robot, trajectory.position[0]),
+        *_posed(robot, trajectory.position[0], "arm"),
     ]
     if trajectory.samples > 1:
         # One ghost for the goal would say little of several.
         if len(picks) < 2:
             last = _row_at(trajectory, picks[0].since if picks else trajectory.duration)
-            commands.extend(_ghost(robot, trajectory.position[0], "start", START_COLOR, 1))
-            commands.extend(_ghost(robot, trajectory.position[last], "goal", GOAL_COLOR, 2))
+            for layer, name, row, color in ((1, "start", 0, START_COLOR), (2, "goal", last, GOAL_COLOR)):
+                ghost = three.ghost_material(color, 0.28, layer)
+                commands += _posed(robot, trajectory.position[row], f"{name} pose", ghost, shadow=False, order=2)
         body = Body()
         for name, tool in playback.frames.items() or [("", robot.tool_frame)]:
             _add_tool_path(body, robot, playback, tool, playback.arms.get(name, playback.phases))
@@ -110,28 +112,18 @@ def _looks(robot: Robot) -> Sequence[pin.GeometryObject]:
     return shown if triangles <= 20_000 else robot.collision_model.geometryObjects
 
 
-def _arm(robot: Robot, q: FloatArray) -> list[Json]:
-    bodies: dict[int, Body] = defaultdict(Body)
-    for item in _looks(robot):
-        surface = three.material(three.color_of(item.meshColor), opacity=float(item.meshColor[3]))
-        shape, pose = item.geometry, item.placement.homogeneous
-        three.add_shape(bodies[item.parentJoint], shape, surface, pose, name=item.name)
-    return _posed(robot, q, "arm", bodies)
+def _posed(robot: Robot, q: FloatArray, top: str, surface: Json | None = None, **settings: Any) -> list[Json]:
+    """The robot in a configuration, in its own colours or as a ghost of one surface.
 
-
-def _ghost(robot: Robot, q: FloatArray, name: str, color: int, layer: int) -> list[Json]:
-    surface = three.ghost_material(color, 0.28, layer)
+    Of a ghost what stands below the shoulder is left out: at most it turns in place.
+    """
     bodies: dict[int, Body] = defaultdict(Body)
-    # What stands below the shoulder is left out: at most it turns in place.
-    first = 1 if robot.planar is None else robot.model.getJointId(robot.arm.joint_names[0])
+    first = 0 if surface is None else 1 if robot.planar is None else robot.model.getJointId(robot.arm.joint_names[0])
     for item in _looks(robot):
         if item.parentJoint >= first:
+            look = surface or three.material(three.color_of(item.meshColor), opacity=float(item.meshColor[3]))
             shape, pose = item.geometry, item.placement.homogeneous
-            three.add_shape(bodies[item.parentJoint], shape, surface, pose, name=item.name, shadow=False, order=2)
-    return _posed(robot, q, f"{name} pose", bodies)
-
-
-def _posed(robot: Robot, q: FloatArray, top: str, bodies: dict[int, Body]) -> list[Json]:
+            three.add_shape(bodies[item.parentJoint], shape, look, pose, name=item.name, **settings)
     model, data = robot.model, robot.model.createData()
     pin.forwardKinematics(model, data, q)
     commands = []

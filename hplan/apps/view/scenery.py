@@ -22,6 +22,7 @@ from hplan.apps.view.framing import FIELD_OF_VIEW_DEG
 from hplan.apps.view.playback import Playback
 from hplan.apps.view.three_js import Body, Json
 from hplan.base.arrays import FloatArray
+from hplan.collision.coal_shapes import solid_shape
 from hplan.errors import InputError
 from hplan.scene.model import Fruit, Scene
 from hplan.scene.obstacles import AnyObstacle, Box, Capsule, Cylinder, PointCloud, Sphere
@@ -142,13 +143,6 @@ def _add(body: Body, item: AnyObstacle, look: Look) -> None:
     # Most points of a cloud that are drawn.
     most_points = 20_000
     match item:
-        case Sphere():
-            body.add(three.sphere(item.radius), surface, three.transform(position=item.center), name=item.name)
-        case Cylinder():
-            place = three.transform(item.rotation, item.center) @ three.Z_UP
-            body.add(three.cylinder(item.radius, item.length), surface, place, name=item.name)
-        case Box():
-            body.add(three.box(item.size), surface, three.transform(item.rotation, item.center), name=item.name)
         case PointCloud():
             for cloud in item.solids:
                 some = cloud.core[:: -(-len(cloud.core) // most_points)]
@@ -156,6 +150,9 @@ def _add(body: Body, item: AnyObstacle, look: Look) -> None:
                 wide = 2.0 * cloud.rounding / np.tan(np.radians(0.5 * FIELD_OF_VIEW_DEG))
                 dots = three.dots_material(look.color, float(wide))
                 body.add(three.points(some), dots, name=item.name, kind="Points", shadow=False)
+        case Sphere() | Cylinder() | Box():
+            shape = solid_shape(item)
+            three.add_shape(body, shape.geometry, surface, shape.placement.homogeneous, name=item.name)
         case _:
             body.add(three.facets(*item.surface), surface, name=item.name)
 

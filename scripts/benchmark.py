@@ -60,31 +60,6 @@ STUDIES = {
 PEERS = ("RRTConnect", "BITstar", "roboplan")
 
 _EPILOG = """\
-studies:
-  reference   the reference scene: stages, searches, C-space, motions, planners
-  cspace      the C-space against coal, on random scenes of every kind of obstacle
-  motions     plans, stops and splices of random arms, looked at by Pinocchio and coal on all that their URDFs describe
-  grazing     obstacles that a motion grazes, which must not be verified
-  yielding    motions among trees that give way: what is pushed, how deep, and is it told
-  soak        one planner and four threads, for as long as --values minutes=60 says
-  clutter     random planar scenes: searches, motions, toppra and stops on the grid path
-  trees       motions among trees, all joints free
-  tours       picking tours over a tree each
-  fastest     durations with each effort to the best known of 200 problems
-  bound       lower bounds of durations beside certified motions
-  recheck     certified motions looked at every 0.1 ms from their CSV
-  deadlines   fruit and motions among trees with 20, 50 and 100 ms
-  returns     2,000 calls with 1, 5 and 20 ms: how late they return
-  tracking    fruit with a tracking error, executed in MuJoCo
-  moving      an obstacle moves as the arm does
-  camera      frames of a depth camera to certified motions
-  finishing   paths of OMPL, finished
-  panda       MotionBenchMaker's problems (--files)
-  random      random scenes of any arm (--robot)
-  poses       sequences of tool poses, upright (a UR5, or --robot)
-  cell_trees  arms that pick one tree together (--trees)
-  risk        obstacles of uncertain places: bounds of the risk beside draws
-
 writes into DIR: STUDY.jsonl, what was asked for and on what in its first line, then a row a line as they come; and
 benchmark.md
 
@@ -97,12 +72,14 @@ exit status:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
-    arguments = _parser().parse_args(argv)
+    words = list(sys.argv[1:] if argv is None else argv)
+    told = [f"  {name:11} {study_of(name).about}" for name in STUDIES] if {"-h", "--help"} & set(words) else []
+    arguments = _parser("\n".join(["studies:", *told, "", _EPILOG])).parse_args(words)
     return run_command(lambda console, errors: _run(arguments, console, errors))
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = command_parser(__doc__, _EPILOG)
+def _parser(epilog: str) -> argparse.ArgumentParser:
+    parser = command_parser(__doc__, epilog)
     add = parser.add_argument
     add("studies", nargs="*", metavar="STUDY", help="what to measure (default: all that need nothing)")
     add("--out", type=Path, metavar="DIR", help="folder to write into (default: a temporary one, named in the end)")

@@ -20,6 +20,7 @@ from hplan.apps.cli.job_folder import (
     TRAJECTORY,
     JobFolder,
     needs_rosbags,
+    write_figure,
     write_result,
 )
 from hplan.apps.cli.options import (
@@ -42,7 +43,6 @@ from hplan.apps.cli.terminal import (
     show,
 )
 from hplan.base.units import at_least_mm
-from hplan.errors import InputError
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -161,7 +161,7 @@ def _made(arguments: argparse.Namespace, folder: JobFolder, errors: Console) -> 
             with folder.filling() as staging:
                 files = write_result(result, {TRAJECTORY: result.trajectory}, staging, mcap=arguments.mcap)
                 if wants_cspace:
-                    files += _write_cspace(options, result, yaw, staging)
+                    files += _write_cspace(options, result, yaw, staging, errors)
                 result = with_export_time(result, time.perf_counter() - begin)
                 write_report(result.report | curve_report(result.certificate) | left_out, staging / REPORT)
     return result, [TRAJECTORY, REPORT, *files]
@@ -185,27 +185,20 @@ def _planned(robot: Robot, scene: Scene, options: PlanOptions, progress: Callabl
         return plan(robot, scene, options, progress=stage)
 
 
-def _write_cspace(options: PlanOptions, result: PlanResult, yaw: float | None, folder: Path) -> list[str]:
-    """Write the C-space at one yaw with the motion: a page, and a figure where matplotlib is installed.
-
-    Returns:
-        The names of the files.
-    """
+def _write_cspace(
+    options: PlanOptions, result: PlanResult, yaw: float | None, folder: Path, errors: Console
+) -> list[str]:
+    """Write the C-space at one yaw with the motion, a page and a figure; gives the names of the files."""
     from hplan.apps.view.cspace_figure import cspace_at_yaw
-    from hplan.apps.view.cspace_page import write_cspace_page
-    from hplan.apps.view.figure_style import require_matplotlib, write_png
+    from hplan.apps.view.cspace_page import render_cspace_page
     from hplan.apps.view.playback import Playback
     from hplan.apps.view.yaw_section import yaw_section
+    from hplan.base.files import write_text
 
     title = result.scene.name
     section = yaw_section(result.robot, result.scene, Playback.of(result), options, yaw=yaw)
-    write_cspace_page(section, title, folder / CSPACE_PAGE)
-    try:
-        require_matplotlib()
-    except InputError:
-        return [CSPACE_PAGE]
-    write_png(cspace_at_yaw(section, title), folder / CSPACE_FIGURE)
-    return [CSPACE_PAGE, CSPACE_FIGURE]
+    write_text(folder / CSPACE_PAGE, render_cspace_page(section, title))
+    return [CSPACE_PAGE, *write_figure(lambda: cspace_at_yaw(section, title), folder / CSPACE_FIGURE, errors)]
 
 
 def show_summary(console: Console, result: PlanResult, folder: Path, files: Sequence[str]) -> None:

@@ -7,7 +7,6 @@ surface is that of the figures. Where the motion's yaw is far from the region's,
 from __future__ import annotations
 
 import math
-from pathlib import Path
 
 import numpy as np
 
@@ -20,7 +19,6 @@ from hplan.apps.view.scene_stage import GOAL_COLOR, REST_S, START_COLOR
 from hplan.apps.view.three_js import Body, Json
 from hplan.apps.view.yaw_section import YawSection
 from hplan.base.arrays import FloatArray
-from hplan.base.files import write_text
 from hplan.base.polyline import stations
 
 _REGION_COLOR = 0xE07B39
@@ -47,16 +45,6 @@ def render_cspace_page(section: YawSection, title: str) -> str:
         entries.append((f"Motion at a yaw {far:.0f}° apart", [three.color_of(_FAR)]))
     entries += [("Start", [START_COLOR]), ("Goal", [GOAL_COLOR])]
     return document(title, words, entries, _commands(section))
-
-
-def write_cspace_page(section: YawSection, title: str, path: Path | str) -> Path:
-    """Write the page of `render_cspace_page` to a file.
-
-    Raises:
-        OutputError: The file cannot be written.
-        HplanError: meshcat, which brings the viewer, is not installed.
-    """
-    return write_text(path, render_cspace_page(section, title))
 
 
 def _commands(section: YawSection) -> list[Json]:

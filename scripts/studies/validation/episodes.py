@@ -25,6 +25,7 @@ from studies.validation.worlds import (
     BALL_M,
     SEEN,
     World,
+    camera_pose,
     draw_item,
     draw_seen,
     draw_world,
@@ -261,12 +262,9 @@ class Episode:
         balls = [each for each in world.balls_at(time_s) if each["name"] == world.target or rng.random() < 0.5]
         there = np.concatenate([world.seen, *(surface(rng, each, 0.01) for each in balls)])
         points = np.concatenate([seen_from_base(world, there, time_s), *own])
-        turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
-        turn[:, 0] *= np.linalg.det(turn)
-        pose = np.eye(4)
-        pose[:3, :3], pose[:3, 3] = turn, rng.uniform(-1.0, 1.0, 3)
+        pose = camera_pose(rng, 1.0)
         options = CloudOptions(growth_m=float(rng.choice([0.002, 0.005, 0.02])))
-        local = (rng.permutation(points) - pose[:3, 3]) @ turn
+        local = (rng.permutation(points) - pose[:3, 3]) @ pose[:3, :3]
         self.planner.set_cloud(
             SEEN, local, radius=BALL_M, pose=pose, joints=q, ignore=[each["name"] for each in balls], time_s=time_s,
             options=options,

@@ -344,14 +344,10 @@ class Arm:
         apart = [pair for pair, most in self.farthest_apart.items() if most > 0.0]
         return [pair for pair in apart if {self.bodies[k].link for k in pair} not in self._joined]
 
-    def _between(self, first: int, second: int) -> list[int]:
-        """Places in `joints` of those of which two joints' places to each other depend."""
-        a, b = (set(self.model.supports[joint]) for joint in (first, second))
-        return [place for place, number in enumerate(self._numbers) if (number in a) != (number in b)]
-
     def between(self, a: int, b: int) -> list[int]:
         """Places in `joints` of those of which the places of two bodies to each other depend."""
-        return self._between(self.bodies[a].joint, self.bodies[b].joint)
+        one, other = (set(self.model.supports[self.bodies[k].joint]) for k in (a, b))
+        return [place for place, number in enumerate(self._numbers) if (number in one) != (number in other)]
 
     def has_room(self, values: FloatArray, room_m: float) -> bool:
         """Whether bodies keep so far from each other at a (joints,) configuration, or a third of what they can."""

@@ -32,6 +32,7 @@ from studies.validation.worlds import (
     SEEN,
     Item,
     World,
+    camera_pose,
     draw_ends,
     draw_item,
     draw_track,
@@ -166,14 +167,11 @@ class _Soak:
     def frame(self, rng: np.random.Generator) -> None:
         """The camera looks."""
         number = int(rng.integers(CLOUDS))
-        turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
-        turn[:, 0] *= np.linalg.det(turn)
-        pose = np.eye(4)
-        pose[:3, :3], pose[:3, 3] = turn, rng.uniform(-2.0, 2.0, 3)
+        pose = camera_pose(rng, 2.0)
         with self.driving:
             taken_s = time.monotonic()
             there = seen_from_base(replace(self.home, base=self.base), self.clouds[number], taken_s)
-            points = np.asarray((there - pose[:3, 3]) @ turn)
+            points = np.asarray((there - pose[:3, 3]) @ pose[:3, :3])
             begin, cpu = time.perf_counter(), time.thread_time()
             self.planner.set_cloud(SEEN, points, radius=BALL_M, pose=pose, time_s=taken_s)
         self.frame_ms.extend((1e3 * (time.perf_counter() - begin), 1e3 * (time.thread_time() - cpu)))

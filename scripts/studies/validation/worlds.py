@@ -264,13 +264,13 @@ def draw_seen(
     """
     parts = [surface(rng, _simple(draw_item(drawn, world, rng, "seen")), 0.02) for _ in range(int(rng.integers(1, 6)))]
     points = np.concatenate(parts)
-    time_s = world.begin_s if time_s is None else time_s
-    points = from_base(world, points, time_s)
-    at = world.start if q is None else q
-    points = points[drawn.arm.beside(at, seen_from_base(world, points, time_s)) > ROOM_OF_SEEN_M]
+    points = points[drawn.arm.beside(world.start if q is None else q, points) > ROOM_OF_SEEN_M]
     if q is None:
-        room_m = BALL_M + ROOM_M + world.clearance
-        points = points[drawn.arm.beside(world.goal, seen_from_base(world, points, time_s)) > room_m]
+        points = points[drawn.arm.beside(world.goal, points) > BALL_M + ROOM_M + world.clearance]
+    time_s = world.begin_s if time_s is None else time_s
+    if world.moves is not None:  # from where the base is to where it has no shift
+        pose = world.moves.at(np.array([time_s]))[0]
+        points = points @ pose[:3, :3].T + pose[:3, 3]
     # Points stay so far from what may be ignored [m].
     beside_ignored_m = 0.035
     for ball in world.balls_at(time_s):
@@ -287,13 +287,13 @@ def seen_from_base(world: World, points: FloatArray, time_s: float) -> FloatArra
     return seen
 
 
-def from_base(world: World, points: FloatArray, time_s: float) -> FloatArray:
-    """(n, 3) points that the base sees at a time, where it has no shift."""
-    if world.moves is None:
-        return points
-    pose = world.moves.at(np.array([time_s]))[0]
-    there: FloatArray = points @ pose[:3, :3].T + pose[:3, 3]
-    return there
+def camera_pose(rng: np.random.Generator, far_m: float) -> FloatArray:
+    """(4, 4) of a camera somewhere, turned in any way."""
+    turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    turn[:, 0] *= np.linalg.det(turn)
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = turn, rng.uniform(-far_m, far_m, 3)
+    return pose
 
 
 def _simple(item: Item) -> Item:

@@ -26,8 +26,9 @@ from hplan.optimization.torque_rows import ALLOWED, TorqueUse
 from hplan.trajectory.cubics import accelerations, hermite_pieces
 from hplan.trajectory.retime import KEPT
 
-#: How near to the best time scale steps come, and the last one.
-_COARSE, EXACT = 1e-5, 1e-8
+#: How near to the best time scale the last step comes; others come as near as this part of the gain that is too little
+#: to go on.
+_EXACT, _NEAR = 1e-6, 0.3
 
 #: Largest change of a control point in a joint where pieces come to meet at rows [rad]; and what a step that was not
 #: clear as a whole leaves of it for the next.
@@ -182,7 +183,7 @@ def _of_level(start: TimedMotion, problem: TimeProblem, level: Level) -> TimedSp
     enough_s = _enough(spline, problem, level)
     best, trust, stalled = None, level.trust, 0
     for _ in range(level.steps):
-        step = _step(spline, problem, trust, _COARSE)
+        step = _step(spline, problem, trust, _NEAR * level.gain)
         if step is None or step.part < 1.0:
             trust *= _SHRINK
         stalled += step is None or step.part <= _STALLED
@@ -245,7 +246,7 @@ def _on_rows(spline: TimedSpline, problem: TimeProblem, level: Level) -> TimedSp
         breaks = breaks_at_rows(rows, pieces, problem.rate_hz)
         slower = spline.at_time_scale(breaks[-1] / spline.duration)
         near = TimedSpline.near(slower.positions, breaks, problem.ends)
-        step = _step(near, problem, trust, EXACT, on_rows=True)
+        step = _step(near, problem, trust, _EXACT, on_rows=True)
         if step is None and problem.sway is not None and found is None:
             rows = math.ceil(rows * _REPAIRED)
             continue

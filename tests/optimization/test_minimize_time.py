@@ -236,7 +236,9 @@ def drawn(seed: int, count: int, band: int, one_sided: int) -> tuple[ProgramRows
     """A program with a solution, its rows as a dense matrix with the time scale last, and the right-hand sides."""
     rng = np.random.default_rng(seed)
     both = 3 * count
-    first = np.minimum(np.tile(np.arange(count), 4)[: both + one_sided], max(0, count - band - 1))
+    # Of the rows of one side two at a time have the same columns, as clearances at one place have.
+    first = np.append(np.tile(np.arange(count), 3), np.repeat(np.arange(count), 2)[:one_sided])
+    first = np.minimum(first, max(0, count - band - 1))
     width = min(band + 1, count)
     entries = rng.normal(size=(both + one_sided, width))
     entries[rng.random(entries.shape) < 0.3] = 0.0

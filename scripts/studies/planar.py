@@ -7,13 +7,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline
 from studies.harness import Asked, Row, Study
 from studies.measure import planned, ratio, timed
 from studies.outside import TimedMotion, findings
 from studies.peers import MARGIN_M, peer_row, quickest_polyline, stopping_duration, toppra_motion, world_of
 from studies.pinches import ARMS, ROOMS, pinch
 from studies.planar_cspace import arm_sections, joint_grid
+from studies.validation.judge import read_cubics
 
 from hplan.base.arrays import FloatArray, IntArray
 from hplan.collision.coal_scene import CoalScene
@@ -179,7 +179,8 @@ def _recheck(asked: Asked, number: int) -> Row | None:
     if found is None:
         return row | {"fault": True}
     with tempfile.TemporaryDirectory() as folder:
-        motion = motion_of_csv(write_csv(found.trajectory, Path(folder) / "trajectory.csv"))
+        _, rows, cubics = read_cubics(write_csv(found.trajectory, Path(folder) / "trajectory.csv"))
+    motion = TimedMotion(float(rows[-1]), cubics)
     seen = findings(robot, drawn.scene, motion, INSTANT_S)
     checker, places = CoalScene(robot, drawn.scene.solids), motion.positions(np.linspace(0.0, motion.duration, 400))
     least = min(float(checker.distances(q).min()) for q in places)
@@ -187,18 +188,6 @@ def _recheck(asked: Asked, number: int) -> Row | None:
     wrong = seen["contacts"] > 0 or seen["outside_deg"] > 1e-6 or beyond < -1e-9
     over = max(seen[name] for name in ("velocity", "acceleration", "torque")) > LIMIT_TOLERANCE
     return row | seen | {"beyond_certificate_mm": 1e3 * beyond, "fault": row["fault"] or wrong or over}
-
-
-def motion_of_csv(file: Path) -> TimedMotion:
-    """The motion of a written trajectory, read without hplan."""
-    rows = np.genfromtxt(file, delimiter=",", names=True)
-    names = rows.dtype.names or ()
-    position, velocity = (
-        np.column_stack([rows[name] for name in names if name.endswith(suffix)])
-        for suffix in ("_pos_rad", "_vel_rad_s")
-    )
-    cubics = CubicHermiteSpline(rows["time_s"], position, velocity)
-    return TimedMotion(float(rows["time_s"][-1]), cubics)
 
 
 RECHECK = Study(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol
+from typing import TypeAlias
 
 import numpy as np
 
@@ -14,27 +14,7 @@ from hplan.base.arrays import FloatArray, Record, numbers, readonly
 from hplan.base.csv_file import CsvFile
 from hplan.base.units import SLIDING, TURNING, joint_unit
 from hplan.errors import InputError
-from hplan.trajectory.trajectory import joints_of_columns
-
-
-class Movement(Protocol):
-    """Interface of a motion; `Trajectory` and `RecordedMotion` have it."""
-
-    @property
-    def joint_names(self) -> tuple[str, ...]:
-        """Names of the joints."""
-
-    @property
-    def time(self) -> FloatArray:
-        """(n,) strictly increasing [s]."""
-
-    @property
-    def position(self) -> FloatArray:
-        """(n, joints)."""
-
-    @property
-    def velocity(self) -> FloatArray:
-        """(n, joints) [rad/s]."""
+from hplan.trajectory.trajectory import Trajectory, joints_of_columns
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +58,10 @@ class RecordedMotion(Record):
             slopes = np.diff(position, axis=0) / np.diff(time)[:, None]
             velocity[1:-1] = (after * slopes[:-1] + before * slopes[1:]) / (before + after)
         return cls(tuple(joint_names), readonly(time), readonly(position), readonly(velocity))
+
+
+#: A motion that can be executed.
+Movement: TypeAlias = Trajectory | RecordedMotion
 
 
 def read_motion(path: Path | str) -> RecordedMotion:

@@ -7,6 +7,7 @@ arm (`pinocchio.visualize.ViserVisualizer`).
 from __future__ import annotations
 
 import time
+from contextlib import AbstractContextManager
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,7 +16,6 @@ from numpy.typing import ArrayLike
 
 from hplan.apps.view import scenery
 from hplan.apps.view.playback import playable
-from hplan.apps.view.server import Closing
 from hplan.base.arguments import instance, number, whole
 from hplan.base.arrays import numbers
 from hplan.base.lazy_import import extra
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from hplan.apps.view.playback import Shown
 
 
-class LiveScene(Closing):
+class LiveScene(AbstractContextManager["LiveScene"]):
     """A viser server with an arm and a scene; `close` ends it, as does leaving a `with` block.
 
     Attributes:
@@ -109,3 +109,6 @@ class LiveScene(Closing):
     def close(self) -> None:
         """End the server."""
         self.server.stop()
+
+    def __exit__(self, *_: object) -> None:
+        self.close()

@@ -4,29 +4,16 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Mapping
+from contextlib import AbstractContextManager
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from types import MappingProxyType
-from typing import Any, Self
+from typing import Any
 
 from hplan.errors import HplanError
 
 
-class Closing:
-    """What `close` ends, as does leaving a `with` block."""
-
-    def close(self) -> None:
-        """End it."""
-        raise NotImplementedError
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-
-class LiveView(Closing):
+class LiveView(AbstractContextManager["LiveView"]):
     """A running server that shows a page and those it leads to; `close` ends it, as does leaving a `with` block.
 
     Attributes:
@@ -64,6 +51,9 @@ class LiveView(Closing):
         self._server.shutdown()
         self._server.server_close()
         self._thread.join()
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
 
 
 def _handler(pages: Mapping[str, bytes]) -> type[BaseHTTPRequestHandler]:

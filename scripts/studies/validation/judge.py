@@ -14,7 +14,7 @@ from __future__ import annotations
 import csv
 import itertools
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -24,6 +24,7 @@ from xml.etree import ElementTree
 import coal
 import numpy as np
 import pinocchio as pin
+from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial import ConvexHull, cKDTree
 
 from hplan.base.arrays import FloatArray
@@ -426,31 +427,27 @@ class Motion:
     @classmethod
     def read(cls, path: Path, from_s: float = 0.0) -> Motion:
         """Read a CSV, and fill in the cubics that have its positions and velocities, from a time on."""
-        with path.open(newline="", encoding="utf-8") as file:
-            header, *rows = list(csv.reader(file))
-        table, names, columns = np.array(rows, dtype=np.float64), [], []
-        for number, name in enumerate(header):
-            for unit, rate in (("_pos_rad", "_vel_rad_s"), ("_pos_m", "_vel_m_s")):
-                if name.endswith(unit):
-                    names.append(name.removesuffix(unit))
-                    columns.append((number, header.index(names[-1] + rate)))
-        place, speed = (table[:, [pair[k] for pair in columns]] for k in (0, 1))
-        times, values = between_rows(table[:, header.index("time_s")], place, speed)
-        later = times >= from_s - 1e-9
-        return cls(names, times[later], values[later])
+        names, rows, cubics = read_cubics(path)
+        times = np.union1d(np.arange(0.0, rows[-1], TICK_S), rows)
+        times = times[times >= from_s - 1e-9]
+        return cls(names, times, cubics(times))
 
 
-def between_rows(time: FloatArray, position: FloatArray, velocity: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(m,) times every `TICK_S` and (m, dof) configurations, by cubic Hermite polynomials; rows are among them."""
+def read_cubics(path: Path) -> tuple[list[str], FloatArray, Callable[[FloatArray], FloatArray]]:
+    """Joints of a CSV, the times of its rows [s], and the cubics that have its positions and velocities."""
+    with path.open(newline="", encoding="utf-8") as file:
+        header, *rows = list(csv.reader(file))
+    table, names, columns = np.array(rows, dtype=np.float64), [], []
+    for number, name in enumerate(header):
+        for unit, rate in (("_pos_rad", "_vel_rad_s"), ("_pos_m", "_vel_m_s")):
+            if name.endswith(unit):
+                names.append(name.removesuffix(unit))
+                columns.append((number, header.index(names[-1] + rate)))
+    time = table[:, header.index("time_s")]
+    place, speed = (table[:, [pair[k] for pair in columns]] for k in (0, 1))
     if len(time) == 1:
-        return time, position
-    ticks = np.union1d(np.arange(0.0, time[-1], TICK_S), time)
-    row = np.clip(np.searchsorted(time, ticks, side="right") - 1, 0, len(time) - 2)
-    width = (time[row + 1] - time[row])[:, None]
-    s = (ticks - time[row])[:, None] / width
-    p0, p1, v0, v1 = position[row], position[row + 1], velocity[row] * width, velocity[row + 1] * width
-    q = (2 * s**3 - 3 * s**2 + 1) * p0 + (s**3 - 2 * s**2 + s) * v0 + (3 * s**2 - 2 * s**3) * p1 + (s**3 - s**2) * v1
-    return ticks, q
+        return names, time, lambda clock: np.repeat(place, len(clock), axis=0)
+    return names, time, CubicHermiteSpline(time, place, speed)
 
 
 def contacts(

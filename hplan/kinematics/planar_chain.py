@@ -137,22 +137,6 @@ class FreeChain(Record):
             absolute = np.concatenate([absolute, corners[solved]])
         else:
             index, absolute = self._isolated(points)
-        return self._within_limits(index, absolute, turns, window)
-
-    def directed(self, points: ComplexArray, turns: FloatArray, directions: FloatArray) -> Reached:
-        """All configurations of three free joints that reach points with (j,) absolute angles of the last link.
-
-        The rest as `reach`; of fewer joints, which have no choice, none.
-        """
-        if len(self.free) < 3:
-            return Reached(np.empty(0, dtype=np.int64), np.empty((0, len(self.free))), np.empty(0))
-        found = self._directed(points, directions - (turns + self.tail)[:, None])
-        return self._within_limits(*found, turns, None)
-
-    def _within_limits(
-        self, index: IntArray, absolute: FloatArray, turns: FloatArray, window: Window | None
-    ) -> Reached:
-        """Those of some solutions that are within the limits and a window."""
         q = self.joints(absolute)
         direction = turns[index] + self.tail + (absolute[:, -1] if self.free else 0.0)
         kept = self.keeps_limits(q)

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -23,9 +23,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hplan.base import ties
-from hplan.base.arrays import BoolArray, ComplexArray, FloatArray, IntArray, frozen
+from hplan.base.arrays import BoolArray, ComplexArray, FloatArray, IntArray, frozen, numbers
 from hplan.base.elementary import arctan2, modulus, product
-from hplan.errors import InputError, OptionError, UnreachableError
+from hplan.errors import OptionError, UnreachableError
 from hplan.kinematics.approach_angles import Candidates, Window
 from hplan.kinematics.planar_chain import ANGLE_TOLERANCE, MATCH_TOLERANCE, FreeChain, Reached
 from hplan.robot.model import Robot
@@ -76,28 +76,10 @@ def reach(
     if count < 1:
         raise OptionError("count", count, "a number of configurations >= 1")
     task = _ReachTask.of(robot, position, Window.of(approach_deg), start, locked)
-    found = _candidates(*task.solve(lambda points, turns: task.chain.reach(points, turns, task.window, count)))
-    if found is None:
+    configurations, direction = task.solve(count)
+    if not len(configurations):
         raise _reason(task)
-    return found
-
-
-def reach_at(
-    robot: Robot, position: ArrayLike, angles: FloatArray, *, start: ArrayLike, locked: Sequence[str] = ()
-) -> Candidates | None:
-    """All configurations that put the tool frame at a position at some (j,) approach angles [rad]; None for none.
-
-    Args:
-        start: As the rest and the errors that of `reach`.
-    """
-    task = _ReachTask.of(robot, position, None, start, locked)
-    return _candidates(*task.solve(lambda points, turns: task.chain.directed(points, turns, angles)))
-
-
-def _candidates(configurations: FloatArray, direction: FloatArray) -> Candidates | None:
-    """Configurations with their (k,) angles of the last link; None where k = 0."""
-    approach = np.pi - (np.pi - direction) % math.tau
-    return Candidates(frozen(configurations), frozen(approach)) if len(configurations) else None
+    return Candidates(frozen(configurations), frozen(np.pi - (np.pi - direction) % math.tau))
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,12 +119,7 @@ class _ReachTask:
         cls, robot: Robot, position: ArrayLike, window: Window | None, start: ArrayLike | None, locked: Sequence[str]
     ) -> _ReachTask:
         """Check what was given."""
-        try:
-            target = np.array(position, dtype=np.float64)
-        except (TypeError, ValueError) as error:
-            raise InputError(f"position: expected x, y, z in metres, got {position!r}") from error
-        if target.shape != (3,) or not np.isfinite(target).all():
-            raise InputError(f"position: expected three finite numbers x, y, z in metres, got {target.tolist()}")
+        target = numbers("position", position, (3,))
         held = robot.locked_mask(locked)
         if locked and start is None:
             raise OptionError("start", None, "the configuration whose values the locked joints keep")
@@ -218,16 +195,12 @@ class _ReachTask:
         points = product(self.views.point[views] - root[:, None], np.exp(-1j * turns[:, None]))
         return points.ravel(), np.repeat(turns, len(views))
 
-    def solve(self, reached: Callable[[ComplexArray, FloatArray], Reached]) -> tuple[FloatArray, FloatArray]:
-        """(k, dof) configurations and (k,) angles of the last link; k = 0 where there are none.
-
-        Args:
-            reached: How the chain reaches points that it sees.
-        """
+    def solve(self, count: int) -> tuple[FloatArray, FloatArray]:
+        """(k, dof) configurations, about `count` between the ends of continua, and (k,) angles of the last link."""
         views = np.flatnonzero(self.yaw_excess <= ANGLE_TOLERANCE)
         if self.views.distance <= MATCH_TOLERANCE and len(views):
             for base in self.grids():
-                found = reached(*self.seen(base, views))
+                found = self.chain.reach(*self.seen(base, views), self.window, count)
                 if len(found.point):
                     return self._assembled(found, base, views)
         return np.empty((0, self.robot.dof)), np.empty(0)
@@ -287,7 +260,7 @@ class _ReachTask:
 
     def is_possible(self) -> bool:
         """True if some configuration is found."""
-        return bool(len(self.solve(lambda points, turns: self.chain.reach(points, turns, self.window, 1))[0]))
+        return bool(len(self.solve(1)[0]))
 
 
 def _reason(task: _ReachTask) -> UnreachableError:

@@ -12,7 +12,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,7 +23,6 @@ from hplan.base.deadline import is_over
 from hplan.collision.coal_scene import Contact
 from hplan.errors import BlockedError
 from hplan.kinematics.approach_angles import Candidates
-from hplan.kinematics.finer_angles import Measured
 from hplan.kinematics.straight_line import StraightLine
 from hplan.planning.capture import SAME, caught
 from hplan.planning.joint_ranges import LEAST_MARGIN, JointRanges, joint_ranges
@@ -84,6 +83,25 @@ class Grasp(Record):
         if self.distance <= 0.0:
             return None
         return tool_of(robot, locked, self.keeps_turn).path(self.goal, self.distance)
+
+
+@dataclass(frozen=True, eq=False)
+class _Measured:
+    """Configurations with the tool at a point, and (k, moving bodies) how clear they are [m]."""
+
+    candidates: Candidates
+    rooms: FloatArray
+
+    @cached_property
+    def least(self) -> FloatArray:
+        """(k,) least clearance of any link at each [m]."""
+        least: FloatArray = self.rooms.min(axis=1)
+        return least
+
+    @property
+    def most(self) -> float:
+        """The largest of these [m]."""
+        return float(self.least.max())
 
 
 @dataclass(frozen=True, eq=False)
@@ -302,17 +320,15 @@ def _clear_candidates(
     """
     world, tool = target.world_touching, tool_of(target.world.robot, locked)
 
-    def clearances(configurations: FloatArray) -> FloatArray:
-        rooms = world.field.along(configurations)
-        rooms[~ranges.hold(configurations)] = _BEYOND
-        return rooms
+    def measured_at(found: Candidates) -> _Measured:
+        rooms = world.field.along(found.configurations)
+        rooms[~ranges.hold(found.configurations)] = _BEYOND
+        return _Measured(found, rooms)
 
-    def evenly_spaced(count: int) -> Measured:
+    def evenly_spaced(count: int) -> _Measured:
         if target.pose is not None:
-            found = tool.at_pose(target.pose, target.frame, start)
-        else:
-            found = tool.at(target.position, approach_deg=target.approach_deg, count=count, start=start)
-        return Measured(found, clearances(found.configurations))
+            return measured_at(tool.at_pose(target.pose, target.frame, start))
+        return measured_at(tool.at(target.position, approach_deg=target.approach_deg, count=count, start=start))
 
     measured = [evenly_spaced(count)]
     if count < COUNT and measured[0].most <= SPARE:
@@ -320,11 +336,9 @@ def _clear_candidates(
     configurations = measured[0].candidates.configurations
     if measured[0].most <= SPARE and target.pose is None:
         at_most = tool.most_clearance(world.field, target.position, configurations) - _ROUNDING
-        finer = tool.finer(
-            target.position, measured[0], clearances, ROOMS[-1], approach_deg=target.approach_deg, start=start
-        )
-        while at_most > ROOMS[-1] and measured[-1].most <= min(SPARE, at_most) and (more := next(finer, None)):
-            measured.append(more)
+        if at_most > ROOMS[-1] and measured[0].most <= at_most:
+            finer = tool.finer(target.position, approach_deg=target.approach_deg, start=start)
+            measured += [] if finer is None else [measured_at(finer)]
     for room in ROOMS:
         for found in measured:
             if found.most > room:

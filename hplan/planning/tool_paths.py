@@ -7,7 +7,7 @@ along its axis (`Robot.tool_axis`), as `hplan.kinematics.straight_line` finds.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import NamedTuple
 
@@ -20,18 +20,14 @@ from hplan.collision.collision_bodies import collision_bodies
 from hplan.collision.reach import reach as reach_of_bodies
 from hplan.errors import UnreachableError
 from hplan.kinematics.approach_angles import Candidates
-from hplan.kinematics.finer_angles import Measured, finer_angles
 from hplan.kinematics.inverse_kinematics import inverse_kinematics
-from hplan.kinematics.planar_inverse_kinematics import reach, reach_at
+from hplan.kinematics.planar_inverse_kinematics import reach
 from hplan.kinematics.straight_line import StraightLine, lines_back
 from hplan.kinematics.tool_at_point import approach_angles, tool_at_point
 from hplan.robot.model import Robot
 
 #: Where an approach is checked, as fractions of its length: whole steps of `hplan.kinematics.straight_line`.
 _LOOKS = (0.25, 0.5, 0.75, 1.0)
-
-#: Where no configuration is clear, so many directions are tried.
-_MORE = 256
 
 
 class Approaches(NamedTuple):
@@ -55,6 +51,8 @@ class Tool:
 
     enough: float = 8
     _is_sorted = True
+    #: Where no configuration is clear, so many directions, or configurations, are tried.
+    _more = 256
 
     def __init__(self, robot: Robot, locked: Sequence[str] = (), keeps_turn: bool = False) -> None:
         """Of a robot.
@@ -93,29 +91,18 @@ class Tool:
         return Candidates(found, approach_angles(self._robot, found, pose[:3, 3]))
 
     def finer(
-        self,
-        position: ArrayLike,
-        evenly: Measured,  # noqa: ARG002
-        clearances: Callable[[FloatArray], FloatArray],
-        enough: float,  # noqa: ARG002
-        *,
-        approach_deg: float | tuple[float, float] | None,
-        start: FloatArray,
-    ) -> Iterator[Measured]:
-        """More and more configurations than those found, none of which has enough clearance.
-
-        Of a planar arm those at angles about the best (`hplan.kinematics.finer_angles`), else those of more directions.
+        self, position: ArrayLike, *, approach_deg: float | tuple[float, float] | None, start: FloatArray
+    ) -> Candidates | None:
+        """Many more configurations than `at` gives, for where none of those is clear; None where there is none.
 
         Args:
             position: (3,) in `base_link` [m].
-            clearances: Clearances of the links at (n, dof) configurations, (n, links) [m].
-            enough: Clearance that is enough [m].
             approach_deg: Approach angle or interval that is asked for; None for all [deg].
             start: (dof,) configuration from which the arm comes.
         """
         with suppress(UnreachableError):
-            more = self.at(position, approach_deg=approach_deg, count=_MORE, start=start)
-            yield Measured(more, clearances(more.configurations))
+            return self.at(position, approach_deg=approach_deg, count=self._more, start=start)
+        return None
 
     def most_clearance(
         self,
@@ -177,27 +164,12 @@ class _PlanarTool(Tool):
 
     enough = math.inf
     _is_sorted = False
+    _more = 512
 
     def at(
         self, position: ArrayLike, *, approach_deg: float | tuple[float, float] | None, count: int, start: FloatArray
     ) -> Candidates:
         return reach(self._robot, position, approach_deg=approach_deg, count=count, start=start, locked=self._locked)
-
-    def finer(
-        self,
-        position: ArrayLike,
-        evenly: Measured,
-        clearances: Callable[[FloatArray], FloatArray],
-        enough: float,
-        *,
-        approach_deg: float | tuple[float, float] | None,
-        start: FloatArray,
-    ) -> Iterator[Measured]:
-        def at(angles: FloatArray) -> Measured | None:
-            found = reach_at(self._robot, position, angles, start=start, locked=self._locked)
-            return None if found is None else Measured(found, clearances(found.configurations))
-
-        return finer_angles(evenly, at, enough, self._robot.arm.lengths, approach_deg)
 
     def most_clearance(self, field: ClearanceField, position: ArrayLike, configurations: FloatArray) -> float:
         yaws = set(configurations[:, 0].tolist()) if self._robot.has_yaw else {0.0}

@@ -17,8 +17,6 @@ import hplan.planning.plans
 import hplan.planning.tool_paths
 from hplan.collision.coal_scene import CoalScene
 from hplan.errors import BlockedError, CertificationError, NoPathError, NotFoundError, TimingError
-from hplan.kinematics.approach_angles import Candidates
-from hplan.kinematics.finer_angles import FINEST, Measured, finer_angles
 from hplan.kinematics.planar_inverse_kinematics import reach
 from hplan.planning.failures import FailuresError, without_path
 from hplan.planning.grasps import ROOMS, SPARE, Grasp, Target, grasps, promising
@@ -98,33 +96,12 @@ def test_finer_angles_before_blocked(robot: Robot, name: str, monkeypatch: pytes
     scene = TIGHT[name]
     found = plan(robot, scene, COARSE)
     assert_sound(robot, scene, found)
-    monkeypatch.setattr(hplan.planning.tool_paths, "finer_angles", lambda *_: iter(()))
+    monkeypatch.setattr(hplan.planning.tool_paths.Tool, "finer", lambda *_, **__: None)
     least = 0.0
     with suppress(BlockedError):
         least = min(grasp.room for grasp in grasps_of(robot, scene)[0])
     assert found.grasp is not None
     assert found.grasp.room > least
-
-
-@pytest.mark.parametrize("asked", [None, (100.0, 460.0), (100.0, 250.0), (-300.0, -100.0)])
-@pytest.mark.parametrize("peak_deg", [170.0, 178.7, -179.2, -130.3])
-def test_a_narrow_window_is_found_whatever_the_turn(asked: tuple[float, float] | None, peak_deg: float) -> None:
-    """Clearance falls by 0.5 m/rad from a peak of 2 mm, so that half a degree in all has more than 0 mm to spare."""
-
-    whole = asked is None or asked[1] - asked[0] >= 360.0
-    low, high = np.radians((-180.0, 180.0) if asked is None else asked)
-
-    def at(angles: np.ndarray) -> Measured:
-        assert whole or ((angles - low + 1e-6) % (2.0 * np.pi) <= high - low + 2e-6).all()
-        away = (angles - math.radians(peak_deg) + np.pi) % (2.0 * np.pi) - np.pi
-        rooms = np.stack([np.full(len(angles), 0.003), 0.002 - 0.5 * np.abs(away)], axis=1)
-        return Measured(Candidates(angles[:, None], np.pi - (np.pi - angles) % (2.0 * np.pi)), rooms)
-
-    evenly = at(np.linspace(low, high, 42))
-    levels = list(finer_angles(evenly, at, 0.0015, np.array([1.0, 0.5]), asked))
-    assert evenly.most < 0.0015 < max(level.most for level in levels)
-    # A link that is slower cannot be as clear: nothing is refined for it.
-    assert not any(len(level.least) for level in finer_angles(evenly, at, 0.0015, np.array([1.0, 1e-3]), asked))
 
 
 def test_blocked_says_how_many_were_tried_and_by_how_much(robot: Robot) -> None:
@@ -147,7 +124,7 @@ def test_blocked_says_how_many_were_tried_and_by_how_much(robot: Robot) -> None:
     fine = reach(robot, tight.fruits[0].center, count=4000, start=start, locked=tight.locked_joints).configurations
     best = max(near.field.clearance(q) for q in fine)
     assert error.best_clearance_m is not None
-    assert best - 1.0 * FINEST <= error.best_clearance_m <= min(best + 1e-4, SPARE)
+    assert best - 1e-3 <= error.best_clearance_m <= min(best + 1e-4, SPARE)
 
 
 def test_no_path_is_said_of_all_grasps(robot: Robot) -> None:

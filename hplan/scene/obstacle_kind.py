@@ -254,12 +254,12 @@ def posed(solid: Solid, rotation: FloatArray, shift: FloatArray) -> Solid:
     """
     if not isinstance(solid, Hull | Cloud):
         return solid.model_copy(update=moved(solid, rotation, shift))
-    core = frozen(np.ascontiguousarray(solid.core @ rotation.T + shift))
-    if isinstance(solid, Cloud):
-        tree = solid.tree.copy()
-        tree[:, 3:6] = tree[:, 3:6] @ rotation.T + shift
-        return replace(solid, core=core, tree=frozen(tree))
-    return _posed_hull(solid, core, rotation, shift)
+    if isinstance(solid, Hull):
+        return solid.placed(rotation, shift)
+    tree = solid.tree.copy()
+    tree[:, 3:6] = tree[:, 3:6] @ rotation.T + shift
+    core = np.ascontiguousarray(solid.core @ rotation.T + shift)
+    return replace(solid, core=frozen(core), tree=frozen(tree))
 
 
 def moved(item: Any, rotation: FloatArray, shift: FloatArray) -> dict[str, Any]:
@@ -287,14 +287,3 @@ def turned_covariance(
     """Rows of a covariance in axes that a (3, 3) rotation has turned."""
     rows = rotation @ np.array(covariance) @ rotation.T
     return tuple((x, y, z) for x, y, z in (0.5 * (rows + rows.T)).tolist())
-
-
-def _posed_hull(hull: Hull, core: FloatArray, rotation: FloatArray, shift: FloatArray) -> Hull:
-    """The hull elsewhere, with its facets and edges, which take long to find."""
-    moved = replace(hull, core=core)
-    normals = hull.planes[:, :3] @ rotation.T
-    planes = np.column_stack([normals, (normals @ core.T).max(axis=1)])
-    ends = hull.edges[:, :3] @ rotation.T + shift
-    edges = readonly(np.column_stack([ends, hull.edges[:, 3:] @ rotation.T]))
-    vars(moved)["_facets"] = frozen(planes), edges
-    return moved

@@ -203,9 +203,9 @@ class Mesh(FromData):
         return hulls
 
     def _hulls(self) -> tuple[Solid, ...]:
-        placement = (self.name, self.rotation, np.array(self.position), self.sigma)
-        hulls = (hull.moved(*placement) for hull in self._data.pieces(self.scale).hulls)
-        return self._swept(tuple(replace(hull, yields=self.yields) for hull in hulls))
+        place, own = (self.rotation, np.array(self.position)), {"name": self.name, "sigma": self.sigma}
+        hulls = self._data.pieces(self.scale).hulls
+        return self._swept(tuple(hull.placed(*place, yields=self.yields, **own) for hull in hulls))
 
 
 class PointCloud(FromData):

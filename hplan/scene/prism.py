@@ -13,8 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from hplan.base.arrays import frozen, readonly
-from hplan.scene.solids import HULL_VERTICES, Hull, rpy_rotation
+from hplan.scene.solids import HULL_VERTICES, Hull, rpy_rotation, whole_hull
 
 #: A prism stands out of its cylinder by no more than this, as far as its sides allow [m].
 ERROR: Final = 5e-4
@@ -37,36 +36,17 @@ def prism(
         radius: Its radius [m].
     """
     n = _sides(radius)
-    rotation, middle = rpy_rotation(*map(math.radians, rpy_deg)), np.array(center)
-    angles = 2.0 * np.pi * np.arange(n) / n
     widest = radius / math.cos(math.pi / n)
-    ring = widest * np.column_stack([np.cos(angles), np.sin(angles), np.zeros(n)])
-    half = np.array([0.0, 0.0, 0.5 * length])
-    ends = np.stack([ring - half, ring + half]) @ rotation.T + middle
-    between = angles + np.pi / n
-    normals = np.zeros((n + 2, 3))
-    normals[:n, 0], normals[:n, 1], normals[n:, 2] = np.cos(between), np.sin(between), (-1.0, 1.0)
-    normals = normals @ rotation.T
-    corners = ends.reshape(-1, 3)
-    # Every corner is on or below: rounding errors shift a plane outward, never into the prism.
-    planes = np.column_stack([normals, (normals @ corners.T).max(axis=1)])
-    starts = np.concatenate([ends[0], ends[1], ends[0]])
-    stops = np.concatenate([np.roll(ends[0], -1, axis=0), np.roll(ends[1], -1, axis=0), ends[1]])
-    edges = np.column_stack([starts, stops - starts])
-    at = np.arange(n)
-    following = np.roll(at, -1)
-    fan = at[1:-1]
-    faces = np.concatenate(
-        [
-            np.column_stack([np.zeros_like(fan), fan + 1, fan]),
-            np.column_stack([np.full_like(fan, n), fan + n, fan + n + 1]),
-            np.column_stack([at, following, following + n]),
-            np.column_stack([at, following + n, at + n]),
-        ]
-    )
-    hull = Hull("prism", frozen(corners), readonly(faces, np.int64))
-    vars(hull)["_facets"] = frozen(planes), frozen(edges)
-    return hull
+    scale = np.array([widest, widest, 0.5 * length])
+    return _unit_prism(n).placed(rpy_rotation(*map(math.radians, rpy_deg)), np.array(center), scale)
+
+
+@lru_cache
+def _unit_prism(sides: int) -> Hull:
+    """The prism with its corners 1 from the z axis, and 1 below and above."""
+    angles = 2.0 * np.pi * np.arange(sides) / sides
+    ring = np.column_stack([np.cos(angles), np.sin(angles), np.ones(sides)])
+    return whole_hull(np.concatenate([ring * (1.0, 1.0, -1.0), ring]), "prism")
 
 
 def prism_excess(radius: float) -> float:

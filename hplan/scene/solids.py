@@ -178,10 +178,24 @@ class Hull(Record):
         ]
         return frozen(planes), frozen(np.array(rows, dtype=np.float64).reshape(-1, 6))
 
-    def moved(self, name: str, rotation: FloatArray, position: FloatArray, sigma: float) -> Hull:
-        """The hull turned and shifted, under another name."""
-        core = frozen(np.ascontiguousarray(self.core @ rotation.T + position))
-        return Hull(name, core, self.faces, self.rounding, sigma)
+    def placed(self, rotation: FloatArray, shift: FloatArray, scale: FloatArray | float = 1.0, **changes: Any) -> Hull:
+        """The hull stretched, turned and shifted, with its facets and edges, which take long to find.
+
+        Args:
+            rotation: (3, 3) rotation.
+            shift: (3,) shift [m].
+            scale: Factors along its own axes, before that; 1 for a hull that is rounded.
+            changes: Other fields that change.
+        """
+        core = frozen(np.ascontiguousarray(self.core * scale @ rotation.T + shift))
+        normals = self.planes[:, :3] / scale
+        normals = normals / np.linalg.norm(normals, axis=1, keepdims=True) @ rotation.T
+        ends, along = self.edges[:, :3] * scale @ rotation.T + shift, self.edges[:, 3:] * scale @ rotation.T
+        placed = replace(self, core=core, **changes)
+        # Every vertex is on or below: rounding errors shift a plane outward, never into the hull.
+        planes = np.column_stack([normals, (normals @ core.T).max(axis=1)])
+        vars(placed)["_facets"] = frozen(planes), frozen(np.column_stack([ends, along]))
+        return placed
 
 
 def hull_of(points: FloatArray, name: str = "", *, most: int = HULL_VERTICES) -> Hull:

@@ -166,7 +166,8 @@ def test_hulls_hold_their_points(seed, count, flatness):
     points = rng.normal(size=(count, 3)) * [1.0, flatness, flatness**2]
     hull = hull_of(points, most=20)
     assert uncovered((hull,), points) <= 1e-6
-    turned = hull.moved("other", np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1.0]]), np.array([1.0, 2.0, 3.0]), 0.1)
+    rotation, shift = np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1.0]]), np.array([1.0, 2.0, 3.0])
+    turned = hull.placed(rotation, shift, name="other", sigma=0.1)
     assert (turned.name, turned.sigma, turned.rounding) == ("other", 0.1, hull.rounding)
     np.testing.assert_allclose(turned.core[:, 0], 1.0 - hull.core[:, 1])
     assert (turned.core @ turned.planes[:, :3].T <= turned.planes[:, 3] + 1e-9).all()

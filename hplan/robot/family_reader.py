@@ -28,26 +28,52 @@ _GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 
 
 def read_family(model: pin.Model, collision_model: pin.GeometryModel, tool_frame: str) -> PlanarFamily:
-    """The planar family's part of a robot.
+    """The planar family's part of a robot, at q = 0.
+
+    The arm plane is the one in which the tool frame moves. Where along its axis a joint's origin lies is of no
+    account, so the plane may pass the yaw axis at a distance, and links may lie off the plane.
 
     Raises:
         RobotFamilyError: Not of the family; says which element and why.
     """
-    found = FamilyReader(model, collision_model, tool_frame)
-    lower, upper = np.array(model.lowerPositionLimit), np.array(model.upperPositionLimit)
-    joints = slice(1 if found.has_yaw else 0, None)
+    _check_chain(model)
+    data, tool = model.createData(), model.getFrameId(tool_frame)
+    pin.framesForwardKinematics(model, data, np.zeros(model.nq))
+    if model.frames[tool].parentJoint != model.njoints - 1:
+        raise RobotFamilyError(model.name, f"frame {tool_frame!r}", "it is not on the last link")
+    axes = _joint_axes(model, data)
+    first = int(_has_yaw(model, axes))
+    names = tuple(map(str, model.names))[1:]
+    links = tuple(_link_name(model, joint) for joint in range(first + 1, model.njoints))
+    places = [data.oMi[joint].translation for joint in range(first + 1, model.njoints)]
+    plane, points = _plane(model, axes[first:], np.array([*places, data.oMf[tool].translation]))
+    steps = np.diff(points, axis=0) @ plane[:2].T
+    lengths = np.linalg.norm(steps, axis=1)
+    for name, length in zip(links, lengths, strict=True):
+        if length < _GEOMETRY_TOLERANCE:
+            raise RobotFamilyError(model.name, f"link {name!r}", "it has no length")
+    relative = np.diff([math.atan2(y, x) for x, y in steps.tolist()], prepend=0.0)
+    capsules = []
+    for joint, name in enumerate(links, start=first + 1):
+        shapes = [shape for shape in collision_model.geometryObjects if shape.parentJoint == joint]
+        ends = points[joint - first - 1 : joint - first + 1]
+        try:
+            capsules.append(_capsule(shapes, data.oMi[joint], ends, plane[2]))
+        except TypeError as error:
+            raise RobotFamilyError(model.name, f"link {name!r}", str(error)) from error
     arm = PlanarArm(
-        joint_names=tuple(model.names)[1:][joints],
-        link_names=found.link_names,
-        lengths=readonly(found.lengths),
-        half_widths=readonly(found.half_widths),
-        lateral=readonly(found.lateral),
-        signs=readonly(found.signs),
-        offsets=readonly(found.offsets),
-        lower=readonly(lower[joints]),
-        upper=readonly(upper[joints]),
+        joint_names=names[first:],
+        link_names=links,
+        lengths=readonly(lengths),
+        half_widths=readonly([width for width, _ in capsules]),
+        lateral=readonly([aside for _, aside in capsules]),
+        signs=readonly(np.sign(axes[first:] @ plane[2])),
+        offsets=readonly([math.atan2(math.sin(bend), math.cos(bend)) for bend in relative.tolist()]),
+        lower=readonly(model.lowerPositionLimit[first:]),
+        upper=readonly(model.upperPositionLimit[first:]),
     )
-    return PlanarFamily(found.has_yaw, readonly(found.yaw_axis), arm, readonly(found.origin), readonly(found.axes))
+    yaw_axis = data.oMi[1].translation[:2] if first else np.zeros(2)
+    return PlanarFamily(bool(first), readonly(yaw_axis), arm, readonly(points[0]), readonly(plane[:2]))
 
 
 def check_joints(path: Path, model: pin.Model) -> None:
@@ -75,148 +101,85 @@ def check_joints(path: Path, model: pin.Model) -> None:
             raise RobotFileError(path, f"joint {name!r}: {reason}")
 
 
-class FamilyReader:
-    """The planar chain in Pinocchio's models at q = 0; what is not of the family is refused.
+def _check_chain(model: pin.Model) -> None:
+    """Refuse what is no serial chain of joints that turn."""
+    for index in range(1, model.njoints):
+        name, kind = model.names[index], model.joints[index].shortname()
+        if kind not in TURNING:
+            reason = f"it is a {kind}; the family's joints are revolute; {hold_advice(name)}"
+            raise RobotFamilyError(model.name, f"joint {name!r}", reason)
+        if model.parents[index] != index - 1:
+            raise RobotFamilyError(model.name, f"joint {name!r}", "the chain branches here; only serial arms")
 
-    The arm plane is the one in which the tool frame moves. Where along its axis a joint's origin lies is of no
-    account, so the plane may pass the yaw axis at a distance, and links may lie off the plane.
 
-    Attributes:
-        has_yaw: True where joint 0 turns the arm plane about the vertical.
-        yaw_axis: (2,) where that vertical stands [m]; zeros without a yaw.
-        origin: (3,) first planar joint, where its axis meets the plane [m].
-        axes: (2, 3) the plane's horizontal and upward unit vectors.
-        link_names: Names of the `n` planar links.
-        lengths: (n,) their lengths [m].
-        half_widths: (n,) radii of the capsules that enclose them [m].
-        lateral: (n,) distances of the capsules' axes from the plane, along its normal [m].
-        signs: (n,) +1 or -1, sense of each planar joint.
-        offsets: (n,) relative link angles.
+def _joint_axes(model: pin.Model, data: pin.Data) -> FloatArray:
+    """(joints, 3) rotation axes at q = 0 in the base frame."""
+    pin.computeJointJacobians(model, data, np.zeros(model.nq))
+    jacobian = pin.getJointJacobian(model, data, model.njoints - 1, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
+    axes: FloatArray = np.reshape(jacobian, (6, -1))[3:].T  # of one joint, Pinocchio gives a vector
+    return axes
+
+
+def _has_yaw(model: pin.Model, axes: FloatArray) -> bool:
+    """True where joint 0 is vertical and the others are not parallel to it."""
+    if len(axes) == 1:
+        return False
+    between = _angle_between(axes[0], axes[1])
+    if between <= _AXIS_TOLERANCE:
+        return False
+    joint, tilt = f"joint {model.names[1]!r}", _angle_between(axes[0], np.array([0.0, 0.0, 1.0]))
+    if tilt > _AXIS_TOLERANCE:
+        reason = "it is not parallel to the next joint and not vertical either" + _nearly(min(between, tilt))
+        raise RobotFamilyError(model.name, joint, reason)
+    if axes[0, 2] < 0.0:
+        raise RobotFamilyError(model.name, joint, "the yaw axis points down; turn it to +z")
+    lean = abs(math.atan2(axes[1, 2], math.hypot(axes[1, 0], axes[1, 1])))
+    if lean > _AXIS_TOLERANCE:
+        reason = "it is not perpendicular to the yaw axis" + _nearly(lean)
+        raise RobotFamilyError(model.name, f"joint {model.names[2]!r}", reason)
+    return True
+
+
+def _plane(model: pin.Model, axes: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(3, 3) horizontal and upward axis of the arm plane and its normal; and the joints and the tool in it."""
+    planar = model.names[model.njoints - len(axes) :]
+    for name, axis in zip(planar, axes, strict=True):
+        angle = _angle_between(axis, axes[0])
+        if angle > _AXIS_TOLERANCE:
+            reason = f"it is not parallel to joint {planar[0]!r}{_nearly(angle)}; {hold_advice(name)}"
+            raise RobotFamilyError(model.name, f"joint {name!r}", reason)
+    normal = axes[0]
+    up = np.array([0.0, 0.0, 1.0]) - normal[2] * normal
+    up = up / np.linalg.norm(up) if np.linalg.norm(up) > 1e-6 else np.array([0.0, 1.0, 0.0])
+    forward = np.cross(up, normal)
+    reach = float(forward @ (points[-1] - points[0]))
+    lead = reach if abs(reach) > _GEOMETRY_TOLERANCE else float(forward[ties.argmax(np.abs(forward))])
+    if lead < 0.0:
+        forward = -forward
+    normal = np.cross(forward, up)
+    aside = (points - points[-1]) @ normal
+    aside[np.abs(aside) <= _GEOMETRY_TOLERANCE] = 0.0
+    return np.stack([forward, up, normal]), points - aside[:, None] * normal
+
+
+def _link_name(model: pin.Model, joint: int) -> str:
+    """Name of the first body that the joint moves."""
+    bodies = (frame for frame in model.frames if frame.parentJoint == joint and frame.type == pin.FrameType.BODY)
+    return str(next((frame.name for frame in bodies), model.names[joint]))
+
+
+def _capsule(
+    shapes: Sequence[pin.GeometryObject], placement: pin.SE3, ends: FloatArray, normal: FloatArray
+) -> tuple[float, float]:
+    """Radius of the smallest capsule along a link that holds its shapes, and how far off the arm plane it lies [m].
+
+    Its axis is that of the link in the arm plane, or parallel to it off the plane where that makes it thinner.
     """
-
-    def __init__(self, model: pin.Model, collision_model: pin.GeometryModel, tool_frame: str) -> None:
-        """Read them.
-
-        Raises:
-            RobotFamilyError: Not of the family; says which element and why.
-        """
-        self.robot_name = model.name
-        self._check_joints(model)
-        self.data = model.createData()
-        pin.framesForwardKinematics(model, self.data, np.zeros(model.nq))
-        tool_id = model.getFrameId(tool_frame)
-        if model.frames[tool_id].parentJoint != model.njoints - 1:
-            raise self._fault(f"frame {tool_frame!r}", "it is not on the last link")
-        axes = self._joint_axes(model)
-        self.has_yaw = self._find_yaw(model, axes)
-        first = 1 if self.has_yaw else 0
-        self.yaw_axis: FloatArray = self.data.oMi[1].translation[:2].copy() if self.has_yaw else np.zeros(2)
-        points = [self.data.oMi[i].translation.copy() for i in range(first + 1, model.njoints)]
-        points.append(self.data.oMf[tool_id].translation.copy())
-        self._read_plane(model, axes[first:], np.array(points), first)
-        self._read_capsules(collision_model, first)
-
-    def _fault(self, element: str, reason: str) -> RobotFamilyError:
-        return RobotFamilyError(self.robot_name, element, reason)
-
-    def _check_joints(self, model: pin.Model) -> None:
-        for index in range(1, model.njoints):
-            name, kind = model.names[index], model.joints[index].shortname()
-            if kind not in TURNING:
-                reason = f"it is a {kind}; the family's joints are revolute; {hold_advice(name)}"
-                raise self._fault(f"joint {name!r}", reason)
-            if model.parents[index] != index - 1:
-                raise self._fault(f"joint {name!r}", "the chain branches here; only serial arms")
-
-    def _joint_axes(self, model: pin.Model) -> FloatArray:
-        """(joints, 3) rotation axes at q = 0 in the base frame."""
-        pin.computeJointJacobians(model, self.data, np.zeros(model.nq))
-        jacobian = pin.getJointJacobian(model, self.data, model.njoints - 1, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
-        axes: FloatArray = np.reshape(jacobian, (6, -1))[3:].T  # of one joint, Pinocchio gives a vector
-        return axes
-
-    def _find_yaw(self, model: pin.Model, axes: FloatArray) -> bool:
-        """True where joint 0 is vertical and the others are not parallel to it."""
-        if len(axes) == 1:
-            return False
-        between = _angle_between(axes[0], axes[1])
-        if between <= _AXIS_TOLERANCE:
-            return False
-        name = model.names[1]
-        tilt = _angle_between(axes[0], np.array([0.0, 0.0, 1.0]))
-        if tilt > _AXIS_TOLERANCE:
-            reason = "it is not parallel to the next joint and not vertical either"
-            raise self._fault(f"joint {name!r}", reason + _nearly(min(between, tilt)))
-        if axes[0, 2] < 0.0:
-            raise self._fault(f"joint {name!r}", "the yaw axis points down; turn it to +z")
-        lean = abs(math.atan2(axes[1, 2], math.hypot(axes[1, 0], axes[1, 1])))
-        if lean > _AXIS_TOLERANCE:
-            raise self._fault(f"joint {model.names[2]!r}", "it is not perpendicular to the yaw axis" + _nearly(lean))
-        return True
-
-    def _read_plane(self, model: pin.Model, axes: FloatArray, points: FloatArray, first: int) -> None:
-        for offset, axis in enumerate(axes):
-            angle = _angle_between(axis, axes[0])
-            if angle > _AXIS_TOLERANCE:
-                raise self._fault(
-                    f"joint {model.names[first + 1 + offset]!r}",
-                    f"it is not parallel to joint {model.names[first + 1]!r}{_nearly(angle)}; "
-                    + hold_advice(model.names[first + 1 + offset]),
-                )
-        normal = axes[0]
-        up = np.array([0.0, 0.0, 1.0]) - normal[2] * normal
-        up = up / np.linalg.norm(up) if np.linalg.norm(up) > 1e-6 else np.array([0.0, 1.0, 0.0])
-        forward = np.cross(up, normal)
-        reach = float(forward @ (points[-1] - points[0]))
-        lead = reach if abs(reach) > _GEOMETRY_TOLERANCE else float(forward[ties.argmax(np.abs(forward))])
-        if lead < 0.0:
-            forward = -forward
-        normal = np.cross(forward, up)
-        aside = (points - points[-1]) @ normal
-        aside[np.abs(aside) <= _GEOMETRY_TOLERANCE] = 0.0
-        points = points - aside[:, None] * normal
-        steps = np.diff(points, axis=0) @ np.stack([forward, up], axis=1)
-        lengths = np.linalg.norm(steps, axis=1)
-        self.link_names = tuple(self._link_name(model, index) for index in range(first + 1, model.njoints))
-        for name, length in zip(self.link_names, lengths, strict=True):
-            if length < _GEOMETRY_TOLERANCE:
-                raise self._fault(f"link {name!r}", "it has no length")
-        absolute = np.array([math.atan2(y, x) for x, y in steps.tolist()])
-        relative = np.diff(absolute, prepend=0.0)
-        self._points, self._normal, self.origin = points, normal, points[0]
-        self.axes = np.stack([forward, up])
-        self.lengths = lengths
-        self.signs = np.sign(axes @ normal)
-        self.offsets = np.array([math.atan2(math.sin(bend), math.cos(bend)) for bend in relative.tolist()])
-
-    @staticmethod
-    def _link_name(model: pin.Model, joint: int) -> str:
-        """Name of the first body that the joint moves."""
-        for frame in model.frames:
-            if frame.parentJoint == joint and frame.type == pin.FrameType.BODY:
-                return str(frame.name)
-        return str(model.names[joint])
-
-    def _read_capsules(self, collision_model: pin.GeometryModel, first: int) -> None:
-        """Radius of the smallest capsule along each link that holds its collision geometry, and where it lies.
-
-        Its axis is that of the link in the arm plane, or parallel to it off the plane where that makes it thinner.
-        """
-        widths, lateral = [], []
-        for index, name in enumerate(self.link_names):
-            joint = first + 1 + index
-            shapes = [g for g in collision_model.geometryObjects if g.parentJoint == joint]
-            if not shapes:
-                raise self._fault(f"link {name!r}", "it has no collision geometry")
-            placement, ends = self.data.oMi[joint], self._points[index : index + 2]
-            try:
-                aside = _thinnest([_outline_about(shape, placement, ends, self._normal) for shape in shapes])
-                start, end = ends + aside * self._normal
-                widths.append(max(_enclosing_radius(shape, placement, start, end) for shape in shapes))
-            except TypeError as error:
-                raise self._fault(f"link {name!r}", str(error)) from error
-            lateral.append(aside)
-        self.half_widths, self.lateral = np.array(widths), np.array(lateral)
+    if not shapes:
+        raise TypeError("it has no collision geometry")
+    aside = _thinnest([_outline_about(shape, placement, ends, normal) for shape in shapes])
+    start, end = ends + aside * normal
+    return max(_enclosing_radius(shape, placement, start, end) for shape in shapes), aside
 
 
 def _angle_between(axis: FloatArray, other: FloatArray) -> float:

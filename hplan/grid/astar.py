@@ -1,14 +1,13 @@
 r"""One A* for any dimension: it runs on the dense grid, on one slice of it and on the sparse union of slice paths.
 
-They differ only in which bits are set. Three lower bounds guide it: the straight line, the shortest path on the free
-grid (octile), and distances that know the obstacles, on the projection along the last axis (`row_bounds`).
+They differ only in which bits are set. Two lower bounds guide it: the straight line, and the shortest path on the free
+grid (octile).
 """
 
 from __future__ import annotations
 
 import math
 import time
-from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -54,80 +53,6 @@ def dense_search(occupancy: Occupancy, start: ArrayLike, goal: ArrayLike, *, oct
     )
 
 
-class RowBounds(NamedTuple):
-    """Lower bounds of the cost to a goal: `max over k of values[row, k] + weights[k] * |bit - goal bit|`.
-
-    Attributes:
-        values: (rows, 2) distance to the goal's row, for rows with nodes; inf where it is not connected.
-        weights: (2,) weight of one step along the last axis.
-        settled: Rows taken from the open list to find them.
-    """
-
-    values: FloatArray
-    weights: FloatArray
-    settled: int
-
-
-def row_bounds(lattice: Lattice, nodes: NodeSet, goal_row: int) -> RowBounds:
-    r"""Lower bounds that know the obstacles: distances on the projection along the last axis.
-
-    Forget on which bit a node stands: a row is free if any of its bits is set. A path then projects to a path over
-    rows. For any weight :math:`0 \le \lambda \le s` of one step along the last axis (:math:`s` its spacing), let a move
-    of projected length :math:`c` cost :math:`c_\lambda = \min(c, \sqrt{c^2 + s^2} - \lambda)`, and let
-    :math:`d_\lambda` be the distance to the goal's row in these costs. No move lowers
-    :math:`d_\lambda + \lambda |\Delta|` (:math:`\Delta` steps to go along the last axis) by more than its own cost, so
-    that sum is an admissible and consistent bound. It is taken for the two weights that are exact when every
-    step along the last axis is made together with the longest, or the shortest, move between rows; A* uses the larger.
-
-    Args:
-        nodes: The nodes, the goal among them.
-        goal_row: Bordered row of the goal.
-    """
-    bounds = _row_bounds(nodes.rows, lattice.rows, lattice.arrays, goal_row)
-    check_deadline()
-    return bounds
-
-
-@kernel
-def _row_bounds(used: IntArray, rows: int, lattice: LatticeArrays, goal_row: int) -> RowBounds:
-    """Dijkstra's algorithm from the goal's row over the rows used, once for each weight."""
-    row_offsets, move_costs, step = lattice.row_offsets, lattice.move_costs, lattice.step[-1]
-    values = np.empty((rows, 2))
-    keys, entries = np.empty(len(used)), np.empty(len(used), dtype=np.int32)
-    slot = np.full(rows, -2, dtype=np.int32)
-    centre = len(row_offsets) // 2
-    shortest = np.inf
-    for move in range(len(row_offsets)):
-        if move != centre:
-            shortest = min(shortest, move_costs[move, 1])
-    longest = move_costs[0, 1]
-    costs, weights = np.empty(len(row_offsets)), np.empty(2)
-    settled = 0
-    for k in range(2):
-        aside = longest if k == 0 else shortest
-        weights[k] = math.hypot(aside, step) - aside
-        for move in range(len(row_offsets)):
-            costs[move] = min(move_costs[move, 1], move_costs[move, 2] - weights[k])
-        for row in used:
-            slot[row], values[row, k] = -1, np.inf
-        values[goal_row, k] = 0.0
-        size = begin(keys, entries, slot, goal_row)
-        while size > 0:
-            row = pop(keys, entries, slot, size)
-            size -= 1
-            settled += 1
-            if settled & _OFTEN == 0 and is_up(lattice.until):
-                break
-            base = values[row, k]
-            for move in range(len(row_offsets)):
-                neighbour = row + row_offsets[move]
-                new = base + costs[move]
-                if slot[neighbour] != -2 and new < values[neighbour, k]:
-                    values[neighbour, k] = new
-                    size = push(keys, entries, slot, size, new, neighbour)
-    return RowBounds(values, weights, settled)
-
-
 def astar(
     lattice: Lattice,
     nodes: NodeSet,
@@ -135,7 +60,6 @@ def astar(
     goal: IntArray,
     *,
     octile: bool,
-    bounds: RowBounds | None = None,
 ) -> tuple[IntArray | None, float, int]:
     """Shortest path over the nodes of a set.
 
@@ -146,13 +70,12 @@ def astar(
         goal: (d,) node index.
         octile: Bound the cost to go by the shortest path on the free grid, the tightest bound that knows no
             obstacle; else by the straight line, as the paper does.
-        bounds: Bound the cost to go by these instead.
 
     Returns:
         The (m, d) path or None, its cost, and the number of expansions.
     """
     path, cost, expansions = _astar(
-        nodes, lattice.shape[-1], lattice.node(start), lattice.node(goal), lattice.arrays, octile, bounds
+        nodes, lattice.shape[-1], lattice.node(start), lattice.node(goal), lattice.arrays, octile
     )
     check_deadline()
     return (path if len(path) else None), cost, expansions
@@ -202,20 +125,6 @@ def bound(row_coordinates: IntArray, step: FloatArray, row: int, bit: int, goal:
         done = following
 
 
-@inlined
-def _ahead(
-    row_coordinates: IntArray, step: FloatArray, row: int, bit: int, goal: Node, octile: bool, bounds: Any
-) -> float:
-    """Lower bound of the cost from a node to the goal: the row bounds where there are any, else `bound`."""
-    if bounds is None:
-        return bound(row_coordinates, step, row, bit, goal, octile)
-    togo = abs(bit - goal.bit)
-    known: float = max(
-        bounds.values[row, 0] + bounds.weights[0] * togo, bounds.values[row, 1] + bounds.weights[1] * togo
-    )
-    return known
-
-
 @kernel
 def _astar(
     nodes: NodeSet,
@@ -224,7 +133,6 @@ def _astar(
     goal: Node,
     lattice: LatticeArrays,
     octile: bool,
-    bounds: Any,  # RowBounds or None: the branches that use them are then compiled away
 ) -> tuple[IntArray, float, int]:
     """A* over set bits; path as (m, d) node indices (empty without a path), cost, expansions."""
     words, ranks = nodes.words, nodes.ranks
@@ -234,7 +142,7 @@ def _astar(
     place = np.empty(nodes.size, dtype=np.int64)  # row * bit_count + bit
     keys, entries = np.empty(nodes.size), np.empty(nodes.size, dtype=np.int32)
     slot = np.full(nodes.size, -1, dtype=np.int32)
-    whole = _ahead(row_coordinates, step, start.row, start.bit, goal, octile, bounds)
+    whole = bound(row_coordinates, step, start.row, start.bit, goal, octile)
     scale, tolerance = 1.0 / max(whole, 1e-12), 1e-12 * whole
     one, top, three = np.uint64(1), np.uint64(63), np.uint64(7)
     before = words[start.row, start.bit >> 6] & ((one << np.uint64(start.bit & 63)) - one)
@@ -284,7 +192,7 @@ def _astar(
                 cost[other] = new
                 parent[other] = node
                 place[other] = neighbour * bit_count + there
-                ahead = _ahead(row_coordinates, step, neighbour, there, goal, octile, bounds)
+                ahead = bound(row_coordinates, step, neighbour, there, goal, octile)
                 size = push(keys, entries, slot, size, priority(new, ahead, scale), other)
     length, node = 0, found
     while node >= 0:

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from hplan.base.arguments import truth
 from hplan.base.arrays import IntArray, WordArray, frozen
-from hplan.grid.astar import astar, row_bounds
+from hplan.grid.astar import astar
 from hplan.grid.flood import flood_from, has_bit
 from hplan.grid.grid import Occupancy, checked_node
 from hplan.grid.lattice import Lattice, NodeSet
@@ -30,8 +30,8 @@ def two_level_search(occupancy: Occupancy, start: ArrayLike, goal: ArrayLike, *,
         start: (d,) node index.
         goal: (d,) node index.
         octile: False for the searches of the paper, plain A* with the straight line as bound: on every slice that
-            has a path, then on the union. By default slices are searched with the octile bound and what the search of
-            the slice before has shown, and the union with the distances of its projection (`row_bounds`).
+            has a path, then on the union. By default both are searched with the octile bound, and slices with what the
+            search of the slice before has shown.
 
     Returns:
         The result; its path is None exactly when no path exists on the grid.
@@ -83,9 +83,8 @@ def _join(
     """Search the union of slice paths.
 
     Returns:
-        Path or None, cost, expansions with those of its bound, slices restored, and nodes of the union.
+        Path or None, cost, expansions, slices restored, and nodes of the union.
     """
     nodes, restored = union_of(lattice, free, layers, start, goal, beyond=beyond)
-    bounds = row_bounds(lattice, nodes, lattice.row_of(goal)) if octile else None
-    path, cost, expansions = astar(lattice, nodes, start, goal, octile=octile, bounds=bounds)
-    return path, cost, expansions + (0 if bounds is None else bounds.settled), restored, nodes.size
+    path, cost, expansions = astar(lattice, nodes, start, goal, octile=octile)
+    return path, cost, expansions, restored, nodes.size

@@ -17,11 +17,11 @@ from studies.planar_cspace import arm_sections, joint_grid
 from hplan.base.arrays import BoolArray, FloatArray, IntArray, readonly
 from hplan.errors import OptionError
 from hplan.grid import SearchResult, dense_search, reachable, slices_with_path, two_level_search
-from hplan.grid.astar import bound, row_bounds
+from hplan.grid.astar import bound
 from hplan.grid.blockers import _grown, blockers
 from hplan.grid.flood import flood_slices
 from hplan.grid.grid import MAX_NODES, Grid, Occupancy, words_for
-from hplan.grid.lattice import Lattice, NodeSet
+from hplan.grid.lattice import Lattice
 from hplan.grid.occupancy import occupancy
 from hplan.grid.prepared_obstacles import prepare_obstacles
 from hplan.grid.sections import LinkModel, sections_at
@@ -201,34 +201,6 @@ def test_octile_bound_is_consistent(shape: tuple[int, ...], step: list[float]) -
         for other, move in neighbours(free, node):
             cost = float(np.linalg.norm(np.array(move) * step))
             assert octile(lattice, node, goal) <= cost + octile(lattice, other, goal) + 1e-12
-
-
-def _row_bound(values: FloatArray, weights: FloatArray, row: int, togo: int) -> float:
-    return float((values[row] + weights * togo).max())
-
-
-@pytest.mark.parametrize(("shape", "step"), SPACES)
-@pytest.mark.parametrize("density", [0.0, 0.4, 0.7])
-def test_row_bounds_are_consistent(shape: tuple[int, ...], step: list[float], density: float) -> None:
-    free = np.random.default_rng(len(shape)).random(shape) >= density
-    goal = tuple(count // 2 for count in shape)
-    free[goal] = True
-    lattice = Lattice.of(shape, np.array(step))
-    words = lattice.bordered(make_occupancy(free, np.array(step)).free_words)
-    bounds = row_bounds(lattice, NodeSet.of(words), lattice.row_of(np.array(goal)))
-
-    def bound_of(node: tuple[int, ...]) -> float:
-        row = lattice.row_of(np.array(node))
-        return _row_bound(bounds.values, bounds.weights, row, abs(node[-1] - goal[-1]))
-
-    assert bound_of(goal) == 0.0
-    for node in map(tuple, np.argwhere(free).tolist()):
-        for other, move in neighbours(free, node):
-            cost = float(np.linalg.norm(np.array(move) * step))
-            assert bound_of(node) <= cost + bound_of(other) + 1e-12
-    # Zero at the goal and consistent, hence admissible; and it knows of walls.
-    if density == 0.0:
-        assert bounds.settled == 2 * np.prod(shape[:-1])
 
 
 # Values of the reference scene and of the paper's demonstration, and what every result must keep

@@ -240,8 +240,8 @@ def markdown(r: Reproduction) -> str:
     blocks = [
         table(("", *runs), comparison),
         "plain: the paper's method to the letter. straight: hplan's two-level search with plain A*, the paper's bound. "
-        "hplan: as it is by default, with bounds from slice to slice and, in the second level, one whose rows are "
-        "settled first and counted with the nodes. Flooded nodes are not: 64 are reached at once.",
+        "hplan: as it is by default, with the octile bound and, in the layers, what slices before have shown. Flooded "
+        "nodes are not counted: 64 are reached at once.",
         f"The paper does not count the layers. Plain A* in them expands {runs['plain'].layers:,} nodes, "
         f"{r.without[1]:,} of them in the {r.without[0]} slices that have no path: with the second level "
         f"{runs['plain'].total / own.total:.2f} of the dense A*.",

@@ -56,7 +56,7 @@ class Expansions:
 
     Attributes:
         layers: All slice searches together.
-        sparse: Search on the union of the slice paths, and the rows that its bound settled beforehand.
+        sparse: Search on the union of the slice paths.
         fallback: Dense search, and all else that came after the union had failed.
         flooded: Nodes reached by flooding, whole words of them at once, which settles what is connected. They are not
             expansions.

@@ -1,7 +1,7 @@
 """The points of a cloud, merged where they are near to one another, and the tree over them: compiled.
 
-The tree is split at the median of the longest side of the box about a node's points, until few are left. Neighbours
-stand together in its order. 444,000 points take 60 ms.
+The tree is split near the median of the longest side of the box about a node's points, until few are left. Neighbours
+stand together in its order.
 
 Voxels are numbered as they first appear, by a hash table with open addressing: an array of numbers, empty places -1,
 its size a power of two. The cells themselves are rows of three whole numbers; two are one if all three are the same.
@@ -146,11 +146,15 @@ def _median(a: float, b: float, c: float) -> float:
 
 
 @kernel
-def _part_at(points: FloatArray, first: int, last: int, middle: int, axis: int) -> None:
-    """Rearrange the points first..last - 1 so that none before `middle` has a larger coordinate than any from there on.
+def _part(points: FloatArray, first: int, last: int, axis: int) -> int:
+    """Rearrange the points first..last - 1 in two parts: no coordinate in the first is larger than any in the other.
 
-    A selection, the pivot a median of three medians.
+    A selection that ends near the middle, the pivot a median of three medians.
+
+    Returns:
+        Where the other part begins: off the middle by an eighth of the points at most.
     """
+    middle, slack = (first + last) // 2, (last - first) // 8
     while last - first > 1:
         at, step = points[first:last, axis], (last - first - 1) // 8
         pivot = _median(
@@ -159,6 +163,8 @@ def _part_at(points: FloatArray, first: int, last: int, middle: int, axis: int) 
             _median(at[6 * step], at[7 * step], at[-1]),
         )
         others = _put_first(points, first, last, axis, pivot)
+        if abs(others - middle) <= slack:
+            return others
         if middle < others:
             last = others
         elif others > first:
@@ -166,7 +172,8 @@ def _part_at(points: FloatArray, first: int, last: int, middle: int, axis: int) 
         else:  # nothing is below the pivot: those at it come first
             first = _put_first(points, first, last, axis, np.nextafter(pivot, np.inf))
             if middle < first:
-                return
+                break
+    return middle
 
 
 @kernel
@@ -196,7 +203,7 @@ def _bounds(points: FloatArray, first: int, last: int, node: FloatArray) -> int:
 
 @kernel
 def tree_of(points: FloatArray, leaf: int) -> FloatArray:
-    """Put points into the order of a tree split at medians, in place.
+    """Put points into the order of a tree split near medians, in place.
 
     Args:
         points: (n, 3) points, n > 0; rearranged.
@@ -205,10 +212,9 @@ def tree_of(points: FloatArray, leaf: int) -> FloatArray:
     Returns:
         (nodes, 7) its nodes, as in `hplan.scene.solids.Cloud`.
     """
-    count, most = points.shape[0], 1
-    while most * leaf < count:
-        most *= 2
-    nodes = np.empty((2 * most - 1, _COLUMNS))
+    # What is parted has more points than a leaf; so no leaf has fewer than this, but where it is all there is.
+    count, fewest = points.shape[0], (leaf + 1) // 2 - (leaf + 1) // 8
+    nodes = np.empty((1 + 2 * (count // fewest), _COLUMNS))
     # A node's place on the stack is its parts still to come; what is finished learns where the next one begins.
     stack = np.empty((3 * 64, 3), dtype=np.int64)
     stack[0] = (0, count, -1)
@@ -222,8 +228,7 @@ def tree_of(points: FloatArray, leaf: int) -> FloatArray:
         nodes[number, 0], nodes[number, 1], nodes[number, 2] = first, last, number + 1
         longest = _bounds(points, first, last, nodes[number])
         if last - first > leaf:
-            middle = (first + last) // 2
-            _part_at(points, first, last, middle, longest)
+            middle = _part(points, first, last, longest)
             stack[height] = (0, 0, number)
             stack[height + 1] = (middle, last, -1)
             stack[height + 2] = (first, middle, -1)

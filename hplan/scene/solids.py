@@ -9,7 +9,7 @@ it holds the whole; nothing of it is farther outside than its rounding.
 
 **Cloud.** Points in one voxel of a grid may become one ball, whose radius grows by the distance of the farthest of them
 from it, never more than `MERGE_ERROR`: the balls before lie in the balls after. The points are kept in the order of a
-tree: split at the median of the longest side, again and again, so that neighbours stand together.
+tree: split near the median of the longest side, again and again, so that neighbours stand together.
 
 **Swept solids.** A solid that is the hull of a core grown by a rounding sweeps, as it is shifted by all of
 :math:`[-a, a]`, the hull of :math:`C - a` and :math:`C + a` grown by the same rounding: a ball a capsule, everything

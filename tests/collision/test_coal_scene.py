@@ -327,7 +327,7 @@ def test_balls_hold_their_points_and_bound_distances_from_below():
     blocks = PointBlocks.of(cloud)
     apart = np.linalg.norm(cloud.core[:, None] - blocks.balls[None, :, :3], axis=2) - blocks.balls[:, 3]
     assert (apart.min(axis=1) < 0.0).all()
-    assert len(blocks.balls) == 16
+    assert 1000 / 64 <= len(blocks.balls) <= 1000 / 24  # none has more points than that, and none but a few
     for kind, half in (("capsule", (0.04, 0.04, 0.39)), ("box", (0.15, 0.05, 0.25)), ("sphere", (0.2, 0.2, 0.2))):
         np.testing.assert_allclose(local_box(SHAPES[kind]), [(0.0, 0.0, 0.0), half], atol=1e-12)
     for seed in range(20):

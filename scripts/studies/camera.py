@@ -10,6 +10,8 @@ of fruits that have `ROOM_M` it plans a motion with the first frame, and again w
 picture with other noise. The clock begins with the array and ends with the certified motion, or with the answer that
 there is none within `DEADLINE_S`. Balls are as large as the gaps between pixels, and outliers are looked for within
 three of these; but no smaller than `RADIUS_M` and `NEAR_M`.
+
+With `--values around=COUNT` so many points are drawn on wood and fruit from all sides, as several cameras see them.
 """
 
 from __future__ import annotations
@@ -58,6 +60,9 @@ _LOOKS = 300
 POSITION, TARGET, VIEW_DEG, RANGE_M = (-0.35, 0.5, 1.7), (1.4, 0.0, 0.9), 87.0, (0.1, 6.0)
 SIGMA_M, OUTLIERS, TREES_M = 2e-3, 0.02, 1.5
 
+#: Standard deviation of a coordinate of a point that is drawn on wood [m].
+AROUND_SIGMA_M = 5e-3
+
 
 class DepthCamera:
     """A pinhole depth camera that stands still beside the arm, above the shoulder, before some solids."""
@@ -78,6 +83,11 @@ class DepthCamera:
         self._depth[self._depth > RANGE_M[1]] = np.inf
 
     @property
+    def spacing_m(self) -> float:
+        """Distance of two neighbouring pixels' rays where the trees are taken to be [m]."""
+        return 2.0 * TREES_M * math.tan(math.radians(0.5 * VIEW_DEG)) / self.width
+
+    @property
     def seen(self) -> float:
         """Fraction of the pixels that have something within range."""
         return float(np.isfinite(self._depth).mean())
@@ -89,6 +99,39 @@ class DepthCamera:
         strays = np.isfinite(depth) & (random.random(depth.shape) < OUTLIERS)
         depth[strays] = random.uniform(*RANGE_M, int(strays.sum()))
         return (self._rays * depth[:, None]).astype(np.float32)
+
+
+class PointsAround:
+    """Points drawn on balls and capsules, but not their caps, with noise; where a `DepthCamera` is asked for.
+
+    Attributes:
+        pose: None: they are in `base_link`.
+        spacing_m: Distance of neighbours, on the average [m].
+    """
+
+    pose = None
+
+    def __init__(self, count: int, solids: Sequence[Solid]) -> None:
+        """So many points of each frame."""
+        round_ones = [solid for solid in solids if isinstance(solid, Sphere | Capsule)]
+        self._ends = np.array([solid.core[[0, -1]] for solid in round_ones])
+        self._radii = np.array([solid.rounding for solid in round_ones])
+        lengths = np.linalg.norm(np.diff(self._ends, axis=1), axis=2)[:, 0]
+        areas = 2.0 * np.pi * self._radii * (lengths + 2.0 * self._radii)
+        self._count, self._shares = count, areas / areas.sum()
+        self.spacing_m = math.sqrt(areas.sum() / count)
+
+    def frame(self, random: np.random.Generator) -> NDArray[np.float32]:
+        """(count, 3) points, solid by solid [m]."""
+        which = np.sort(random.choice(len(self._radii), self._count, p=self._shares))
+        start, along = self._ends[which, 0], self._ends[which, 1] - self._ends[which, 0]
+        out = random.normal(size=start.shape)
+        square = np.maximum((along**2).sum(axis=1), 1e-12)
+        out -= ((out * along).sum(axis=1) / square)[:, None] * along
+        out *= (self._radii[which] / np.linalg.norm(out, axis=1))[:, None]
+        noise = random.normal(0.0, AROUND_SIGMA_M, start.shape)
+        points: NDArray[np.float32] = (start + random.random((self._count, 1)) * along + out + noise).astype(np.float32)
+        return points
 
 
 def ground(size_m: float = 12.0) -> Box:
@@ -162,32 +205,40 @@ def _hull_depths(rays: FloatArray, planes: FloatArray) -> FloatArray:
     return np.where((enter > 0.0) & (enter <= leave), enter, np.inf)
 
 
-def _problems(asked: Asked) -> Iterable[tuple[Orchard, int]]:
+def _problems(asked: Asked) -> Iterable[tuple[Orchard, int, bool]]:
     robot = asked.arm()
     orchards = shipped_orchards(robot)
     if asked.trees is not None:
         orchards += [measured_orchard(robot, file, DISTANCES[0]) for file in sorted(asked.trees.glob("*.csv"))]
-    sizes = [int(size) for size in asked.values.get("sizes", SIZES)]
-    return [(orchard, size) for size in sizes for orchard in orchards][: asked.count]
+    around = asked.values.get("around", ())
+    sizes = [(int(size), False) for size in asked.values.get("sizes", () if around else SIZES)]
+    sizes += [(int(size), True) for size in around]
+    return [(orchard, *size) for size in sizes for orchard in orchards][: asked.count]
 
 
-def _frames(asked: Asked, problem: tuple[Orchard, int]) -> list[Row]:
-    """All frames of one size before one orchard."""
-    (orchard, size), robot = problem, asked.arm()
+def _frames(asked: Asked, problem: tuple[Orchard, int, bool]) -> list[Row]:
+    """All frames of one size before one orchard, or of points around its wood."""
+    (orchard, size, around), robot = problem, asked.arm()
     q, truth = orchard.scene.start.configuration, orchard.scene.solids_with_goal
     in_view = [*truth, ground(), *arm_solids(robot, q)]
     field, random = ClearanceField.of(robot, truth), np.random.default_rng([asked.seed, size])
-    goals = [goal for goal in crop_of(robot, orchard)[0].values() if field.clearance(goal) > ROOM_M][:GOALS]
-    camera, rows = DepthCamera(math.ceil(size / DepthCamera(10_000, in_view).seen), in_view), list[Row]()
+    room_m = ROOM_M - 1e-6  # many are as far from their fruit, but for rounding
+    goals = [goal for goal in crop_of(robot, orchard)[0].values() if field.clearance(goal) > room_m][:GOALS]
+    camera: DepthCamera | PointsAround
+    if around:
+        camera = PointsAround(size, truth)
+    else:
+        camera = DepthCamera(math.ceil(size / DepthCamera(10_000, in_view).seen), in_view)
+    rows = list[Row]()
     for number, goal in enumerate(goals):
         watch = _Watch(robot, orchard.scene.start, goal, camera)
         for frame in range(FRAMES):
             row = watch.take(camera.frame(random))
             found = watch.planner.last if row["certified"] else None
             least = None if found is None else 1e3 * float(field.along(found.trajectory.position).min())
-            name = f"{orchard.name}, {size}, goal {number}, frame {frame}"
+            name = f"{orchard.name}, {size}{' around' * around}, goal {number}, frame {frame}"
             first = row["ms"] if not frame and found else None
-            told = {"name": name, "size": f"{size:,}", "first_ms": first}
+            told = {"name": name, "size": f"{size:,}{' around' * around}", "first_ms": first}
             later = row["ms"] if frame and found else None
             rows.append(
                 row
@@ -201,12 +252,12 @@ def _frames(asked: Asked, problem: tuple[Orchard, int]) -> list[Row]:
 class _Watch:
     """A planner that goes to one goal and takes frames of one camera."""
 
-    def __init__(self, robot: Robot, start: Start, goal: FloatArray, camera: DepthCamera) -> None:
+    def __init__(self, robot: Robot, start: Start, goal: FloatArray, camera: DepthCamera | PointsAround) -> None:
         there = Goal(joints_rad=tuple(goal.tolist()))
         scene = Scene(name="camera", start=start, goal=there, obstacles=(ground(),))
         self.planner = Planner(robot, scene, PlanOptions(effort="quick", deadline_s=DEADLINE_S))
         self._camera, self._q = camera, start.configuration
-        gap = 2.0 * TREES_M * math.tan(math.radians(0.5 * VIEW_DEG)) / camera.width
+        gap = camera.spacing_m
         self._radius = max(RADIUS_M, gap / math.sqrt(2.0))
         self._options = CloudOptions(least_points=LEAST_POINTS, neighbour_m=max(NEAR_M, 3.0 * gap))
 

@@ -10,13 +10,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from script_loader import load_script
-from studies import fruit, harness, reference
+from studies import camera, fruit, harness, reference
 from studies import trees as among_trees
 from studies.harness import Study, read_rows
 from toy_urdf import SIX_AXIS_LIMITS, six_axis_arm
 
 from hplan.errors import InputError
 from hplan.scene.file import load_scene
+from hplan.scene.obstacles import Capsule, Sphere
 
 script = load_script("benchmark")
 
@@ -59,6 +60,18 @@ def test_a_study_runs(study: str, first: int, tmp_path: Path) -> None:
     assert not any(row["fault"] for row in rows if "fault" in row)
     assert len({row["name"] for row in rows}) == len(rows)
     assert f"### {study}" in (tmp_path / "benchmark.md").read_text()
+
+
+def test_points_around_wood_are_on_all_of_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(camera, "AROUND_SIGMA_M", 0.0)
+    branch = Capsule(name="branch", start=(1.0, 0.0, 1.0), end=(1.0, 0.4, 1.0), radius=0.02)
+    ball = Sphere(name="fruit", center=(1.0, -0.5, 1.0), radius=0.04)
+    points = camera.PointsAround(4000, [branch, ball]).frame(np.random.default_rng(0)).astype(np.float64)
+    of_fruit = points[:, 1] < -0.4
+    assert of_fruit.mean() == pytest.approx(0.04 * 0.08 / (0.04 * 0.08 + 0.02 * 0.44), abs=0.03)
+    np.testing.assert_allclose(np.linalg.norm(points[of_fruit] - ball.center, axis=1), 0.04, atol=1e-6)
+    np.testing.assert_allclose(np.linalg.norm(points[~of_fruit][:, [0, 2]] - 1.0, axis=1), 0.02, atol=1e-6)
+    assert np.ptp(points[~of_fruit], axis=0) == pytest.approx([0.04, 0.4, 0.04], abs=2e-3)
 
 
 def test_the_reference_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -19,7 +19,7 @@ from hplan.base.arrays import BoolArray, FloatArray, IntArray, Record, frozen, r
 from hplan.base.deadline import check_deadline, until
 from hplan.collision.body_kernels import FAR, clearances_along
 from hplan.collision.body_motions import mark_near, path_is_clear
-from hplan.collision.flat_bodies import BODIES, DOF, JOINT, FlatBodies, as_ball
+from hplan.collision.flat_bodies import BODIES, DOF, FlatBodies
 from hplan.collision.obstacle_rows import (
     FIRST_JOINT,
     JOINT_RANGE,
@@ -29,7 +29,6 @@ from hplan.collision.obstacle_rows import (
     FieldArrays,
     rows_of,
 )
-from hplan.collision.placed_bodies import place_joints
 from hplan.errors import OptionError
 from hplan.robot.model import Robot
 from hplan.scene.obstacles import Solid
@@ -175,22 +174,6 @@ class ClearanceField(Record):
         clearances_along(points, self.arrays, enough, result)
         check_deadline()
         return result
-
-    def of_point(self, body: int, place: ArrayLike) -> float:
-        """Clearance that a body cannot exceed wherever a point of its axis is at a place, `FAR` where that is more [m].
-
-        Args:
-            body: Number of the moving body.
-            place: (3,) in `base_link` [m].
-        """
-        q = np.zeros(int(self.numbers[DOF]))
-        frames = np.empty((len(q) + 1, 12))
-        place_joints(q, self.numbers, frames)
-        frame = frames[int(self.movers[body, JOINT])]
-        centre = (np.asarray(place) - frame[9:]) @ frame[:9].reshape(3, 3)
-        movers, numbers = as_ball(self.movers[body], self.numbers, centre)
-        ball = replace(self, movers=readonly(movers), numbers=readonly(numbers))
-        return float(ball.link_clearances(q)[0])
 
     def clearance(self, q: ArrayLike) -> float:
         """Least clearance of any link at one configuration [m]."""

@@ -89,16 +89,6 @@ def thicker(movers: FloatArray, by: FloatArray) -> FloatArray:
     return movers
 
 
-def as_ball(body: FloatArray, numbers: FloatArray, centre: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The row of a body alone, and its numbers, with a (3,) point of the body's frame in place of its core."""
-    row, numbers = body[None].copy(), np.append(numbers, centre)
-    numbers[BODIES], end = 1, len(numbers)
-    row[:, FIRST], row[:, LAST], row[:, TABLE] = end - 3, end, 0
-    row[:, BALL:BALL_RADIUS], row[:, AXIS : AXIS + 3], row[:, AXIS + 3 : AXIS_RADIUS] = centre, centre, 0.0
-    row[:, BALL_RADIUS] = row[:, AXIS_RADIUS] = row[:, ROUNDING]
-    return row, numbers
-
-
 def _of_any_arm(robot: Robot) -> FlatBodies:
     """The bodies that a URDF has, where pairs may touch."""
     own, pairs = collision_bodies(robot), self_pairs(robot)

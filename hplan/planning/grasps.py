@@ -43,9 +43,6 @@ SEARCHED = 8
 #: What counts as the clearance of a configuration that no motion leads to, as a joint is blocked before [m].
 _BEYOND = -1.0
 
-#: By less than this a clearance is no smaller than another [m].
-_ROUNDING = 1e-9
-
 #: Clearance that a grasp and its stand-off have beyond the one to keep, and half of it all along the approach [m].
 SPARE = 1e-3
 
@@ -310,8 +307,6 @@ def _clear_candidates(
 ) -> tuple[Candidates, float] | Blocked:
     """Configurations with the tool at the point that are clear: at evenly spaced approach angles, else at finer ones.
 
-    Where the end of the last link alone is not clear there, no finer angles are tried.
-
     Returns:
         The configurations, and which of `ROOMS` they have; what is in the way where none is clear.
 
@@ -335,10 +330,8 @@ def _clear_candidates(
         measured = [evenly_spaced(COUNT)]
     configurations = measured[0].candidates.configurations
     if measured[0].most <= SPARE and target.pose is None:
-        at_most = tool.most_clearance(world.field, target.position, configurations) - _ROUNDING
-        if at_most > ROOMS[-1] and measured[0].most <= at_most:
-            finer = tool.finer(target.position, approach_deg=target.approach_deg, start=start)
-            measured += [] if finer is None else [measured_at(finer)]
+        finer = tool.finer(target.position, approach_deg=target.approach_deg, start=start)
+        measured += [] if finer is None else [measured_at(finer)]
     for room in ROOMS:
         for found in measured:
             if found.most > room:

@@ -11,11 +11,9 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import NamedTuple
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from hplan.base.arrays import BoolArray, FloatArray, frozen
-from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.collision_bodies import collision_bodies
 from hplan.collision.reach import reach as reach_of_bodies
 from hplan.errors import UnreachableError
@@ -104,20 +102,6 @@ class Tool:
             return self.at(position, approach_deg=approach_deg, count=self._more, start=start)
         return None
 
-    def most_clearance(
-        self,
-        field: ClearanceField,  # noqa: ARG002
-        position: ArrayLike,  # noqa: ARG002
-        configurations: FloatArray,  # noqa: ARG002
-    ) -> float:
-        """Clearance that no configuration with the tool at a position can exceed; infinite if unknown [m].
-
-        Args:
-            field: The arm among everything.
-            configurations: (n, dof) configurations with the tool there, one for each yaw at least.
-        """
-        return math.inf
-
     def soonest(self, found: Candidates, count: int) -> Candidates:
         """Those that are reached soonest, so many at most; of a planar arm all: fewer, and not in that order."""
         if not self._is_sorted or len(found.approach) <= count:
@@ -170,12 +154,6 @@ class _PlanarTool(Tool):
         self, position: ArrayLike, *, approach_deg: float | tuple[float, float] | None, count: int, start: FloatArray
     ) -> Candidates:
         return reach(self._robot, position, approach_deg=approach_deg, count=count, start=start, locked=self._locked)
-
-    def most_clearance(self, field: ClearanceField, position: ArrayLike, configurations: FloatArray) -> float:
-        yaws = set(configurations[:, 0].tolist()) if self._robot.has_yaw else {0.0}
-        last, aside = self._robot.arm.link_count - 1, float(self._robot.arm.lateral[-1])
-        normals = [self._robot.plane_at(yaw)[1][2] for yaw in yaws]
-        return max(field.of_point(last, np.asarray(position) + aside * normal) for normal in normals)
 
     def thickness(self, deviation: float) -> float:
         return float(self._robot.arm.half_widths[-1] + self._robot.sway(deviation)[-1])

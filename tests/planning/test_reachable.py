@@ -16,12 +16,9 @@ from hplan.errors import (
     PlanCancelledError,
     UnreachableError,
 )
-from hplan.kinematics.planar_inverse_kinematics import reach
 from hplan.planning.approach import Approach
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
-from hplan.planning.task import PlanningCache
-from hplan.planning.tool_paths import tool_of
 from hplan.robot.model import Robot, load_robot
 from hplan.scene.model import Goal, Scene
 from hplan.scene.obstacles import Capsule, Sphere
@@ -124,28 +121,6 @@ def test_what_is_in_the_way_and_how_deep(arm: Robot, gap: float) -> None:
         assert (one.contact.obstacle, one.contact.link) == ("ball", arm.arm.link_names[-1])
         assert one.contact.distance_m == pytest.approx(gap, abs=1e-5)
         assert one.best_clearance_m == pytest.approx(gap, abs=1e-9)
-
-
-def test_no_configuration_is_clearer_than_the_end_of_the_last_link(arm: Robot, robot: Robot) -> None:
-    rng = np.random.default_rng(5)
-    for robot_ in (arm, robot):
-        tight = 0
-        for _ in range(12):
-            place = np.array(at(rng.uniform(-60.0, 60.0), rng.uniform(0.9, 1.6), rng.uniform(0.8, 1.8)))
-            balls = [
-                Sphere(name=f"ball {n}", center=tuple((place + rng.normal(0.0, 0.08, 3)).tolist()), radius=0.02)
-                for n in range(2)
-            ]
-            world = PlanningCache(robot_).world(task(TUCKED, Goal(position=tuple(place.tolist())), balls), QUICK)
-            try:
-                reached = reach(robot_, place, count=400).configurations
-            except UnreachableError:
-                continue
-            most = tool_of(robot_).most_clearance(world.field, place, reached)
-            best = float(world.field.along(reached).min(axis=1).max())
-            assert best <= most + 1e-9
-            tight += best > most - 1e-6
-        assert tight > 3
 
 
 def test_without_a_certified_approach(arm: Robot, monkeypatch: pytest.MonkeyPatch) -> None:

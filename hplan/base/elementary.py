@@ -13,20 +13,18 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hplan.base.arrays import ComplexArray, FloatArray
-from hplan.base.kernels import kernel
+
+_ATAN2, _ACOS = np.frompyfunc(math.atan2, 2, 1), np.frompyfunc(math.acos, 1, 1)
 
 
 def arctan2(y: ArrayLike, x: ArrayLike) -> FloatArray:
     """Angles of points (x, y), in [-pi, pi]; the arrays broadcast."""
-    rows, columns = np.broadcast_arrays(np.asarray(y, dtype=np.float64), np.asarray(x, dtype=np.float64))
-    angles: FloatArray = _arctan2(np.array(rows.ravel()), np.array(columns.ravel())).reshape(rows.shape)
-    return angles
+    return np.asarray(_ATAN2(y, x), dtype=np.float64)
 
 
 def arccos(cosines: FloatArray) -> FloatArray:
-    """Angles in [0, pi]; NaN for what is no cosine."""
-    angles: FloatArray = _arccos(np.array(cosines.ravel())).reshape(cosines.shape)
-    return angles
+    """Angles in [0, pi]; what is beyond -1 or 1 counts as these."""
+    return np.asarray(_ACOS(np.minimum(np.maximum(cosines, -1.0), 1.0)), dtype=np.float64)
 
 
 def argument(points: ComplexArray) -> FloatArray:
@@ -46,19 +44,3 @@ def product(first: ComplexArray, second: ComplexArray) -> ComplexArray:
     products: ComplexArray = np.empty(np.broadcast_shapes(first.shape, second.shape), dtype=np.complex128)
     products.real, products.imag = a * c - b * d, a * d + b * c
     return products
-
-
-@kernel
-def _arctan2(y: FloatArray, x: FloatArray) -> FloatArray:
-    angles = np.empty(len(y))
-    for i in range(len(y)):
-        angles[i] = math.atan2(y[i], x[i])
-    return angles
-
-
-@kernel
-def _arccos(cosines: FloatArray) -> FloatArray:
-    angles = np.empty(len(cosines))
-    for i in range(len(cosines)):
-        angles[i] = math.acos(cosines[i])
-    return angles

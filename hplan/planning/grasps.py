@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache, cached_property
 
@@ -21,7 +22,7 @@ from hplan.base import ties
 from hplan.base.arrays import FloatArray, Record, frozen
 from hplan.base.deadline import is_over
 from hplan.collision.coal_scene import Contact
-from hplan.errors import BlockedError
+from hplan.errors import BlockedError, UnreachableError
 from hplan.kinematics.approach_angles import Candidates
 from hplan.kinematics.straight_line import StraightLine
 from hplan.planning.capture import SAME, caught
@@ -249,11 +250,10 @@ def grasps_or_blocked(
     found = tool.soonest(found, count)
     goals = frozen(found.configurations)
     lengths = _distances(standoff, target.least_standoff)
-    approaches = cache(lambda: tool.approaches(goals))
 
     @cache
     def along(length: float) -> Approaches:
-        return approaches()(length)
+        return tool.approaches(goals, length)
 
     direct = {i: (0.0, goal) for i, goal in enumerate(goals)}
     for less in (room, *(less for less in ROOMS if less < room)):
@@ -315,23 +315,22 @@ def _clear_candidates(
     """
     world, tool = target.world_touching, tool_of(target.world.robot, locked)
 
-    def measured_at(found: Candidates) -> _Measured:
+    def evenly_spaced(count: int) -> _Measured:
+        if target.pose is not None:
+            found = tool.at_pose(target.pose, target.frame, start)
+        else:
+            found = tool.at(target.position, approach_deg=target.approach_deg, count=count, start=start)
         rooms = world.field.along(found.configurations)
         rooms[~ranges.hold(found.configurations)] = _BEYOND
         return _Measured(found, rooms)
-
-    def evenly_spaced(count: int) -> _Measured:
-        if target.pose is not None:
-            return measured_at(tool.at_pose(target.pose, target.frame, start))
-        return measured_at(tool.at(target.position, approach_deg=target.approach_deg, count=count, start=start))
 
     measured = [evenly_spaced(count)]
     if count < COUNT and measured[0].most <= SPARE:
         measured = [evenly_spaced(COUNT)]
     configurations = measured[0].candidates.configurations
     if measured[0].most <= SPARE and target.pose is None:
-        finer = tool.finer(target.position, approach_deg=target.approach_deg, start=start)
-        measured += [] if finer is None else [measured_at(finer)]
+        with suppress(UnreachableError):
+            measured.append(evenly_spaced(tool.more))
     for room in ROOMS:
         for found in measured:
             if found.most > room:

@@ -7,8 +7,7 @@ along its axis (`Robot.tool_axis`), as `hplan.kinematics.straight_line` finds.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Sequence
 from typing import NamedTuple
 
 from numpy.typing import ArrayLike
@@ -16,7 +15,6 @@ from numpy.typing import ArrayLike
 from hplan.base.arrays import BoolArray, FloatArray, frozen
 from hplan.collision.collision_bodies import collision_bodies
 from hplan.collision.reach import reach as reach_of_bodies
-from hplan.errors import UnreachableError
 from hplan.kinematics.approach_angles import Candidates
 from hplan.kinematics.inverse_kinematics import inverse_kinematics
 from hplan.kinematics.planar_inverse_kinematics import reach
@@ -45,12 +43,12 @@ class Tool:
 
     Attributes:
         enough: Where so many grasps have an approach, no shorter ones are looked for.
+        more: How many directions, of a planar arm configurations, are tried where none of fewer is clear.
     """
 
     enough: float = 8
+    more = 256
     _is_sorted = True
-    #: Where no configuration is clear, so many directions, or configurations, are tried.
-    _more = 256
 
     def __init__(self, robot: Robot, locked: Sequence[str] = (), keeps_turn: bool = False) -> None:
         """Of a robot.
@@ -88,35 +86,17 @@ class Tool:
         found = inverse_kinematics(self._robot, pose, start=start, frame=frame, locked=self._locked)
         return Candidates(found, approach_angles(self._robot, found, pose[:3, 3]))
 
-    def finer(
-        self, position: ArrayLike, *, approach_deg: float | tuple[float, float] | None, start: FloatArray
-    ) -> Candidates | None:
-        """Many more configurations than `at` gives, for where none of those is clear; None where there is none.
-
-        Args:
-            position: (3,) in `base_link` [m].
-            approach_deg: Approach angle or interval that is asked for; None for all [deg].
-            start: (dof,) configuration from which the arm comes.
-        """
-        with suppress(UnreachableError):
-            return self.at(position, approach_deg=approach_deg, count=self._more, start=start)
-        return None
-
     def soonest(self, found: Candidates, count: int) -> Candidates:
         """Those that are reached soonest, so many at most; of a planar arm all: fewer, and not in that order."""
         if not self._is_sorted or len(found.approach) <= count:
             return found
         return Candidates(frozen(found.configurations[:count]), frozen(found.approach[:count]))
 
-    def approaches(self, goals: FloatArray) -> Callable[[float], Approaches]:
-        """Straight approaches to (k, dof) goals, by their length [m]."""
-
-        def drawn_back(length: float) -> Approaches:
-            lines = lines_back(self._robot, goals, length, locked=self._locked, keeps_turn=self._keeps_turn)
-            steps = len(lines.distances) - 1
-            return Approaches(lines.reached > steps, lines.rows[:, [0, *(round(look * steps) for look in _LOOKS)]])
-
-        return drawn_back
+    def approaches(self, goals: FloatArray, length: float) -> Approaches:
+        """Straight approaches of a length [m] to (k, dof) goals."""
+        lines = lines_back(self._robot, goals, length, locked=self._locked, keeps_turn=self._keeps_turn)
+        steps = len(lines.distances) - 1
+        return Approaches(lines.reached > steps, lines.rows[:, [0, *(round(look * steps) for look in _LOOKS)]])
 
     def path(self, goal: FloatArray, standoff: float) -> StraightLine:
         """The straight approach from a stand-off [m] to a (dof,) goal."""
@@ -147,8 +127,8 @@ class _PlanarTool(Tool):
     """That of a planar arm."""
 
     enough = math.inf
+    more = 512
     _is_sorted = False
-    _more = 512
 
     def at(
         self, position: ArrayLike, *, approach_deg: float | tuple[float, float] | None, count: int, start: FloatArray

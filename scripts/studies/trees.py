@@ -159,7 +159,7 @@ def _standoff(robot: Robot, scene: Scene, fruit: Fruit, home: FloatArray) -> Flo
     goals = goals[touching.along(goals).min(axis=1) > SPARE]
     if not len(goals):
         return "blocked"
-    feasible, polylines = tool_of(robot).approaches(goals)(STANDOFF)
+    feasible, polylines = tool_of(robot).approaches(goals, STANDOFF)
     ways = polylines[feasible]
     if not len(ways):
         return "no_approach"

@@ -19,7 +19,7 @@ from hplan.collision.coal_scene import CoalScene
 from hplan.errors import BlockedError, CertificationError, NoPathError, NotFoundError, TimingError
 from hplan.kinematics.planar_inverse_kinematics import reach
 from hplan.planning.failures import FailuresError, without_path
-from hplan.planning.grasps import ROOMS, SPARE, Grasp, Target, grasps, promising
+from hplan.planning.grasps import COUNT, ROOMS, SPARE, Grasp, Target, grasps, promising
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
 from hplan.planning.task import PlanningCache
@@ -96,7 +96,7 @@ def test_finer_angles_before_blocked(robot: Robot, name: str, monkeypatch: pytes
     scene = TIGHT[name]
     found = plan(robot, scene, COARSE)
     assert_sound(robot, scene, found)
-    monkeypatch.setattr(hplan.planning.tool_paths.Tool, "finer", lambda *_, **__: None)
+    monkeypatch.setattr(hplan.planning.tool_paths._PlanarTool, "more", COUNT)
     least = 0.0
     with suppress(BlockedError):
         least = min(grasp.room for grasp in grasps_of(robot, scene)[0])

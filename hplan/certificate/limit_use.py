@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from hplan.base.arrays import FloatArray
+from hplan.base.kernels import kernel
 from hplan.certificate.torque_bound import largest_torques
 from hplan.robot.model import Robot
 from hplan.trajectory.trajectory import Trajectory
@@ -40,21 +42,11 @@ def limit_use(robot: Robot, trajectory: Trajectory, bezier: FloatArray, duration
         duration: (pieces,) their durations [s].
     """
     middle, half = 0.5 * (robot.lower + robot.upper), 0.5 * (robot.upper - robot.lower)
-    h = duration[:, None]
-    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        position = _largest_offset(bezier, middle) / half
-        # Derivatives of the cubic: velocity (quadratic, three Bezier points), acceleration (linear, its two ends).
-        velocity = 3.0 * np.diff(bezier, axis=1) / h[:, None]
-        acceleration = 2.0 * np.diff(velocity, axis=1) / h[:, None]
-        start, end = acceleration[:, 0], acceleration[:, 1]
-        turning = start * end < 0.0
-        at = np.where(turning, start / np.where(turning, start - end, 1.0), 0.0)
-        inner = velocity[:, 0] + h * at * (start + 0.5 * at * (end - start))
-        speeds = (velocity[:, 0], velocity[:, 2], inner, trajectory.velocity)
-        pushes = (start, end, trajectory.acceleration)
-        peak_velocity, peak_acceleration = (
-            np.max([np.abs(values).max(axis=0) for values in parts], axis=0) for parts in (speeds, pushes)
-        )
+    offset, speed, push = _peaks(np.ascontiguousarray(bezier), duration, middle)
+    peak_velocity = np.maximum(speed, np.abs(trajectory.velocity).max(axis=0))
+    peak_acceleration = np.maximum(push, np.abs(trajectory.acceleration).max(axis=0))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        position = offset / half
     peak_torque = np.maximum(
         largest_torques(robot.dynamics, bezier, duration, robot.torque_limit), np.abs(trajectory.torque).max(axis=0)
     )
@@ -66,40 +58,56 @@ def limit_use(robot: Robot, trajectory: Trajectory, bezier: FloatArray, duration
     )
 
 
-def _largest_offset(bezier: FloatArray, middle: FloatArray) -> FloatArray:
-    """(dof,) largest distance of cubics of (pieces, 4, dof) Bezier points from a (dof,) configuration."""
-    ends = bezier[:, ::3]
-    low, high = ends.min(axis=(0, 1)), ends.max(axis=(0, 1))
-    largest: FloatArray = np.maximum(high - middle, middle - low)
-    # Of most pieces all points lie between the extremes of the ends, and with them the cubic.
-    between = ((bezier >= low) & (bezier <= high)).all(axis=(1, 2))
-    if between.all():
-        return largest
-    inner: FloatArray = np.abs(_extremes(bezier[~between]) - middle).max(axis=(0, 1))
-    return np.maximum(largest, inner)
+@kernel
+def _peaks(bezier: FloatArray, duration: FloatArray, middle: FloatArray) -> FloatArray:
+    """(3, dof) largest distances of cubics from a (dof,) configuration, largest |velocity| and |acceleration|."""
+    peaks = np.zeros((3, len(middle)))
+    for j in range(len(middle)):
+        low, high, offset, speed, push = bezier[0, 0, j], bezier[0, 0, j], 0.0, 0.0, 0.0
+        for piece in range(len(bezier)):
+            low, high = (
+                min(low, bezier[piece, 0, j], bezier[piece, 3, j]),
+                max(high, bezier[piece, 0, j], bezier[piece, 3, j]),
+            )
+        for piece in range(len(bezier)):
+            h = duration[piece]
+            p0, p1, p2, p3 = bezier[piece, 0, j], bezier[piece, 1, j], bezier[piece, 2, j], bezier[piece, 3, j]
+            d0, d1, d2 = p1 - p0, p2 - p1, p3 - p2
+            offset = _larger(_larger(offset, p0 - middle[j]), p3 - middle[j])
+            # Of most pieces all points lie between the extremes of the ends, and with them the cubic.
+            if not (low <= p1 <= high and low <= p2 <= high):
+                for at in _turning_points(d0, d1, d2):
+                    u = 1.0 - at
+                    value = u * u * u * p0 + 3.0 * u * u * at * p1 + 3.0 * u * at * at * p2 + at * at * at * p3
+                    offset = _larger(offset, value - middle[j])
+            first, last = 6.0 * (d1 - d0) / (h * h), 6.0 * (d2 - d1) / (h * h)
+            push = _larger(_larger(push, first), last)
+            speed = _larger(_larger(speed, 3.0 * d0 / h), 3.0 * d2 / h)
+            if first * last < 0.0:
+                at = first / (first - last)
+                speed = _larger(speed, 3.0 * d0 / h + h * at * (first + 0.5 * at * (last - first)))
+        peaks[0, j], peaks[1, j], peaks[2, j] = offset, speed, push
+    return peaks
 
 
-def _extremes(bezier: FloatArray) -> FloatArray:
-    """(pieces, 4, dof) values of cubics of (pieces, 4, dof) Bezier points, the extremes among them.
+@kernel
+def _larger(largest: float, value: float) -> float:
+    """The larger one of a number and the size of another; infinite where that is none."""
+    return max(largest, abs(value)) if abs(value) < math.inf else math.inf
 
-    At both ends, and where the derivative is zero; what is no number, or has none, stays none.
-    """
-    change = np.diff(bezier, axis=1)
+
+@kernel
+def _turning_points(d0: float, d1: float, d2: float) -> tuple[float, float]:
+    """Where a cubic turns around in its piece, 0 for nowhere, from the differences of its Bezier points."""
     # Of numbers of size one no square overflows.
-    change = change / np.maximum(np.abs(change).max(axis=1, keepdims=True), 1e-300)
-    bent, half_turn, first = change[:, 0] - 2.0 * change[:, 1] + change[:, 2], change[:, 1] - change[:, 0], change[:, 0]
-    # Of bent t^2 + 2 half_turn t + first, without a difference of numbers nearly the same.
-    root = np.sqrt(np.maximum(half_turn * half_turn - bent * first, 0.0))
-    sum_of_both = -(half_turn + np.copysign(root, half_turn))
-    found = [bezier[:, 0], bezier[:, 3]]
-    for zero in (sum_of_both / bent, first / sum_of_both):
-        t = np.where((zero > 0.0) & (zero < 1.0), zero, 0.0)[:, None]
-        points = bezier
-        for _ in range(3):  # de Casteljau
-            points = points[:, :-1] + t * (points[:, 1:] - points[:, :-1])
-        found.append(points[:, 0])
-    values: FloatArray = np.stack(found, axis=1)
-    return np.where(np.isfinite(bezier).all(axis=1, keepdims=True), values, np.nan)
+    size = max(abs(d0), abs(d1), abs(d2), 1e-300)
+    d0, d1, d2 = d0 / size, d1 / size, d2 / size
+    # Of bent t^2 + 2 half_turn t + d0, without a difference of numbers nearly the same.
+    bent, half_turn = d0 - 2.0 * d1 + d2, d1 - d0
+    root = math.sqrt(max(half_turn * half_turn - bent * d0, 0.0))
+    sum_of_both = -(half_turn + math.copysign(root, half_turn))
+    one, other = sum_of_both / bent, d0 / sum_of_both
+    return one if 0.0 < one < 1.0 else 0.0, other if 0.0 < other < 1.0 else 0.0
 
 
 def fraction_of(peak: FloatArray, limit: FloatArray) -> float:

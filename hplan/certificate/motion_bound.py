@@ -49,6 +49,9 @@ from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel
 from hplan.scene.limits import FARTHEST_M
 
+#: In place of rates that are no numbers, or larger [rad, m]: their products are numbers.
+_UNBOUNDED: Final = 1e150
+
 #: So many pieces have one bound at most, and fewer where a joint would turn farther in them [rad, m].
 _TOGETHER: Final = 8
 _TURN: Final = 0.03
@@ -144,21 +147,12 @@ def motion_of_movers(
         each piece; (movers, k) by how much deviations may bring its pairs nearer [m].
     """
     parts, robot = checker.parts, checker.robot
-    slopes = 3.0 * np.diff(bezier, axis=1)
-    fastest, slowest = slopes.max(axis=1), slopes.min(axis=1)
-    largest = float(np.abs(slopes).max())
-    together = max(1, min(_TOGETHER, int(_TURN / largest))) if largest > 1e-3 * _TURN else _TOGETHER
-    starts = np.arange(0, len(bezier), together if largest < math.inf else 1)
-    pieces = np.diff(starts, append=len(bezier))
-    fastest = pieces[:, None] * np.maximum.reduceat(fastest, starts)
-    slowest = pieces[:, None] * np.minimum.reduceat(slowest, starts)
-    inner, odd = bezier[starts + pieces // 2], (pieces % 2 == 1)[:, None]
-    middles = np.where(odd, 0.125 * (inner[:, 0] + inner[:, 3]) + 0.375 * (inner[:, 1] + inner[:, 2]), inner[:, 0])
     of_bodies, reaches = _reaches(parts, deviations)
-    motion = middles, np.maximum(fastest, -slowest), 0.5 * (fastest + slowest), 0.5 * (fastest - slowest)
-    travels = _travels(*motion, of_bodies, parts.rows, joints_alone(robot), *parts.movers, parts.alike)
+    starts, motion = _together(np.ascontiguousarray(bezier), _TOGETHER, _TURN)
+    travels = _travels(motion, of_bodies, parts.rows, joints_alone(robot), *parts.travellers, parts.alike)
     nearer = np.zeros((len(travels), len(deviations)))
     np.maximum.at(nearer, parts.alike, reaches @ deviations.T)
+    pieces = np.diff(starts, append=len(bezier))
     return parts.alike[_mover_of(checker)], np.repeat(travels / pieces, pieces, axis=1), nearer
 
 
@@ -169,49 +163,91 @@ def _reaches(parts: ArmParts, deviations: FloatArray) -> tuple[FloatArray, Float
 
 
 @kernel
+def _together(bezier: FloatArray, most: int, turn: float) -> tuple[IntArray, FloatArray]:
+    """Pieces that have one bound: where each of these longer ones begins, and how joints move within it.
+
+    Args:
+        bezier: (pieces, 4, dof) Bezier points.
+        most: So many have one bound at most.
+        turn: And no more than in which a joint moves so far.
+
+    Returns:
+        (longer pieces,) numbers of the first pieces, and (4, longer pieces, dof) in each the configuration in the
+        middle, largest rates of the joints, rates in the middle, and by how much rates differ from those at most.
+    """
+    pieces, _, dof = bezier.shape
+    fast, slow, starts = np.empty((pieces, dof)), np.empty((pieces, dof)), np.empty(pieces, dtype=np.int64)
+    count, together, largest = 0, 0, 0.0
+    for piece in range(pieces):
+        rate = 0.0
+        for j in range(dof):
+            high, low = -_UNBOUNDED, _UNBOUNDED
+            for n in range(3):
+                slope = 3.0 * (bezier[piece, n + 1, j] - bezier[piece, n, j])
+                if not abs(slope) < _UNBOUNDED:
+                    high, low = _UNBOUNDED, -_UNBOUNDED
+                    break
+                high, low = max(high, slope), min(low, slope)
+            fast[piece, j], slow[piece, j] = high, low
+            rate = max(rate, high, -low)
+        if piece == 0 or together == most or max(largest, rate) * (together + 1) > turn:
+            starts[count] = piece
+            count, together, largest = count + 1, 0, 0.0
+        together, largest = together + 1, max(largest, rate)
+    motion = np.empty((4, count, dof))
+    for k in range(count):
+        first, end = starts[k], starts[k + 1] if k + 1 < count else pieces
+        times, middle = end - first, first + (end - first) // 2
+        for j in range(dof):
+            high, low = fast[first, j], slow[first, j]
+            for piece in range(first + 1, end):
+                high, low = max(high, fast[piece, j]), min(low, slow[piece, j])
+            high, low = times * high, times * low
+            at = bezier[middle, 0, j]
+            if times % 2 == 1:
+                at = 0.125 * (at + bezier[middle, 3, j]) + 0.375 * (bezier[middle, 1, j] + bezier[middle, 2, j])
+            motion[0, k, j] = at if abs(at) < _UNBOUNDED else 0.0
+            motion[1, k, j], motion[2, k, j], motion[3, k, j] = max(high, -low), 0.5 * (high + low), 0.5 * (high - low)
+    return starts[:count], motion
+
+
+@kernel
 def _travels(
-    middles: FloatArray, rates: FloatArray, paces: FloatArray, uneven: FloatArray, reach: FloatArray,
-    bodies: FloatArray, numbers: FloatArray, both: IntArray, counts: FloatArray, alike: IntArray,
+    motion: FloatArray, reach: FloatArray, bodies: FloatArray, numbers: FloatArray,
+    slots: IntArray, both: IntArray, alike: IntArray,
 ) -> FloatArray:  # fmt: skip
     """(movers, pieces) how far each mover travels within each piece at most [m].
 
     Args:
-        middles: (pieces, dof) configurations in the middle of the pieces.
-        rates: (pieces, dof) largest rates of the joints within them.
-        paces: (pieces, dof) their rates in the middle.
-        uneven: (pieces, dof) by how much rates differ from those at most.
+        motion: How joints move, as `_together`.
         reach: (bodies, dof) motion-bound coefficients R.
         bodies: As `ArmParts.rows`.
         numbers: As `joints_alone`.
-        both: As `ArmParts.movers`, as `counts`.
+        slots: As `ArmParts.travellers`, as `both`.
         alike: The number of the mover that each of them is, as `ArmParts.alike`.
     """
-    pieces, dof = middles.shape
+    _, pieces, dof = motion.shape
+    middles, rates, paces, uneven = motion
     joints = int(numbers[flat.JOINTS])
-    movers = int(alike.max()) + 1 if len(alike) else 0
-    travels, moved, frames = np.zeros((pieces, movers)), np.zeros((len(reach), dof)), np.empty((dof + 1, 12))
-    # The first joint of each of a mover's bodies that moves it as seen from the other; -1 for none.
-    first = np.full((len(both), 2), -1)
-    for mover in range(len(both)):
-        for side in range(2):
-            j = int(bodies[both[mover, side], 0]) if both[mover, side] >= 0 else dof
-            while j < dof and counts[mover, j] > 0.0:
-                first[mover, side] = j
-                j = int(numbers[joints + flat.JOINT_SIZE * j + flat.PARENT])
+    frames, axes, moved = np.empty((dof + 1, 12)), np.empty((dof, 3)), np.zeros((slots.max() + 1, pieces))
+    slides = np.empty(dof, dtype=np.bool_)
     for piece in range(pieces):
         place_joints(middles[piece], numbers, frames)
+        for j in range(dof):
+            own = joints + flat.JOINT_SIZE * j
+            f, c = frames[j], own + flat.TURN
+            slides[j] = numbers[c] == 0.0 and numbers[c + 1] == 0.0 and numbers[c + 2] == 0.0
+            if slides[j]:
+                f, c = frames[int(numbers[own + flat.PARENT])], own + flat.SHIFT
+            axes[j] = turned(f, (numbers[c], numbers[c + 1], numbers[c + 2]))
         for b in range(len(reach)):
             j, outer, total, bent, turn, speed = int(bodies[b, 0]), 0.0, 0.0, 0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
             at = placed_point(frames[j], bodies[b], 1)
             while j < dof:
-                own, f, rate, pace = joints + flat.JOINT_SIZE * j, frames[j], rates[piece, j], paces[piece, j]
-                tx, ty, tz = numbers[own + flat.TURN], numbers[own + flat.TURN + 1], numbers[own + flat.TURN + 2]
+                f, rate, pace = frames[j], rates[piece, j], paces[piece, j]
+                along = axis = (axes[j, 0], axes[j, 1], axes[j, 2])
                 radius = near = reach[b, j]
-                if tx == 0.0 and ty == 0.0 and tz == 0.0:
-                    f, shift = frames[int(numbers[own + flat.PARENT])], own + flat.SHIFT
-                    along = turned(f, (numbers[shift], numbers[shift + 1], numbers[shift + 2]))
-                else:
-                    axis = turned(f, (tx, ty, tz))
+                if not slides[j]:
                     along = cross(axis, sub(at, (f[9], f[10], f[11])))
                     near = min(near, math.sqrt(dot(along, along)) + bodies[b, 4])
                     radius = min(radius, near + 0.5 * outer)
@@ -220,13 +256,18 @@ def _travels(
                 total += radius * rate
                 bent += near * uneven[piece, j] + rate * (0.5 * reach[b, j] * rate + outer)
                 outer += reach[b, j] * rate
-                together = math.sqrt(dot(speed, speed)) + math.sqrt(dot(turn, turn)) * bodies[b, 4] + bent
-                moved[b, j] = together if together < total else total
-                j = int(numbers[own + flat.PARENT])
-        for mover in range(len(both)):
+                if slots[b, j] >= 0:
+                    together = math.sqrt(dot(speed, speed)) + math.sqrt(dot(turn, turn)) * bodies[b, 4] + bent
+                    moved[slots[b, j], piece] = together if together < total else total
+                j = int(numbers[joints + flat.JOINT_SIZE * j + flat.PARENT])
+    travels = np.zeros((alike.max() + 1 if len(alike) else 0, pieces))
+    for mover in range(len(both)):
+        one, other, travel = both[mover, 0], both[mover, 1], travels[alike[mover]]
+        for piece in range(pieces):
             total = 0.0
-            for side in range(2):
-                if first[mover, side] >= 0:
-                    total += moved[both[mover, side], first[mover, side]]
-            travels[piece, alike[mover]] = max(travels[piece, alike[mover]], total)
-    return np.ascontiguousarray(travels.T)
+            if one >= 0:
+                total += moved[one, piece]
+            if other >= 0:
+                total += moved[other, piece]
+            travel[piece] = max(travel[piece], total)
+    return travels

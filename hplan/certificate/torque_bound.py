@@ -43,6 +43,9 @@ GAP = 5e-5
 #: Samples that halving may take: some, and for each piece.
 SAMPLES, SAMPLES_PER_PIECE = 20_000, 16
 
+#: So many pieces have one remainder: what they have of rates in common takes longer to bound than to find.
+_ALIKE = any_int(4)
+
 #: Derivatives that are needed: of axes and inertias, and of vectors in bodies.
 _OF_AXES, _OF_VECTORS = any_int(3), any_int(4)
 
@@ -191,7 +194,7 @@ def _remainders(bezier: FloatArray, duration: FloatArray, sizes: FloatArray, gra
     Rows of `w`, `z`, `s`, `d`, `tensor`, `acc`, `force`, `moment` are norms: of a body's angular velocity, of its
     joint's axis, of the vectors from the parent's joint to its own and on to its centre of mass, of its inertia, of the
     acceleration of its joint, of force and of moment there; column n is the n-th time derivative. Column n of `slide`
-    is that of the distance by which a joint slides, or 0.
+    is that of the distance by which a joint slides, or 0. Pieces one after the other share the largest rates of all.
     """
     count, bodies = bezier.shape[0], sizes.shape[0]
     w, acc = np.zeros((bodies + 1, 4)), np.zeros((bodies + 1, 3))  # the last row is the base's
@@ -200,13 +203,17 @@ def _remainders(bezier: FloatArray, duration: FloatArray, sizes: FloatArray, gra
     tensor, force, moment = np.zeros((bodies, 4)), np.zeros((bodies, 3)), np.zeros((bodies, 3))
     rate, slide = np.zeros(5), np.zeros(5)
     slack = np.zeros((count, bodies))
-    for i in range(count):
-        h = duration[i]
+    for first in range(0, count, _ALIKE):
+        end = min(first + _ALIKE, count)
         for k in range(bodies):
-            p0, p1, p2, p3 = bezier[i, 0, k], bezier[i, 1, k], bezier[i, 2, k], bezier[i, 3, k]
-            rate[1] = 3.0 * max(abs(p1 - p0), abs(p2 - p1), abs(p3 - p2)) / h
-            rate[2] = 6.0 * max(abs((p2 - p1) - (p1 - p0)), abs((p3 - p2) - (p2 - p1))) / (h * h)
-            rate[3] = 6.0 * abs((p3 - p2) - 2.0 * (p2 - p1) + (p1 - p0)) / (h * h * h)
+            farthest, rate[1], rate[2], rate[3] = 0.0, 0.0, 0.0, 0.0
+            for i in range(first, end):
+                h = duration[i]
+                p0, p1, p2, p3 = bezier[i, 0, k], bezier[i, 1, k], bezier[i, 2, k], bezier[i, 3, k]
+                farthest = _most(farthest, max(abs(p0), abs(p1), abs(p2), abs(p3)))
+                rate[1] = _most(rate[1], 3.0 * max(abs(p1 - p0), abs(p2 - p1), abs(p3 - p2)) / h)
+                rate[2] = _most(rate[2], 6.0 * max(abs((p2 - p1) - (p1 - p0)), abs((p3 - p2) - (p2 - p1))) / (h * h))
+                rate[3] = _most(rate[3], 6.0 * abs((p3 - p2) - 2.0 * (p2 - p1) + (p1 - p0)) / (h * h * h))
             above = int(sizes[k, 4])
             z[k, 0], s[k, 0], d[k, 0], tensor[k, 0] = 1.0, sizes[k, 0], sizes[k, 1], sizes[k, 3]
             _turned(w[above], z[k], _OF_VECTORS, 1.0)
@@ -214,7 +221,7 @@ def _remainders(bezier: FloatArray, duration: FloatArray, sizes: FloatArray, gra
             slides = sizes[k, 5] > 0.0
             if slides:
                 for n in range(5):
-                    slide[n] = rate[n] if n > 0 else max(abs(p0), abs(p1), abs(p2), abs(p3))
+                    slide[n] = rate[n] if n > 0 else farthest
                     for m in range(n + 1):
                         s[k, n] += _CHOOSE[n, m] * z[k, n - m] * slide[m]
             for n in range(4):
@@ -236,9 +243,11 @@ def _remainders(bezier: FloatArray, duration: FloatArray, sizes: FloatArray, gra
             bend = 0.0
             for m in range(3):
                 bend += _CHOOSE[2, m] * z[k, m] * (force[k, 2 - m] if sizes[k, 5] > 0.0 else moment[k, 2 - m])
-            if bend > 0.0:  # else it may be zero by infinity, in a long pause
-                bend *= 0.125 * h * h
-            slack[i, k] = bend if bend < np.inf else np.inf
+            for i in range(first, end):
+                most = bend
+                if bend > 0.0:  # else it may be zero by infinity, in a long pause
+                    most *= 0.125 * duration[i] * duration[i]
+                slack[i, k] = most if most < np.inf else np.inf
             if above < bodies:
                 for n in range(3):
                     force[above, n] += force[k, n]
@@ -246,6 +255,12 @@ def _remainders(bezier: FloatArray, duration: FloatArray, sizes: FloatArray, gra
                     for m in range(n + 1):
                         moment[above, n] += _CHOOSE[n, m] * s[k, m] * force[k, n - m]
     return slack
+
+
+@kernel
+def _most(one: float, other: float) -> float:
+    """The larger one of two numbers, none of which is negative; infinite where the second is none."""
+    return max(one, other) if other < np.inf else np.inf
 
 
 @kernel

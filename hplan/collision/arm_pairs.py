@@ -104,9 +104,14 @@ class ArmParts(Record):
         return list(itertools.chain(*self.links.values(), *of_turret))
 
     @cached_property
+    def all_shapes(self) -> tuple[pin.GeometryObject, ...]:
+        """The `shapes`, then all others that are of pairs."""
+        return tuple(self._every.values())
+
+    @cached_property
     def bare_shapes(self) -> tuple[BareShape, ...]:
-        """The `shapes`, then all others that are of pairs, without what is swept about them."""
-        return tuple(BareShape.of(shape.geometry) for shape in self._every.values())
+        """`all_shapes` without what is swept about them."""
+        return tuple(BareShape.of(shape.geometry) for shape in self.all_shapes)
 
     @cached_property
     def shape_pairs(self) -> tuple[tuple[pin.GeometryObject, pin.GeometryObject], ...] | ArmPairs:
@@ -134,9 +139,9 @@ class ArmParts(Record):
 
     @cached_property
     def bodies(self) -> tuple[CollisionBody, ...]:
-        """The `shapes` as bodies, then all others that are of pairs."""
+        """`all_shapes` as bodies."""
         known = dict(zip(map(id, body_shapes(self.robot)), collision_bodies(self.robot), strict=True))
-        return tuple(known.get(id(shape)) or _body(shape) for shape in self._every.values())
+        return tuple(known.get(id(shape)) or _body(shape) for shape in self.all_shapes)
 
     @property
     def key(self) -> tuple[tuple[int, ...], bytes]:
@@ -163,6 +168,26 @@ class ArmParts(Record):
                 joints = list(carriers(self.robot, self.bodies[body].joint)) if body >= 0 else []
                 counts[row, joints] = 1.0 - counts[row, joints]
         return readonly(np.array(both).reshape(-1, 2), np.int64), frozen(counts)
+
+    @cached_property
+    def travellers(self) -> tuple[IntArray, IntArray]:
+        """How far bodies travel that `movers` are made of: by the joints from one of them outward.
+
+        Returns:
+            (bodies, dof) a number for each body and joint from which on that is asked for, -1 for others; (movers, 2)
+            those of both bodies of each mover, -1 for one that does not move.
+        """
+        (both, counts), dof = self.movers, self.robot.dof
+        slots, found = np.full((len(self.bodies), dof), -1), np.full(both.shape, -1)
+        for mover, pair in enumerate(both.tolist()):
+            for side, body in enumerate(pair):
+                joints = carriers(self.robot, self.bodies[body].joint) if body >= 0 else ()
+                first = min((joint for joint in joints if counts[mover, joint] > 0.0), default=-1)
+                if first >= 0:
+                    if slots[body, first] < 0:
+                        slots[body, first] = slots.max() + 1
+                    found[mover, side] = slots[body, first]
+        return readonly(slots, np.int64), readonly(found, np.int64)
 
     @cached_property
     def alike(self) -> IntArray:

@@ -83,6 +83,20 @@ def test_second_derivative_is_bounded(tmp_path, tmp_path_factory):
             assert (curvature / 8.0 <= remainder + 1e-4).all()
 
 
+@pytest.mark.parametrize("name", ["upright on a yaw", "lift"])
+def test_pieces_that_share_a_remainder_have_that_of_all(name, tmp_path, tmp_path_factory):
+    """Of pieces as fast as can be and of slow ones, each as long as any."""
+    robot = loaded_arm(name, tmp_path_factory) if name == "lift" else load_variant(name, tmp_path)
+    rng, sizes = np.random.default_rng(3), robot.dynamics.sizes
+    for _ in range(20):
+        bezier = rng.normal(size=(7, 4, robot.dof)) * 10.0 ** rng.uniform(-3.0, 0.0, (7, 1, robot.dof))
+        duration = rng.uniform(0.01, 0.3, 7)
+        together = torque_bound._remainders(bezier, duration, sizes, 9.81)
+        pieces = zip(bezier, duration, strict=True)
+        alone = [torque_bound._remainders(one[None], np.array([h]), sizes, 9.81)[0] for one, h in pieces]
+        assert (together >= np.array(alone) * (1.0 - 1e-12)).all()
+
+
 @pytest.mark.parametrize("speed", [0.1, 3.0])
 def test_second_derivative_at_constant_speed(tmp_path, speed):
     """Slowly, gravity makes it; fast, what turns does."""

@@ -6,8 +6,9 @@ as seen from the other. A pair's spare clearance is its distance, by coal, beyon
 counts to both sides: as far as its moving body travels no more than its spare clearance there, less the clearance shown
 so far (at most half of the spare clearance of any pair), before and after, at least the clearance shown remains. So the
 next look at a pair is further ahead than the last one shows, and where the two leave a gap, there is one in its middle.
-Places are counted in rows. Where a pair is too near, the proof goes on as far as it gets without looking ahead; where
-it has to give up, the rest of the motion is searched for the worst.
+Before coal is asked, boxes about the two bound their distance (`hplan.collision.box_bounds`); where the bound leaves
+enough, it is taken in its place. Places are counted in rows. Where a pair is too near, the proof goes on as far as it
+gets without looking ahead; where it has to give up, the rest of the motion is searched for the worst.
 
 How far a moving body travels within a piece of the motion, and how far tracking errors displace it, is bounded in
 `hplan.certificate.motion_bound`. Two parts that can never be as far apart as is asked for must not touch
@@ -37,7 +38,8 @@ import heapq
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Literal, TypeAlias
+from functools import cached_property
+from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -45,7 +47,9 @@ from hplan.base.arrays import FloatArray, IntArray
 from hplan.base.deadline import check_deadline
 from hplan.base.kernels import kernel
 from hplan.certificate.motion_bound import at_rows, motion_of_movers, with_obstacles
+from hplan.collision.box_bounds import apart, joints_as_pinocchio
 from hplan.collision.coal_scene import CoalScene, Contact
+from hplan.collision.placed_bodies import place_joints
 
 #: Spare clearance below which the proof gives up [m]: its steps, half of it, would become too small.
 SMALLEST_STEP = 1e-5
@@ -58,9 +62,11 @@ MOST_TRAVEL = 0.99
 #: the pair that is due, others are asked that are due before it has gone so many times as far.
 _AHEAD, _TOGETHER = 0.8, 8.0
 
-#: Of more pairs than this, and than the arm has bodies, lower bounds are computed before coal is asked; so many of the
-#: nearest are asked first where all are. A bound is enough where it leaves at least so much spare clearance [m].
-_MANY, FIRST, FAR = 32, 16, 0.05
+#: So many of the nearest pairs are asked first. A lower bound is enough where it leaves so much spare clearance [m].
+FIRST, FAR = 16, 0.02
+
+#: So many looks in which bounds are enough for all pairs, before the deadline is checked again.
+_BOUNDED_LOOKS = 256
 
 #: Configurations at which the proof may evaluate distances: some, and for each piece of the motion. A motion of 1.8 s
 #: that comes to 1.5 mm of an obstacle takes 155. The deadline is checked after so many: a fraction of a millisecond.
@@ -68,6 +74,9 @@ CHECKS, CHECKS_PER_PIECE, _CHECKS_BETWEEN_LOOKS = 20_000, 50, 16
 
 #: Why a proof ends: the clearance is shown, a pair is too near, or what it may take is used up.
 Outcome: TypeAlias = Literal["shown", "too near", "checks", "travel"]
+
+#: Pairs that coal is to be asked about, the place, infinite after the end, and the (dof,) configuration there.
+Look: TypeAlias = tuple[IntArray, float, FloatArray]
 
 
 @dataclass(frozen=True)
@@ -120,20 +129,30 @@ def prove_clearance(
     if search.bounded < len(bezier):
         return search.worst("travel")
     budget = CHECKS + CHECKS_PER_PIECE * len(bezier)
-    # At the start all pairs at once; those that cannot come near in the whole motion are not asked again.
-    going = search.begin()
-    while going:
-        if search.checks % _CHECKS_BETWEEN_LOOKS == 1:
+    look = search.first()
+    while look[1] < math.inf:
+        if search.checks % _CHECKS_BETWEEN_LOOKS == 0 or not len(look[0]):
             check_deadline()
-        pairs, at, q = _next(bezier, search.mover_of, search.movers, search.pairs)
-        if at == math.inf:
-            end = float(len(bezier))
-            return Proof("shown", needed + search.shown, search.contact(), search.checks, end, search.nearest[2])
-        if search.checks >= budget:
+        if search.looks >= budget:
             return search.worst("checks")
-        search.place(q, at)
-        going = search.ask(pairs, at)
-    return search.worst("too near")
+        following = search.after(look)
+        if following is None:
+            return search.worst("too near")
+        look = following
+    end = float(len(bezier))
+    return Proof("shown", needed + search.shown, search.contact(), search.checks, end, search.nearest[2])
+
+
+class _Search(NamedTuple):
+    """What kernels are given of an `Advancement`, and its motion."""
+
+    bezier: FloatArray
+    mover_of: IntArray
+    movers: FloatArray
+    pairs: FloatArray
+    boxes: FloatArray
+    sides: IntArray
+    joints: FloatArray
 
 
 class Advancement:
@@ -142,13 +161,14 @@ class Advancement:
     Attributes:
         movers: (2, bodies, rows + 1) at each row, how much nearer each moving body may be than in the motion, and how
             far it has travelled [m].
-        pairs: (6, pairs) for each pair the distance to be kept, coal's error with it [m]; the place where it is to be
+        pairs: (7, pairs) for each pair the distance to be kept, coal's error with it [m]; the place where it is to be
             asked next, infinite where that is after the end; in travel of its moving body, up to where its
             clearance is shown, below 0 before the first look, from where on beyond a gap, infinite for none, and up to
-            where then [m]; and by how much less than what is needed it has to keep [m]. (Arrays, for a named tuple of
-            them costs a call of a kernel 2 us more, and there are 100.)
+            where then [m]; by how much less than what is needed it has to keep, and what is taken off its bounds [m].
         mover_of: (pairs,) each pair's moving body.
         shown: Clearance shown of every pair so far, beyond the one needed [m].
+        checks: Looks in which coal was asked.
+        looks: All looks.
         nearest: The smallest distance so far [m], the pair, and where.
         bounded: How many pieces from the first on have a bounded travel.
     """
@@ -184,54 +204,53 @@ class Advancement:
         none, asked = np.zeros(len(checker.pairs)), checker.kept(needed)
         kept = asked + checker.distance_errors
         may_lack = none + (needed - asked)
-        self.pairs = np.stack([kept, none, none - np.finfo(np.float64).tiny, none + math.inf, none, may_lack])
+        before = none - np.finfo(np.float64).tiny
+        self.pairs = np.stack([kept, none, before, none + math.inf, none, may_lack, checker.taken_off])
         self.mover_of = mover_of
-        self._many = math.inf if checker.moving is not None else _MANY + len(checker.parts.bodies)
-        self._ahead, self.shown, self.checks = _AHEAD, math.inf, 1
+        self._ahead, self.shown, self.checks, self.looks = _AHEAD, math.inf, 0, 0
         self.nearest = math.inf, 0, 0.0
 
     def place(self, q: FloatArray, at: float) -> None:
         """Put the arm at a configuration, that of a place."""
         self._checker.place(q, *self.when(at))
         self.checks += 1
+        self.looks += 1
 
     def when(self, at: float) -> tuple[float, ...]:
         """The time of a place, as the checker takes it: none where nothing moves but the arm."""
         return () if self._clock is None else (_linear(self._clock, at),)
 
-    def begin(self) -> bool:
-        """Ask coal about all pairs at the begin, the nearest ones first; True if the proof goes on."""
+    @cached_property
+    def _search(self) -> _Search:
+        boxes, sides = self._checker.boxes
+        joints, bezier = joints_as_pinocchio(self._checker.robot), np.ascontiguousarray(self._bezier)
+        return _Search(bezier, self.mover_of, self.movers, self.pairs, boxes, sides, joints)
+
+    def first(self) -> Look:
+        """The look at the nearest pairs at the begin, or at all; others are due there too."""
         pairs, q = np.arange(len(self._checker.pairs)), self._bezier[0, 0]
-        if len(pairs) < self._many:
-            return self.take(pairs, self._checker.pair_distances(q, *self.when(0.0)), 0.0)
-        self._checker.place(q)
-        near = np.zeros(len(pairs), dtype=np.bool_)
-        near[np.argpartition(self._checker.lower_bounds(pairs) - self.pairs[0], FIRST)[:FIRST]] = True
-        return self.ask(pairs[near], 0.0) and self.ask(pairs[~near], 0.0)
+        if len(pairs) > FIRST:
+            nearness = self._checker.lower_bounds(q, pairs) - self.pairs[0]
+            pairs = np.sort(np.argpartition(nearness, FIRST)[:FIRST])
+        return pairs, 0.0, q
 
-    def ask(self, pairs: IntArray, at: float) -> bool:
-        """Ask coal about some pairs, the arm being there; True if the proof goes on.
-
-        Of many of them those are not asked that bounds show to be far, in proportion to the clearance shown so far.
-        """
-        if len(pairs) >= self._many:
-            bounds = self._checker.lower_bounds(pairs)
-            pairs = _put_off_far(pairs, bounds, at, self.shown, self._ahead, self.mover_of, self.movers, self.pairs)
-            if len(pairs) == 0:
-                return True
-        return self.take(pairs, self._checker.distances_of(pairs), at)
-
-    def take(self, pairs: IntArray, distances: FloatArray, at: float) -> bool:
-        """Take distances of some pairs at a place; True if the proof goes on."""
-        least, shown = _put_off(pairs, distances, at, self.shown, self._ahead, self.mover_of, self.movers, self.pairs)
-        self._see(float(distances[least]), int(pairs[least]), at)
+    def after(self, look: Look) -> Look | None:
+        """Look there, and find where to look next; None where a pair is too near for the proof to go on."""
+        (pairs, at, q), distances = look, np.zeros(0)
+        if len(pairs):
+            self.place(q, at)
+            distances = self._checker.distances_of(pairs)
+        nearest, shown, looks, due, there, ahead = _look(pairs, distances, at, self.shown, self._ahead, self._search)
+        self.looks += looks
+        if nearest[0] < self.nearest[0]:
+            self.nearest = *nearest, at
         if shown > 0.0:
             self.shown = shown
-        elif self._ahead > 0.0:
-            self._only_forward()
-        else:
-            return False
-        return True
+            return due, there, ahead
+        if self._ahead == 0.0:
+            return None
+        self._only_forward()
+        return pairs[:0], at, q
 
     def _only_forward(self) -> None:
         """Go on from where clearance is shown, and look no further ahead: that says how far it can be shown."""
@@ -304,27 +323,52 @@ def point_at(bezier: FloatArray, at: float) -> FloatArray:
 
 
 @kernel
-def _next(
-    bezier: FloatArray, mover_of: IntArray, movers: FloatArray, all_pairs: FloatArray
-) -> tuple[IntArray, float, FloatArray]:
-    """The pair that is due first, and others that may as well be asked there.
+def _look(
+    pairs: IntArray, distances: FloatArray, at: float, shown: float, ahead: float, search: _Search
+) -> tuple[tuple[float, int], float, int, IntArray, float, FloatArray]:
+    """Write down what a look shows, and find the next one in which bounds are not enough for all pairs.
 
     Returns:
-        Their numbers, the place (infinite: after the end), and the configuration there.
+        Distance and number of the nearest pair, and the clearance shown, as `_put_off`; how many looks there were in
+        which bounds were enough; and the next `Look`, without pairs after the end or very many of those.
     """
-    due, upto = all_pairs[1], all_pairs[2]
-    first = np.argmin(due)
-    at, count, asked = due[first], 0, np.empty(len(due), dtype=np.int64)
-    if at < math.inf:
-        travel = movers[1, mover_of[first]]
-        ahead = _TOGETHER * (_linear(travel, at) - upto[first])
-        before = min(place_after(travel, at, ahead), len(travel) - 1.0)
-        for pair in range(len(due)):
-            soon = due[pair] <= before and upto[pair] <= _linear(movers[1, mover_of[pair]], at)
-            if pair == first or soon:
-                asked[count] = pair
-                count += 1
-    return asked[:count], at, point_at(bezier, min(at, float(bezier.shape[0])))
+    bezier, joints = search.bezier, search.joints
+    least, shown = _put_off(pairs, distances, at, shown, ahead, search)
+    nearest = math.inf, 0
+    if len(pairs):
+        nearest = distances[least] + search.pairs[5, pairs[least]], pairs[least]
+    frames, work, q, looks = np.empty((bezier.shape[2] + 1, 12)), np.empty((2, 12)), bezier[0, 0].copy(), 0
+    following = pairs[:0]
+    while shown > 0.0 and len(following) == 0 and looks < _BOUNDED_LOOKS:
+        following, at = _next(search)
+        if at == math.inf:
+            break
+        q = point_at(bezier, at)
+        place_joints(q, joints, frames)
+        following = _put_off_far(following, frames, work, (at, shown, ahead), search)
+        looks += len(following) == 0
+    return nearest, shown, looks, following, at, q
+
+
+@kernel
+def _next(search: _Search) -> tuple[IntArray, float]:
+    """The pair that is due first, and others that may as well be looked at there; the place, infinite after the end."""
+    due, upto, mover_of, travels = search.pairs[1], search.pairs[2], search.mover_of, search.movers[1]
+    first, at, count = 0, due[0], 0
+    for pair in range(len(due)):
+        if due[pair] < at:
+            first, at = pair, due[pair]
+    if not at < math.inf:
+        return np.empty(0, dtype=np.int64), at
+    travel = travels[mover_of[first]]
+    before = min(place_after(travel, at, _TOGETHER * (_linear(travel, at) - upto[first])), len(travel) - 1.0)
+    before = max(before, at)  # by rounding errors it may be less
+    asked = np.empty(len(due), dtype=np.int64)
+    for pair in range(len(due)):
+        if due[pair] <= before and (pair == first or upto[pair] <= _linear(travels[mover_of[pair]], at)):
+            asked[count] = pair
+            count += 1
+    return asked[:count], at
 
 
 @kernel
@@ -337,16 +381,16 @@ def _linear(values: FloatArray, at: float) -> float:
 
 @kernel
 def _put_off(
-    pairs: IntArray, distances: FloatArray, at: float, shown: float, ahead: float,
-    mover_of: IntArray, movers: FloatArray, all_pairs: FloatArray,
-) -> tuple[int, float]:  # fmt: skip
+    pairs: IntArray, distances: FloatArray, at: float, shown: float, ahead: float, search: _Search
+) -> tuple[int, float]:
     """Write down what looks at a place show, and where the pairs are due again.
 
     Returns:
         Which of them is nearest, as if all had to keep what is needed, and the clearance then shown; 0 where one is too
         near.
     """
-    sway, kept, may_lack = movers[0], all_pairs[0], all_pairs[5]
+    mover_of, sway, all_pairs = search.mover_of, search.movers[0], search.pairs
+    kept, may_lack = all_pairs[0], all_pairs[5]
     least = 0
     spare_clearances = np.empty(len(pairs))
     for i in range(len(pairs)):
@@ -360,28 +404,34 @@ def _put_off(
     if not shown > 0.0:
         return least, 0.0
     for i in range(len(pairs)):
-        _take_down(pairs[i], at, spare_clearances[i], shown, ahead, movers[1, mover_of[pairs[i]]], all_pairs)
+        _take_down(pairs[i], at, spare_clearances[i], shown, ahead, search.movers[1, mover_of[pairs[i]]], all_pairs)
     return least, shown
 
 
 @kernel
 def _put_off_far(
-    pairs: IntArray, bounds: FloatArray, at: float, shown: float, ahead: float,
-    mover_of: IntArray, movers: FloatArray, all_pairs: FloatArray,
-) -> IntArray:  # fmt: skip
+    pairs: IntArray, frames: FloatArray, work: FloatArray, place: tuple[float, float, float], search: _Search
+) -> IntArray:
     """As `_put_off` by lower bounds of distances, of the pairs whose bounds are large and leave the clearance shown.
+
+    Args:
+        frames: As `apart`, as `work`.
+        place: Where it is, the clearance shown, and how far ahead pairs are looked at.
 
     Returns:
         The other pairs.
     """
-    sway, kept = movers[0], all_pairs[0]
+    mover_of, sway, all_pairs = search.mover_of, search.movers[0], search.pairs
+    kept, taken_off = all_pairs[0], all_pairs[6]
+    at, shown, ahead = place
     left = np.empty(len(pairs), dtype=np.int64)
     count = 0
     for i in range(len(pairs)):
         pair = pairs[i]
-        spare_clearance = bounds[i] - (_linear(sway[mover_of[pair]], at) + kept[pair])
+        bound = apart(frames, search.boxes, search.sides[pair], work) - taken_off[pair]
+        spare_clearance = bound - (_linear(sway[mover_of[pair]], at) + kept[pair])
         if spare_clearance >= FAR and 0.5 * spare_clearance >= shown:
-            _take_down(pair, at, spare_clearance, shown, ahead, movers[1, mover_of[pair]], all_pairs)
+            _take_down(pair, at, spare_clearance, shown, ahead, search.movers[1, mover_of[pair]], all_pairs)
         else:
             left[count] = pair
             count += 1

@@ -60,11 +60,11 @@ class BareShape(NamedTuple):
     thin: BareShape | None = None
 
     @property
-    def core_box(self) -> list[float]:
-        """(7,) centre and half sizes of a box in the shape's frame, and the radius about it: together they hold it."""
+    def core_box(self) -> tuple[FloatArray, FloatArray, float]:
+        """Centre and half sizes of a box in the shape's frame, and the radius about it: together they hold it."""
         shape, (centre, half) = self.geometry, self.box
         rounding = float(shape.radius) if isinstance(shape, (coal.Sphere, coal.Capsule)) else 0.0
-        return [*centre, *np.maximum(half - rounding, 0.0), self.radius + rounding]
+        return centre, np.maximum(half - rounding, 0.0), self.radius + rounding
 
     @classmethod
     def of(cls, shape: coal.CollisionGeometry) -> BareShape:

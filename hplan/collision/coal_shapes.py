@@ -120,27 +120,6 @@ def beyond_geometry(obstacle: Solid) -> float:
     return obstacle.rounding if isinstance(obstacle, Cloud) else 0.0
 
 
-def bounding_balls(obstacles: Sequence[Solid]) -> FloatArray:
-    """(n, 4) centre and radius of a ball about each obstacle, never too small by rounding errors [m]."""
-    balls = np.empty((len(obstacles), 4))
-    for number, obstacle in enumerate(obstacles):
-        if type(obstacle) is Sphere:
-            balls[number] = *obstacle.center, 0.0
-        elif type(obstacle) is Capsule:
-            (x, y, z), (u, v, w) = obstacle.start, obstacle.end
-            balls[number] = 0.5 * (x + u), 0.5 * (y + v), 0.5 * (z + w), 0.5 * math.dist(obstacle.start, obstacle.end)
-        elif isinstance(obstacle, Cloud) and len(obstacle.tree):
-            balls[number] = obstacle.tree[0, 3:]
-        else:
-            core = obstacle.core
-            centre = 0.5 * (core.min(axis=0) + core.max(axis=0))
-            balls[number, :3] = centre
-            balls[number, 3] = math.sqrt(((core - centre) ** 2).sum(axis=1).max())
-        balls[number, 3] += obstacle.rounding
-    balls[:, 3] = balls[:, 3] * (1.0 + 1e-12) + 1e-12
-    return balls
-
-
 def triangle_tree(points: FloatArray, faces: IntArray) -> coal.BVHModelOBBRSS:
     """A tree of bounding volumes about triangles: (n, 3) points [m], (m, 3) rows of them."""
     tree = coal.BVHModelOBBRSS()

@@ -8,7 +8,6 @@ the arm itself have a model that all its scenes share: their data takes 2.5 us a
 from __future__ import annotations
 
 import itertools
-import math
 import threading
 from collections.abc import Iterable, Sequence
 from functools import cached_property
@@ -19,7 +18,6 @@ import pinocchio as pin
 
 from hplan.base.arrays import BoolArray, FloatArray, IntArray
 from hplan.base.deadline import check_deadline
-from hplan.base.kernels import kernel
 from hplan.collision.coal_cloud import BareShape, PointBlocks
 
 #: Most obstacles in one geometry model.
@@ -27,9 +25,6 @@ _CHUNK: Final = 128
 
 #: Stands for the clouds among the numbers of models.
 _CLOUDS: Final = -1
-
-#: In place of a lower bound where there is none; finite, so that an infinite distance may be taken off it [m].
-_UNBOUNDED: Final = -1e300
 
 
 class _PartData:
@@ -50,11 +45,7 @@ class _PartData:
 
 
 class ArmPairs:
-    """Pairs of an arm's own shapes in a model of their own, after the shapes that move; several threads may ask.
-
-    Attributes:
-        numbers: (pairs, 2) the shapes of each pair, as the model counts them.
-    """
+    """Pairs of an arm's own shapes in a model of their own, after the shapes that move; several threads may ask."""
 
     def __init__(
         self, movers: Sequence[pin.GeometryObject], pairs: Sequence[tuple[pin.GeometryObject, pin.GeometryObject]]
@@ -62,7 +53,7 @@ class ArmPairs:
         self.geometry = pin.GeometryModel()
         for shape in movers:
             self.geometry.addGeometryObject(shape)
-        self.numbers = _with_pairs(self.geometry, movers, pairs)
+        _add_pairs(self.geometry, movers, pairs)
         self._known = threading.local()
 
     @property
@@ -114,7 +105,6 @@ class GeometryPairs:
         movers: Sequence[pin.GeometryObject],
         obstacles: Sequence[pin.GeometryObject | PointBlocks],
         chosen: Sequence[tuple[pin.GeometryObject, pin.GeometryObject]] | ArmPairs = (),
-        balls: FloatArray | None = None,
         bare: Sequence[BareShape] | None = None,
     ) -> None:
         """Build the geometry models.
@@ -123,17 +113,14 @@ class GeometryPairs:
             obstacles: Fixed shapes, and clouds.
             chosen: Further pairs, of moving bodies or of shapes that meet no obstacle; of the same movers where they
                 have a model already.
-            balls: (obstacles, 4) centre and radius of a ball about each obstacle, for `lower_bounds`; None for none.
-            bare: The moving shapes, and others of the pairs in their order, without what is swept about them, where
-                that is known.
+            bare: The moving shapes, and others after them, without what is swept about them, where that is known.
         """
         self._model = model
         self._geometries: list[pin.GeometryModel] = []
         #: Numbers of each model's pairs among all.
         self._numbers: list[IntArray] = []
         own = chosen if isinstance(chosen, ArmPairs) else None
-        self._first_own = first_own = len(movers) * len(obstacles)
-        self._balls = np.zeros((0, 4)) if balls is None else balls
+        first_own = len(movers) * len(obstacles)
         self._clouds = [(column, shape) for column, shape in enumerate(obstacles) if isinstance(shape, PointBlocks)]
         fixed = [(column, shape) for column, shape in enumerate(obstacles) if not isinstance(shape, PointBlocks)]
         #: Of each obstacle the model and its number there.
@@ -141,7 +128,6 @@ class GeometryPairs:
         for number, (column, _) in enumerate(fixed):
             self._where[column] = number // _CHUNK, len(movers) + number % _CHUNK
         starts = range(0, len(fixed) if own is not None else max(len(fixed), 1), _CHUNK)
-        of_own = np.zeros((0, 2), dtype=np.int64)
         for start in starts:
             check_deadline()
             geometry = pin.GeometryModel()
@@ -156,23 +142,16 @@ class GeometryPairs:
             rows = np.arange(len(movers))[:, None] * len(obstacles)
             numbers = (rows + np.array([column for column, _ in chunk], dtype=np.int64)).ravel()
             if start == starts[-1] and not isinstance(chosen, ArmPairs):
-                of_own = _with_pairs(geometry, movers, chosen)
+                _add_pairs(geometry, movers, chosen)
                 numbers = np.append(numbers, first_own + np.arange(len(chosen)))
             self._geometries.append(geometry)
             self._numbers.append(numbers)
             check_deadline()
         if own is not None:
-            of_own = own.numbers
             self._geometries.append(own.geometry)
-            self._numbers.append(first_own + np.arange(len(of_own)))
-        self.count = first_own + len(of_own)
-        # Of the last model the shapes of the arm, without the obstacles between them; and which of them are pairs.
-        last, between = self._geometries[-1], 0 if own is not None else len(fixed) % _CHUNK
-        self._of_arm = [*range(len(movers)), *range(len(movers) + between, last.ngeoms)]
-        self._of_own = np.where(of_own < len(movers), of_own, of_own - between)
-        shapes = (last.geometryObjects[number].geometry for number in self._of_arm)
-        self._movers = [BareShape.of(shape) for shape in shapes] if bare is None else bare
-        self._boxes = np.array([shape.core_box for shape in self._movers]).reshape(-1, 7)
+            self._numbers.append(first_own + np.arange(len(own.geometry.collisionPairs)))
+        self.count = sum(map(len, self._numbers)) + len(movers) * len(self._clouds)
+        self._movers = [BareShape.of(shape.geometry) for shape in movers] if bare is None else bare
         self._query = _QueryData(model, self._geometries, own, bool(self._clouds))
         # In which model a pair is, and its number there; the pairs of clouds, in none, body by body.
         self._part_of = np.full(self.count, -1, dtype=np.int64)
@@ -239,19 +218,6 @@ class GeometryPairs:
             found.append(pin.computeDistance(geometries[part], placed, local).min_distance)
         return np.array(found, dtype=np.float64)
 
-    def lower_bounds(self, pairs: IntArray) -> FloatArray:
-        """Lower bounds of `distances_of`, (k,) numbers -> (k,) [m]; a huge negative number where none is at hand.
-
-        The distance of the box about the moving shape, in its own frame, from the ball about the obstacle, or about the
-        box of the other shape.
-        """
-        query = self._query
-        if query.elsewhere:  # the balls are about the obstacles where they were built
-            return np.full(len(pairs), _UNBOUNDED)
-        placed = self._placed(query, len(self._geometries) - 1).oMg.tolist()
-        places = np.array([placed[number].homogeneous for number in self._of_arm]).reshape(-1, 4, 4)
-        return _lower_bounds(pairs, places, self._boxes, self._balls, self._of_own, self._first_own)
-
     def in_collision(self, configurations: FloatArray, margins: FloatArray) -> BoolArray:
         """True where any pair is nearer than its margin, (n, dof) configurations, (count,) margins [m] -> (n,)."""
         q = np.asfortranarray(configurations.T)
@@ -291,63 +257,18 @@ class GeometryPairs:
         return data.geometry
 
 
-def _with_pairs(
+def _add_pairs(
     geometry: pin.GeometryModel,
     movers: Sequence[pin.GeometryObject],
     pairs: Sequence[tuple[pin.GeometryObject, pin.GeometryObject]],
-) -> IntArray:
-    """Add pairs of shapes to a model that has the movers first; (pairs, 2) numbers of their shapes in it."""
+) -> None:
+    """Add pairs of shapes to a model that has the movers first."""
     places = {id(shape): number for number, shape in enumerate(movers)}
     for shape in itertools.chain(*pairs):
         if id(shape) not in places:  # the same shape is added once
             places[id(shape)] = geometry.addGeometryObject(shape)
-    numbers = [(places[id(first)], places[id(second)]) for first, second in pairs]
-    for first, second in numbers:
-        geometry.addCollisionPair(pin.CollisionPair(first, second))
-    return np.array(numbers, dtype=np.int64).reshape(-1, 2)
-
-
-@kernel
-def _lower_bounds(
-    pairs: IntArray, places: FloatArray, boxes: FloatArray, balls: FloatArray, own: IntArray, first_own: int
-) -> FloatArray:
-    """Lower bounds of distances of boxes, grown by radii, from balls.
-
-    Args:
-        pairs: (k,) numbers of pairs: each box with each ball, box by box, then from `first_own` on those of `own`.
-        places: (boxes, 4, 4) homogeneous transform of each box's frame.
-        boxes: (boxes, 7) centre and half sizes there, and radius.
-        balls: (balls, 4) centre and radius.
-        own: (pairs, 2) a box, and another one, which a ball is put about.
-    """
-    bounds, count = np.full(len(pairs), _UNBOUNDED), balls.shape[0]
-    for n in range(len(pairs)):
-        if pairs[n] >= first_own:
-            k, other = own[pairs[n] - first_own]
-            at, box = places[other], boxes[other]
-            x, y, z = (
-                at[0, 0] * box[0] + at[0, 1] * box[1] + at[0, 2] * box[2] + at[0, 3],
-                at[1, 0] * box[0] + at[1, 1] * box[1] + at[1, 2] * box[2] + at[1, 3],
-                at[2, 0] * box[0] + at[2, 1] * box[1] + at[2, 2] * box[2] + at[2, 3],
-            )
-            radius = math.sqrt(box[3] * box[3] + box[4] * box[4] + box[5] * box[5]) * (1.0 + 1e-12) + box[6]
-        elif count > 0:
-            k, ball = pairs[n] // count, pairs[n] % count
-            x, y, z, radius = balls[ball]
-        else:
-            continue
-        place = places[k]
-        x, y, z = x - place[0, 3], y - place[1, 3], z - place[2, 3]
-        square = 0.0
-        for axis in range(3):
-            along = place[0, axis] * x + place[1, axis] * y + place[2, axis] * z
-            beyond = max(0.0, abs(along - boxes[k, axis]) - boxes[k, 3 + axis])
-            square += beyond * beyond
-        # Rounding errors never make it too large.
-        apart = math.sqrt(square) * (1.0 - 1e-12) - (radius + boxes[k, 6])
-        if apart > 0.0:
-            bounds[n] = apart
-    return bounds
+    for first, second in pairs:
+        geometry.addCollisionPair(pin.CollisionPair(places[id(first)], places[id(second)]))
 
 
 def _put(part: _PartData, places: Sequence[tuple[int, pin.SE3]]) -> None:

@@ -144,7 +144,10 @@ def prove_clearance(
 
 
 class _Search(NamedTuple):
-    """What kernels are given of an `Advancement`, and its motion."""
+    """What kernels are given of an `Advancement`, and its motion; and room for the next look's pairs and configuration.
+
+    (Each array that a kernel returns costs 2 us.)
+    """
 
     bezier: FloatArray
     mover_of: IntArray
@@ -153,6 +156,8 @@ class _Search(NamedTuple):
     boxes: FloatArray
     sides: IntArray
     joints: FloatArray
+    asked: IntArray
+    q: FloatArray
 
 
 class Advancement:
@@ -224,7 +229,8 @@ class Advancement:
     def _search(self) -> _Search:
         boxes, sides = self._checker.boxes
         joints, bezier = joints_as_pinocchio(self._checker.robot), np.ascontiguousarray(self._bezier)
-        return _Search(bezier, self.mover_of, self.movers, self.pairs, boxes, sides, joints)
+        room = np.zeros(len(self.mover_of), dtype=np.int64), np.zeros(bezier.shape[2])
+        return _Search(bezier, self.mover_of, self.movers, self.pairs, boxes, sides, joints, *room)
 
     def first(self) -> Look:
         """The look at the nearest pairs at the begin, or at all; others are due there too."""
@@ -240,13 +246,13 @@ class Advancement:
         if len(pairs):
             self.place(q, at)
             distances = self._checker.distances_of(pairs)
-        nearest, shown, looks, due, there, ahead = _look(pairs, distances, at, self.shown, self._ahead, self._search)
+        distance, pair, shown, looks, count, there = _look(pairs, distances, at, self.shown, self._ahead, self._search)
         self.looks += looks
-        if nearest[0] < self.nearest[0]:
-            self.nearest = *nearest, at
+        if distance < self.nearest[0]:
+            self.nearest = distance, pair, at
         if shown > 0.0:
             self.shown = shown
-            return due, there, ahead
+            return self._search.asked[:count], there, self._search.q
         if self._ahead == 0.0:
             return None
         self._only_forward()
@@ -325,50 +331,51 @@ def point_at(bezier: FloatArray, at: float) -> FloatArray:
 @kernel
 def _look(
     pairs: IntArray, distances: FloatArray, at: float, shown: float, ahead: float, search: _Search
-) -> tuple[tuple[float, int], float, int, IntArray, float, FloatArray]:
+) -> tuple[float, int, float, int, int, float]:
     """Write down what a look shows, and find the next one in which bounds are not enough for all pairs.
 
     Returns:
         Distance and number of the nearest pair, and the clearance shown, as `_put_off`; how many looks there were in
-        which bounds were enough; and the next `Look`, without pairs after the end or very many of those.
+        which bounds were enough; how many pairs the next one is at, none after the end or very many of those; and its
+        place.
     """
-    bezier, joints = search.bezier, search.joints
+    bezier = search.bezier
     least, shown = _put_off(pairs, distances, at, shown, ahead, search)
-    nearest = math.inf, 0
+    nearest, which, count, looks = math.inf, 0, 0, 0
     if len(pairs):
-        nearest = distances[least] + search.pairs[5, pairs[least]], pairs[least]
-    frames, work, q, looks = np.empty((bezier.shape[2] + 1, 12)), np.empty((2, 12)), bezier[0, 0].copy(), 0
-    following = pairs[:0]
-    while shown > 0.0 and len(following) == 0 and looks < _BOUNDED_LOOKS:
-        following, at = _next(search)
+        nearest, which = distances[least] + search.pairs[5, pairs[least]], pairs[least]
+    frames, work = np.empty((bezier.shape[2] + 1, 12)), np.empty((2, 12))
+    while shown > 0.0 and count == 0 and looks < _BOUNDED_LOOKS:
+        count, at = _next(search)
         if at == math.inf:
             break
         q = point_at(bezier, at)
-        place_joints(q, joints, frames)
-        following = _put_off_far(following, frames, work, (at, shown, ahead), search)
-        looks += len(following) == 0
-    return nearest, shown, looks, following, at, q
+        for j in range(len(q)):
+            search.q[j] = q[j]
+        place_joints(q, search.joints, frames)
+        count = _put_off_far(count, frames, work, (at, shown, ahead), search)
+        looks += count == 0
+    return nearest, which, shown, looks, count, at
 
 
 @kernel
-def _next(search: _Search) -> tuple[IntArray, float]:
-    """The pair that is due first, and others that may as well be looked at there; the place, infinite after the end."""
+def _next(search: _Search) -> tuple[int, float]:
+    """How many pairs are looked at next: the one due first, and others that may as well be; the place, or infinity."""
     due, upto, mover_of, travels = search.pairs[1], search.pairs[2], search.mover_of, search.movers[1]
     first, at, count = 0, due[0], 0
     for pair in range(len(due)):
         if due[pair] < at:
             first, at = pair, due[pair]
     if not at < math.inf:
-        return np.empty(0, dtype=np.int64), at
+        return 0, at
     travel = travels[mover_of[first]]
     before = min(place_after(travel, at, _TOGETHER * (_linear(travel, at) - upto[first])), len(travel) - 1.0)
     before = max(before, at)  # by rounding errors it may be less
-    asked = np.empty(len(due), dtype=np.int64)
     for pair in range(len(due)):
         if due[pair] <= before and (pair == first or upto[pair] <= _linear(travels[mover_of[pair]], at)):
-            asked[count] = pair
+            search.asked[count] = pair
             count += 1
-    return asked[:count], at
+    return count, at
 
 
 @kernel
@@ -410,32 +417,32 @@ def _put_off(
 
 @kernel
 def _put_off_far(
-    pairs: IntArray, frames: FloatArray, work: FloatArray, place: tuple[float, float, float], search: _Search
-) -> IntArray:
+    count: int, frames: FloatArray, work: FloatArray, place: tuple[float, float, float], search: _Search
+) -> int:
     """As `_put_off` by lower bounds of distances, of the pairs whose bounds are large and leave the clearance shown.
 
     Args:
+        count: How many pairs are looked at.
         frames: As `apart`, as `work`.
         place: Where it is, the clearance shown, and how far ahead pairs are looked at.
 
     Returns:
-        The other pairs.
+        How many other pairs are left.
     """
     mover_of, sway, all_pairs = search.mover_of, search.movers[0], search.pairs
     kept, taken_off = all_pairs[0], all_pairs[6]
     at, shown, ahead = place
-    left = np.empty(len(pairs), dtype=np.int64)
-    count = 0
-    for i in range(len(pairs)):
-        pair = pairs[i]
+    left = 0
+    for i in range(count):
+        pair = search.asked[i]
         bound = apart(frames, search.boxes, search.sides[pair], work) - taken_off[pair]
         spare_clearance = bound - (_linear(sway[mover_of[pair]], at) + kept[pair])
         if spare_clearance >= FAR and 0.5 * spare_clearance >= shown:
             _take_down(pair, at, spare_clearance, shown, ahead, search.movers[1, mover_of[pair]], all_pairs)
         else:
-            left[count] = pair
-            count += 1
-    return left[:count]
+            search.asked[left] = pair
+            left += 1
+    return left
 
 
 @kernel

@@ -23,7 +23,7 @@ import numpy as np
 import pinocchio as pin
 
 from hplan.base.arrays import FloatArray, frozen
-from hplan.scene.obstacles import Capsule, Cylinder, Solid, Sphere
+from hplan.scene.obstacles import Box, Capsule, Cylinder, Solid, Sphere
 
 #: Where coal iterates [m].
 ITERATION = 2e-6
@@ -85,6 +85,10 @@ def _solid_extent(solid: Solid) -> tuple[float, float]:
     """As `_extent`, of an obstacle."""
     if type(solid) is Sphere:  # there are hundreds, and `isinstance` takes ten times as long
         return 2.0 * solid.radius, math.inf
+    if type(solid) is Box:
+        return math.hypot(*solid.size), math.inf
+    if type(solid) is Cylinder:
+        return math.hypot(2.0 * solid.radius, solid.length), math.inf
     if type(solid) is Capsule:
         length = math.dist(solid.start, solid.end)
         return length + 2.0 * solid.radius, length

@@ -39,7 +39,7 @@ STUDIES = {
     "trees": "trees:TREES",
     "tours": "trees:TOURS",
     "fastest": "fastest:FASTEST",
-    "bound": "planar:BOUND",
+    "bound": "bounds:BOUND",
     "recheck": "planar:RECHECK",
     "deadlines": "fruit:DEADLINES",
     "returns": "fruit:RETURNS",

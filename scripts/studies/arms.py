@@ -259,7 +259,8 @@ def panda_scene(robot: Robot, problem: dict[str, Any], name: str) -> Scene:
     return Scene.model_validate({"format": "hplan-scene/1", "name": name, "obstacles": tuple(obstacles), **ends})
 
 
-def _panda_scenes(asked: Asked) -> Iterable[tuple[str, Robot, Scene]]:
+def panda_scenes(asked: Asked) -> Iterable[tuple[str, Robot, Scene]]:
+    """The problems of all sets, so many of each: its name, the robot, the scene."""
     if asked.files is None:
         return []
     robot, found = panda(), []
@@ -301,7 +302,7 @@ PANDA = Study(
         *("certified", "ms", "duration_s", "origin", "contacts", "own_contacts"),
         *("peer_solved", "peer_ms", "to_spline", "spline_touches", "to_peer", "peer_touches", "peer_over_limits"),
     ),
-    problems=_panda_scenes,
+    problems=panda_scenes,
     by="set",
     needs=("files",),
     peers=("RRTConnect", "roboplan"),
@@ -317,7 +318,7 @@ def _to_finish(asked: Asked) -> Iterable[tuple[str, Robot, Scene]]:
     robot, scene = load_robot(), load_scene()
     numbers = range(min(REFERENCE_PATHS, asked.count or REFERENCE_PATHS))
     reference = [("reference", robot, scene.model_copy(update={"name": f"reference {number}"})) for number in numbers]
-    return [*reference, *_panda_scenes(asked)]
+    return [*reference, *panda_scenes(asked)]
 
 
 def _finishing(asked: Asked, problem: tuple[str, Robot, Scene]) -> Row:

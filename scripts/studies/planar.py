@@ -1,4 +1,4 @@
-"""Random planar scenes, the base locked: searches and motions, motions looked at again, lower bounds of durations."""
+"""Random planar scenes, the base locked: searches and motions, motions looked at again."""
 
 from __future__ import annotations
 
@@ -11,22 +11,18 @@ from studies.harness import Asked, Row, Study
 from studies.measure import planned, ratio, timed
 from studies.outside import TimedMotion, findings
 from studies.peers import MARGIN_M, peer_row, quickest_polyline, stopping_duration, toppra_motion, world_of
-from studies.pinches import ARMS, ROOMS, pinch
 from studies.planar_cspace import arm_sections, joint_grid
 from studies.validation.judge import read_cubics
 
 from hplan.base.arrays import FloatArray, IntArray
 from hplan.collision.coal_scene import CoalScene
-from hplan.errors import BoundError, InputError
+from hplan.errors import InputError
 from hplan.grid import dense_search, two_level_search
 from hplan.grid.grid import Occupancy
 from hplan.grid.occupancy import occupancy
-from hplan.planning.lower_bound.duration_bound import ENOUGH, DurationBound, duration_bound
-from hplan.planning.motion import motion_limits
 from hplan.planning.options import PlanOptions
-from hplan.planning.result import PlanResult
 from hplan.planning.task import PlanningCache
-from hplan.robot.model import Robot, load_robot
+from hplan.robot.model import Robot
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Sphere
 from hplan.trajectory.trajectory import write_csv
@@ -39,11 +35,6 @@ _PAIRS = 200
 
 #: Spacing of the samples of a motion that is looked at again [s], and the share of a limit that may be used.
 INSTANT_S, LIMIT_TOLERANCE = 1e-4, 1.001
-
-#: Kinds of problems of bounds in turn (discs about an arm, or pinches), clearances to keep of the discs in turn [m],
-#: and of how many problems one is planned with the best effort too, whose motion the same bound must not exceed.
-BOUND_KINDS = ("harvester", "pinch", "harvester", "pinch", "harvester", "orchard_harvester", "harvester")
-CLEARANCES, BEST_EVERY = (0.0, 0.0, 0.02), 5
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,55 +187,6 @@ RECHECK = Study(
     _recheck,
     ("certified", "looks", "contacts", "velocity", "acceleration", "torque", "outside_deg", "beyond_certificate_mm"),
     count=(1000, 5),
-)
-
-
-def bound_problem(seed: int, number: int) -> tuple[Robot, Scene, str]:
-    """Arm, scene and kind of a problem of bounds, from the seed and its number alone."""
-    kind, turn = BOUND_KINDS[number % len(BOUND_KINDS)], number // len(BOUND_KINDS)
-    if kind == "pinch":
-        return *pinch(seed, number, ARMS[turn % len(ARMS)], ROOMS[turn // len(ARMS) % len(ROOMS)]), kind
-    robot, clearance = load_robot(kind), CLEARANCES[turn % len(CLEARANCES)]
-    return robot, random_scene(robot, seed, number).scene.model_copy(update={"clearance": clearance}), kind
-
-
-def _bound(asked: Asked, number: int) -> Row | None:
-    """The lower bound of a certified motion; no motion is faster, not even that of the best effort."""
-    robot, scene, kind = bound_problem(asked.seed, number)
-    found, row = planned(robot, scene)
-    if found is None:
-        return None
-    row |= {"name": f"{kind} {number}", "kind": kind}
-    again = number % BEST_EVERY == 0
-    try:
-        bound, ms = timed(lambda: _bound_of(found, 0.0 if again else ENOUGH))
-    except BoundError:
-        return row | {"fault": True}
-    durations = [row["duration_s"]]
-    if again:
-        best, _ = planned(robot, scene, PlanOptions(effort="best"))
-        durations += [] if best is None else [best.trajectory.duration]
-    return row | {
-        "bound_ms": ms,
-        "method": bound.method,
-        "gap": bound.gap,
-        "joints_gap": bound.duration_s / bound.joints_s - 1.0 if bound.joints_s > 0.0 else None,
-        "fault": row["fault"] or bound.seconds > min(durations),
-    }
-
-
-def _bound_of(result: PlanResult, enough: float) -> DurationBound:
-    task, duration_s = result.motion.task, result.motion.trajectory.duration
-    return duration_bound(task.world, task.problem, motion_limits(task), duration_s, enough=enough)
-
-
-BOUND = Study(
-    "bound",
-    "lower bounds of durations beside certified motions; gap: how much longer the motion is at most",
-    _bound,
-    ("certified", "gap", "joints_gap", "bound_ms", "method"),
-    by="kind",
-    count=(500, 7),
 )
 
 

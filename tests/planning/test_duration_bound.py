@@ -22,9 +22,15 @@ from hplan.certificate.certificate import LIMIT_TOLERANCE
 from hplan.collision.coal_scene import CoalScene
 from hplan.errors import BoundError, HplanError
 from hplan.planning.definition import check_problem
-from hplan.planning.lower_bound.duration_bound import DurationBound, _joint_motions, _obstacles, duration_bound
+from hplan.planning.lower_bound.duration_bound import (
+    DurationBound,
+    _excess,
+    _joint_motions,
+    _obstacles,
+    duration_bound,
+)
+from hplan.planning.lower_bound.grid_search import GridSearch, Resolution, TimedGrid
 from hplan.planning.lower_bound.joint_tubes import JointMotions
-from hplan.planning.lower_bound.planar_search import PlanarSearch, Resolution, TimedGrid
 from hplan.planning.lower_bound.reachability import Samples, is_reachable
 from hplan.planning.motion import motion_limits
 from hplan.planning.options import PlanOptions
@@ -33,7 +39,7 @@ from hplan.planning.result import PlanResult
 from hplan.planning.task import PlanningCache
 from hplan.robot.limits import Limits, rest_to_rest
 from hplan.robot.model import Robot, load_robot
-from hplan.scene.model import Goal, Scene
+from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Box, Capsule, Cylinder, Sphere
 
 BOUND = PlanOptions(bound=True)
@@ -51,6 +57,7 @@ def coarse(monkeypatch: pytest.MonkeyPatch) -> None:
     """Bounds on coarse grids alone, which take a tenth of the time."""
     monkeypatch.setattr(module, "EACH_JOINT", (24,))
     monkeypatch.setattr(module, "ONE_JOINT", (36,))
+    monkeypatch.setattr(module, "FOUR_JOINTS", (32,))
 
 
 def tolerated(distance: float, velocity: float, acceleration: float, jerk: float | None) -> float:
@@ -103,6 +110,15 @@ def test_the_base_counts_by_its_own_fastest_motion_with_jerk(robot: Robot) -> No
         assert 0.9999 * exact < bound.seconds <= exact
 
 
+def test_a_wall_that_all_joints_have_to_pass_is_seen_where_the_base_turns(robot: Robot) -> None:
+    wall = Box(name="wall", center=(1.3, 0.0, 1.2), size=(1.6, 0.3, 2.4))
+    bound = plan(robot, task([-25, 30, 40, 30], [25, 30, 40, 30], [wall]), BOUND).bound
+    assert bound is not None
+    assert bound.method == "spatial"
+    assert bound.joints_s < 0.7 * bound.seconds
+    assert bound.gap < 0.15
+
+
 def test_a_motion_that_is_too_fast_to_exist_is_an_error(robot: Robot, scene: Scene) -> None:
     result = plan(robot, scene)
     for duration in (1.0, 1.4):  # by the slowest joint alone, by reachability
@@ -129,11 +145,14 @@ def test_transit_and_approach_are_bounded_together_where_one_flows_into_the_othe
 
 
 @pytest.mark.usefixtures("coarse")
-@settings(max_examples=8, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(st.integers(0, 10_000), st.sampled_from([0.0, 0.01, 0.03]))
-def test_no_certified_motion_is_below_its_bound(number: int, clearance: float) -> None:
+@settings(max_examples=16, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.integers(0, 10_000), st.sampled_from([0.0, 0.01, 0.03]), st.sampled_from([None, 0.0, 0.4]))
+def test_no_certified_motion_is_below_its_bound(number: int, clearance: float, yaw: float | None) -> None:
     robot = load_robot()
     scene = random_scene(robot, 7, number).scene.model_copy(update={"clearance": clearance})
+    if yaw is not None:
+        goal = Goal(joints_rad=(yaw, *scene.goal.configuration[1:].tolist()))
+        scene = scene.model_copy(update={"goal": goal, "locked_joints": ()})
     try:
         result = plan(robot, scene, BOUND)
     except BoundError:
@@ -237,17 +256,33 @@ def test_a_motion_that_is_just_too_short_is_excluded_by_its_own_bounds() -> None
     assert (lower > upper).any()
 
 
-def bits(search: PlanarSearch) -> BoolArray:
+def bits(search: GridSearch) -> BoolArray:
     """(counts) True for cells that are not excluded."""
     words = search.free.view(np.uint8)
     found = np.unpackbits(words, axis=-1, bitorder="little")[..., : search.grid.counts[0]]
     return np.moveaxis(found, -1, 0).astype(np.bool_)
 
 
-def configurations(search: PlanarSearch, joints: list[int], cells: FloatArray) -> FloatArray:
-    """Configurations at places counted in cells along the axes."""
-    q = np.zeros((len(cells), 4))
-    q[:, joints] = search.grid.lower + cells * search.grid.sizes
+def search_of(
+    robot: Robot, scene: Scene, order: list[int], longest: float, resolution: Resolution
+) -> tuple[GridSearch, JointMotions]:
+    """The search over a grid of some joints, and the motions of all joints."""
+    world = PlanningCache(robot).world(scene, PlanOptions())
+    ends = scene.start.configuration, scene.goal.configuration
+    problem = check_problem(world, *ends, locked_joints=scene.locked_joints)
+    limits = Limits(robot.velocity_limit, robot.acceleration_limit, jerk=robot.jerk_limit)
+    motions, obstacles = _joint_motions(world, problem, limits), _obstacles(world)
+    grid = TimedGrid.of(motions.only(order), longest, resolution)
+    search = GridSearch.of(obstacles, _excess(robot, obstacles), motions, np.array(order), grid)
+    return search, motions
+
+
+def configurations(
+    search: GridSearch, joints: list[int], cells: FloatArray, others: tuple[FloatArray, FloatArray], seed: int
+) -> FloatArray:
+    """Configurations at places counted in cells along the axes, other joints anywhere in their ranges."""
+    q = np.random.default_rng(seed).uniform(*others, (len(cells), len(others[0])))
+    q[:, joints] = (search.grid.lower + cells * search.grid.sizes)[:, : len(joints)]
     return q
 
 
@@ -263,26 +298,55 @@ OBSTACLES = {
     ("kind", "first"), [("sphere", 0), ("capsule", 1), ("cylinder", 2), ("box", 0), ("sphere", 1), ("box", 2)]
 )
 def test_excluded_cells_are_in_contact_whole_and_most_others_are_not(robot: Robot, kind: str, first: int) -> None:
-    scene = task([0, 5, 0, 0], [0, 80, 5, 5], [OBSTACLES[kind]], locked_joints=("base_yaw",), clearance=0.01)
-    world = PlanningCache(robot).world(scene, PlanOptions())
-    problem = check_problem(world, np.radians([0, 5, 0, 0]), np.radians([0, 5, 85, 85]), locked_joints=["base_yaw"])
-    limits = Limits(robot.velocity_limit, robot.acceleration_limit, jerk=robot.jerk_limit)
-    order = np.array([first, *(k for k in range(3) if k != first)]) + 1
-    motions = _joint_motions(world, problem, limits)
-    grid = TimedGrid.of(motions.only(order), 2.5, Resolution(30))
-    search = PlanarSearch.of(robot, _obstacles(world), problem.start, order, grid)
-    free, random = bits(search), np.random.default_rng(first)
-    checker = CoalScene(robot, scene.solids)
+    scene = task([0, 5, 5, 5], [0, 80, 85, 85], [OBSTACLES[kind]], locked_joints=("base_yaw",), clearance=0.01)
+    order = [first + 1, *(k + 1 for k in range(3) if k != first)]
+    search, motions = search_of(robot, scene, order, 2.5, Resolution(30))
+    free, in_contact = excluded_are_in_contact(robot, scene, (search, motions, order), 2.5, 0.02)
+    assert free.mean() > 0.1
+    assert in_contact < 0.25  # those at the surface
+
+
+@pytest.mark.parametrize(("kind", "first"), [("sphere", 0), ("capsule", 1), ("box", 3), ("cylinder", 2)])
+def test_so_they_are_where_the_base_turns(robot: Robot, kind: str, first: int) -> None:
+    scene = task([-20, 5, 5, 5], [20, 80, 85, 85], [OBSTACLES[kind]], clearance=0.01)
+    order = [first, *(k for k in range(4) if k != first)]
+    search, motions = search_of(robot, scene, order, 2.5, Resolution(30, speed_cells=1))
+    excluded_are_in_contact(robot, scene, (search, motions, order), 2.5, 0.0005)
+
+
+def test_so_they_are_whatever_the_joints_without_an_axis_do(robot: Robot) -> None:
+    shelf = Box(name="shelf", center=(1.9, 0.0, 0.9), size=(1.6, 2.0, 0.9))
+    scene = task([-2, 40, 5, 5], [2, 60, 20, 10], [shelf], clearance=0.01)
+    search, motions = search_of(robot, scene, [1, 2], 1.6, Resolution(30))
+    excluded_are_in_contact(robot, scene, (search, motions, [1, 2]), 1.6, 0.01)
+
+
+def test_so_they_are_of_an_arm_of_meshes() -> None:
+    """Whose depths are those of hulls, and which has joints without an axis."""
+    arm, order = load_robot("panda"), [0, 1, 2, 3]
+    start, goal = (tuple(np.radians(q)) for q in ([-10, 20, 0, -90, 0, 100, 0], [10, 25, 5, -80, 5, 105, 5]))
+    board = Box(name="board", center=(0.4, 0.0, 1.0), size=(0.8, 0.5, 0.5))
+    scene = Scene(name="board", start=Start(joints_rad=start), goal=Goal(joints_rad=goal), obstacles=(board,))
+    search, motions = search_of(arm, scene, order, 0.6, Resolution(32, speed_cells=1))
+    excluded_are_in_contact(arm, scene, (search, motions, order), 0.6, 0.01)
+
+
+def excluded_are_in_contact(
+    robot: Robot, scene: Scene, found: tuple[GridSearch, JointMotions, list[int]], longest: float, least: float
+) -> tuple[BoolArray, float]:
+    """Look at excluded cells with coal; the cells that are not, and which part of their middles is in contact."""
+    search, motions, order = found
+    free, random = bits(search), np.random.default_rng(order[0])
+    checker, others = CoalScene(robot, scene.solids), motions.ranges(longest, 30)
     excluded = np.argwhere(~free)
-    assert 0.02 * free.size < len(excluded) < 0.9 * free.size
+    assert least * free.size < len(excluded) < 0.9 * free.size
     some = excluded[random.integers(len(excluded), size=300)]
-    corner = np.round(random.uniform(size=(300, 3)) * 2.0) / 2.0  # corners and middles of edges, faces and the cell
-    q = configurations(search, order.tolist(), some + np.clip(corner, 1e-6, 1.0 - 1e-6))
+    corner = np.round(random.uniform(size=(300, 4)) * 2.0) / 2.0  # corners and middles of edges, faces and the cell
+    q = configurations(search, order, some + np.clip(corner, 1e-6, 1.0 - 1e-6), others, 1)
     assert all(checker.distances(one).min() < scene.clearance for one in q)
-    others = np.argwhere(free)
-    middles = configurations(search, order.tolist(), others[random.integers(len(others), size=300)] + 0.5)
-    in_contact = [checker.distances(one).min() < scene.clearance for one in middles]
-    assert np.mean(in_contact) < 0.25  # those at the surface
+    kept = np.argwhere(free)
+    middles = configurations(search, order, kept[random.integers(len(kept), size=300)] + 0.5, others, 2)
+    return free, float(np.mean([checker.distances(one).min() < scene.clearance for one in middles]))
 
 
 def test_no_obstacle_is_taken_for_larger_than_it_is(robot: Robot) -> None:
@@ -302,7 +366,7 @@ def plain(free: BoolArray, samples: Samples) -> bool:
     most = first_of.shape[1] // 2
 
     def inside(k: int, cell: tuple[int, ...]) -> bool:
-        within = all(max(first[k, a], 0) <= cell[a] <= min(last[k, a], free.shape[a] - 1) for a in range(3))
+        within = all(max(first[k, a], 0) <= cell[a] <= min(last[k, a], free.shape[a] - 1) for a in range(4))
         return within and bool(free[cell])
 
     def keeps(k: int, cell: tuple[int, ...], move: int) -> bool:
@@ -313,9 +377,9 @@ def plain(free: BoolArray, samples: Samples) -> bool:
     states = {(cell, move) for cell in cells for move in moves if inside(0, cell) and keeps(0, cell, move)}
     for k in range(1, len(first)):
         reached = set()
-        for (i, x, y), move in states:
-            for dx, dy in product(range(-steps[1], steps[1] + 1), range(-steps[2], steps[2] + 1)):
-                cell = (i + move, x + dx, y + dy)
+        for (i, x, y, z), move in states:
+            for dx, dy, dz in product(*(range(-step, step + 1) for step in steps[1:])):
+                cell = (i + move, x + dx, y + dy, z + dz)
                 if inside(k, cell):
                     reached |= {(cell, move)}
         if k == len(first) - 1:
@@ -338,25 +402,25 @@ def packed(free: BoolArray):
 
 def drawn(random: np.random.Generator, count: int) -> tuple[BoolArray, Samples]:
     """A grid of few free cells, and bounds that shrink to one cell at both ends."""
-    shape = np.array([count, random.integers(1, 6), random.integers(1, 6)])
-    free = random.random(shape) < random.uniform(0.3, 0.9)
+    shape = np.array([count, *random.integers(1, [5, 4, 3])])
+    free = random.random(shape) < random.uniform(0.3, 1.0)
     samples, most = int(random.integers(3, 8)), int(random.integers(1, 5 if count < 64 else 40))
-    low = random.integers(0, shape, size=(samples, 3))
-    first = np.maximum(low - random.integers(0, shape, size=(samples, 3)), 0)
-    last = np.minimum(low + random.integers(0, shape, size=(samples, 3)), shape - 1)
+    low = random.integers(0, shape, size=(samples, 4))
+    first = np.maximum(low - random.integers(0, shape, size=(samples, 4)), 0)
+    last = np.minimum(low + random.integers(0, shape, size=(samples, 4)), shape - 1)
     first[[0, -1]] = last[[0, -1]] = low[[0, -1]]
     free[tuple(first[0])] = free[tuple(first[-1])] = True
     first_of = random.integers(0, count // 2, size=(samples, 2 * most + 1))
     last_of = np.minimum(first_of + random.integers(-1, count, size=first_of.shape), count - 1)
     first_of, last_of = np.maximum(first_of, first[:, :1]), np.minimum(last_of, last[:, :1])
     first_of[0], last_of[0] = first[0, 0], last[0, 0]
-    return free, Samples(first, last, first_of, last_of, random.integers(0, 3, size=3))
+    return free, Samples(first, last, first_of, last_of, random.integers([0, 0, 0, 1], 3))
 
 
 @pytest.mark.parametrize("count", [7, 64, 140])
 def test_as_by_sets_of_states(count: int) -> None:
     random, found = np.random.default_rng(count), []
-    for _ in range(60 if count < 64 else 8):
+    for _ in range(60 if count < 64 else 12):
         free, samples = drawn(random, count)
         found.append(is_reachable(packed(free), samples))
         assert found[-1] == plain(free, samples)
@@ -364,16 +428,16 @@ def test_as_by_sets_of_states(count: int) -> None:
 
 
 def test_a_wall_has_to_be_passed_by_its_gap_and_takes_the_time_for_it() -> None:
-    free = np.ones((9, 9, 1), dtype=np.bool_)
-    free[:, 4, :] = False
-    free[0, 4, 0] = True
+    free = np.ones((9, 9, 1, 1), dtype=np.bool_)
+    free[:, 4] = False
+    free[0, 4] = True
 
     def reaches(samples: int) -> bool:
-        first, last = np.zeros((samples, 3), dtype=np.int64), np.tile([8, 8, 0], (samples, 1))
-        first[0] = last[0] = (8, 0, 0)
-        first[-1] = last[-1] = (8, 8, 0)
+        first, last = np.zeros((samples, 4), dtype=np.int64), np.tile([8, 8, 0, 0], (samples, 1))
+        first[0] = last[0] = (8, 0, 0, 0)
+        first[-1] = last[-1] = (8, 8, 0, 0)
         of = np.repeat(first[:, :1], 3, axis=1), np.repeat(last[:, :1], 3, axis=1)
-        return is_reachable(packed(free), Samples(first, last, *of, np.array([1, 1, 0])))
+        return is_reachable(packed(free), Samples(first, last, *of, np.array([1, 1, 0, 0])))
 
     # Eight steps to the gap, in it once, eight back; the move takes a step to be turned about.
     assert next(samples for samples in range(2, 24) if reaches(samples)) == 18

@@ -54,6 +54,14 @@ class JointMotions(Record):
         """The motions of some of the joints, by their numbers."""
         return JointMotions(**{name: values[joints] for name, values in vars(self).items()})
 
+    def with_still_ones(self, count: int) -> JointMotions:
+        """The motions, and behind them joints that stand still at 0, so many in all."""
+        still = dict.fromkeys(vars(self), 0.0) | {"acceleration": 1.0, "jerk": np.inf}
+        more = count - len(self.start)
+        return JointMotions(
+            **{name: np.append(values, np.full(more, still[name])) for name, values in vars(self).items()}
+        )
+
     @property
     def least_durations(self) -> FloatArray:
         """(n,) shortest durations of each joint alone; infinite where one cannot move and has to [s]."""
@@ -79,6 +87,21 @@ class JointMotions(Record):
         upper = self._top(time, total, self.start, self.goal, (low, high))
         lower = self._top(time, total, -self.start, -self.goal, (np.negative(high), np.negative(low)))
         return np.maximum(self.lower - SLACK, -lower), np.minimum(self.upper + SLACK, upper)
+
+    def ranges(self, total: float, samples: int) -> tuple[FloatArray, FloatArray]:
+        """Bounds of where the joints are at any time of a motion, (n,) lower and (n,) upper ones [rad].
+
+        Args:
+            total: Length of the motion, or of a longer one [s].
+            samples: Into how many parts it is cut; of more the bounds are tighter.
+        """
+        lower, upper = self.places(np.linspace(0.0, total, samples + 1)[:, None], total)
+        # Between samples a joint is no farther than half of its travel from where it is at one of them.
+        half = 0.5 * self.velocity * (1.0 + 1e-9) * total / samples
+        return (
+            np.maximum(self.lower - SLACK, lower.min(axis=0) - half),
+            np.minimum(self.upper + SLACK, upper.max(axis=0) + half),
+        )
 
     def _top(
         self,

@@ -11,7 +11,7 @@ from studies.measure import planned, timed
 from studies.peers import MARGIN_M, world_of
 from studies.pinches import ARMS, ROOMS, pinch
 from studies.planar import random_scene
-from studies.trees import TreeProblem, measured_orchards, motions_in
+from studies.trees import TreeProblem, motions_in, orchards_of
 
 from hplan.errors import BoundError
 from hplan.planning.lower_bound.duration_bound import ENOUGH, DurationBound, duration_bound
@@ -38,7 +38,7 @@ def bound_problem(seed: int, number: int) -> tuple[Robot, Scene, str]:
 
 
 def _problems(asked: Asked) -> Iterable[tuple[int, TreeProblem | None]]:
-    """The problems with their numbers: in files and among measured trees where folders are given, else drawn ones.
+    """The problems with their numbers: in files, and among trees, where folders are given, else drawn ones.
 
     Of motions among trees those count whose straight line in joint space is blocked.
     """
@@ -48,8 +48,8 @@ def _problems(asked: Asked) -> Iterable[tuple[int, TreeProblem | None]]:
     blocked: list[TreeProblem] = []
     if asked.trees is not None:
         robot = asked.arm()
-        among = [one for orchard in measured_orchards(robot, asked.trees) for one in motions_in(robot, orchard)]
-        blocked = evenly_chosen([one for one in among if _is_blocked(one)], asked.count, lambda _: "")
+        among = [one for orchard in orchards_of(asked) for one in motions_in(robot, orchard)]
+        blocked = evenly_chosen([one for one in among if _is_blocked(one)], asked.count, lambda one: one.group)
     return list(enumerate([*arms, *blocked]))
 
 

@@ -31,8 +31,7 @@ def bound_problem(seed: int, number: int) -> tuple[Robot, Scene, str]:
     """Arm, scene and kind of a problem of bounds, from the seed and its number alone."""
     kind, turn = BOUND_KINDS[number % len(BOUND_KINDS)], number // len(BOUND_KINDS)
     if kind == "pinch":
-        drawn = pinch(seed, number, ARMS[turn % len(ARMS)], ROOMS[turn // len(ARMS) % len(ROOMS)])
-        return drawn.robot, drawn.scene, kind
+        return *pinch(seed, number, ARMS[turn % len(ARMS)], ROOMS[turn // len(ARMS) % len(ROOMS)]), kind
     robot, clearance = load_robot(kind), CLEARANCES[turn % len(CLEARANCES)]
     return robot, random_scene(robot, seed, number).scene.model_copy(update={"clearance": clearance}), kind
 

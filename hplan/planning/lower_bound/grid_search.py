@@ -10,13 +10,16 @@ import numpy as np
 from hplan.base import ties
 from hplan.base.arrays import FloatArray, IntArray, Record, WordArray
 from hplan.collision.clearance_field import ClearanceField
-from hplan.collision.flat_bodies import BALL_RADIUS, BODIES, MEETS
+from hplan.collision.flat_bodies import BALL_RADIUS, BODIES, FIRST, LAST, MEETS
 from hplan.planning.lower_bound.joint_tubes import JointMotions
 from hplan.planning.lower_bound.occupied_cells import AXES, Cells, take_occupied
 from hplan.planning.lower_bound.reachability import Samples, is_reachable
 
 #: Into how many parts a cell is cut; the bits of 64 cells.
 _PARTS, _ALL = 16, np.uint64(2**64 - 1)
+
+#: How many configurations of bodies that the same joints move are looked at in a grid, about, and of hulls fewer.
+_LOOKS = 4e6
 
 
 @dataclass(frozen=True)
@@ -168,7 +171,8 @@ class GridSearch(Record):
             numbers = obstacles.numbers.copy()
             numbers[BODIES] = chosen.sum()
             field = obstacles.arrays._replace(movers=obstacles.movers[chosen], numbers=numbers)
-            of_bodies = obstacles.reaches[chosen], excess[chosen]
+            points = (obstacles.movers[chosen][:, LAST] - obstacles.movers[chosen][:, FIRST]).max() / 3.0
+            of_bodies = obstacles.reaches[chosen], excess[chosen], int(_LOOKS / (1.0 + points / 8.0))
             known = free[_along(axes)]
             if known.shape != free.shape:
                 known = np.full_like(known, _ALL)

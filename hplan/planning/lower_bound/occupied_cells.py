@@ -42,6 +42,7 @@ class Cells(NamedTuple):
         last: (n, AXES) last cells; others are not looked at.
         coefficients: (bodies, dof) motion-bound coefficients [m, 1].
         excess: (bodies,) by how much bodies are larger than the shapes that they stand for, at most [m].
+        most_looks: After so many configurations no further row is looked at: its cells stay.
     """
 
     joints: IntArray
@@ -52,6 +53,7 @@ class Cells(NamedTuple):
     last: IntArray
     coefficients: FloatArray
     excess: FloatArray
+    most_looks: int
 
 
 @kernel
@@ -69,7 +71,7 @@ def take_occupied(free: WordArray, field: FieldArrays, cells: Cells) -> None:
             if j != cells.joints[0]:
                 sway[k] += 0.5 * cells.coefficients[k, j] * cells.sizes[j] / cells.parts[j]
     held, origin, q = np.empty(64 * free.shape[3], dtype=np.bool_), np.empty(dof), np.empty(dof)
-    at = np.zeros(AXES, dtype=np.int64)
+    at, looks = np.zeros(AXES, dtype=np.int64), 0
     for x in range(free.shape[0]):
         for y in range(free.shape[1]):
             for z in range(free.shape[2]):
@@ -82,8 +84,10 @@ def take_occupied(free: WordArray, field: FieldArrays, cells: Cells) -> None:
                         origin[cells.joints[axis]] += at[axis] * cells.sizes[cells.joints[axis]]
                 for cell in range(low, high + 1):
                     held[cell] = (free[x, y, z, cell >> 6] >> np.uint64(cell & 63)) & np.uint64(1) != np.uint64(0)
+                if looks > cells.most_looks:
+                    return
                 if low <= high:
-                    _sift_row(held, (low, high), (origin, q, sway, clear), field, cells)
+                    looks += _sift_row(held, (low, high), (origin, q, sway, clear), field, cells)
                 for cell in range(low, high + 1):
                     if held[cell]:
                         free[x, y, z, cell >> 6] &= ~(np.uint64(1) << np.uint64(cell & 63))
@@ -110,8 +114,8 @@ def _sift_row(
     work: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
     field: FieldArrays,
     cells: Cells,
-) -> None:
-    """Leave those cells of a row held that are in contact whole.
+) -> int:
+    """Leave those cells of a row held that are in contact whole; how many configurations were looked at.
 
     Args:
         held: Cells that are looked at.
@@ -121,8 +125,8 @@ def _sift_row(
     """
     origin, q, sway, clear = work
     first, (low, high) = cells.joints[0], window
-    count = cells.parts.prod()
-    for part in range(count):
+    looks = 0
+    for part in range(cells.parts.prod()):
         number = part
         for j in range(len(q)):
             q[j] = origin[j] + (number % cells.parts[j] + 0.5) * cells.sizes[j] / cells.parts[j]
@@ -134,6 +138,7 @@ def _sift_row(
                 continue
             q[first] = cells.lower[first] + (cell + 0.5) * cells.sizes[first]
             body_clearances(q, field, _FAR, clear)
+            looks += 1
             # Cells from here on that are in contact, and that are not shown to be, as far as is known.
             occupied, unknown = 0.0, np.inf
             for k in range(len(clear)):
@@ -153,4 +158,5 @@ def _sift_row(
                     held[other] = False
                 cell = end
         if not some:
-            return
+            break
+    return looks

@@ -27,8 +27,8 @@ from hplan.trajectory.cubics import accelerations, hermite_pieces
 from hplan.trajectory.retime import KEPT
 
 #: How near to the best time scale the last step comes; others come as near as this part of the gain that is too little
-#: to go on.
-_EXACT, _NEAR = 1e-6, 0.3
+#: to go on: with more, of motions that take the same time one on a longer path may be found.
+_EXACT, _NEAR = 1e-6, 0.02
 
 #: Largest change of a control point in a joint where pieces come to meet at rows [rad]; and what a step that was not
 #: clear as a whole leaves of it for the next.

@@ -10,26 +10,20 @@ contiguous window of time about the instant at which the tool is at the fruit's 
 The link then meets the fruit with its tip alone, from the place where it begins to touch to the grasp, and back.
 Outside the window, and for every other link within it, clearance from the fruit is shown as from any obstacle.
 
-The window consists of whole cubics of the motion, and the two conditions hold at all times within each. A direction is
-linear in the joints, so it lies in the hull of its Bezier points. The tool's path leaves the chord between two rows
-:math:`h` apart by at most :math:`h^2 / 8 \max |\ddot p|`, and points within a distance of a half-line are a convex set:
-if both rows are within `OFFSET` less that, the path between them is within `OFFSET`. With :math:`\varphi_m` the
-absolute angle of link m in the arm plane, :math:`\psi` the yaw and r the tool's largest distance from the yaw axis,
+The link's direction is the tool's own (`hplan.robot.model.Robot.tool_axis`), about which it may turn; what the joint of
+the tool frame carries is the last link.
 
-.. math::
-    |\ddot p| \le \sum_m L_m (|\ddot \varphi_m| + \dot \varphi_m^2) + 2 |\dot \psi| \sum_m L_m |\dot \varphi_m|
-        + r (|\ddot \psi| + \dot \psi^2).
-
-**General arms.** Of a non-planar arm what the joint of the tool frame carries may touch the fruit, and the line
-is that of the frame's z axis :math:`u`, about which the tool may turn. With :math:`r_j` the tool's largest distance
-from the axis of joint j (`hplan.collision.reach`; 1 where it slides), joints counted from the base,
+The window consists of whole cubics of the motion, and the two conditions hold at all times within each. The tool's path
+leaves the chord between two rows :math:`h` apart by at most :math:`h^2 / 8 \max |\ddot p|`, and points within a
+distance of a half-line are a convex set: if both rows are within `OFFSET` less that, the path between them is within
+`OFFSET`. The direction :math:`u` leaves its chord by at most :math:`h^2 / 8 \max |\ddot u|`. With :math:`r_j` the
+tool's largest distance from the axis of joint j (`hplan.collision.reach`; 1 where it slides), joints counted from the
+base,
 
 .. math::
     |\ddot p| \le \sum_j r_j |\ddot q_j| + \sum_{j \text{ turns}} |\dot q_j| \Bigl(r_j |\dot q_j|
         + 2 \sum_{k > j} r_k |\dot q_k|\Bigr), \quad
-    |\ddot u| \le \sum_{j \text{ turns}} |\ddot q_j| + \Bigl(\sum_{j \text{ turns}} |\dot q_j|\Bigr)^2,
-
-and the direction leaves the chord between two rows by at most :math:`h^2 / 8 \max |\ddot u|`.
+    |\ddot u| \le \sum_{j \text{ turns}} |\ddot q_j| + \Bigl(\sum_{j \text{ turns}} |\dot q_j|\Bigr)^2.
 """
 
 from __future__ import annotations
@@ -114,8 +108,7 @@ def contact_window(robot: Robot, bezier: FloatArray, point: ArrayLike) -> slice 
         row, away = instant_at(robot, rows, point)
         if not away <= THERE:
             return None
-        kept = _is_straight if robot.planar is not None else _is_straight_along_z
-        straight = kept(robot, bezier, rows, row)
+        straight = _is_straight(robot, bezier, rows, row)
     bent_before, bent_after = np.flatnonzero(~straight[:row]), np.flatnonzero(~straight[row:])
     first = int(bent_before[-1]) + 1 if len(bent_before) else 0
     last = row + int(bent_after[0]) if len(bent_after) else len(straight)
@@ -124,23 +117,12 @@ def contact_window(robot: Robot, bezier: FloatArray, point: ArrayLike) -> slice 
 
 def _is_straight(robot: Robot, bezier: FloatArray, rows: FloatArray, row: int) -> BoolArray:
     """(pieces,) whether the tool keeps to the line, and the last link to the direction, that they have at a row."""
-    arm, joints = robot.arm, robot.arm_slice
-    angles = np.cumsum(arm.signs * bezier[..., joints], axis=2)
-    at = np.cumsum(arm.signs * rows[row, joints])
-    turn = np.abs(angles[..., -1] - at[-1]).max(axis=1)
-    if robot.has_yaw:
-        turn = turn + np.abs(bezier[..., 0] - rows[row, 0]).max(axis=1)
-    # Per piece, h times the rate and h^2 times its derivative.
-    rates, pushes = largest_rates(angles)
-    reach = _bent(arm.lengths, rates, pushes)
-    if robot.has_yaw:
-        yaw_rate, yaw_push = largest_rates(bezier[..., :1])
-        reach += 2.0 * yaw_rate[:, 0] * (rates @ arm.lengths)
-        reach += robot.tool_radius * (yaw_push[:, 0] + yaw_rate[:, 0] ** 2)
-    tool = robot.tool_positions(rows)
-    direction = _last_direction(robot, rows[row])
-    off = _off_line(tool, row, direction)
-    kept: BoolArray = (np.maximum(off[:-1], off[1:]) + reach / 8.0 <= OFFSET) & (turn <= TURN)
+    poses = robot.forward_kinematics(rows)
+    tool, along = poses[:, :3, 3], poses[:, :3, :3] @ robot.tool_axis
+    bent, turned = tool_bends(robot, *largest_rates(bezier))
+    off, lean = _off_line(tool, row, along[row]), np.linalg.norm(along - along[row], axis=1)
+    kept: BoolArray = np.maximum(off[:-1], off[1:]) + bent / 8.0 <= OFFSET
+    kept &= np.maximum(lean[:-1], lean[1:]) + turned / 8.0 <= 2.0 * np.sin(0.5 * TURN)
     return kept
 
 
@@ -150,18 +132,6 @@ def _off_line(tool: FloatArray, row: int, direction: FloatArray) -> FloatArray:
     behind = np.maximum(-(from_there @ direction), 0.0)
     off: FloatArray = np.linalg.norm(from_there + behind[:, None] * direction, axis=1)
     return off
-
-
-def _is_straight_along_z(robot: Robot, bezier: FloatArray, rows: FloatArray, row: int) -> BoolArray:
-    """`_is_straight` of a general (non-planar) arm: line and direction are those of the tool frame's z axis."""
-    poses = robot.forward_kinematics(rows)
-    tool, along = poses[:, :3, 3], poses[:, :3, 2]
-    rates, pushes = largest_rates(bezier)
-    bent, turned = tool_bends(robot, rates, pushes)
-    off, lean = _off_line(tool, row, along[row]), np.linalg.norm(along - along[row], axis=1)
-    kept: BoolArray = np.maximum(off[:-1], off[1:]) + bent / 8.0 <= OFFSET
-    kept &= np.maximum(lean[:-1], lean[1:]) + turned / 8.0 <= 2.0 * np.sin(0.5 * TURN)
-    return kept
 
 
 def tool_bends(robot: Robot, rates: FloatArray, pushes: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -183,18 +153,3 @@ def tool_bends(robot: Robot, rates: FloatArray, pushes: FloatArray) -> tuple[Flo
 def largest_rates(bezier: FloatArray) -> tuple[FloatArray, FloatArray]:
     """(pieces, n) largest first and second derivatives of cubics in their own parameter, from (pieces, 4, n) points."""
     return 3.0 * np.abs(np.diff(bezier, axis=1)).max(axis=1), 6.0 * np.abs(np.diff(bezier, 2, axis=1)).max(axis=1)
-
-
-def _bent(lengths: FloatArray, rates: FloatArray, pushes: FloatArray) -> FloatArray:
-    """(pieces,) bound of the tool's second derivative in the arm plane."""
-    bent: FloatArray = (pushes + rates**2) @ lengths
-    return bent
-
-
-def _last_direction(robot: Robot, q: FloatArray) -> FloatArray:
-    """(3,) unit vector along the last link, towards the tool."""
-    points = robot.arm.joint_points(q[robot.arm_slice])
-    along = (points[-1] - points[-2]) / np.linalg.norm(points[-1] - points[-2])
-    _, axes = robot.plane_at(robot.yaw_of(q))
-    direction: FloatArray = along @ axes[:2]
-    return direction

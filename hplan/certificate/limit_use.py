@@ -45,7 +45,7 @@ def limit_use(robot: Robot, trajectory: Trajectory, bezier: FloatArray, duration
     offset, speed, push = _peaks(np.ascontiguousarray(bezier), duration, middle)
     peak_velocity = np.maximum(speed, np.abs(trajectory.velocity).max(axis=0))
     peak_acceleration = np.maximum(push, np.abs(trajectory.acceleration).max(axis=0))
-    with np.errstate(invalid="ignore", divide="ignore"):
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         position = offset / half
     peak_torque = np.maximum(
         largest_torques(robot.dynamics, bezier, duration, robot.torque_limit), np.abs(trajectory.torque).max(axis=0)

@@ -227,7 +227,8 @@ def _travels(
         alike: The number of the mover that each of them is, as `ArmParts.alike`.
     """
     _, pieces, dof = motion.shape
-    middles, rates, paces, uneven = motion
+    # Taken out one by one they are known to be contiguous, which rows of an array unpacked are not.
+    middles, rates, paces, uneven = motion[0], motion[1], motion[2], motion[3]
     joints = int(numbers[flat.JOINTS])
     frames, axes, moved = np.empty((dof + 1, 12)), np.empty((dof, 3)), np.zeros((slots.max() + 1, pieces))
     slides = np.empty(dof, dtype=np.bool_)

@@ -149,15 +149,26 @@ def leaving_the_apple(robot: Robot, goal: Goal, *obstacles: Sphere) -> tuple[Pla
     return planner, new
 
 
-def agrees(robot: Robot, planner: Planner, trajectory: Trajectory, certificate: Certificate) -> None:
-    """What is verified is so by `certify`, told of the same contacts; and nothing of it is without them."""
+def agrees(
+    robot: Robot, planner: Planner, trajectory: Trajectory, certificate: Certificate, row_s: float = 0.0
+) -> None:
+    """What is verified is so by `certify`, told of the same contacts; and nothing of it is without them.
+
+    A window that was carried over from a faster motion begins at a row of that, between whose rows more is allowed for
+    how far it bends: `certify`, which finds the goal's window by rows of the motion itself, may find that it begins
+    before, by less than two rows of the faster one last here.
+    """
     assert certificate.verified, certificate.violations
     scene = planner.scene.since(planner.last.begins_s)
     given = {"check_ends": False, "rest_to_rest": False}
     again = certify(robot, scene, trajectory, contacts=certificate.contacts, **given)
     assert again.verified, again.violations
     assert [at.fruit for at in again.contacts] == [at.fruit for at in certificate.contacts]
-    np.testing.assert_allclose(*([at.span_s for at in each.contacts] for each in (again, certificate)), atol=1e-9)
+    found, held = (np.array([at.span_s for at in each.contacts]).reshape(-1, 2) for each in (again, certificate))
+    if row_s > 0.0:
+        assert -1e-9 <= held[-1, 0] - found[-1, 0] < 2.0 * row_s - 1e-9
+        found[-1, 0] = held[-1, 0]
+    np.testing.assert_allclose(found, held, atol=1e-9)
     others = scene.model_copy(update={"goal": Goal(joints_rad=tuple(trajectory.position[-1].tolist()))})
     assert not certify(robot, others, trajectory, **given).verified
 
@@ -176,9 +187,11 @@ def test_a_splice_holds_the_contact_that_it_leaves(robot: Robot, goal: Goal, obs
     told = new.report["certificate"]["contacts"]
     assert [at["fruit"] for at in told] == picked
     later = planner.stop_at(new.begins_s + 0.4, now=new.begins_s)
-    for slow in (new.stop_at(0.3), new.scaled(0.5), later):
+    scaled, row_s = new.scaled(0.5), 0.0 if goal.fruit is None else 2.0 * float(np.diff(new.trajectory.time).max())
+    assert [contact.fruit.name for contact in scaled.certificate.contacts] == picked
+    for slow, most_s in ((new.stop_at(0.3), 0.0), (scaled, row_s), (later, 0.0)):
         assert slow.certificate.contacts[0].fruit == APPLE
-        agrees(robot, planner, slow.trajectory, slow.certificate)
+        agrees(robot, planner, slow.trajectory, slow.certificate, most_s)
     # And on while the tool is in the apple.
     in_s = new.begins_s + new.certificate.contacts[0].begin_s + 0.1
     kept = planner.replan(at=in_s + 0.02, now=in_s)

@@ -55,10 +55,14 @@ def boxes_about(parts: ArmParts) -> FloatArray:
     """(bodies, COLUMNS) the box about each of an arm's `all_shapes`, as the frame of its joint has it."""
     dof, boxes = parts.robot.dof, np.zeros((len(parts.all_shapes), COLUMNS))
     for box, shape, bare in zip(boxes, parts.all_shapes, parts.bare_shapes, strict=True):
-        centre, half, radius = bare.core_box
+        centre, half = bare.core
         place: pin.SE3 = shape.placement
         box[TURN:CENTRE], box[CENTRE:HALF] = place.rotation.ravel(), place.act(centre)
-        box[HALF:RADIUS], box[RADIUS], box[JOINT] = half, radius, (shape.parentJoint - 1) % (dof + 1)
+        box[HALF:RADIUS], box[RADIUS], box[JOINT] = (
+            half,
+            bare.radius + bare.rounding,
+            (shape.parentJoint - 1) % (dof + 1),
+        )
     return frozen(boxes)
 
 

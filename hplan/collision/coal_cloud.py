@@ -1,9 +1,9 @@
 r"""Clouds in coal: trees of bounding volumes over blocks of their points, built when a block is first asked.
 
-coal takes 2 us a point to build a tree, but a motion comes near a few blocks alone. A block has a ball about its
-points; a shape of the arm lies in its local axis-aligned box. The distance of the ball from the box bounds the distance
-of the points from the shape from below, so a block with a bound that is no smaller than a distance found already is
-passed over, and the least distance over all blocks is exact.
+coal takes 2 us a point to build a tree, but a motion comes near a few blocks alone: leaves of the cloud's own tree,
+whose nodes have balls about their points. A shape of the arm lies in a box grown by a radius, a capsule in its axis.
+The distance of the box from a ball, less the radius, bounds that of the points from the shape from below, so a block
+with a bound that is no smaller than a distance found already is passed over, and the least distance over all is exact.
 """
 
 from __future__ import annotations
@@ -22,12 +22,9 @@ from hplan.base.deadline import check_deadline
 from hplan.base.kernels import kernel
 from hplan.collision.coal_shapes import beyond_geometry, capsule_shapes, solid_shape, triangle_tree
 from hplan.robot.base_shapes import coal_distance
-from hplan.scene.cloud_tree import parts_of, tree_of
+from hplan.scene.cloud_tree import tree_of
 from hplan.scene.obstacles import Capsule, Solid
-from hplan.scene.solids import Cloud
-
-#: Most points of a block.
-_BLOCK: Final = 64
+from hplan.scene.solids import LEAF, Cloud
 
 #: Size of the triangle that stands for a point [m]. Of triangles that are mere points, coal's distance from a ball is
 #: wrong.
@@ -48,23 +45,18 @@ class BareShape(NamedTuple):
     """A shape without the radius that is swept about it: coal knows none where it is asked about triangles.
 
     Attributes:
-        box: Its `local_box`.
+        core: (2, 3) centre and half sizes of a box in its own frame, which holds it, grown by `rounding` [m].
+        rounding: Its radius where it is round [m].
         radius: What was swept about it [m].
         thin: Of a capsule one with hardly any radius: of a shape that is in contact coal says of one point how deep it
             is, and not of the deepest. None of other shapes.
     """
 
     geometry: coal.CollisionGeometry
-    box: FloatArray
+    core: FloatArray
+    rounding: float
     radius: float
     thin: BareShape | None = None
-
-    @property
-    def core_box(self) -> tuple[FloatArray, FloatArray, float]:
-        """Centre and half sizes of a box in the shape's frame, and the radius about it: together they hold it."""
-        shape, (centre, half) = self.geometry, self.box
-        rounding = float(shape.radius) if isinstance(shape, (coal.Sphere, coal.Capsule)) else 0.0
-        return centre, np.maximum(half - rounding, 0.0), self.radius + rounding
 
     @classmethod
     def of(cls, shape: coal.CollisionGeometry) -> BareShape:
@@ -76,30 +68,19 @@ class BareShape(NamedTuple):
         thin = None
         if isinstance(shape, coal.Capsule) and shape.radius > _THIN:
             needle = coal.Capsule(_THIN, 2.0 * shape.halfLength)
-            thin = cls(needle, local_box(needle), radius + shape.radius - _THIN)
-        return cls(shape, local_box(shape), radius, thin)
+            thin = cls(needle, *_core_box(needle), radius + shape.radius - _THIN)
+        return cls(shape, *_core_box(shape), radius, thin)
 
 
 class PointBlocks:
-    """The points of a cloud, without their radius, in blocks of neighbours.
+    """The points of a cloud, without their radius, in blocks of neighbours: the leaves of its tree.
 
     Several threads may ask at once.
-
-    Attributes:
-        balls: (blocks, 4) centre and radius of a ball about the points of each block [m].
     """
 
-    def __init__(self, points: FloatArray, tree: FloatArray) -> None:
-        """Cut points into blocks.
-
-        Args:
-            points: (n, 3) points in the order of the tree, n > 0 [m].
-            tree: Its nodes, as in `hplan.scene.solids.Cloud`.
-        """
-        blocks = parts_of(tree, _BLOCK)
-        self._points, self._spans = points, blocks[:, :2].astype(np.int64)
-        # Rounding errors, and the specks, never make a ball too small.
-        self.balls: FloatArray = blocks[:, 3:] * (1.0, 1.0, 1.0, 1.0 + 1e-12) + (0.0, 0.0, 0.0, 2.0 * _SPECK)
+    def __init__(self, points: FloatArray, nodes: FloatArray) -> None:
+        """Take a cloud's points, and the nodes of its tree, as `hplan.scene.solids.Cloud` has them."""
+        self._points, self._nodes = points, nodes
         self._trees: dict[int, coal.BVHModelOBBRSS] = {}
 
     @classmethod
@@ -110,44 +91,47 @@ class PointBlocks:
             points, tree = cloud.core, cloud.tree
             if len(tree) == 0:  # its points are in no order
                 points = points.copy()
-                tree = tree_of(points, _BLOCK)
+                tree = tree_of(points, LEAF)
             found = _KNOWN[cloud] = cls(points, tree)
         return found
 
-    def distance(self, shape: BareShape, placement: pin.SE3) -> float:
+    def distance(self, shape: BareShape, placement: pin.SE3, most: float = math.inf) -> float:
         """Signed distance of a shape from the nearest point [m]; in contact that of one of those that it touches.
 
-        Of a capsule it is the nearest, as long as that is not on its axis.
+        Of a capsule it is the nearest, as long as that is not on its axis. Infinite, it may be, where it is more than
+        `most`.
         """
-        rotation, translation = placement.rotation, placement.translation
-        bounds = _lower_bounds(rotation, translation, shape.box, self.balls)
-        place, result = coal.Transform3s(rotation, translation), coal.DistanceResult()
-        least = math.inf
+        place = placement.rotation, placement.translation
+        coal_place, result = coal.Transform3s(*place), coal.DistanceResult()
+        least, bound, block = math.inf, -math.inf, -1
         while True:
-            block = int(bounds.argmin())
-            if bounds[block] >= least or least <= 0.0:
+            limit = min(least, most + shape.radius) + shape.rounding
+            bound, block = nearest_block(place, shape.core, self._nodes, (bound, block), limit)
+            if block < 0 or least <= 0.0:
                 if least <= 0.0 and shape.thin is not None:
                     return self.distance(shape.thin, placement)
                 return least - shape.radius
-            bounds[block] = math.inf
             # coal goes on from the least distance in its result, and passes over what is farther.
-            least = min(least, coal.distance(shape.geometry, place, self._tree(block), _PLACE, _REQUEST, result))
+            least = min(least, coal.distance(shape.geometry, coal_place, self._tree(block), _PLACE, _REQUEST, result))
 
     def _tree(self, block: int) -> coal.BVHModelOBBRSS:
         """The points of a block as tiny triangles about them, built once."""
         tree = self._trees.get(block)
         if tree is None:
-            inside = self._points[slice(*self._spans[block])]
+            first, last = self._nodes[block, :2].astype(np.int64)
+            inside = self._points[first:last]
             corners = (inside[:, None] + _CORNERS).reshape(-1, 3)
             tree = self._trees[block] = triangle_tree(corners, np.arange(len(corners)).reshape(-1, 3))
         return tree
 
 
-def local_box(shape: coal.CollisionGeometry) -> FloatArray:
-    """(2, 3) centre and half sizes of the axis-aligned box about a shape, in its own frame [m]."""
+def _core_box(shape: coal.CollisionGeometry) -> tuple[FloatArray, float]:
+    """(2, 3) centre and half sizes of a box in a shape's own frame, and the radius about it: they hold it [m]."""
     shape.computeLocalAABB()
     low, high = np.array(shape.aabb_local.min_), np.array(shape.aabb_local.max_)
-    return np.stack([0.5 * (low + high), 0.5 * (high - low) * (1.0 + 1e-12)])
+    rounding = float(shape.radius) if isinstance(shape, coal.Sphere | coal.Capsule) else 0.0
+    half = np.maximum(0.5 * (high - low) * (1.0 + 1e-12) - rounding, 0.0)
+    return np.stack([0.5 * (low + high), half]), rounding
 
 
 def obstacle_shape(obstacle: Solid) -> pin.GeometryObject | PointBlocks:
@@ -165,32 +149,58 @@ def obstacle_shapes(obstacles: Sequence[Solid]) -> list[pin.GeometryObject | Poi
     return shapes
 
 
-def distance_from(obstacle: Solid) -> Callable[[coal.CollisionGeometry, pin.SE3], float]:
-    """The signed distance of a shape in its place from an obstacle [m]; the obstacle's own shape is made once."""
+def distance_from(obstacle: Solid, most: float = math.inf) -> Callable[[coal.CollisionGeometry, pin.SE3], float]:
+    """The signed distance of a shape in its place from an obstacle [m]; the obstacle's own shape is made once.
+
+    Infinite, it may be, where it is more than `most`.
+    """
     solid = obstacle_shape(obstacle)
     if isinstance(solid, PointBlocks):
         beyond = beyond_geometry(obstacle)
-        return lambda shape, placement: solid.distance(BareShape.of(shape), placement) - beyond
+        return lambda shape, placement: solid.distance(BareShape.of(shape), placement, most + beyond) - beyond
     return lambda shape, placement: coal_distance(shape, placement, solid.geometry, solid.placement)
 
 
 @kernel
-def _lower_bounds(rotation: FloatArray, translation: FloatArray, box: FloatArray, balls: FloatArray) -> FloatArray:
-    """(k,) distances of balls from a box in its place; of one that reaches into it, less than 0.
+def nearest_block(
+    place: tuple[FloatArray, FloatArray], core: FloatArray, nodes: FloatArray, after: tuple[float, int], limit: float
+) -> tuple[float, int]:
+    """The leaf of a tree that a box in its place may be nearest to.
 
     Args:
-        rotation: (3, 3) of the box's frame.
-        translation: (3,) of the box's frame.
-        box: (2, 3) its centre and half sizes there.
-        balls: (k, 4) centre and radius.
+        place: (3, 3) rotation and (3,) translation of the box's frame.
+        core: (2, 3) its centre and half sizes there.
+        nodes: (k, 7) the tree, as in `hplan.scene.solids.Cloud`.
+        after: What was found before: what is no farther is passed over.
+        limit: So is what is no nearer than this [m].
+
+    Returns:
+        The distance of the box from a ball that holds the leaf's points, less than 0 where it reaches into that, and
+        the leaf's number; -1 where there is none left.
     """
-    bounds = np.empty(balls.shape[0])
-    for ball in range(balls.shape[0]):
-        x, y, z = balls[ball, 0] - translation[0], balls[ball, 1] - translation[1], balls[ball, 2] - translation[2]
+    (rotation, translation), least, found, number = place, limit, -1, 0
+    # Ends and bounds of the nodes above: this one's ball may stand out of theirs, its points do not.
+    above, height = np.empty((64, 2)), 0
+    while number < nodes.shape[0]:
+        node = nodes[number]
+        while height > 0 and number >= above[height - 1, 0]:
+            height -= 1
+        x, y, z = node[3] - translation[0], node[4] - translation[1], node[5] - translation[2]
         square = 0.0
         for axis in range(3):
             along = rotation[0, axis] * x + rotation[1, axis] * y + rotation[2, axis] * z
-            beyond = max(0.0, abs(along - box[0, axis]) - box[1, axis])
+            beyond = max(0.0, abs(along - core[0, axis]) - core[1, axis])
             square += beyond * beyond
-        bounds[ball] = math.sqrt(square) - balls[ball, 3]
-    return bounds
+        # Rounding errors, and the specks, never make a ball too small.
+        bound = math.sqrt(square) - (node[6] * (1.0 + 1e-12) + 2.0 * _SPECK)
+        if height > 0:
+            bound = max(bound, above[height - 1, 1])
+        is_leaf = node[2] == number + 1
+        if bound < least and is_leaf and (bound > after[0] or (bound == after[0] and number > after[1])):
+            least, found = bound, number
+        if is_leaf or bound >= least:
+            number = int(node[2])
+        else:
+            above[height, 0], above[height, 1] = node[2], bound
+            height, number = height + 1, number + 1
+    return least, found

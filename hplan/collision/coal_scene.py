@@ -412,7 +412,7 @@ def base_contacts(
     data = robot.model.createData()
     pin.forwardKinematics(robot.model, data, q)
     found = []
-    distances = [(obstacle, distance_from(obstacle)) for obstacle in obstacles]
+    distances = [(obstacle, distance_from(obstacle, margin)) for obstacle in obstacles]
     for name, shape in base_bodies(robot):
         place = data.oMi[shape.parentJoint] * shape.placement
         for obstacle, distance_of in distances:

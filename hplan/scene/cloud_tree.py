@@ -235,11 +235,3 @@ def tree_of(points: FloatArray, leaf: int) -> FloatArray:
             height += 3
         number += 1
     return nodes[:number].copy()
-
-
-def parts_of(tree: FloatArray, most: int) -> FloatArray:
-    """(k, 7) the largest nodes of a tree with at most so many points, no fewer than a leaf may have."""
-    small = tree[tree[:, 1] - tree[:, 0] <= most]
-    ends = np.maximum.accumulate(np.append(0.0, small[:-1, 1]))  # what begins before them is below another one
-    found: FloatArray = small[small[:, 0] >= ends]
-    return found

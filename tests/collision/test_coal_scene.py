@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 from hplan.base.data_files import urdf_dir
 from hplan.certificate.certificate import certify
 from hplan.collision.coal_accuracy import CURVED, ITERATION, PARALLEL, SIZE, distance_errors, extents
-from hplan.collision.coal_cloud import BareShape, PointBlocks, _lower_bounds, distance_from, local_box
+from hplan.collision.coal_cloud import BareShape, PointBlocks, distance_from, nearest_block
 from hplan.collision.coal_scene import CoalScene, base_contacts
 from hplan.collision.coal_shapes import LINK_SHAPES, solid_shape
 from hplan.robot.base_shapes import base_radius, coal_distance
@@ -317,25 +317,31 @@ def test_blocks_are_their_points(seed, kind, count):
     if expected > 1e-5:
         assert found == pytest.approx(expected, abs=3e-6)
         assert distance_from(cloud)(shape, place) == pytest.approx(expected - 0.02, abs=3e-6)
+        for most in (expected - 0.03, expected - 0.01):
+            asked = distance_from(cloud, most)(shape, place)
+            assert asked == pytest.approx(expected - 0.02, abs=3e-6) or (asked == np.inf and most < expected - 0.02)
     else:
         assert found <= 2e-5
 
 
-def test_balls_hold_their_points_and_bound_distances_from_below():
-    rng = np.random.default_rng(3)
-    cloud = Cloud.of("cloud", rng.uniform(-1.0, 1.0, (1000, 3)), 0.02)
-    blocks = PointBlocks.of(cloud)
-    apart = np.linalg.norm(cloud.core[:, None] - blocks.balls[None, :, :3], axis=2) - blocks.balls[:, 3]
-    assert (apart.min(axis=1) < 0.0).all()
-    assert 1000 / 64 <= len(blocks.balls) <= 1000 / 24  # none has more points than that, and none but a few
-    for kind, half in (("capsule", (0.04, 0.04, 0.39)), ("box", (0.15, 0.05, 0.25)), ("sphere", (0.2, 0.2, 0.2))):
-        np.testing.assert_allclose(local_box(SHAPES[kind]), [(0.0, 0.0, 0.0), half], atol=1e-12)
-    for seed in range(20):
-        place, shape = placed(np.random.default_rng(seed)), SHAPES["capsule"]
-        bounds = _lower_bounds(place.rotation, place.translation, local_box(shape), blocks.balls)
-        for (*centre, radius), bound in zip(blocks.balls.tolist(), bounds.tolist(), strict=True):
-            at = pin.SE3(np.eye(3), np.array(centre))
-            assert bound <= coal_distance(coal.Sphere(radius), at, shape, place) + 1e-6 or bound < 0.0
+@settings(max_examples=40)
+@given(st.integers(0, 10_000), st.sampled_from(sorted(SHAPES)))
+def test_blocks_come_nearest_first_and_bound_distances_from_below(seed, kind):
+    rng = np.random.default_rng(seed)
+    cloud, place = Cloud.of("cloud", rng.uniform(-1.0, 1.0, (1000, 3)), 0.02), placed(rng)
+    shape = BareShape.of(SHAPES[kind])
+    farthest, after, found = rng.choice([0.5, np.inf]), (-np.inf, -1), {}
+    poses = place.rotation, place.translation
+    while (after := nearest_block(poses, shape.core, cloud.tree, after, farthest))[1] >= 0:
+        assert after[1] not in found
+        found[after[1]] = after[0]
+    assert list(found.values()) == sorted(found.values())
+    leaves = np.flatnonzero(cloud.tree[:, 2] == np.arange(len(cloud.tree)) + 1).tolist()
+    assert set(found) <= set(leaves)
+    assert len(found) == len(leaves) or farthest < np.inf
+    for leaf in leaves:
+        away = brute_force(cloud.core[slice(*cloud.tree[leaf, :2].astype(int))], shape.geometry, place)
+        assert away >= found.get(leaf, farthest) - shape.rounding - 3e-6 or away <= 0.0
 
 
 def turned(z, rng):

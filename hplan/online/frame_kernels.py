@@ -271,6 +271,8 @@ def _fill(placed: FloatArray, placement: Placement, blocks: IntArray, voxels: Fl
     known = np.empty(_SIDE * _SIDE * _SIDE, dtype=np.int64)
     count, begin = 0, 0
     for block in range(len(blocks)):
+        if blocks[block, _POINTS] == begin:
+            continue
         for slot in range(len(known)):
             known[slot] = -1
         for place in range(begin, blocks[block, _POINTS]):
@@ -280,15 +282,18 @@ def _fill(placed: FloatArray, placement: Placement, blocks: IntArray, voxels: Fl
                 math.floor((y - reach[1]) * per_metre) & within,
                 math.floor((z - reach[2]) * per_metre) & within,
             )
-            slot = (i * _SIDE + j) * _SIDE + k
-            number = known[slot]
-            if number < 0:
-                number = known[slot] = count
-                count += 1
-                voxels[number, COUNT] = 0.0
+            numbers[place] = (i * _SIDE + j) * _SIDE + k
+            known[numbers[place]] = 0
+        for slot in range(len(known)):
+            if known[slot] == 0:
+                known[slot] = count
+                voxels[count, COUNT] = 0.0
                 for axis in range(3):
-                    voxels[number, axis], voxels[number, 3 + axis] = math.inf, -math.inf
-            numbers[place] = number
+                    voxels[count, axis], voxels[count, 3 + axis] = math.inf, -math.inf
+                count += 1
+        for place in range(begin, blocks[block, _POINTS]):
+            number = numbers[place] = known[numbers[place]]
+            x, y, z = placed[place, 0], placed[place, 1], placed[place, 2]
             voxels[number, COUNT] += 1.0
             voxels[number, 0], voxels[number, 3] = min(voxels[number, 0], x), max(voxels[number, 3], x)
             voxels[number, 1], voxels[number, 4] = min(voxels[number, 1], y), max(voxels[number, 4], y)
@@ -311,18 +316,24 @@ def mark_isolated(voxels: FloatArray, placement: Placement, least: int, distance
     # The points of a voxel may be farther apart than its edge by what is rounded.
     middle, edge = placement.reach, (1.0 + 1e-9) * placement.edge[0]
     side, square = 2.0 * (distance + edge), distance * distance
-    size = 64
-    while size < 2 * len(voxels):
+    # Of each voxel its cell; there are no more cells than times that this changes.
+    keys, changes, size = np.empty(len(voxels), dtype=np.int64), 0, 64
+    for number in range(len(voxels)):
+        i, j, k = _cells_at(voxels[number, 0], voxels[number, 1], voxels[number, 2], middle, side)
+        keys[number] = _packed(i, j, k)
+        changes += number == 0 or keys[number] != keys[number - 1]
+    while size < 2 * changes:
         size *= 2
     # The last voxel of each cell, and of each voxel the one before it in its cell.
     cells = np.full((size, 2), -1, dtype=np.int64)
     before = np.empty(len(voxels), dtype=np.int32)
+    place = 0
     for number in range(len(voxels)):
-        i, j, k = _cells_at(voxels[number, 0], voxels[number, 1], voxels[number, 2], middle, side)
-        key = _packed(i, j, k)
-        place = _place(key, cells)
+        if keys[number] != cells[place, _KEY]:
+            place = _place(keys[number], cells)
+            cells[place, _KEY] = keys[number]
         before[number] = cells[place, _VALUE]
-        cells[place, _KEY], cells[place, _VALUE] = key, number
+        cells[place, _VALUE] = number
     for number in range(len(voxels)):
         if voxels[number, COUNT] >= least or _has_enough(voxels, number, least, square):
             continue

@@ -41,7 +41,7 @@ class Effort:
         planar: Those that look for other paths where the base is locked and a grid has been searched; None for none.
         grids: Coarse grids where the base is locked and a fine one has too many nodes to be searched first.
         close: With a motion of the first pair of trees that takes no more than so many times the least duration no
-            others grow.
+            others grow; nor is one that came at once improved.
         starts: Optimisation of path and timing together; None for none.
         leads: So many approaches that do not begin at rest are tried.
         blended: Optimisation of a transit that ends in motion.
@@ -51,7 +51,7 @@ class Effort:
         long: Trees that grow before goals are refused, beyond `trees`; none where there are no pairs of them.
         floods: Most nodes of grids that are flooded to show that there is no path; 0 for none.
         at_once: Whether the first motion is to come as soon as can be: by what finds most motions in a few
-            milliseconds, to a few grasps, without regard to how quick it is. Quicker ones near it follow.
+            milliseconds, to a few grasps, without regard to how quick it is. A quicker one near it follows.
     """
 
     trees: TreesEffort
@@ -77,6 +77,11 @@ _SEEDS = 1000
 
 _COARSE = Level(piece_s=0.08, pieces=(20, 40), steps=20, gain=2e-3, trust=0.2)
 _GRIDS = (GridAttempt(2.0, growth_m=0.02), GridAttempt(2.0, growth_m=5e-3), GridAttempt(3.0, growth_m=0.01))
+
+#: A motion that came at once is made quicker with few and long pieces, by long steps.
+_AT_ONCE = StartsEffort(
+    OptimizerEffort((Level(piece_s=0.08, pieces=(20, 40), steps=8, gain=0.02, trust=0.4, enough=0.02),)), 1, 0, 1
+)
 _FINE = OptimizerEffort((Level(piece_s=0.03, pieces=(50, 120), steps=12, gain=0.02, trust=0.2),))
 _FINEST = OptimizerEffort((Level(piece_s=0.012, pieces=(60, 300), steps=20, gain=1e-4, trust=0.2),))
 
@@ -138,13 +143,9 @@ EFFORTS_OF_BODIES: dict[EffortName, Effort] = {
         EFFORTS["quick"],
         trees=TreesEffort(1, 6_000),
         long=_WITHIN_A_SECOND,
+        close=1.2,
         floods=0.0,
-        starts=StartsEffort(
-            OptimizerEffort((Level(piece_s=0.045, pieces=(30, 44), steps=8, gain=0.01, trust=0.2, enough=0.01),)),
-            rough=1,
-            others=0,
-            finished=1,
-        ),
+        starts=_AT_ONCE,
     ),
     "default": replace(
         EFFORTS["default"],
@@ -185,13 +186,14 @@ def effort_named(robot: Robot, name: EffortName) -> Effort:
 def efforts_of(robot: Robot, options: PlanOptions) -> tuple[Effort, ...]:
     """What may be spent on motions, one after the other, the last one what the options ask for.
 
-    With a deadline a first motion comes at once. More starts of an optimiser need not lead to all that fewer lead to,
-    so that what `default` finds counts for `best` too.
+    With a deadline a first motion comes at once, and so does that of `quick`, for which the rest is only where there is
+    none. More starts of an optimiser need not lead to all that fewer lead to, so that what `default` finds counts for
+    `best` too.
     """
     asked, quick = effort_named(robot, options.effort), effort_named(robot, "quick")
-    first = replace(asked, begun=quick.begun, long=NO_TREES, floods=0.0, at_once=True)
+    first = replace(asked, starts=_AT_ONCE, begun=quick.begun, long=NO_TREES, floods=0.0, at_once=True)
     efforts = (
-        *((first,) if options.deadline_s is not None else ()),
+        *((first,) if options.deadline_s is not None or asked is quick else ()),
         *((effort_named(robot, "default"),) if options.effort == "best" else ()),
         asked,
     )

@@ -14,7 +14,7 @@ import numpy as np
 from hplan.base.arrays import FloatArray, Record, frozen
 from hplan.certificate.certificate import Certificate, Stretch, all_of, certify_among, stretches
 from hplan.errors import CertificationError, TimingError
-from hplan.optimization.minimize_time import Effort, minimize_time
+from hplan.optimization.minimize_time import minimize_time
 from hplan.optimization.options import PostprocessOptions
 from hplan.optimization.several_starts import NEAR, StartsEffort, fastest_motions, optimization_starts
 from hplan.optimization.smooth_path import clear_path, is_straight, near_field, short_path
@@ -23,7 +23,7 @@ from hplan.optimization.timed_spline import BoundaryState
 from hplan.planning.grasps import Grasp
 from hplan.planning.grid_route import Route
 from hplan.planning.task import PlanningContext, PlanningTask
-from hplan.robot.limits import GeometricPath, Limits
+from hplan.robot.limits import GeometricPath, Limits, least_duration
 from hplan.trajectory.retime import time_path
 from hplan.trajectory.spline import SplinePath
 from hplan.trajectory.trajectory import Phase, Trajectory, joined
@@ -191,33 +191,30 @@ def along(task: PlanningTask, polyline: Polyline, margin: float) -> Transit:
 
 
 def improving(motion: Transit) -> Iterator[Transit]:
-    """A motion and quicker and quicker ones near it, each certified.
+    """A motion and a quicker one near it, if there is one; both are certified.
 
-    It is the only one where a short path is asked for, or it is straight.
+    It is the only one where a short path is asked for, it is straight, or close enough to the fastest where a motion
+    is wanted at once.
     """
     yield motion
     task, effort, start = motion.task, motion.task.optimization, motion.trajectory
+    limits = task.robot.velocity_limit, task.robot.acceleration_limit
+    close_s = task.effort.close * least_duration(task.problem.start, task.problem.goal, *limits)
     if (
         effort is None
+        or (task.effort.at_once and start.duration <= close_s)
         or start.samples == 1
         or is_straight(motion.waypoints, task.field, smoothing_options(task, task.margin()))
     ):
         return
-    level = effort.optimization.levels[0]
     with task.stage("timing"):
         problem = time_problem(task, start)
-    best_s = start.duration
-    for steps in (3, 6, 12, 20):
-        with task.stage("timing"):
-            spline = minimize_time(start, problem, Effort((replace(level, steps=steps),)))
-        if spline is None or spline.duration >= (1.0 - level.gain) * best_s:
-            return
-        start = spline.trajectory(problem.dynamics, problem.rate_hz)
-        certificate = certificate_of(task, start)
-        if not certificate.verified:
-            return
-        best_s = start.duration
-        yield motion.made(start, certificate, spline.path)
+        spline = minimize_time(start, problem, effort.optimization)
+    if spline is not None and spline.duration < start.duration:
+        quicker = spline.trajectory(problem.dynamics, problem.rate_hz)
+        certificate = certificate_of(task, quicker)
+        if certificate.verified:
+            yield motion.made(quicker, certificate, spline.path)
 
 
 def _transit(

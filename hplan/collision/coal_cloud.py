@@ -90,8 +90,7 @@ class PointBlocks:
         if found is None:
             points, tree = cloud.core, cloud.tree
             if len(tree) == 0:  # its points are in no order
-                points = points.copy()
-                tree = tree_of(points, LEAF)
+                points, tree = tree_of(points, LEAF)
             found = _KNOWN[cloud] = cls(points, tree)
         return found
 

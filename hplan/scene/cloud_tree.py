@@ -1,7 +1,7 @@
 """The points of a cloud, merged where they are near to one another, and the tree over them: compiled.
 
-The tree is split near the median of the longest side of the box about a node's points, until few are left. Neighbours
-stand together in its order.
+Points stand along a curve through cells of a cube about them, by the bits of all three coordinates in turn (Morton). A
+node is a stretch of it, parted where the highest bit changes that does, until few points are left.
 
 Voxels are numbered as they first appear, by a hash table with open addressing: an array of numbers, empty places -1,
 its size a power of two. The cells themselves are rows of three whole numbers; two are one if all three are the same.
@@ -18,6 +18,9 @@ from hplan.base.kernels import inlined, kernel
 
 #: Columns of a node: as in `hplan.scene.solids.Cloud`.
 _COLUMNS = 7
+
+#: Bits of a point's number, which stands behind its place along the curve, so that both are sorted at once.
+_NUMBER = 26
 
 
 @inlined
@@ -122,116 +125,122 @@ def box_centres(points: FloatArray, numbers: ShortArray, count: int) -> tuple[Fl
     return low, math.sqrt(farthest)
 
 
-@kernel
-def _put_first(points: FloatArray, first: int, last: int, axis: int, bound: float) -> int:
-    """Rearrange the points first..last - 1 so that those with a coordinate below a bound come first.
-
-    Points change places without a branch: half of the time it would be guessed wrong, which costs most of all.
-
-    Returns:
-        Where the others begin.
-    """
-    end = first
-    for i in range(first, last):
-        x, y, z, at = points[i, 0], points[i, 1], points[i, 2], points[i, axis]
-        points[i, 0], points[i, 1], points[i, 2] = points[end, 0], points[end, 1], points[end, 2]
-        points[end, 0], points[end, 1], points[end, 2] = x, y, z
-        end += int(at < bound)
-    return end
+@inlined
+def _every_third(cell: int) -> int:
+    """The last 16 bits of a number, each followed by two that are 0."""
+    bits = (cell | (cell << 16)) & 0x0000FF0000FF
+    bits = (bits | (bits << 8)) & 0x00F00F00F00F
+    bits = (bits | (bits << 4)) & 0x0C30C30C30C3
+    return (bits | (bits << 2)) & 0x249249249249
 
 
 @inlined
-def _median(a: float, b: float, c: float) -> float:
-    return max(min(a, b), min(max(a, b), c))
+def _bounds(points: FloatArray, first: int, last: int) -> tuple[float, float, float, float, float, float]:
+    """The least and the largest coordinates of the points first..last - 1."""
+    x, y, z = right, far, top = points[first, 0], points[first, 1], points[first, 2]
+    for n in range(first + 1, last):  # all axes at once: none waits for the one before
+        x, right = min(x, points[n, 0]), max(right, points[n, 0])
+        y, far = min(y, points[n, 1]), max(far, points[n, 1])
+        z, top = min(z, points[n, 2]), max(top, points[n, 2])
+    return x, y, z, right, far, top
 
 
 @kernel
-def _part(points: FloatArray, first: int, last: int, axis: int) -> int:
-    """Rearrange the points first..last - 1 in two parts: no coordinate in the first is larger than any in the other.
-
-    A selection that ends near the middle, the pivot a median of three medians.
-
-    Returns:
-        Where the other part begins: off the middle by an eighth of the points at most.
-    """
-    middle, slack = (first + last) // 2, (last - first) // 8
-    while last - first > 1:
-        at, step = points[first:last, axis], (last - first - 1) // 8
-        pivot = _median(
-            _median(at[0], at[step], at[2 * step]),
-            _median(at[3 * step], at[4 * step], at[5 * step]),
-            _median(at[6 * step], at[7 * step], at[-1]),
-        )
-        others = _put_first(points, first, last, axis, pivot)
-        if abs(others - middle) <= slack:
-            return others
-        if middle < others:
-            last = others
-        elif others > first:
-            first = others
-        else:  # nothing is below the pivot: those at it come first
-            first = _put_first(points, first, last, axis, np.nextafter(pivot, np.inf))
-            if middle < first:
-                break
-    return middle
+def _places(points: FloatArray) -> IntArray:
+    """(n,) where each of (n, 3) points is along the curve, and behind that, in `_NUMBER` bits, its number."""
+    x, y, z, right, far, top = _bounds(points, 0, points.shape[0])
+    per_metre = 4095.0 / max(right - x, far - y, top - z, 1e-9)
+    found = np.empty(points.shape[0], dtype=np.int64)
+    for n in range(points.shape[0]):
+        i, j, k = (points[n, 0] - x) * per_metre, (points[n, 1] - y) * per_metre, (points[n, 2] - z) * per_metre
+        place = (_every_third(int(i)) << 2) | (_every_third(int(j)) << 1) | _every_third(int(k))
+        found[n] = (place << _NUMBER) | n
+    return found
 
 
 @kernel
-def _bounds(points: FloatArray, first: int, last: int, node: FloatArray) -> int:
-    """Write the ball about the points first..last - 1 into a node: about the middle of their box.
-
-    Returns:
-        The longest side of the box.
-    """
-    x = right = points[first, 0]
-    y = far = points[first, 1]
-    z = top = points[first, 2]
-    for i in range(first + 1, last):  # all axes at once: none waits for the one before
-        x, right = min(x, points[i, 0]), max(right, points[i, 0])
-        y, far = min(y, points[i, 1]), max(far, points[i, 1])
-        z, top = min(z, points[i, 2]), max(top, points[i, 2])
-    wide, deep, high = right - x, far - y, top - z
-    longest = 0 if wide >= deep and wide >= high else 1 if deep >= high else 2
-    x, y, z, square = 0.5 * (x + right), 0.5 * (y + far), 0.5 * (z + top), 0.0
-    node[3], node[4], node[5] = x, y, z
-    for i in range(first, last):
-        dx, dy, dz = points[i, 0] - x, points[i, 1] - y, points[i, 2] - z
-        square = max(square, dx * dx + dy * dy + dz * dz)
-    node[6] = math.sqrt(square)
-    return longest
+def _first_after(places: IntArray, first: int, last: int) -> int:
+    """Where a stretch is parted: at the first place with the highest bit that not all have, else in the middle."""
+    differ, bit, begin, end = (places[first] ^ places[last - 1]) >> _NUMBER, 1 << _NUMBER, first, last
+    if differ == 0:
+        return (first + last) // 2
+    while differ > 1:
+        differ, bit = differ >> 1, bit << 1
+    while begin < end:
+        middle = (begin + end) // 2
+        if places[middle] & bit:
+            end = middle
+        else:
+            begin = middle + 1
+    return begin
 
 
 @kernel
-def tree_of(points: FloatArray, leaf: int) -> FloatArray:
-    """Put points into the order of a tree split near medians, in place.
-
-    Args:
-        points: (n, 3) points, n > 0; rearranged.
-        leaf: Most points of a leaf.
-
-    Returns:
-        (nodes, 7) its nodes, as in `hplan.scene.solids.Cloud`.
-    """
-    # What is parted has more points than a leaf; so no leaf has fewer than this, but where it is all there is.
-    count, fewest = points.shape[0], (leaf + 1) // 2 - (leaf + 1) // 8
+def _nodes(points: FloatArray, places: IntArray, leaf: int) -> FloatArray:
+    count, fewest = points.shape[0], leaf // 4
     nodes = np.empty((1 + 2 * (count // fewest), _COLUMNS))
-    # A node's place on the stack is its parts still to come; what is finished learns where the next one begins.
-    stack = np.empty((3 * 64, 3), dtype=np.int64)
+    # A node's place on the stack is its parts still to come; what is finished learns where the next one begins, and
+    # leaves its box.
+    stack, boxes = np.empty((3 * 64, 3), dtype=np.int64), np.empty((64, 6))
     stack[0] = (0, count, -1)
-    height, number = 1, 0
+    height, number, done = 1, 0, 0
     while height > 0:
         height -= 1
         first, last, closes = stack[height, 0], stack[height, 1], stack[height, 2]
         if closes >= 0:
             nodes[closes, 2] = number
+            done -= 1
+            for axis in range(3):
+                boxes[done - 1, axis] = min(boxes[done - 1, axis], boxes[done, axis])
+                boxes[done - 1, 3 + axis] = max(boxes[done - 1, 3 + axis], boxes[done, 3 + axis])
+            _around(nodes, boxes[done - 1], closes)
             continue
         nodes[number, 0], nodes[number, 1], nodes[number, 2] = first, last, number + 1
-        longest = _bounds(points, first, last, nodes[number])
         if last - first > leaf:
-            middle = _part(points, first, last, longest)
+            middle = min(max(_first_after(places, first, last), first + fewest), last - fewest)
             stack[height] = (0, 0, number)
             stack[height + 1] = (middle, last, -1)
             stack[height + 2] = (first, middle, -1)
             height += 3
+        else:
+            x, y, z, right, far, top = _bounds(points, first, last)
+            boxes[done] = (x, y, z, right, far, top)
+            done += 1
+            x, y, z, square = 0.5 * (x + right), 0.5 * (y + far), 0.5 * (z + top), 0.0
+            nodes[number, 3], nodes[number, 4], nodes[number, 5] = x, y, z
+            for n in range(first, last):
+                dx, dy, dz = points[n, 0] - x, points[n, 1] - y, points[n, 2] - z
+                square = max(square, dx * dx + dy * dy + dz * dz)
+            nodes[number, 6] = math.sqrt(square)
         number += 1
     return nodes[:number].copy()
+
+
+@kernel
+def _around(nodes: FloatArray, box: FloatArray, number: int) -> None:
+    """Write a ball about the middle of the box about a node's two parts that holds their points."""
+    square, farthest, node = 0.0, 0.0, nodes[number]
+    for axis in range(3):
+        low, high = box[axis], box[3 + axis]
+        node[3 + axis] = 0.5 * (low + high)
+        square += 0.25 * (high - low) * (high - low)
+    for part in (number + 1, int(nodes[number + 1, 2])):
+        x, y, z = nodes[part, 3] - node[3], nodes[part, 4] - node[4], nodes[part, 5] - node[5]
+        farthest = max(farthest, math.sqrt(x * x + y * y + z * z) + nodes[part, 6])
+    node[6] = min(math.sqrt(square), farthest)
+
+
+def tree_of(points: FloatArray, leaf: int) -> tuple[FloatArray, FloatArray]:
+    """Points in the order of a tree, and the tree.
+
+    Args:
+        points: (n, 3) points, 0 < n < 2^26.
+        leaf: Most points of a leaf, 4 or more.
+
+    Returns:
+        (n, 3) the points, and (nodes, 7) the nodes, as in `hplan.scene.solids.Cloud`.
+    """
+    places = _places(points)
+    places.sort()
+    core: FloatArray = np.take(points, places & ((1 << _NUMBER) - 1), axis=0)
+    return core, _nodes(core, places, leaf)

@@ -9,7 +9,7 @@ it holds the whole; nothing of it is farther outside than its rounding.
 
 **Cloud.** Points in one voxel of a grid may become one ball, whose radius grows by the distance of the farthest of them
 from it, never more than `MERGE_ERROR`: the balls before lie in the balls after. The points are kept in the order of a
-tree: split near the median of the longest side, again and again, so that neighbours stand together.
+tree: along a curve on which neighbours stand together (Morton), parted where it leaves a cell, again and again.
 
 **Swept solids.** A solid that is the hull of a core grown by a rounding sweeps, as it is shifted by all of
 :math:`[-a, a]`, the hull of :math:`C - a` and :math:`C + a` grown by the same rounding: a ball a capsule, everything
@@ -339,6 +339,5 @@ class Cloud(Record):
         """The balls about (n, 3) points, n > 0, all of them."""
         from hplan.scene.cloud_tree import tree_of
 
-        core = np.array(points, dtype=np.float64, order="C")
-        tree = tree_of(core, LEAF)
+        core, tree = tree_of(np.ascontiguousarray(points, dtype=np.float64), LEAF)
         return cls(name, frozen(core), radius, frozen(tree), sigma)

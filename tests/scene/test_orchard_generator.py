@@ -340,9 +340,9 @@ def test_middles_of_boxes(seed, count, groups):
     assert farthest == pytest.approx(np.linalg.norm(points - middles[numbers], axis=1).max(), rel=1e-12)
 
 
-@pytest.mark.parametrize("kind", ["random", "one place", "steps", "line", "sorted"])
+@pytest.mark.parametrize("kind", ["random", "one place", "steps", "line", "sorted", "strays"])
 @pytest.mark.parametrize("count", [1, LEAF + 1, 1000])
-def test_a_tree_parts_its_points_near_the_middle(kind, count):
+def test_a_tree_parts_its_points_and_its_balls_hold_them(kind, count):
     rng = np.random.default_rng(count)
     points = {
         "random": rng.uniform(0, 1, (count, 3)),
@@ -350,18 +350,22 @@ def test_a_tree_parts_its_points_near_the_middle(kind, count):
         "steps": rng.integers(0, 3, (count, 3)).astype(float),
         "line": rng.uniform(0, 1, (count, 1)) * [1.0, 0.0, 0.0],
         "sorted": np.sort(rng.uniform(0, 1, (count, 3)), axis=0),
+        "strays": rng.choice([0.0, 1e-3, 1.0], (count, 3)) ** rng.integers(1, 5, (count, 1)),
     }[kind]
-    core = points.copy()
-    nodes = tree_of(core, LEAF)
+    core, nodes = tree_of(points, LEAF)
     assert sorted(map(tuple, core)) == sorted(map(tuple, points))
+    assert nodes[0, :3].tolist() == [0, count, len(nodes)]
     for number, (first, last, after, *ball) in enumerate(nodes.tolist()):
         inside = core[int(first) : int(last)]
         low, high = inside.min(axis=0), inside.max(axis=0)
+        away = np.linalg.norm(inside - ball[:3], axis=1).max()
         np.testing.assert_array_equal(ball[:3], 0.5 * (low + high))
-        assert ball[3] == pytest.approx(np.linalg.norm(inside - ball[:3], axis=1).max(), rel=1e-12)
+        assert away <= ball[3] * (1.0 + 1e-12)
+        assert ball[3] <= 0.5 * np.linalg.norm(high - low) * (1.0 + 1e-12)
         if after > number + 1:
-            axis, middle = int(np.argmax(high - low)), int(nodes[number + 1, 1])
-            assert abs(middle - (int(first) + int(last)) // 2) <= (last - first) // 8
-            assert core[int(first) : middle, axis].max() <= core[middle : int(last), axis].min()
+            other = int(nodes[number + 1, 2])
+            assert nodes[number + 1, :2].tolist() == [first, nodes[other, 0]]
+            assert nodes[other, 1:3].tolist() == [last, after]
         else:
+            assert ball[3] == pytest.approx(away, rel=1e-12)
             assert last - first <= LEAF

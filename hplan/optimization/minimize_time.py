@@ -22,7 +22,7 @@ from hplan.optimization.timed_spline import (
     breaks_at_rows,
     even_breaks,
 )
-from hplan.optimization.torque_rows import ALLOWED, TorqueUse
+from hplan.optimization.torque_rows import ALLOWED
 from hplan.trajectory.cubics import accelerations, hermite_pieces
 from hplan.trajectory.retime import KEPT
 
@@ -118,11 +118,15 @@ def minimize_time(
     Returns:
         The motion, or None where none was found.
     """
-    limit, free = problem.limits.torque, _without_torque(problem)
-    finer = replace(effort, levels=effort.levels[1:])
-    found = _minimized(start, free, effort) if rough is None else _minimized(rough, free, finer)
-    if found is None or limit is None or TorqueUse.of(found, problem.dynamics, limit).largest <= ALLOWED:
+    finer = replace(effort, levels=effort.levels[1:] or effort.levels)
+    found = _minimized(start if rough is None else rough, problem, effort if rough is None else finer, free=True)
+    if found is None or problem.torque_scale(found, ALLOWED) <= 1.0:
         return found
+    if problem.ends is None:
+        slower = found.at_time_scale(problem.torque_scale(found, ALLOWED))
+        again = _minimized(slower, problem, finer)
+        if again is not None and again.duration <= slower.duration:
+            return again
     return _minimized(start, problem, effort)
 
 
@@ -130,14 +134,20 @@ def _without_torque(problem: TimeProblem) -> TimeProblem:
     return replace(problem, limits=replace(problem.limits, torque=None))
 
 
-def _minimized(start: TimedMotion, problem: TimeProblem, effort: Effort) -> TimedSpline | None:
-    """As `minimize_time`, with the limits of torque in the programs if the problem has any."""
+def _minimized(start: TimedMotion, whole: TimeProblem, effort: Effort, *, free: bool = False) -> TimedSpline | None:
+    """As `minimize_time`, with the limits of torque in the programs, or free of them.
+
+    Where it is free and passes them, its pieces need not meet at rows.
+    """
+    problem = _without_torque(whole) if free else whole
     found: TimedSpline | None = start if isinstance(start, TimedSpline) else None
     quickest = found
     for level in effort.levels:
         found = _of_level(found or start, problem, level) or found
         if found is not None and (quickest is None or found.duration < quickest.duration):
             quickest = found
+    if free and found is not None and whole.torque_scale(found, ALLOWED) > 1.0:
+        return found
     on_rows = None if found is None else _on_rows(found, problem, effort.levels[-1])
     return _between_rows(quickest, problem) if on_rows is None and problem.ends is None else on_rows
 
@@ -154,8 +164,8 @@ def _between_rows(spline: TimedSpline | None, problem: TimeProblem) -> TimedSpli
         rows = math.ceil(time_scale * spline.duration * problem.rate_hz)
         slower = spline.at_time_scale(rows / problem.rate_hz / spline.duration)
         use = _use_between_rows(slower, problem)
-        if use <= 1.0 + KEPT:
-            return slower if problem.keeps_torque(slower) else None
+        if use <= 1.0 + KEPT and (use := problem.torque_scale(slower)) <= 1.0:
+            return slower
         time_scale *= use
     return None
 
@@ -254,15 +264,17 @@ def _on_rows(spline: TimedSpline, problem: TimeProblem, level: Level) -> TimedSp
             break
         spline, time_scale = step.spline, problem.time_scale(step.spline)
         kept = 1e-6 if spline.ends is None else KEPT
-        if time_scale <= 1.0 + kept and problem.keeps_torque(spline):
+        over = problem.torque_scale(spline) if time_scale <= 1.0 + kept else 1.0
+        if time_scale <= 1.0 + kept and over <= 1.0:
             found, most = spline, rows
-        elif time_scale > 1.0 + kept and level.enough > 0.0:
+        elif over > 1.0 or level.enough > 0.0:
             failed = max(failed, rows)
         if step.part < 1.0:
             trust *= _SHRINK
         if spline.ends is not None and time_scale > 1.0 + kept:
             time_scale = max(step.time_scale, 1.0 + KEPT)
-        rows = math.ceil(rows * time_scale - 1e-6)
+        # The next step takes account of torques: half of what they ask for is enough.
+        rows = math.ceil(rows * (math.sqrt(over) if over > 1.0 else time_scale) - 1e-6)
         if rows >= most or rows <= failed or most <= enough_rows:
             break
     return found

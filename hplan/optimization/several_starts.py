@@ -93,10 +93,10 @@ def fastest_motions(
     chosen: list[tuple[OptimizationStart, TimedSpline | None]] = [(start, None) for start in several]
     # A rough motion comes out quicker by no more than about this part of a motion that is known, and of another one.
     left_to_gain, among_rough = 0.1, 0.05
-    if len(several) > 1:
+    if len(several) > 1 or math.isfinite(quicker_than_s):
         chosen = [(start, rough_motion(start.profile, start.problem, effort.optimization)) for start in several]
         times = [math.inf if rough is None else rough.duration for _, rough in chosen]
-        enough = min(quicker_than_s / (1.0 - left_to_gain), min(times) / (1.0 - among_rough))
+        enough = min(quicker_than_s / (1.0 - left_to_gain), min(times, default=math.inf) / (1.0 - among_rough))
         best = ties.argsort(times)[: effort.finished]
         chosen = [chosen[k] for k in best.tolist() if times[k] <= enough]
     found = [

@@ -19,6 +19,7 @@ from hplan.optimization.timed_spline import RESTING, BoundaryState, TimedSpline
 from hplan.optimization.torque_rows import NEAR_LIMIT, TorqueUse, torque_rows, with_rows
 from hplan.robot.dynamics import InverseDynamics
 from hplan.robot.limits import Limits, rest_to_rest
+from hplan.trajectory.retime import KEPT, torque_excess
 from hplan.trajectory.spline import MovableSpline, pieces_are_clear
 
 #: Fraction of the margin asked for wherever the proof of a step looks; the programs ask for all of it at their places.
@@ -119,10 +120,12 @@ class TimeProblem(Record):
         limit = self.limits.torque
         return None if limit is None else TorqueUse.of(spline, self.dynamics, limit)
 
-    def keeps_torque(self, spline: TimedSpline) -> bool:
-        """True if the torques looked at are within their limits."""
+    def torque_scale(self, spline: TimedSpline, allowed: float = 1.0) -> float:
+        """By what times have to be multiplied for a part of the torque limits to be kept; 1 at least."""
         use = self.torque_use(spline)
-        return use is None or use.largest <= 1.0
+        if use is None or use.largest <= allowed:
+            return 1.0
+        return torque_excess(self.dynamics, use.states[0], use.use * use.limit, allowed / (1.0 + KEPT) * use.limit)
 
     def step(
         self, spline: TimedSpline, trust: float, gap: float, *, least: float | None = None

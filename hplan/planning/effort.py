@@ -158,7 +158,7 @@ EFFORTS_OF_BODIES: dict[EffortName, Effort] = {
         starts=StartsEffort(
             OptimizerEffort(
                 (
-                    replace(_COARSE, enough=7e-3),
+                    replace(_COARSE, trust=1.0, enough=7e-3),
                     Level(piece_s=0.03, pieces=(50, 120), steps=2, gain=5e-3, trust=0.05, enough=2e-3),
                 )
             ),

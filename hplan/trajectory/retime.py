@@ -195,10 +195,10 @@ def _sample(
         torque = dynamics.torques(rows.position, rows.velocity, rows.acceleration)
         excess = 0.0
         if limits.torque is not None:
-            excess = _torque_excess(dynamics, rows.position, torque, limits.torque)
+            excess = torque_excess(dynamics, rows.position, torque, limits.torque)
             if period > TORQUE_PERIOD_S:
                 q, v, a = _between(rows, period)
-                excess = max(excess, _torque_excess(dynamics, q, dynamics.torques(q, v, a), limits.torque))
+                excess = max(excess, torque_excess(dynamics, q, dynamics.torques(q, v, a), limits.torque))
         if excess <= 1.0:
             time = np.arange(len(torque), dtype=np.float64) * period
             made = time, rows.position, rows.velocity, rows.acceleration, torque, joints_that_slide(dynamics.model)
@@ -238,7 +238,7 @@ def _between(rows: _Rows, period: float) -> tuple[FloatArray, FloatArray, FloatA
     return position, velocity, acceleration
 
 
-def _torque_excess(dynamics: InverseDynamics, position: FloatArray, torque: FloatArray, limit: FloatArray) -> float:
+def torque_excess(dynamics: InverseDynamics, position: FloatArray, torque: FloatArray, limit: FloatArray) -> float:
     """The time-scaling factor that the torque limits ask for; gravity's part does not shrink with the speed."""
     over = np.abs(torque) > limit * (1.0 + KEPT)
     if not over.any():

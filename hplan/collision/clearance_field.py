@@ -91,7 +91,7 @@ class ClearanceField(Record):
         own = float(growth.min()) if own_clearance is None and growth.size else own_clearance or 0.0
         flat = FlatBodies.of(robot, own, deviation)
         solids, data, owner = rows_of(obstacles, growth, joints)
-        return cls(flat.movers, flat.numbers, readonly(solids), readonly(data), readonly(owner, np.int64))
+        return cls(flat.movers, flat.numbers, frozen(solids), frozen(data), frozen(owner))
 
     def only(self, kept: BoolArray, *, arm: bool = True) -> ClearanceField:
         """The field of some of the solids, and of the arm itself.

@@ -19,6 +19,7 @@ from hplan.base import ties
 from hplan.base.arrays import FloatArray, Record
 from hplan.base.deadline import check_deadline
 from hplan.certificate.motion_bound import pair_sways
+from hplan.collision.box_bounds import CENTRE, HALF, RADIUS
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.coal_scene import CoalScene, OwnContact, base_contacts
 from hplan.collision.giving_way import LinkedSolids
@@ -189,9 +190,10 @@ class World(Record):
         Raises:
             InputError: There is one; names it, the body and the depth.
         """
-        rows = self.field.solids
-        in_reach = np.linalg.norm(rows[:, 2:5], axis=1) <= rows[:, 5] + base_radius(self.robot)
-        close = [self.linked.solids[i] for i in np.unique(self.field.owner[in_reach]).tolist() if i >= 0]
+        boxes = self.checker.boxes[0][len(self.checker.parts.all_shapes) :]
+        sizes = np.linalg.norm(boxes[:, HALF:RADIUS], axis=1) + boxes[:, RADIUS]
+        in_reach = np.linalg.norm(boxes[:, CENTRE:HALF], axis=1) <= sizes + base_radius(self.robot)
+        close = [solid for solid, near in zip(self.solids, in_reach.tolist(), strict=True) if near]
         contacts = base_contacts(self.robot, close, yaw, margin=-BASE_DEPTH)
         if contacts:
             worst = contacts[ties.argmin([contact.distance_m for contact in contacts])]

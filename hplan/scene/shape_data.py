@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import io
+import math
 import os
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -17,7 +18,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hplan.base.arrays import FloatArray, IntArray, as_array, readonly
+from hplan.base.arrays import FloatArray, IntArray, as_array, frozen, readonly
 from hplan.base.files import ByteBudget, write_text
 from hplan.scene.convex_decomposition import Pieces, convex_pieces
 from hplan.scene.limits import FARTHEST_M, MOST_POINTS, MOST_TRIANGLES
@@ -142,7 +143,7 @@ class PointSet(_Cached):
             raise ValueError(
                 f"the cloud has {len(found)} points; thin it to at most {MOST_POINTS}, by voxels of about its radius"
             )
-        return cls(readonly(found), left_out, may_merge)
+        return cls(frozen(found), left_out, may_merge)
 
 
 def read_surface(path: Path, budget: ByteBudget) -> Surface:
@@ -222,19 +223,20 @@ def _load(path: Path, budget: ByteBudget, formats: tuple[str, ...], what: str) -
 
 def _checked_points(points: ArrayLike, what: str, farthest: float) -> FloatArray:
     try:
-        found = as_array(points).astype(np.float64, casting="same_kind")
+        found = as_array(points).astype(np.float64, order="C", casting="same_kind")
     except (TypeError, ValueError, OverflowError) as error:
         raise ValueError(f"{what} should be (n, 3) numbers") from error
     if found.size == 0:
         raise ValueError(f"there are no {what}")
     if found.ndim != 2 or found.shape[1] != 3:
         raise ValueError(f"{what} should be (n, 3) numbers, got shape {found.shape}")
-    if not np.isfinite(found).all():
+    largest = max(float(found.max()), -float(found.min()))
+    if not math.isfinite(largest):
         bad = ~np.isfinite(found).all(axis=1)
         first = int(bad.argmax())
         raise ValueError(f"{int(bad.sum())} of {len(found)} {what} are not finite; the first is number {first}")
-    if float(np.abs(found).max()) > farthest:
-        raise ValueError(f"{what} reach {float(np.abs(found).max()):.3g}; expected metres, at most {farthest:g}")
+    if largest > farthest:
+        raise ValueError(f"{what} reach {largest:.3g}; expected metres, at most {farthest:g}")
     return found
 
 

@@ -211,5 +211,5 @@ def mark_near(path: FloatArray, arrays: FieldArrays, distance: float, near: Bool
                     centre = (solids[s, row.CENTRE], solids[s, row.CENTRE + 1], solids[s, row.CENTRE + 2])
                     beyond = distance + solids[s, row.BOUND] + movers[b, flat.AXIS_RADIUS]
                     near[s] = point_segment(centre, start, along) <= beyond
-                    if not near[s] and solids[s, row.KIND] == row.NODE and solids[s, row.IS_ROOT] < 0.0:
+                    if not near[s] and solids[s, row.KIND] == row.NODE:
                         following = int(solids[s, row.NEXT])

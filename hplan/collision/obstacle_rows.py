@@ -35,9 +35,8 @@ RANGE = -2
 
 #: Columns of one kind, from `SHAPE` on. Point: its place (3). Segment: its two ends (3 each). Box: its half sizes (3),
 #: then its axes (3 rows of 3). Hull, of `solid_rows` alone: where its facets begin in the data, where its edges begin
-#: and end. Leaf: where its points begin and end there. Node: 1 where it is a tree's first, -1 where it is a group of
-#: solids.
-SHAPE, SECOND_END, AXES, _FACETS, _EDGES, _EDGES_END, POINTS, POINTS_END, IS_ROOT = 6, 9, 9, 6, 7, 8, 6, 7, 8
+#: and end. Leaf: where its points begin and end there.
+SHAPE, SECOND_END, AXES, _FACETS, _EDGES, _EDGES_END, POINTS, POINTS_END = 6, 9, 9, 6, 7, 8, 6, 7
 
 #: Of `rows_of`, every kind that is one hull also has the place of its corners in the data. Two numbers stand before
 #: them: the place of their end, and that of their table (`hplan.scene.corner_table`) behind them, 0 for none.
@@ -198,7 +197,7 @@ def grouped(rows: FloatArray, owner: IntArray) -> tuple[FloatArray, IntArray]:
     firsts = np.concatenate([large, small, np.arange(count)])
     ends = np.concatenate([*(np.append(starts[1:], count) for starts in (large, small)), np.arange(1, count + 1)])
     nodes = np.zeros((len(large) + len(small), _COLUMNS))
-    nodes[:, KIND], nodes[:, IS_ROOT] = NODE, -1.0
+    nodes[:, KIND] = NODE
     balls = rows[ordered, CENTRE : BOUND + 1]
     nodes[:, CENTRE : BOUND + 1] = np.concatenate([_around(balls, large), _around(balls, small)])
     # Sorted by the first solid of each, the larger group before the smaller one before the solid.
@@ -315,6 +314,5 @@ def _cloud_rows(cloud: Cloud, clearance: float, offset: int) -> FloatArray:
     rows[:, CENTRE:BOUND] = tree[:, 3:6]
     rows[:, BOUND] = tree[:, 6] * (1.0 + 1e-12) + rows[:, RADIUS]
     rows[:, POINTS : POINTS_END + 1] = offset + 3 * tree[:, :2]
-    rows[:1, IS_ROOT] = 1.0
     rows[:, NEXT] = tree[:, 2]
     return rows

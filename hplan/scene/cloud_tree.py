@@ -2,9 +2,6 @@
 
 Points stand along a curve through cells of a cube about them, by the bits of all three coordinates in turn (Morton). A
 node is a stretch of it, parted where the highest bit changes that does, until few points are left.
-
-Voxels are numbered as they first appear, by a hash table with open addressing: an array of numbers, empty places -1,
-its size a power of two. The cells themselves are rows of three whole numbers; two are one if all three are the same.
 """
 
 from __future__ import annotations
@@ -13,7 +10,7 @@ import math
 
 import numpy as np
 
-from hplan.base.arrays import FloatArray, IntArray, ShortArray
+from hplan.base.arrays import FloatArray, IntArray
 from hplan.base.kernels import inlined, kernel
 
 #: Columns of a node: as in `hplan.scene.solids.Cloud`.
@@ -23,106 +20,32 @@ _COLUMNS = 7
 _NUMBER = 26
 
 
-@inlined
-def cell_hash(i: int, j: int, k: int) -> int:
-    """A number whose last bits differ from cell to cell, neighbours included."""
-    mixed = np.uint64(i) * np.uint64(0x9E3779B97F4A7C15)
-    mixed ^= np.uint64(j) * np.uint64(0xC2B2AE3D27D4EB4F)
-    mixed ^= np.uint64(k) * np.uint64(0x165667B19E3779F9)
-    mixed ^= mixed >> np.uint64(29)
-    mixed *= np.uint64(0xBF58476D1CE4E5B9)
-    return np.int64(mixed >> np.uint64(34))  # type: ignore[return-value]  # an int to numba
-
-
-@kernel
-def cell_place(i: int, j: int, k: int, cells: IntArray, table: ShortArray) -> int:
-    """The place in the table where a cell's number stands, or where it belongs: there stands -1."""
-    mask = len(table) - 1
-    place = cell_hash(i, j, k) & mask
-    number = table[place]
-    while number >= 0 and (cells[number, 0] != i or cells[number, 1] != j or cells[number, 2] != k):
-        place = (place + 1) & mask
-        number = table[place]
-    return place
-
-
-@kernel
-def number_cells(rows: IntArray) -> tuple[ShortArray, int]:
-    """Number equal rows alike, in the order in which they first appear.
-
-    Args:
-        rows: (n, 3) whole numbers.
-
-    Returns:
-        (n,) numbers, and how many different ones there are.
-    """
-    size = 64
-    while size < 2 * rows.shape[0]:
-        size *= 2
-    numbers = np.empty(rows.shape[0], dtype=np.int32)
-    cells = np.empty((rows.shape[0], 3), dtype=np.int64)
-    table = np.full(size, -1, dtype=np.int32)
-    count = 0
-    for row in range(rows.shape[0]):
-        i, j, k = rows[row, 0], rows[row, 1], rows[row, 2]
-        place = cell_place(i, j, k, cells, table)
-        if table[place] < 0:
-            table[place] = count
-            cells[count, 0], cells[count, 1], cells[count, 2] = i, j, k
-            count += 1
-        numbers[row] = table[place]
-    return numbers, count
-
-
 def merged(points: FloatArray, edge: float) -> tuple[FloatArray, float]:
     """Points of one voxel as the middle of the box about them, where that makes them notably fewer.
 
     Args:
-        points: (n, 3) points [m]; such as are equal become one in any case.
+        points: (n, 3) points [m].
         edge: Edge of a voxel [m].
 
     Returns:
         (m, 3) fewer points, and the distance of the farthest old one from its new one [m].
     """
-    points = points + 0.0  # so that -0.0 and 0.0 are one
-    numbers, count = number_cells(points.view(np.int64))
-    if count < len(points):
-        points, _ = box_centres(points, numbers, count)
-    numbers, count = number_cells(np.floor(points / edge).astype(np.int64))
+    cells = np.floor(points / edge).astype(np.int64)
+    cells -= cells.min(axis=0)
+    sizes = tuple((cells.max(axis=0) + 1).tolist())
+    if math.prod(sizes) >= 2**63:  # they are kilometres apart
+        return points, 0.0
+    keys = np.ravel_multi_index(tuple(cells.T), sizes)
+    order = np.argsort(keys)
+    firsts = np.flatnonzero(np.diff(keys[order], prepend=-1))
     # Points are merged where that leaves at most this fraction of the balls.
     worth_merging = 0.7
-    if count > worth_merging * len(points):
+    if len(firsts) > worth_merging * len(points):
         return points, 0.0
-    return box_centres(points, numbers, count)
-
-
-@kernel
-def box_centres(points: FloatArray, numbers: ShortArray, count: int) -> tuple[FloatArray, float]:
-    """The middle of the box about the points of each number.
-
-    Args:
-        points: (n, 3) points.
-        numbers: (n,) number of each.
-
-    Returns:
-        (count, 3) middles, and the distance of the farthest point from its one.
-    """
-    low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
-    for i in range(points.shape[0]):
-        number = numbers[i]
-        for axis in range(3):
-            low[number, axis] = min(low[number, axis], points[i, axis])
-            high[number, axis] = max(high[number, axis], points[i, axis])
-    for number in range(count):
-        for axis in range(3):
-            if low[number, axis] < high[number, axis]:  # else it stays, to the last digit
-                low[number, axis] = 0.5 * (low[number, axis] + high[number, axis])
-    farthest = 0.0
-    for i in range(points.shape[0]):
-        number = numbers[i]
-        dx, dy, dz = points[i, 0] - low[number, 0], points[i, 1] - low[number, 1], points[i, 2] - low[number, 2]
-        farthest = max(farthest, dx * dx + dy * dy + dz * dz)
-    return low, math.sqrt(farthest)
+    points = np.take(points, order, axis=0)
+    middles: FloatArray = 0.5 * (np.minimum.reduceat(points, firsts) + np.maximum.reduceat(points, firsts))
+    away = points - np.repeat(middles, np.diff(firsts, append=len(points)), axis=0)
+    return middles, float(np.linalg.norm(away, axis=1).max())
 
 
 @inlined

@@ -15,7 +15,7 @@ from hplan.base.data_files import scenes_dir
 from hplan.collision.coal_scene import CoalScene, base_contacts
 from hplan.errors import OptionError
 from hplan.robot.model import load_robot
-from hplan.scene.cloud_tree import box_centres, number_cells, tree_of
+from hplan.scene.cloud_tree import merged, tree_of
 from hplan.scene.file import dump_scene, load_scene
 from hplan.scene.obstacles import Capsule, Sphere
 from hplan.scene.orchard import SHIPPED, TUCKED_DEG, FruitZone, OrchardOptions, fruit_at_tips, generate
@@ -316,28 +316,30 @@ def test_distances_from_wood(pieces, point):
     np.testing.assert_allclose(Canopy(wood, 0.04, FruitZone()).wood_distances(np.array(point)), expected, atol=1e-6)
 
 
-@settings(max_examples=30)
-@given(st.integers(0, 10_000), st.integers(0, 500), st.sampled_from([1, 3, 10, 2**40]))
-def test_cells_are_numbered_as_they_first_appear(seed, count, span):
-    rows = np.random.default_rng(seed).integers(-span, span + 1, (count, 3))
-    numbers, cells = number_cells(rows)
-    seen: dict[tuple[int, ...], int] = {}
-    expected = [seen.setdefault(tuple(row), len(seen)) for row in rows.tolist()]
-    assert numbers.tolist() == expected
-    assert cells == len(seen)
+@settings(max_examples=40)
+@given(st.integers(0, 10_000), st.integers(1, 300), st.sampled_from([0.02, 0.2, 0.5]))
+def test_points_of_one_voxel_become_the_middle_of_their_box(seed, count, edge):
+    points = np.random.default_rng(seed).uniform(-1, 1, (count, 3))
+    middles, farthest = merged(points, edge)
+    voxels = np.floor(points / edge)
+    own = [points[(voxels == voxel).all(axis=1)] for voxel in np.unique(voxels, axis=0)]
+    if len(own) > 0.7 * count:
+        np.testing.assert_array_equal(middles, points)
+        assert farthest == 0.0
+        return
+    boxes = [(inside.min(axis=0), inside.max(axis=0)) for inside in own]
+    np.testing.assert_array_equal(sorted(map(tuple, middles)), sorted(tuple(0.5 * (low + high)) for low, high in boxes))
+    away = np.linalg.norm(points[:, None] - middles, axis=2).min(axis=1).max()
+    assert away <= farthest + 1e-12
+    needed = [np.linalg.norm(i - 0.5 * (low + high), axis=1).max() for i, (low, high) in zip(own, boxes, strict=True)]
+    assert farthest == pytest.approx(max(needed), rel=1e-12)
 
 
-@settings(max_examples=30)
-@given(st.integers(0, 10_000), st.integers(1, 300), st.integers(1, 40))
-def test_middles_of_boxes(seed, count, groups):
-    rng = np.random.default_rng(seed)
-    points, numbers = rng.uniform(-1, 1, (count, 3)), rng.integers(0, groups, count).astype(np.int32)
-    _, numbers = np.unique(numbers, return_inverse=True)
-    middles, farthest = box_centres(points, numbers.astype(np.int32), int(numbers.max()) + 1)
-    for number, middle in enumerate(middles):
-        inside = points[numbers == number]
-        np.testing.assert_array_equal(middle, 0.5 * (inside.min(axis=0) + inside.max(axis=0)))
-    assert farthest == pytest.approx(np.linalg.norm(points - middles[numbers], axis=1).max(), rel=1e-12)
+def test_points_too_far_apart_for_numbers_of_their_voxels_stay():
+    points = np.random.default_rng(0).choice([-9e3, 9e3], (40, 3))
+    middles, farthest = merged(points, 1e-3)
+    np.testing.assert_array_equal(middles, points)
+    assert farthest == 0.0
 
 
 @pytest.mark.parametrize("kind", ["random", "one place", "steps", "line", "sorted", "strays"])

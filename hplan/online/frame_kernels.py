@@ -85,7 +85,7 @@ class Scratch:
     """
 
     def __init__(self) -> None:
-        self._rows: ShortArray = np.empty((3, 0), dtype=np.int32)
+        self._rows: ShortArray = np.empty((2, 0), dtype=np.int32)
         self._placed: FloatArray = np.empty((0, 3))
         self._voxels: FloatArray = np.empty((0, COUNT + 1))
         first_blocks = 4096
@@ -108,8 +108,8 @@ class Scratch:
             reason. All but the last until the next frame is put.
         """
         if self._rows.shape[1] < len(points):
-            self._rows = np.empty((3, len(points)), dtype=np.int32)
-        rows, numbers, order = self._rows
+            self._rows = np.empty((2, len(points)), dtype=np.int32)
+        rows, numbers = self._rows
         found = Found(np.zeros(3, dtype=np.int64), rows, numbers, np.zeros(4, dtype=np.int64))
         self._table[:, _KEY] = -1
         while True:
@@ -124,7 +124,7 @@ class Scratch:
         if len(self._placed) < kept:
             self._placed, self._voxels = np.empty((kept, 3)), np.empty((kept, COUNT + 1))
         blocks, placed = self._blocks[:count], self._placed[:kept]
-        _sort_by_block(points, placement, found, blocks, order, placed)
+        _sort_by_block(points, placement, found, blocks, placed)
         # Of the sorted points the blocks are known: voxels are numbered where these stood.
         voxels = _fill(placed, placement, blocks, self._voxels, numbers)
         return self._voxels[:voxels], placed, numbers[:kept], found.tally
@@ -243,7 +243,7 @@ def _parts_inside(middle: Vector, arm: Bodies, ignored: Bodies, side: float) -> 
 
 @kernel
 def _sort_by_block(
-    points: FloatArray, placement: Placement, found: Found, blocks: IntArray, order: ShortArray, placed: FloatArray
+    points: FloatArray, placement: Placement, found: Found, blocks: IntArray, placed: FloatArray
 ) -> None:
     """Write the points that stay in the order of their blocks; a block gets where those after it begin."""
     rotation, position, rows, in_block = placement.rotation, placement.position, found.rows, found.in_block
@@ -252,12 +252,10 @@ def _sort_by_block(
         count = blocks[number, _POINTS]
         blocks[number, _POINTS] = begin
         begin += count
-    for place in range(begin):
-        number = in_block[place]
-        order[blocks[number, _POINTS]] = rows[place]
+    for row in range(begin):
+        n, number = rows[row], in_block[row]
+        place = blocks[number, _POINTS]
         blocks[number, _POINTS] += 1
-    for place in range(begin):
-        n = order[place]
         placed[place, 0], placed[place, 1], placed[place, 2] = _transformed(
             np.float64(points[n, 0]), np.float64(points[n, 1]), np.float64(points[n, 2]), rotation, position
         )

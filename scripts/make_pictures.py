@@ -11,6 +11,7 @@ each a picture, what it prints, and where there is a motion in a scene its page;
 from __future__ import annotations
 
 import base64
+import contextlib
 import io
 import os
 import re
@@ -102,11 +103,16 @@ def browse(html: str, folder: Path, action: str, size: tuple[int, int]) -> subpr
     chromium = shutil.which("chromium")
     if chromium is None:
         raise SystemExit("pictures are drawn by chromium, which is not installed")
-    page = folder / "page.html"
+    page, window = folder / "page.html", "--window-size={},{}".format(*size)
     page.write_text(html, encoding="utf-8")
-    window, profile = "--window-size={},{}".format(*size), f"--user-data-dir={folder / 'profile'}"
-    command = [chromium, *CHROMIUM, window, profile, action, page.as_uri()]
-    return subprocess.run(command, capture_output=True, text=True, timeout=300, check=True)
+    # On a busy machine Chromium may hang as it starts: it is started again, with a profile of its own.
+    tries, patience_s = 4, 75.0
+    for number in range(tries):
+        profile = f"--user-data-dir={folder / f'profile {number}'}"
+        command = [chromium, *CHROMIUM, window, profile, action, page.as_uri()]
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            return subprocess.run(command, capture_output=True, text=True, timeout=patience_s, check=True)
+    raise RuntimeError(f"Chromium was started {tries} times and drew nothing within {patience_s:g} s")
 
 
 def few_colors(drawn: list[Image.Image]) -> list[Image.Image]:

@@ -111,9 +111,9 @@ EFFORTS: dict[EffortName, Effort] = {
         trees=TreesEffort(8, 2_000),
         planar=TreesEffort(2, 1_000),
         grids=_GRIDS,
-        close=1.08,
+        close=1.04,
         starts=StartsEffort(
-            OptimizerEffort((_COARSE, Level(piece_s=0.03, pieces=(50, 120), steps=3, gain=5e-3, trust=0.05))),
+            OptimizerEffort((_COARSE, Level(piece_s=0.03, pieces=(50, 120), steps=6, gain=5e-3, trust=0.1))),
             rough=8,
             others=4,
             finished=1,
@@ -158,8 +158,8 @@ EFFORTS_OF_BODIES: dict[EffortName, Effort] = {
         starts=StartsEffort(
             OptimizerEffort(
                 (
-                    replace(_COARSE, trust=1.0, enough=7e-3),
-                    Level(piece_s=0.03, pieces=(50, 120), steps=2, gain=5e-3, trust=0.05, enough=2e-3),
+                    replace(_COARSE, trust=0.6, enough=7e-3),
+                    Level(piece_s=0.03, pieces=(50, 120), steps=3, gain=5e-3, trust=0.2, enough=2e-3),
                 )
             ),
             rough=2,

@@ -12,7 +12,6 @@ from hplan.certificate.digests import scene_digest
 from hplan.collision.giving_way import HANGING_M, pushing_links, yielded
 from hplan.errors import BlockedError, ConfigurationInCollisionError, OptionError, SceneError
 from hplan.grid.sections import sections_at
-from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
 from hplan.planning.world import World
 from hplan.robot.model import load_robot
@@ -67,7 +66,7 @@ def motions(arm):
         scene = orchard(seed)
         scene = scene.model_copy(update={"goal": Goal(fruit=scene.fruits[fruit].name)})
         try:
-            result = plan(arm, scene, PlanOptions(effort="quick"))
+            result = plan(arm, scene)
         except BlockedError:
             continue
         found.append((scene, result, *depths(arm, scene, result)))
@@ -187,7 +186,7 @@ def hanging(arm):
         scene = orchard(seed, wood_yields=0.0, fruit_yields=0.0, hangs_within=0.02)
         scene = scene.model_copy(update={"goal": Goal(fruit=scene.fruits[fruit].name)})
         try:
-            result = plan(arm, scene, PlanOptions(effort="quick"))
+            result = plan(arm, scene)
         except BlockedError:
             continue
         if result.certificate.pushes:

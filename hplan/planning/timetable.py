@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection, Mapping, Sequence
 from typing import Final
 
 import numpy as np
 
-from hplan.base.arrays import FloatArray
+from hplan.base.arrays import BoolArray, FloatArray, IntArray
 from hplan.base.deadline import check_deadline
+from hplan.base.kernels import kernel
 from hplan.planning.cell import Cell, between
 from hplan.planning.options import PlanOptions
 from hplan.trajectory.cubics import Rows
@@ -83,6 +85,91 @@ class Timetable:
         count = max(1, math.ceil(motion.duration / self._step - 1e-9))
         return motion.positions(np.minimum(np.arange(count + 1) * self._step, motion.duration))
 
+    def run_together(
+        self,
+        motions: Mapping[str, Sequence[Trajectory]],
+        sooner_than: float,
+        known: dict[tuple[str, str], FloatArray],
+        turned: Collection[str],
+    ) -> bool:
+        """Let arms that stand at their starts run motions one after the other so that all are done soonest.
+
+        Each waits where it rests alone: what two arms have done at an instant is a place in a square, and how they go
+        on a path through it, around where they are too near to each other. Further arms are put in one by one.
+
+        Args:
+            known: Distances in the square of the first two, for the next call.
+            turned: Who goes the other way round than when these were taken.
+
+        Returns:
+            False where no such way was found that is done sooner than a time [s].
+        """
+        # Samples of the square, and what is kept at them beyond the rest, in turn: arms go on between them [m].
+        every, beyond = 15, (0.02, 0.01, 0.003)
+        step = every * self._step
+        arms = sorted(motions, key=lambda name: -sum(motion.duration for motion in motions[name]))
+        ends, rests, places = dict[str, list[int]](), dict[str, BoolArray](), dict[str, FloatArray]()
+        for name in arms:
+            whole = joined(motions[name])
+            done = np.rint(np.cumsum([motion.duration for motion in motions[name]]) / step).astype(int)
+            ends[name] = [0, *done.tolist()]
+            places[name] = whole.positions(np.linspace(0.0, whole.duration, done[-1] + 1))
+            rests[name] = np.isin(np.arange(done[-1] + 1), ends[name])
+        for more in beyond:
+            at = {arms[0]: np.arange(len(places[arms[0]]))}
+            for name in arms[1:]:
+                first = {other: places[other][at[other]] for other in at}
+                turns = (slice(None, None, -1 if each in turned else 1) for each in (arms[0], name))
+                if len(at) > 1:
+                    apart = self._distances(first, name, places[name])
+                elif (arms[0], name) in known:
+                    apart = known[arms[0], name][tuple(turns)]
+                else:
+                    apart = self._distances(first, name, places[name])
+                    known[arms[0], name] = apart[tuple(turns)]
+                still = np.all([rests[other][at[other]] for other in at], axis=0)
+                way = _soonest(apart > self._least + more, still, rests[name])
+                at = {other: at[other][way[:, 0]] for other in at} | {name: way[:, 1]}
+            if not 0.0 <= (len(at[arms[0]]) - 1) * step < sooner_than:
+                continue
+            start = dict(self.places)
+            for name in arms:
+                begin, own = 0.0, [start[name]]
+                for rest, motion in zip(ends[name], motions[name], strict=False):
+                    waits = every * (np.count_nonzero(at[name] == rest) - 1)
+                    begin += waits * self._step
+                    self.legs[name].append((begin, motion))
+                    begin += motion.duration
+                    own += [np.repeat(own[-1][-1:], waits, axis=0), self._sampled(motion)[1:]]
+                self.places[name] = np.concatenate(own)
+            if all(self._is_clear(name, self.places[name], 0) for name in arms):
+                return True
+            self.places, self.legs = start, {name: [] for name in self.legs}
+        return False
+
+    def _distances(self, first: Mapping[str, FloatArray], name: str, then: FloatArray) -> FloatArray:
+        """(n, m) of an arm at each of m places from others at each of n; inf where they are far apart [m]."""
+        n, m = len(next(iter(first.values()))), len(then)
+
+        def apart(i: IntArray, j: IntArray) -> FloatArray:
+            q = np.tile(self._cell.configuration({}), (len(i), 1))
+            for other, places in first.items():
+                q[:, self._cell.arm(other).joints] = places[i]
+            q[:, self._cell.arm(name).joints] = then[j]
+            return between(self._cell, q, name, list(first))
+
+        # Of squares of so many samples the middles first: what is so far apart there is far apart in all of it [m].
+        size, far = 4, 0.3
+        i, j = np.meshgrid(np.arange(0, n, size), np.arange(0, m, size), indexing="ij")
+        middle = apart(np.minimum(i + size // 2, n - 1).ravel(), np.minimum(j + size // 2, m - 1).ravel())
+        near = np.kron((middle <= far).reshape(i.shape), np.ones((size, size), dtype=np.bool_))[:n, :m]
+        found = np.full((n, m), math.inf)
+        for begin in range(0, n, 64):  # as many as fit the memory, whatever the tours
+            check_deadline()
+            rows, columns = np.nonzero(near[begin : begin + 64])
+            found[rows + begin, columns] = apart(rows + begin, columns)
+        return found
+
     def set_out(self, name: str, motion: Trajectory) -> bool:
         """Let an arm run a motion from where it is, as soon as there is room; False where there never is."""
         own = self.places[name]
@@ -122,3 +209,45 @@ def _standing(motion: Trajectory, seconds: float) -> Trajectory:
     still = np.zeros_like(position)
     rows = Rows(np.array([0.0, seconds]), position, still, still, torque)
     return Trajectory(motion.joint_names, *rows, motion.slides)
+
+
+def _soonest(clear: BoolArray, first: BoolArray, then: BoolArray) -> IntArray:
+    """(k, 2) how far two have come step by step, both done soonest; (0, 2) where there is no way.
+
+    Args:
+        clear: (n, m) where both may be at once.
+        first: (n,) where the first may wait.
+        then: (m,) where the second may.
+    """
+    steps = _steps(clear, first, then)
+    i, j = clear.shape[0] - 1, clear.shape[1] - 1
+    found = [(i, j)] if steps[i, j] >= 0 else []
+    while found and (i or j):
+        before = steps[i, j] - 1
+        if i and j and steps[i - 1, j - 1] == before:
+            i, j = i - 1, j - 1
+        elif i and then[j] and steps[i - 1, j] == before:
+            i -= 1
+        else:
+            j -= 1
+        found.append((i, j))
+    return np.array(found[::-1], dtype=np.int64).reshape(-1, 2)
+
+
+@kernel
+def _steps(clear: BoolArray, first: BoolArray, then: BoolArray) -> IntArray:
+    """(n, m) the least number of steps in which two come as far; below 0 where they never do."""
+    n, m = clear.shape
+    steps, never = np.full((n, m), -1), n + m
+    for i in range(n):
+        for j in range(m):
+            least = 0 if i + j == 0 else never
+            if i > 0 and j > 0 and steps[i - 1, j - 1] >= 0:
+                least = steps[i - 1, j - 1] + 1
+            if i > 0 and then[j] and steps[i - 1, j] >= 0:
+                least = min(least, steps[i - 1, j] + 1)
+            if j > 0 and first[i] and steps[i, j - 1] >= 0:
+                least = min(least, steps[i, j - 1] + 1)
+            if clear[i, j] and least < never:
+                steps[i, j] = least
+    return steps

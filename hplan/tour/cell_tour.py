@@ -1,20 +1,21 @@
-"""Arms that pick together: the fruits shared out, each arm's own tour, its parts set out when the others leave room.
+"""Arms that pick together: the fruits shared out, each arm's own tour, and who waits for whom.
 
-Who reaches a fruit alone picks it; of the others each arm takes those that are near, as many as its neighbours, or,
-where all ends sooner for it, one the low and another the high ones. Each arm's tour is planned by itself, past others
-where they begin, with all fruits hanging that are not its own; fruit to which it finds no motion goes to another that
-can pick it. It is as it would be alone, at rest at the fruits: from rest to rest each part begins as soon as what the
-other arms are already to do leaves room, and nobody moves before that holds for ever after. Who cannot go on waits or,
-where all ends sooner for it, goes around the others where they stand, through its other fruits as is then best; where
-nobody can, one has to: there is no deadlock, at worst a fruit that stays. In the end all arms against one another are
-certified as one motion.
+Who reaches a fruit alone picks it; the others are shared out so that all arms are done soonest (`hplan.tour.sharing`).
+Each arm's tour is planned by itself, past others where they begin, with all fruits hanging that are not its own; fruit
+to which it finds no motion goes to another that can pick it. What is found of motions makes the next shares better
+known. Tours are run as they are or the other way round, each arm waiting where it rests, as all are done soonest so.
+
+Where waits are not enough, each part of a tour, from rest to rest, begins as soon as what the other arms are already to
+do leaves room, and nobody moves before that holds for ever after. Where nobody can go on so, one goes around the others
+where they stand, through its other fruits as is then best: there is no deadlock, at worst a fruit that stays. In the
+end all arms against one another are certified as one motion.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -23,7 +24,7 @@ from typing import Any, Final, NamedTuple, TypeAlias
 import numpy as np
 
 from hplan.base.arguments import instance
-from hplan.base.arrays import Record
+from hplan.base.arrays import FloatArray, Record
 from hplan.base.deadline import Cancel, TimeIsUpError, time_limit
 from hplan.base.lazy_import import InNotebook
 from hplan.certificate.certificate import Certificate
@@ -38,19 +39,13 @@ from hplan.planning.world import World
 from hplan.scene.model import Fruit, Goal
 from hplan.tour.carried import carrying
 from hplan.tour.result import Leg, TourResult
+from hplan.tour.sharing import Share, exchanged, first_share, nearness
 from hplan.tour.tour import TourOptions, TourPlanner
 from hplan.trajectory.trajectory import Phase, Trajectory
 
 #: An arm that moves no faster rests [rad/s, m/s]; times so near are the same [s].
 _AT_REST: Final = 1e-9
 _SAME_S: Final = 1e-6
-
-#: So many fruits change hands for tours that end together, while these differ by more than this much of a fruit's time.
-_BALANCINGS: Final = 2
-_UNEVEN: Final = 0.5
-
-#: Around others an arm goes at once, rather than wait, where it takes no more longer than this many fruits do.
-_DETOUR: Final = 1.0
 
 #: By how much arms that stand are thicker to others that pass them [m]: more than samples have to keep, by `_BEYOND`.
 _BEYOND: Final = 5e-4
@@ -160,29 +155,12 @@ def _planned(cell: Cell, options: PlanOptions, progress: Progress) -> CellTour:
     apart = replace(cell, arms=tuple(_among_others(cell, arm, _THICKER) for arm in cell.arms))
     progress("who reaches what")
     able, reasons = _able(apart, options)
-    names, shared = [arm.name for arm in cell.arms], list[_Shared]()
-    pickers = {
-        arm.name: _Picker(arm, options, [fruit for fruit in able if arm.name in able[fruit]]) for arm in apart.arms
-    }
-    lowest = ((),) if options.effort == "quick" else ((), names, names[::-1])
-    every = [_shares(apart, able, each) for each in lowest]
-    for shares in [each for number, each in enumerate(every) if each not in every[:number]]:
-        without = dict(reasons)
-        tours = _tours(pickers, able, shares, without, progress)
-        if tours:
-            shared += [(each, without) for each in _balanced(apart, pickers, able, tours, progress)]
-    if not shared:
-        raise TourError(list(without.items()))
+    mine = {arm.name: [fruit for fruit in able if arm.name in able[fruit]] for arm in apart.arms}
+    pickers = {arm.name: _Picker(arm, options, mine[arm.name]) for arm in apart.arms if mine[arm.name]}
+    if not pickers:
+        raise TourError(list(reasons.items()))
     for spare in SPARES[1:]:
-        progress("together")
-        ways: _Ways = {}
-        best = list[_Schedule]()
-        for each in sorted(shared, key=_at_best):
-            for order, detour in itertools.product((names, names[::-1]), (0.0, _DETOUR)):
-                if not best or _at_best(each) < best[0].ends:
-                    schedule = _Schedule(cell, options, spare, order, detour, ways).filled(*each)
-                    best = sorted([*best, schedule], key=lambda schedule: schedule.ends)[:1]
-        found = best[0].result()
+        found = _soonest(cell, options, spare, pickers, able, reasons, progress).result()
         if found.between.verified:
             return found
     raise CertificationError("the tours of all arms together cannot be certified: " + found.between.violations[0])
@@ -216,36 +194,33 @@ def _able(cell: Cell, options: PlanOptions) -> tuple[dict[str, list[str]], dict[
     return able, reasons
 
 
-def _shares(cell: Cell, able: Mapping[str, Sequence[str]], lowest: Sequence[str] = ()) -> dict[str, list[str]]:
-    """The fruits of each arm, about as many of each: those near it or, with names, the lowest for the first of them."""
-    bases = {arm.name: np.array(arm.position) for arm in cell.scene.robots}
-    shares: dict[str, list[str]] = {name: [] for name in bases}
-    shared = []
-    for fruit in cell.scene.fruits:
-        names = sorted(able[fruit.name], key=lowest.index) if lowest else list(able[fruit.name])
-        if len(names) == 1:
-            shares[names[0]].append(fruit.name)
-        elif names:
-            near, far = (float(np.linalg.norm(fruit.center - bases[name])) for name in names[:2])
-            shared.append((round(fruit.center[2] if lowest else near - far, 6), fruit.name, names))
-    most = math.ceil((len(shared) + sum(map(len, shares.values()))) / len(shares))
-    for _, fruit_name, names in sorted(shared):  # who is far nearer than the others chooses first
-        with_room = [name for name in names if len(shares[name]) < most]
-        shares[(with_room or names)[0]].append(fruit_name)
-    return shares
-
-
 class _Picker:
     """Tours of an arm, what one finds of motions kept for the others."""
 
     def __init__(self, arm: CellArm, options: PlanOptions, able: Sequence[str]) -> None:
-        """Begin without any; of an arm that never goes to its drop-off it is not asked how it would."""
+        """Begin without any.
+
+        Args:
+            able: The fruits that it may pick.
+        """
         self._arm, self._options, self._able = arm, options, able
         self._tours: dict[frozenset[str], TourResult | TourError] = {}
 
     @cached_property
     def _planner(self) -> TourPlanner:
         return _planner(self._arm, self._options, self._able)
+
+    def share(self, tour: TourResult | None = None) -> Share:
+        """What it can pick, and what it does in a tour."""
+        share = Share(*self._planner.costs(self._able))
+        if tour is None:
+            return share
+        share = replace(share, order=tuple(fruit for fruit in tour.order if fruit in share.grasps))
+        return replace(share, more_s=tour.duration - share.seconds)
+
+    def turned(self, tour: TourResult) -> TourResult | None:
+        """A tour the other way round; None where that is not known to be one."""
+        return self._planner.turned(tour)
 
     def tour(self, fruits: Sequence[str]) -> TourResult:
         """The tour through fruits and home.
@@ -300,40 +275,68 @@ def _tours(
     return tours
 
 
-def _balanced(
-    cell: Cell,
-    pickers: Mapping[str, _Picker],
-    able: Mapping[str, Sequence[str]],
-    tours: dict[str, TourResult],
-    progress: Progress,
-) -> Iterator[dict[str, TourResult]]:
-    """The tours, then with fruit of the longest given to the arm that is done soonest, as long as all end sooner."""
-    yield tours
-    bases = {arm.name: np.array(arm.position) for arm in cell.scene.robots}
-    centers = {fruit.name: np.array(fruit.center) for fruit in cell.scene.fruits}
-    for _ in range(_BALANCINGS):
-        ends = {name: tours[name].duration if name in tours else 0.0 for name in bases}
-        giver, taker = (choose(ends, key=lambda name: (round(ends[name], 6), name)) for choose in (max, min))
-        order = tours[giver].order
-        given = sorted(
-            (round(float(np.linalg.norm(centers[f] - bases[taker]) - np.linalg.norm(centers[f] - bases[giver])), 6), f)
-            for f in order
-            if taker in able[f]
-        )
-        if len(order) < 2 or not given or ends[giver] - ends[taker] < _UNEVEN * ends[giver] / len(order):
-            break
-        progress(f"a fruit of {giver} for {taker}")
-        fruit, has = given[0][1], tours[taker].order if taker in tours else ()
-        shares = {giver: [each for each in order if each != fruit], taker: [*has, fruit]}
-        try:
-            found = tours | {name: pickers[name].tour(share) for name, share in shares.items()}
-        except TourError:
-            break
-        less = sum(len(tour.order) for tour in found.values()) < sum(len(tour.order) for tour in tours.values())
-        if less or max(tour.duration for tour in found.values()) > ends[giver] - _SAME_S:
-            break
-        tours = found
-        yield tours
+def _soonest(
+    cell: Cell, options: PlanOptions, spare: float, pickers: Mapping[str, _Picker], able: Mapping[str, Sequence[str]],
+    reasons: Mapping[str, HplanError], progress: Progress,
+) -> _Schedule:  # fmt: skip
+    """The schedule that ends soonest, of shares that promise to be done sooner by what is known of motions by then.
+
+    Raises:
+        TourError: No arm can pick anything.
+    """
+    every = {name: picker.share() for name, picker in pickers.items()}
+    known = {fruit: [name for name in names if fruit in every[name].grasps] for fruit, names in able.items()}
+    late = {name: [f for f, names in able.items() if names[:1] == [name] and not known[f]] for name in every}
+    near, names, soonest, planned = nearness(cell, every), list(pickers), list[_Schedule](), list[_Shared]()
+    tried, most = list[dict[str, set[str]]](), 8  # shares that are planned from each first one
+    for lowest in ((),) if options.effort == "quick" else ((), names, names[::-1]):
+        weight, kept, first = 1.0, dict[str, TourResult](), first_share(cell, known, lowest)
+        shares = exchanged({name: every[name].over(first[name]) for name in names}, near, weight)
+        for _ in range(most):
+            fruits = {name: set(share.order) for name, share in shares.items()}
+            waits = fruits in tried
+            if not waits:
+                tried.append(fruits)
+                without = dict(reasons)
+                given = {name: [*share.order, *late[name]] for name, share in shares.items()}
+                tours = _tours(pickers, able, given, without, progress)
+                if not tours:
+                    break
+                planned.append((tours, without))
+                progress("together")
+                found = _together(cell, options, spare, pickers, planned[-1], soonest)
+                kept = tours if found or not kept else kept
+                soonest = found or soonest
+                waits = not found or found[0].ends[1] > 1.01 * _at_best(planned[-1])[1]
+            # Where arms wait less of the next shares is to be where another is.
+            weight *= 1.5 if waits else 0.7
+            shares = exchanged({name: picker.share(kept.get(name)) for name, picker in pickers.items()}, near, weight)
+    if not planned:
+        raise TourError(list(reasons.items()))
+    if not soonest:
+        ways: _Ways = {}
+        likely = sorted(planned, key=_at_best)[:3]
+        orders = itertools.product(likely, (names, names[::-1]))
+        filled = (_Schedule(cell, options, spare, order, ways).filled(*each) for each, order in orders)
+        soonest = sorted(filled, key=lambda schedule: schedule.ends)
+    return soonest[0]
+
+
+def _together(
+    cell: Cell, options: PlanOptions, spare: float, pickers: Mapping[str, _Picker], shared: _Shared,
+    sooner: Sequence[_Schedule],
+) -> list[_Schedule]:  # fmt: skip
+    """The schedule of tours, some the other way round, that ends soonest; none where another ends as soon."""
+    found, (tours, reasons), distances = list(sooner), shared, dict[tuple[str, str], FloatArray]()
+    both = [(None, pickers[name].turned(tour)) for name, tour in tours.items()]
+    # With more than two arms not every way round is tried.
+    for turns in itertools.islice(itertools.product(*both), 4):
+        turned = {name: tour for name, tour in zip(tours, turns, strict=True) if tour is not None}
+        if not found or _at_best(shared) < found[0].ends:
+            schedule = _Schedule(cell, options, spare, list(pickers), {})
+            if schedule.together(tours | turned, reasons, found, distances, list(turned)):
+                found = [schedule]
+    return [] if found == list(sooner) else found
 
 
 def _planner(arm: CellArm, options: PlanOptions, fruits: Sequence[str], *, back: bool = True) -> TourPlanner:
@@ -369,12 +372,6 @@ class _Around(NamedTuple):
     parts: list[_Part]
     missed: dict[str, HplanError]
 
-    def takes(self, fruits: Collection[str]) -> float:
-        """How long they take [s]; inf where a fruit stays, or there is no way."""
-        if not self.parts or self.missed.keys() & fruits:
-            return math.inf
-        return _seconds(self.parts)
-
 
 #: Ways around others, by who goes, through which fruits, what it holds, what hangs, and where all stand.
 _Ways: TypeAlias = dict[tuple[Any, ...], _Around]
@@ -399,20 +396,16 @@ class _Schedule:
         unreached: The fruits that are not picked, and why.
     """
 
-    def __init__(
-        self, cell: Cell, options: PlanOptions, spare: float, order: Sequence[str], detour: float, ways: _Ways
-    ) -> None:
+    def __init__(self, cell: Cell, options: PlanOptions, spare: float, order: Sequence[str], ways: _Ways) -> None:
         """Begin with nothing.
 
         Args:
             spare: Distance between arms at samples, as for `Timetable` [m].
             order: Names of the arms; who comes first goes first where several could.
-            detour: An arm goes around others instead of waiting where it then takes no more longer than this many
-                fruits do; with 0.0 it waits as long as another can go on.
             ways: Ways around others that are known, with this spare.
         """
         self.unreached: dict[str, HplanError] = {}
-        self._order, self._detour, self._ways = order, detour, ways
+        self._order, self._ways = order, ways
         self._cell, self._options, self._thicker = cell, options, spare + _BEYOND
         self._table = Timetable(cell, options, spare)
         self._tours: dict[str, list[TourResult]] = {arm.name: [] for arm in cell.arms}
@@ -425,6 +418,24 @@ class _Schedule:
         """How many fruits are not picked, and when the last arm is done [s], rounded."""
         return len(self.unreached), round(self._table.duration, 6)
 
+    def together(
+        self, tours: Mapping[str, TourResult], reasons: Mapping[str, HplanError], others: Sequence[_Schedule],
+        distances: dict[tuple[str, str], FloatArray], turned: Collection[str],
+    ) -> bool:  # fmt: skip
+        """True where the tours, each arm waiting where it rests, can be done sooner than others; they are set out then.
+
+        Further arguments are those of `Timetable.run_together`.
+        """
+        parts, self.unreached = {name: _parts(tour) for name, tour in tours.items()}, dict(reasons)
+        sooner = min((other.ends[1] for other in others if other.ends[0] <= len(reasons)), default=math.inf)
+        motions = {name: [part.motion for part in own] for name, own in parts.items()}
+        if not self._table.run_together(motions, sooner, distances, turned):
+            return False
+        for name, own in parts.items():
+            for part, (begin, _) in zip(own, self._table.legs[name], strict=True):
+                self._note(name, part, begin)
+        return True
+
     def filled(self, tours: Mapping[str, TourResult], reasons: Mapping[str, HplanError]) -> _Schedule:
         """The tours with all their parts set out; fruit to which an arm never can go is left out."""
         left = {name: _parts(tour) for name, tour in tours.items()}
@@ -434,15 +445,14 @@ class _Schedule:
             able = [name for name in left if left[name] and name not in waiting]
             name = min(able or (name for name in left if left[name]), key=self._turn)
             if able and self._table.set_out(name, left[name][0].motion):
-                self._note(name, left[name].pop(0))
+                self._note(name, left[name].pop(0), self._table.legs[name][-1][0])
                 waiting.clear()
                 continue
-            fruits = sorted({fruit for part in left[name] for fruit in part.tour.order if fruit not in self._picked})
-            longest = (1.0 + self._detour / (1 + len(fruits))) * _seconds(left[name])
-            around = self._around(name, fruits) if self._detour or not able else None
-            if around is None or (able and around.takes(fruits) > longest):
+            if able:
                 waiting.add(name)
                 continue
+            fruits = sorted({fruit for part in left[name] for fruit in part.tour.order if fruit not in self._picked})
+            around = self._around(name, fruits)
             self._gone.add(self._state(name))
             left[name] = list(around.parts)
             self.unreached |= around.missed
@@ -453,12 +463,12 @@ class _Schedule:
         """When an arm's turn is: who is done soonest goes on."""
         return len(self._table.places[name]), self._order.index(name)
 
-    def _note(self, name: str, part: _Part) -> None:
-        """Keep what is done in a part of an arm's tour that was set out."""
+    def _note(self, name: str, part: _Part, begin: float) -> None:
+        """Keep what is done in a part of an arm's tour that begins at a time [s]."""
         tour, end = part.tour, part.begin_s + part.motion.duration
         if tour not in self._tours[name]:
             self._tours[name].append(tour)
-        later = self._table.legs[name][-1][0] - part.begin_s
+        later = begin - part.begin_s
         for found, times in ((self._picked, tour.picked), (self._dropped, tour.dropped)):
             found |= {fruit: t + later for fruit, t in times.items() if part.begin_s < t - _SAME_S < end}
         inside = (phase for phase in tour.phases if part.begin_s < 0.5 * (phase.start_s + phase.end_s) < end)

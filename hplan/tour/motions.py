@@ -32,7 +32,7 @@ import numpy as np
 from hplan.base import ties
 from hplan.base.arrays import FloatArray, IntArray, readonly
 from hplan.errors import HplanError, UnreachableError
-from hplan.planning.approach import Approach, blended
+from hplan.planning.approach import Approach, blended, retreat_of
 from hplan.planning.failures import NO_MOTION
 from hplan.planning.grasps import Grasp, Target, grasps
 from hplan.planning.motion import Motion, Transit, last, seconds
@@ -143,6 +143,22 @@ class Motions:
         self.fruits = [name for name in self._names if name in fruits]
         self._numbers = np.flatnonzero([name in fruits for name in self._names])
 
+    def costs(self) -> tuple[dict[str, FloatArray], Costs]:
+        """The (k, dof) configurations at each fruit of the tour that are looked at, and what it costs to go there."""
+        goals = [np.array([self._places[place].grasp.goal for place in active]) for active in self._active]
+        numbers = self._numbers.tolist()
+        return {self._names[number]: goals[number] for number in numbers}, self._costs(self._active_places)
+
+    def through(self, grasps: Sequence[Grasp]) -> Visits | None:
+        """The tour by some grasps one after the other; None where one is not of its places, or there is none."""
+        numbers = {id(place.grasp): number for number, place in enumerate(self._places)}
+        places = [numbers[id(grasp)] for grasp in grasps if id(grasp) in numbers]
+        if len(places) < len(grasps) or self._carries:
+            return None
+        visits = Visits(0.0, np.array(places), np.zeros(len(places), dtype=np.bool_))
+        steps = (step.stops for leg in self._steps(visits) for step in leg if step.place is None)
+        return visits if all(self._moves.take(*stops, False) is not None for stops in steps) else None
+
     def _add(self, fruit: Fruit, keep: int) -> None:
         context, hub = self._context, self._moves.stops[self._hub].configuration
         target = Target.of_fruit(context.world, fruit, context.scene, context.options)
@@ -191,9 +207,13 @@ class Motions:
 
     def _solved(self, solve: Solver, before: Visits | None, last: bool) -> Visits:
         """The tour over active places that a solver finds."""
-        places = np.array([place for fruit in self._numbers.tolist() for place in self._active[fruit]])
+        places = self._active_places
         found = solve(self._costs(places), None if before is None else self.fruits_at(before.places), last)
         return replace(found, places=places[found.places])
+
+    @property
+    def _active_places(self) -> IntArray:
+        return np.array([place for fruit in self._numbers.tolist() for place in self._active[fruit]], dtype=np.int64)
 
     def _widened(self, visits: Visits) -> bool:
         """True if other grasps promise a quicker tour in the same order: they become active, in place of others."""
@@ -268,7 +288,8 @@ class Motions:
             leaving, coming = places.get((number - 1, "retreat")), places.get((number + 1, "approach"))
             key = step._replace(name=""), leaving, coming
             if key not in self._blended:
-                self._blended[key] = self._blend(motion, *key)
+                back = self._blended.get((key[0]._replace(stops=step.stops[::-1]), coming, leaving))
+                self._blended[key] = self._blend(motion, *key) if back is None else _turned(back)
             blended = self._blended[key]
             if blended is not None:
                 retreat, transit, approach = blended
@@ -353,6 +374,13 @@ class Motions:
             last=readonly(ties.on_raster(last)),
             capacity=self._every if self._carries else 0,
         )
+
+
+def _turned(found: _Blended) -> _Blended:
+    """A blended motion the other way round."""
+    leaving, motion, coming = found
+    before = None if coming is None else retreat_of(coming)
+    return before, motion.reversed, None if leaving is None else replace(leaving.reversed, name="approach")
 
 
 def drop_off(goal: Goal, empty: PlanningContext, loaded: PlanningContext, start: FloatArray) -> Transit:

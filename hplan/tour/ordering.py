@@ -27,7 +27,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from hplan.base import ties
-from hplan.base.arrays import BoolArray, FloatArray, IntArray, frozen
+from hplan.base.arrays import BoolArray, FloatArray, IntArray, frozen, readonly
 from hplan.base.kernels import inlined, kernel
 
 #: Up to so many fruits, and so many numbers in its table, the order is exact.
@@ -70,6 +70,17 @@ class Costs(NamedTuple):
     def fruit_of(self) -> IntArray:
         """(m,) the fruit of each place."""
         return np.repeat(np.arange(self.fruits), np.diff(self.begin))
+
+    def over(self, fruits: Sequence[int]) -> Costs:
+        """Those of some of the fruits, in that order."""
+        begin, onward = self.begin, self.onward
+        places = np.concatenate([np.arange(begin[fruit], begin[fruit + 1]) for fruit in fruits])
+        return Costs(
+            begin=readonly(np.cumsum([0, *(begin[fruit + 1] - begin[fruit] for fruit in fruits)]), np.int64),
+            onward=readonly(onward[np.ix_(places, places)]),
+            capacity=self.capacity,
+            **{name: readonly(getattr(self, name)[places]) for name in ("first", "drop", "away", "last")},
+        )
 
 
 class Segments(NamedTuple):

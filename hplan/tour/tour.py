@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Annotated, Any, Literal, get_args
@@ -19,6 +20,7 @@ from pydantic import Field
 
 from hplan.base import ties
 from hplan.base.arguments import instance, list_of
+from hplan.base.arrays import FloatArray
 from hplan.base.deadline import Cancel, TimeIsUpError, time_limit
 from hplan.base.options import Options
 from hplan.certificate.certificate import all_of
@@ -35,7 +37,7 @@ from hplan.scene.model import Fruit, Goal, Scene
 from hplan.tour.carried import carrying
 from hplan.tour.motions import LegMotions, Motions, drop_off
 from hplan.tour.moves import Stop
-from hplan.tour.ordering import Visits, along, best, nearest
+from hplan.tour.ordering import Costs, Visits, along, best, nearest
 from hplan.tour.result import Leg, TourResult, Unreached
 from hplan.trajectory.retime import resting
 from hplan.trajectory.trajectory import joined
@@ -206,6 +208,20 @@ class TourPlanner:
         if not stages:
             raise TourError([(item.fruit, item.error) for item in unreached])
         return self._result(stages, unreached)
+
+    def costs(self, names: Collection[str]) -> tuple[dict[str, FloatArray], Costs]:
+        """As `Motions.costs`, of those of some fruits that can be reached among all the others."""
+        for fruit in self.scene.fruits:
+            if fruit.name in names:
+                with suppress(UnreachableError, *NO_MOTION):
+                    self._whole.add(fruit, self.tour.grasps)
+        self._whole.choose(names)
+        return self._whole.costs()
+
+    def turned(self, tour: TourResult) -> TourResult | None:
+        """A tour the other way round; None where that is not known to be one."""
+        visits = self._whole.through([leg.grasp for leg in reversed(tour.legs) if leg.grasp is not None])
+        return None if visits is None else self._result([_Stage(self._whole, visits, {}, [])], tour.unreached)
 
     def _stage(self, motions: Motions, fruits: Sequence[Fruit]) -> _Stage:
         """The tour over all those of some fruits that can be reached."""

@@ -1,0 +1,165 @@
+"""Fruit shared out among arms: so that all are done soonest, and seldom where another is.
+
+How long an arm takes for some fruits is known from the costs of its tours. From the fruits that are near an arm, or the
+lowest, fruit goes to another arm or is exchanged for one of its as long as all are done sooner. Where arms at two
+fruits would be near to each other, one may have to wait: the more of all such pairs there are, the longer.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TypeAlias
+
+import numpy as np
+
+from hplan.base.arrays import FloatArray
+from hplan.planning.cell import Cell, between
+from hplan.tour.ordering import Costs, along, best
+
+#: Of an arm at a fruit and another at one how near they are: 0 from far to 1 for contact.
+Nearness: TypeAlias = Mapping[tuple[str, str, str, str], float]
+
+
+@dataclass(frozen=True, eq=False)
+class Share:
+    """What an arm picks of the fruits that it can reach, by what is known of its motions.
+
+    Attributes:
+        grasps: The (k, dof) configurations at each fruit that it can reach.
+        costs: Costs between them, in this order.
+        order: The fruits that it picks, in their order.
+        more_s: How much longer it takes than costs say [s].
+    """
+
+    grasps: Mapping[str, FloatArray]
+    costs: Costs
+    order: tuple[str, ...] = ()
+    more_s: float = 0.0
+
+    @cached_property
+    def numbers(self) -> dict[str, int]:
+        """The number of each fruit in the costs."""
+        return {fruit: number for number, fruit in enumerate(self.grasps)}
+
+    @cached_property
+    def seconds(self) -> float:
+        """How long it takes [s]."""
+        return self._seconds(self.order)
+
+    @cached_property
+    def gains_s(self) -> dict[str, float]:
+        """How much sooner it is done without each fruit that it picks, or with one that it does not, about [s]."""
+        order, gains = self.order, dict[str, float]()
+        for fruit in self.grasps:
+            if fruit in order:
+                others = [tuple(each for each in order if each != fruit)]
+            else:
+                others = [(*order[:at], fruit, *order[at:]) for at in range(len(order) + 1)]
+            gains[fruit] = self.seconds - min(map(self._seconds, others))
+        return gains
+
+    def over(self, fruits: Collection[str]) -> Share:
+        """A share of other fruits, in their best order."""
+        order = [fruit for fruit in (*self.order, *self.grasps) if fruit in fruits]
+        order = list(dict.fromkeys(order))
+        if order:
+            costs = self.costs.over([self.numbers[fruit] for fruit in order])
+            places = best(costs, np.arange(len(order)), kicked=False).places
+            order = [order[number] for number in costs.fruit_of[places].tolist()]
+        return replace(self, order=tuple(order))
+
+    def _seconds(self, order: Sequence[str]) -> float:
+        return self.more_s + along(self.costs, [self.numbers[fruit] for fruit in order]).cost
+
+
+def nearness(cell: Cell, shares: Mapping[str, Share]) -> Nearness:
+    """How near arms are to each other at the fruits that they can reach."""
+    found, rest = dict[tuple[str, str, str, str], float](), cell.configuration({})
+    # From where on arms are in each other's way on their motions [m].
+    far = 0.3
+    for a, b in itertools.combinations(shares, 2):
+        pairs = itertools.product(shares[a].grasps.items(), shares[b].grasps.items())
+        for (f, ours), (g, theirs) in pairs:
+            q = np.tile(rest, (len(ours) * len(theirs), 1))
+            q[:, cell.arm(a).joints] = np.repeat(ours, len(theirs), axis=0)
+            q[:, cell.arm(b).joints] = np.tile(theirs, (len(ours), 1))
+            found[a, f, b, g] = float(np.clip(1.0 - between(cell, q, a, [b]) / far, 0.0, 1.0).mean())
+    return found
+
+
+def first_share(cell: Cell, able: Mapping[str, Sequence[str]], lowest: Sequence[str] = ()) -> dict[str, list[str]]:
+    """The fruits of each arm, about as many of each: those near it or, with names, the lowest for the first of them.
+
+    Args:
+        able: Who can pick each fruit, the nearest first.
+        lowest: Names of the arms.
+    """
+    bases = {arm.name: np.array(arm.position) for arm in cell.scene.robots}
+    shares: dict[str, list[str]] = {name: [] for name in bases}
+    shared = []
+    for fruit in cell.scene.fruits:
+        names = sorted(able[fruit.name], key=lowest.index) if lowest else list(able[fruit.name])
+        if len(names) == 1:
+            shares[names[0]].append(fruit.name)
+        elif names:
+            near, far = (float(np.linalg.norm(fruit.center - bases[name])) for name in names[:2])
+            shared.append((round(fruit.center[2] if lowest else near - far, 6), fruit.name, names))
+    most = math.ceil((len(shared) + sum(map(len, shares.values()))) / len(shares))
+    for _, fruit_name, names in sorted(shared):  # who is far nearer than the others chooses first
+        with_room = [name for name in names if len(shares[name]) < most]
+        shares[(with_room or names)[0]].append(fruit_name)
+    return shares
+
+
+def exchanged(shares: Mapping[str, Share], near: Nearness, weight: float) -> dict[str, Share]:
+    """Shares that are done sooner, by fruits that go to another arm or are exchanged for one of its.
+
+    Args:
+        near: How near arms are to each other.
+        weight: Which part of the time arms wait that are always in each other's way.
+    """
+    found = dict(shares)
+    # So many changes are looked at that promise most.
+    most = 32
+
+    def ends(seconds: Mapping[str, float], fruits: Mapping[str, Collection[str]]) -> tuple[float, float]:
+        in_the_way = 0.0
+        for a, b in itertools.combinations(fruits, 2):
+            met = sum(near[a, f, b, g] for f in fruits[a] for g in fruits[b])
+            in_the_way += met / max(1, len(fruits[a]) * len(fruits[b]))
+        return round(max(seconds.values()) * (1.0 + weight * in_the_way), 6), round(sum(seconds.values()), 6)
+
+    def changes() -> list[tuple[tuple[float, float], dict[str, list[str]]]]:
+        """When all are done at best after each change, and the fruits of those whom it is about."""
+        seconds, fruits = (
+            {n: share.seconds for n, share in found.items()},
+            {n: share.order for n, share in found.items()},
+        )
+        promised = []
+        for a, b in itertools.permutations(found, 2):
+            swaps = ([], *([g] for g in found[b].order if a < b and g in found[a].grasps))
+            for f, swap in itertools.product((f for f in found[a].order if f in found[b].grasps), swaps):
+                after = {
+                    a: [*(each for each in fruits[a] if each != f), *swap],
+                    b: [*(each for each in fruits[b] if each not in swap), f],
+                }
+                then = {n: seconds[n] - sum(found[n].gains_s[each] for each in (f, *swap)) for n in after}
+                promised.append((ends(seconds | then, {**fruits, **after}), after))
+        return sorted(promised, key=lambda change: change[0])[:most]
+
+    def end(shares: Mapping[str, Share]) -> tuple[float, float]:
+        return ends({n: share.seconds for n, share in shares.items()}, {n: share.order for n, share in shares.items()})
+
+    better = True
+    while better:
+        better, now = False, end(found)
+        for _, after in (change for change in changes() if change[0] < now):
+            trial = found | {name: found[name].over(fruits) for name, fruits in after.items()}
+            if end(trial) < now:
+                found, better = trial, True
+                break
+    return found

@@ -168,11 +168,11 @@ def _at_once(tasks: Sequence[PlanningTask]) -> Iterator[Found]:
 
 def _first_paths(tasks: Sequence[PlanningTask]) -> Iterator[tuple[int, Polyline]]:
     yield from enumerate(map(_straight, tasks))
-    # Evaluations of the pairs of trees that look for the first motion of all, and how many of these where the base is
-    # locked: grids find narrow passages there.
-    first_trees = (1_500, 1_500, 1_500, 1_500, 6_000, 6_000, 6_000, 6_000)
-    for seed, evaluations in enumerate(first_trees if tasks[0].problem.turns else first_trees[:2]):
-        reached = _tree_to_any(tasks, TreeEffort(evaluations, tasks[0].effort.trees.seed + seed))
+    trees = tasks[0].effort.trees
+    if not tasks[0].problem.turns:
+        trees = replace(trees, pairs=2, each=1_500)  # narrow passages are found on grids
+    for seed in range(trees.seed, trees.seed + trees.pairs):
+        reached = _tree_to_any(tasks, TreeEffort(trees.each, seed))
         if reached is not None:
             yield reached
 

@@ -73,13 +73,20 @@ def _box_distance(offset: Vector, solid: FloatArray) -> float:
 
 
 @kernel
-def _distances_from_bodies(points: FloatArray, rows: FloatArray, data: FloatArray, found: FloatArray) -> None:
+def _distances_from_bodies(
+    points: FloatArray, rows: FloatArray, data: FloatArray, enough: float, found: FloatArray
+) -> None:
     for n in range(points.shape[0]):
-        found[n] = distance_from_bodies((points[n, 0], points[n, 1], points[n, 2]), rows, data, math.inf)
+        found[n] = distance_from_bodies((points[n, 0], points[n, 1], points[n, 2]), rows, data, enough)
 
 
-def distances_from_bodies(points: FloatArray, rows: FloatArray, data: FloatArray) -> FloatArray:
-    """(n,) distances of (n, 3) points from the nearest solid, negative in its rounding; infinite without any [m]."""
+def distances_from_bodies(
+    points: FloatArray, rows: FloatArray, data: FloatArray, enough: float = math.inf
+) -> FloatArray:
+    """(n,) distances of (n, 3) points from the nearest solid, negative in its rounding [m].
+
+    Infinite above `enough`, and without any solid.
+    """
     found = np.empty(len(points))
-    _distances_from_bodies(np.array(points, dtype=np.float64, order="C"), rows, data, found)
+    _distances_from_bodies(np.array(points, dtype=np.float64, order="C"), rows, data, enough, found)
     return found

@@ -314,13 +314,14 @@ def _still_hidden(
     """
     arm, ignored = bodies
     young = frame.time_s - before.seen_s <= frame.keep_s
-    points, seen_s = frame.seen(before.points[young]), before.seen_s[young]
-    from_arm = distances_from_bodies(points, arm.rows, arm.data)
-    unseen = hidden((points - frame.position) @ frame.rotation, frame.points) | (from_arm <= 0.0)
+    points, seen_s = frame.seen(np.compress(young, before.points, axis=0)), before.seen_s[young]
     growth_m = before.growth_with(frame.radius)
-    unseen &= from_arm + options.arm_padding_m > frame.radius + growth_m
-    unseen &= distances_from_bodies(points, ignored.rows, ignored.data) > 0.0
-    points, seen_s = points[unseen], seen_s[unseen]
+    stands_in = frame.radius + growth_m - options.arm_padding_m
+    from_arm = distances_from_bodies(points, arm.rows, arm.data, max(stands_in, 0.0))
+    unseen = hidden(points, frame.points, (frame.rotation, frame.position)) | (from_arm <= 0.0)
+    unseen &= from_arm > stands_in
+    unseen &= distances_from_bodies(points, ignored.rows, ignored.data, 0.0) > 0.0
+    points, seen_s = np.compress(unseen, points, axis=0), seen_s[unseen]
     forgotten = max(0, len(points) - options.most_remembered)
     if forgotten:
         latest = np.sort(np.argsort(-seen_s, kind="stable")[: options.most_remembered])

@@ -106,11 +106,18 @@ def _note_ranges(points: FloatArray, balls: FloatArray, ranges: FloatArray) -> N
         ranges[cell] = min(ranges[cell], square)
 
 
+# (A product with so thin a matrix may wait for all processors.)
 @kernel
-def _mark_hidden(points: FloatArray, ranges: FloatArray, tolerance: float, hidden: BoolArray) -> None:
-    """Mark the points, in the camera's frame, that a frame does not see."""
+def _mark_hidden(
+    points: FloatArray, pose: tuple[FloatArray, FloatArray], ranges: FloatArray, tolerance: float, hidden: BoolArray
+) -> None:
+    """Mark the points that a frame does not see."""
+    turn, position = pose
     for n in range(points.shape[0]):
-        x, y, z = points[n, 0], points[n, 1], points[n, 2]
+        dx, dy, dz = points[n, 0] - position[0], points[n, 1] - position[1], points[n, 2] - position[2]
+        x = turn[0, 0] * dx + turn[1, 0] * dy + turn[2, 0] * dz
+        y = turn[0, 1] * dx + turn[1, 1] * dy + turn[2, 1] * dz
+        z = turn[0, 2] * dx + turn[1, 2] * dy + turn[2, 2] * dz
         least = ranges[_direction(x, y, z)]
         hidden[n] = least == math.inf or math.sqrt(least) < math.sqrt(x * x + y * y + z * z) - tolerance
 
@@ -127,16 +134,17 @@ def shortest_ranges(frame: FloatArray, through: FloatArray | None = None) -> Flo
     return ranges
 
 
-def hidden(points: FloatArray, frame: FloatArray) -> BoolArray:
+def hidden(points: FloatArray, frame: FloatArray, pose: tuple[FloatArray, FloatArray]) -> BoolArray:
     """(k,) mask of the points that a frame does not see, being behind something or out of view.
 
     Args:
-        points: (k, 3) points in the camera's frame [m].
+        points: (k, 3) points [m].
         frame: (n, 3) the frame's points in the camera's frame; not finite ones are no measurements [m].
+        pose: (3, 3) rotation and (3,) position of the camera, as the points are given [m].
     """
     ranges = shortest_ranges(frame)
     found = np.zeros(len(points), dtype=np.bool_)
     # A point counts as seen where what was measured in its cell is nearer by less than this [m]: noise, and the size
     # of a voxel, do not hide a point behind itself.
-    _mark_hidden(np.ascontiguousarray(points), ranges, 0.03, found)
+    _mark_hidden(points, pose, ranges, 0.03, found)
     return found

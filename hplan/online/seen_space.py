@@ -137,7 +137,7 @@ class SeenSpace:
                 np.meshgrid(*(np.arange(each.start, each.stop) for each in place), indexing="ij"), axis=-1
             )
             rows, data = solid_rows([solid], 0.0)
-            distances = distances_from_bodies(self._middles(places).reshape(-1, 3), rows, data)
+            distances = distances_from_bodies(self._middles(places).reshape(-1, 3), rows, data, within_m)
             yield place, (distances <= within_m).reshape(places.shape[:3])
 
 

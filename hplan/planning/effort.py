@@ -108,7 +108,7 @@ EFFORTS: dict[EffortName, Effort] = {
         pose_goals=4,
     ),
     "default": Effort(
-        trees=TreesEffort(8, 2_000),
+        trees=TreesEffort(8, 4_000),
         planar=TreesEffort(2, 1_000),
         grids=_GRIDS,
         close=1.04,

@@ -105,7 +105,7 @@ class Timetable:
             False where no such way was found that is done sooner than a time [s].
         """
         # Samples of the square, and what is kept at them beyond the rest, in turn: arms go on between them [m].
-        every, beyond = 15, (0.02, 0.01, 0.003)
+        every, beyond = 15, (0.02, 0.01, 0.003, 0.0)
         step = every * self._step
         arms = sorted(motions, key=lambda name: -sum(motion.duration for motion in motions[name]))
         ends, rests, places = dict[str, list[int]](), dict[str, BoolArray](), dict[str, FloatArray]()

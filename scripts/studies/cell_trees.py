@@ -123,7 +123,6 @@ def _row(asked: Asked, problem: tuple[Path, str]) -> Row:
         "at_best": 1.0 / ((1.0 - ways) / arms + ways),  # its tour in as many parts, each arm out and home
         "to_one_where_equal": rate / alone if equal else None,
         "parallel": report["parallel_ratio"], "idle_s": max(report["idle_s"].values()),
-        "given_up": sum("in the way for good" in why for why in found.unreached.values()),
         "contacts": with_arms, "with_wood": with_wood, "fault": with_arms + with_wood > 0,
     }  # fmt: skip
 
@@ -134,7 +133,7 @@ CELL_TREES = Study(
     _row,
     (
         *("solved", "how", "picked", "shares", "equal", "a_fruit_s", "alone_a_fruit_s", "to_one_alone", "at_best"),
-        *("to_one_where_equal", "parallel", "idle_s", "given_up", "contacts", "with_wood", "s"),
+        *("to_one_where_equal", "parallel", "idle_s", "contacts", "with_wood", "s"),
     ),
     _problems,
     by="stands",

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections import Counter
 
 import coal
 import numpy as np
@@ -21,7 +20,6 @@ from hplan.certificate.certificate import certify
 from hplan.errors import ConfigurationInCollisionError, TourError
 from hplan.planning.cell import Cell
 from hplan.planning.options import PlanOptions
-from hplan.planning.timetable import Timetable
 from hplan.scene.cell import CellRobot, CellScene
 from hplan.scene.file import load_scene
 from hplan.scene.model import Fruit, Goal, Start
@@ -119,19 +117,8 @@ def test_arms_that_are_in_each_others_way_wait(orchard):
     assert certify(result.cell.robot, alone, result.trajectory).verified
 
 
-@pytest.mark.parametrize("waits", [True, False])
-def test_arms_in_whose_way_others_are_for_good_go_around_and_home(orchard, monkeypatch, waits):
-    """One above the other, where fruit is shared so that waits are enough, and where they are not."""
+def test_arms_one_above_the_other(orchard):
     cell, scene = orchard
-    if not waits:
-        refused, set_out = Counter[int](), Timetable.set_out
-
-        def later(table, name, motion):
-            refused[id(table)] += 1
-            return refused[id(table)] > len(cell.arms) and set_out(table, name, motion)
-
-        monkeypatch.setattr(Timetable, "run_together", lambda *_: False)
-        monkeypatch.setattr(Timetable, "set_out", later)
     arms = (
         CellRobot(name="left", start=Start(joints_deg=(0.0, 65.0, -140.0, -100.0))),
         CellRobot(name="right", position=(0.0, 0.0, 1.2), start=Start(joints_deg=(0.0, 90.0, 90.0, 90.0))),
@@ -142,7 +129,7 @@ def test_arms_in_whose_way_others_are_for_good_go_around_and_home(orchard, monke
     result = plan_cell_tour(stacked, QUICK)
     assert result.verified
     assert len(result.picked) >= 6
-    assert (max(len(tours) for tours in result.tours.values()) > 1) is not waits
+    assert_arms_apart(stacked, result.trajectory)
     np.testing.assert_allclose(result.trajectory.position[-1], result.trajectory.position[0], atol=1e-9)
 
 

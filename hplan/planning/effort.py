@@ -80,7 +80,7 @@ _GRIDS = (GridAttempt(2.0, growth_m=0.02), GridAttempt(2.0, growth_m=5e-3), Grid
 
 #: A motion that came at once is made quicker with few and long pieces, by long steps.
 _AT_ONCE = StartsEffort(
-    OptimizerEffort((Level(piece_s=0.08, pieces=(20, 40), steps=8, gain=0.02, trust=0.4, enough=0.02),)), 1, 0, 1
+    OptimizerEffort((Level(piece_s=0.08, pieces=(20, 40), steps=8, gain=0.02, trust=1.0, enough=0.02),)), 1, 0, 1
 )
 _FINE = OptimizerEffort((Level(piece_s=0.03, pieces=(50, 120), steps=12, gain=0.02, trust=0.2),))
 _FINEST = OptimizerEffort((Level(piece_s=0.012, pieces=(60, 300), steps=20, gain=1e-4, trust=0.2),))

@@ -98,7 +98,7 @@ class Timetable:
         on a path through it, around where they are too near to each other. Further arms are put in one by one.
 
         Args:
-            known: Distances in the square of the first two, for the next call.
+            known: Distances in the squares of each two, for the next call.
             turned: Who goes the other way round than when these were taken.
 
         Returns:
@@ -118,15 +118,7 @@ class Timetable:
         for more in beyond:
             at = {arms[0]: np.arange(len(places[arms[0]]))}
             for name in arms[1:]:
-                first = {other: places[other][at[other]] for other in at}
-                turns = (slice(None, None, -1 if each in turned else 1) for each in (arms[0], name))
-                if len(at) > 1:
-                    apart = self._distances(first, name, places[name])
-                elif (arms[0], name) in known:
-                    apart = known[arms[0], name][tuple(turns)]
-                else:
-                    apart = self._distances(first, name, places[name])
-                    known[arms[0], name] = apart[tuple(turns)]
+                apart = np.min([self._apart(other, name, places, known, turned)[at[other]] for other in at], axis=0)
                 still = np.all([rests[other][at[other]] for other in at], axis=0)
                 way = _soonest(apart > self._least + more, still, rests[name])
                 at = {other: at[other][way[:, 0]] for other in at} | {name: way[:, 1]}
@@ -147,16 +139,25 @@ class Timetable:
             self.places, self.legs = start, {name: [] for name in self.legs}
         return False
 
-    def _distances(self, first: Mapping[str, FloatArray], name: str, then: FloatArray) -> FloatArray:
-        """(n, m) of an arm at each of m places from others at each of n; inf where they are far apart [m]."""
-        n, m = len(next(iter(first.values()))), len(then)
+    def _apart(
+        self, first: str, name: str, places: Mapping[str, FloatArray], known: dict[tuple[str, str], FloatArray],
+        turned: Collection[str],
+    ) -> FloatArray:  # fmt: skip
+        """(n, m) distances of an arm at each of its places from another at each of its, as for `run_together` [m]."""
+        turns = tuple(slice(None, None, -1 if each in turned else 1) for each in (first, name))
+        if (first, name) not in known:
+            known[first, name] = self._distances(first, name, places)[turns]
+        return known[first, name][turns]
+
+    def _distances(self, first: str, name: str, places: Mapping[str, FloatArray]) -> FloatArray:
+        """(n, m) of an arm at each of its places from another at each of its; inf where they are far apart [m]."""
+        n, m = len(places[first]), len(places[name])
 
         def apart(i: IntArray, j: IntArray) -> FloatArray:
             q = np.tile(self._cell.configuration({}), (len(i), 1))
-            for other, places in first.items():
-                q[:, self._cell.arm(other).joints] = places[i]
-            q[:, self._cell.arm(name).joints] = then[j]
-            return between(self._cell, q, name, list(first))
+            q[:, self._cell.arm(first).joints] = places[first][i]
+            q[:, self._cell.arm(name).joints] = places[name][j]
+            return between(self._cell, q, name, [first])
 
         # Of squares of so many samples the middles first: what is so far apart there is far apart in all of it [m].
         size, far = 4, 0.3
@@ -221,7 +222,7 @@ def _soonest(clear: BoolArray, first: BoolArray, then: BoolArray) -> IntArray:
     """
     steps = _steps(clear, first, then)
     i, j = clear.shape[0] - 1, clear.shape[1] - 1
-    found = [(i, j)] if steps[i, j] >= 0 else []
+    found = [(i, j)] if len(steps) and steps[i, j] >= 0 else []
     while found and (i or j):
         before = steps[i, j] - 1
         if i and j and steps[i - 1, j - 1] == before:

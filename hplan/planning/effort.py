@@ -76,7 +76,9 @@ CLOSE = 1.15
 _SEEDS = 1000
 
 _COARSE = Level(piece_s=0.08, pieces=(20, 40), steps=20, gain=2e-3, trust=0.2)
+_LAST = Level(piece_s=0.03, pieces=(50, 120), steps=6, gain=5e-3, trust=0.1)
 _GRIDS = (GridAttempt(2.0, growth_m=0.02), GridAttempt(2.0, growth_m=5e-3), GridAttempt(3.0, growth_m=0.01))
+
 
 #: A motion that came at once is made quicker with few and long pieces, by long steps.
 _AT_ONCE = StartsEffort(
@@ -92,12 +94,12 @@ _WITHIN_A_SECOND = TreesEffort(3, 22_000)
 #: Of planar arms.
 EFFORTS: dict[EffortName, Effort] = {
     "quick": Effort(
-        trees=TreesEffort(2, 4_000),
+        trees=TreesEffort(1, 4_000),
         planar=None,
         grids=(),
-        close=CLOSE,
+        close=math.inf,
         starts=StartsEffort(
-            OptimizerEffort((Level(piece_s=0.03, pieces=(50, 120), steps=4, gain=2e-2, trust=0.2),)),
+            OptimizerEffort((replace(_COARSE, gain=0.01, trust=0.4), replace(_LAST, steps=2))),
             rough=1,
             others=0,
             finished=1,
@@ -113,7 +115,7 @@ EFFORTS: dict[EffortName, Effort] = {
         grids=_GRIDS,
         close=1.04,
         starts=StartsEffort(
-            OptimizerEffort((_COARSE, Level(piece_s=0.03, pieces=(50, 120), steps=6, gain=5e-3, trust=0.1))),
+            OptimizerEffort((_COARSE, _LAST)),
             rough=8,
             others=4,
             finished=1,
@@ -143,9 +145,10 @@ EFFORTS_OF_BODIES: dict[EffortName, Effort] = {
         EFFORTS["quick"],
         trees=TreesEffort(1, 6_000),
         long=_WITHIN_A_SECOND,
-        close=1.2,
         floods=0.0,
-        starts=_AT_ONCE,
+        starts=StartsEffort(
+            OptimizerEffort((replace(_COARSE, gain=0.05, trust=0.6, enough=0.02),)), rough=1, others=0, finished=1
+        ),
     ),
     "default": replace(
         EFFORTS["default"],
@@ -159,7 +162,7 @@ EFFORTS_OF_BODIES: dict[EffortName, Effort] = {
             OptimizerEffort(
                 (
                     replace(_COARSE, trust=0.6, enough=7e-3),
-                    Level(piece_s=0.03, pieces=(50, 120), steps=3, gain=5e-3, trust=0.2, enough=2e-3),
+                    replace(_LAST, steps=3, trust=0.2, enough=2e-3),
                 )
             ),
             rough=2,
@@ -186,14 +189,13 @@ def effort_named(robot: Robot, name: EffortName) -> Effort:
 def efforts_of(robot: Robot, options: PlanOptions) -> tuple[Effort, ...]:
     """What may be spent on motions, one after the other, the last one what the options ask for.
 
-    With a deadline a first motion comes at once, and so does that of `quick`, for which the rest is only where there is
-    none. More starts of an optimiser need not lead to all that fewer lead to, so that what `default` finds counts for
-    `best` too.
+    With a deadline a first motion comes at once. More starts of an optimiser need not lead to all that fewer lead to,
+    so that what `default` finds counts for `best` too.
     """
     asked, quick = effort_named(robot, options.effort), effort_named(robot, "quick")
     first = replace(asked, starts=_AT_ONCE, begun=quick.begun, long=NO_TREES, floods=0.0, at_once=True)
     efforts = (
-        *((first,) if options.deadline_s is not None or asked is quick else ()),
+        *((first,) if options.deadline_s is not None else ()),
         *((effort_named(robot, "default"),) if options.effort == "best" else ()),
         asked,
     )

@@ -72,8 +72,6 @@ def plans(
             may_be_found = isinstance(error, NoPathError | NotFoundError | CertificationError | TimingError)
             if not is_found and (effort is efforts[-1] or not may_be_found):
                 raise
-        if is_found and context.options.effort == "quick":
-            return  # the rest is for where there was none
 
 
 def _with_effort(

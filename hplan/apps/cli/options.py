@@ -72,7 +72,7 @@ _SHARED: tuple[tuple[str, str, str, dict[str, Any]], ...] = (
         {"dest": "rate_hz", "type": float, "default": 250.0, "metavar": "HZ"}),
     ("pace", "--speed", "fraction of full speed, in (0, 1] (default: 1)",
         {"type": float, "default": 1.0, "metavar": "FRACTION"}),
-    ("effort", "--effort", "what to spend on a faster motion; quick: the first that is certified (default: default)",
+    ("effort", "--effort", "what to spend on a faster motion; quick: that near the first path (default: default)",
         {"choices": ("quick", "default", "best"), "default": "default"}),
     ("seed", "--seed", "of the samples by which trees grow; another may lead to another motion (default: 0)",
         {"type": int, "default": 0, "metavar": "N"}),

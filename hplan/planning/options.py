@@ -37,8 +37,8 @@ class PlanOptions(Options):
         method: `two-level`, or `dense` for the baseline.
         step_deg: Largest spacing of the joint grid [deg].
         objective: `duration` for the fastest motion, `length` for the shortest path.
-        effort: `quick` for the motion near the first path, `default` for the quickest near several, `best` for that near
-            more of them, optimised for longer. Each gives the same motion every time.
+        effort: `quick` for the motion near the first path, `default` for the quickest near several, `best` for that
+            near more of them, optimised for longer. Each gives the same motion every time.
         link_model: Link model of the C-space; motions are always certified for capsules.
         rate_hz: Rows of the trajectory per second.
         speed: Fraction of the velocity limits to use, in (0, 1].

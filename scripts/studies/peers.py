@@ -120,8 +120,11 @@ def ompl_path(
     setup.setPlanner(getattr(geometric, planner)(information))
     world.field.is_clear(q, MARGIN_M)  # compiling must not take of OMPL's time
     world.field.clearance(begin)
-    until_s = time.thread_time() + seconds
-    setup.solve(base.PlannerTerminationCondition(lambda: time.thread_time() >= until_s))
+    # Where an end is in collision OMPL sleeps, which takes no CPU time: it is woken by the clock.
+    until_s, patience_s = time.thread_time() + seconds, time.monotonic() + 1.5 * seconds
+    setup.solve(
+        base.PlannerTerminationCondition(lambda: time.thread_time() >= until_s or time.monotonic() >= patience_s)
+    )
     if not setup.haveExactSolutionPath():
         return None
     setup.simplifySolution(SIMPLIFY_S)

@@ -76,7 +76,7 @@ CLOSE = 1.15
 _SEEDS = 1000
 
 _COARSE = Level(piece_s=0.08, pieces=(20, 40), steps=20, gain=2e-3, trust=0.2)
-_LAST = Level(piece_s=0.03, pieces=(50, 120), steps=6, gain=5e-3, trust=0.1)
+_LAST = Level(piece_s=0.03, pieces=(50, 120), steps=6, gain=5e-3, trust=0.05)
 _GRIDS = (GridAttempt(2.0, growth_m=0.02), GridAttempt(2.0, growth_m=5e-3), GridAttempt(3.0, growth_m=0.01))
 
 

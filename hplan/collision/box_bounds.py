@@ -58,11 +58,8 @@ def boxes_about(parts: ArmParts) -> FloatArray:
         centre, half = bare.core
         place: pin.SE3 = shape.placement
         box[TURN:CENTRE], box[CENTRE:HALF] = place.rotation.ravel(), place.act(centre)
-        box[HALF:RADIUS], box[RADIUS], box[JOINT] = (
-            half,
-            bare.radius + bare.rounding,
-            (shape.parentJoint - 1) % (dof + 1),
-        )
+        box[HALF:RADIUS], box[RADIUS] = half, bare.radius + bare.rounding
+        box[JOINT] = (shape.parentJoint - 1) % (dof + 1)
     return frozen(boxes)
 
 

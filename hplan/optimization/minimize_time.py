@@ -120,10 +120,13 @@ def minimize_time(
     """
     finer = replace(effort, levels=effort.levels[1:] or effort.levels)
     found = _minimized(start if rough is None else rough, problem, effort if rough is None else finer, free=True)
-    if found is None or problem.torque_scale(found, ALLOWED) <= 1.0:
+    if found is None:
+        return None
+    over = problem.torque_scale(found, ALLOWED)
+    if over <= 1.0:
         return found
     if problem.ends is None:
-        slower = found.at_time_scale(problem.torque_scale(found, ALLOWED))
+        slower = found.at_time_scale(over)
         again = _minimized(slower, problem, finer)
         if again is not None and again.duration <= slower.duration:
             return again

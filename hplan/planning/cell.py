@@ -149,10 +149,10 @@ class Cell(Record):
         return replace(self, arms=tuple(changed if each is arm else each for each in self.arms))
 
     def configuration(self, q: Mapping[str, FloatArray]) -> FloatArray:
-        """(dof,) configuration of all joints, from those of the arms; where one is not given, its start."""
-        found = np.empty(self.robot.dof)
+        """(..., dof) configurations of all joints, from those of the arms; where none is given, its start."""
+        found = np.empty((*np.broadcast_shapes(*(own.shape[:-1] for own in q.values())), self.robot.dof))
         for arm in self.arms:
-            found[arm.joints] = q[arm.name] if arm.name in q else arm.robot.joints_of(arm.scene.start, "start")
+            found[..., arm.joints] = q[arm.name] if arm.name in q else arm.robot.joints_of(arm.scene.start, "start")
         return found
 
     def task(self, goal: FloatArray, start: FloatArray | None = None, *, obstacles: bool = True) -> Scene:

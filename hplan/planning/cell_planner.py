@@ -398,8 +398,7 @@ def _likely_order(cell: Cell, motions: Mapping[str, Trajectory]) -> list[str]:
     ends = {name: motion.position[-1:] for name, motion in motions.items()}
 
     def meet(first: str, path: FloatArray, second: str, place: FloatArray) -> int:
-        q = np.tile(cell.configuration({}), (len(path), 1))
-        q[:, cell.arm(first).joints], q[:, cell.arm(second).joints] = path, place
+        q = cell.configuration({first: path, second: place})
         return int((between(cell, q, first, (second,)) <= cell.scene.clearance + _THICKER).any())
 
     #: How much the first is in the way of the second, or the second of the first, if the first goes before it.

@@ -78,14 +78,17 @@ _SEEDS = 1000
 _COARSE = Level(piece_s=0.08, pieces=(20, 40), steps=20, gain=2e-3, trust=0.2)
 _LAST = Level(piece_s=0.03, pieces=(50, 120), steps=6, gain=5e-3, trust=0.05)
 _GRIDS = (GridAttempt(2.0, growth_m=0.02), GridAttempt(2.0, growth_m=5e-3), GridAttempt(3.0, growth_m=0.01))
-
-
-#: A motion that came at once is made quicker with few and long pieces, by long steps.
-_AT_ONCE = StartsEffort(
-    OptimizerEffort((Level(piece_s=0.08, pieces=(20, 40), steps=8, gain=0.02, trust=1.0, enough=0.02),)), 1, 0, 1
-)
 _FINE = OptimizerEffort((Level(piece_s=0.03, pieces=(50, 120), steps=12, gain=0.02, trust=0.2),))
 _FINEST = OptimizerEffort((Level(piece_s=0.012, pieces=(60, 300), steps=20, gain=1e-4, trust=0.2),))
+
+
+def _near_one(*levels: Level) -> StartsEffort:
+    """Optimisation near one path."""
+    return StartsEffort(OptimizerEffort(levels), rough=1, others=0, finished=1)
+
+
+#: A motion that came at once is made quicker with few pieces, by long steps.
+_AT_ONCE = _near_one(replace(_COARSE, steps=8, gain=0.02, trust=1.0, enough=0.02))
 
 #: Of 100 random scenes of a UR5 six had a path that the first trees had missed. Others took 6,000 to 53,000 looks, and
 #: of three pairs one found it within this many: it is about a second until a goal is refused.
@@ -98,12 +101,7 @@ EFFORTS: dict[EffortName, Effort] = {
         planar=None,
         grids=(),
         close=math.inf,
-        starts=StartsEffort(
-            OptimizerEffort((replace(_COARSE, gain=0.01, trust=0.4), replace(_LAST, steps=2))),
-            rough=1,
-            others=0,
-            finished=1,
-        ),
+        starts=_near_one(replace(_COARSE, gain=0.01, trust=0.4), replace(_LAST, steps=2)),
         leads=0,
         blended=_FINE,
         begun=OptimizerEffort((Level(piece_s=0.05, pieces=(24, 60), steps=8, gain=0.05, trust=0.2),)),
@@ -114,12 +112,7 @@ EFFORTS: dict[EffortName, Effort] = {
         planar=TreesEffort(2, 1_000),
         grids=_GRIDS,
         close=1.04,
-        starts=StartsEffort(
-            OptimizerEffort((_COARSE, _LAST)),
-            rough=8,
-            others=4,
-            finished=1,
-        ),
+        starts=StartsEffort(OptimizerEffort((_COARSE, _LAST)), rough=8, others=4, finished=1),
         leads=2,
         blended=_FINE,
         begun=_FINE,
@@ -146,9 +139,7 @@ EFFORTS_OF_BODIES: dict[EffortName, Effort] = {
         trees=TreesEffort(1, 6_000),
         long=_WITHIN_A_SECOND,
         floods=0.0,
-        starts=StartsEffort(
-            OptimizerEffort((replace(_COARSE, gain=0.05, trust=0.6, enough=0.02),)), rough=1, others=0, finished=1
-        ),
+        starts=_near_one(replace(_COARSE, gain=0.05, trust=0.6, enough=0.02)),
     ),
     "default": replace(
         EFFORTS["default"],

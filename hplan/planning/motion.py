@@ -23,7 +23,7 @@ from hplan.optimization.timed_spline import BoundaryState
 from hplan.planning.grasps import Grasp
 from hplan.planning.grid_route import Route
 from hplan.planning.task import PlanningContext, PlanningTask
-from hplan.robot.limits import GeometricPath, Limits, least_duration
+from hplan.robot.limits import GeometricPath, Limits
 from hplan.trajectory.retime import time_path
 from hplan.trajectory.spline import SplinePath
 from hplan.trajectory.trajectory import Phase, Trajectory, joined
@@ -198,11 +198,9 @@ def improving(motion: Transit) -> Iterator[Transit]:
     """
     yield motion
     task, effort, start = motion.task, motion.task.optimization, motion.trajectory
-    limits = task.robot.velocity_limit, task.robot.acceleration_limit
-    close_s = task.effort.close * least_duration(task.problem.start, task.problem.goal, *limits)
     if (
         effort is None
-        or (task.effort.at_once and start.duration <= close_s)
+        or (task.effort.at_once and start.duration <= task.effort.close * task.least_duration)
         or start.samples == 1
         or is_straight(motion.waypoints, task.field, smoothing_options(task, task.margin()))
     ):

@@ -25,6 +25,7 @@ from hplan.planning.effort import Effort, GridAttempt, efforts_of
 from hplan.planning.options import PlanOptions
 from hplan.planning.stages import StageClock
 from hplan.planning.world import World
+from hplan.robot.limits import least_duration
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 from hplan.scene.obstacle_kind import Sigmas, Solid
@@ -118,6 +119,12 @@ class PlanningTask(PlanningContext):
     """
 
     problem: Problem
+
+    @property
+    def least_duration(self) -> float:
+        """Duration that no motion between start and goal can undercut [s]."""
+        problem, robot = self.problem, self.robot
+        return least_duration(problem.start, problem.goal, robot.velocity_limit, robot.acceleration_limit)
 
     @property
     def axes(self) -> IntArray:

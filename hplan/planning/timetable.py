@@ -63,10 +63,6 @@ class Timetable:
         """The motion of each arm that moves, from the common begin on."""
         return {name: self._joined(name) for name, legs in self.legs.items() if legs}
 
-    def free_from(self, name: str) -> float:
-        """When an arm has done all that it is to do so far [s]."""
-        return (len(self.places[name]) - 1) * self._step
-
     def _joined(self, name: str) -> Trajectory:
         parts, now = [], 0.0
         for begin, motion in self.legs[name]:
@@ -90,7 +86,7 @@ class Timetable:
         motions: Mapping[str, Sequence[Trajectory]],
         sooner_than: float,
         known: dict[tuple[str, str], FloatArray],
-        turned: Collection[str],
+        backward: Collection[str],
     ) -> bool:
         """Let arms that stand at their starts run motions one after the other so that all are done soonest.
 
@@ -99,7 +95,7 @@ class Timetable:
 
         Args:
             known: Distances in the squares of each two, for the next call.
-            turned: Who goes the other way round than when these were taken.
+            backward: Arms whose motions are reversed since these were taken.
 
         Returns:
             False where no such way was found that is done sooner than a time [s].
@@ -118,7 +114,7 @@ class Timetable:
         for more in beyond:
             at = {arms[0]: np.arange(len(places[arms[0]]))}
             for name in arms[1:]:
-                apart = np.min([self._apart(other, name, places, known, turned)[at[other]] for other in at], axis=0)
+                apart = np.min([self._apart(other, name, places, known, backward)[at[other]] for other in at], axis=0)
                 still = np.all([rests[other][at[other]] for other in at], axis=0)
                 way = _soonest(apart > self._least + more, still, rests[name])
                 at = {other: at[other][way[:, 0]] for other in at} | {name: way[:, 1]}
@@ -141,10 +137,10 @@ class Timetable:
 
     def _apart(
         self, first: str, name: str, places: Mapping[str, FloatArray], known: dict[tuple[str, str], FloatArray],
-        turned: Collection[str],
+        backward: Collection[str],
     ) -> FloatArray:  # fmt: skip
         """(n, m) distances of an arm at each of its places from another at each of its, as for `run_together` [m]."""
-        turns = tuple(slice(None, None, -1 if each in turned else 1) for each in (first, name))
+        turns = tuple(slice(None, None, -1 if each in backward else 1) for each in (first, name))
         if (first, name) not in known:
             known[first, name] = self._distances(first, name, places)[turns]
         return known[first, name][turns]
@@ -154,9 +150,7 @@ class Timetable:
         n, m = len(places[first]), len(places[name])
 
         def apart(i: IntArray, j: IntArray) -> FloatArray:
-            q = np.tile(self._cell.configuration({}), (len(i), 1))
-            q[:, self._cell.arm(first).joints] = places[first][i]
-            q[:, self._cell.arm(name).joints] = places[name][j]
+            q = self._cell.configuration({first: places[first][i], name: places[name][j]})
             return between(self._cell, q, name, [first])
 
         # Of squares of so many samples the middles first: what is so far apart there is far apart in all of it [m].

@@ -30,7 +30,6 @@ from hplan.planning.motion import Polyline, Transit, along, certificate_of, impr
 from hplan.planning.sampling.rrt_connect import Pairs, TreeEffort, tree_path
 from hplan.planning.sampling.several_trees import PromisingPath, TreesEffort, promising_paths
 from hplan.planning.task import COARSEST_DEG, MOST_CELLS, PlanningTask
-from hplan.robot.limits import least_duration as least_between
 from hplan.trajectory.retime import resting
 
 #: Nodes are not motions: where the grid path's motions cannot be verified, the search is repeated with obstacles
@@ -119,12 +118,6 @@ def reused(tasks: Sequence[PlanningTask], before: Transit) -> Transit | None:
     return None
 
 
-def least_duration(task: PlanningTask) -> float:
-    """Duration that no motion between start and goal can undercut [s]."""
-    problem, robot = task.problem, task.robot
-    return least_between(problem.start, problem.goal, robot.velocity_limit, robot.acceleration_limit)
-
-
 def straight_is_clear(task: PlanningTask) -> bool:
     """True if the straight motion is verified collision-free."""
     return task.field.is_clear(_straight(task).waypoints, task.margin())
@@ -194,7 +187,7 @@ def _along_straight(tasks: Sequence[PlanningTask]) -> Iterator[Found]:
             continue  # a route may lead to a motion that can be certified
         yield number, direct
         enough = worthwhile * direct.trajectory.duration
-        better = next((other for other in range(number) if least_duration(tasks[other]) < enough), None)
+        better = next((other for other in range(number) if tasks[other].least_duration < enough), None)
         if better is not None:
             yield from ((better, motion) for motion in _near_trees(tasks[better]))
         return
@@ -204,7 +197,7 @@ def _by_trees(tasks: Sequence[PlanningTask], pairs: Pairs) -> Iterator[Found]:
     """Motions along sampled paths to the first goal that has any, or to several that may be reached sooner."""
     compared, best_s = tasks[0].effort.compared, math.inf
     for number, task in enumerate(tasks[: max(_ONE_BY_ONE, compared)]):
-        if math.isfinite(best_s) and (compared == 1 or least_duration(task) >= best_s):
+        if math.isfinite(best_s) and (compared == 1 or task.least_duration >= best_s):
             continue
         for motion in _near_trees(task, pairs):
             best_s = min(best_s, motion.trajectory.duration)
@@ -218,7 +211,7 @@ def _near_trees(task: PlanningTask, pairs: Pairs | None = None) -> Iterator[Tran
     known = near_paths(task, first)
     if known is not None:
         yield known
-        if known.trajectory.duration <= effort.close * least_duration(task):
+        if known.trajectory.duration <= effort.close * task.least_duration:
             return
     found = _tree_paths(task, effort.trees, first, 1, pairs)
     if known is not None:  # along the first

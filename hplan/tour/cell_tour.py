@@ -3,7 +3,7 @@
 Who reaches a fruit alone picks it; the others are shared out so that all arms are done soonest (`hplan.tour.sharing`).
 Each arm's tour is planned by itself, past others where they begin, with all fruits hanging that are not its own; fruit
 to which it finds no motion goes to another that can pick it. What is found of motions makes the next shares better
-known. Tours are run as they are or the other way round, each arm waiting where it rests, as all are done soonest so.
+known. Tours are run as they are or reversed, each arm waiting where it rests, as all are done soonest so.
 
 There is no deadlock: at worst one goes after the other, past those that stand where they begin and end. In the end all
 arms against one another are certified as one motion.
@@ -215,9 +215,9 @@ class _Picker:
         share = replace(share, order=tuple(fruit for fruit in tour.order if fruit in share.grasps))
         return replace(share, more_s=tour.duration - share.seconds)
 
-    def turned(self, tour: TourResult) -> TourResult | None:
-        """A tour the other way round; None where that is not known to be one."""
-        return self._planner.turned(tour)
+    def reversed(self, tour: TourResult) -> TourResult | None:
+        """The reversed tour; None where that is not known to be one."""
+        return self._planner.reversed(tour)
 
     def tour(self, fruits: Sequence[str]) -> TourResult:
         """The tour through fruits and home.
@@ -317,21 +317,21 @@ def _together(
     cell: Cell, options: PlanOptions, spare: float, pickers: Mapping[str, _Picker], shared: _Shared,
     sooner: _Schedule | None,
 ) -> _Schedule | None:  # fmt: skip
-    """The schedule of tours, some the other way round, that ends soonest; None where another one ends as soon."""
+    """The schedule of tours, some of them reversed, that ends soonest; None where another one ends as soon."""
     found, (tours, reasons), distances = None, shared, dict[tuple[str, str], FloatArray]()
     if sooner is not None and _at_best(shared) >= sooner.ends:
         return None
-    both = [(None, pickers[name].turned(tour)) for name, tour in tours.items()]
-    # With more than two arms not every way round is tried.
-    for turns in itertools.islice(itertools.product(*both), 4):
-        back = {name: tour for name, tour in zip(tours, turns, strict=True) if tour is not None}
+    both = [(None, pickers[name].reversed(tour)) for name, tour in tours.items()]
+    # With more than two arms not all that may be reversed are tried.
+    for choice in itertools.islice(itertools.product(*both), 4):
+        backward = {name: tour for name, tour in zip(tours, choice, strict=True) if tour is not None}
         missed, before_s = (math.inf, math.inf) if sooner is None else sooner.ends
         if _at_best(shared) < (missed, before_s):
-            turned, table = {**tours, **back}, Timetable(cell, options, spare)
-            motions = {name: [part.motion for part in _parts(tour)] for name, tour in turned.items()}
+            chosen, table = {**tours, **backward}, Timetable(cell, options, spare)
+            motions = {name: [part.motion for part in _parts(tour)] for name, tour in chosen.items()}
             limit_s = math.inf if len(reasons) < missed else before_s
-            if table.run_together(motions, limit_s, distances, list(back)):
-                found = sooner = _Schedule(table, turned, reasons)
+            if table.run_together(motions, limit_s, distances, list(backward)):
+                found = sooner = _Schedule(table, chosen, reasons)
     return found
 
 

@@ -145,9 +145,11 @@ class Motions:
 
     def costs(self) -> tuple[dict[str, FloatArray], Costs]:
         """The (k, dof) configurations at each fruit of the tour that are looked at, and what it costs to go there."""
-        goals = [np.array([self._places[place].grasp.goal for place in active]) for active in self._active]
-        numbers = self._numbers.tolist()
-        return {self._names[number]: goals[number] for number in numbers}, self._costs(self._active_places)
+        goals = {
+            self._names[fruit]: np.array([self._places[place].grasp.goal for place in self._active[fruit]])
+            for fruit in self._numbers.tolist()
+        }
+        return goals, self._costs(self._active_places)
 
     def through(self, grasps: Sequence[Grasp]) -> Visits | None:
         """The tour by some grasps one after the other; None where one is not of its places, or there is none."""
@@ -289,7 +291,7 @@ class Motions:
             key = step._replace(name=""), leaving, coming
             if key not in self._blended:
                 back = self._blended.get((key[0]._replace(stops=step.stops[::-1]), coming, leaving))
-                self._blended[key] = self._blend(motion, *key) if back is None else _turned(back)
+                self._blended[key] = self._blend(motion, *key) if back is None else _reversed(back)
             blended = self._blended[key]
             if blended is not None:
                 retreat, transit, approach = blended
@@ -376,8 +378,8 @@ class Motions:
         )
 
 
-def _turned(found: _Blended) -> _Blended:
-    """A blended motion the other way round."""
+def _reversed(found: _Blended) -> _Blended:
+    """A blended motion reversed."""
     leaving, motion, coming = found
     before = None if coming is None else retreat_of(coming)
     return before, motion.reversed, None if leaving is None else replace(leaving.reversed, name="approach")

@@ -64,8 +64,7 @@ class Share:
 
     def over(self, fruits: Collection[str]) -> Share:
         """A share of other fruits, in their best order."""
-        order = [fruit for fruit in (*self.order, *self.grasps) if fruit in fruits]
-        order = list(dict.fromkeys(order))
+        order = [fruit for fruit in dict.fromkeys((*self.order, *self.grasps)) if fruit in fruits]
         if order:
             costs = self.costs.over([self.numbers[fruit] for fruit in order])
             places = best(costs, np.arange(len(order)), kicked=False).places
@@ -78,15 +77,13 @@ class Share:
 
 def nearness(cell: Cell, shares: Mapping[str, Share]) -> Nearness:
     """How near arms are to each other at the fruits that they can reach."""
-    found, rest = dict[tuple[str, str, str, str], float](), cell.configuration({})
+    found = dict[tuple[str, str, str, str], float]()
     # From where on arms are in each other's way on their motions [m].
     far = 0.3
     for a, b in itertools.combinations(shares, 2):
         pairs = itertools.product(shares[a].grasps.items(), shares[b].grasps.items())
         for (f, ours), (g, theirs) in pairs:
-            q = np.tile(rest, (len(ours) * len(theirs), 1))
-            q[:, cell.arm(a).joints] = np.repeat(ours, len(theirs), axis=0)
-            q[:, cell.arm(b).joints] = np.tile(theirs, (len(ours), 1))
+            q = cell.configuration({a: np.repeat(ours, len(theirs), axis=0), b: np.tile(theirs, (len(ours), 1))})
             found[a, f, b, g] = float(np.clip(1.0 - between(cell, q, a, [b]) / far, 0.0, 1.0).mean())
     return found
 
@@ -135,10 +132,8 @@ def exchanged(shares: Mapping[str, Share], near: Nearness, weight: float) -> dic
 
     def changes() -> list[tuple[tuple[float, float], dict[str, list[str]]]]:
         """When all are done at best after each change, and the fruits of those whom it is about."""
-        seconds, fruits = (
-            {n: share.seconds for n, share in found.items()},
-            {n: share.order for n, share in found.items()},
-        )
+        seconds = {n: share.seconds for n, share in found.items()}
+        fruits = {n: share.order for n, share in found.items()}
         promised = []
         for a, b in itertools.permutations(found, 2):
             swaps = ([], *([g] for g in found[b].order if a < b and g in found[a].grasps))
@@ -154,12 +149,13 @@ def exchanged(shares: Mapping[str, Share], near: Nearness, weight: float) -> dic
     def end(shares: Mapping[str, Share]) -> tuple[float, float]:
         return ends({n: share.seconds for n, share in shares.items()}, {n: share.order for n, share in shares.items()})
 
-    better = True
-    while better:
-        better, now = False, end(found)
-        for _, after in (change for change in changes() if change[0] < now):
-            trial = found | {name: found[name].over(fruits) for name, fruits in after.items()}
-            if end(trial) < now:
-                found, better = trial, True
-                break
-    return found
+    def changed(change: Mapping[str, Collection[str]]) -> dict[str, Share]:
+        return found | {name: found[name].over(fruits) for name, fruits in change.items()}
+
+    while True:
+        now = end(found)
+        trials = [change for promised, change in changes() if promised < now]
+        better = next((trial for trial in map(changed, trials) if end(trial) < now), None)
+        if better is None:
+            return found
+        found = better

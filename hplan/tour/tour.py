@@ -218,8 +218,8 @@ class TourPlanner:
         self._whole.choose(names)
         return self._whole.costs()
 
-    def turned(self, tour: TourResult) -> TourResult | None:
-        """A tour the other way round; None where that is not known to be one."""
+    def reversed(self, tour: TourResult) -> TourResult | None:
+        """The reversed tour; None where that is not known to be one."""
         visits = self._whole.through([leg.grasp for leg in reversed(tour.legs) if leg.grasp is not None])
         return None if visits is None else self._result([_Stage(self._whole, visits, {}, [])], tour.unreached)
 

@@ -31,7 +31,6 @@ from hplan.collision.coal_scene import CoalScene
 from hplan.errors import ConfigurationInCollisionError, NoPathError, UnreachableError
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
-from hplan.planning.transits import least_duration
 from hplan.robot.family import ORCHARD_HARVESTER, write_robot
 from hplan.robot.model import Robot, load_robot
 from hplan.scene.model import Fruit, Goal, Scene, Start
@@ -79,7 +78,7 @@ def test_base_moves_where_the_plane_is_closed(robot: Robot) -> None:
     scene = around_the_bar()
     free = plan(robot, scene)
     assert np.ptp(free.trajectory.position[:, 0]) > math.radians(2.0)
-    assert free.trajectory.duration < 1.5 * least_duration(free.motion.task)
+    assert free.trajectory.duration < 1.5 * free.motion.task.least_duration
     with pytest.raises(NoPathError):
         plan(robot, Scene(**{**vars(scene), "locked_joints": ("base_yaw",)}))
 

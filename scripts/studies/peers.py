@@ -120,12 +120,7 @@ def ompl_path(
     setup.setPlanner(getattr(geometric, planner)(information))
     world.field.is_clear(q, MARGIN_M)  # compiling must not take of OMPL's time
     world.field.clearance(begin)
-    # Where an end is in collision OMPL sleeps, which takes no CPU time: it is woken by the clock.
-    until_s, patience_s = time.thread_time() + seconds, time.monotonic() + 1.5 * seconds
-    setup.solve(
-        base.PlannerTerminationCondition(lambda: time.thread_time() >= until_s or time.monotonic() >= patience_s)
-    )
-    if not setup.haveExactSolutionPath():
+    if not solve(setup, seconds):
         return None
     setup.simplifySolution(SIMPLIFY_S)
     states = setup.getSolutionPath().getStates()
@@ -133,6 +128,18 @@ def ompl_path(
     path[:, joints] = [[state[axis] for axis in range(len(joints))] for state in states]
     path[0], path[-1] = begin, goal
     return path
+
+
+def solve(setup: Any, seconds: float) -> bool:
+    """Whether a `SimpleSetup` finds a path within so much CPU time [s].
+
+    Where an end is in collision OMPL sleeps, which takes no CPU time: it is woken by the clock.
+    """
+    until_s, patience_s = time.thread_time() + seconds, time.monotonic() + 1.5 * seconds
+    setup.solve(
+        ompl()[0].PlannerTerminationCondition(lambda: time.thread_time() >= until_s or time.monotonic() >= patience_s)
+    )
+    return bool(setup.haveExactSolutionPath())
 
 
 def world_of(robot: Robot, scene: Scene) -> World:

@@ -147,7 +147,7 @@ def _sequence_row(asked: Asked, number: int) -> Row:
             or row["tilt_deg"] > np.degrees(TILT_RAD) or row["off_line_mm"] > 1e3 * DEVIATION_M
         )  # fmt: skip
     if asked.peer is not None:
-        row |= _roboplan_row(asked, robot, scene, poses, ways, row.get("duration_s"))
+        row |= _peer_row(asked, robot, scene, poses, ways, row.get("duration_s"))
     return row
 
 
@@ -160,17 +160,21 @@ def _phases(found: PlanResult) -> list[TimedMotion]:
     return [TimedMotion(phase.end_s - phase.start_s, from_start_of(phase.start_s)) for phase in found.phases]
 
 
-def _roboplan_row(
+def _peer_row(
     asked: Asked, robot: Robot, scene: Scene, poses: FloatArray, ways: Sequence[bool], duration_s: float | None
 ) -> Row:
-    """What roboplan makes of a sequence; its roll and pitch within the half-width of the square that fits the tilt."""
+    """What a peer makes of a sequence; roboplan has roll and pitch, within the half-width of the square in the tilt."""
+    from studies.projected_peer import projected_motions
     from studies.roboplan_peer import RoboplanArm
 
-    start, within = scene.start.configuration, (TILT_RAD - 0.5 * LEAN_RAD) / np.sqrt(2.0)
-    arm = or_error(lambda: RoboplanArm(robot, scene, asked.seed + 1))
-    if isinstance(arm, HplanError):  # clouds
-        return {"peer_solved": None}
-    motions, ms = timed(lambda: arm.pose_motions(start, poses, ways, within))
+    start, seed, within = scene.start.configuration, asked.seed + 1, TILT_RAD - 0.5 * LEAN_RAD
+    if asked.peer == "roboplan":
+        arm = or_error(lambda: RoboplanArm(robot, scene, seed))
+        if isinstance(arm, HplanError):  # clouds
+            return {"peer_solved": None}
+        motions, ms = timed(lambda: arm.pose_motions(start, poses, ways, within / np.sqrt(2.0)))
+    else:
+        motions, ms = timed(lambda: projected_motions(robot, scene, poses, ways, TILT_RAD, seed))
     if motions is None:
         return {"peer_solved": False, "peer_ms": ms}
     told = tool_along(robot, start, motions, poses, ways)
@@ -194,6 +198,6 @@ POSE_SEQUENCES = Study(
     ),
     by="ways",
     count=(100, 3),
-    peers=("roboplan",),
+    peers=("RRTConnect", "roboplan"),
     warm=3,
 )

@@ -136,7 +136,7 @@ def _off_line(tool: FloatArray, row: int, direction: FloatArray) -> FloatArray:
 
 def tool_bends(robot: Robot, rates: FloatArray, pushes: FloatArray) -> tuple[FloatArray, FloatArray]:
     """(pieces,) bounds of the second derivatives of the tool's position and of a direction fixed in it."""
-    place = robot.model.frames[robot.model.getFrameId(robot.tool_frame)].placement.translation[None]
+    place = robot.model.frames[robot.frame_number(robot.tool_frame)].placement.translation[None]
     reach = points_reach(robot, place, robot.tool_joint - 1)
     bent, turn, turn_push = (np.zeros(len(rates)) for _ in range(3))
     beyond = np.zeros(len(rates))  # sum of r |q'| of the joints after

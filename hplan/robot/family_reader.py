@@ -37,7 +37,7 @@ def read_family(model: pin.Model, collision_model: pin.GeometryModel, tool_frame
         RobotFamilyError: Not of the family; says which element and why.
     """
     _check_chain(model)
-    data, tool = model.createData(), model.getFrameId(tool_frame)
+    data, tool = model.createData(), model.getFrameId(tool_frame, pin.FrameType.BODY)
     pin.framesForwardKinematics(model, data, np.zeros(model.nq))
     if model.frames[tool].parentJoint != model.njoints - 1:
         raise RobotFamilyError(model.name, f"frame {tool_frame!r}", "it is not on the last link")

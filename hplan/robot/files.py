@@ -202,7 +202,7 @@ def _check_moving_joints(path: Path, urdf: Urdf) -> None:
     """Refuse what a file may say but no robot here can have: joints that mimic, limits of zero."""
     for joint in urdf.joints.values():
         where = f"{line_of(joint.element)}joint {joint.name!r}"
-        if joint.element.find("mimic") is not None:
+        if joint.kind != "fixed" and joint.element.find("mimic") is not None:
             raise RobotFileError(path, f"{where} mimics another; every joint must move by itself")
         for key in ("velocity", "effort", "acceleration", "jerk") if joint.kind in ("revolute", "prismatic") else ():
             if key in joint.limits and not joint.limits[key] > 0.0:

@@ -127,7 +127,7 @@ class Robot(PlanarNames, Record):
     @cached_property
     def tool_joint(self) -> int:
         """Number in the model of the joint that carries the tool frame; 0 where none does."""
-        return int(self.model.frames[self.model.getFrameId(self.tool_frame)].parentJoint)
+        return int(self.model.frames[self.frame_number(self.tool_frame)].parentJoint)
 
     @cached_property
     def tool_axis(self) -> FloatArray:
@@ -195,15 +195,18 @@ class Robot(PlanarNames, Record):
     tool_poses = forward_kinematics  # its earlier name
 
     def frame_number(self, name: str) -> int:
-        """Number in the model of the frame of a name.
+        """Number in the model of the frame of a name, of the link where there are others.
 
         Raises:
             InputError: The robot has no frame of that name.
         """
-        if not (isinstance(name, str) and name.isprintable() and self.model.existFrame(name)):
-            names = ", ".join(frame.name for frame in self.model.frames if frame.type == pin.FrameType.BODY)
+        frames = self.model.frames
+        # A joint may have the name of a link.
+        found = [number for number, frame in enumerate(frames) if frame.name == name]
+        if not found:
+            names = ", ".join(frame.name for frame in frames if frame.type == pin.FrameType.BODY)
             raise InputError(f"frame {name!r} is not of the robot; it has {names}", frame=name)
-        return int(self.model.getFrameId(name))
+        return next((number for number in found if frames[number].type == pin.FrameType.BODY), found[0])
 
     def locked_mask(self, names: Sequence[str]) -> BoolArray:
         """(dof,) mask of the locked joints.

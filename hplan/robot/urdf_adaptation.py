@@ -25,7 +25,7 @@ from hplan.base.files import is_file, note_input
 from hplan.base.units import joint_unit
 from hplan.errors import InputError, JointLimitError, RobotFileError
 from hplan.robot.family_reader import hold_advice
-from hplan.robot.urdf_file import Joint, Urdf, read_urdf
+from hplan.robot.urdf_file import Joint, Urdf, check_inertias, read_urdf
 from hplan.robot.urdf_xml import URDF_TEXT, line_of
 from hplan.scene.limits import FARTHEST_M
 
@@ -83,9 +83,9 @@ def adapt_urdf(path: Path, root: ET.Element, choice: RobotChoice) -> AdaptedUrdf
         root: Its root element; it is changed.
 
     Raises:
-        RobotFileError: What `read_urdf` refuses; a mesh that is not found; a joint that mimics one that does not exist,
-            or itself; one that moves, and mimics or is mimicked, or is continuous and without velocity or effort limit;
-            a base that is tilted, or not fixed, on what carries it.
+        RobotFileError: What `read_urdf` and `check_inertias` refuse; a mesh that is not found; a joint that mimics one
+            that does not exist, or itself; one that moves, and mimics or is mimicked, or is continuous and without
+            velocity or effort limit; a base that is tilted, or not fixed, on what carries it.
         InputError: A joint to move or to hold that does not exist or cannot.
         JointLimitError: A joint held outside its limits.
     """
@@ -93,10 +93,13 @@ def adapt_urdf(path: Path, root: ET.Element, choice: RobotChoice) -> AdaptedUrdf
     changed = _find_meshes(path, root, choice)
     chain = _Adaptation(path, str(root.get("name")), urdf, choice)
     changed |= chain.apply()
-    if not changed and path != URDF_TEXT and path.suffix != ".xacro":
+    as_is = not changed and path != URDF_TEXT and path.suffix != ".xacro"
+    adapted = urdf if as_is else read_urdf(path, root)
+    check_inertias(path, adapted)
+    if as_is:
         return AdaptedUrdf(urdf, None, frozenset(), {})
     text = ET.tostring(root, encoding="unicode")
-    return AdaptedUrdf(read_urdf(path, root), text, frozenset(chain.continuous), chain.held)
+    return AdaptedUrdf(adapted, text, frozenset(chain.continuous), chain.held)
 
 
 class _Adaptation:

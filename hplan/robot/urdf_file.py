@@ -25,8 +25,8 @@ from hplan.robot.urdf_xml import line_of
 from hplan.scene.limits import FARTHEST_M
 from hplan.scene.solids import rpy_rotation
 
-#: Elements and the attributes and elements that each may have; none means any. Those with a prefix (`drake:`) are
-#: extensions, and so are `_EXTENSIONS`; of these `_ACCELERATION` alone is read.
+#: Elements and the attributes and elements that each may have; none means any. What has another name is an extension,
+#: unless it looks like a misspelling; of these `_ACCELERATION` alone is read.
 _ATTRIBUTES: Final[Mapping[str, frozenset[str]]] = {
     "origin": frozenset({"xyz", "rpy"}),
     "mass": frozenset({"value"}),
@@ -48,16 +48,14 @@ _ATTRIBUTES: Final[Mapping[str, frozenset[str]]] = {
 _CHILDREN: Final[Mapping[str, frozenset[str]]] = {
     "link": frozenset({"inertial", "visual", "collision"}),
     "inertial": frozenset({"origin", "mass", "inertia"}),
-    "collision": frozenset({"origin", "geometry"}),
+    "collision": frozenset({"origin", "geometry", "material"}),
     "visual": frozenset({"origin", "geometry", "material"}),
     "geometry": frozenset({"box", "sphere", "cylinder", "mesh"}),
     "joint": frozenset(
         {"origin", "parent", "child", "axis", "limit", "dynamics", "mimic", "safety_controller", "calibration"}
     ),
 }
-_EXTENSIONS: Final = frozenset(
-    {"contact", "contact_coefficients", "joint_properties", "self_collision_checking", "sensor", "verbose"}
-)
+_ELEMENTS: Final = frozenset(_ATTRIBUTES).union(_CHILDREN, *_CHILDREN.values())
 
 #: The limit that URDF has from 1.2 on, as files for Drake name it; where both are there, URDF's own counts.
 _ACCELERATION: Final = "drake:acceleration"
@@ -146,16 +144,13 @@ class Urdf:
 def read_urdf(path: Path, root: ET.Element, *, any_robot: bool = False) -> Urdf:
     """Read the content of a URDF.
 
-    Robots of others hold elements of programs that are not known here, and inertias of no body where it does not
-    matter; of these nothing is refused but what looks like a misspelling, and no number that cannot be read.
-
     Args:
         any_robot: Whether it is a robot of others, for its joints and inertias alone: shapes are not read.
 
     Raises:
         RobotFileError: A name missing, repeated or unprintable; a joint to a link that does not exist; an element or
-            attribute that is missing, unknown, or there twice; a number that is none, or out of range; an inertia that
-            no body has. Names line and element.
+            attribute that is missing, unknown, or there twice; a number that is none, or out of range. Names line and
+            element.
     """
     reader = _Reader(path, any_robot)
     reader.check_name(root, "the robot")
@@ -170,6 +165,40 @@ def read_urdf(path: Path, root: ET.Element, *, any_robot: bool = False) -> Urdf:
             seen.add(name)
     found = {str(link.get("name")): reader.link(link) for link in links}
     return Urdf(found, {str(joint.get("name")): reader.joint(joint, found) for joint in joints})
+
+
+def check_inertias(path: Path, urdf: Urdf) -> None:
+    """Refuse inertias that no body has, of links that joints move: on those of others nothing depends.
+
+    Raises:
+        RobotFileError: There is one. Names line and link.
+    """
+    # Part of the largest principal moment by which an inertia may miss what a body can have: CAD programs round.
+    inertia_tolerance = 1e-3
+    carrying = {joint.child: joint for joint in urdf.joints.values()}
+    for link in urdf.links.values():
+        if link.inertial is None or not _is_moved(link.name, carrying):
+            continue
+        moments = np.linalg.eigvalsh(link.inertial.inertia)
+        tolerance = max(inertia_tolerance * float(np.abs(moments).max()), 1e-12)
+        if moments[0] < -tolerance or moments[2] > moments[0] + moments[1] + tolerance:
+            reason = (
+                f"{line_of(next(link.element.iter('inertia')))}link {link.name!r}: <inertia> has principal moments "
+                f"{', '.join(f'{moment:.6g}' for moment in moments)} kg m^2; of a body none is negative, and none is "
+                "larger than the sum of the others"
+            )
+            raise RobotFileError(path, reason)
+
+
+def _is_moved(link: str, carrying: Mapping[str, Joint]) -> bool:
+    """Whether a joint moves a link, or may in what is no tree."""
+    for _ in carrying:
+        if link not in carrying:
+            return False
+        if carrying[link].kind != "fixed":
+            return True
+        link = carrying[link].parent
+    return link in carrying
 
 
 class _Reader:
@@ -267,24 +296,7 @@ class _Reader:
         xx, xy, xz, yy, yz, zz = (
             self._numbers(inertia, key, where, 1)[0] for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
         )
-        matrix = readonly([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-        self._check_inertia(inertia, matrix, where)
-        return Inertial(value, self._placement(element, where), matrix)
-
-    def _check_inertia(self, element: ET.Element, matrix: FloatArray, where: str) -> None:
-        """Refuse an inertia that no body has."""
-        moments = np.linalg.eigvalsh(matrix)
-        # Part of the largest principal moment by which an inertia may miss what a body can have: CAD programs round.
-        inertia_tolerance = 1e-3
-        tolerance = max(inertia_tolerance * float(np.abs(moments).max()), 1e-12)
-        if self._any_robot:
-            return
-        if moments[0] < -tolerance or moments[2] > moments[0] + moments[1] + tolerance:
-            raise self.fault(
-                element,
-                f"{where}: <inertia> has principal moments {', '.join(f'{moment:.6g}' for moment in moments)} kg m^2; "
-                "of a body none is negative, and none is larger than the sum of the others",
-            )
+        return Inertial(value, self._placement(element, where), readonly([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]))
 
     def _geometry_of(self, element: ET.Element, where: str) -> tuple[str, tuple[float, ...]]:
         """Kind and size of the shape of a `<collision>` or `<visual>`."""
@@ -351,7 +363,9 @@ class _Reader:
         seen: set[str] = set()
         for part in element:
             if part.tag not in known:
-                if self._means_something(part.tag, known):
+                # A link has no origin of its own; one that is its frame does no harm.
+                is_frame = part.tag == "origin" and not any(map(any, self._origin_of(element, where)))
+                if is_frame or self._is_extension(part.tag, known):
                     continue
                 reason = f"{where}: <{part.tag}> in <{element.tag}> means nothing, expected {', '.join(sorted(known))}"
                 raise self.fault(part, reason)
@@ -362,13 +376,13 @@ class _Reader:
             for attribute in sorted(part.attrib.keys() - attributes):
                 # Elements that no program adds attributes to.
                 closed = part.tag in ("origin", "mass", "inertia", "axis", "parent", "child")
-                if closed or not self._means_something(attribute, attributes):
+                if closed or not self._is_extension(attribute, attributes):
                     raise self.fault(part, f"{where}: {attribute} of <{part.tag}> means nothing")
 
-    def _means_something(self, name: str, known: frozenset[str]) -> bool:
-        """True if an unknown name may be an extension, and is no misspelling of a known one."""
-        if ":" in name or name in _EXTENSIONS:
-            return True
+    def _is_extension(self, name: str, known: frozenset[str]) -> bool:
+        """True if an unknown name is no misspelling of a known one, no element at a wrong place, and no shape."""
         # Likeness from which on an unknown name is a misspelling (`difflib.SequenceMatcher.ratio`).
         alike = 0.8
-        return self._any_robot and not get_close_matches(name.lower(), known, 1, alike)
+        shortened = any(word.startswith(name.lower()) for word in known)
+        misspelt = shortened or get_close_matches(name.lower(), known, 1, alike)
+        return ":" in name or not (name in _ELEMENTS or misspelt or known == _CHILDREN["geometry"])

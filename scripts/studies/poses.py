@@ -101,7 +101,7 @@ def tool_along(
     robot: Robot, start: FloatArray, motions: Sequence[TimedMotion], poses: FloatArray, ways: Sequence[bool]
 ) -> Row:
     """Largest tilt, distance from straight lines and from poses, by Pinocchio at many places of a motion to each."""
-    data, model, frame = robot.model.createData(), robot.model, robot.model.getFrameId(robot.tool_frame)
+    data, model, frame = robot.model.createData(), robot.model, robot.frame_number(robot.tool_frame)
 
     def at(q: FloatArray) -> FloatArray:
         pin.framesForwardKinematics(model, data, q)

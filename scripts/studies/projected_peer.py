@@ -41,7 +41,7 @@ class ToolConstraint:
 
     def __init__(self, robot: Robot, up: FloatArray, tilt_rad: float, line: FloatArray | None) -> None:
         self._model, self._data = robot.model, robot.model.createData()
-        self._frame = self._model.getFrameId(robot.tool_frame)
+        self._frame = robot.frame_number(robot.tool_frame)
         self._up, self._tilt_rad = up, tilt_rad
         self._line, self._across, self._begin = line, np.zeros((0, 3)), np.zeros(3)
         if line is not None:

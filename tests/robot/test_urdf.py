@@ -139,7 +139,30 @@ def test_elements_of_others_may_stay(tmp_path):
     text = text.replace("<collision>", "<collision><drake:proximity_properties/>", 1)
     sphere = "<self_collision_checking><geometry><sphere/></geometry></self_collision_checking>"
     text = text.replace("</collision>", f"</collision>{sphere}", 1)
+    text = text.replace("<collision>", '<self_filter/><origin xyz="0 0 0"/><collision><material name="grey"/>', 1)
     load_robot(write(tmp_path, text))
+
+
+def test_an_origin_of_a_link_is_refused_unless_it_is_the_links_own(tmp_path):
+    text = GRIPPER.replace("<collision>", '<origin xyz="0 0 0.1"/><collision>', 1)
+    with pytest.raises(RobotFileError, match="<origin> in <link> means nothing"):
+        load_robot(write(tmp_path, text))
+
+
+def test_a_joint_may_be_called_as_a_link(tmp_path):
+    """As of the SO-100, whose jaw is moved by the joint `gripper` on the link `gripper`."""
+    path = write(tmp_path, SHIPPED.replace('"wrist"', '"tool0"'))
+    limits = path.with_suffix(".limits.yaml")
+    limits.write_text(limits.read_text().replace("wrist", "tool0"))
+    robot = load_robot(path)
+    np.testing.assert_allclose(robot.forward_kinematics(np.zeros(4)), load_robot().forward_kinematics(np.zeros(4)))
+
+
+def test_inertias_count_where_a_joint_moves_them(tmp_path):
+    """The base of an ANYmal, a sensor of a TIAGo: exporters write what no body has, and nothing depends on it."""
+    body, none = 'izz="0.392"', 'izz="3.92"'
+    assert SHIPPED.index(body) < SHIPPED.index('<link name="turret">')
+    load_robot(write(tmp_path, SHIPPED.replace(body, none, 1)))
 
 
 def test_accelerations_may_be_drakes():

@@ -260,7 +260,7 @@ def _arm_points(robot: Robot, configurations: FloatArray) -> FloatArray:
     points, (model, data) = [np.zeros((0, 3))], (robot.model, robot.model.createData())
     for q in configurations:
         pin.framesForwardKinematics(model, data, q)
-        tool = data.oMf[model.getFrameId(robot.tool_frame)].translation
+        tool = data.oMf[robot.frame_number(robot.tool_frame)].translation
         joints = np.array([*(data.oMi[joint].translation for joint in range(1, model.njoints)), tool])
         points += [joints, 0.5 * (joints[1:] + joints[:-1])]
     return np.vstack(points)

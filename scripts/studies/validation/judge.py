@@ -232,7 +232,9 @@ class Arm:
         self._joined = [{end.get("link") for end in joint if end.tag in ("parent", "child")} for joint in moving]
         self._joined += [set(pair) for pair in may_touch]
         self._numbers = [int(self.model.getJointId(name)) for name in self.joints]
-        self.last_joint = self.carrier(self.model.frames[self.model.getFrameId(tool_frame)].parentJoint)
+        self.last_joint = self.carrier(
+            self.model.frames[self.model.getFrameId(tool_frame, pin.FrameType.BODY)].parentJoint
+        )
 
     def _body(self, geometry: pin.GeometryObject) -> Body:
         hull = shape = geometry.geometry

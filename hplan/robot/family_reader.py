@@ -15,6 +15,7 @@ from hplan.base.arrays import FloatArray, readonly
 from hplan.errors import RobotFamilyError, RobotFileError
 from hplan.robot.dynamics import SLIDING, TURNING
 from hplan.robot.planar_family import PlanarArm, PlanarFamily
+from hplan.robot.urdf_check import frame_number
 from hplan.scene.solids import CUBE_CORNERS
 
 #: Lengths below this are zero, offsets below this are on the plane [m].
@@ -37,7 +38,7 @@ def read_family(model: pin.Model, collision_model: pin.GeometryModel, tool_frame
         RobotFamilyError: Not of the family; says which element and why.
     """
     _check_chain(model)
-    data, tool = model.createData(), model.getFrameId(tool_frame, pin.FrameType.BODY)
+    data, tool = model.createData(), frame_number(model, tool_frame)
     pin.framesForwardKinematics(model, data, np.zeros(model.nq))
     if model.frames[tool].parentJoint != model.njoints - 1:
         raise RobotFamilyError(model.name, f"frame {tool_frame!r}", "it is not on the last link")

@@ -27,6 +27,7 @@ from hplan.robot.family_reader import check_joints, read_family
 from hplan.robot.files import build_models, find_limits, limits_file, neighbouring_links, read_srdf, robot_files
 from hplan.robot.planar_family import PlanarArm, PlanarFamily, PlanarNames
 from hplan.robot.urdf_adaptation import RobotChoice, adapt_urdf
+from hplan.robot.urdf_check import frame_number
 from hplan.robot.urdf_xml import is_urdf_text, read_urdf_xml
 
 if TYPE_CHECKING:
@@ -200,13 +201,11 @@ class Robot(PlanarNames, Record):
         Raises:
             InputError: The robot has no frame of that name.
         """
-        frames = self.model.frames
-        # A joint may have the name of a link.
-        found = [number for number, frame in enumerate(frames) if frame.name == name]
-        if not found:
-            names = ", ".join(frame.name for frame in frames if frame.type == pin.FrameType.BODY)
+        found = frame_number(self.model, name)
+        if found == self.model.nframes:
+            names = ", ".join(frame.name for frame in self.model.frames if frame.type == pin.FrameType.BODY)
             raise InputError(f"frame {name!r} is not of the robot; it has {names}", frame=name)
-        return next((number for number in found if frames[number].type == pin.FrameType.BODY), found[0])
+        return found
 
     def locked_mask(self, names: Sequence[str]) -> BoolArray:
         """(dof,) mask of the locked joints.

@@ -21,6 +21,12 @@ from hplan.robot.urdf_file import CollisionShape, Joint, Link, Urdf
 from hplan.robot.urdf_xml import line_of
 
 
+def frame_number(model: pin.Model, name: str) -> int:
+    """Number of the frame of a name, of the link where a joint has it too; `nframes`, as with Pinocchio, for none."""
+    found = [number for number, frame in enumerate(model.frames) if frame.name == name]
+    return min(found, key=lambda number: model.frames[number].type != pin.FrameType.BODY, default=int(model.nframes))
+
+
 def check_models(path: Path, urdf: Urdf, model: pin.Model, collision_model: pin.GeometryModel | None = None) -> None:
     """Compare what Pinocchio read with what the file says.
 

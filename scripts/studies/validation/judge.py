@@ -220,6 +220,7 @@ class Arm:
         self.model = pin.buildModelFromUrdf(str(urdf))
         folders = [str(each) for each in package_dirs]
         geometry = pin.buildGeomFromUrdf(self.model, str(urdf), pin.GeometryType.COLLISION, package_dirs=folders)
+        self._stand_on_base(geometry)
         self.data = self.model.createData()
         held = {} if held is None else held
         self.joints = [name for name in list(self.model.names)[1:] if name not in held]
@@ -232,9 +233,20 @@ class Arm:
         self._joined = [{end.get("link") for end in joint if end.tag in ("parent", "child")} for joint in moving]
         self._joined += [set(pair) for pair in may_touch]
         self._numbers = [int(self.model.getJointId(name)) for name in self.joints]
-        self.last_joint = self.carrier(
-            self.model.frames[self.model.getFrameId(tool_frame, pin.FrameType.BODY)].parentJoint
-        )
+        tool = [frame for frame in self.model.frames if frame.name == tool_frame]
+        self.last_joint = self.carrier(max(frame.parentJoint for frame in tool))
+
+    def _stand_on_base(self, geometry: pin.GeometryModel) -> None:
+        """Places are those in `base_link`, where there is one: it may stand on something else."""
+        found = [frame for frame in self.model.frames if frame.name == "base_link" and frame.parentJoint == 0]
+        if found:
+            to_base = found[0].placement.inverse()
+            for number in range(1, self.model.njoints):
+                if self.model.parents[number] == 0:
+                    self.model.jointPlacements[number] = to_base * self.model.jointPlacements[number]
+            for shape in geometry.geometryObjects:
+                if shape.parentJoint == 0:
+                    shape.placement = to_base * shape.placement
 
     def _body(self, geometry: pin.GeometryObject) -> Body:
         hull = shape = geometry.geometry

@@ -12,10 +12,12 @@ from hplan.base.deadline import check_deadline, until
 from hplan.collision.body_motions import piece_is_clear
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.flat_bodies import thicker
+from hplan.kinematics.damped_steps import Chain
 from hplan.optimization.first_order import MotionArrays, MotionLimits, first_order, least_time_scale
 from hplan.optimization.interior_point import ProgramRows, solve
 from hplan.optimization.options import PostprocessOptions
 from hplan.optimization.timed_spline import RESTING, BoundaryState, TimedSpline
+from hplan.optimization.tool_rows import Leaning
 from hplan.optimization.torque_rows import NEAR_LIMIT, TorqueUse, torque_rows, with_rows
 from hplan.robot.dynamics import InverseDynamics
 from hplan.robot.limits import Limits, rest_to_rest
@@ -38,6 +40,7 @@ class TimeProblem(Record):
         ends: The states in which it begins and ends; None where both are at rest.
         sway: (links, dof) by how much tracking errors bring each link nearer to obstacles for a unit of each joint's
             speed [m s/rad]; None where they do not grow with speed.
+        upright: What the tool is to stay, between ends at rest; None where it may lean.
     """
 
     field: ClearanceField
@@ -48,6 +51,7 @@ class TimeProblem(Record):
     rate_hz: float
     ends: tuple[BoundaryState, BoundaryState] | None = None
     sway: FloatArray | None = None
+    upright: Chain | None = None
 
     @cached_property
     def arrays(self) -> MotionLimits:
@@ -59,7 +63,12 @@ class TimeProblem(Record):
         return MotionLimits(options.lower, options.upper, rates, options.movable, sway)
 
     def is_clear(self, spline: TimedSpline) -> bool:
-        """True if the whole motion is verified collision-free, with tracking errors that grow with its speed."""
+        """True if the whole motion is verified collision-free, with tracking errors that grow with its speed.
+
+        The tool is to be upright, too, wherever that is looked at.
+        """
+        if self.upright is not None and not Leaning.of(spline, self.upright).is_upright:
+            return False
         if self.sway is not None:
             return self._is_clear_swaying(spline, self.sway)
         moved = MovableSpline(np.array(spline.control), spline.knots)
@@ -148,6 +157,8 @@ class TimeProblem(Record):
         use = self.torque_use(spline)
         if use is not None and use.largest > NEAR_LIMIT:
             rows = with_rows(rows, torque_rows(use, spline, self.dynamics, arrays))
+        if self.upright is not None:
+            rows = with_rows(rows, Leaning.of(spline, self.upright).rows(spline, options.movable))
         joints = len(options.movable)
         inner = len(spline.control) - 2 * RESTING
         found, unknowns = solve(rows, inner * joints, 4 * joints - 1, gap, until())

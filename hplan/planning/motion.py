@@ -14,6 +14,7 @@ import numpy as np
 from hplan.base.arrays import FloatArray, Record, frozen
 from hplan.certificate.certificate import Certificate, Stretch, all_of, certify_among, stretches
 from hplan.errors import CertificationError, TimingError
+from hplan.kinematics.damped_steps import Chain
 from hplan.optimization.minimize_time import minimize_time
 from hplan.optimization.options import PostprocessOptions
 from hplan.optimization.several_starts import NEAR, StartsEffort, fastest_motions, optimization_starts
@@ -190,11 +191,14 @@ def along(task: PlanningTask, polyline: Polyline, margin: float) -> Transit:
     return _transit(task, polyline, path, *certified_trajectory(task, path))
 
 
-def improving(motion: Transit) -> Iterator[Transit]:
+def improving(motion: Transit, upright: Chain | None = None) -> Iterator[Transit]:
     """A motion and a quicker one near it, if there is one; both are certified.
 
     It is the only one where a short path is asked for, it is straight, or close enough to the fastest where a motion
     is wanted at once.
+
+    Args:
+        upright: What the tool of the quicker one stays, wherever the optimiser looks; None where it may lean.
     """
     yield motion
     task, effort, start = motion.task, motion.task.optimization, motion.trajectory
@@ -202,11 +206,11 @@ def improving(motion: Transit) -> Iterator[Transit]:
         effort is None
         or (task.effort.at_once and start.duration <= task.effort.close * task.least_duration)
         or start.samples == 1
-        or is_straight(motion.waypoints, task.field, smoothing_options(task, task.margin()))
+        or (upright is None and is_straight(motion.waypoints, task.field, smoothing_options(task, task.margin())))
     ):
         return
     with task.stage("timing"):
-        problem = time_problem(task, start)
+        problem = replace(time_problem(task, start), upright=upright)
         spline = minimize_time(start, problem, effort.optimization)
     if spline is not None and spline.duration < start.duration:
         quicker = spline.trajectory(problem.dynamics, problem.rate_hz)

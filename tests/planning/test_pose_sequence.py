@@ -13,6 +13,7 @@ import hplan
 from hplan.base.arrays import FloatArray
 from hplan.certificate.tool_bounds import tool_bounds
 from hplan.errors import CertificationError, InputError, NotFoundError, NotInTimeError
+from hplan.planning import pose_sequence
 from hplan.planning.options import PlanOptions
 from hplan.planning.pose_sequence import pose_matrices
 from hplan.planning.result import PlanResult
@@ -89,6 +90,24 @@ def test_trees_go_around_and_stay_upright(arm: Robot) -> None:
     result = hplan.plan_poses(arm, scene_of(arm, wall), [pose], straight=False, tilt_rad=TILT)
     ((_, tilt),) = seen(arm, result, [pose], [False])
     assert 0.0 < tilt <= np.radians(result.report["poses"]["phases"][0]["tilt_deg"]) <= TILT
+
+
+@pytest.mark.parametrize(("name", "gain"), [("panda", 0.2), ("picker", 0.03)])
+def test_upright_motions_are_made_quicker(
+    tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch, name: str, gain: float
+) -> None:
+    arm = loaded_arm(name, tmp_path_factory)
+    here = arm.forward_kinematics(begin_of(arm))
+    height = 0.6 if name == "panda" else 0.4
+    wall = Box(name="wall", center=here[:3, 3] + (0.0, 0.2, 0.5 * height - 0.35), size=(0.5, 0.04, height))
+    pose, durations = moved(here, 0.0, 0.4, 0.0), []
+    for fast in (pose_sequence._FAST, np.inf):
+        monkeypatch.setattr(pose_sequence, "_FAST", fast)
+        result = hplan.plan_poses(arm, scene_of(arm, wall), [pose], straight=False, tilt_rad=TILT)
+        ((_, tilt),) = seen(arm, result, [pose], [False])
+        assert tilt <= np.radians(result.report["poses"]["phases"][0]["tilt_deg"]) <= TILT
+        durations.append(result.trajectory.duration)
+    assert durations[0] < (1.0 - gain) * durations[1]
 
 
 def test_without_a_tilt_a_motion_is_that_of_a_plan(arm: Robot) -> None:

@@ -14,7 +14,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -76,13 +76,14 @@ _STILL = 1e-9
 
 
 class _Leg(NamedTuple):
-    """From a pose to the next: rows to be timed, the smooth path through them where it is straight, or the motion."""
+    """From a pose to the next: rows to be timed, the smooth path through them where it is straight; the motion."""
 
     number: int
     task: PlanningTask
     rows: FloatArray
     path: SplinePath | None = None
     motion: Transit | None = None
+    bounds: ToolBounds | None = None
 
 
 class _Tilt(NamedTuple):
@@ -193,7 +194,7 @@ def plan_poses(
                 tilt = _Tilt(tilt_rad, _upright_chain(robot, scene, up, direction, _OF_TILT * tilt_rad))
             lines = tuple(truth("straight", way) for way in ways)
             task = _Poses(context, checked, lines, deviation_m, up, direction, tilt)
-            return _timed(task, _through(task, begin, 0))
+            return _result(task, _through(task, begin, 0))
         except TimeIsUpError:
             raise limit.error(clock.told()) from None
 
@@ -244,7 +245,7 @@ def _check_upright(poses: Sequence[FloatArray], up: FloatArray, direction: Float
 
 
 def _through(task: _Poses, begin: FloatArray, number: int) -> list[_Leg]:
-    """The legs from a configuration to all poses from one on.
+    """The certified legs from a configuration to all poses from one on.
 
     Raises:
         HplanError: There are none; why the first that was tried does not go on.
@@ -252,9 +253,12 @@ def _through(task: _Poses, begin: FloatArray, number: int) -> list[_Leg]:
     if number == len(task.poses):
         return []
     failure: HplanError | None = None
-    for leg in (_lines if task.straight[number] else _free)(task, begin, number):
+    given_up: list[PlanningTask] = []
+    for leg in _lines(task, begin, number) if task.straight[number] else _free(task, begin, number, given_up):
         try:
-            return [leg, *_through(task, leg.rows[-1], number + 1)]
+            found = _certified(task, leg)
+            given_up.append(leg.task)  # there is no other way on from its end
+            return [found, *_through(task, leg.rows[-1], number + 1)]
         except (NotFoundError, BlockedError, TimingError, CertificationError) as error:
             failure = failure or error
     raise failure or NotFoundError(
@@ -295,8 +299,12 @@ def _ways_there(task: _Poses, begin: FloatArray, number: int) -> Iterator[FloatA
         yield from _ends(task, begin, number)
 
 
-def _free(task: _Poses, begin: FloatArray, number: int) -> Iterator[_Leg]:
-    """To configurations at a pose from which the straight lines that follow can be had, the nearest ones first."""
+def _free(task: _Poses, begin: FloatArray, number: int, given_up: Sequence[PlanningTask]) -> Iterator[_Leg]:
+    """To configurations at a pose from which the straight lines that follow can be had, the nearest ones first.
+
+    Args:
+        given_up: Motions to be left out from now on, whatever is added to them.
+    """
     context = task.context
     ends = [end for end in _ends(task, begin, number) if _goes_on(task, end, number + 1)]
     if not ends:
@@ -306,17 +314,15 @@ def _free(task: _Poses, begin: FloatArray, number: int) -> Iterator[_Leg]:
     for end in ends[: context.effort.pose_goals]:
         with suppress(ConfigurationInCollisionError):
             tasks.append(context.task(begin, end))
-    while tasks:
-        still = next((to for to in tasks if to.problem.is_empty), None)
-        if still is not None:
-            leg = _Leg(number, still, np.stack([begin, still.problem.goal]))
-        elif task.tilt is None:
-            at, motion = one_transit(tasks)
-            leg = _Leg(number, tasks[at], motion.trajectory.position[[0, -1]], motion=motion)
-        else:
-            leg = _upright(task.tilt, tasks, number)
-        yield leg
-        tasks = [to for to in tasks if to is not leg.task]
+    still = [to for to in tasks if to.problem.is_empty]
+    yield from (_Leg(number, to, np.stack([begin, to.problem.goal])) for to in still)
+    tasks = [to for to in tasks if not to.problem.is_empty]
+    if task.tilt is not None:
+        yield from _upright(task.tilt, tasks, number, given_up)
+    while task.tilt is None and tasks:
+        at, motion = one_transit(tasks)
+        yield _Leg(number, tasks[at], motion.trajectory.position[[0, -1]], motion=motion)
+        del tasks[at]
 
 
 def _goes_on(task: _Poses, begin: FloatArray, number: int) -> bool:
@@ -337,28 +343,39 @@ def _ends(task: _Poses, begin: FloatArray, number: int) -> FloatArray:
         return configurations_at(context.world, goal, begin, context.scene.locked_joints)
 
 
-def _upright(tilt: _Tilt, tasks: Sequence[PlanningTask], number: int) -> _Leg:
-    """A path to whichever configuration can be reached upright: as the joints go there, or of trees.
+def _upright(
+    tilt: _Tilt, tasks: Sequence[PlanningTask], number: int, given_up: Sequence[PlanningTask]
+) -> Iterator[_Leg]:
+    """Paths to whichever configurations can be reached upright: as the joints go there, or of trees.
 
     Raises:
         NotFoundError: None was found.
     """
-    field, robot = tasks[0].field, tasks[0].robot
+    if not tasks:
+        return
+    field, robot, reached = tasks[0].field, tasks[0].robot, False
     for to in tasks:
         rows = _followed(tilt, to, to.problem.start, to.problem.goal)
         if rows is not None and field.is_clear(rows, 0.1 * to.margin()):
-            return _Leg(number, to, rows)
-    first, goals, least = tasks[0], np.array([to.problem.goal for to in tasks]), 0.1 * min(to.margin() for to in tasks)
+            reached = True
+            yield _Leg(number, to, rows)
+    first, least = tasks[0], 0.1 * min(to.margin() for to in tasks)
     # Longest edge of trees that stay upright, for a tilt of one radian [s]; it goes with the root of the tilt.
     held = Held(tilt.within(first), 0.1 * math.sqrt(_OF_TILT * tilt.most))
     for seed, evaluations in enumerate(_TREES):
+        left = [to for to in tasks if to not in given_up]
+        if not left:
+            return
+        goals = np.array([to.problem.goal for to in left])
         effort = TreeEffort(evaluations, first.effort.trees.seed + seed)
         with first.stage("trees"):
             path, _ = tree_path(first.problem, field, robot.velocity_limit, least, effort, goals=goals, held=held)
         if path is not None:
-            to = tasks[int((goals == path[-1]).all(axis=1).argmax())]
-            return _Leg(number, to, _shorter(tilt, to, path))
-    raise NotFoundError([f"trees that stay upright, with {sum(_TREES)} evaluations, to pose {number + 1}"], pose=number)
+            reached, to = True, left[int((goals == path[-1]).all(axis=1).argmax())]
+            yield _Leg(number, to, _shorter(tilt, to, path))
+    if not reached:
+        tried = f"trees that stay upright, with {sum(_TREES)} evaluations, to pose {number + 1}"
+        raise NotFoundError([tried], pose=number)
 
 
 def _followed(tilt: _Tilt, to: PlanningTask, begin: FloatArray, end: FloatArray) -> FloatArray | None:
@@ -432,34 +449,33 @@ def _smooth(leg: _Leg) -> Iterator[SplinePath]:
                 yield path
 
 
-def _timed(task: _Poses, legs: Sequence[_Leg]) -> PlanResult:
-    """The legs timed, certified, and bounded."""
+def _result(task: _Poses, legs: Sequence[_Leg]) -> PlanResult:
+    """The motion of certified legs."""
     robot, rows = task.context.robot, np.vstack([leg.rows for leg in legs])
     along = scene_along(robot, task.context.scene, given_path(robot, rows))
-    motions: list[Transit] = []
-    told: list[dict[str, Any]] = []
-    for leg in legs:
-        if len(_moving(leg.rows)) < 2 and leg.motion is None:
-            continue  # the arm is there
-        motion, bounds = _leg_motion(task, leg._replace(task=replace(leg.task, scene=along)))
-        motions.append(motion)
-        is_straight = task.straight[leg.number]
-        told.append(
-            {
-                "phase": motion.name,
-                "straight": is_straight,
-                "deviation_m": bounds.deviation_m if is_straight else None,
-                "tilt_deg": math.degrees(bounds.tilt_rad),
-            }
-        )
-    others = [Motion(motion.name, motion.trajectory, motion.certificate) for motion in motions[1:]]
+    # Where the arm is at a pose before, it does not move.
+    moved = [(leg, leg.motion, leg.bounds) for leg in legs if leg.motion is not None and leg.bounds is not None]
+    told = [
+        {
+            "phase": motion.name,
+            "straight": task.straight[leg.number],
+            "deviation_m": bounds.deviation_m if task.straight[leg.number] else None,
+            "tilt_deg": math.degrees(bounds.tilt_rad),
+        }
+        for leg, motion, bounds in moved
+    ]
+    first, *others = (motion for _, motion, _ in moved)
+    whole = Plan(
+        replace(first, task=replace(first.task, scene=along)),
+        tuple(Motion(motion.name, motion.trajectory, motion.certificate) for motion in others),
+    )
     allowed = None if task.tilt is None else math.degrees(task.tilt.most)
     found = {"allowed_deviation_m": task.deviation_m, "allowed_tilt_deg": allowed, "phases": told}
-    return replace(plan_result(Plan(motions[0], tuple(others))), told={"poses": found})
+    return replace(plan_result(whole), told={"poses": found})
 
 
-def _leg_motion(task: _Poses, leg: _Leg) -> tuple[Transit, ToolBounds]:
-    """A leg's certified motion, within what is allowed.
+def _certified(task: _Poses, leg: _Leg) -> _Leg:
+    """A leg with its certified motion, within what is allowed; with none where the arm is there.
 
     Raises:
         TimingError: It cannot be timed.
@@ -467,7 +483,9 @@ def _leg_motion(task: _Poses, leg: _Leg) -> tuple[Transit, ToolBounds]:
     """
     to, name, failure = leg.task, f"pose {leg.number + 1}", None
     if leg.motion is not None:
-        return replace(leg.motion, name=name, task=to), _bounds(task, leg.motion)
+        return leg._replace(motion=replace(leg.motion, name=name), bounds=_bounds(task, leg.motion))
+    if len(_moving(leg.rows)) < 2:
+        return leg
     for path in _smooth(leg):
         try:
             trajectory, certificate = certified_trajectory(to, path)
@@ -480,7 +498,8 @@ def _leg_motion(task: _Poses, leg: _Leg) -> tuple[Transit, ToolBounds]:
             bounds = _bounds(task, motion)
         tilted = task.tilt is not None and bounds.tilt_rad > task.tilt.most
         if not tilted and (not task.straight[leg.number] or bounds.deviation_m <= task.deviation_m):
-            return (motion, bounds) if task.straight[leg.number] else _quicker(task, motion, bounds)
+            motion, bounds = (motion, bounds) if task.straight[leg.number] else _quicker(task, motion, bounds)
+            return leg._replace(motion=motion, bounds=bounds)
         failure = failure or CertificationError(
             f"to pose {leg.number + 1} the tool is shown to keep within {1e3 * bounds.deviation_m:.4g} mm of its line "
             f"and {math.degrees(bounds.tilt_rad):.4g} deg of upright, which is more than allowed",

@@ -110,6 +110,22 @@ def test_upright_motions_are_made_quicker(
     assert durations[0] < (1.0 - gain) * durations[1]
 
 
+def test_where_a_path_cannot_be_certified_another_one_is_taken(arm: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    certified, refused = pose_sequence._certified, []
+
+    def refusing_one(task: Any, leg: Any) -> Any:
+        if not refused:
+            refused.append(leg)
+            raise CertificationError("refused")
+        return certified(task, leg)
+
+    monkeypatch.setattr(pose_sequence, "_certified", refusing_one)
+    pose = moved(arm.forward_kinematics(begin_of(arm)), 0.0, 0.3, 0.0)
+    result = hplan.plan_poses(arm, scene_of(arm), [pose], straight=False, tilt_rad=TILT)
+    assert result.certificate.verified
+    assert refused
+
+
 def test_without_a_tilt_a_motion_is_that_of_a_plan(arm: Robot) -> None:
     pose, scene = moved(arm.forward_kinematics(begin_of(arm)), -0.1, 0.3, 0.0, yaw=0.8), scene_of(arm)
     free, upright = (hplan.plan_poses(arm, scene, [pose], straight=False, tilt_rad=tilt) for tilt in (None, TILT))

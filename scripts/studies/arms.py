@@ -286,8 +286,8 @@ def _panda_row(asked: Asked, problem: tuple[str, Robot, Scene]) -> Row:
     seed_ompl(asked.seed + 1)
     world, goal = world_of(robot, scene), scene.goal.configuration
     path, row["peer_ms"] = timed(lambda: ompl_path(world, scene, goal, seconds=FIND_S, resolution=RESOLUTION))
-    spline = None if path is None else toppra_motion(robot, path)
-    row["peer_solved"] = spline is not None
+    spline, timing_ms = timed(lambda: None if path is None else toppra_motion(robot, path))
+    row["peer_solved"], row["peer_motion_ms"] = spline is not None, row["peer_ms"] + timing_ms
     if spline is not None:
         row["spline_touches"] = any(contacts(robot, scene, spline))
         row["to_spline"] = ratio(row.get("duration_s"), spline.duration)
@@ -300,7 +300,8 @@ PANDA = Study(
     _panda_row,
     (
         *("certified", "ms", "duration_s", "origin", "contacts", "own_contacts"),
-        *("peer_solved", "peer_ms", "to_spline", "spline_touches", "to_peer", "peer_touches", "peer_over_limits"),
+        *("peer_solved", "peer_ms", "peer_motion_ms", "to_spline", "spline_touches"),
+        *("to_peer", "peer_touches", "peer_over_limits"),
     ),
     problems=panda_scenes,
     by="set",

@@ -8,11 +8,13 @@ clear; the last has its pieces meet at rows, so that the rows are the motion exa
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from hplan.base import ties
 from hplan.base.arrays import FloatArray, frozen
 from hplan.optimization.time_problem import TimeProblem
 from hplan.optimization.timed_spline import (
@@ -42,6 +44,9 @@ LONGEST_S = 600.0
 
 #: How often the rows of a motion are counted anew until they are enough.
 _TRIES = 4
+
+#: Of a motion at its limits of torque pieces need not meet at rows where it takes no more than so many times as long.
+_AS_QUICK = 1.01
 
 #: Where an end is in motion, more than this much slower is no remedy for a step that passes limits: the next step is.
 _REPAIRED = 1.02
@@ -109,7 +114,9 @@ def rough_motion(start: TimedMotion, problem: TimeProblem, effort: Effort) -> Ti
 def minimize_time(
     start: TimedMotion, problem: TimeProblem, effort: Effort, *, rough: TimedSpline | None = None
 ) -> TimedSpline | None:
-    """The fastest motion near a given one, clear and within all limits, its pieces meeting at rows.
+    """The fastest motion near a given one, clear and within all limits.
+
+    Its pieces meet at rows, unless it is at its limits of torque and as quick without.
 
     Args:
         start: A clear motion from rest to rest, about within the limits, between the same positions.
@@ -118,41 +125,60 @@ def minimize_time(
     Returns:
         The motion, or None where none was found.
     """
-    finer = replace(effort, levels=effort.levels[1:] or effort.levels)
-    found = _minimized(start if rough is None else rough, problem, effort if rough is None else finer, free=True)
-    if found is None:
-        return None
-    over = problem.torque_scale(found, ALLOWED)
-    if over <= 1.0:
+    levels = effort.levels if rough is None else effort.levels[1:] or effort.levels
+    found = _minimized(start if rough is None else rough, problem, levels, _without_torque(problem))
+    if found is None or problem.torque_scale(found) <= 1.0:
         return found
-    if problem.ends is None:
-        slower = found.at_time_scale(over)
-        again = _minimized(slower, problem, finer)
-        if again is not None and again.duration <= slower.duration:
-            return again
-    return _minimized(start, problem, effort)
+    return _minimized(start, problem, effort.levels, problem)
 
 
 def _without_torque(problem: TimeProblem) -> TimeProblem:
     return replace(problem, limits=replace(problem.limits, torque=None))
 
 
-def _minimized(start: TimedMotion, whole: TimeProblem, effort: Effort, *, free: bool = False) -> TimedSpline | None:
-    """As `minimize_time`, with the limits of torque in the programs, or free of them.
+def _minimized(
+    start: TimedMotion, problem: TimeProblem, levels: Sequence[Level], programs: TimeProblem
+) -> TimedSpline | None:
+    """As `minimize_time`, level by level.
 
-    Where it is free and passes them, its pieces need not meet at rows.
+    Between ends at rest limits of torque are in the programs from where a motion passes them: it is slowed down, and
+    what follows keeps them. Between others they may be passed in the end.
+
+    Args:
+        programs: What the first programs ask for: the problem, or that without the limits of torque.
     """
-    problem = _without_torque(whole) if free else whole
     found: TimedSpline | None = start if isinstance(start, TimedSpline) else None
     quickest = found
-    for level in effort.levels:
-        found = _of_level(found or start, problem, level) or found
+    for level in levels:
+        if found is not None and programs is not problem and _passes(found, problem):
+            found = quickest = _slowed(found, problem)
+            programs = problem
+        found = _of_level(found or start, programs, level) or found
         if found is not None and (quickest is None or found.duration < quickest.duration):
             quickest = found
-    if free and found is not None and whole.torque_scale(found, ALLOWED) > 1.0:
-        return found
-    on_rows = None if found is None else _on_rows(found, problem, effort.levels[-1])
-    return _between_rows(quickest, problem) if on_rows is None and problem.ends is None else on_rows
+    if found is None:
+        return None
+    if programs is not problem:
+        on_rows = None if _passes(found, problem) else _on_rows(found, programs, levels[-1])
+        if _passes(on_rows or found, problem):
+            return _minimized(_slowed(on_rows or found, problem), problem, levels[-1:], problem)
+        return _between_rows(quickest, problem) if on_rows is None and problem.ends is None else on_rows
+    between = None if problem.ends is not None else _between_rows(quickest, problem)
+    if between is not None and quickest is not None and between.duration <= _AS_QUICK * quickest.duration:
+        return between
+    on_rows = _on_rows(found, problem, levels[-1])
+    made = [motion for motion in (on_rows, between) if motion is not None]
+    return made[ties.argmin([motion.duration for motion in made])] if made else None
+
+
+def _passes(spline: TimedSpline, problem: TimeProblem) -> bool:
+    """Whether a motion between ends at rest passes the limits of torque."""
+    return problem.ends is None and problem.torque_scale(spline, ALLOWED) > 1.0
+
+
+def _slowed(spline: TimedSpline, problem: TimeProblem) -> TimedSpline:
+    """The motion as slow as the limits of torque ask for."""
+    return spline.at_time_scale(problem.torque_scale(spline, ALLOWED))
 
 
 def _between_rows(spline: TimedSpline | None, problem: TimeProblem) -> TimedSpline | None:
@@ -197,8 +223,7 @@ def _of_level(start: TimedMotion, problem: TimeProblem, level: Level) -> TimedSp
     best, trust, stalled = None, level.trust, 0
     for _ in range(level.steps):
         step = _step(spline, problem, trust, _NEAR * level.gain)
-        if step is None or step.part < 1.0:
-            trust *= _SHRINK
+        trust = trust * _SHRINK if step is None or step.part < 1.0 else min(trust / _SHRINK, level.trust)
         stalled += step is None or step.part <= _STALLED
         if step is not None:
             time_scale = problem.time_scale(step.spline)
@@ -207,6 +232,8 @@ def _of_level(start: TimedMotion, problem: TimeProblem, level: Level) -> TimedSp
                 continue
             # Faster than its program says it would sway into what is near.
             moved = step.spline.at_time_scale(time_scale if problem.sway is None else max(time_scale, 1.0))
+            if spline.ends is None:
+                moved = moved.at_time_scale(problem.torque_scale(moved, ALLOWED))
             before = math.inf if best is None else best.duration
             if moved.duration < before:
                 best = spline = moved

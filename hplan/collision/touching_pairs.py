@@ -6,7 +6,8 @@ Looked at are all pairs but
 - bodies that lie to each other as one joint alone says, where that joint's whole range shows that they cannot touch, or
   that they always do, or that they never come farther apart than `_BEARING`: those are the two sides of the joint;
 - bodies that touch at every one of `SAMPLES` random configurations, as where what lies between is short;
-- bodies of links that the robot's SRDF lets touch, for another reason than that they were never seen to.
+- bodies of links that the robot's SRDF, or a filter group of Drake's, lets touch, for another reason than that they
+  were never seen to.
 
 What a range of one joint shows is certain, by bisection (`hplan.robot.base_shapes.ever`); what samples show is taken
 for how the robot is built, and is listed. A pair that no sample saw touch is checked all the same.
@@ -89,7 +90,7 @@ def pairs_among(robot: Robot, chosen: Iterable[tuple[int, int]], beyond: float) 
         if not between:
             reason = "they do not move to each other"
         elif first.name != second.name and frozenset((first.name, second.name)) in may_touch:
-            reason = f"SRDF: {may_touch[frozenset((first.name, second.name))]}"
+            reason = f"may touch: {may_touch[frozenset((first.name, second.name))]}"
         elif len(between) == 1:
             reason = _by_one_joint(robot, (i, j), between[0], beyond)
         if reason is None:

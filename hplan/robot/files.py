@@ -6,6 +6,7 @@ Any robot's, and where the files of the robots are that have a name (extra `robo
 from __future__ import annotations
 
 import itertools
+import xml.etree.ElementTree as ET
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
@@ -141,6 +142,39 @@ def read_srdf(path: Path, links: Collection[str] | None = None) -> tuple[tuple[s
         reason = f"it is another robot's: of its pairs, {first!r} and {second!r} first, none is of this one's links"
         raise RobotFileError(path, f"{reason}: {', '.join(links)}")
     return tuple(found)
+
+
+def filtered_links(path: Path, root: ET.Element, links: Collection[str]) -> tuple[tuple[str, str, str], ...]:
+    """Pairs of links that may touch by the collision filter groups that a URDF has for Drake, as `read_srdf` has them.
+
+    Args:
+        path: The file, for messages.
+        root: Its root element.
+        links: Names of the robot's links.
+
+    Raises:
+        RobotFileError: A group has a member, or ignores a group, that does not exist.
+    """
+    groups = {str(group.get("name")): group for group in root.findall("drake:collision_filter_group")}
+
+    def named(element: ET.Element, key: str, known: Collection[str]) -> str:
+        name = element.get(key)
+        if name not in known:
+            reason = f"{line_of(element)}{key} of <{element.tag}> is {name!r}, expected one of {', '.join(known)}"
+            raise RobotFileError(path, reason)
+        return str(name)
+
+    members = {
+        name: [named(member, "link", links) for member in group.findall("drake:member")]
+        for name, group in groups.items()
+    }
+    found: dict[tuple[str, str], str] = {}
+    for name, group in groups.items():
+        for ignored in group.findall("drake:ignored_collision_filter_group"):
+            for first, second in itertools.product(members[name], members[named(ignored, "name", groups)]):
+                if first != second:
+                    found.setdefault((min(first, second), max(first, second)), f"Drake's filter group {name!r}")
+    return tuple((*pair, reason) for pair, reason in found.items())
 
 
 def neighbouring_links(model: pin.Model) -> tuple[tuple[str, str, str], ...]:

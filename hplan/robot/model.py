@@ -24,7 +24,15 @@ from hplan.base.units import FARTHEST_JOINT, JointUnit, joint_unit
 from hplan.errors import InputError, JointLimitError, RobotFamilyError
 from hplan.robot.dynamics import InverseDynamics, joints_that_slide
 from hplan.robot.family_reader import check_joints, read_family
-from hplan.robot.files import build_models, find_limits, limits_file, neighbouring_links, read_srdf, robot_files
+from hplan.robot.files import (
+    build_models,
+    filtered_links,
+    find_limits,
+    limits_file,
+    neighbouring_links,
+    read_srdf,
+    robot_files,
+)
 from hplan.robot.planar_family import PlanarArm, PlanarFamily, PlanarNames
 from hplan.robot.urdf_adaptation import RobotChoice, adapt_urdf
 from hplan.robot.urdf_check import frame_number
@@ -64,7 +72,8 @@ class Robot(PlanarNames, Record):
         urdf_text: The URDF that the models were built from, where it is not the file's content.
         planar: What it has as an arm of the planar family; None where it is not of it.
         beyond_family: Element of the robot, and the reason, for which it is not of the family; None where it is.
-        may_touch: Pairs of links that may touch, by the robot's SRDF or as neighbours, and the reason.
+        may_touch: Pairs of links that may touch, by the robot's SRDF, Drake's filter groups or as neighbours, and the
+            reason.
     """
 
     name: str
@@ -368,7 +377,8 @@ def load_robot(
     )
     text = path if isinstance(path, str) and is_urdf_text(path) else None
     urdf_path = files.urdf
-    adapted = adapt_urdf(urdf_path, read_urdf_xml(urdf_path, text, choice.package_dirs), choice)
+    root = read_urdf_xml(urdf_path, text, choice.package_dirs)
+    adapted = adapt_urdf(urdf_path, root, choice)
     model, collision_model, visual_model = build_models(urdf_path, adapted.urdf, adapted.text)
     check_joints(urdf_path, model)
     joint_names = tuple(model.names)[1:]
@@ -378,6 +388,7 @@ def load_robot(
     given = files.limits if limits is None else limits_file(file_path("limits", limits))
     allowed = files.srdf if srdf is None else file_path("srdf", srdf)
     may_touch = () if allowed is None else read_srdf(allowed, adapted.urdf.links)
+    may_touch += filtered_links(urdf_path, root, adapted.urdf.links)
     if truth("allow_neighbours", allow_neighbours):
         may_touch += neighbouring_links(model)
     acceleration, jerk = find_limits(urdf_path, adapted.urdf, joint_names, given, adapted.held)

@@ -235,7 +235,7 @@ def test_pairs_that_are_left_out(load, name):
             elif reason.startswith("they do not move"):
                 assert bodies[i].joint == bodies[j].joint
             else:
-                assert reason.startswith("SRDF: ")
+                assert reason.startswith("may touch: ")
         step = rng.normal(size=robot.dof) * 0.05
         other = np.clip(q + step, robot.lower, robot.upper)
         assert (np.abs(distances(other) - found)[:checked] <= bounds @ np.abs(other - q) + 1e-5).all()
@@ -245,7 +245,7 @@ def test_pairs_of_the_panda_are_those_of_its_srdf_or_looked_at(load):
     robot = load("panda")
     bodies, pairs = collision_bodies(robot), self_pairs(robot)
     reasons = {(bodies[i].name, bodies[j].name): reason for i, j, reason in pairs.allowed}
-    assert reasons["panda_link5", "panda_link7"] == "SRDF: Default"
+    assert reasons["panda_link5", "panda_link7"] == "may touch: Default"
     checked = {(bodies[i].name, bodies[j].name) for i, j in pairs.checked}
     assert ("panda_link0", "panda_link2") in checked  # `Never` of an SRDF is no proof
     assert ("panda_link0", "panda_hand") in checked

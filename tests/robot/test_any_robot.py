@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
 
@@ -12,10 +13,12 @@ from any_arms import LIFT, limb, loaded_arm
 from arm_variants import VARIANTS, load_variant
 from hypothesis import given
 from hypothesis import strategies as st
-from toy_urdf import six_axis_arm
+from toy_urdf import seven_axis_arm, six_axis_arm
 
 from hplan.base.data_files import robot_names, shipped_limits, shipped_robots
 from hplan.base.yaml_text import read_yaml
+from hplan.collision.collision_bodies import collision_bodies
+from hplan.collision.touching_pairs import self_pairs
 from hplan.errors import InputError, RobotFamilyError, RobotFileError
 from hplan.robot.dynamics import InverseDynamics
 from hplan.robot.files import NAMED_ROBOTS, named_robot, read_srdf
@@ -77,6 +80,27 @@ def test_joints_beside_the_chain_move_when_asked(tmp_path):
     with pytest.raises(InputError, match="joints: left, column, right; expected in the robot's order: column, left, r"):
         load_robot(TREE, joints=["left", "column", "right"])
     assert whole.tool_joint == 2
+
+
+def test_filter_groups_of_drake():
+    """As of an iiwa of Drake's, whose wrist of cylinders touches itself nearly everywhere."""
+    links = ("link_5", "link_6", "link_7")
+    members = "".join(f'<drake:member link="{link}"/>' for link in links)
+    ignored = '<drake:ignored_collision_filter_group name="wrist"/>'
+    group = f'<drake:collision_filter_group name="wrist">{members}{ignored}</drake:collision_filter_group>'
+    arm = seven_axis_arm().replace("</robot>", group + "</robot>")
+    robot = load_robot(arm)
+    assert {pair[:2] for pair in robot.may_touch} == set(itertools.combinations(links, 2))
+    bodies, pairs = collision_bodies(robot), self_pairs(robot)
+    checked = {frozenset((bodies[i].name, bodies[j].name)) for i, j in pairs.checked}
+    assert frozenset(("link_5", "link_7")) not in checked
+    before = self_pairs(load_robot(seven_axis_arm()))
+    assert any({bodies[i].name, bodies[j].name} == {"link_5", "link_7"} for i, j in before.checked)
+    assert load_robot(arm.replace(ignored, "")).may_touch == ()
+    with pytest.raises(RobotFileError, match="link of <drake:member> is 'link_9', expected one of base_link, link_1"):
+        load_robot(arm.replace('<drake:member link="link_5"/>', '<drake:member link="link_9"/>'))
+    with pytest.raises(RobotFileError, match="is 'hand', expected one of wrist"):
+        load_robot(arm.replace('filter_group name="wrist"/>', 'filter_group name="hand"/>'))
 
 
 def test_srdf(tmp_path):

@@ -91,7 +91,7 @@ def _near_one(*levels: Level) -> StartsEffort:
 _AT_ONCE = _near_one(replace(_COARSE, steps=8, gain=0.02, trust=1.0, enough=0.02))
 
 #: Of 400 random scenes of a UR5 and an iiwa twelve had a path that the first trees had missed. Others took 2,400 to
-#: 60,000 looks, and of two pairs one found eleven of them within this many: it is about a second until a goal is refused.
+#: 60,000 looks, and of two pairs one found eleven of them within this many: a goal is refused after about a second.
 _WITHIN_A_SECOND = TreesEffort(2, 45_000)
 
 #: Of planar arms.

@@ -141,8 +141,8 @@ def _minimized(
 ) -> TimedSpline | None:
     """As `minimize_time`, level by level.
 
-    Between ends at rest limits of torque are in the programs from where a motion passes them: it is slowed down, and
-    what follows keeps them. Between others they may be passed in the end.
+    Between ends at rest limits of torque are in the programs from where a motion passes them. Between others they may
+    be passed in the end.
 
     Args:
         programs: What the first programs ask for: the problem, or that without the limits of torque.
@@ -151,8 +151,7 @@ def _minimized(
     quickest = found
     for level in levels:
         if found is not None and programs is not problem and _passes(found, problem):
-            found = quickest = _slowed(found, problem)
-            programs = problem
+            quickest, programs = None, problem
         found = _of_level(found or start, programs, level) or found
         if found is not None and (quickest is None or found.duration < quickest.duration):
             quickest = found
@@ -232,12 +231,12 @@ def _of_level(start: TimedMotion, problem: TimeProblem, level: Level) -> TimedSp
                 continue
             # Faster than its program says it would sway into what is near.
             moved = step.spline.at_time_scale(time_scale if problem.sway is None else max(time_scale, 1.0))
-            if spline.ends is None:
-                moved = moved.at_time_scale(problem.torque_scale(moved, ALLOWED))
+            # Torques beyond their limits are the next program's, which loses less time than slower times would.
+            kept = _slowed(moved, problem) if spline.ends is None else moved
             before = math.inf if best is None else best.duration
-            if moved.duration < before:
-                best = spline = moved
-            if moved.duration > (1.0 - level.gain * step.part) * before or moved.duration <= enough_s:
+            if kept.duration < before:
+                best, spline = kept, moved
+            if kept.duration > (1.0 - level.gain * step.part) * before or kept.duration <= enough_s:
                 break
         if stalled == _STALLS:
             break

@@ -18,6 +18,9 @@ NEAR_LIMIT = 0.75
 #: Fraction of the limits that may be used: between the times looked at, torque is a little higher.
 ALLOWED = 0.995
 
+#: Fraction of the limits that is left for motion where gravity takes all of it, so that there is a slow one.
+_LEFT = 0.05
+
 #: Times looked at in each piece.
 _TIMES = 2
 
@@ -57,7 +60,7 @@ class TorqueUse:
 
 
 def torque_rows(found: TorqueUse, spline: TimedSpline, dynamics: InverseDynamics, limits: MotionLimits) -> ProgramRows:
-    """A row for each torque near its limit: `ALLOWED` of it, or what is used if that is more."""
+    """A row for each torque near its limit: `ALLOWED` of it may be used."""
     from scipy import sparse
     from scipy.interpolate import BSpline
 
@@ -70,23 +73,23 @@ def torque_rows(found: TorqueUse, spline: TimedSpline, dynamics: InverseDynamics
     derivatives = np.empty((3, len(movable), len(at), len(limit)))
     for order in range(3):
         for number, joint in enumerate(movable.tolist()):
-            changed = np.repeat(states[None], 2, axis=0)
-            changed[:, order, :, joint] += [[_DIFFERENCE], [-_DIFFERENCE]]
-            ahead, behind = (dynamics.torques(*state) / limit for state in changed)
-            derivatives[order, number] = (ahead - behind) / (2.0 * _DIFFERENCE)
+            changed = np.array(states)
+            changed[order, :, joint] += _DIFFERENCE
+            derivatives[order, number] = (dynamics.torques(*changed) / limit - found.use[at]) / _DIFFERENCE
     picked = sign * derivatives[:, :, which, joints]  # (3, movable, rows)
     basis = _bases(BSpline(spline.knots, np.eye(len(spline.control)), 3), found.clock[times])
     blocks = sum(picked[order].T[:, None, :] * basis[order][:, RESTING:-RESTING, None] for order in range(3))
     drift = spline.drift[:, movable]
-    # Slower by the time scale s, velocity is over s and acceleration over s^2.
-    speeds, pushes = (np.einsum("mr,rm->r", picked[order], found.states[order][times][:, movable]) for order in (1, 2))
-    by_time_scale = -speeds - 2.0 * pushes
+    # Slower by the time scale s, what is not gravity's is over s^2: times s^2, the torque is kept where that part is at
+    # most s^2 times what gravity leaves; the tangent at s = 1 lies below.
+    gravity = sign * (dynamics.gravity(states[0]) / limit)[which, joints]
+    room = np.maximum(ALLOWED - gravity, _LEFT)
+    by_time_scale = -2.0 * room
     if drift.any():
         by_time_scale += sum(np.einsum("mr,rm->r", picked[order], basis[order] @ drift) for order in range(3))
-    use = np.abs(found.use[times, joints])
     matrix = sparse.csr_matrix(np.reshape(blocks, (len(times), size)))
-    bound = np.maximum(ALLOWED, use) - use + by_time_scale
-    return ProgramRows(matrix.indptr, matrix.indices, matrix.data, by_time_scale, bound, np.empty(0))
+    upper = room + gravity - np.abs(found.use[times, joints]) + by_time_scale
+    return ProgramRows(matrix.indptr, matrix.indices, matrix.data, by_time_scale, upper, np.empty(0))
 
 
 def _bases(unit: object, clock: FloatArray) -> list[FloatArray]:

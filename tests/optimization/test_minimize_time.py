@@ -35,7 +35,7 @@ from hplan.optimization.minimize_time import minimize_time, rough_motion
 from hplan.optimization.time_problem import TimeProblem
 from hplan.optimization.timed_spline import TimedSpline, even_breaks
 from hplan.optimization.tool_rows import LEANING, Leaning
-from hplan.optimization.torque_rows import TorqueUse, torque_rows
+from hplan.optimization.torque_rows import ALLOWED, TorqueUse, torque_rows
 from hplan.planning.effort import EFFORTS_OF_BODIES
 from hplan.planning.motion import motion_limits, smoothing_options
 from hplan.planning.options import EFFORT_NAMES, PlanOptions
@@ -99,7 +99,9 @@ def test_torque_rows_follow_the_torques(robot):
     after = TorqueUse.of(TimedSpline(control, spline.knots).at_time_scale(time_scale), robot.dynamics, limit)
     times, joints = np.nonzero(np.abs(use.use) > 0.75)
     sign = np.sign(use.use[times, joints])
-    actual = sign * (after.use - use.use)[times, joints]
+    gravity = sign * (robot.dynamics.gravity(use.states[0]) / limit)[times, joints]
+    before, later = (sign * found.use[times, joints] - np.maximum(ALLOWED, gravity + 0.05) for found in (use, after))
+    actual = time_scale**2 * later - before
     matrix = np.zeros((len(rows.upper), change.size))
     for row, (start, end) in enumerate(zip(rows.starts[:-1], rows.starts[1:], strict=True)):
         matrix[row, rows.columns[start:end]] = rows.entries[start:end]

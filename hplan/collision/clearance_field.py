@@ -17,9 +17,9 @@ from numpy.typing import ArrayLike
 
 from hplan.base.arrays import BoolArray, FloatArray, IntArray, Record, frozen, readonly
 from hplan.base.deadline import check_deadline, until
-from hplan.collision.body_kernels import FAR, clearances_along
+from hplan.collision.body_kernels import FAR, body_slopes, clearances_along
 from hplan.collision.body_motions import mark_near, path_is_clear
-from hplan.collision.flat_bodies import BODIES, DOF, FlatBodies
+from hplan.collision.flat_bodies import BALLS, BODIES, DOF, FlatBodies
 from hplan.collision.obstacle_rows import (
     FIRST_JOINT,
     JOINT_RANGE,
@@ -144,6 +144,27 @@ class ClearanceField(Record):
         mark_near(np.concatenate(parts), self.arrays, distance, kept)
         check_deadline()
         return self._of_rows(kept)
+
+    def without_idle_pairs(self, path: FloatArray, movable: IntArray, distance: float, turn: float) -> ClearanceField:
+        """The field without pairs of the arm's own bodies that do not matter near a motion, as `near` of solids.
+
+        Args:
+            path: (m, dof) configurations.
+            movable: (k,) joints that may move.
+            distance: Pairs farther apart than this do not matter [m].
+            turn: Nor do those that do not touch while all joints turn by this, as gradients tell [rad].
+        """
+        first, arrays = int(self.numbers[BODIES]), self.arrays._replace(solids=self.solids[:0])
+        idle = np.arange(len(self.movers)) >= first
+        if not idle.any():
+            return self
+        clear, gradient = np.empty(len(idle)), np.empty((len(idle), len(movable)))
+        for configuration in path:
+            body_slopes(configuration, arrays, movable, distance, clear, gradient)
+            idle &= (clear >= distance) | (clear > turn * np.abs(gradient).sum(axis=1))
+        movers = self.movers.copy()
+        movers[idle, BALLS] = -np.inf
+        return replace(self, movers=frozen(movers))
 
     def _of_rows(self, kept: BoolArray) -> ClearanceField:
         """The field of some rows; where a node is left out, so is all below it."""

@@ -28,6 +28,11 @@ from hplan.trajectory.speed_profile import SpeedProfile
 NEAR = 0.4
 
 
+#: Pairs of the arm's own bodies that do not touch near a motion whose joints turn by so much are left out of programs
+#: [rad]: about as much as a step changes at most.
+_TURN = 0.6
+
+
 @dataclass(frozen=True)
 class StartsEffort:
     """What may be spent on the motions near several paths.
@@ -71,10 +76,11 @@ def optimization_starts(paths: Sequence[FloatArray], problem: TimeProblem) -> li
         is_clear = near.is_clear(path, SMALLEST_FRACTION * problem.options.margin)
         spline = clear_start(path, near, problem.options) if is_clear else None
         if spline is not None:
-            found.append(
-                OptimizationStart(number, replace(problem, near=near), coarse_profile(spline, problem.options))
-            )
-    found = [start for start in found if start.profile.duration < LONGEST_S]
+            profile = coarse_profile(spline, problem.options)
+            if profile.duration < LONGEST_S:
+                along = profile.positions(PARTS * profile.duration)
+                near = near.without_idle_pairs(along, problem.options.movable, NEAR, _TURN)
+                found.append(OptimizationStart(number, replace(problem, near=near), profile))
     # Another path than the first is preferred to it only where its smooth path is quicker by more than this part.
     times = [start.profile.duration * (1.0 - 0.03 * (start.number == 0)) for start in found]
     return [found[k] for k in ties.argsort(times).tolist()]

@@ -11,7 +11,7 @@ import pytest
 from arm_variants import VARIANTS, coal_distances, link_axes, load_variant, random_obstacles
 
 from hplan.collision import obstacle_rows
-from hplan.collision.body_kernels import FAR
+from hplan.collision.body_kernels import FAR, body_clearances
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.coal_scene import CoalScene
 from hplan.scene.obstacles import Box, Cylinder, Sphere
@@ -318,3 +318,17 @@ def test_many_solids_in_groups_are_those_in_none(robot, monkeypatch):
         ):
             np.testing.assert_array_equal(*(np.maximum(found.along(q), 0.0) for found in (one, other)))
         assert set(field.near(q[:3], 0.2).owner.tolist()) - {-1} == set(alone.near(q[:3], 0.2).owner.tolist()) - {-1}
+
+
+def test_without_idle_pairs_near_ones_stay(variant):
+    field = ClearanceField.of(variant, [])
+    path = np.random.default_rng(5).uniform(variant.lower, variant.upper, (20, variant.dof))
+    movable = np.arange(variant.dof)
+    for turn in (1e9, 0.0):
+        left = field.without_idle_pairs(path, movable, 0.06, turn)
+        for q in path:
+            whole, found = np.empty((2, len(field.movers)))
+            body_clearances(q, field.arrays, 0.06, whole)
+            body_clearances(q, left.arrays, 0.06, found)
+            shown = whole <= 0.0 if turn == 0.0 else whole < 0.06
+            assert np.array_equal(found[shown], whole[shown])

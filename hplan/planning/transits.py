@@ -300,9 +300,9 @@ def _by_long_trees(tasks: Sequence[PlanningTask], pairs: Pairs) -> Iterator[Foun
 
 
 def _long_trees(task: PlanningTask) -> TreesEffort:
-    """The trees before goals are refused; a third of them among clouds, which take up to four times as long."""
+    """The trees before goals are refused; half of them among clouds, which take up to four times as long."""
     long = task.effort.long
-    return replace(long, each=long.each // 3) if any(solid.is_point_set for solid in task.world.solids) else long
+    return replace(long, each=long.each // 2) if any(solid.is_point_set for solid in task.world.solids) else long
 
 
 def _tree_to_any(

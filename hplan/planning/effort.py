@@ -152,7 +152,7 @@ EFFORTS_OF_BODIES: dict[EffortName, Effort] = {
         starts=StartsEffort(
             OptimizerEffort(
                 (
-                    replace(_COARSE, trust=0.6, enough=7e-3),
+                    replace(_COARSE, gain=0.02, trust=0.6, enough=7e-3),
                     replace(_LAST, steps=3, trust=0.2, enough=2e-3),
                 )
             ),

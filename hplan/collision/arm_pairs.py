@@ -44,7 +44,6 @@ from hplan.robot.base_shapes import (
     always,
     base_joints,
     base_shapes,
-    filled_shape,
     turning_shapes,
 )
 from hplan.robot.family_reader import outline
@@ -86,22 +85,22 @@ class ArmParts(Record):
 
     Attributes:
         links: The shapes of each link that moves, by its name.
-        turret: By body, the shapes of the turret that are not round about the yaw axis, and the same in coal.
+        turret: By body, the shapes of the turret that are not round about the yaw axis.
         tool_joint: The joint of the shapes that may touch a fruit which is picked, as Pinocchio counts them.
         own: Pairs of parts.
     """
 
     robot: Robot
     links: dict[str, list[pin.GeometryObject]]
-    turret: dict[str, tuple[list[BaseShape], list[pin.GeometryObject]]]
+    turret: dict[str, list[BaseShape]]
     tool_joint: int
     own: tuple[ArmPair, ...]
 
     @cached_property
     def shapes(self) -> list[pin.GeometryObject]:
         """The shapes that meet obstacles: links, then turret."""
-        of_turret = (placed for _, placed in self.turret.values())
-        return list(itertools.chain(*self.links.values(), *of_turret))
+        of_turret = (shape.placed for shape in itertools.chain(*self.turret.values()))
+        return [*itertools.chain(*self.links.values()), *of_turret]
 
     @cached_property
     def all_shapes(self) -> tuple[pin.GeometryObject, ...]:
@@ -271,9 +270,10 @@ def _planar_parts(robot: Robot, links: LinkShapes, deviation: float, clearance: 
     names = robot.arm.link_names
     of_links = urdf_shapes(robot) if links == "urdf" else [[shape] for shape in link_shapes(robot, links)]
     own = list(_link_pairs(robot, self_contact(robot, deviation=deviation, clearance=clearance), of_links))
-    turret = {}
+    turret: dict[str, list[BaseShape]] = {}
     if single:
-        turret = turret_shapes(robot)
+        for turning in turning_shapes(robot):
+            turret.setdefault(turning.name, []).append(turning)
         own += [*_fold_pairs(robot, deviation, clearance), *_turret_pairs(robot, deviation, clearance)]
         own += _as_shaped(robot, shaped_pairs(robot, deviation))
     return ArmParts(robot, dict(zip(names, of_links, strict=True)), turret, robot.dof, tuple(own))
@@ -288,10 +288,9 @@ def _link_pairs(
         for pair in itertools.product(shapes[j], shapes[i]):
             yield ArmPair(names[j], names[i], pair)
     for body in contact.bodies:
-        placed = _placed(robot, body.number)
         for link in body.links:
             for shape in shapes[link]:
-                yield ArmPair(names[link], body.name, (shape, placed))
+                yield ArmPair(names[link], body.name, (shape, body.placed))
 
 
 def _fold_pairs(robot: Robot, deviation: float, clearance: float) -> Iterator[ArmPair]:
@@ -317,23 +316,13 @@ def _turret_pairs(robot: Robot, deviation: float, clearance: float) -> Iterator[
         # A horizontal plane between them stays between them.
         if shape.bottom >= other.top - BASE_DEPTH or other.bottom >= shape.top - BASE_DEPTH:
             continue
-        pair = (_placed(robot, shape.number), _placed(robot, other.number))
+        pair = (shape.placed, other.placed)
         turn = one_joint(robot, pair, 0, deviation)
         if turn.always(0.0):
             continue
         held = clearance > 0.0 and turn.always(clearance)
         if turn.ever(SLACK + (0.0 if held else clearance)):
             yield ArmPair(shape.name, other.name, pair)
-
-
-def turret_shapes(robot: Robot) -> dict[str, tuple[list[BaseShape], list[pin.GeometryObject]]]:
-    """By body, the shapes of the turret that are not round about the yaw axis, and the same in coal."""
-    found: dict[str, tuple[list[BaseShape], list[pin.GeometryObject]]] = {}
-    for shape in turning_shapes(robot):
-        shapes, placed = found.setdefault(shape.name, ([], []))
-        shapes.append(shape)
-        placed.append(_placed(robot, shape.number))
-    return found
 
 
 def shaped_pairs(robot: Robot, deviation: float) -> SelfPairs:
@@ -415,18 +404,11 @@ def below(robot: Robot, shape: BaseShape, obstacles: Sequence[Solid], growth: Fl
         asked = distance_from(obstacles[number])
 
         def distance(yaw: float, asked: Callable[[coal.CollisionGeometry, pin.SE3], float] = asked) -> float:
-            return asked(shape.geometry, shape.placed_at(yaw))
+            return asked(shape.placed.geometry, shape.placed_at(yaw))
 
         low, high = float(robot.lower[0]), float(robot.upper[0])
         never[number] = always(distance, low, high, shape.radius, BASE_DEPTH)
     return never
-
-
-@made_once
-def _placed(robot: Robot, number: int) -> pin.GeometryObject:
-    """A shape of pedestal or turret, filled."""
-    shape = robot.collision_model.geometryObjects[number]
-    return pin.GeometryObject(f"body:{number}", shape.parentJoint, shape.placement, filled_shape(robot, number))
 
 
 def _beyond_joint(capsule: pin.GeometryObject, reach: float, along: float) -> pin.GeometryObject:

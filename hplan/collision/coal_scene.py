@@ -145,7 +145,7 @@ class CoalScene:
         self.parts = parts
         self.link_names = tuple(parts.links)
         self.mover_names = (*self.link_names, *parts.turret)
-        movers = [*parts.links.values(), *(placed for _, placed in parts.turret.values())]
+        movers = [*parts.links.values(), *([shape.placed for shape in shapes] for shapes in parts.turret.values())]
         # The shapes of moving body k are the rows from `_first_shape[k]` on.
         self._first_shape = np.cumsum([0, *(len(of_mover) for of_mover in movers[:-1])])
         self.link_shapes = list(itertools.chain(*parts.links.values()))
@@ -156,9 +156,7 @@ class CoalScene:
         grown = np.broadcast_to(np.asarray(growth, dtype=np.float64), beyond.shape)
         beyond += grown
         self._beyond: FloatArray = np.tile(beyond, (len(self._mover_shapes), 1))
-        for row, shape in enumerate(
-            itertools.chain(*(of_body for of_body, _ in parts.turret.values())), len(self.link_shapes)
-        ):
+        for row, shape in enumerate(itertools.chain(*parts.turret.values()), len(self.link_shapes)):
             never = below(robot, shape, obstacles, grown)
             if self.moving is not None:
                 never = self.moving.keep_below(never, shape.bottom)

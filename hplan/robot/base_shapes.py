@@ -38,6 +38,7 @@ class BaseShape:
     Attributes:
         number: Its place among the geometry objects of `Robot.collision_model`.
         carrier: `TURRET` or `GROUND`.
+        placed: It, filled, as its joint carries it.
         placement: Its place in `base_link` at yaw 0.
         core: (k, 3) points in `base_link` at yaw 0 whose hull, grown by `rounding`, holds it [m]; where it is round,
             the hull of all that they sweep about the yaw axis.
@@ -50,7 +51,7 @@ class BaseShape:
     number: int
     name: str
     carrier: int
-    geometry: coal.CollisionGeometry
+    placed: pin.GeometryObject
     placement: pin.SE3
     core: FloatArray
     rounding: float
@@ -84,7 +85,8 @@ class BaseShape:
 
     def distance_from(self, point: FloatArray) -> float:
         """Distance from a (3,) point, both at yaw 0 [m]; not above 0 inside."""
-        return coal_distance(self.geometry, self.placement, coal.Sphere(_SPECK), pin.SE3(np.eye(3), point)) + _SPECK
+        ball, at = coal.Sphere(_SPECK), pin.SE3(np.eye(3), point)
+        return coal_distance(self.placed.geometry, self.placement, ball, at) + _SPECK
 
     def placed_at(self, yaw: float) -> pin.SE3:
         """Its place in `base_link` where the turret is at a yaw."""
@@ -128,12 +130,6 @@ def base_radius(robot: Robot) -> float:
             far = float(np.linalg.norm(centre - about)) + shape.geometry.aabb_radius
             radius = max(radius, float(np.linalg.norm(about)) + far)
     return radius
-
-
-@made_once
-def filled_shape(robot: Robot, number: int) -> coal.CollisionGeometry:
-    """`filled`, of the shape of a number in `Robot.collision_model`; made once."""
-    return filled(robot.collision_model.geometryObjects[number])
 
 
 def filled(shape: pin.GeometryObject) -> coal.CollisionGeometry:
@@ -185,7 +181,7 @@ def _base_shape(robot: Robot, number: int) -> BaseShape:
         number=number,
         name=str(robot.model.frames[shape.parentFrame].name),
         carrier=GROUND if shape.parentJoint == 0 else TURRET,
-        geometry=filled_shape(robot, number),
+        placed=pin.GeometryObject(f"body:{number}", shape.parentJoint, shape.placement, filled(shape)),
         placement=placement,
         core=frozen(points @ placement.rotation.T + placement.translation),
         rounding=float(rounding),

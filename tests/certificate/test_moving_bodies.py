@@ -260,7 +260,8 @@ def test_turret_and_pedestal_that_always_or_never_touch_are_left_out(tmp_path):
     turning, standing = base_shapes(robot)[-1], base_shapes(robot)[1]
     ends = (robot.lower[0], robot.upper[0])
     gap = min(
-        coal_distance(turning.geometry, turning.placed_at(yaw), standing.geometry, standing.placement) for yaw in ends
+        coal_distance(turning.placed.geometry, turning.placed_at(yaw), standing.placed.geometry, standing.placement)
+        for yaw in ends
     )
     assert 0.0 < gap < 0.05
     assert len(own(robot, "turret")) == 0

@@ -156,8 +156,8 @@ def test_what_turns_turns_about_the_yaw_axis(tmp_path):
     for yaw in np.linspace(-3.0, 3.0, 7):
         pin.forwardKinematics(robot.model, data, np.array([yaw, 0.0, 0.0, 0.0]))
         at = data.oMi[1] * robot.collision_model.geometryObjects[axle.number].placement
-        assert coal_distance(axle.geometry, axle.placed_at(yaw), ball, place) == pytest.approx(
-            coal_distance(axle.geometry, at, ball, place), abs=1e-9
+        assert coal_distance(axle.placed.geometry, axle.placed_at(yaw), ball, place) == pytest.approx(
+            coal_distance(axle.placed.geometry, at, ball, place), abs=1e-9
         )
 
 

@@ -150,7 +150,7 @@ def _minimized(
     found: TimedSpline | None = start if isinstance(start, TimedSpline) else None
     quickest = found
     for level in levels:
-        if found is not None and programs is not problem and _passes(found, problem):
+        if found is not None and programs is not problem and _torque_scale(found, problem) > 1.0:
             quickest, programs = None, problem
         found = _of_level(found or start, programs, level) or found
         if found is not None and (quickest is None or found.duration < quickest.duration):
@@ -158,9 +158,11 @@ def _minimized(
     if found is None:
         return None
     if programs is not problem:
-        on_rows = None if _passes(found, problem) else _on_rows(found, programs, levels[-1])
-        if _passes(on_rows or found, problem):
-            return _minimized(_slowed(on_rows or found, problem), problem, levels[-1:], problem)
+        over = _torque_scale(found, problem)
+        on_rows = None if over > 1.0 else _on_rows(found, programs, levels[-1])
+        over = over if on_rows is None else _torque_scale(on_rows, problem)
+        if over > 1.0:
+            return _minimized((on_rows or found).at_time_scale(over), problem, levels[-1:], problem)
         return _between_rows(quickest, problem) if on_rows is None and problem.ends is None else on_rows
     between = None if problem.ends is not None else _between_rows(quickest, problem)
     if between is not None and quickest is not None and between.duration <= _AS_QUICK * quickest.duration:
@@ -170,14 +172,9 @@ def _minimized(
     return made[ties.argmin([motion.duration for motion in made])] if made else None
 
 
-def _passes(spline: TimedSpline, problem: TimeProblem) -> bool:
-    """Whether a motion between ends at rest passes the limits of torque."""
-    return problem.ends is None and problem.torque_scale(spline, ALLOWED) > 1.0
-
-
-def _slowed(spline: TimedSpline, problem: TimeProblem) -> TimedSpline:
-    """The motion as slow as the limits of torque ask for."""
-    return spline.at_time_scale(problem.torque_scale(spline, ALLOWED))
+def _torque_scale(spline: TimedSpline, problem: TimeProblem) -> float:
+    """By what times have to be multiplied for the limits of torque; 1 where they are kept, or an end is in motion."""
+    return 1.0 if problem.ends is not None else problem.torque_scale(spline, ALLOWED)
 
 
 def _between_rows(spline: TimedSpline | None, problem: TimeProblem) -> TimedSpline | None:
@@ -232,7 +229,8 @@ def _of_level(start: TimedMotion, problem: TimeProblem, level: Level) -> TimedSp
             # Faster than its program says it would sway into what is near.
             moved = step.spline.at_time_scale(time_scale if problem.sway is None else max(time_scale, 1.0))
             # Torques beyond their limits are the next program's, which loses less time than slower times would.
-            kept = _slowed(moved, problem) if spline.ends is None else moved
+            over = _torque_scale(moved, problem)
+            kept = moved if over == 1.0 else moved.at_time_scale(over)
             before = math.inf if best is None else best.duration
             if kept.duration < before:
                 best, spline = kept, moved

@@ -157,6 +157,17 @@ class TimedSpline(Record):
         """The motion with all times multiplied by a number; its ends keep their states."""
         return TimedSpline(self.control, frozen(self.knots * time_scale)).between(self.ends)
 
+    def clock(self, count: int) -> FloatArray:
+        """(pieces * count,) so many times of each piece, evenly from its begin on [s]."""
+        breaks = self.knots[3:-3]
+        return frozen((breaks[:-1, None] + np.diff(breaks)[:, None] * (np.arange(count) / count)).ravel())
+
+    def weights(self, clock: FloatArray, order: int = 0) -> FloatArray:
+        """(times, n) weights of the control points in the position at some times, or in a derivative of it."""
+        from scipy.interpolate import BSpline
+
+        return np.asarray(BSpline(self.knots, np.eye(len(self.control)), 3)(clock, nu=order))
+
     def trajectory(self, dynamics: InverseDynamics, rate_hz: float) -> Trajectory:
         """Rows of the motion.
 

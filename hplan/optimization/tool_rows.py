@@ -11,6 +11,7 @@ from hplan.base.arrays import FloatArray, IntArray
 from hplan.kinematics.damped_steps import Chain, leaning
 from hplan.optimization.interior_point import ProgramRows
 from hplan.optimization.timed_spline import RESTING, TimedSpline
+from hplan.optimization.torque_rows import rows_of
 
 #: Times looked at in each piece.
 _TIMES = 3
@@ -38,8 +39,7 @@ class Leaning:
     @classmethod
     def of(cls, spline: TimedSpline, upright: Chain) -> Leaning:
         """At `_TIMES` of each piece."""
-        breaks = spline.knots[3:-3]
-        clock = (breaks[:-1, None] + np.diff(breaks)[:, None] * (np.arange(_TIMES) / _TIMES)).ravel()
+        clock = spline.clock(_TIMES)
         configurations = np.ascontiguousarray(spline.positions(clock))
         cosines, slopes = np.empty(len(clock)), np.empty(configurations.shape)
         leaning(configurations, upright, cosines, slopes)
@@ -52,12 +52,8 @@ class Leaning:
 
     def rows(self, spline: TimedSpline, movable: IntArray) -> ProgramRows:
         """A row for each time at which it leans: by no more than it may, or than it does."""
-        from scipy import sparse
-        from scipy.interpolate import BSpline
-
         near = np.flatnonzero(self.cosines < math.cos(LEANING * self.most_rad))
-        weights = BSpline(spline.knots, np.eye(len(spline.control)), 3)(self.clock[near])[:, RESTING:-RESTING]
+        weights = spline.weights(self.clock[near])[:, RESTING:-RESTING]
         blocks = -weights[:, :, None] * self.slopes[near][:, None, movable]
-        matrix = sparse.csr_matrix(blocks.reshape(len(near), weights.shape[1] * len(movable)))
         bound = np.maximum(self.cosines[near] - math.cos(self.most_rad), 0.0)
-        return ProgramRows(matrix.indptr, matrix.indices, matrix.data, np.zeros(len(near)), bound, np.empty(0))
+        return rows_of(blocks, np.zeros(len(near)), bound)

@@ -47,9 +47,7 @@ class TorqueUse:
     @classmethod
     def of(cls, spline: TimedSpline, dynamics: InverseDynamics, limit: FloatArray) -> TorqueUse:
         """The torques at `_TIMES` of each piece."""
-        breaks = spline.knots[3:-3]
-        inner = np.diff(breaks)[:, None] * (np.arange(_TIMES) / _TIMES)
-        clock = (breaks[:-1, None] + inner).ravel()
+        clock = spline.clock(_TIMES)
         states = np.stack([spline.path.evaluate(clock, order) for order in range(3)])
         return cls(clock, states, dynamics.torques(*states) / limit, limit)
 
@@ -61,13 +59,9 @@ class TorqueUse:
 
 def torque_rows(found: TorqueUse, spline: TimedSpline, dynamics: InverseDynamics, limits: MotionLimits) -> ProgramRows:
     """A row for each torque near its limit: `ALLOWED` of it may be used."""
-    from scipy import sparse
-    from scipy.interpolate import BSpline
-
     limit = found.limit
     times, joints = np.nonzero(np.abs(found.use) > NEAR_LIMIT)
     movable = limits.movable
-    size = (len(spline.control) - 2 * RESTING) * len(movable)
     at, which = np.unique(times, return_inverse=True)
     states, sign = found.states[:, at], np.sign(found.use[times, joints])
     derivatives = np.empty((3, len(movable), len(at), len(limit)))
@@ -77,7 +71,7 @@ def torque_rows(found: TorqueUse, spline: TimedSpline, dynamics: InverseDynamics
             changed[order, :, joint] += _DIFFERENCE
             derivatives[order, number] = (dynamics.torques(*changed) / limit - found.use[at]) / _DIFFERENCE
     picked = sign * derivatives[:, :, which, joints]  # (3, movable, rows)
-    basis = _bases(BSpline(spline.knots, np.eye(len(spline.control)), 3), found.clock[times])
+    basis = [spline.weights(found.clock[times], order) for order in range(3)]
     blocks = sum(picked[order].T[:, None, :] * basis[order][:, RESTING:-RESTING, None] for order in range(3))
     drift = spline.drift[:, movable]
     # Slower by the time scale s, what is not gravity's is over s^2: times s^2, the torque is kept where that part is at
@@ -87,14 +81,16 @@ def torque_rows(found: TorqueUse, spline: TimedSpline, dynamics: InverseDynamics
     by_time_scale = -2.0 * room
     if drift.any():
         by_time_scale += sum(np.einsum("mr,rm->r", picked[order], basis[order] @ drift) for order in range(3))
-    matrix = sparse.csr_matrix(np.reshape(blocks, (len(times), size)))
     upper = room + gravity - np.abs(found.use[times, joints]) + by_time_scale
+    return rows_of(np.asarray(blocks), by_time_scale, upper)
+
+
+def rows_of(blocks: FloatArray, by_time_scale: FloatArray, upper: FloatArray) -> ProgramRows:
+    """Rows of one side, by (rows, inner, movable) entries of the changes of the inner control points."""
+    from scipy import sparse
+
+    matrix = sparse.csr_matrix(blocks.reshape(len(blocks), blocks.shape[1] * blocks.shape[2]))
     return ProgramRows(matrix.indptr, matrix.indices, matrix.data, by_time_scale, upper, np.empty(0))
-
-
-def _bases(unit: object, clock: FloatArray) -> list[FloatArray]:
-    """(times, n) weights of the control points in position, velocity and acceleration."""
-    return [np.asarray(unit(clock, nu=order)) for order in range(3)]  # type: ignore[operator]
 
 
 def with_rows(rows: ProgramRows, more: ProgramRows) -> ProgramRows:

@@ -319,7 +319,8 @@ def _free(task: _Poses, begin: FloatArray, number: int, given_up: Sequence[Plann
     tasks = [to for to in tasks if not to.problem.is_empty]
     if task.tilt is not None:
         yield from _upright(task.tilt, tasks, number, given_up)
-    while task.tilt is None and tasks:
+        return
+    while tasks:
         at, motion = one_transit(tasks)
         yield _Leg(number, tasks[at], motion.trajectory.position[[0, -1]], motion=motion)
         del tasks[at]

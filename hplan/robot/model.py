@@ -210,7 +210,8 @@ class Robot(PlanarNames, Record):
         Raises:
             InputError: The robot has no frame of that name.
         """
-        found = frame_number(self.model, name)
+        is_name = isinstance(name, str) and name.isprintable()
+        found = frame_number(self.model, name) if is_name else self.model.nframes
         if found == self.model.nframes:
             names = ", ".join(frame.name for frame in self.model.frames if frame.type == pin.FrameType.BODY)
             raise InputError(f"frame {name!r} is not of the robot; it has {names}", frame=name)

@@ -23,8 +23,8 @@ from hplan.robot.urdf_xml import line_of
 
 def frame_number(model: pin.Model, name: str) -> int:
     """Number of the frame of a name, of the link where a joint has it too; `nframes`, as with Pinocchio, for none."""
-    found = [number for number, frame in enumerate(model.frames) if frame.name == name]
-    return min(found, key=lambda number: model.frames[number].type != pin.FrameType.BODY, default=int(model.nframes))
+    is_link = model.existFrame(name, pin.FrameType.BODY)
+    return int(model.getFrameId(name, pin.FrameType.BODY) if is_link else model.getFrameId(name))
 
 
 def check_models(path: Path, urdf: Urdf, model: pin.Model, collision_model: pin.GeometryModel | None = None) -> None:

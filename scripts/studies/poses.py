@@ -164,16 +164,17 @@ def _peer_row(
     asked: Asked, robot: Robot, scene: Scene, poses: FloatArray, ways: Sequence[bool], duration_s: float | None
 ) -> Row:
     """What a peer makes of a sequence; roboplan has roll and pitch, within the half-width of the square in the tilt."""
-    from studies.projected_peer import projected_motions
-    from studies.roboplan_peer import RoboplanArm
-
     start, seed, within = scene.start.configuration, asked.seed + 1, TILT_RAD - 0.5 * LEAN_RAD
     if asked.peer == "roboplan":
+        from studies.roboplan_peer import RoboplanArm
+
         arm = or_error(lambda: RoboplanArm(robot, scene, seed))
         if isinstance(arm, HplanError):  # clouds
             return {"peer_solved": None}
         motions, ms = timed(lambda: arm.pose_motions(start, poses, ways, within / np.sqrt(2.0)))
     else:
+        from studies.projected_peer import projected_motions
+
         motions, ms = timed(lambda: projected_motions(robot, scene, poses, ways, TILT_RAD, seed))
     if motions is None:
         return {"peer_solved": False, "peer_ms": ms}

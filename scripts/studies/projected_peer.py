@@ -66,7 +66,7 @@ class ToolConstraint:
         return np.append(max(0.0, tilt - self._tilt_rad), self._across @ (tool.translation - self._begin))
 
     def jacobian(self, q: FloatArray) -> FloatArray:
-        """(count, dof) how the residuals change, with the joints."""
+        """(count, dof) how the residuals change with the joints."""
         moved = pin.computeFrameJacobian(
             self._model, self._data, q, self._frame, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
         )
@@ -154,7 +154,6 @@ def _path(world: World, start: FloatArray, pose: FloatArray, constraint: ToolCon
     planner = geometric.RRTConnect(information)
     planner.setRange(_RANGE)
     setup.setPlanner(planner)
-    world.field.clearance(start)
     if not solve(setup, _PATIENCE_S):
         return None
     setup.simplifySolution(SIMPLIFY_S)

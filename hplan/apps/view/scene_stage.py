@@ -258,9 +258,10 @@ def _frame(robot: Robot, stands: Sequence[Scene], trajectory: Trajectory, picks:
 def _arm_points(robot: Robot, configurations: FloatArray) -> FloatArray:
     """Joints, tool and middles of links of each configuration, (n, 3) [m]."""
     points, (model, data) = [np.zeros((0, 3))], (robot.model, robot.model.createData())
+    frame = robot.frame_number(robot.tool_frame)
     for q in configurations:
         pin.framesForwardKinematics(model, data, q)
-        tool = data.oMf[robot.frame_number(robot.tool_frame)].translation
+        tool = data.oMf[frame].translation
         joints = np.array([*(data.oMi[joint].translation for joint in range(1, model.njoints)), tool])
         points += [joints, 0.5 * (joints[1:] + joints[:-1])]
     return np.vstack(points)

@@ -155,7 +155,11 @@ def filtered_links(path: Path, root: ET.Element, links: Collection[str]) -> tupl
     Raises:
         RobotFileError: A group has a member, or ignores a group, that does not exist.
     """
-    groups = {str(group.get("name")): group for group in root.findall("drake:collision_filter_group")}
+    groups = {
+        str(group.get("name")): group
+        for group in root.findall("drake:collision_filter_group")
+        if (group.get("ignore") or "false").strip().lower() in ("false", "0")
+    }
 
     def named(element: ET.Element, key: str, known: Collection[str]) -> str:
         name = element.get(key)

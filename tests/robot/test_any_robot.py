@@ -97,6 +97,7 @@ def test_filter_groups_of_drake():
     before = self_pairs(load_robot(seven_axis_arm()))
     assert any({bodies[i].name, bodies[j].name} == {"link_5", "link_7"} for i, j in before.checked)
     assert load_robot(arm.replace(ignored, "")).may_touch == ()
+    assert load_robot(arm.replace('group name="wrist">', 'group name="wrist" ignore="true">')).may_touch == ()
     with pytest.raises(RobotFileError, match="link of <drake:member> is 'link_9', expected one of base_link, link_1"):
         load_robot(arm.replace('<drake:member link="link_5"/>', '<drake:member link="link_9"/>'))
     with pytest.raises(RobotFileError, match="is 'hand', expected one of wrist"):

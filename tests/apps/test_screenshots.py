@@ -48,7 +48,9 @@ def tour_page() -> str:
 def cspace_page() -> str:
     robot, scene = hplan.load_robot(), hplan.load_scene()
     result = hplan.plan(robot, scene)
-    return render_cspace_page(yaw_section(robot, scene, Playback.of(result), hplan.PlanOptions()), scene.name)
+    page = render_cspace_page(yaw_section(robot, scene, Playback.of(result), hplan.PlanOptions()), scene.name)
+    halfway = f"<script>viewer.animator.pause(); viewer.animator.seek({0.5 * result.trajectory.duration});</script>"
+    return page.replace("</body>", f"{halfway}</body>")
 
 
 def taken(page: str, size: tuple[int, int], folder: Path, name: str) -> Image.Image:

@@ -72,6 +72,9 @@ class Effort:
 #: A motion that takes no more than so many times the least duration is close to the fastest.
 CLOSE = 1.15
 
+#: One that takes more than so many times that may well lead past obstacles on a side that is not the best.
+FAR = 1.3
+
 #: Seeds of trees that follow one another: as many as the seeds of two plans are apart.
 _SEEDS = 1000
 

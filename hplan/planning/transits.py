@@ -23,7 +23,7 @@ import numpy as np
 from hplan.base.arrays import FloatArray, frozen
 from hplan.errors import CertificationError, HplanError, NoPathError, NotFoundError, TimingError
 from hplan.optimization.repair import repaired
-from hplan.planning.effort import GridAttempt
+from hplan.planning.effort import FAR, GridAttempt
 from hplan.planning.failures import WIDTHS, EnclosedError, FailuresError, without_path
 from hplan.planning.grid_route import find_route
 from hplan.planning.motion import Polyline, Transit, along, certificate_of, improving, last, quickest, required
@@ -40,6 +40,9 @@ _STEP_FACTORS: Final = (1.0, 0.5)
 #: A planar grid with more nodes is searched only after trees; a coarse one with more than the other is left out.
 _LARGE_PLANAR: Final = 2e6
 _MOST_COARSE: Final = 5e6
+
+#: A second pair of trees may take so many evaluations, however few the first one took.
+_SHORT: Final = 8_000
 
 #: To so many goals trees look for a path one by one, before they do to all at once.
 _ONE_BY_ONE: Final = 2
@@ -165,7 +168,7 @@ def _first_paths(tasks: Sequence[PlanningTask]) -> Iterator[tuple[int, Polyline]
     if not tasks[0].problem.turns:
         trees = replace(trees, pairs=2, each=1_500)  # narrow passages are found on grids
     for seed in range(trees.seed, trees.seed + trees.pairs):
-        reached = _tree_to_any(tasks, TreeEffort(trees.each, seed))
+        reached, _ = _tree_to_any(tasks, TreeEffort(trees.each, seed))
         if reached is not None:
             yield reached
 
@@ -282,17 +285,22 @@ def _by_long_trees(tasks: Sequence[PlanningTask], pairs: Pairs) -> Iterator[Foun
     found: dict[int, list[FloatArray]] = {}
     at_once = tasks[0].robot.planar is None  # another path takes as long again
     long = _long_trees(tasks[0])
-    for seed in range(long.pairs):
-        reached = _tree_to_any(tasks, TreeEffort(long.each, long.seed + seed), pairs)
+    each, known_s = long.each, math.inf
+    for seed in range(long.seed, long.seed + long.pairs):
+        reached, evaluations = _tree_to_any(tasks, TreeEffort(each, seed), pairs)
         if reached is None:
             continue
         number, polyline = reached
         found.setdefault(number, []).append(polyline.waypoints)
-        motion = _quickest(tasks[number], [polyline]) if at_once else None
+        motion = _quickest(tasks[number], [polyline], known_s) if at_once else None
         if motion is not None:
             yield number, motion
-            return
-    for number, paths in found.items():
+            known_s = motion.trajectory.duration
+            if known_s <= FAR * tasks[number].least_duration:
+                return
+            # A second pair that takes about as long as this one did.
+            each = min(each, max(_SHORT, 3 * evaluations // 2))
+    for number, paths in found.items() if math.isinf(known_s) else ():
         motion = _quickest(tasks[number], [Polyline(path, "trees") for path in paths])
         if motion is not None:
             yield number, motion
@@ -307,14 +315,16 @@ def _long_trees(task: PlanningTask) -> TreesEffort:
 
 def _tree_to_any(
     tasks: Sequence[PlanningTask], effort: TreeEffort, pairs: Pairs | None = None
-) -> tuple[int, Polyline] | None:
-    """The number of whichever goal a pair of trees reaches, and the path as found; None where they reach none."""
+) -> tuple[tuple[int, Polyline] | None, int]:
+    """Which goal a pair of trees reaches and the path as found, None where they reach none; and its evaluations."""
     goals, first = np.array([task.problem.goal for task in tasks]), tasks[0]
     margin = 0.1 * min(task.margin() for task in tasks)
     with first.stage("trees"):
         velocity = first.robot.velocity_limit
-        path, _ = tree_path(first.problem, first.field, velocity, margin, effort, goals=goals, pairs=pairs)
-    return None if path is None else (int((goals == path[-1]).all(axis=1).argmax()), Polyline(path, "trees"))
+        path, spent = tree_path(first.problem, first.field, velocity, margin, effort, goals=goals, pairs=pairs)
+    if path is None:
+        return None, spent
+    return (int((goals == path[-1]).all(axis=1).argmax()), Polyline(path, "trees")), spent
 
 
 def _on_grids(tasks: Sequence[PlanningTask]) -> Iterator[Found]:

@@ -14,7 +14,7 @@ from studies.planar import random_scene
 from studies.trees import TreeProblem, motions_in, orchards_of
 
 from hplan.errors import BoundError
-from hplan.planning.lower_bound.duration_bound import ENOUGH, DurationBound, duration_bound
+from hplan.planning.lower_bound.duration_bound import DurationBound, duration_bound
 from hplan.planning.motion import motion_limits
 from hplan.planning.options import PlanOptions
 from hplan.planning.result import PlanResult
@@ -71,7 +71,7 @@ def _bound(asked: Asked, numbered: tuple[int, TreeProblem | None]) -> Row | None
     row |= {"name": name, "kind": kind}
     again = number % BEST_EVERY == 0
     try:
-        bound, ms = timed(lambda: _bound_of(found, 0.0 if again else ENOUGH))
+        bound, ms = timed(lambda: _bound_of(found, thorough=again))
     except BoundError:
         return row | {"fault": True}
     durations = [row["duration_s"]]
@@ -87,9 +87,9 @@ def _bound(asked: Asked, numbered: tuple[int, TreeProblem | None]) -> Row | None
     }
 
 
-def _bound_of(result: PlanResult, enough: float) -> DurationBound:
+def _bound_of(result: PlanResult, *, thorough: bool) -> DurationBound:
     task, duration_s = result.motion.task, result.motion.trajectory.duration
-    return duration_bound(task.world, task.problem, motion_limits(task), duration_s, enough=enough)
+    return duration_bound(task.world, task.problem, motion_limits(task), duration_s, thorough=thorough)
 
 
 BOUND = Study(

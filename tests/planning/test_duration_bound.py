@@ -29,7 +29,7 @@ from hplan.planning.lower_bound.duration_bound import (
     _obstacles,
     duration_bound,
 )
-from hplan.planning.lower_bound.grid_search import GridSearch, Resolution, TimedGrid
+from hplan.planning.lower_bound.grid_search import GridSearch, TimedGrid
 from hplan.planning.lower_bound.joint_tubes import JointMotions
 from hplan.planning.lower_bound.reachability import Samples, is_reachable
 from hplan.planning.motion import motion_limits
@@ -55,9 +55,7 @@ def bound_of(result: PlanResult, duration_s: float | None = None) -> DurationBou
 @pytest.fixture
 def coarse(monkeypatch: pytest.MonkeyPatch) -> None:
     """Bounds on coarse grids alone, which take a tenth of the time."""
-    monkeypatch.setattr(module, "EACH_JOINT", (24,))
-    monkeypatch.setattr(module, "ONE_JOINT", (36,))
-    monkeypatch.setattr(module, "FOUR_JOINTS", (32,))
+    monkeypatch.setattr(module, "SAMPLES", ((48, 0.01),))
 
 
 def tolerated(distance: float, velocity: float, acceleration: float, jerk: float | None) -> float:
@@ -222,8 +220,8 @@ def test_places_hold_the_optima_and_are_near_them(goal: float, jerk: float) -> N
         assert upper - top < (0.02 if jerk > 30.0 else 0.12)
 
 
-def profile(draws: FloatArray, velocity: float, acceleration: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Times, positions and velocities of a motion from rest to rest that is made of drawn accelerations."""
+def profile(draws: FloatArray, velocity: float, acceleration: float) -> tuple[FloatArray, FloatArray]:
+    """Times and positions of a motion from rest to rest that is made of drawn accelerations."""
     h = 0.02
     speeds = [0.0]
     for push in draws:
@@ -232,18 +230,17 @@ def profile(draws: FloatArray, velocity: float, acceleration: float) -> tuple[Fl
         speeds.append(float(np.sign(speeds[-1]) * max(0.0, abs(speeds[-1]) - h * acceleration)))
     v = np.array(speeds)
     q = np.concatenate([[0.0], np.cumsum(0.5 * h * (v[1:] + v[:-1]))])
-    return h * np.arange(len(v)), q, v
+    return h * np.arange(len(v)), q
 
 
 @given(st.lists(st.floats(-1.0, 1.0), min_size=5, max_size=80), st.floats(0.2, 3.0), st.floats(0.5, 10.0))
 def test_any_motion_is_within_its_bounds(draws: list[float], velocity: float, acceleration: float) -> None:
-    time, q, v = profile(np.sign(draws) * np.sqrt(np.abs(draws)), velocity, acceleration)
+    time, q = profile(np.sign(draws) * np.sqrt(np.abs(draws)), velocity, acceleration)
     motion, total = joint(float(q[-1]), velocity, acceleration), float(time[-1])
     assert motion.least_durations[0] <= total + 1e-9
-    for known in (None, (v[:, None], v[:, None]), (v[:, None] - 0.1, v[:, None] + 0.3)):
-        lower, upper = motion.places(time[:, None], total, known)
-        assert (lower[:, 0] <= q + 1e-12).all()
-        assert (q <= upper[:, 0] + 1e-12).all()
+    lower, upper = motion.places(time[:, None], total)
+    assert (lower[:, 0] <= q + 1e-12).all()
+    assert (q <= upper[:, 0] + 1e-12).all()
 
 
 def test_a_motion_that_is_just_too_short_is_excluded_by_its_own_bounds() -> None:
@@ -264,7 +261,7 @@ def bits(search: GridSearch) -> BoolArray:
 
 
 def search_of(
-    robot: Robot, scene: Scene, order: list[int], longest: float, resolution: Resolution
+    robot: Robot, scene: Scene, order: list[int], longest: float, samples: int
 ) -> tuple[GridSearch, JointMotions]:
     """The search over a grid of some joints, and the motions of all joints."""
     world = PlanningCache(robot).world(scene, PlanOptions())
@@ -272,7 +269,7 @@ def search_of(
     problem = check_problem(world, *ends, locked_joints=scene.locked_joints)
     limits = Limits(robot.velocity_limit, robot.acceleration_limit, jerk=robot.jerk_limit)
     motions, obstacles = _joint_motions(world, problem, limits), _obstacles(world)
-    grid = TimedGrid.of(motions.only(order), longest, resolution)
+    grid = TimedGrid.of(motions.only(order), longest, samples)
     search = GridSearch.of(obstacles, _excess(robot, obstacles), motions, np.array(order), grid)
     return search, motions
 
@@ -300,34 +297,34 @@ OBSTACLES = {
 def test_excluded_cells_are_in_contact_whole_and_most_others_are_not(robot: Robot, kind: str, first: int) -> None:
     scene = task([0, 5, 5, 5], [0, 80, 85, 85], [OBSTACLES[kind]], locked_joints=("base_yaw",), clearance=0.01)
     order = [first + 1, *(k + 1 for k in range(3) if k != first)]
-    search, motions = search_of(robot, scene, order, 2.5, Resolution(30))
+    search, motions = search_of(robot, scene, order, 2.5, 60)
     free, in_contact = excluded_are_in_contact(robot, scene, (search, motions, order), 2.5, 0.02)
     assert free.mean() > 0.1
     assert in_contact < 0.25  # those at the surface
 
 
-@pytest.mark.parametrize(("kind", "first"), [("sphere", 0), ("capsule", 1), ("box", 3), ("cylinder", 2)])
+@pytest.mark.parametrize(("kind", "first"), [("sphere", 0), ("capsule", 1), ("box", 1), ("cylinder", 2)])
 def test_so_they_are_where_the_base_turns(robot: Robot, kind: str, first: int) -> None:
     scene = task([-20, 5, 5, 5], [20, 80, 85, 85], [OBSTACLES[kind]], clearance=0.01)
-    order = [first, *(k for k in range(4) if k != first)]
-    search, motions = search_of(robot, scene, order, 2.5, Resolution(30, speed_cells=1))
+    order = [first, *(k for k in range(4) if k != first)][:3]
+    search, motions = search_of(robot, scene, order, 2.5, 64)
     excluded_are_in_contact(robot, scene, (search, motions, order), 2.5, 0.0005)
 
 
 def test_so_they_are_whatever_the_joints_without_an_axis_do(robot: Robot) -> None:
     shelf = Box(name="shelf", center=(1.9, 0.0, 0.9), size=(1.6, 2.0, 0.9))
     scene = task([-2, 40, 5, 5], [2, 60, 20, 10], [shelf], clearance=0.01)
-    search, motions = search_of(robot, scene, [1, 2], 1.6, Resolution(30))
+    search, motions = search_of(robot, scene, [1, 2], 1.6, 60)
     excluded_are_in_contact(robot, scene, (search, motions, [1, 2]), 1.6, 0.01)
 
 
 def test_so_they_are_of_an_arm_of_meshes() -> None:
     """Whose depths are those of hulls, and which has joints without an axis."""
-    arm, order = load_robot("panda"), [0, 1, 2, 3]
+    arm, order = load_robot("panda"), [0, 1, 3]
     start, goal = (tuple(np.radians(q)) for q in ([-10, 20, 0, -90, 0, 100, 0], [10, 25, 5, -80, 5, 105, 5]))
     board = Box(name="board", center=(0.4, 0.0, 1.0), size=(0.8, 0.5, 0.5))
     scene = Scene(name="board", start=Start(joints_rad=start), goal=Goal(joints_rad=goal), obstacles=(board,))
-    search, motions = search_of(arm, scene, order, 0.6, Resolution(32, speed_cells=1))
+    search, motions = search_of(arm, scene, order, 0.6, 48)
     excluded_are_in_contact(arm, scene, (search, motions, order), 0.6, 0.01)
 
 
@@ -341,7 +338,7 @@ def excluded_are_in_contact(
     excluded = np.argwhere(~free)
     assert least * free.size < len(excluded) < 0.9 * free.size
     some = excluded[random.integers(len(excluded), size=300)]
-    corner = np.round(random.uniform(size=(300, 4)) * 2.0) / 2.0  # corners and middles of edges, faces and the cell
+    corner = np.round(random.uniform(size=(300, 3)) * 2.0) / 2.0  # corners and middles of edges, faces and the cell
     q = configurations(search, order, some + np.clip(corner, 1e-6, 1.0 - 1e-6), others, 1)
     assert all(checker.distances(one).min() < scene.clearance for one in q)
     kept = np.argwhere(free)
@@ -361,36 +358,18 @@ def test_no_obstacle_is_taken_for_larger_than_it_is(robot: Robot) -> None:
 
 
 def plain(free: BoolArray, samples: Samples) -> bool:
-    """By the definition: states are a cell and the move to the next one."""
-    first, last, first_of, last_of, steps = samples
-    most = first_of.shape[1] // 2
+    """By the definition."""
+    first, last = samples
+    cells = {tuple(cell) for cell in np.argwhere(free).tolist()}
 
-    def inside(k: int, cell: tuple[int, ...]) -> bool:
-        within = all(max(first[k, a], 0) <= cell[a] <= min(last[k, a], free.shape[a] - 1) for a in range(4))
-        return within and bool(free[cell])
+    def inside(k: int, some: set[tuple[int, ...]]) -> set[tuple[int, ...]]:
+        return {cell for cell in some if all(first[k, a] <= cell[a] <= last[k, a] for a in range(3))}
 
-    def keeps(k: int, cell: tuple[int, ...], move: int) -> bool:
-        return bool(first_of[k, move + most] <= cell[0] <= last_of[k, move + most])
-
-    moves = range(-most, most + 1)
-    cells = list(product(*map(range, free.shape)))
-    states = {(cell, move) for cell in cells for move in moves if inside(0, cell) and keeps(0, cell, move)}
+    reached = inside(0, cells)
     for k in range(1, len(first)):
-        reached = set()
-        for (i, x, y, z), move in states:
-            for dx, dy, dz in product(*(range(-step, step + 1) for step in steps[1:])):
-                cell = (i + move, x + dx, y + dy, z + dz)
-                if inside(k, cell):
-                    reached |= {(cell, move)}
-        if k == len(first) - 1:
-            return bool(reached)
-        states = {
-            (cell, move + change)
-            for cell, move in reached
-            for change in range(-steps[0], steps[0] + 1)
-            if abs(move + change) <= most and keeps(k, cell, move + change)
-        }
-    return False
+        next_to = {tuple(np.add(cell, step)) for cell in reached for step in product((-1, 0, 1), repeat=3)}
+        reached = inside(k, cells & next_to)
+    return bool(reached)
 
 
 def packed(free: BoolArray):
@@ -402,19 +381,16 @@ def packed(free: BoolArray):
 
 def drawn(random: np.random.Generator, count: int) -> tuple[BoolArray, Samples]:
     """A grid of few free cells, and bounds that shrink to one cell at both ends."""
-    shape = np.array([count, *random.integers(1, [5, 4, 3])])
+    shape = np.array([count, *random.integers(1, [5, 4])])
     free = random.random(shape) < random.uniform(0.3, 1.0)
-    samples, most = int(random.integers(3, 8)), int(random.integers(1, 5 if count < 64 else 40))
-    low = random.integers(0, shape, size=(samples, 4))
-    first = np.maximum(low - random.integers(0, shape, size=(samples, 4)), 0)
-    last = np.minimum(low + random.integers(0, shape, size=(samples, 4)), shape - 1)
+    samples = int(random.integers(3, 8))
+    walk = np.cumsum(random.integers(-1, 2, size=(samples, 3)), axis=0)
+    low = np.clip(random.integers(0, shape) + walk, 0, shape - 1)
+    first = np.maximum(low - random.integers(0, shape, size=(samples, 3)), 0)
+    last = np.minimum(low + random.integers(0, shape, size=(samples, 3)), shape - 1)
     first[[0, -1]] = last[[0, -1]] = low[[0, -1]]
     free[tuple(first[0])] = free[tuple(first[-1])] = True
-    first_of = random.integers(0, count // 2, size=(samples, 2 * most + 1))
-    last_of = np.minimum(first_of + random.integers(-1, count, size=first_of.shape), count - 1)
-    first_of, last_of = np.maximum(first_of, first[:, :1]), np.minimum(last_of, last[:, :1])
-    first_of[0], last_of[0] = first[0, 0], last[0, 0]
-    return free, Samples(first, last, first_of, last_of, random.integers([0, 0, 0, 1], 3))
+    return free, Samples(first, last)
 
 
 @pytest.mark.parametrize("count", [7, 64, 140])
@@ -428,16 +404,15 @@ def test_as_by_sets_of_states(count: int) -> None:
 
 
 def test_a_wall_has_to_be_passed_by_its_gap_and_takes_the_time_for_it() -> None:
-    free = np.ones((9, 9, 1, 1), dtype=np.bool_)
+    free = np.ones((9, 9, 1), dtype=np.bool_)
     free[:, 4] = False
     free[0, 4] = True
 
     def reaches(samples: int) -> bool:
-        first, last = np.zeros((samples, 4), dtype=np.int64), np.tile([8, 8, 0, 0], (samples, 1))
-        first[0] = last[0] = (8, 0, 0, 0)
-        first[-1] = last[-1] = (8, 8, 0, 0)
-        of = np.repeat(first[:, :1], 3, axis=1), np.repeat(last[:, :1], 3, axis=1)
-        return is_reachable(packed(free), Samples(first, last, *of, np.array([1, 1, 0, 0])))
+        first, last = np.zeros((samples, 3), dtype=np.int64), np.tile([8, 8, 0], (samples, 1))
+        first[0] = last[0] = (8, 0, 0)
+        first[-1] = last[-1] = (8, 8, 0)
+        return is_reachable(packed(free), Samples(first, last))
 
-    # Eight steps to the gap, in it once, eight back; the move takes a step to be turned about.
-    assert next(samples for samples in range(2, 24) if reaches(samples)) == 18
+    # Eight steps to the gap, and eight back.
+    assert next(samples for samples in range(2, 24) if reaches(samples)) == 17

@@ -1,15 +1,13 @@
 """A duration that no motion between two configurations can fall below, shown rather than estimated.
 
-For every problem that of the slowest joint alone. Where something is in the way, reachability on grids of up to four
-joints excludes longer ones. Of up to three, coarse grids come first, with each joint in turn as the one whose speed is
-followed, at last finer ones with the joint that excluded most. Four are searched with the joint that moves bodies
-fastest, for short lengths first, as joints can be in fewer places then. `docs/proof.md` has the proof.
+For every problem that of the slowest joint alone. Where something is in the way, reachability on ever finer grids of
+three joints excludes longer ones. `docs/proof.md` has the proof.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import product
 from typing import Literal
 
 import numpy as np
@@ -21,23 +19,24 @@ from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.collision_bodies import collision_bodies
 from hplan.errors import BoundError
 from hplan.planning.definition import Problem
-from hplan.planning.lower_bound.grid_search import GridSearch, Resolution, TimedGrid
+from hplan.planning.lower_bound.grid_search import GridSearch, TimedGrid
 from hplan.planning.lower_bound.joint_tubes import JointMotions
 from hplan.planning.lower_bound.occupied_cells import AXES
 from hplan.planning.world import World
 from hplan.robot.limits import Limits
 from hplan.robot.model import Robot
 
-#: Samples of the grids on which the speed of each joint is followed in turn, and of those for the best of them. How the
-#: cells lie to the obstacles matters about as much as their size: so there are two.
-EACH_JOINT, ONE_JOINT = (24, 48), (66, 76)
+#: Samples of motions, and above which part that is left of the duration of the one that is known so many are looked at.
+SAMPLES = ((64, 0.01), (128, 0.015), (256, 0.02))
 
-#: Of grids with four joints: samples, and the parts of what is not excluded yet up to which lengths are searched.
-FOUR_JOINTS, PARTS = (48, 72), (0.15, 0.3, 0.6, 1.0)
+#: The part of the duration that the search distinguishes.
+_STEP = 0.002
 
-#: The part of the duration that the search distinguishes, the gap below which no finer grid is searched, and below
-#: which none with four joints is, whose samples are a fiftieth of the motion apart.
-_STEP, ENOUGH, ENOUGH_OF_FOUR = 0.002, 0.01, 0.025
+#: Motions are looked at next that are so many times as long as what is excluded already.
+_LONGER = 1.3
+
+#: Most words of 8 bytes that a grid may have; finer ones are left out.
+_MOST_WORDS = 6_000_000
 
 
 @dataclass(frozen=True)
@@ -54,7 +53,7 @@ class DurationBound:
         duration_s: Duration of the motion that it was asked for [s].
         method: `joints` for the slowest joint alone; where obstacles and several joints together count too, `planar`
             if the arm moves in a plane and `spatial` for all others.
-        joint: Name of that joint; of the one whose speed was followed.
+        joint: Name of the slowest joint.
     """
 
     seconds: float
@@ -70,7 +69,7 @@ class DurationBound:
 
 
 def duration_bound(
-    world: World, problem: Problem, limits: Limits, duration_s: float, *, enough: float = ENOUGH
+    world: World, problem: Problem, limits: Limits, duration_s: float, *, thorough: bool = False
 ) -> DurationBound:
     """Bound the durations of motions from below.
 
@@ -81,8 +80,7 @@ def duration_bound(
         world: The arm, and what it must keep clear of.
         problem: Start and goal, and the joints that may move.
         duration_s: Duration of a motion that solves the problem within the limits [s].
-        enough: Where the bound is this part of the duration below it, it is not looked for a better one; with four
-            joints or more nor where it is `ENOUGH_OF_FOUR` below it.
+        thorough: Whether all grids are searched, however near the bound is already.
 
     Raises:
         BoundError: It is shown that there is no motion so short: the duration given, or the proof, is wrong.
@@ -95,14 +93,14 @@ def duration_bound(
     if alone[slowest] > duration_s * (1.0 + 1e-9):
         raise _contradiction(duration_s, robot.joint_names[slowest])
     by_joints = DurationBound(least, least, duration_s, "joints", robot.joint_names[slowest])
-    near = duration_s * (1.0 - max(enough, _STEP))
-    if not len(world.solids) or least >= near:
+    samples = [(count, _STEP if thorough else gap) for count, gap in SAMPLES]
+    if not len(world.solids) or duration_s <= least * (1.0 + samples[0][1]):
         return by_joints
-    found, joint = _on_grids(world, motions, AXES if problem.turns else 3, (least, near, duration_s))
+    found = _on_grids(world, motions, samples, least, duration_s)
     if found <= least:
         return by_joints
     method: Literal["planar", "spatial"] = "spatial" if problem.turns else "planar"
-    return DurationBound(found, least, duration_s, method, robot.joint_names[joint])
+    return DurationBound(found, least, duration_s, method, robot.joint_names[slowest])
 
 
 def _contradiction(duration_s: float, joint: str) -> BoundError:
@@ -132,64 +130,46 @@ def _joint_motions(world: World, problem: Problem, limits: Limits) -> JointMotio
 
 
 def _on_grids(
-    world: World, motions: JointMotions, most: int, durations: tuple[float, float, float]
-) -> tuple[float, int]:
-    """The longest duration that is excluded, and the joint whose speed was followed.
+    world: World, motions: JointMotions, samples: Sequence[tuple[int, float]], excluded: float, duration_s: float
+) -> float:
+    """The longest duration that is excluded.
 
     Args:
-        most: Most axes of a grid.
-        durations: One that is excluded already, one that would do, that of a motion [s].
+        samples: As `SAMPLES`.
+        excluded: A duration that is excluded already [s].
+        duration_s: That of a motion [s].
 
     Raises:
         BoundError: The duration of the motion that is known is excluded.
     """
-    found, near, duration_s = durations
     obstacles = _obstacles(world)
     excess = _excess(world.robot, obstacles)
-    axes = _axes(obstacles, motions, duration_s, most)
-    orders = [np.array([first, *(joint for joint in axes if joint != first)]) for first in axes]
-
-    def excluded(order: IntArray, resolution: Resolution, longest: float) -> float:
-        """The longest duration up to some length that is known to be excluded now."""
-        grid = TimedGrid.of(motions.only(order), longest, resolution)
-        # Most states of one sample and of all that a grid may have, in words of 8 bytes; finer ones are left out.
-        if grid.words > 6_000_000 or grid.words * resolution.samples > 400_000_000:
-            return found
-        search = GridSearch.of(obstacles, excess, motions, order, grid)
-        if longest == duration_s and not search.is_possible(duration_s):
-            raise _contradiction(duration_s, world.robot.joint_names[order[0]])
-        return _longest(search, found, longest)
-
-    if len(axes) == AXES:
-        order = orders[ties.argmax((obstacles.reaches.max(axis=0) * motions.velocity)[axes])]
-        near, useless = min(near, duration_s * (1.0 - ENOUGH_OF_FOUR)), 0
-        for samples, part in product(FOUR_JOINTS, PARTS):
-            if found >= near:
+    for count, gap in samples:
+        while duration_s > excluded * (1.0 + gap):
+            # In less time joints are in fewer places, and cells are smaller.
+            longest = min(duration_s, _LONGER * excluded) or duration_s
+            axes = _axes(obstacles, motions, longest)
+            grid = TimedGrid.of(motions.only(axes), longest, count)
+            if not len(axes) or grid.words > _MOST_WORDS:
                 break
-            if samples == useless:
-                continue
-            longest = duration_s if part == 1.0 else found + part * (duration_s - found)
-            longer = excluded(order, Resolution(samples, speed_cells=1), longest)
-            if longer == found:
-                useless = samples  # on its grids for longer motions, which are coarser
-            found = longer
-        return found, int(order[0])
-    best = orders[0] if orders else np.zeros(1, dtype=np.int64)
-    for samples in (*EACH_JOINT, *ONE_JOINT):
-        for order in orders if samples in EACH_JOINT else [best]:
-            if found >= near:
+            search = GridSearch.of(obstacles, excess, motions, axes, grid)
+            if search.is_possible(longest):
+                excluded = _longest(search, excluded, longest)
                 break
-            longer = excluded(order, Resolution(samples), duration_s)
-            if longer > found:
-                found, best = longer, order
-    return found, int(best[0])
+            if longest == duration_s:
+                raise _contradiction(duration_s, world.robot.joint_names[axes[0]])
+            excluded = longest
+    return excluded
 
 
-def _axes(obstacles: ClearanceField, motions: JointMotions, duration_s: float, most: int) -> list[int]:
-    """The joints that can move some body farthest in a time, in the order of their numbers; so many at most."""
+def _axes(obstacles: ClearanceField, motions: JointMotions, duration_s: float) -> IntArray:
+    """The joints that can move some body farthest in a time, `AXES` at most; the one that does so least is first."""
     lower, upper = motions.ranges(duration_s, 16)
-    farthest = np.where(motions.velocity > 0.0, (upper - lower) * obstacles.reaches.max(axis=0), 0.0)
-    return sorted(joint for joint in ties.argsort(-farthest)[:most].tolist() if farthest[joint] > 0.0)
+    reaches = obstacles.reaches.max(axis=0)
+    farthest = np.where(motions.velocity > 0.0, (upper - lower) * reaches, 0.0)
+    axes = ties.argsort(-farthest)[:AXES]
+    axes = axes[farthest[axes] > 0.0]
+    return axes[ties.argsort((reaches * motions.velocity)[axes])]
 
 
 def _excess(robot: Robot, obstacles: ClearanceField) -> FloatArray:

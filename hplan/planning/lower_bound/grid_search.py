@@ -1,8 +1,7 @@
-"""Which lengths of motion reachability on a grid of up to four joints excludes."""
+"""Which lengths of motion reachability on a grid of up to three joints excludes."""
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,21 +21,6 @@ _PARTS, _ALL = 16, np.uint64(2**64 - 1)
 _LOOKS = 4e6
 
 
-@dataclass(frozen=True)
-class Resolution:
-    """How finely motions are resolved.
-
-    Attributes:
-        samples: Samples of a motion of the largest length.
-        move_cells: Cells of the first axis by which acceleration changes the move from one sample to the next.
-        speed_cells: Cells of the other axes by which their joints move between samples at most.
-    """
-
-    samples: int
-    move_cells: int = 1
-    speed_cells: int = 2
-
-
 @dataclass(frozen=True, eq=False)
 class TimedGrid(Record):
     """A grid over some joints with the time between samples, for motions of up to some length.
@@ -46,10 +30,8 @@ class TimedGrid(Record):
         longest: Length of the longest motions [s].
         period: Time between samples [s].
         lower: (AXES,) where the first cells begin [rad, m].
-        sizes: (AXES,) sizes of cells [rad, m].
+        sizes: (AXES,) sizes of cells: how far joints move from sample to sample at most [rad, m].
         counts: (AXES,) numbers of cells.
-        steps: (AXES,) as in `Samples`.
-        most_move: Largest move of the first axis [cells].
     """
 
     motions: JointMotions
@@ -58,36 +40,30 @@ class TimedGrid(Record):
     lower: FloatArray
     sizes: FloatArray
     counts: IntArray
-    steps: IntArray
-    most_move: int
 
     @classmethod
-    def of(cls, motions: JointMotions, longest: float, resolution: Resolution) -> TimedGrid:
+    def of(cls, motions: JointMotions, longest: float, samples: int) -> TimedGrid:
         """The grid for motions no longer than some length.
 
         Args:
             motions: Of `AXES` joints at most, in the order of the axes.
             longest: Length of the longest motion [s].
+            samples: Samples of it.
         """
         motions = motions.with_still_ones(AXES)
-        period = longest / resolution.samples
-        # Rounding never makes a cell too small for the steps below.
-        change = motions.acceleration[0] * period**2 * (1.0 + 1e-9)
+        period = longest / samples
+        # Rounding never makes a cell too small to be left by one step alone.
         travel = motions.velocity * period * (1.0 + 1e-9)
         # Size of the cells of a joint that stands still [rad].
-        sizes = np.where(travel > 0.0, travel / resolution.speed_cells, 1e-3)
-        sizes[0] = min(change / resolution.move_cells, sizes[0])
-        lower, upper = motions.ranges(longest, resolution.samples)
+        sizes = np.where(travel > 0.0, travel, 1e-3)
+        lower, upper = motions.ranges(longest, samples)
         counts = np.floor((upper - lower) / sizes).astype(np.int64) + 1
-        # The largest whole numbers below change / size + 2, and below travel / size + 1.
-        largest = np.ceil(travel / sizes).astype(np.int64)
-        steps = np.array([math.ceil(change / sizes[0]) + 1, *largest[1:]], dtype=np.int64)
-        return cls(motions, longest, period, lower, sizes, counts, steps, int(largest[0]))
+        return cls(motions, longest, period, lower, sizes, counts)
 
     @property
     def words(self) -> int:
-        """Words of memory that the states take."""
-        return int((2 * self.most_move + 1) * self.counts[1:].prod() * ((self.counts[0] + 63) // 64))
+        """Words of memory that the cells take."""
+        return int(self.counts[1:].prod() * ((self.counts[0] + 63) // 64))
 
     def samples(self, total: float) -> Samples | None:
         """Bounds of motions of some length, of two samples or more; None where they leave nothing."""
@@ -96,24 +72,9 @@ class TimedGrid(Record):
         lower, upper = self.motions.places(time, total)
         if (lower > upper).any():
             return None
-        first, last = self._cells(lower, upper, slice(None))
-        moves = np.arange(-self.most_move, self.most_move + 1)
-        joint = self.motions.only([0])
-        # The mean velocity until the next sample differs by a/2 times the period at most from that at this one.
-        mean, off = moves * self.sizes[0] / self.period, self.sizes[0] / self.period
-        off += 0.5 * joint.acceleration[0] * self.period
-        lower, upper = joint.places(time, total, (mean - off, mean + off))
-        first_of, last_of = self._cells(lower, upper, 0)
-        first_of[:-1] = np.maximum(first_of[:-1], first[1:, :1] - moves)
-        last_of[:-1] = np.minimum(last_of[:-1], last[1:, :1] - moves)
-        return Samples(first, last, np.maximum(first_of, first[:, :1]), np.minimum(last_of, last[:, :1]), self.steps)
-
-    def _cells(self, lower: FloatArray, upper: FloatArray, axes: slice | int) -> tuple[IntArray, IntArray]:
-        """First and last cells of ranges along some axes; where a range is empty the last is before the first."""
-        ends = [(np.where(lower > upper, np.nan, end) - self.lower[axes]) / self.sizes[axes] for end in (lower, upper)]
-        first = np.nan_to_num(np.floor(ends[0] - 1e-9), nan=1.0).astype(np.int64)
-        last = np.nan_to_num(np.floor(ends[1] + 1e-9), nan=0.0).astype(np.int64)
-        return np.maximum(first, 0), np.minimum(last, self.counts[axes] - 1)
+        ends = [(end - self.lower) / self.sizes for end in (lower, upper)]
+        first, last = np.floor(ends[0] - 1e-9).astype(np.int64), np.floor(ends[1] + 1e-9).astype(np.int64)
+        return Samples(np.maximum(first, 0), np.minimum(last, self.counts - 1))
 
 
 @dataclass(frozen=True, eq=False)

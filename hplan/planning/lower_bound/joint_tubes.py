@@ -70,22 +70,18 @@ class JointMotions(Record):
         alone: FloatArray = rest_to_rest(distance, np.where(moving, self.velocity, 1.0), self.acceleration, self.jerk)
         return np.where(moving | (distance == 0.0), alone, np.inf)
 
-    def places(
-        self, time: FloatArray, total: float, velocities: tuple[FloatArray, FloatArray] | None = None
-    ) -> tuple[FloatArray, FloatArray]:
+    def places(self, time: FloatArray, total: float) -> tuple[FloatArray, FloatArray]:
         """Bounds of where the joints are at some times of a motion.
 
         Args:
             time: (..., 1) times, or (..., n), in [0, total] [s].
             total: Length of the motion [s].
-            velocities: Least and largest velocities of the joints then, (..., n) [rad/s]; None where they are unknown.
 
         Returns:
             (..., n) lower and upper bounds [rad]; lower ones above upper ones where no such motion exists.
         """
-        low, high = (-np.inf, np.inf) if velocities is None else velocities
-        upper = self._top(time, total, self.start, self.goal, (low, high))
-        lower = self._top(time, total, -self.start, -self.goal, (np.negative(high), np.negative(low)))
+        upper = self._top(time, total, self.start, self.goal)
+        lower = self._top(time, total, -self.start, -self.goal)
         return np.maximum(self.lower - SLACK, -lower), np.minimum(self.upper + SLACK, upper)
 
     def ranges(self, total: float, samples: int) -> tuple[FloatArray, FloatArray]:
@@ -103,29 +99,20 @@ class JointMotions(Record):
             np.minimum(self.upper + SLACK, upper.max(axis=0) + half),
         )
 
-    def _top(
-        self,
-        time: FloatArray,
-        total: float,
-        start: FloatArray,
-        goal: FloatArray,
-        velocities: tuple[FloatArray | float, FloatArray | float],
-    ) -> FloatArray:
-        """Upper bounds of places for given ends; -inf where no velocity is possible."""
+    def _top(self, time: FloatArray, total: float, start: FloatArray, goal: FloatArray) -> FloatArray:
+        """Upper bounds of places for given ends."""
         delay = 0.5 * self.acceleration / self.jerk
         since, until = np.maximum(time - delay, 0.0), np.maximum(total - time - delay, 0.0)
         # With a jerk limit the velocity can be so much above the delayed ramp at first, and the place in all.
         faster, farther = 0.25 * self.acceleration * delay, self.acceleration * delay**2 / 6.0 + SLACK
-        fastest = np.minimum(self.velocity, self.acceleration * np.minimum(since, until) + faster) + SLACK
-        low, high = np.maximum(velocities[0], -fastest), np.minimum(velocities[1], fastest)
-        possible = low <= high
+        high = np.minimum(self.velocity, self.acceleration * np.minimum(since, until) + faster) + SLACK
+        low = -high
         # Halvings of the range of velocities; the bound holds after any number of them.
         for _ in range(26):
             middle = 0.5 * (low + high)
             short = start + self._travel(since, middle) < goal + self._travel(until, -middle)
             low, high = np.where(short, middle, low), np.where(short, high, middle)
-        top = np.minimum(start + self._travel(since, high), goal + self._travel(until, -low))
-        return np.where(possible, top + farther, -np.inf)
+        return np.minimum(start + self._travel(since, high), goal + self._travel(until, -low)) + farther
 
     def _travel(self, time: FloatArray, velocity: FloatArray) -> FloatArray:
         """P of the module's text, for a velocity that is not reached in that time that of the nearest one that is."""

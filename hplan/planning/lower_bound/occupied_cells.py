@@ -24,7 +24,7 @@ from hplan.collision.obstacle_rows import FieldArrays
 ACCURACY = 1e-4
 
 #: Axes of a grid; those that are missing have one cell.
-AXES = 4
+AXES = 3
 
 #: Larger clearances are not looked for [m].
 _FAR = 0.1
@@ -61,7 +61,7 @@ def take_occupied(free: WordArray, field: FieldArrays, cells: Cells) -> None:
     """Clear the bits of cells that are shown to be in contact whole.
 
     Args:
-        free: (counts[1], counts[2], counts[3], words) bit i of a row is cell i of the first axis.
+        free: (counts[1], counts[2], words) bit i of a row is cell i of the first axis.
         field: Obstacles and bodies, without pairs of them.
     """
     bodies, dof = cells.coefficients.shape
@@ -70,27 +70,26 @@ def take_occupied(free: WordArray, field: FieldArrays, cells: Cells) -> None:
         for j in range(dof):
             if j != cells.joints[0]:
                 sway[k] += 0.5 * cells.coefficients[k, j] * cells.sizes[j] / cells.parts[j]
-    held, origin, q = np.empty(64 * free.shape[3], dtype=np.bool_), np.empty(dof), np.empty(dof)
+    held, origin, q = np.empty(64 * free.shape[2], dtype=np.bool_), np.empty(dof), np.empty(dof)
     at, looks = np.zeros(AXES, dtype=np.int64), 0
     for x in range(free.shape[0]):
         for y in range(free.shape[1]):
-            for z in range(free.shape[2]):
-                at[1], at[2], at[3] = x, y, z
-                low, high = _window(cells, at)
-                for j in range(dof):
-                    origin[j] = cells.lower[j]
-                for axis in range(1, AXES):
-                    if cells.joints[axis] >= 0:
-                        origin[cells.joints[axis]] += at[axis] * cells.sizes[cells.joints[axis]]
-                for cell in range(low, high + 1):
-                    held[cell] = (free[x, y, z, cell >> 6] >> np.uint64(cell & 63)) & np.uint64(1) != np.uint64(0)
-                if looks > cells.most_looks:
-                    return
-                if low <= high:
-                    looks += _sift_row(held, (low, high), (origin, q, sway, clear), field, cells)
-                for cell in range(low, high + 1):
-                    if held[cell]:
-                        free[x, y, z, cell >> 6] &= ~(np.uint64(1) << np.uint64(cell & 63))
+            at[1], at[2] = x, y
+            low, high = _window(cells, at)
+            for j in range(dof):
+                origin[j] = cells.lower[j]
+            for axis in range(1, AXES):
+                if cells.joints[axis] >= 0:
+                    origin[cells.joints[axis]] += at[axis] * cells.sizes[cells.joints[axis]]
+            for cell in range(low, high + 1):
+                held[cell] = (free[x, y, cell >> 6] >> np.uint64(cell & 63)) & np.uint64(1) != np.uint64(0)
+            if looks > cells.most_looks:
+                return
+            if low <= high:
+                looks += _sift_row(held, (low, high), (origin, q, sway, clear), field, cells)
+            for cell in range(low, high + 1):
+                if held[cell]:
+                    free[x, y, cell >> 6] &= ~(np.uint64(1) << np.uint64(cell & 63))
 
 
 @kernel

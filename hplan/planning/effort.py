@@ -142,7 +142,7 @@ EFFORTS_OF_BODIES: dict[EffortName, Effort] = {
         trees=TreesEffort(1, 6_000),
         long=_WITHIN_A_SECOND,
         floods=0.0,
-        starts=_near_one(replace(_COARSE, gain=0.08, trust=0.6, enough=0.03)),
+        starts=_near_one(replace(_COARSE, gain=0.15, trust=0.8, enough=0.05)),
     ),
     "default": replace(
         EFFORTS["default"],

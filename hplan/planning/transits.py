@@ -300,7 +300,9 @@ def _by_long_trees(tasks: Sequence[PlanningTask], pairs: Pairs) -> Iterator[Foun
                 return
             # A second pair that takes about as long as this one did.
             each = min(each, max(_SHORT, 3 * evaluations // 2))
-    for number, paths in found.items() if math.isinf(known_s) else ():
+    if math.isfinite(known_s):
+        return
+    for number, paths in found.items():
         motion = _quickest(tasks[number], [Polyline(path, "trees") for path in paths])
         if motion is not None:
             yield number, motion
@@ -321,10 +323,10 @@ def _tree_to_any(
     margin = 0.1 * min(task.margin() for task in tasks)
     with first.stage("trees"):
         velocity = first.robot.velocity_limit
-        path, spent = tree_path(first.problem, first.field, velocity, margin, effort, goals=goals, pairs=pairs)
+        path, evaluations = tree_path(first.problem, first.field, velocity, margin, effort, goals=goals, pairs=pairs)
     if path is None:
-        return None, spent
-    return (int((goals == path[-1]).all(axis=1).argmax()), Polyline(path, "trees")), spent
+        return None, evaluations
+    return (int((goals == path[-1]).all(axis=1).argmax()), Polyline(path, "trees")), evaluations
 
 
 def _on_grids(tasks: Sequence[PlanningTask]) -> Iterator[Found]:

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import itertools
+import math
 
 import numpy as np
 import pytest
+from studies.arms import random_scene
 
+import hplan.planning.transits
 from hplan.base.arrays import FloatArray
 from hplan.collision.coal_scene import CoalScene
 from hplan.optimization.shortcut import shorten
 from hplan.optimization.smooth_path import START_SHORTCUTS
 from hplan.planning.definition import Problem, check_problem
+from hplan.planning.plan import plan
 from hplan.planning.sampling.rrt_connect import EDGE_S, Pairs, TreeEffort, tree_path
 from hplan.planning.sampling.several_trees import TreesEffort, path_time, promising_paths
 from hplan.planning.world import World
-from hplan.robot.model import Robot
+from hplan.robot.model import Robot, load_robot
 from hplan.scene import Box, Scene, Sphere
 
 MARGIN = 2e-4
@@ -103,3 +107,15 @@ def test_of_several_each_pair_is_one_that_grows_alone(robot: Robot, blocked: tup
     paths = promising_paths(problem, world.field, velocity, MARGIN, TreesEffort(3, 50_000))
     assert [path.seconds for path in paths] == pytest.approx(sorted(times), abs=1e-9)
     assert all(any(np.array_equal(path.waypoints, other) for other in alone) for path in paths)
+
+
+def test_a_second_pair_finds_a_better_side_where_the_first_ones_motion_lasts_long(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    arm = load_robot("ur5")
+    scene = random_scene(arm, 1, 67)
+    found = plan(arm, scene)
+    monkeypatch.setattr(hplan.planning.transits, "FAR", math.inf)
+    alone = plan(arm, scene)
+    assert found.certificate.verified
+    assert found.trajectory.duration < 0.8 * alone.trajectory.duration

@@ -91,7 +91,7 @@ def duration_bound(
     slowest = int(ties.argmax(alone))
     least = min(float(alone[slowest]), duration_s)
     if alone[slowest] > duration_s * (1.0 + 1e-9):
-        raise _contradiction(duration_s, robot.joint_names[slowest])
+        raise _contradiction(duration_s, [robot.joint_names[slowest]])
     by_joints = DurationBound(least, least, duration_s, "joints", robot.joint_names[slowest])
     samples = [(count, _STEP if thorough else gap) for count, gap in SAMPLES]
     if not len(world.solids) or duration_s <= least * (1.0 + samples[0][1]):
@@ -103,11 +103,13 @@ def duration_bound(
     return DurationBound(found, least, duration_s, method, robot.joint_names[slowest])
 
 
-def _contradiction(duration_s: float, joint: str) -> BoundError:
+def _contradiction(duration_s: float, joints: Sequence[str]) -> BoundError:
+    """The error that names the joints of a bound; the last of them moves bodies fastest."""
+    named = f"joint{'s' if len(joints) > 1 else ''} {', '.join(map(repr, joints))}"
     return BoundError(
-        f"a motion of {duration_s:.6g} s was found, and shown to be impossible by the bound of joint {joint!r}",
+        f"a motion of {duration_s:.6g} s was found, and shown to be impossible by the bound of {named}",
         duration_s=duration_s,
-        joint=joint,
+        joint=joints[-1],
     )
 
 
@@ -146,7 +148,7 @@ def _on_grids(
     excess = _excess(world.robot, obstacles)
     for count, gap in samples:
         while duration_s > excluded * (1.0 + gap):
-            # In less time joints are in fewer places, and cells are smaller.
+            # In less time joints are in fewer places, and cells are smaller; nothing is excluded where start is goal.
             longest = min(duration_s, _LONGER * excluded) or duration_s
             axes = _axes(obstacles, motions, longest)
             grid = TimedGrid.of(motions.only(axes), longest, count)
@@ -157,7 +159,7 @@ def _on_grids(
                 excluded = _longest(search, excluded, longest)
                 break
             if longest == duration_s:
-                raise _contradiction(duration_s, world.robot.joint_names[axes[0]])
+                raise _contradiction(duration_s, [world.robot.joint_names[axis] for axis in axes.tolist()])
             excluded = longest
     return excluded
 

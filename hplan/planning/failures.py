@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hplan.base.arrays import IntArray, WordArray
+from hplan.base.deadline import TimeIsUpError
 from hplan.errors import (
     BlockedError,
     CertificationError,
@@ -24,7 +25,7 @@ from hplan.errors import (
     TimingError,
 )
 from hplan.grid.blockers import blockers
-from hplan.grid.flood import flood_from, has_bit, slice_sizes
+from hplan.grid.flood import bits_of, flood_from, has_bit, slice_sizes
 from hplan.grid.grid import Grid
 from hplan.grid.lattice import Lattice
 from hplan.planning.definition import Problem
@@ -55,8 +56,8 @@ class Region(NamedTuple):
     Attributes:
         what: Which end is enclosed, in words.
         grid: Planar joints, then yaw where the base may turn.
-        reached: Nodes of the region: a mask of the grid's shape or, where the base may turn, (rows, words) bits as in
-            `Occupancy`.
+        reached: Nodes of the region: a mask of the grid's shape, or (rows, words) bits as in `Occupancy`; always bits
+            if the base may turn.
     """
 
     what: str
@@ -94,8 +95,14 @@ class EnclosedError(NoPathError):
         return NoPathError(self.message, reached_cells=self.reached_cells)
 
     def explained(self) -> NoPathError:
-        """The failure with what bounds the region, which takes longer to find than whether another grid is open."""
-        error = self.plain if self._region is None else self._bounded(self._region)
+        """The failure with what bounds the region, which takes longer to find than whether another grid is open.
+
+        If time is up first, the failure without its blockers: the proof stands, and is the error.
+        """
+        error = self.plain
+        if self._region is not None:
+            with suppress(TimeIsUpError):
+                error = self._bounded(self._region)
         if self._attempt.step_factor > 1.0:
             step_deg = self._task.step_deg(self._attempt)
             remark = f"the grid's step is {step_deg:g} deg, as a finer one over all joint ranges is too large"
@@ -112,6 +119,8 @@ class EnclosedError(NoPathError):
             grid = Grid(grid.lower[:-1], grid.step[:-1], grid.shape[:-1])
             inside = (reached[:, layer >> 6] >> np.uint64(layer & 63)) & np.uint64(1) > 0
             reached = inside.reshape(grid.shape)
+        elif reached.dtype != np.bool_:
+            reached = bits_of(reached)[:, : grid.shape[-1]].reshape(grid.shape)
         arm = task.robot.arm
         walls = blockers(arm, task.sections(yaw, self._attempt.growth_m), grid, reached)
         message = self.message

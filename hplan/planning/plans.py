@@ -23,7 +23,7 @@ from hplan.errors import (
 )
 from hplan.optimization.timed_spline import BoundaryState
 from hplan.planning.approach import Approach, blended
-from hplan.planning.effort import efforts_of
+from hplan.planning.effort import Effort, efforts_of
 from hplan.planning.failures import FailuresError, without_path
 from hplan.planning.grasps import COUNT, SPARE, Grasp, Target, grasps, promising
 from hplan.planning.motion import Plan, Transit
@@ -69,9 +69,18 @@ def plans(
                     best_s, is_found = plan.duration, True
                     yield plan
         except HplanError as error:
-            may_be_found = isinstance(error, NoPathError | NotFoundError | CertificationError | TimingError)
-            if not is_found and (effort is efforts[-1] or not may_be_found):
+            if not is_found and (effort is efforts[-1] or not _may_be_found(context, effort, error)):
                 raise
+
+
+def _may_be_found(context: PlanningContext, effort: Effort, error: HplanError) -> bool:
+    """True if a larger effort may find a motion after a smaller one has failed by an error."""
+    if not isinstance(error, NoPathError):
+        return isinstance(error, NotFoundError | CertificationError | TimingError)
+    # The proof is about the goals that were tried, which are all only if the goal is given as joints.
+    goal = context.scene.goal
+    tries_all = not effort.at_once and goal.pose is None
+    return not tries_all and context.robot.joints_of(goal, "goal") is None
 
 
 def _with_effort(

@@ -6,6 +6,8 @@ quickest motion is taken. Where trees find none, a flood of a grid over all yaws
 base is locked, grids are searched, from the step that is asked for to finer ones. Grids have as many nodes as fit a
 memory and a time, whatever the joint ranges: their step is made larger where it has to be.
 
+A goal to which a grid has no path is not searched for again: that proof is the error.
+
 Callers take the first motion, the last, or the last before a deadline.
 """
 
@@ -24,7 +26,7 @@ from hplan.base.arrays import FloatArray, frozen
 from hplan.errors import CertificationError, HplanError, NoPathError, NotFoundError, TimingError
 from hplan.optimization.repair import repaired
 from hplan.planning.effort import FAR, GridAttempt
-from hplan.planning.failures import WIDTHS, EnclosedError, FailuresError, without_path
+from hplan.planning.failures import WIDTHS, EnclosedError, FailuresError, enclosed_goals, without_path
 from hplan.planning.grid_route import find_route
 from hplan.planning.motion import Polyline, Transit, along, certificate_of, improving, last, quickest, required
 from hplan.planning.sampling.rrt_connect import Pairs, TreeEffort, tree_path
@@ -65,18 +67,21 @@ def transits(tasks: Sequence[PlanningTask]) -> Iterator[Found]:
         FailuresError: None was found; why not to each of the goals.
         TimingError: A straight motion cannot be timed.
     """
-    best_s, failures = math.inf, None
+    best_s, failures, left = math.inf, dict[int, HplanError](), list(range(len(tasks)))
     for stage in _stages(tasks):
         try:
-            for number, motion in stage(tasks):
+            for place, motion in stage([tasks[number] for number in left]):
                 if motion.trajectory.duration < best_s:
                     best_s = motion.trajectory.duration
-                    yield number, motion
+                    yield left[place], motion
         except FailuresError as error:
-            failures = error
+            failures |= zip(left, error.errors, strict=True)
+            left = [number for number in left if not isinstance(failures[number], NoPathError)]
         if math.isfinite(best_s):
             return
-    raise failures or FailuresError(tuple(_why_none(tasks)))
+        if not left:  # no path leads to any goal: no later stage could find one
+            break
+    raise FailuresError(tuple(failures[number] for number in sorted(failures)) or tuple(_why_none(tasks)))
 
 
 def one_transit(tasks: Sequence[PlanningTask]) -> Found:
@@ -163,14 +168,37 @@ def _at_once(tasks: Sequence[PlanningTask]) -> Iterator[Found]:
 
 
 def _first_paths(tasks: Sequence[PlanningTask]) -> Iterator[tuple[int, Polyline]]:
+    """Straight paths, then paths of trees.
+
+    Raises:
+        FailuresError: A planar grid has no path to any goal; its flood takes less time than the trees.
+    """
     yield from enumerate(map(_straight, tasks))
-    trees = tasks[0].effort.trees
+    trees, left = tasks[0].effort.trees, list(range(len(tasks)))
     if not tasks[0].problem.turns:
         trees = replace(trees, pairs=2, each=1_500)  # narrow passages are found on grids
+        left = _not_enclosed(tasks)
     for seed in range(trees.seed, trees.seed + trees.pairs):
-        reached, _ = _tree_to_any(tasks, TreeEffort(trees.each, seed))
+        reached, _ = _tree_to_any([tasks[number] for number in left], TreeEffort(trees.each, seed))
         if reached is not None:
-            yield reached
+            place, polyline = reached
+            yield left[place], polyline
+
+
+def _not_enclosed(tasks: Sequence[PlanningTask]) -> list[int]:
+    """Numbers of the goals to which a path on the planar grid may exist.
+
+    Raises:
+        FailuresError: The grid has no path to any goal.
+    """
+    attempt = GridAttempt()
+    if tasks[0].cells(attempt) > _LARGE_PLANAR:
+        return list(range(len(tasks)))
+    errors = enclosed_goals(tasks, attempt, [0.1 * task.margin() for task in tasks], explained=True)
+    proved = tuple(error for error in errors if error is not None)
+    if len(proved) == len(tasks):
+        raise FailuresError(proved)
+    return [number for number, error in enumerate(errors) if error is None]
 
 
 def _straight(task: PlanningTask) -> Polyline:

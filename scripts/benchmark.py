@@ -35,6 +35,7 @@ STUDIES = {
     "grazing": "validation.grazing:GRAZING",
     "yielding": "validation.yielding:YIELDING",
     "soak": "validation.soak:SOAK",
+    "interrupts": "interrupts:INTERRUPTS",
     "clutter": "planar:CLUTTER",
     "trees": "trees:TREES",
     "tours": "trees:TOURS",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import os
 import secrets
 from collections.abc import Callable, Iterator
@@ -11,6 +12,7 @@ from contextvars import ContextVar
 from pathlib import Path
 
 from hplan.base.arguments import file_path, instance
+from hplan.base.interrupts import uninterrupted
 from hplan.errors import OutputError
 
 #: Files that were read since `protecting_inputs` began; None where none are noted.
@@ -121,6 +123,38 @@ def write_text(path: Path | str, text: str) -> Path:
     return write_bytes(path, content)
 
 
+#: How comments begin and end, in pages and in YAML.
+HTML_COMMENT, YAML_COMMENT = ("<!-- ", " -->"), ("# ", "")
+
+#: The format of reports, their first key.
+REPORT_FORMAT = "hplan-report/1"
+
+#: The last line of a text that knows its own digest.
+_MARK = "written by hplan; SHA-256 of all before this line: "
+
+
+def write_marked(path: Path | str, text: str, comment: tuple[str, str]) -> Path:
+    """Write a text, as `write_text`, and last a comment with its SHA-256, by which hplan knows it again (`is_marked`).
+
+    Args:
+        comment: How a comment begins and ends.
+
+    Raises:
+        OutputError: The file cannot be written.
+    """
+    instance("text", text, str)
+    whole = text if text.endswith("\n") else f"{text}\n"
+    digest = hashlib.sha256(whole.encode("utf-8", "surrogatepass")).hexdigest()
+    return write_text(path, f"{whole}{comment[0]}{_MARK}{digest}{comment[1]}\n")
+
+
+def is_marked(content: bytes) -> bool:
+    """True if a file was written by `write_marked`, and not changed since."""
+    text, _, last = content.rstrip(b"\n").rpartition(b"\n")
+    _, mark, rest = last.partition(_MARK.encode())
+    return bool(mark) and rest[:64].decode("ascii", "replace") == hashlib.sha256(text + b"\n").hexdigest()
+
+
 def write_bytes(path: Path, content: bytes) -> Path:
     """Write a file by a temporary one next to it, so that nothing half-written is ever seen.
 
@@ -147,11 +181,13 @@ def replacing(path: Path) -> Iterator[Path]:
         target = path.resolve()
         check_replaceable(target, path)
         new = target.with_name(f".hplan-{secrets.token_hex(8)}")
-        os.close(os.open(new, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666))
-        temporary = new
+        with uninterrupted():
+            os.close(os.open(new, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666))
+            temporary = new
         yield new
-        new.replace(target)
-        temporary = None
+        with uninterrupted():
+            new.replace(target)
+            temporary = None
     except (OSError, RuntimeError) as error:  # RuntimeError: links in a circle, before Python 3.13
         raise OutputError(path, getattr(error, "strerror", None) or str(error)) from error
     except ValueError as error:

@@ -18,6 +18,7 @@ from multiprocessing import get_context
 from typing import Any, TypeAlias, TypeVar
 
 from hplan.base.arguments import whole
+from hplan.base.interrupts import INTERRUPTS, children_not_interrupted
 from hplan.errors import OptionError, WorkersLostError
 
 _T = TypeVar("_T")
@@ -76,7 +77,8 @@ def outcomes(task: Callable[[_T], _R], given: Sequence[_T], pool: Pool, at_once:
             while waiting and len(running) < at_once and not is_broken:
                 number, losses = waiting[0]
                 try:
-                    future = executor.submit(_run, task, given[number], losses)
+                    with children_not_interrupted():
+                        future = executor.submit(_run, task, given[number], losses)
                 except BrokenExecutor:
                     is_broken = True
                 else:
@@ -98,6 +100,11 @@ def outcomes(task: Callable[[_T], _R], given: Sequence[_T], pool: Pool, at_once:
                     lost += [number for number, _ in waiting]
                     break
                 executor, is_broken = pool(), False
+    except INTERRUPTS:
+        if isinstance(executor, ProcessPoolExecutor) and executor is not pool:
+            for process in list((executor._processes or {}).values()):
+                process.terminate()  # else this process would end after their tasks
+        raise
     finally:
         if executor is not pool:
             executor.shutdown(wait=False, cancel_futures=True)

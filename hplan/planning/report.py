@@ -10,7 +10,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hplan.base.files import write_text
+from hplan.base.files import REPORT_FORMAT, write_text
 from hplan.certificate.touch_risk import beyond_sigmas
 from hplan.errors import HplanError
 
@@ -161,12 +161,12 @@ def failure_report(error: HplanError, *, scene: str | None, robot: str | None) -
 
 
 def write_report(report: dict[str, Any], path: Path | str) -> Path:
-    """Write a report as JSON (`report_text`).
+    """Write a report as JSON (`report_text`), with its format, by which hplan knows it again.
 
     Raises:
         OutputError: The file cannot be written.
     """
-    return write_text(path, report_text(report))
+    return write_text(path, report_text({"format": REPORT_FORMAT, **report}))
 
 
 def report_text(report: dict[str, Any]) -> str:

@@ -14,7 +14,7 @@ from pydantic_core import to_jsonable_python
 
 from hplan.base.arguments import file_path, instance
 from hplan.base.data_files import shipped_scene, shipped_scenes
-from hplan.base.files import ByteBudget, cut, is_file, write_text
+from hplan.base.files import YAML_COMMENT, ByteBudget, cut, is_file, write_marked
 from hplan.base.yaml_text import read_yaml, write_yaml
 from hplan.errors import SceneError
 from hplan.scene.fault import StrictModel, dotted, plain_message, validated, worst_fault
@@ -153,7 +153,7 @@ def save_scene(scene: Scene, path: Path | str) -> Path:
         _with_file(shapes[index], path, index, taken) if index in shapes else obstacle
         for index, obstacle in enumerate(scene.obstacles)
     ]
-    return write_text(path, dump_scene(scene.model_copy(update={"obstacles": tuple(obstacles)})))
+    return write_marked(path, dump_scene(scene.model_copy(update={"obstacles": tuple(obstacles)})), YAML_COMMENT)
 
 
 def _with_file(

@@ -16,6 +16,7 @@ from typing import Any, BinaryIO
 
 from hplan.base.arguments import file_path, instance
 from hplan.base.csv_file import CsvFile
+from hplan.base.interrupts import uninterrupted
 from hplan.base.tasks import Pool, outcomes, pool_of
 from hplan.collision.reach import reach_ball
 from hplan.errors import HplanError, OutputError, TourError, WorkersLostError
@@ -227,6 +228,7 @@ def _row_file(path: Path | None) -> Iterator[tuple[list[StudyRow], Callable[[Stu
         try:
             file = stack.enter_context(path.open("ab+"))
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            _check_header(path, file)
             _cut_half_a_row(file)
             if not file.tell():
                 _add(file, _COLUMNS)
@@ -244,6 +246,18 @@ def _row_file(path: Path | None) -> Iterator[tuple[list[StudyRow], Callable[[Stu
         yield _read(path), keep
 
 
+def _check_header(path: Path, file: BinaryIO) -> None:
+    """Leave a file of others as it is: only a file of rows, or the start of its header, is written to.
+
+    Raises:
+        InputError: Its first line is another one.
+    """
+    file.seek(0)
+    header, line = f"{','.join(_COLUMNS)}\n".encode(), file.readline()
+    if not header.startswith(line):
+        raise CsvFile.read(path, "row", "row").fault(1, f"it has no rows of a study; expected {','.join(_COLUMNS)}")
+
+
 def _cut_half_a_row(file: BinaryIO) -> None:
     """Leave out what follows the last end of a line: a row that was being written when the machine stopped."""
     file.seek(0)
@@ -256,9 +270,10 @@ def _add(file: BinaryIO, cells: Sequence[str]) -> None:
     """Add a row in one write, and see it on the disk."""
     line = io.StringIO()
     csv.writer(line, lineterminator="\n").writerow(cells)
-    file.write(line.getvalue().encode())
-    file.flush()
-    os.fsync(file.fileno())
+    with uninterrupted():
+        file.write(line.getvalue().encode())
+        file.flush()
+        os.fsync(file.fileno())
 
 
 def _text(value: Any) -> str:

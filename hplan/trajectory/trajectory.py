@@ -426,6 +426,8 @@ def as_table(trajectory: Trajectory) -> FloatArray:
 def write_csv(trajectory: Trajectory, path: Path | str, robot: Robot | None = None) -> Path:
     """Write the trajectory as RFC 4180 CSV: one header line, no comments, values that read back exactly.
 
+    A file of that name is replaced, as by all functions that write a file.
+
     Args:
         trajectory: The motion. Where it does not say which joints slide, as those of hplan do, all count as turning.
         path: The file.
@@ -440,11 +442,16 @@ def write_csv(trajectory: Trajectory, path: Path | str, robot: Robot | None = No
         instance("robot", robot, Robot, "load_robot")
         check_joints(trajectory, robot)
         trajectory = replace(trajectory, slides=robot.slides)
+    return write_text(path, csv_text(trajectory))
+
+
+def csv_text(trajectory: Trajectory) -> str:
+    """The text of the CSV that `write_csv` writes."""
     text = io.StringIO(newline="")
     writer = csv.writer(text)
     writer.writerow(csv_header(trajectory.joint_names, trajectory.slides))
     writer.writerows(as_table(trajectory).tolist())
-    return write_text(path, text.getvalue())
+    return text.getvalue()
 
 
 def read_csv(path: Path | str) -> Trajectory:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
 import shutil
 import signal
 import subprocess
 import sys
+from argparse import Namespace
 from collections.abc import Callable
 from pathlib import Path
 
@@ -16,7 +18,7 @@ import pytest
 import hplan
 from hplan.apps.cli.job_folder import JobFolder
 from hplan.apps.cli.main import main
-from hplan.errors import HplanError, OutputError
+from hplan.errors import OutputError
 from hplan.scene.obstacles import PointCloud
 
 ROOT = Path(__file__).parents[2]
@@ -43,7 +45,7 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def folder(tmp_path: Path) -> JobFolder:
-    return JobFolder(tmp_path / "out", ("*.csv", "page.html"), "report.json")
+    return JobFolder(Namespace(out=tmp_path / "out", force=False), ("*.csv", "page.html"), "report.json")
 
 
 def fill(staging: Path, *more: str) -> None:
@@ -90,7 +92,10 @@ def test_a_fault_at_any_move_leaves_no_trajectory(
     expected = OutputError if isinstance(fault, OSError) else type(fault)
     with pytest.raises(expected) as caught:
         job()
-    assert names(folder.path) == ({"report.json"} if isinstance(caught.value, HplanError) else set())
+    is_fault = isinstance(caught.value, ZeroDivisionError)  # of hplan's own
+    assert names(folder.path) == (set() if is_fault else {"report.json"})
+    if isinstance(caught.value, KeyboardInterrupt):
+        assert json.loads((folder.path / "report.json").read_text())["status"] == "interrupted"
     if isinstance(caught.value, OutputError):
         assert caught.value.path == folder.path / "a.csv"
         assert caught.value.reason == "full"
@@ -110,14 +115,16 @@ runpy.run_path(sys.argv[0], run_name="__main__")
 """
 
 
-def test_a_signal_between_trajectory_and_report_leaves_nothing(done: Path, tmp_path: Path) -> None:
+def test_a_signal_between_trajectory_and_report_leaves_the_report_alone(done: Path, tmp_path: Path) -> None:
     """Of a terminal that is closed, as an interrupt would; the exit status is what shells give."""
     out = shutil.copytree(done, tmp_path / "out")
     code = AT_THE_REPORT.format(number=int(signal.SIGHUP))
     command = [sys.executable, "-c", code, SCRIPTS["plan_and_time"][1], "--effort", "quick", "--out", out]
     ended = subprocess.run(command, capture_output=True, text=True, check=False)
     assert (ended.returncode, ended.stderr) == (128 + signal.SIGHUP, "ended by SIGHUP\n")
-    assert names(out) == set()
+    assert names(out) == {"report.json"}
+    report = json.loads((out / "report.json").read_text())
+    assert (report["status"], report["signal"]) == ("interrupted", "SIGHUP")
 
 
 def test_a_signal_that_is_ignored_stays_so(tmp_path: Path) -> None:
@@ -167,18 +174,17 @@ def test_what_cannot_be_understood_or_read_changes_no_file(
 
 
 @pytest.mark.parametrize("later", ["report.json", "tour.json"])
-def test_a_failed_job_takes_its_own_files_alone(later: str, tmp_path: Path) -> None:
+def test_a_failed_job_takes_its_own_files_alone(later: str, done: Path, tmp_path: Path) -> None:
     """Those of the job before it, where that was a plan too; a tour's, or the user's, stay."""
     (tmp_path / "scene.yaml").write_text(SCENE.replace("1.0, 0.0, 1.9", "1.0, 0.0, 0.6"), encoding="utf-8")
-    out = tmp_path / "out"
-    out.mkdir()
-    for name in ("trajectory.csv", "scene.html", "motion.mcap", "tour.csv", "tour-1-mine.csv", "scene.yaml", "a.csv"):
-        (out / name).write_text("an earlier job's")
+    out = shutil.copytree(done, tmp_path / "out")
+    for name in ("motion.mcap", "tour.csv", "tour-1-mine.csv", "scene.yaml", "a.csv"):
+        (out / name).write_text("mine")
+    (out / "tour.json").write_text('{"status": "ok"}')
     for name in ("report.json", "tour.json"):
-        (out / name).write_text('{"status": "ok"}')
         os.utime(out / name, (1e9 + (name == later), 1e9 + (name == later)))
     kept = names(out) - {"trajectory.csv", "report.json"}
-    kept -= {"scene.html", "motion.mcap"} if later == "report.json" else set()
+    kept -= {"scene.html"} if later == "report.json" else set()
     for _ in range(2):
         assert main([str(tmp_path / "scene.yaml"), "--out", str(out)]) == 2
         assert names(out) == kept | {"report.json"}

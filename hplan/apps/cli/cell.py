@@ -51,7 +51,7 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console, *, tou
     refuse(arguments, _OF_ONE_ROBOT, _REFUSED)
     csv, name = (TOUR, TOUR_REPORT) if tour else (TRAJECTORY, REPORT)
     of_arm = csv.replace(".csv", "-{}.csv")
-    folder = JobFolder(arguments.out, (csv, of_arm.format("*"), PAGE, MCAP), name)
+    folder = JobFolder(arguments, (csv, of_arm.format("*"), PAGE, MCAP), name)
     needs_rosbags(arguments)
     with progress_line(errors, quiet=arguments.quiet) as progress:
         progress("reading robots and scene")
@@ -93,7 +93,7 @@ def certify(arguments: argparse.Namespace, console: Console) -> int:
     names = [arm.name for arm in cell.arms]
     motion = {name: read_csv(path / f"trajectory-{name}.csv") for name in names} if path.is_dir() else read_csv(path)
     if arguments.report is not None:
-        check_output_file(arguments.report, "--report")
+        check_output_file(arguments.report, "--report", force=arguments.force)
     contact = dict.fromkeys(names, arguments.goal_contact)
     found = certify_cell(cell, motion, options, goal_contact=contact, check_ends=not arguments.any_ends)
     tasks = {arm.name: arm.scene for arm in cell.arms}

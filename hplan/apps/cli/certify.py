@@ -60,6 +60,7 @@ def parser(prog: str) -> argparse.ArgumentParser:
     add("--any-ends", action="store_true", help="start, goal and locked joints of the scene are not compared")
     add("--moving-ends", action="store_true", help="the motion need not begin and end at rest")
     add("--report", type=Path, metavar="FILE", help="write what was shown as JSON")
+    add_shared(parser, "force")
     add("--json", action="store_true", help="print it as JSON instead of a summary")
     add("--quiet", action="store_true", help="no summary")
     # A folder's report gives what is not given here.
@@ -92,7 +93,7 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int
     scene, _left_out = scene_among(arguments, robot, given, errors)
     trajectory = read_csv(path) if job is None else job.trajectory()
     if arguments.report is not None:
-        check_output_file(arguments.report, "--report")
+        check_output_file(arguments.report, "--report", force=arguments.force)
     certificate = certify(
         robot,
         scene,

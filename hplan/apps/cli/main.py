@@ -2,16 +2,10 @@
 
 from __future__ import annotations
 
-import argparse
-import difflib
-import os
 import sys
-from collections.abc import Sequence
-from importlib import import_module
+from collections.abc import Callable, Sequence
 
-from hplan.apps.cli.options import command_parser
-from hplan.apps.cli.terminal import run_command
-from hplan.base.data_files import shipped_scenes
+from hplan.base.interrupts import INTERRUPTS, handling_signals, leave, signal_of
 
 #: What each subcommand does. A file of its name in this folder has its `parser(prog)`, and `run(arguments, console,
 #: errors)`, which returns the exit status.
@@ -35,22 +29,53 @@ _USAGE = "hplan COMMAND [options]\n       hplan [SCENE] [options]    short for h
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status. Without a subcommand a scene is planned."""
     words = list(sys.argv[1:] if argv is None else argv)
+    return _ended_cleanly(lambda: _run_words(words), is_program=argv is None)
+
+
+def _ended_cleanly(work: Callable[[], int], *, is_program: bool) -> int:
+    """Do the work of a command line, and end without a traceback if a signal comes before the command takes it.
+
+    Args:
+        is_program: Whether the process ends with the work; an interrupted one then ends at once.
+    """
+    with handling_signals():
+        try:
+            status = work()
+        except INTERRUPTS as error:
+            number = signal_of(error)
+            if sys.stderr is not None:
+                sys.stderr.write("interrupted\n" if number.name == "SIGINT" else f"ended by {number.name}\n")
+            status = 128 + number
+        # A signal may have left native code half done, which is not torn down then.
+        if is_program and status > 128:
+            leave(status)
+    return status
+
+
+def _run_words(words: list[str]) -> int:
+    from hplan.apps.cli.options import command_parser
+
     if words[:1] in (["-h"], ["--help"]):
         width = max(map(len, COMMANDS))
         lines = [f"  {name:{width}}  {line}" for name, line in COMMANDS.items()]
         epilog = "\n".join(["commands:", *lines, "", "hplan COMMAND --help says more of each."])
         command_parser(__doc__, epilog, prog="hplan", usage=_USAGE).parse_args(words[:1])
     if words and words[0] in COMMANDS:
-        return run_subcommand(words[0], f"hplan {words[0]}", words[1:])
+        return _run_named(words[0], f"hplan {words[0]}", words[1:])
     if words and (near := _near_command(words[0])):
         command_parser(__doc__, "", prog="hplan", usage=_USAGE).error(
             f"{words[0]!r} is no command and no scene; did you mean {near!r}?"
         )
-    return run_subcommand("plan", "hplan", words)
+    return _run_named("plan", "hplan", words)
 
 
 def _near_command(word: str) -> str | None:
     """The command that a word is nearly, where it is neither an option nor a scene."""
+    import difflib
+    import os
+
+    from hplan.base.data_files import shipped_scenes
+
     if word.startswith("-") or word in shipped_scenes() or os.path.lexists(word):
         return None
     return next(iter(difflib.get_close_matches(word, COMMANDS, 1)), None)
@@ -64,6 +89,15 @@ def run_subcommand(name: str, prog: str, argv: Sequence[str] | None = None) -> i
         prog: What it is called in its help and messages.
         argv: The arguments; None for the program's own.
     """
+    return _ended_cleanly(lambda: _run_named(name, prog, argv), is_program=argv is None)
+
+
+def _run_named(name: str, prog: str, argv: Sequence[str] | None) -> int:
+    import argparse
+    from importlib import import_module
+
+    from hplan.apps.cli.terminal import run_command
+
     command = import_module(f"hplan.apps.cli.{name}")
     parser = command.parser(prog)
     arguments = parser.parse_args(argv, argparse.Namespace(parser=parser))

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import hplan
+from hplan.apps.cli.own_files import check_own
 from hplan.base.files import inputs, is_folder
 from hplan.errors import OptionError, OutputError
 
@@ -51,6 +52,7 @@ OF_PLANS = ("method", "step_deg", "objective", "effort", "link_model", "sigmas",
 _SHARED: tuple[tuple[str, str, str, dict[str, Any]], ...] = (
     ("scene", "scene", "scene file, or name of a shipped scene (default: {scene})", {"nargs": "?"}),
     ("out", "--out", "folder to write into (default: out)", {"type": Path, "default": OUT, "metavar": "DIR"}),
+    ("force", "--force", "replace files that hplan did not write, too", {"action": "store_true"}),
     ("robot", "--robot", "robot, or name of one: a shipped one, panda, ur5 ... (default: the scene's, else harvester)",
         {"type": Path, "metavar": "URDF"}),
     ("robot", "--limits", "acceleration limits, or name of a robot whose ship, as ur5 (default: NAME.limits.yaml in "
@@ -222,9 +224,14 @@ def plan_options(arguments: argparse.Namespace, *options: str) -> PlanOptions:
     )
 
 
-def check_output_file(out: Path, option: str = "--out") -> None:
-    """Refuse, before any work, a file to write that the command has read, or that has no folder."""
+def check_output_file(out: Path, option: str = "--out", *, force: bool) -> None:
+    """Refuse, before any work, a file to write that the command has read, that has no folder, or is not hplan's.
+
+    Args:
+        force: Whether a file that hplan did not write is replaced all the same.
+    """
     if out.resolve() in inputs():
         raise OptionError(option, str(out), "another file than those that are read")
     if not is_folder(out.resolve().parent):
         raise OutputError(out, "its folder does not exist")
+    check_own(out, force=force)

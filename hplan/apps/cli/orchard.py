@@ -9,7 +9,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hplan.apps.cli.options import check_output_file, command_parser, refuse
+from hplan.apps.cli.options import add_shared, check_output_file, command_parser, refuse
 from hplan.apps.cli.terminal import escape, facts_table
 from hplan.errors import OptionError
 
@@ -49,6 +49,7 @@ def parser(prog: str) -> argparse.ArgumentParser:
     )
     add = parser.add_argument
     add("--out", type=Path, default=Path("orchard.yaml"), metavar="FILE", help="file to write (default: orchard.yaml)")
+    add_shared(parser, "force")
     add("--name", help="name of the scene (default: the file's)")
     add("--robot", metavar="NAME", help="shipped robot that the scene is for (default: harvester)")
     add("--seed", type=int, metavar="N", help="what is left to chance follows from it (default: 0)")
@@ -89,7 +90,7 @@ def run(arguments: argparse.Namespace, console: Console, _: Console) -> int:
 
     out: Path = arguments.out
     scene = _made(arguments, console)
-    check_output_file(out)
+    check_output_file(out, force=arguments.force)
     save_scene(scene, out)
     if not arguments.quiet:
         _show(console, scene, out)

@@ -86,7 +86,7 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int
         from hplan.apps.cli.cell import run as run_cell
 
         return run_cell(arguments, console, errors)
-    folder = JobFolder(arguments.out, PLAN_FILES, REPORT)
+    folder = JobFolder(arguments, PLAN_FILES, REPORT)
     result, files = _made(arguments, folder, errors)
     if not arguments.quiet:
         show_summary(console, result, folder.path, files)
@@ -102,7 +102,7 @@ def parser(prog: str) -> argparse.ArgumentParser:
     """The parser of the command's arguments."""
     parser = command_parser(__doc__, _EXIT_STATUS, prog=prog)
     add = parser.add_argument
-    add_shared(parser, "scene", "out", "robot", "parts", "contacts")
+    add_shared(parser, "scene", "out", "force", "robot", "parts", "contacts")
     add("--method", choices=("two-level", "dense"), default="two-level", help="search (default: two-level)")
     add(
         "--objective", choices=("duration", "length"), default="duration", help="what to make small (default: duration)"
@@ -193,11 +193,11 @@ def _write_cspace(
     from hplan.apps.view.cspace_page import render_cspace_page
     from hplan.apps.view.playback import Playback
     from hplan.apps.view.yaw_section import yaw_section
-    from hplan.base.files import write_text
+    from hplan.base.files import HTML_COMMENT, write_marked
 
     title = result.scene.name
     section = yaw_section(result.robot, result.scene, Playback.of(result), options, yaw=yaw)
-    write_text(folder / CSPACE_PAGE, render_cspace_page(section, title))
+    write_marked(folder / CSPACE_PAGE, render_cspace_page(section, title), HTML_COMMENT)
     return [CSPACE_PAGE, *write_figure(lambda: cspace_at_yaw(section, title), folder / CSPACE_FIGURE, errors)]
 
 

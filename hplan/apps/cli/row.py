@@ -44,7 +44,7 @@ def parser(prog: str) -> argparse.ArgumentParser:
     parser = command_parser(__doc__, _EPILOG, prog=prog)
     add = parser.add_argument
     add("scene", help="scene file, or name of a shipped scene")
-    add_shared(parser, "out", "robot", "parts")
+    add_shared(parser, "out", "force", "robot", "parts")
     add("--distance", type=float, default=1.4, metavar="M", help="from the base's axis to the row (default: 1.4)")
     add("--one-side", action="store_true", help="stop on the first side only (default: on both)")
     add("--step", type=float, default=0.1, metavar="M", help="spacing of candidate stops (default: 0.1)")
@@ -64,7 +64,7 @@ def parser(prog: str) -> argparse.ArgumentParser:
 
 def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int:
     """Plan, write, show what came of it; returns the exit status."""
-    folder = JobFolder(arguments.out, ("stop-[0-9]*.csv", "stop-[0-9]*.html", PAGE, FIGURE), ROW_REPORT)
+    folder = JobFolder(arguments, ("stop-[0-9]*.csv", "stop-[0-9]*.html", PAGE, FIGURE), ROW_REPORT)
     with progress_line(errors, quiet=arguments.quiet) as progress:
         result, files = _made(arguments, folder, errors, progress)
     if not arguments.quiet:
@@ -79,7 +79,7 @@ def _made(
     progress("reading robot and scene")
 
     from hplan.apps.view.row_figure import draw_row
-    from hplan.base.files import write_text
+    from hplan.base.files import HTML_COMMENT, write_marked
     from hplan.planning.report import write_report
     from hplan.scene.file import load_scene
     from hplan.tour.row import RowOptions, plan_row
@@ -101,7 +101,7 @@ def _made(
         with folder.filling() as staging:
             for name, stop in zip(names, result.stops, strict=True):
                 write_result(stop.tour, {f"{name}.csv": stop.tour.trajectory}, staging, page=f"{name}.html")
-            write_text(staging / PAGE, _index(result, names))
+            write_marked(staging / PAGE, _index(result, names), HTML_COMMENT)
             figure = write_figure(lambda: draw_row(result), staging / FIGURE, errors)
             write_report({**result.report, "files": [f"{name}.csv" for name in names]}, staging / ROW_REPORT)
     return result, [*(f"{name}.csv" for name in names), ROW_REPORT, PAGE, *figure]

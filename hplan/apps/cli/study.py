@@ -14,8 +14,10 @@ from typing import TYPE_CHECKING
 
 from hplan.apps.cli.job_folder import prepare_folder, write_figure
 from hplan.apps.cli.options import OUT, add_shared, command_parser
+from hplan.apps.cli.own_files import STUDY_REPORT, WRITTEN, check_own, digests_of
 from hplan.apps.cli.terminal import escape, number_table, percent, progress_line
 from hplan.base.arguments import instance
+from hplan.base.interrupts import INTERRUPTS, signal_of, uninterrupted
 from hplan.base.lazy_import import extra
 from hplan.errors import InputError
 
@@ -43,8 +45,8 @@ exit status:
   6  designs whose worker processes were lost again and again; others are done
 """
 
-#: Files of a study: its rows, what they say, and a picture of that.
-ROWS, STUDY_REPORT, FIGURE = "study.csv", "study.json", "study.png"
+#: Files of a study beside its report: its rows, and a picture of what they say.
+ROWS, FIGURE = "study.csv", "study.png"
 
 
 def parser(prog: str) -> argparse.ArgumentParser:
@@ -53,6 +55,7 @@ def parser(prog: str) -> argparse.ArgumentParser:
     add = parser.add_argument
     add("study", type=Path, metavar="STUDY.yaml", help="what to measure")
     add("--out", type=Path, default=OUT, metavar="DIR", help="folder to write into, and to go on in (default: out)")
+    add_shared(parser, "force")
     add("--workers", type=int, metavar="N", help="designs measured at once (default: one on each processor)")
     add("--scheduler", metavar="ADDRESS", help="Dask's, as tcp://host:8786 (needs the extra cluster)")
     add_shared(parser, "quiet")
@@ -65,22 +68,37 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int
         progress("reading the study")
 
         from hplan.apps.view.study_figure import draw_study
-        from hplan.planning.report import write_report
+        from hplan.planning.report import versions, write_report
         from hplan.study.definition import load_study
         from hplan.study.run import run_study
 
         study = load_study(arguments.study)
-        prepare_folder(arguments.out)
-        result = run_study(
-            study,
-            arguments.out / ROWS,
-            executor=_executor(arguments.scheduler),
-            workers=arguments.workers,
-            progress=lambda done, of: progress(f"design {done} of {of}"),
-        )
+        out: Path = arguments.out
+        for name in (STUDY_REPORT, FIGURE):
+            check_own(out / name, force=arguments.force)
+        prepare_folder(out)
+        try:
+            result = run_study(
+                study,
+                out / ROWS,
+                executor=_executor(arguments.scheduler),
+                workers=arguments.workers,
+                progress=lambda done, of: progress(f"design {done} of {of}"),
+            )
+        except INTERRUPTS as error:
+            # The rows so far stay, and the study goes on with them.
+            with uninterrupted():
+                (out / FIGURE).unlink(missing_ok=True)
+                ended = {"status": "interrupted", "study": study.name, "signal": signal_of(error).name}
+                write_report({**ended, "versions": versions()}, out / STUDY_REPORT)
+            raise
         report = {"status": "ok", "study": study.name, "measured": result.measured, "seconds": result.seconds}
-        write_report(report | {"choices": list(map(asdict, result.choices))}, arguments.out / STUDY_REPORT)
-        files = [ROWS, STUDY_REPORT, *write_figure(lambda: draw_study(result), arguments.out / FIGURE, errors)]
+        with uninterrupted():
+            figure = write_figure(lambda: draw_study(result), out / FIGURE, errors)
+            written = digests_of([out / name for name in figure])
+            rest = {"choices": list(map(asdict, result.choices)), "versions": versions(), WRITTEN: written}
+            write_report({**report, **rest}, out / STUDY_REPORT)
+        files = [ROWS, STUDY_REPORT, *figure]
     if not arguments.quiet:
         _show(console, result, f"{arguments.out}: {', '.join(files)}")
     return 0

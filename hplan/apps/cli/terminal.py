@@ -8,14 +8,15 @@ import gc
 import os
 import signal
 import sys
-import threading
 import time
 import warnings
 from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
+from hplan.apps.cli.job_folder import reporting_interrupts
 from hplan.base.files import protecting_inputs
+from hplan.base.interrupts import INTERRUPTS, handling_signals, signal_of
 from hplan.base.kernel_turns import LISTENERS
 from hplan.base.lazy_import import without_garbage_collection
 from hplan.errors import HplanError
@@ -27,22 +28,8 @@ if TYPE_CHECKING:
 #: Exit status where what was checked is not in order.
 FAILED = 5
 
-#: Exit status after an interrupt, as shells give it.
-_INTERRUPTED = 130
-
 #: Without a terminal there is a line of progress every so often [s]; on one, it has so many characters at most.
 _EVERY_S, _WIDTH = 10.0, 76
-
-#: Signals that end a command, as an interrupt does, so that nothing half-written is left.
-_ENDING = (signal.SIGTERM, signal.SIGHUP)
-
-
-class _Ended(BaseException):
-    """A signal has ended the command."""
-
-    def __init__(self, number: int) -> None:
-        super().__init__(number)
-        self.number = number
 
 
 class _Terminal:
@@ -92,8 +79,8 @@ def run_command(command: Callable[[Console, Console], int]) -> int:
         command: Takes the consoles for results and for errors; returns the exit status.
 
     Returns:
-        The exit status: the command's, the error's, `_INTERRUPTED`, or 128 and the number of the signal that ended it.
-        A terminal that cannot be written to changes nothing of it.
+        The exit status: the command's, the error's, or 128 and the number of the signal that ended it (130 after
+        Ctrl-C). A terminal that cannot be written to changes nothing of it.
     """
     _open_what_is_closed()
     from rich.console import Console
@@ -101,21 +88,26 @@ def run_command(command: Callable[[Console, Console], int]) -> int:
     out, err = _Terminal(sys.stdout), _Terminal(sys.stderr)
     console, errors = Console(file=out, highlight=False), Console(file=err, highlight=False)  # type: ignore[arg-type]
     try:
-        with _ending_by_signal(), _warning_on(errors), protecting_inputs():
-            return command(console, errors)
+        with handling_signals(), _warning_on(errors), protecting_inputs():
+            try:
+                with reporting_interrupts():
+                    return command(console, errors)
+            except INTERRUPTS as error:
+                errors.print(interrupt_words(error))
+                return 128 + signal_of(error)
     except HplanError as error:
         show_error(errors, error)
         return error.exit_status
-    except KeyboardInterrupt:
-        errors.print("interrupted")
-        return _INTERRUPTED
-    except _Ended as ended:
-        errors.print(f"ended by {signal.Signals(ended.number).name}")
-        return 128 + ended.number
     finally:
         out.flush()
         if out.fault is not None and not isinstance(out.fault, BrokenPipeError):
             errors.print(f"cannot write to standard output: {getattr(out.fault, 'strerror', None) or out.fault}")
+
+
+def interrupt_words(error: BaseException) -> str:
+    """What is said when a signal has ended a command."""
+    number = signal_of(error)
+    return "interrupted" if number == signal.SIGINT else f"ended by {number.name}"
 
 
 def _open_what_is_closed() -> None:
@@ -130,26 +122,6 @@ def _open_what_is_closed() -> None:
                 os.dup2(opened, number)
                 os.close(opened)
             setattr(sys, name, open(number, "r" if number == 0 else "w", encoding="utf-8"))  # noqa: SIM115, PTH123
-
-
-@contextmanager
-def _ending_by_signal() -> Iterator[None]:
-    """Inside, the signals of `_ENDING` end the block by an exception, unless someone has other plans for them."""
-
-    def end(number: int, _: object) -> None:
-        raise _Ended(number)
-
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    mine = [number for number in _ENDING if signal.getsignal(number) is signal.SIG_DFL]
-    for number in mine:
-        signal.signal(number, end)
-    try:
-        yield
-    finally:
-        for number in mine:
-            signal.signal(number, signal.SIG_DFL)
 
 
 @contextmanager

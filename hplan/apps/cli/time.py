@@ -93,6 +93,7 @@ def parser(prog: str) -> argparse.ArgumentParser:
     )
     add_shared(parser, "pace")
     add("--out", type=Path, metavar="FILE.csv", help="file to write (default: timed.csv); with --scene a folder")
+    add_shared(parser, "force")
     add("--quiet", action="store_true", help="no summary")
     add("--scene", metavar="SCENE", help="obstacles: a scene file, or name of a shipped scene")
     add("--keep-path", action="store_true", help="keep the path's shape within --deviation; else it is shortened")
@@ -126,7 +127,8 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int
     if arguments.scene is None:
         arguments.out = OUT if arguments.out is None else arguments.out
         return _timed(arguments, console)
-    folder = JobFolder(FOLDER if arguments.out is None else arguments.out, (*PLAN_FILES, SCENE), REPORT)
+    arguments.out = FOLDER if arguments.out is None else arguments.out
+    folder = JobFolder(arguments, (*PLAN_FILES, SCENE), REPORT)
     result, files = _finished(arguments, folder, errors)
     if not arguments.quiet:
         from hplan.apps.cli.plan import show_summary
@@ -185,7 +187,7 @@ def _timed(arguments: argparse.Namespace, console: Console) -> int:
     machine = read_machine(arguments.urdf, arguments.joints, hold=held_joints(arguments))
     waypoints = read_waypoints(arguments.waypoints, machine.joint_names, joints_that_slide(machine.model))
     limits = _limits(arguments, machine)
-    check_output_file(arguments.out)
+    check_output_file(arguments.out, force=arguments.force)
     trajectory = time_waypoints(
         machine.model,
         waypoints,

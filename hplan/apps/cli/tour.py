@@ -52,7 +52,7 @@ KERNELS = 80
 def parser(prog: str) -> argparse.ArgumentParser:
     """The parser of the command's arguments."""
     parser = command_parser(__doc__, _EPILOG, prog=prog)
-    add_shared(parser, "scene", "out", "robot", "parts", "contacts", scene="tour")
+    add_shared(parser, "scene", "out", "force", "robot", "parts", "contacts", scene="tour")
     add = parser.add_argument
     add("--fruits", nargs="+", metavar="NAME", help="fruits to pick (default: all)")
     add("--drop-off", type=float, nargs=3, metavar=("X", "Y", "Z"), help="drop-off: a place of the tool")
@@ -86,7 +86,7 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int
         from hplan.apps.cli.cell import run as run_cell
 
         return run_cell(arguments, console, errors, tour=True)
-    folder = JobFolder(arguments.out, (TOUR, "tour-[0-9]*-*.csv", PAGE, MCAP), TOUR_REPORT)
+    folder = JobFolder(arguments, (TOUR, "tour-[0-9]*-*.csv", PAGE, MCAP), TOUR_REPORT)
     with progress_line(errors, quiet=arguments.quiet, kernels=KERNELS) as progress:
         result, files = _made(arguments, folder, errors, progress)
     if not arguments.quiet:

@@ -46,6 +46,7 @@ def parser(prog: str) -> argparse.ArgumentParser:
     add_shared(parser, "scene", "robot", "parts", scene="the job's, or the paper's reference scene")
     add("--out", type=Path, metavar="FILE", help="write the page here and serve nothing (default: scene.html in the "
         "folder; of a CSV, NAME.html in its folder)")  # fmt: skip
+    add_shared(parser, "force")
     add("--no-serve", action="store_true", help="only write the page")
     add("--quiet", action="store_true", help="do not name the file that was written")
     return parser
@@ -67,7 +68,7 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int
     trajectory = read_csv(path) if job is None else job.trajectory()
     scene = load_scene(job.scene if arguments.scene is None and job is not None else arguments.scene)
     robot = robot_of(arguments, scene, job)
-    check_output_file(out)
+    check_output_file(out, force=arguments.force)
     playback = Playback(trajectory)
     if job is not None:
         differs = job.differing(Digests.of(robot, scene, trajectory))

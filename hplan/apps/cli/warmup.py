@@ -24,6 +24,7 @@ import hplan
 from hplan.apps.cli.options import add_shared, command_parser
 from hplan.apps.cli.terminal import FAILED, progress_line
 from hplan.base.child_process import import_environment, python_module
+from hplan.base.interrupts import INTERRUPTS
 from hplan.base.kernel_turns import LISTENERS
 from hplan.errors import OptionError
 
@@ -119,6 +120,7 @@ def compile_all(
         Of jobs that failed the last line that they wrote.
     """
     failed, lock = dict[str, str](), threading.Lock()
+    running, is_ended = set[subprocess.Popen[str]](), threading.Event()
 
     def do(job: str) -> None:
         command = python_module("hplan.apps.cli.warmup", JOBS[job])
@@ -127,11 +129,15 @@ def compile_all(
                 command, cwd=folder, env={**import_environment(), **environment}, stdin=subprocess.DEVNULL,
                 stdout=subprocess.PIPE, stderr=said, text=True,
             )  # fmt: skip
+            running.add(process)
+            if is_ended.is_set():
+                process.terminate()
             with process:
                 for line in process.stdout or ():
                     if line.startswith(_COMPILED):
                         with lock:
                             told(job, line.removeprefix(_COMPILED).strip())
+            running.discard(process)
             said.seek(0)
             lines = said.read().split("\n")
         with lock:
@@ -140,8 +146,15 @@ def compile_all(
             told(job, None)
 
     with ThreadPoolExecutor(processes) as pool:
-        for jobs in (list(JOBS)[:_FIRST], list(JOBS)[_FIRST:]):
-            list(pool.map(do, jobs))
+        try:
+            for jobs in (list(JOBS)[:_FIRST], list(JOBS)[_FIRST:]):
+                list(pool.map(do, jobs))
+        except INTERRUPTS:
+            is_ended.set()
+            pool.shutdown(wait=False, cancel_futures=True)
+            for process in list(running):
+                process.terminate()
+            raise
     return failed
 
 

@@ -23,7 +23,7 @@ from hplan.apps.view.server import LiveView
 from hplan.apps.view.three_js import Json
 from hplan.base.arguments import instance
 from hplan.base.data_files import view_asset
-from hplan.base.files import write_text
+from hplan.base.files import HTML_COMMENT, write_marked
 from hplan.errors import HplanError
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
@@ -133,7 +133,7 @@ def write_page(robot: Robot, scene: Scene, playback: Playback, path: Path | str)
         OutputError: The file cannot be written.
         HplanError: meshcat, which brings the viewer, is not installed.
     """
-    return write_text(path, render_page(robot, scene, playback))
+    return write_marked(path, render_page(robot, scene, playback), HTML_COMMENT)
 
 
 def serve(robot: Robot, scene: Scene, playback: Playback) -> LiveView:

@@ -1,0 +1,111 @@
+"""Files that hplan has written, told from those of others: what it did not write it does not replace.
+
+A report names the files that were written with it, and their SHA-256. Pages and scenes carry the SHA-256 of their own
+text. A CSV that stands by itself is hplan's if hplan would write its trajectory with the very same bytes.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+from typing import Any, Final
+
+from hplan.base.files import REPORT_FORMAT, ByteBudget, is_marked, protecting_inputs
+from hplan.errors import HplanError, OutputError
+
+#: Files of a finished job: of one motion, of a tour, of a row, of a study, of all.
+REPORT: Final = "report.json"
+TOUR_REPORT: Final = "tour.json"
+ROW_REPORT: Final = "row.json"
+STUDY_REPORT: Final = "study.json"
+
+#: The key of a report's format.
+FORMAT_KEY: Final = "format"
+
+#: The key under which a report has the SHA-256 of each file that was written with it.
+WRITTEN: Final = "written"
+
+#: The largest file that is read to find out whose it is.
+_MOST_BYTES: Final = 256_000_000
+
+#: What is said of a file that is not replaced.
+NOT_OURS: Final = "hplan did not write it, or it was changed since; name another place, or replace it by --force"
+
+
+def check_own(path: Path, *, force: bool) -> None:
+    """Refuse to replace a file that hplan has not written.
+
+    Args:
+        force: Whether the user wants it replaced all the same.
+
+    Raises:
+        OutputError: hplan has not written it, or it was changed since.
+    """
+    if not force and path.is_file() and not is_own(path):
+        raise OutputError(path, NOT_OURS)
+
+
+def is_own(path: Path) -> bool:
+    """True if hplan has written the file, and nobody has changed it since."""
+    try:
+        content = ByteBudget(_MOST_BYTES).read(path, is_input=False)
+    except (OSError, ValueError):
+        return False
+    if not content:
+        return False
+    digest, recorded = hashlib.sha256(content).hexdigest(), recorded_digests(path.parent).get(path.name)
+    if digest == recorded:
+        return True
+    if path.suffix == ".json":
+        return _is_report(_mapping(content))
+    if path.suffix == ".csv" and recorded is None:
+        return _is_trajectory(path, content)
+    return is_marked(content)
+
+
+def recorded_digests(folder: Path) -> dict[str, str]:
+    """The SHA-256 of files of a folder, by their names, as the reports in it have them."""
+    found: dict[str, str] = {}
+    for name in (REPORT, TOUR_REPORT, ROW_REPORT, STUDY_REPORT):
+        try:
+            report = _mapping(ByteBudget(_MOST_BYTES).read(folder / name, is_input=False))
+        except (OSError, ValueError):
+            continue
+        written = report.get(WRITTEN)
+        if _is_report(report) and isinstance(written, dict):
+            found |= {str(file): str(digest) for file, digest in written.items()}
+    return found
+
+
+def digests_of(files: list[Path]) -> dict[str, str]:
+    """The SHA-256 of files by their names."""
+    return {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in files}
+
+
+def _mapping(content: bytes) -> dict[str, Any]:
+    """The mapping of a JSON file; empty if it holds none."""
+    try:
+        found = json.loads(content.decode("utf-8-sig"))
+    except (ValueError, RecursionError):
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def _is_report(report: dict[str, Any]) -> bool:
+    """True of a report of hplan, of earlier versions too, which named no format."""
+    if FORMAT_KEY in report:
+        return bool(report[FORMAT_KEY] == REPORT_FORMAT)
+    versions = report.get("versions")
+    return "status" in report and isinstance(versions, dict) and "hplan" in versions
+
+
+def _is_trajectory(path: Path, content: bytes) -> bool:
+    """True if hplan writes the trajectory of a CSV with the same bytes."""
+    from hplan.trajectory.trajectory import csv_text, read_csv
+
+    try:
+        with protecting_inputs():  # it is no input of the command
+            return csv_text(read_csv(path)).encode() == content
+    except (HplanError, ValueError):
+        return False

@@ -2,7 +2,7 @@
 
 Python runs a signal's handler between any two of its instructions. An exception that is raised there may leave a
 compiler, an import, a destructor or a callback of native code half done: it is lost, or the process crashes. So inside
-of these the handler waits, and asks again some milliseconds later. What must not be cut in two either is put into
+of these the handler waits, and asks again some milliseconds later. Other code that must run to its end is put into
 `uninterrupted`.
 """
 
@@ -51,7 +51,7 @@ class SignalError(BaseException):
         self.number = number
 
 
-#: What a signal raises.
+#: Errors that signals raise.
 INTERRUPTS: Final = (KeyboardInterrupt, SignalError)
 
 
@@ -133,7 +133,7 @@ def _is_safe(frame: FrameType | None) -> bool:
 
 @contextmanager
 def handling_signals() -> Iterator[None]:
-    """Inside, signals that end the program are raised where that is safe; others' handlers stay in place."""
+    """Inside, signals that end the program are raised at safe places; other handlers stay in place."""
     if threading.current_thread() is not threading.main_thread() or _WAITING.is_handled:
         yield
         return

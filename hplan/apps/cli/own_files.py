@@ -1,7 +1,7 @@
-"""Files that hplan has written, told from those of others: what it did not write it does not replace.
+"""Ownership of files: hplan replaces only files that it has written itself.
 
 A report names the files that were written with it, and their SHA-256. Pages and scenes carry the SHA-256 of their own
-text. A CSV that stands by itself is hplan's if hplan would write its trajectory with the very same bytes.
+text. A CSV without a report is hplan's if hplan would write its trajectory with the very same bytes.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ WRITTEN: Final = "written"
 #: The largest file that is read to find out whose it is.
 _MOST_BYTES: Final = 256_000_000
 
-#: What is said of a file that is not replaced.
+#: The reason for which a file is not replaced.
 NOT_OURS: Final = "hplan did not write it, or it was changed since; name another place, or replace it by --force"
 
 
@@ -37,7 +37,7 @@ def check_own(path: Path, *, force: bool) -> None:
     """Refuse to replace a file that hplan has not written.
 
     Args:
-        force: Whether the user wants it replaced all the same.
+        force: True to replace any file.
 
     Raises:
         OutputError: hplan has not written it, or it was changed since.
@@ -47,7 +47,7 @@ def check_own(path: Path, *, force: bool) -> None:
 
 
 def is_own(path: Path) -> bool:
-    """True if hplan has written the file, and nobody has changed it since."""
+    """True if hplan has written the file, and it was not changed since."""
     try:
         content = ByteBudget(_MOST_BYTES).read(path, is_input=False)
     except (OSError, ValueError):

@@ -33,6 +33,7 @@ STUDIES = {
     "risk": "risk:RISK",
     "motions": "validation.episodes:MOTIONS",
     "grazing": "validation.grazing:GRAZING",
+    "clearances": "validation.clearances:CLEARANCES_STUDY",
     "yielding": "validation.yielding:YIELDING",
     "soak": "validation.soak:SOAK",
     "interrupts": "interrupts:INTERRUPTS",

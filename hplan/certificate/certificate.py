@@ -23,7 +23,8 @@ verified.
 Assumed: rigid links inside their capsules or collision bodies, obstacles where the scene says, and when, tracking
 within a model of its error (`hplan.robot.tracking`; it takes from the clearance; the limits are those of the commanded
 motion). Not covered: flexing, the base's own motion but for its track, forces by which a base that turns or changes its
-pace acts on the arm (that it tilts counts), contact forces, what is not in the scene.
+pace acts on the arm (that it tilts counts), contact forces, what is not in the scene, drawn links without collision
+shapes (`Certificate.uncovered_links`).
 """
 
 from __future__ import annotations
@@ -103,6 +104,7 @@ class Certificate:
         nearest_s: When `nearest` was seen, counted as the tracks' times are [s]; None where nothing moves but the arm.
         clear_until_s: Time up to which the arm is shown to keep its distance if it rests where the motion ends, counted
             as the tracks' times are; inf for ever [s]. None where nothing moves, or the motion is not verified.
+        uncovered_links: Names of the drawn links that no collision shape covers: nothing is proved about them.
     """
 
     verified: bool
@@ -118,6 +120,7 @@ class Certificate:
     clear_until_s: float | None = None
     risk: TouchRisk | None = None
     subject: Subject | None = field(default=None, compare=False, repr=False)
+    uncovered_links: tuple[str, ...] = ()
 
     @property
     def contact_s(self) -> tuple[float, float] | None:
@@ -385,6 +388,7 @@ def certify_among(
         clear_until_s=None
         if last.moving is None or violations
         else clear_until(bezier[-1, 3], last, at_rest, clearance, clock[-1]),
+        uncovered_links=robot.uncovered_links,
     )
 
 
@@ -437,6 +441,7 @@ def all_of(parts: Sequence[Certificate]) -> Certificate:
         subject=joined_subjects(part.subject for part in parts),
         nearest_s=_nearest_s([part.nearest for part in parts], [part.nearest_s for part in parts]),
         clear_until_s=parts[-1].clear_until_s if all(part.verified for part in parts) else None,
+        uncovered_links=tuple(dict.fromkeys(name for part in parts for name in part.uncovered_links)),
     )
 
 

@@ -8,6 +8,7 @@ is of the planar family, `Robot.planar`, for which there are a closed-form C-spa
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, wraps
@@ -21,8 +22,9 @@ from numpy.typing import ArrayLike
 from hplan.base.arguments import each, file_path, instance, list_of, number, truth
 from hplan.base.arrays import BoolArray, FloatArray, Record, as_array, numbers, readonly
 from hplan.base.units import FARTHEST_JOINT, JointUnit, joint_unit
-from hplan.errors import InputError, JointLimitError, RobotFamilyError
+from hplan.errors import InputError, JointLimitError, MissingVisualWarning, RobotFamilyError, UncoveredLinkWarning
 from hplan.robot.dynamics import InverseDynamics, joints_that_slide
+from hplan.robot.drawn_links import ShapeFault, describe_shape_faults, find_shape_faults
 from hplan.robot.family_reader import check_joints, read_family
 from hplan.robot.files import (
     build_models,
@@ -74,6 +76,7 @@ class Robot(PlanarNames, Record):
         beyond_family: Element of the robot, and the reason, for which it is not of the family; None where it is.
         may_touch: Pairs of links that may touch, by the robot's SRDF, Drake's filter groups or as neighbours, and the
             reason.
+        shape_faults: Drawn links whose collision shapes are missing or do not fit (`hplan.robot.drawn_links`).
     """
 
     name: str
@@ -95,6 +98,7 @@ class Robot(PlanarNames, Record):
     planar: PlanarFamily | None
     beyond_family: tuple[str, str] | None = None
     may_touch: tuple[tuple[str, str, str], ...] = ()
+    shape_faults: tuple[ShapeFault, ...] = ()
 
     def __repr__(self) -> str:
         joints = ", ".join(self.joint_names)
@@ -118,6 +122,11 @@ class Robot(PlanarNames, Record):
             RobotFamilyError: The robot is not of the family.
         """
         return replace(self, planar=replace(self.family, arm=arm))
+
+    @property
+    def uncovered_links(self) -> tuple[str, ...]:
+        """Names of the drawn links that no collision shape covers: plans and certificates say nothing about them."""
+        return tuple(fault.link for fault in self.shape_faults if not fault.is_covered)
 
     @property
     def dof(self) -> int:
@@ -339,6 +348,7 @@ def load_robot(
     package_dirs: Sequence[Path | str] = (),
     srdf: Path | str | None = None,
     allow_neighbours: bool = False,
+    collision_from_visual: bool | Sequence[str] = False,
 ) -> Robot:
     """Load a robot; joints of its URDF that do not move are made fixed.
 
@@ -359,15 +369,64 @@ def load_robot(
             the same, and so are all pairs of an arm of the planar family, whose geometry says which can touch.
         allow_neighbours: Whether links with one joint between them may touch, as most SRDFs say; without it those may
             that always do. No arm of the planar family needs it.
+        collision_from_visual: True to build the collision shapes of all links in `Robot.shape_faults` from what is
+            drawn; or names of links whose collision shapes are replaced so.
+
+    Warns:
+        UncoveredLinkWarning: A link is drawn, but has no collision shape or one of another size.
+        MissingVisualWarning: The mesh file of a visual is missing; the link is not drawn.
 
     Raises:
-        RobotFileError: The URDF, the limits file or the SRDF is missing, malformed or incomplete; a mesh is missing;
-            the URDF is well-formed but holds no robot that can move, no tool frame, or a joint of the wrong kind; says
+        RobotFileError: The URDF, the limits file or the SRDF is missing, malformed or incomplete; a collision mesh is
+            missing; a link of `collision_from_visual` does not exist or has no visual; the URDF is well-formed but holds no robot that can move, no tool frame, or a joint of the wrong kind; says
             which element and why.
         InputError: A joint to move or to hold that does not exist or cannot; xacro without `xacrodoc`; a robot by name
             without example-robot-data.
         JointLimitError: A joint held outside its limits.
     """
+    robot, missing = _read_robot(
+        path,
+        limits=limits,
+        tool_frame=tool_frame,
+        joints=joints,
+        hold=hold,
+        package_dirs=package_dirs,
+        srdf=srdf,
+        allow_neighbours=allow_neighbours,
+        collision_from_visual=collision_from_visual,
+    )
+    if missing:
+        listed = ", ".join(f"{file} of link {link!r}" for link, file in missing)
+        message = f"robot {robot.name!r}: visual meshes are missing, and their links are not drawn: {listed}"
+        warnings.warn(message, MissingVisualWarning, stacklevel=2)
+    if robot.shape_faults:
+        message = describe_shape_faults(robot.name, robot.shape_faults)
+        warnings.warn(message, UncoveredLinkWarning, stacklevel=2)
+    return robot
+
+
+def read_robot(path: Path | str | None, **options: Any) -> Robot:
+    """Load a robot as `load_robot` does, without its warnings: for robots that were loaded before.
+
+    Raises:
+        InputError: As `load_robot`.
+    """
+    return _read_robot(path, **options)[0]
+
+
+def _read_robot(
+    path: Path | str | None,
+    *,
+    limits: Path | str | None = None,
+    tool_frame: str | None = None,
+    joints: Sequence[str] | None = None,
+    hold: Mapping[str, float] | None = None,
+    package_dirs: Sequence[Path | str] = (),
+    srdf: Path | str | None = None,
+    allow_neighbours: bool = False,
+    collision_from_visual: bool | Sequence[str] = False,
+) -> tuple[Robot, tuple[tuple[str, str], ...]]:
+    """The robot of `load_robot`, and the link and the file of each visual mesh that is missing."""
     files = robot_files(path)
     frame = instance("tool_frame", files.tool_frame if tool_frame is None else tool_frame, str)
     choice = RobotChoice(
@@ -375,12 +434,25 @@ def load_robot(
         None if joints is None else list_of("joints", joints, str, "names"),
         {name: number(f"hold[{name!r}]", value, "a position") for name, value in _mapping(hold).items()},
         (*each("package_dirs", package_dirs, "a list of folders", file_path), *files.package_dirs),
+        ()
+        if isinstance(collision_from_visual, bool)
+        else list_of("collision_from_visual", collision_from_visual, str, "names of links"),
     )
     text = path if isinstance(path, str) and is_urdf_text(path) else None
     urdf_path = files.urdf
     root = read_urdf_xml(urdf_path, text, choice.package_dirs)
     adapted = adapt_urdf(urdf_path, root, choice)
-    model, collision_model, visual_model = build_models(urdf_path, adapted.urdf, adapted.text)
+    models = build_models(urdf_path, adapted.urdf, adapted.text)
+    undrawn = {link for link, _ in adapted.missing_visuals}
+    faults = find_shape_faults(*models, undrawn)
+    if faults and collision_from_visual is True:
+        from_visual = tuple(fault.link for fault in faults)
+        # The pass changes the elements, so the second one begins with the file again.
+        root = read_urdf_xml(urdf_path, text, choice.package_dirs)
+        adapted = adapt_urdf(urdf_path, root, replace(choice, from_visual=from_visual))
+        models = build_models(urdf_path, adapted.urdf, adapted.text)
+        faults = find_shape_faults(*models, undrawn)
+    model, collision_model, visual_model = models
     check_joints(urdf_path, model)
     joint_names = tuple(model.names)[1:]
     if choice.joints is not None and choice.joints != joint_names:
@@ -399,7 +471,7 @@ def load_robot(
         planar = read_family(model, collision_model, frame)
     except RobotFamilyError as error:
         beyond_family = error.element, error.reason
-    return Robot(
+    robot = Robot(
         name=model.name,
         urdf_path=urdf_path,
         model=model,
@@ -419,7 +491,9 @@ def load_robot(
         planar=planar,
         beyond_family=beyond_family,
         may_touch=may_touch,
+        shape_faults=faults,
     )
+    return robot, adapted.missing_visuals
 
 
 def _mapping(hold: Mapping[str, float] | None) -> dict[str, float]:

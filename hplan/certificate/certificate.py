@@ -59,12 +59,13 @@ from hplan.certificate.task_check import task_violations
 from hplan.certificate.tilted_base import use_on_track
 from hplan.certificate.touch_risk import TouchRisk, touch_risk
 from hplan.collision.coal_scene import CoalScene, Contact, base_contacts
+from hplan.collision.giving_way import check_yield_links
 from hplan.errors import InputError, MovingObstacleError, OptionError
 from hplan.robot.base_shapes import BASE_DEPTH
 from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel
 from hplan.scene.limits import LEAST_RISK
-from hplan.scene.model import Fruit, Scene
+from hplan.scene.model import Fruit, Scene, checked_scene
 from hplan.scene.obstacle_kind import Sigmas
 from hplan.trajectory.trajectory import Trajectory, check_joints, cubic_pieces
 
@@ -211,7 +212,7 @@ def certify(
             negative or not finite; another contact with the goal.
     """
     instance("robot", robot, Robot, "load_robot")
-    instance("scene", scene, Scene, "load_scene")
+    check_yield_links(robot, checked_scene(scene).yield_links)
     instance("trajectory", trajectory, Trajectory, "plan or read_csv")
     truth("check_ends", check_ends)
     truth("rest_to_rest", rest_to_rest)

@@ -136,9 +136,7 @@ def _by_path(robot: Robot, running: Certificate, motion: Trajectory, left: float
     """The certificate of a motion where the clearance of its path suffices."""
     use = limit_use(robot, motion, *cubic_pieces(motion))
     violations = tuple(limit_violations(use))
-    return Certificate(
-        not violations, left, running.nearest, use, 0, violations, uncovered_links=robot.uncovered_links
-    )
+    return Certificate(not violations, left, running.nearest, use, 0, violations, uncovered_links=robot.uncovered_links)
 
 
 def _nearer(robot: Robot, off_path: FloatArray) -> float:

@@ -23,8 +23,8 @@ from hplan.base.arguments import each, file_path, instance, list_of, number, tru
 from hplan.base.arrays import BoolArray, FloatArray, Record, as_array, numbers, readonly
 from hplan.base.units import FARTHEST_JOINT, JointUnit, joint_unit
 from hplan.errors import InputError, JointLimitError, MissingVisualWarning, RobotFamilyError, UncoveredLinkWarning
-from hplan.robot.dynamics import InverseDynamics, joints_that_slide
 from hplan.robot.drawn_links import ShapeFault, describe_shape_faults, find_shape_faults
+from hplan.robot.dynamics import InverseDynamics, joints_that_slide
 from hplan.robot.family_reader import check_joints, read_family
 from hplan.robot.files import (
     build_models,
@@ -319,11 +319,32 @@ class Robot(PlanarNames, Record):
                 raise InputError(
                     f"{which}: joint {joint!r} is at {value}, expected a finite number", which=which, joint=joint
                 )
-        for joint, value, lower, upper in zip(self.joint_names, values, self.lower, self.upper, strict=True):
-            if not lower - 1e-9 <= value <= upper + 1e-9:
-                unit = self.units[self.joint_names.index(joint)].position
-                raise JointLimitError(which, joint, float(value), float(lower), float(upper), unit)
+        fault = self.limit_fault(values, which)
+        if fault is not None:
+            raise fault
         return readonly(np.clip(values, self.lower, self.upper))
+
+    def limit_fault(self, q: FloatArray, which: str) -> JointLimitError | None:
+        """Error for the first joint of a (dof,) configuration that is outside its limits; None if there is none.
+
+        Joints may be outside by 1e-9 rad or m. If the configuration would be within the limits in degrees, the error
+        says so.
+
+        Args:
+            which: What the configuration is, for the error.
+        """
+        outside = ~((self.lower - 1e-9 <= q) & (q <= self.upper + 1e-9))
+        if not outside.any():
+            return None
+        first = int(outside.argmax())
+        value, lower, upper = (float(values[first]) for values in (q, self.lower, self.upper))
+        found = JointLimitError(which, self.joint_names[first], value, lower, upper, self.units[first].position)
+        turning = ~np.array(self.slides)
+        in_degrees = np.where(turning, np.radians(q), q)
+        fits = (self.lower - 1e-9 <= in_degrees) & (in_degrees <= self.upper + 1e-9)
+        if turning[first] and abs(value) > math.tau and fits.all():
+            found.add("are these degrees? Joint values are in radians: np.radians(q)")
+        return found
 
 
 def made_once(make: Callable[Concatenate[Robot, _P], _T]) -> Callable[Concatenate[Robot, _P], _T]:
@@ -378,8 +399,8 @@ def load_robot(
 
     Raises:
         RobotFileError: The URDF, the limits file or the SRDF is missing, malformed or incomplete; a collision mesh is
-            missing; a link of `collision_from_visual` does not exist or has no visual; the URDF is well-formed but holds no robot that can move, no tool frame, or a joint of the wrong kind; says
-            which element and why.
+            missing; a link of `collision_from_visual` does not exist or has no visual; the URDF is well-formed but
+            holds no robot that can move, no tool frame, or a joint of the wrong kind; says which element and why.
         InputError: A joint to move or to hold that does not exist or cannot; xacro without `xacrodoc`; a robot by name
             without example-robot-data.
         JointLimitError: A joint held outside its limits.

@@ -53,9 +53,7 @@ def joined_robots(arms: Mapping[str, tuple[Robot, pin.SE3]], name: str = "cell")
     found = read_robot(ET.tostring(root, encoding="unicode"), joints=joints, tool_frame=f"{first}_{robot.tool_frame}")
     allowed = ((f"{n}_{a}", f"{n}_{b}", why) for n in ordered for a, b, why in arms[n][0].may_touch)
     turning = np.concatenate([arms[each][0].continuous for each in ordered])
-    faults = tuple(
-        replace(fault, link=f"{each}_{fault.link}") for each in arms for fault in arms[each][0].shape_faults
-    )
+    faults = tuple(replace(fault, link=f"{each}_{fault.link}") for each in arms for fault in arms[each][0].shape_faults)
     continuous = readonly(turning, np.bool_)
     return replace(found, continuous=continuous, may_touch=tuple(allowed), shape_faults=faults)
 

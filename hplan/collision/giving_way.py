@@ -102,9 +102,9 @@ def check_yield_links(robot: Robot, names: Sequence[str] | None) -> None:
     for name in names or ():
         known = _names(robot)
         if name not in known:
+            expected = f"links that move: {', '.join(known)}"
             close = get_close_matches(name, known, 1)
-            hint = f"{close[0]!r}? Links that move: " if close else "links that move: "
-            raise OptionError("yield_links", name, f"{hint}{', '.join(known)}")
+            raise OptionError("yield_links", name, expected + (f"; did you mean {close[0]!r}?" if close else ""))
 
 
 def pushing_links(robot: Robot, names: Sequence[str] | None) -> tuple[str, ...]:

@@ -337,6 +337,7 @@ class CellResult(Record, InNotebook):
             "between_arms_mm": _mm(self.certificate.between.min_clearance_m),
             "arms_mm": {name: _mm(each.min_clearance_m) for name, each in self.certificate.arms.items()},
             "violations": list(self.certificate.violations),
+            "uncovered_links": list(self.certificate.between.uncovered_links),
         }
 
 
@@ -517,6 +518,7 @@ def _loaded(arm: CellRobot, folder: Path) -> Robot:
         limits=limits if limits is not None and limits.is_file() else arm.limits,
         tool_frame=arm.tool_frame,
         hold=arm.hold,
+        collision_from_visual=arm.collision_from_visual,
     )
 
 

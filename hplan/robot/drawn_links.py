@@ -10,7 +10,6 @@ import xml.etree.ElementTree as ET
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from copy import deepcopy
 from dataclasses import dataclass
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Final
 
@@ -18,14 +17,15 @@ import coal
 import numpy as np
 import pinocchio as pin
 
+from hplan.base.arguments import nearest_name
 from hplan.base.arrays import FloatArray
 from hplan.errors import RobotFileError
 from hplan.robot.urdf_xml import line_of
 from hplan.scene.convex_shape import convex_shape
 from hplan.scene.solids import CUBE_CORNERS, whole_hull
 
-#: A link counts as covered by the shapes of its neighbours if it stands out of them by at most this [m].
-STANDS_OUT_M: Final = 1e-3
+#: A link without shapes of its own counts as covered if it stands out of its neighbours' by at most this [m].
+_COVERED_M: Final = 1e-3
 
 #: A collision shape smaller than the visuals by this factor covers nothing of the link.
 _SMALLER: Final = 10.0
@@ -36,6 +36,10 @@ _DUMMY_M: Final = 0.01
 
 #: Shapes thinner than this fraction of the drawn link are flat.
 _FLAT: Final = 1e-2
+
+#: A drawn link stands out of the shapes on its joint if it does by this fraction of its size, and by this [m].
+_STANDS_OUT: Final = 0.25
+_STANDS_OUT_M: Final = 0.03
 
 #: A mesh that fills less of its convex hull than this does not cover the whole hull.
 _FILLED: Final = 0.8
@@ -83,8 +87,10 @@ def find_shape_faults(
         if frame.type != pin.FrameType.BODY or not (name in drawn or name in missing):
             continue
         points = _points(drawn.get(name, ()))
-        fault = _misfit(name, _points(shapes[name]), points) if name in shapes else None
-        if name not in shapes:
+        on_joint = (shape for shape in collision_model.geometryObjects if shape.parentJoint == frame.parentJoint)
+        if name in shapes:
+            fault = _misfit(name, points, _points(shapes[name]), _points(on_joint))
+        else:
             fault = ShapeFault(name, "has no collision shape")
         if fault is None or (not fault.is_covered and _is_within(points, collision_model, int(frame.parentJoint))):
             continue
@@ -116,9 +122,8 @@ def shape_links_from_visuals(path: Path, root: ET.Element, links: Collection[str
     for name in links:
         link = elements.get(name)
         if link is None:
-            close = get_close_matches(name, elements, 1)
-            hint = f"; did you mean {close[0]!r}?" if close else f"; it has {', '.join(elements)}"
-            raise RobotFileError(path, f"collision_from_visual: the robot has no link {name!r}{hint}")
+            reason = f"collision_from_visual: the robot has no link {name!r}; {nearest_name(name, elements)}"
+            raise RobotFileError(path, reason)
         visuals = link.findall("visual")
         if not visuals:
             reason = f"collision_from_visual: link {name!r} has no <visual>, or none whose mesh file exists"
@@ -140,18 +145,28 @@ def _by_link(model: pin.Model, geometry: pin.GeometryModel) -> Mapping[str, list
     return found
 
 
-def _misfit(link: str, shape: FloatArray, drawn: FloatArray) -> ShapeFault | None:
-    """Fault of collision points (n, 3) that cannot be the link of visual points (m, 3); None if they can."""
+def _misfit(link: str, drawn: FloatArray, shape: FloatArray, on_joint: FloatArray) -> ShapeFault | None:
+    """Fault of the collision shapes of a link; None if they can be the drawn link.
+
+    Args:
+        drawn: (m, 3) points of its visuals.
+        shape: (n, 3) points of its collision shapes.
+        on_joint: (k, 3) points of all collision shapes on its joint.
+    """
     if not len(drawn):
         return None
     ours, theirs = _diagonal(shape), _diagonal(drawn)
-    sizes = f"is {theirs:.3g} m across as drawn, and its collision shape {ours:.3g} m: is one of them in other units?"
+    sizes = f"is {theirs:.3g} m across as drawn, but its collision shape {ours:.3g} m, as if in other units"
     if ours * _SMALLER <= theirs:
         return ShapeFault(link, sizes)
     if theirs >= _DUMMY_M and ours >= _LARGER * theirs:
         return ShapeFault(link, sizes, is_covered=True)
     if _thickness(shape) < _FLAT * _thickness(drawn):
         return ShapeFault(link, "has a flat collision shape, without the volume of the drawn link")
+    directions = _DIRECTIONS.T / np.linalg.norm(_DIRECTIONS, axis=1)
+    stands_out = float(((drawn @ directions).max(axis=0) - (on_joint @ directions).max(axis=0)).max())
+    if stands_out > max(_STANDS_OUT_M, _STANDS_OUT * theirs):
+        return ShapeFault(link, f"stands out of its collision shape by {1e3 * stands_out:.0f} mm as drawn")
     return None
 
 
@@ -193,7 +208,7 @@ def _is_within(drawn: FloatArray, geometry: pin.GeometryModel, joint: int) -> bo
         place = coal.Transform3s(placement.rotation, placement.translation)
         return float(coal.distance(point, there, solid, place, request, coal.DistanceResult()))
 
-    return all(any(distance(at, *solid) <= STANDS_OUT_M for solid in solids) for at in outermost)
+    return all(any(distance(at, *solid) <= _COVERED_M for solid in solids) for at in outermost)
 
 
 def _solids(geometry: coal.CollisionGeometry) -> Iterator[coal.CollisionGeometry]:

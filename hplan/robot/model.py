@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import warnings
+import xml.etree.ElementTree as ET
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, wraps
@@ -22,7 +23,14 @@ from numpy.typing import ArrayLike
 from hplan.base.arguments import each, file_path, instance, list_of, number, truth
 from hplan.base.arrays import BoolArray, FloatArray, Record, as_array, numbers, readonly
 from hplan.base.units import FARTHEST_JOINT, JointUnit, joint_unit
-from hplan.errors import InputError, JointLimitError, MissingVisualWarning, RobotFamilyError, UncoveredLinkWarning
+from hplan.errors import (
+    InputError,
+    JointLimitError,
+    MissingVisualWarning,
+    RobotFamilyError,
+    RobotFileError,
+    UncoveredLinkWarning,
+)
 from hplan.robot.drawn_links import ShapeFault, describe_shape_faults, find_shape_faults
 from hplan.robot.dynamics import InverseDynamics, joints_that_slide
 from hplan.robot.family_reader import check_joints, read_family
@@ -36,7 +44,7 @@ from hplan.robot.files import (
     robot_files,
 )
 from hplan.robot.planar_family import PlanarArm, PlanarFamily, PlanarNames
-from hplan.robot.urdf_adaptation import RobotChoice, adapt_urdf
+from hplan.robot.urdf_adaptation import AdaptedUrdf, RobotChoice, adapt_urdf, drop_missing_visuals, links_without_mesh
 from hplan.robot.urdf_check import frame_number
 from hplan.robot.urdf_xml import is_urdf_text, read_urdf_xml
 
@@ -461,17 +469,15 @@ def _read_robot(
     )
     text = path if isinstance(path, str) and is_urdf_text(path) else None
     urdf_path = files.urdf
-    root = read_urdf_xml(urdf_path, text, choice.package_dirs)
-    adapted = adapt_urdf(urdf_path, root, choice)
-    models = build_models(urdf_path, adapted.urdf, adapted.text)
+    every = collision_from_visual is True
+    choice, root, adapted, models = _built(urdf_path, text, choice, mend=every)
     undrawn = {link for link, _ in adapted.missing_visuals}
     faults = find_shape_faults(*models, undrawn)
-    if faults and collision_from_visual is True:
-        from_visual = tuple(fault.link for fault in faults)
-        # The pass changes the elements, so the second one begins with the file again.
-        root = read_urdf_xml(urdf_path, text, choice.package_dirs)
-        adapted = adapt_urdf(urdf_path, root, replace(choice, from_visual=from_visual))
-        models = build_models(urdf_path, adapted.urdf, adapted.text)
+    drawn = {shape.name.rpartition("_")[0] for shape in models[2].geometryObjects}
+    from_visual = [fault.link for fault in faults if fault.link in drawn]
+    if from_visual and every:
+        choice = replace(choice, from_visual=(*choice.from_visual, *from_visual))
+        choice, root, adapted, models = _built(urdf_path, text, choice)
         faults = find_shape_faults(*models, undrawn)
     model, collision_model, visual_model = models
     check_joints(urdf_path, model)
@@ -515,6 +521,36 @@ def _read_robot(
         shape_faults=faults,
     )
     return robot, adapted.missing_visuals
+
+
+def _built(
+    urdf_path: Path, text: str | None, choice: RobotChoice, *, mend: bool = False
+) -> tuple[RobotChoice, ET.Element, AdaptedUrdf, tuple[pin.Model, pin.GeometryModel, pin.GeometryModel]]:
+    """The elements of a URDF, adapted, and its kinematic, collision and visual models.
+
+    Unreadable visual meshes are dropped.
+
+    Args:
+        mend: Whether links with an unreadable collision mesh are shaped from their visuals.
+
+    Returns:
+        The choice with which the URDF was read in the end, the elements, the adapted URDF and the models.
+    """
+    root = read_urdf_xml(urdf_path, text, choice.package_dirs)
+    adapted = adapt_urdf(urdf_path, root, choice)
+    try:
+        return choice, root, adapted, build_models(urdf_path, adapted.urdf, adapted.text)
+    except RobotFileError as error:
+        unread = replace(choice, tries_visuals=True)
+        if drop_missing_visuals(urdf_path, root, unread):
+            return _built(urdf_path, text, unread, mend=mend)
+        broken = links_without_mesh(urdf_path, root)
+        if not broken:
+            raise
+        if not mend:
+            error.add(f"collision_from_visual={list(broken)} (--collision-from-visual) builds shapes from the visuals")
+            raise
+    return _built(urdf_path, text, replace(choice, from_visual=broken))
 
 
 def _mapping(hold: Mapping[str, float] | None) -> dict[str, float]:

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+import coal
 import numpy as np
 import pinocchio as pin
 
@@ -53,6 +54,7 @@ class RobotChoice(Record):
         hold: Values of joints that stand still, by name [rad, m].
         package_dirs: Folders in which `package://` meshes are looked for first.
         from_visual: Names of links whose collision shapes are built from their visuals.
+        tries_visuals: Whether visual meshes are read, and dropped if they cannot be.
     """
 
     tool_frame: str = "tool0"
@@ -60,6 +62,7 @@ class RobotChoice(Record):
     hold: Mapping[str, float] | None = None
     package_dirs: tuple[Path, ...] = ()
     from_visual: tuple[str, ...] = ()
+    tries_visuals: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +73,8 @@ class AdaptedUrdf(Record):
         text: Its XML; None where that is the file's.
         continuous: Names of the joints that turn without end, and move.
         held: Where joints stand that were made fixed, by name [rad, m]; of joints of several coordinates, None.
-        missing_visuals: Name of the link and of the mesh file for each visual that was dropped, as its file is missing.
+        missing_visuals: Name of the link and of the mesh file for each visual that was dropped, as its file is missing
+            or unreadable.
     """
 
     urdf: Urdf
@@ -96,7 +100,7 @@ def adapt_urdf(path: Path, root: ET.Element, choice: RobotChoice) -> AdaptedUrdf
         JointLimitError: A joint held outside its limits.
     """
     urdf = read_urdf(path, root)
-    missing = _drop_missing_visuals(path, root, choice)
+    missing = drop_missing_visuals(path, root, choice)
     changed = _find_meshes(path, root, choice) or bool(missing)
     if choice.from_visual:
         shape_links_from_visuals(path, root, choice.from_visual)
@@ -380,22 +384,41 @@ def set_origin(element: ET.Element, placement: pin.SE3) -> None:
         origin.set(key, " ".join(repr(number) for number in numbers.tolist()))
 
 
-def _drop_missing_visuals(path: Path, root: ET.Element, choice: RobotChoice) -> tuple[tuple[str, str], ...]:
-    """Remove visuals whose mesh files are missing; returns the name of the link and of the file for each."""
+def drop_missing_visuals(path: Path, root: ET.Element, choice: RobotChoice) -> tuple[tuple[str, str], ...]:
+    """Remove visuals whose mesh files are missing or unreadable; returns the link and the file of each, by name."""
     folders, found = _mesh_folders(path, choice), list[tuple[str, str]]()
     for link in root.findall("link"):
         for visual in link.findall("visual"):
             mesh = visual.find("geometry/mesh")
             name = "" if mesh is None else mesh.get("filename", "")
-            if name.startswith(_PACKAGE):
-                is_missing = _mesh_in(folders, name) is None
-            else:
-                plain = name.removeprefix("file://")
-                is_missing = bool(plain) and "://" not in plain and not is_file(path.parent / plain)
-            if is_missing:
+            file = _mesh_in(folders, name) if name.startswith(_PACKAGE) else path.parent / name.removeprefix("file://")
+            if not name or (":" in name and not name.startswith((_PACKAGE, "file://"))):
+                continue  # Pinocchio knows more kinds of addresses
+            if file is None or not is_file(file) or (choice.tries_visuals and not _is_mesh(file)):
                 link.remove(visual)
                 found.append((str(link.get("name")), name))
     return tuple(found)
+
+
+def links_without_mesh(path: Path, root: ET.Element) -> tuple[str, ...]:
+    """Names of the links that have a visual and a collision mesh that cannot be read."""
+
+    def is_broken(mesh: ET.Element) -> bool:
+        return not _is_mesh(path.parent / mesh.get("filename", "").removeprefix("file://"))
+
+    return tuple(
+        str(link.get("name"))
+        for link in root.findall("link")
+        if link.find("visual") is not None and any(map(is_broken, link.findall("collision/geometry/mesh")))
+    )
+
+
+def _is_mesh(file: Path) -> bool:
+    """True if coal reads a mesh from a file."""
+    try:
+        return bool(coal.MeshLoader().load(str(file), np.ones(3)).num_tris)
+    except (RuntimeError, ValueError):
+        return False
 
 
 def _mesh_folders(path: Path, choice: RobotChoice) -> list[Path]:

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
+from functools import cache
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar, Self, TypeVar
 
 from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 from pydantic_core import PydanticCustomError
 
+from hplan.base.arguments import nearest_name
 from hplan.base.arrays import MOST_SHOWN, Unquoted
 from hplan.base.options import plain
 from hplan.errors import SceneError
@@ -52,7 +54,20 @@ class StrictModel(BaseModel, metaclass=_SceneErrors):
     @model_validator(mode="before")
     @classmethod
     def _takes_arrays(cls, content: Any) -> Any:
-        return {key: plain(value) for key, value in content.items()} if isinstance(content, dict) else content
+        if not isinstance(content, dict):
+            return content
+        names = cls._names()
+        for key in content:
+            close = [] if key in names else get_close_matches(str(key), names, 1)
+            if close:
+                facts = {"message": f"unknown key; did you mean {close[0]!r}?", "below": (key,)}
+                raise PydanticCustomError("extra_forbidden", "{message}", facts)
+        return {key: plain(value) for key, value in content.items()}
+
+    @classmethod
+    def _names(cls) -> Mapping[str, str]:
+        """The field of each name and alias."""
+        return _names_of(cls)
 
     def with_(self, **changes: Any) -> Self:
         """Return a checked copy with other values.
@@ -77,11 +92,10 @@ class StrictModel(BaseModel, metaclass=_SceneErrors):
             ...
             hplan.errors.bad_input.SceneError: scene, centre: a Sphere has no 'centre'; did you mean 'center'?
         """
-        fields = type(self).model_fields
-        names = {field.alias: name for name, field in fields.items() if field.alias} | {name: name for name in fields}
+        fields, names = type(self).model_fields, type(self)._names()
         for key in changes:
             if key not in names:
-                raise self.error(f"a {type(self).__name__} has no {key!r}; {nearest_names(key, names)}", where=key)
+                raise self.error(f"a {type(self).__name__} has no {key!r}; {nearest_name(key, names)}", where=key)
         kept = {key: getattr(self, key) for key in fields if key in self.model_fields_set}
         return self._validated(kept | {names[key]: value for key, value in changes.items()})
 
@@ -145,6 +159,12 @@ class StrictModel(BaseModel, metaclass=_SceneErrors):
                 yield name, Unquoted(f"<{len(value)} items>") if long else value
 
 
+@cache
+def _names_of(kind: type[BaseModel]) -> Mapping[str, str]:
+    fields = kind.model_fields
+    return {field.alias: name for name, field in fields.items() if field.alias} | {name: name for name in fields}
+
+
 def validated(kind: type[_Part], content: Any, context: dict[str, Any]) -> _Part:
     """A part of a scene from its content, for callers who know more of where a fault is.
 
@@ -153,13 +173,6 @@ def validated(kind: type[_Part], content: Any, context: dict[str, Any]) -> _Part
     """
     made: _Part = kind.__pydantic_validator__.validate_python(content, context=context)
     return made
-
-
-def nearest_names(name: str, known: Iterable[str]) -> str:
-    """The advice for a misspelt name: the nearest of the known ones, or all of them."""
-    names = list(known)
-    close = get_close_matches(name, names, 1)
-    return f"did you mean {close[0]!r}?" if close else f"it has {', '.join(names)}"
 
 
 def check_values(model: StrictModel, *place: int | str) -> None:
@@ -203,6 +216,8 @@ def scene_error(error: ValidationError, kind: type[SceneError] = SceneError) -> 
     # Pydantic puts an obstacle's kind before its keys.
     steps = [*(step for step in first["loc"] if step not in _kinds()), *below]
     value = None if isinstance(first["input"], dict) else first["input"]
+    if first["type"] == "extra_forbidden" and below:
+        value = first["input"][below[0]]
     reason = plain_message(first)
     if first["type"] == "model_type":  # no mapping in a file, but an object in a program
         reason = f"expected a {first['ctx']['class_name']} (got {_short(value)})"
@@ -224,7 +239,7 @@ def plain_message(fault: Any, words: Mapping[str, str] = MappingProxyType({})) -
     """Pydantic's message, plainly; `words` replace what is called otherwise where the value comes from."""
     kind, value = fault["type"], fault["input"]
     if kind == "extra_forbidden":
-        return "unknown key"
+        return str(fault["msg"]) if "ctx" in fault else "unknown key"
     if kind == "missing":
         return "too few values" if isinstance(fault["loc"][-1], int) else "this key is missing"
     if kind == "union_tag_not_found":

@@ -28,6 +28,7 @@ from hplan.apps.cli.terminal import (
     loading,
     progress_line,
     show,
+    uncovered_rows,
 )
 from hplan.base.units import at_least_mm
 
@@ -115,6 +116,7 @@ def _show_certificate(console: Console, scene: str, found: CellCertificate) -> N
     facts = [
         ("certificate", certificate_words(found.verified)),
         *(("", violation) for violation in found.violations),
+        *uncovered_rows(found.between.uncovered_links),
         ("clearance", ", ".join(f"{name} {at_least_mm(own.min_clearance_m)} mm" for name, own in distances.items())),
     ]
     show(console, scene, ", ".join(found.arms), facts_table(facts))
@@ -145,5 +147,6 @@ def _facts(result: CellResult | CellTour, milliseconds: float, files: str) -> It
     )
     yield "clearance", ", ".join(shown) + " or more, shown for all times"
     yield "certificate", certificate_words(report["verified"])
+    yield from uncovered_rows(result.certificate.between.uncovered_links)
     yield "time", f"[bold]{milliseconds:,.0f} ms[/], loading of compiled code included"
     yield "files", escape(files)

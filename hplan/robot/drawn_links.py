@@ -37,7 +37,7 @@ _DUMMY_M: Final = 0.01
 #: Shapes thinner than this fraction of the drawn link are flat.
 _FLAT: Final = 1e-2
 
-#: A drawn link stands out of the shapes on its joint if it does by this fraction of its size, and by this [m].
+#: A drawn link stands out of the shapes around it if it does by this fraction of its size, and by this [m].
 _STANDS_OUT: Final = 0.25
 _STANDS_OUT_M: Final = 0.03
 
@@ -87,9 +87,9 @@ def find_shape_faults(
         if frame.type != pin.FrameType.BODY or not (name in drawn or name in missing):
             continue
         points = _points(drawn.get(name, ()))
-        on_joint = (shape for shape in collision_model.geometryObjects if shape.parentJoint == frame.parentJoint)
         if name in shapes:
-            fault = _misfit(name, points, _points(shapes[name]), _points(on_joint))
+            around = _points_around(model, collision_model, int(frame.parentJoint))
+            fault = _misfit(name, points, _points(shapes[name]), around)
         else:
             fault = ShapeFault(name, "has no collision shape")
         if fault is None or (not fault.is_covered and _is_within(points, collision_model, int(frame.parentJoint))):
@@ -145,13 +145,29 @@ def _by_link(model: pin.Model, geometry: pin.GeometryModel) -> Mapping[str, list
     return found
 
 
-def _misfit(link: str, drawn: FloatArray, shape: FloatArray, on_joint: FloatArray) -> ShapeFault | None:
+def _points_around(model: pin.Model, geometry: pin.GeometryModel, joint: int) -> FloatArray:
+    """(n, 3) points, in a joint's frame, of the shapes on it and on the joints next to it.
+
+    Links next to each other often share the shape about their joint. All joints are in their neutral position.
+    """
+    data = model.createData()
+    pin.forwardKinematics(model, data, pin.neutral(model))
+    found = []
+    for other in range(model.njoints):
+        if other == joint or model.parents[other] == joint or model.parents[joint] == other:
+            place = data.oMi[joint].actInv(data.oMi[other])
+            points = _points(shape for shape in geometry.geometryObjects if shape.parentJoint == other)
+            found.append(points @ place.rotation.T + place.translation)
+    return np.concatenate(found)
+
+
+def _misfit(link: str, drawn: FloatArray, shape: FloatArray, around: FloatArray) -> ShapeFault | None:
     """Fault of the collision shapes of a link; None if they can be the drawn link.
 
     Args:
         drawn: (m, 3) points of its visuals.
         shape: (n, 3) points of its collision shapes.
-        on_joint: (k, 3) points of all collision shapes on its joint.
+        around: (k, 3) points of all collision shapes on its joint and the joints next to it.
     """
     if not len(drawn):
         return None
@@ -164,7 +180,7 @@ def _misfit(link: str, drawn: FloatArray, shape: FloatArray, on_joint: FloatArra
     if _thickness(shape) < _FLAT * _thickness(drawn):
         return ShapeFault(link, "has a flat collision shape, without the volume of the drawn link")
     directions = _DIRECTIONS.T / np.linalg.norm(_DIRECTIONS, axis=1)
-    stands_out = float(((drawn @ directions).max(axis=0) - (on_joint @ directions).max(axis=0)).max())
+    stands_out = float(((drawn @ directions).max(axis=0) - (around @ directions).max(axis=0)).max())
     if stands_out > max(_STANDS_OUT_M, _STANDS_OUT * theirs):
         return ShapeFault(link, f"stands out of its collision shape by {1e3 * stands_out:.0f} mm as drawn")
     return None

@@ -147,6 +147,7 @@ def _facts(result: CellResult | CellTour, milliseconds: float, files: str) -> It
     )
     yield "clearance", ", ".join(shown) + " or more, shown for all times"
     yield "certificate", certificate_words(report["verified"])
-    yield from uncovered_rows(result.certificate.between.uncovered_links)
+    between = result.certificate.between if isinstance(result, CellResult) else result.between
+    yield from uncovered_rows(between.uncovered_links)
     yield "time", f"[bold]{milliseconds:,.0f} ms[/], loading of compiled code included"
     yield "files", escape(files)

@@ -319,7 +319,7 @@ CASES: dict[str, Case] = {
     ),
     "Planner.aim": case(
         a_planner().aim,
-        bad={"start": ("start", 1.0, GOAL.model_copy(update={"joints_deg": None})), "goal": ("goal", 1.0, (0.0,) * 4)},
+        bad={"start": ("start", 1.0, GOAL.copy_unchecked({"joints_deg": None})), "goal": ("goal", 1.0, (0.0,) * 4)},
     ),
     "Planner.replan": case(
         lambda **given: a_running_planner().replan(**given),

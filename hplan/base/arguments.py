@@ -11,6 +11,7 @@ import math
 import os
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from difflib import get_close_matches
 from numbers import Integral, Real
 from pathlib import Path
 from typing import Any, Final, TypeVar
@@ -21,6 +22,13 @@ _T = TypeVar("_T")
 
 #: A number in a file: digits 0 to 9, point, exponent; not `1_0`, `infinity`, `0x1` or digits of other scripts.
 DECIMAL: Final = re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?")
+
+
+def nearest_name(name: str, known: Iterable[str]) -> str:
+    """The advice for a misspelt name: the nearest of the known ones, or all of them if none is near."""
+    names = list(known)
+    close = get_close_matches(name, names, 1)
+    return f"did you mean {close[0]!r}?" if close else f"there are {', '.join(names)}"
 
 
 def is_number(value: object) -> bool:

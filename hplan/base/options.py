@@ -6,11 +6,12 @@ import dataclasses
 import re
 from collections.abc import Sequence
 from functools import cache
-from typing import Annotated, Any, TypeAlias, get_type_hints
+from typing import Annotated, Any, Self, TypeAlias, get_type_hints
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
 
+from hplan.base.arguments import nearest_name
 from hplan.errors import OptionError
 
 #: Numbers above zero, and from zero on; texts that are not empty.
@@ -39,6 +40,28 @@ class Options:
             raise OptionError(_place(values, fault["loc"]), fault["input"], expected) from None
         for name in values:
             object.__setattr__(self, name, getattr(checked, name))
+
+    def with_(self, **changes: Any) -> Self:
+        """Return a checked copy with other values.
+
+        Args:
+            changes: New values by field name.
+
+        Raises:
+            OptionError: A name that is no option, or a value that its option does not take.
+
+        Examples:
+            >>> from hplan import PlanOptions
+            >>> PlanOptions().with_(speed=0.5).speed
+            0.5
+        """
+        kind: Any = type(self)
+        names = [field.name for field in dataclasses.fields(kind)]
+        for key, value in changes.items():
+            if key not in names:
+                raise OptionError(key, value, f"an option of {kind.__name__}; {nearest_name(key, names)}")
+        copied: Self = dataclasses.replace(self, **changes)  # type: ignore[type-var]
+        return copied
 
 
 @cache

@@ -24,7 +24,8 @@ verified.
 Assumed: rigid links inside their capsules or collision bodies, obstacles where the scene says, and when, tracking
 within a model of its error (`hplan.robot.tracking`; it takes from the clearance; the limits are those of the commanded
 motion). Not covered: flexing, the base's own motion but for its track, forces by which a base that turns or changes its
-pace acts on the arm (that it tilts counts), contact forces, what is not in the scene.
+pace acts on the arm (that it tilts counts), contact forces, what is not in the scene, drawn links without collision
+shapes (`Certificate.uncovered_links`).
 """
 
 from __future__ import annotations
@@ -60,12 +61,13 @@ from hplan.certificate.task_check import task_violations
 from hplan.certificate.tilted_base import use_on_track
 from hplan.certificate.touch_risk import TouchRisk, touch_risk
 from hplan.collision.coal_scene import CoalScene, Contact, OwnContact, base_contacts
+from hplan.collision.giving_way import check_yield_links
 from hplan.errors import InputError, MovingObstacleError, OptionError
 from hplan.robot.base_shapes import BASE_DEPTH
 from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel
 from hplan.scene.limits import LEAST_RISK
-from hplan.scene.model import Fruit, Scene
+from hplan.scene.model import Fruit, Scene, checked_scene
 from hplan.scene.obstacle_kind import Sigmas
 from hplan.trajectory.trajectory import Trajectory, check_joints, cubic_pieces
 
@@ -111,6 +113,7 @@ class Certificate:
             are not listed.
         clear_until_s: Time up to which the arm is shown to keep its distance if it rests where the motion ends, counted
             as the tracks' times are; inf for ever [s]. None where nothing moves, or the motion is not verified.
+        uncovered_links: Names of the drawn links that no collision shape covers: nothing is proved about them.
     """
 
     verified: bool
@@ -127,6 +130,7 @@ class Certificate:
     risk: TouchRisk | None = None
     subject: Subject | None = field(default=None, compare=False, repr=False)
     pair_rules: tuple[PairRule, ...] = ()
+    uncovered_links: tuple[str, ...] = ()
 
     @property
     def contact_s(self) -> tuple[float, float] | None:
@@ -217,7 +221,7 @@ def certify(
             negative or not finite; another contact with the goal.
     """
     instance("robot", robot, Robot, "load_robot")
-    instance("scene", scene, Scene, "load_scene")
+    check_yield_links(robot, checked_scene(scene).yield_links)
     instance("trajectory", trajectory, Trajectory, "plan or read_csv")
     truth("check_ends", check_ends)
     truth("rest_to_rest", rest_to_rest)
@@ -396,6 +400,7 @@ def certify_among(
         clear_until_s=None
         if last.moving is None or violations
         else clear_until(bezier[-1, 3], last, at_rest, clearance, clock[-1]),
+        uncovered_links=robot.uncovered_links,
     )
 
 
@@ -449,6 +454,7 @@ def all_of(parts: Sequence[Certificate]) -> Certificate:
         nearest_s=_nearest_s([part.nearest for part in parts], [part.nearest_s for part in parts]),
         clear_until_s=parts[-1].clear_until_s if all(part.verified for part in parts) else None,
         pair_rules=joined_rules(part.pair_rules for part in parts),
+        uncovered_links=tuple(dict.fromkeys(name for part in parts for name in part.uncovered_links)),
     )
 
 

@@ -138,7 +138,10 @@ def _by_path(robot: Robot, running: Certificate, motion: Trajectory, left: float
     violations = tuple(limit_violations(use))
     nearer = running.min_clearance_m - left
     rules = tuple(rule.nearer(nearer) for rule in running.pair_rules)
-    return Certificate(not violations, left, running.nearest, use, 0, violations, pair_rules=rules)
+    return Certificate(
+        not violations, left, running.nearest, use, 0, violations,
+        pair_rules=rules, uncovered_links=robot.uncovered_links,
+    )  # fmt: skip
 
 
 def _nearer(robot: Robot, off_path: FloatArray) -> float:

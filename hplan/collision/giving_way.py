@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from difflib import get_close_matches
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -92,6 +93,20 @@ class LinkedSolids(Record):
         return np.array([solid.name in names for solid in self.solids], dtype=np.bool_)
 
 
+def check_yield_links(robot: Robot, names: Sequence[str] | None) -> None:
+    """Refuse names of links that the robot does not have, or that do not move, whether anything yields or not.
+
+    Raises:
+        OptionError: There is one; names the links that move.
+    """
+    for name in names or ():
+        known = _names(robot)
+        if name not in known:
+            expected = f"links that move: {', '.join(known)}"
+            close = get_close_matches(name, known, 1)
+            raise OptionError("yield_links", name, expected + (f"; did you mean {close[0]!r}?" if close else ""))
+
+
 def pushing_links(robot: Robot, names: Sequence[str] | None) -> tuple[str, ...]:
     """The links that may push what gives way.
 
@@ -105,9 +120,7 @@ def pushing_links(robot: Robot, names: Sequence[str] | None) -> tuple[str, ...]:
     if names is None:
         last = carriers(robot, robot.tool_joint - 1)[:2]
         return tuple(name for name, joint in known.items() if joint in last)
-    for name in names:
-        if name not in known:
-            raise OptionError("yield_links", name, f"links that move: {', '.join(known)}")
+    check_yield_links(robot, names)
     return tuple(names)
 
 
@@ -136,6 +149,14 @@ def yielded(
         most = np.array([solid.rounding + (-1e-6 if isinstance(solid, Cloud) else thin) for solid in solids])
     found: FloatArray = np.maximum(0.0, np.minimum(depth, most))
     return found
+
+
+def _names(robot: Robot) -> tuple[str, ...]:
+    """Names of the links that move and have collision shapes; no mesh is cut for that."""
+    if robot.planar is not None:
+        return robot.arm.link_names
+    shapes = (shape for shape in robot.collision_model.geometryObjects if shape.parentJoint > 0)
+    return tuple(dict.fromkeys(str(robot.model.frames[shape.parentFrame].name) for shape in shapes))
 
 
 def _links(robot: Robot) -> dict[str, int]:

@@ -41,6 +41,7 @@ from hplan.errors.no_motion import (
     WorkersLostError,
 )
 from hplan.errors.root import HplanError
+from hplan.errors.warning import HplanWarning, MissingVisualWarning, UncoveredLinkWarning
 
 __all__ = [
     "ApproachError",
@@ -49,8 +50,10 @@ __all__ = [
     "CertificationError",
     "ConfigurationInCollisionError",
     "HplanError",
+    "HplanWarning",
     "InputError",
     "JointLimitError",
+    "MissingVisualWarning",
     "MovingObstacleError",
     "NoPathError",
     "NotFoundError",
@@ -70,6 +73,7 @@ __all__ = [
     "TimingError",
     "TourError",
     "UnavoidableContactError",
+    "UncoveredLinkWarning",
     "UnreachableError",
     "WorkersLostError",
 ]

@@ -17,7 +17,6 @@ from typing import Any, Literal, NamedTuple, TypeAlias, TypeVar, get_args, overl
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
 from hplan.base.arguments import between, number, one_of, text
 from hplan.base.arrays import FloatArray, numbers, readonly
@@ -27,7 +26,7 @@ from hplan.certificate.certificate import with_violations
 from hplan.certificate.retimed_certificate import CertifiedMotion
 from hplan.collision.obstacle_rows import solid_rows
 from hplan.collision.reach import largest_sway
-from hplan.errors import HplanError, InputError, NotInTimeError, OptionError, PlanCancelledError, SceneError
+from hplan.errors import HplanError, InputError, NotInTimeError, OptionError, PlanCancelledError
 from hplan.online.arm_shape import arm_solids
 from hplan.online.body_distances import distances_from_bodies
 from hplan.online.frame import CloudOptions, Frame, FrameReport, SeenPoints, filter_frame, rigid
@@ -42,7 +41,8 @@ from hplan.planning.plan import check_task, plan_with
 from hplan.planning.result import PlanResult
 from hplan.planning.task import PlanningCache
 from hplan.robot.model import Robot
-from hplan.scene.limits import FARTHEST_M, Vector
+from hplan.scene.fault import StrictModel
+from hplan.scene.limits import FARTHEST_M
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacle_kind import FromData
 from hplan.scene.obstacles import KINDS, Obstacle, PointCloud
@@ -322,7 +322,7 @@ class Planner:
                 if name == self.scene.goal.fruit:
                     raise InputError(f"fruit {name!r} is the goal; aim elsewhere before it is removed", name=name)
                 left = tuple(fruit for fruit in self.scene.fruits if fruit.name != name)
-                self.scene = self.scene.model_copy(update={"fruits": left})
+                self.scene = self.scene.copy_unchecked({"fruits": left})
                 return
             index = self._index(name)
             self._change((*self.scene.obstacles[:index], *self.scene.obstacles[index + 1 :]))
@@ -527,7 +527,7 @@ class Planner:
                 joints, pose = self._view(views[number], carried_by, mount)
                 motion = None
                 if joints is not None:
-                    there = scene.model_copy(update={"goal": Goal(joints_rad=tuple(joints.tolist()))})
+                    there = scene.copy_unchecked({"goal": Goal(joints_rad=tuple(joints.tolist()))})
                     self._check_known(there)
                     try:
                         motion = plan_with(self._cache, there, self.options)
@@ -590,7 +590,7 @@ class Planner:
 
     def _change(self, obstacles: tuple[Obstacle, ...]) -> None:
         # Names and obstacles are checked: no need to check the scene again.
-        self.scene = self.scene.model_copy(update={"obstacles": obstacles})
+        self.scene = self.scene.copy_unchecked({"obstacles": obstacles})
 
     def _index(self, name: str) -> int:
         text("name", name, "the name of an obstacle")
@@ -625,8 +625,7 @@ Unknown: TypeAlias = Literal["free", "solid"]
 #: Differences of lengths that are none [m].
 _SAME_M = 1e-9
 
-_Model = TypeVar("_Model", bound=BaseModel)
-_VECTOR: TypeAdapter[Vector] = TypeAdapter(Vector, config=ConfigDict(allow_inf_nan=False, strict=True))
+_Model = TypeVar("_Model", bound=StrictModel)
 
 
 def _check_kind(item: object) -> None:
@@ -649,15 +648,4 @@ def _changed(item: _Model, changes: Mapping[str, Any]) -> _Model:
         raise InputError(f"a {type(item).__name__.lower()} has no {unknown[0]!r}; it has {', '.join(fields)}")
     if isinstance(item, FromData) and not changes.keys() <= {"position", "rpy_deg"}:
         raise InputError("of a mesh or a point cloud only position and rpy_deg can be changed; add another instead")
-    copied = item.model_copy
-    if isinstance(item, FromData):
-        # What was read from the file stays.
-        return copied(update={key: _vector(key, value) for key, value in changes.items()})
-    return type(item).model_validate({**{key: getattr(item, key) for key in fields}, **changes})
-
-
-def _vector(key: str, value: Any) -> Vector:
-    try:
-        return _VECTOR.validate_python(value)
-    except ValidationError as error:
-        raise SceneError(f"expected three finite numbers (got {value!r})", where=key, value=value) from error
+    return item.with_(**changes)

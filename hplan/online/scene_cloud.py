@@ -44,10 +44,8 @@ def solids_named(scene: Scene, names: Sequence[str], cloud: str, time_s: float |
             raise InputError(f"ignore: {name!r} is the cloud itself", name=name)
         if name not in known:
             raise InputError(f"ignore: there is no fruit or obstacle {name!r}", name=name)
-    named = scene.model_copy(
-        update={
-            key: tuple(item for item in getattr(scene, key) if item.name in wanted) for key in ("obstacles", "fruits")
-        }
+    named = scene.copy_unchecked(
+        {key: tuple(item for item in getattr(scene, key) if item.name in wanted) for key in ("obstacles", "fruits")}
     )
     if named.moves:
         if time_s is None:
@@ -63,4 +61,4 @@ def with_cloud(scene: Scene, name: str, cloud: PointCloud | None) -> Scene:
     place = next((number for number, obstacle in enumerate(obstacles) if obstacle.name == name), len(obstacles))
     obstacles[place : place + 1] = [] if cloud is None else [cloud]
     # Name and obstacle are checked: no need to check the scene again.
-    return scene.model_copy(update={"obstacles": tuple(obstacles)})
+    return scene.copy_unchecked({"obstacles": tuple(obstacles)})

@@ -159,7 +159,7 @@ class RunningMotion:
         until = self._certificate(Retimed.cut(self.plan.trajectory, seam), self.row)
         if not until.verified:
             raise self._blocked(until.violations)
-        scene = self._scene.since(float(time[seam])).model_copy(update={"start": _state_at(self.plan.trajectory, seam)})
+        scene = self._scene.since(float(time[seam])).copy_unchecked({"start": _state_at(self.plan.trajectory, seam)})
         stop = stopped(self.plan.trajectory, float(time[seam]), self.plan.robot).trajectory
         try:
             new = plan_with(self._cache, scene, self._options, stop=stop.since(seam))
@@ -238,7 +238,7 @@ class RunningMotion:
         """A plan with another trajectory, which begins in the state of the running motion now."""
         begins_s = self.begins_s
         state = _state_at(self.plan.trajectory, self.row)
-        scene = self._scene.since(begins_s).model_copy(update={"start": state})
+        scene = self._scene.since(begins_s).copy_unchecked({"start": state})
         certificate = replace(certificate, digests=Digests.of(self.plan.robot, scene, trajectory))
         transit = made.motion
         task = replace(transit.task, scene=scene, options=self._options)

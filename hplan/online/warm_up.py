@@ -108,7 +108,7 @@ def _is_done(robot: Robot, start: FloatArray, goal: FloatArray, blocked: bool) -
         return False
     for changes, options in _other_tasks(robot, scene, Fruit(name="fruit", center=tuple(end.tolist()), radius=radius)):
         with suppress(HplanError):  # whatever was called until then is loaded
-            Planner(robot, scene.model_copy(update=changes), options).plan()
+            Planner(robot, scene.copy_unchecked(changes), options).plan()
     seconds = trajectory.duration
     points = rng.normal(robot.tool_positions(trajectory.state_at(0.7 * seconds)[0]), radius, (2000, 3))
     with suppress(HplanError):
@@ -128,7 +128,7 @@ def _other_tasks(robot: Robot, scene: Scene, fruit: Fruit) -> Iterator[tuple[dic
     ball, *others = scene.obstacles
     track = Track(times_s=(0.0, 1.0), shifts_m=((0.0, 0.0, fruit.radius), (0.0, 0.0, 0.0)))
     yield {"obstacles": ()}, usual
-    yield {"obstacles": (ball.model_copy(update={"track": track}), *others)}, usual
+    yield {"obstacles": (ball.copy_unchecked({"track": track}), *others)}, usual
     yield {"fruits": (fruit,), "goal": Goal(fruit=fruit.name)}, usual
     yield {}, PlanOptions(tracking_error=1e-4, tracking_delay_s=1e-4, effort="best")
     if robot.planar is None:

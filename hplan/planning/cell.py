@@ -79,7 +79,7 @@ class CellArm(Record):
 
     def starting(self, q: FloatArray) -> CellArm:
         """The arm where it begins at another (dof,) configuration."""
-        return replace(self, scene=self.scene.model_copy(update={"start": Start(joints_rad=tuple(q.tolist()))}))
+        return replace(self, scene=self.scene.copy_unchecked({"start": Start(joints_rad=tuple(q.tolist()))}))
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,7 +165,7 @@ class Cell(Record):
         """
         begin = self.configuration({}) if start is None else start
         found = self.scene.task(Goal(joints_rad=tuple(goal.tolist())), Start(joints_rad=tuple(begin.tolist())))
-        return found if obstacles else found.model_copy(update={"obstacles": (), "fruits": ()})
+        return found if obstacles else found.copy_unchecked({"obstacles": (), "fruits": ()})
 
     def together(self, motions: Mapping[str, Trajectory]) -> Trajectory:
         """Motions of arms on one clock: who has none stays at its start, who has arrived where it is.
@@ -337,6 +337,7 @@ class CellResult(Record, InNotebook):
             "between_arms_mm": _mm(self.certificate.between.min_clearance_m),
             "arms_mm": {name: _mm(each.min_clearance_m) for name, each in self.certificate.arms.items()},
             "violations": list(self.certificate.violations),
+            "uncovered_links": list(self.certificate.between.uncovered_links),
         }
 
 
@@ -438,7 +439,7 @@ def standing(cell: Cell, name: str, thicker: float) -> Iterator[AnyObstacle]:
     for body, solid in zip(collision_bodies(robot), solids, strict=True):
         if cell.owner(body.name) != name:
             place = base.actInv(data.oMi[body.joint + 1])
-            yield solid.model_copy(update=moved(solid, place.rotation, place.translation))
+            yield solid.copy_unchecked(moved(solid, place.rotation, place.translation))
 
 
 def _states(rows: Rows, clock: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -517,6 +518,7 @@ def _loaded(arm: CellRobot, folder: Path) -> Robot:
         limits=limits if limits is not None and limits.is_file() else arm.limits,
         tool_frame=arm.tool_frame,
         hold=arm.hold,
+        collision_from_visual=arm.collision_from_visual,
     )
 
 

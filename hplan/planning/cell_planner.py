@@ -378,11 +378,11 @@ def _to_goal(there: Cell, name: str, options: PlanOptions, goal: Goal | None = N
         HplanError: As `plan`.
     """
     arm = there.arm(name)
-    scene = arm.scene if goal is None else arm.scene.model_copy(update={"goal": goal})
+    scene = arm.scene if goal is None else arm.scene.copy_unchecked({"goal": goal})
     options = replace(options, effort="quick", deadline_s=None)
 
     def among(thicker: float) -> Scene:
-        return scene.model_copy(update={"obstacles": (*scene.obstacles, *standing(there, name, thicker))})
+        return scene.copy_unchecked({"obstacles": (*scene.obstacles, *standing(there, name, thicker))})
 
     try:
         return plan(arm.robot, among(_THICKER), options).trajectory

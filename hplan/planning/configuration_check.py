@@ -14,8 +14,9 @@ from hplan.base.arrays import BoolArray, FloatArray, Record, numbers, readonly
 from hplan.base.units import FARTHEST_JOINT
 from hplan.certificate.moving_obstacles import checker_in_time
 from hplan.collision.coal_scene import CoalScene, Contact
+from hplan.collision.giving_way import check_yield_links
 from hplan.robot.model import Robot
-from hplan.scene.model import Scene
+from hplan.scene.model import Scene, checked_scene
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,17 +24,20 @@ class ConfigurationCheck(Record):
     """Configurations among obstacles; arrays have the shape (...) of (..., dof) configurations, () of one.
 
     Attributes:
-        valid: True where the arm is farther from everything than it is to keep.
+        valid: True where the joints are within their limits and the arm is farther from everything than it is to keep.
         in_contact: True where it touches an obstacle or itself, or pushes deeper than what gives way may be pushed.
         distance_m: Signed distance of the nearest pair, that with the least beyond what it is to keep; negative is the
             depth, inf where there is nothing to meet [m].
         contacts: That pair of each configuration in turn: link, and obstacle or other link; None for nothing to meet.
+        limit_faults: For each configuration in turn the message about the first joint outside its limits; None if all
+            are within.
     """
 
     valid: BoolArray
     in_contact: BoolArray
     distance_m: FloatArray
     contacts: tuple[Contact | None, ...]
+    limit_faults: tuple[str | None, ...]
 
     @property
     def nearest(self) -> Contact | None:
@@ -45,10 +49,10 @@ class ConfigurationCheck(Record):
 def check(
     robot: Robot, scene: Scene, q: ArrayLike, *, time_s: float | None = None, sigmas: float = 3.0
 ) -> ConfigurationCheck:
-    """Whether configurations are free, and what is nearest, by the collision checker that judges motions (coal).
+    """Check joint limits and distances of configurations, with the collision checker that judges motions (coal).
 
-    All fruit counts as obstacle, that of the goal too. Joint limits are not looked at, nor what pedestal and turret
-    stand in, as no joint changes that. What is free at some configurations may be in contact between them: `finish`
+    All fruit counts as obstacle, that of the goal too. Not checked is what pedestal and turret stand in, as no joint
+    changes that. What is free at some configurations may be in contact between them: `finish`
     certifies a path. The checker is kept for the next call with the same robot and scene.
 
     Args:
@@ -61,10 +65,12 @@ def check(
     Raises:
         InputError: No such array of finite numbers.
         MovingObstacleError: Obstacles move, and no time is given.
-        OptionError: No robot or scene, a time that is not finite, a negative number of standard deviations.
+        OptionError: No robot or scene, a time that is not finite, a negative number of standard deviations;
+            `yield_links` that the robot does not have.
+        SceneError: A value of the scene was changed past its checks.
     """
     instance("robot", robot, Robot, "load_robot")
-    instance("scene", scene, Scene, "load_scene")
+    check_yield_links(robot, checked_scene(scene).yield_links)
     if time_s is not None:
         number("time_s", time_s, "a finite number of seconds")
     number("sigmas", sigmas, "a finite number >= 0", lambda value: value >= 0.0)
@@ -72,11 +78,16 @@ def check(
     rows, shape = values.reshape(-1, robot.dof), values.shape[:-1]
     checker = robot.cached("last checker", _LastChecker).of(robot, scene, sigmas)
     found = [_looked_at(checker, row, scene.clearance, time_s) for row in rows]
+    names = ["q" if not shape else f"q[{', '.join(map(str, index))}]" for index in np.ndindex(shape)]
+    faults = [robot.limit_fault(row, name) for row, name in zip(rows, names, strict=True)]
     return ConfigurationCheck(
-        readonly([valid for valid, _, _ in found], np.bool_).reshape(shape),
+        readonly(
+            [valid and fault is None for (valid, _, _), fault in zip(found, faults, strict=True)], np.bool_
+        ).reshape(shape),
         readonly([touches for _, touches, _ in found], np.bool_).reshape(shape),
         readonly([math.inf if near is None else near.distance_m for _, _, near in found]).reshape(shape),
         tuple(near for _, _, near in found),
+        tuple(None if fault is None else fault.message for fault in faults),
     )
 
 

@@ -70,7 +70,7 @@ def stopping_first(robot: Robot, scene: Scene, options: PlanOptions, plans_of: P
     """A stop and a plan from its end, where what moves is as it is then; None where it is not verified as a whole."""
     stop_s = stop.trajectory.duration
     rest = Start(joints_rad=tuple(stop.trajectory.position[-1].tolist()))
-    plan = last(plans_of(scene.since(stop_s).model_copy(update={"start": rest})))
+    plan = last(plans_of(scene.since(stop_s).copy_unchecked({"start": rest})))
     later, trajectory, _ = plan.whole
     first, *others = (phase.later(stop_s) for phase in later)
     phases = (replace(first, start_s=0.0), *others)

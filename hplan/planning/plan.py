@@ -11,6 +11,7 @@ from hplan.base.deadline import Cancel, TimeIsUpError, TimeLimit, check_deadline
 from hplan.certificate.certificate import GoalContact, certify, goal_contacts
 from hplan.certificate.digests import Digests
 from hplan.certificate.start_state import start_state
+from hplan.collision.giving_way import check_yield_links
 from hplan.errors import CertificationError, HplanError, MovingObstacleError, NoPathError, OptionError, TimingError
 from hplan.planning.at_risk import plan_at_risk
 from hplan.planning.in_time import plans_in_time
@@ -23,7 +24,7 @@ from hplan.planning.stages import StageClock
 from hplan.planning.task import LastWorld, PlanningCache, Progress, no_progress
 from hplan.robot.model import Robot
 from hplan.robot.tracking import largest_fraction, name_margin
-from hplan.scene.model import Scene
+from hplan.scene.model import Scene, checked_scene
 from hplan.trajectory.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -97,10 +98,11 @@ def check_task(
     """Refuse what is no robot, scene, options or function, such as the first two in the wrong order.
 
     Raises:
-        OptionError: It is none, or an option that the robot has no use for.
+        OptionError: It is none, or an option that the robot has no use for; `yield_links` that the robot does not have.
+        SceneError: A value of the scene was changed past its checks.
     """
     instance("robot", robot, Robot, "load_robot")
-    instance("scene", scene, Scene, "load_scene")
+    check_yield_links(robot, checked_scene(scene).yield_links)
     function("progress", progress)
     if options is not None:
         instance("options", options, PlanOptions).check_for(robot, takes_risk=takes_risk)

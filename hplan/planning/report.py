@@ -94,6 +94,7 @@ def certificate_report(certificate: Certificate, options: PlanOptions, scene: Sc
         **({"pair_rules": [vars(rule) for rule in certificate.pair_rules]} if certificate.pair_rules else {}),
         "limit_use": vars(certificate.limit_use),
         "violations": list(certificate.violations),
+        **({"uncovered_links": list(certificate.uncovered_links)} if certificate.uncovered_links else {}),
         "digests": None if digests is None else vars(digests),
         **({} if certificate.nearest_s is None else {"nearest_s": certificate.nearest_s}),
         **({} if until is None else {"clear_until_s": until if math.isfinite(until) else None}),

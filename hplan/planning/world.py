@@ -284,7 +284,7 @@ def without_inside(robot: Robot, scene: Scene) -> tuple[Scene, tuple[str, ...]]:
         parts[key] = tuple(part for part in parts[key] if part.name not in inside)
     parts["fruits"] = hanging_from(parts["obstacles"], parts["fruits"])
     if scene.goal.fruit in inside and parts["fruits"]:
-        parts["goal"] = scene.goal.model_copy(update={"fruit": parts["fruits"][0].name})
+        parts["goal"] = scene.goal.copy_unchecked({"fruit": parts["fruits"][0].name})
     return Scene.model_validate(parts), tuple(
         part.name for part in (*scene.obstacles, *scene.fruits) if part.name in inside
     )

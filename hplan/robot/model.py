@@ -8,6 +8,8 @@ is of the planar family, `Robot.planar`, for which there are a closed-form C-spa
 from __future__ import annotations
 
 import math
+import warnings
+import xml.etree.ElementTree as ET
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, wraps
@@ -21,7 +23,15 @@ from numpy.typing import ArrayLike
 from hplan.base.arguments import each, file_path, instance, list_of, number, truth
 from hplan.base.arrays import BoolArray, FloatArray, Record, as_array, numbers, readonly
 from hplan.base.units import FARTHEST_JOINT, JointUnit, joint_unit
-from hplan.errors import InputError, JointLimitError, RobotFamilyError
+from hplan.errors import (
+    InputError,
+    JointLimitError,
+    MissingVisualWarning,
+    RobotFamilyError,
+    RobotFileError,
+    UncoveredLinkWarning,
+)
+from hplan.robot.drawn_links import ShapeFault, describe_shape_faults, find_shape_faults
 from hplan.robot.dynamics import InverseDynamics, joints_that_slide
 from hplan.robot.family_reader import check_joints, read_family
 from hplan.robot.files import (
@@ -34,7 +44,7 @@ from hplan.robot.files import (
     robot_files,
 )
 from hplan.robot.planar_family import PlanarArm, PlanarFamily, PlanarNames
-from hplan.robot.urdf_adaptation import RobotChoice, adapt_urdf
+from hplan.robot.urdf_adaptation import AdaptedUrdf, RobotChoice, adapt_urdf, drop_missing_visuals, links_without_mesh
 from hplan.robot.urdf_check import frame_number
 from hplan.robot.urdf_xml import is_urdf_text, read_urdf_xml
 
@@ -75,6 +85,7 @@ class Robot(PlanarNames, Record):
         may_touch: Pairs of links that may touch, by the robot's SRDF, Drake's filter groups or as neighbours, and the
             reason.
         owners: Of several arms joined to one robot, the arm of each link by the link's name; empty for a single robot.
+        shape_faults: Drawn links whose collision shapes are missing or do not fit (`hplan.robot.drawn_links`).
     """
 
     name: str
@@ -97,6 +108,7 @@ class Robot(PlanarNames, Record):
     beyond_family: tuple[str, str] | None = None
     may_touch: tuple[tuple[str, str, str], ...] = ()
     owners: Mapping[str, str] = field(default_factory=dict)
+    shape_faults: tuple[ShapeFault, ...] = ()
 
     def __repr__(self) -> str:
         joints = ", ".join(self.joint_names)
@@ -132,6 +144,11 @@ class Robot(PlanarNames, Record):
             RobotFamilyError: The robot is not of the family.
         """
         return replace(self, planar=replace(self.family, arm=arm))
+
+    @property
+    def uncovered_links(self) -> tuple[str, ...]:
+        """Names of the drawn links that no collision shape covers: plans and certificates say nothing about them."""
+        return tuple(fault.link for fault in self.shape_faults if not fault.is_covered)
 
     @property
     def dof(self) -> int:
@@ -324,11 +341,32 @@ class Robot(PlanarNames, Record):
                 raise InputError(
                     f"{which}: joint {joint!r} is at {value}, expected a finite number", which=which, joint=joint
                 )
-        for joint, value, lower, upper in zip(self.joint_names, values, self.lower, self.upper, strict=True):
-            if not lower - 1e-9 <= value <= upper + 1e-9:
-                unit = self.units[self.joint_names.index(joint)].position
-                raise JointLimitError(which, joint, float(value), float(lower), float(upper), unit)
+        fault = self.limit_fault(values, which)
+        if fault is not None:
+            raise fault
         return readonly(np.clip(values, self.lower, self.upper))
+
+    def limit_fault(self, q: FloatArray, which: str) -> JointLimitError | None:
+        """Error for the first joint of a (dof,) configuration that is outside its limits; None if there is none.
+
+        Joints may be outside by 1e-9 rad or m. If the configuration would be within the limits in degrees, the error
+        says so.
+
+        Args:
+            which: What the configuration is, for the error.
+        """
+        outside = ~((self.lower - 1e-9 <= q) & (q <= self.upper + 1e-9))
+        if not outside.any():
+            return None
+        first = int(outside.argmax())
+        value, lower, upper = (float(values[first]) for values in (q, self.lower, self.upper))
+        found = JointLimitError(which, self.joint_names[first], value, lower, upper, self.units[first].position)
+        turning = ~np.array(self.slides)
+        in_degrees = np.where(turning, np.radians(q), q)
+        fits = (self.lower - 1e-9 <= in_degrees) & (in_degrees <= self.upper + 1e-9)
+        if turning[first] and abs(value) > math.tau and fits.all():
+            found.add("are these degrees? Joint values are in radians: np.radians(q)")
+        return found
 
 
 def made_once(make: Callable[Concatenate[Robot, _P], _T]) -> Callable[Concatenate[Robot, _P], _T]:
@@ -353,6 +391,7 @@ def load_robot(
     package_dirs: Sequence[Path | str] = (),
     srdf: Path | str | None = None,
     allow_neighbours: bool = False,
+    collision_from_visual: bool | Sequence[str] = False,
 ) -> Robot:
     """Load a robot; joints of its URDF that do not move are made fixed.
 
@@ -373,15 +412,64 @@ def load_robot(
             the same, and so are all pairs of an arm of the planar family, whose geometry says which can touch.
         allow_neighbours: Whether links with one joint between them may touch, as most SRDFs say; without it those may
             that always do. No arm of the planar family needs it.
+        collision_from_visual: True to build the collision shapes of all links in `Robot.shape_faults` from what is
+            drawn; or names of links whose collision shapes are replaced so.
+
+    Warns:
+        UncoveredLinkWarning: A link is drawn, but has no collision shape or one of another size.
+        MissingVisualWarning: The mesh file of a visual is missing; the link is not drawn.
 
     Raises:
-        RobotFileError: The URDF, the limits file or the SRDF is missing, malformed or incomplete; a mesh is missing;
-            the URDF is well-formed but holds no robot that can move, no tool frame, or a joint of the wrong kind; says
-            which element and why.
+        RobotFileError: The URDF, the limits file or the SRDF is missing, malformed or incomplete; a collision mesh is
+            missing; a link of `collision_from_visual` does not exist or has no visual; the URDF is well-formed but
+            holds no robot that can move, no tool frame, or a joint of the wrong kind; says which element and why.
         InputError: A joint to move or to hold that does not exist or cannot; xacro without `xacrodoc`; a robot by name
             without example-robot-data.
         JointLimitError: A joint held outside its limits.
     """
+    robot, missing = _read_robot(
+        path,
+        limits=limits,
+        tool_frame=tool_frame,
+        joints=joints,
+        hold=hold,
+        package_dirs=package_dirs,
+        srdf=srdf,
+        allow_neighbours=allow_neighbours,
+        collision_from_visual=collision_from_visual,
+    )
+    if missing:
+        listed = ", ".join(f"{file} of link {link!r}" for link, file in missing)
+        message = f"robot {robot.name!r}: visual meshes are missing, and their links are not drawn: {listed}"
+        warnings.warn(message, MissingVisualWarning, stacklevel=2)
+    if robot.shape_faults:
+        message = describe_shape_faults(robot.name, robot.shape_faults)
+        warnings.warn(message, UncoveredLinkWarning, stacklevel=2)
+    return robot
+
+
+def read_robot(path: Path | str | None, **options: Any) -> Robot:
+    """Load a robot as `load_robot` does, without its warnings: for robots that were loaded before.
+
+    Raises:
+        InputError: As `load_robot`.
+    """
+    return _read_robot(path, **options)[0]
+
+
+def _read_robot(
+    path: Path | str | None,
+    *,
+    limits: Path | str | None = None,
+    tool_frame: str | None = None,
+    joints: Sequence[str] | None = None,
+    hold: Mapping[str, float] | None = None,
+    package_dirs: Sequence[Path | str] = (),
+    srdf: Path | str | None = None,
+    allow_neighbours: bool = False,
+    collision_from_visual: bool | Sequence[str] = False,
+) -> tuple[Robot, tuple[tuple[str, str], ...]]:
+    """The robot of `load_robot`, and the link and the file of each visual mesh that is missing."""
     files = robot_files(path)
     frame = instance("tool_frame", files.tool_frame if tool_frame is None else tool_frame, str)
     choice = RobotChoice(
@@ -389,12 +477,23 @@ def load_robot(
         None if joints is None else list_of("joints", joints, str, "names"),
         {name: number(f"hold[{name!r}]", value, "a position") for name, value in _mapping(hold).items()},
         (*each("package_dirs", package_dirs, "a list of folders", file_path), *files.package_dirs),
+        ()
+        if isinstance(collision_from_visual, bool)
+        else list_of("collision_from_visual", collision_from_visual, str, "names of links"),
     )
     text = path if isinstance(path, str) and is_urdf_text(path) else None
     urdf_path = files.urdf
-    root = read_urdf_xml(urdf_path, text, choice.package_dirs)
-    adapted = adapt_urdf(urdf_path, root, choice)
-    model, collision_model, visual_model = build_models(urdf_path, adapted.urdf, adapted.text)
+    every = collision_from_visual is True
+    choice, root, adapted, models = _built(urdf_path, text, choice, mend=every)
+    undrawn = {link for link, _ in adapted.missing_visuals}
+    faults = find_shape_faults(*models, undrawn)
+    drawn = {shape.name.rpartition("_")[0] for shape in models[2].geometryObjects}
+    from_visual = [fault.link for fault in faults if fault.link in drawn]
+    if from_visual and every:
+        choice = replace(choice, from_visual=(*choice.from_visual, *from_visual))
+        choice, root, adapted, models = _built(urdf_path, text, choice)
+        faults = find_shape_faults(*models, undrawn)
+    model, collision_model, visual_model = models
     check_joints(urdf_path, model)
     joint_names = tuple(model.names)[1:]
     if choice.joints is not None and choice.joints != joint_names:
@@ -413,7 +512,7 @@ def load_robot(
         planar = read_family(model, collision_model, frame)
     except RobotFamilyError as error:
         beyond_family = error.element, error.reason
-    return Robot(
+    robot = Robot(
         name=model.name,
         urdf_path=urdf_path,
         model=model,
@@ -433,7 +532,39 @@ def load_robot(
         planar=planar,
         beyond_family=beyond_family,
         may_touch=may_touch,
+        shape_faults=faults,
     )
+    return robot, adapted.missing_visuals
+
+
+def _built(
+    urdf_path: Path, text: str | None, choice: RobotChoice, *, mend: bool = False
+) -> tuple[RobotChoice, ET.Element, AdaptedUrdf, tuple[pin.Model, pin.GeometryModel, pin.GeometryModel]]:
+    """The elements of a URDF, adapted, and its kinematic, collision and visual models.
+
+    Unreadable visual meshes are dropped.
+
+    Args:
+        mend: Whether links with an unreadable collision mesh are shaped from their visuals.
+
+    Returns:
+        The choice with which the URDF was read in the end, the elements, the adapted URDF and the models.
+    """
+    root = read_urdf_xml(urdf_path, text, choice.package_dirs)
+    adapted = adapt_urdf(urdf_path, root, choice)
+    try:
+        return choice, root, adapted, build_models(urdf_path, adapted.urdf, adapted.text)
+    except RobotFileError as error:
+        unread = replace(choice, tries_visuals=True)
+        if drop_missing_visuals(urdf_path, root, unread):
+            return _built(urdf_path, text, unread, mend=mend)
+        broken = links_without_mesh(urdf_path, root)
+        if not broken:
+            raise
+        if not mend:
+            error.add(f"collision_from_visual={list(broken)} (--collision-from-visual) builds shapes from the visuals")
+            raise
+    return _built(urdf_path, text, replace(choice, from_visual=broken))
 
 
 def _mapping(hold: Mapping[str, float] | None) -> dict[str, float]:

@@ -16,7 +16,7 @@ import pinocchio as pin
 
 from hplan.base.arrays import readonly
 from hplan.errors import InputError
-from hplan.robot.model import Robot, load_robot
+from hplan.robot.model import Robot, read_robot
 from hplan.robot.urdf_adaptation import set_origin
 from hplan.robot.urdf_xml import read_urdf_xml
 
@@ -61,12 +61,19 @@ def joined_robots(
     ordered = sorted(arms, key=lambda each: f"{each}_mount")  # as URDF readers order the branches of a link
     joints = [f"{each}_{joint}" for each in ordered for joint in arms[each][0].joint_names]
     first, (robot, _) = next(iter(arms.items()))
-    found = load_robot(ET.tostring(root, encoding="unicode"), joints=joints, tool_frame=f"{first}_{robot.tool_frame}")
+    found = read_robot(ET.tostring(root, encoding="unicode"), joints=joints, tool_frame=f"{first}_{robot.tool_frame}")
     allowed = [(f"{n}_{a}", f"{n}_{b}", why) for n in ordered for a, b, why in arms[n][0].may_touch]
     allowed += _declared(arms, may_touch)
     owners = {f"{each}_{link}": each for each, (robot, _) in arms.items() for link in _link_names(robot)}
     turning = np.concatenate([arms[each][0].continuous for each in ordered])
-    return replace(found, continuous=readonly(turning, np.bool_), may_touch=tuple(allowed), owners=owners)
+    faults = tuple(replace(fault, link=f"{each}_{fault.link}") for each in arms for fault in arms[each][0].shape_faults)
+    return replace(
+        found,
+        continuous=readonly(turning, np.bool_),
+        may_touch=tuple(allowed),
+        owners=owners,
+        shape_faults=faults,
+    )
 
 
 def _declared(

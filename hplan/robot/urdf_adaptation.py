@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+import coal
 import numpy as np
 import pinocchio as pin
 
@@ -24,6 +25,7 @@ from hplan.base.arrays import Record
 from hplan.base.files import is_file, note_input
 from hplan.base.units import joint_unit
 from hplan.errors import InputError, JointLimitError, RobotFileError
+from hplan.robot.drawn_links import shape_links_from_visuals
 from hplan.robot.family_reader import hold_advice
 from hplan.robot.urdf_file import Joint, Urdf, check_inertias, read_urdf
 from hplan.robot.urdf_xml import URDF_TEXT, line_of
@@ -51,12 +53,16 @@ class RobotChoice(Record):
             held.
         hold: Values of joints that stand still, by name [rad, m].
         package_dirs: Folders in which `package://` meshes are looked for first.
+        from_visual: Names of links whose collision shapes are built from their visuals.
+        tries_visuals: Whether visual meshes are read, and dropped if they cannot be.
     """
 
     tool_frame: str = "tool0"
     joints: tuple[str, ...] | None = None
     hold: Mapping[str, float] | None = None
     package_dirs: tuple[Path, ...] = ()
+    from_visual: tuple[str, ...] = ()
+    tries_visuals: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,12 +73,15 @@ class AdaptedUrdf(Record):
         text: Its XML; None where that is the file's.
         continuous: Names of the joints that turn without end, and move.
         held: Where joints stand that were made fixed, by name [rad, m]; of joints of several coordinates, None.
+        missing_visuals: Name of the link and of the mesh file for each visual that was dropped, as its file is missing
+            or unreadable.
     """
 
     urdf: Urdf
     text: str | None
     continuous: frozenset[str]
     held: Mapping[str, float | None]
+    missing_visuals: tuple[tuple[str, str], ...] = ()
 
 
 def adapt_urdf(path: Path, root: ET.Element, choice: RobotChoice) -> AdaptedUrdf:
@@ -83,14 +92,19 @@ def adapt_urdf(path: Path, root: ET.Element, choice: RobotChoice) -> AdaptedUrdf
         root: Its root element; it is changed.
 
     Raises:
-        RobotFileError: What `read_urdf` and `check_inertias` refuse; a mesh that is not found; a joint that mimics one
-            that does not exist, or itself; one that moves, and mimics or is mimicked, or is continuous and without
-            velocity or effort limit; a base that is tilted, or not fixed, on what carries it.
+        RobotFileError: What `read_urdf` and `check_inertias` refuse; a collision mesh that is not found; a joint that
+            mimics one that does not exist, or itself; one that moves, and mimics or is mimicked, or is continuous and
+            without velocity or effort limit; a base that is tilted, or not fixed, on what carries it; a link to be
+            shaped from its visual that has none.
         InputError: A joint to move or to hold that does not exist or cannot.
         JointLimitError: A joint held outside its limits.
     """
     urdf = read_urdf(path, root)
-    changed = _find_meshes(path, root, choice)
+    missing = drop_missing_visuals(path, root, choice)
+    changed = _find_meshes(path, root, choice) or bool(missing)
+    if choice.from_visual:
+        shape_links_from_visuals(path, root, choice.from_visual)
+        changed = True
     chain = _Adaptation(path, str(root.get("name")), urdf, choice)
     changed |= chain.apply()
     as_is = not changed and path != URDF_TEXT and path.suffix != ".xacro"
@@ -99,7 +113,7 @@ def adapt_urdf(path: Path, root: ET.Element, choice: RobotChoice) -> AdaptedUrdf
     if as_is:
         return AdaptedUrdf(urdf, None, frozenset(), {})
     text = ET.tostring(root, encoding="unicode")
-    return AdaptedUrdf(adapted, text, frozenset(chain.continuous), chain.held)
+    return AdaptedUrdf(adapted, text, frozenset(chain.continuous), chain.held, missing)
 
 
 class _Adaptation:
@@ -370,22 +384,69 @@ def set_origin(element: ET.Element, placement: pin.SE3) -> None:
         origin.set(key, " ".join(repr(number) for number in numbers.tolist()))
 
 
+def drop_missing_visuals(path: Path, root: ET.Element, choice: RobotChoice) -> tuple[tuple[str, str], ...]:
+    """Remove visuals whose mesh files are missing or unreadable; returns the link and the file of each, by name."""
+    folders, found = _mesh_folders(path, choice), list[tuple[str, str]]()
+    for link in root.findall("link"):
+        for visual in link.findall("visual"):
+            mesh = visual.find("geometry/mesh")
+            name = "" if mesh is None else mesh.get("filename", "")
+            file = _mesh_in(folders, name) if name.startswith(_PACKAGE) else path.parent / name.removeprefix("file://")
+            if not name or (":" in name and not name.startswith((_PACKAGE, "file://"))):
+                continue  # Pinocchio knows more kinds of addresses
+            if file is None or not is_file(file) or (choice.tries_visuals and not _is_mesh(file)):
+                link.remove(visual)
+                found.append((str(link.get("name")), name))
+    return tuple(found)
+
+
+def links_without_mesh(path: Path, root: ET.Element) -> tuple[str, ...]:
+    """Names of the links that have a visual and a collision mesh that cannot be read."""
+
+    def is_broken(mesh: ET.Element) -> bool:
+        return not _is_mesh(path.parent / mesh.get("filename", "").removeprefix("file://"))
+
+    return tuple(
+        str(link.get("name"))
+        for link in root.findall("link")
+        if link.find("visual") is not None and any(map(is_broken, link.findall("collision/geometry/mesh")))
+    )
+
+
+def _is_mesh(file: Path) -> bool:
+    """True if coal reads a mesh from a file."""
+    try:
+        return bool(coal.MeshLoader().load(str(file), np.ones(3)).num_tris)
+    except (RuntimeError, ValueError):
+        return False
+
+
+def _mesh_folders(path: Path, choice: RobotChoice) -> list[Path]:
+    """Folders in which `package://` meshes are looked for, the first one first."""
+    around = [] if path == URDF_TEXT else [path.resolve().parent, *path.resolve().parents[1:5]]
+    ros = [Path(folder) for folder in os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep) if folder]
+    ros += [Path(folder) / "share" for folder in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if folder]
+    return [*choice.package_dirs, *around, *ros]
+
+
+def _mesh_in(folders: list[Path], name: str) -> Path | None:
+    """The file of a `package://` mesh; None if no folder has it."""
+    within = name.removeprefix(_PACKAGE).lstrip("/")
+    candidates = [folder / part for part in (within, within.partition("/")[2]) for folder in folders]
+    return next(filter(is_file, candidates), None)
+
+
 def _find_meshes(path: Path, root: ET.Element, choice: RobotChoice) -> bool:
     """Put the files of `package://` meshes in place of those names; returns True if there were any.
 
     Looked for, as NAME/FILE and then as FILE, in the folders given, in that of the URDF and the four above it, and in
     those of ROS.
     """
-    around = [] if path == URDF_TEXT else [path.resolve().parent, *path.resolve().parents[1:5]]
-    ros = [Path(folder) for folder in os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep) if folder]
-    ros += [Path(folder) / "share" for folder in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if folder]
-    folders = [*choice.package_dirs, *around, *ros]
+    folders = _mesh_folders(path, choice)
     meshes = [mesh for mesh in root.iter("mesh") if mesh.get("filename", "").startswith(_PACKAGE)]
     for mesh in meshes:
         name = mesh.get("filename", "")
-        within = name.removeprefix(_PACKAGE).lstrip("/")
-        candidates = [folder / part for part in (within, within.partition("/")[2]) for folder in folders]
-        found = next(filter(is_file, candidates), None)
+        found = _mesh_in(folders, name)
         if found is None:
             looked = ", ".join(map(str, folders)) or "no folder, for it is a text"
             reason = (

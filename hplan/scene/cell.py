@@ -29,6 +29,7 @@ class CellRobot(StrictModel):
         limits: Limits file, or the name of a robot, as `load_robot` takes it.
         tool_frame: Frame at the end of the arm, as `load_robot` takes it.
         hold: Values of joints that stand still [rad, m].
+        collision_from_visual: Whether, or for which links, collision shapes are built from visuals (`load_robot`).
         position: Where its base stands [m].
         rpy_deg: How its base is turned [deg].
         start: Configuration at which it begins, at rest.
@@ -42,6 +43,7 @@ class CellRobot(StrictModel):
     limits: str | None = None
     tool_frame: Name | None = None
     hold: Mapping[str, float] = {}
+    collision_from_visual: bool | tuple[Name, ...] = False
     position: Vector = (0.0, 0.0, 0.0)
     rpy_deg: Vector = (0.0, 0.0, 0.0)
     start: Start

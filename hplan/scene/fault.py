@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from difflib import get_close_matches
+from functools import cache
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Self, TypeVar
 
 from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 from pydantic_core import PydanticCustomError
 
+from hplan.base.arguments import nearest_name
 from hplan.base.arrays import MOST_SHOWN, Unquoted
 from hplan.base.options import plain
 from hplan.errors import SceneError
@@ -37,6 +40,8 @@ class _SceneErrors(ModelMetaclass):
 class StrictModel(BaseModel, metaclass=_SceneErrors):
     """Immutable, no unknown keys, no NaN or infinity, no text where a number belongs; lists and arrays become tuples.
 
+    Whatever makes an object checks its values: the constructor, `with_`, and pydantic's `model_copy`.
+
     Raises:
         SceneError: A value of the wrong kind or range.
     """
@@ -49,9 +54,92 @@ class StrictModel(BaseModel, metaclass=_SceneErrors):
     @model_validator(mode="before")
     @classmethod
     def _takes_arrays(cls, content: Any) -> Any:
-        return {key: plain(value) for key, value in content.items()} if isinstance(content, dict) else content
+        if not isinstance(content, dict):
+            return content
+        names = cls._names()
+        for key in content:
+            close = [] if key in names else get_close_matches(str(key), names, 1)
+            if close:
+                facts = {"message": f"unknown key; did you mean {close[0]!r}?", "below": (key,)}
+                raise PydanticCustomError("extra_forbidden", "{message}", facts)
+        return {key: plain(value) for key, value in content.items()}
+
+    @classmethod
+    def _names(cls) -> Mapping[str, str]:
+        """The field of each name and alias."""
+        return _names_of(cls)
+
+    def with_(self, **changes: Any) -> Self:
+        """Return a checked copy with other values.
+
+        All values are checked together, as when the object is made. Parts may be given as objects or as mappings of
+        their keys.
+
+        Args:
+            changes: New values by field name; of a field with an alias, its alias too.
+
+        Raises:
+            SceneError: A name that is no field, a value of the wrong kind or range, or values that contradict each
+                other.
+
+        Examples:
+            >>> from hplan.scene import Sphere
+            >>> apple = Sphere(name="apple", center=(1.0, 0.0, 1.5), radius=0.04)
+            >>> apple.with_(radius=0.05).radius
+            0.05
+            >>> apple.with_(centre=(0.0, 0.0, 1.0))
+            Traceback (most recent call last):
+            ...
+            hplan.errors.bad_input.SceneError: scene, centre: a Sphere has no 'centre'; did you mean 'center'?
+        """
+        fields, names = type(self).model_fields, type(self)._names()
+        for key in changes:
+            if key not in names:
+                raise self.error(f"a {type(self).__name__} has no {key!r}; {nearest_name(key, names)}", where=key)
+        kept = {key: getattr(self, key) for key in fields if key in self.model_fields_set}
+        return self._validated(kept | {names[key]: value for key, value in changes.items()})
+
+    def copy_unchecked(self, changes: Mapping[str, Any]) -> Self:
+        """Return a copy with other values, unchecked: for values that hplan has computed itself."""
+        return super().model_copy(update=changes)
+
+    def _validated(self, values: dict[str, Any]) -> Self:
+        """An object of the same class from its values by field name.
+
+        Raises:
+            SceneError: A value of the wrong kind or range.
+        """
+        try:
+            return validated(type(self), values, self._context(values))
+        except ValidationError as error:
+            raise scene_error(error, self.error) from error
+
+    def _context(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        """What validators need to know to make a copy with some values."""
+        del values  # for classes whose data are in a file
+        return {}
 
     if not TYPE_CHECKING:
+
+        def model_copy(self, *, update=None, deep=False):
+            """As pydantic's, but new values are checked, as by `with_`."""
+            return super(StrictModel, self if not update else self.with_(**update)).model_copy(deep=deep)
+
+        def copy(self, *, update=None, deep=False):
+            """As `model_copy`."""
+            return self.model_copy(update=update, deep=deep)
+
+        @classmethod
+        def model_construct(cls, _fields_set=None, **values):
+            """As the constructor: values are checked."""
+            return cls(**values)
+
+        def __setattr__(self, name, value):
+            """Refuse to change a value; private ones are no part of it."""
+            if not name.startswith("_"):
+                owner = type(self).__name__
+                raise self.error(f"a {owner} never changes; with_({name}=...) gives another one", where=name)
+            super().__setattr__(name, value)
 
         @classmethod
         def model_validate(cls, *arguments, **options):
@@ -71,6 +159,12 @@ class StrictModel(BaseModel, metaclass=_SceneErrors):
                 yield name, Unquoted(f"<{len(value)} items>") if long else value
 
 
+@cache
+def _names_of(kind: type[BaseModel]) -> Mapping[str, str]:
+    fields = kind.model_fields
+    return {field.alias: name for name, field in fields.items() if field.alias} | {name: name for name in fields}
+
+
 def validated(kind: type[_Part], content: Any, context: dict[str, Any]) -> _Part:
     """A part of a scene from its content, for callers who know more of where a fault is.
 
@@ -79,6 +173,35 @@ def validated(kind: type[_Part], content: Any, context: dict[str, Any]) -> _Part
     """
     made: _Part = kind.__pydantic_validator__.validate_python(content, context=context)
     return made
+
+
+def check_values(model: StrictModel, *place: int | str) -> None:
+    """Check an object's values, and those of its parts, as if it were made now.
+
+    Objects are checked when they are made; this is for objects whose values were changed past these checks.
+
+    Args:
+        place: Steps that lead to it, for the error.
+
+    Raises:
+        SceneError: A value of the wrong kind or range, one that is missing, or one that is no field.
+    """
+    kind = type(model)
+    values = {key: value for key, value in vars(model).items() if key in kind.model_fields or not hasattr(kind, key)}
+    for key, value in values.items():
+        if isinstance(value, StrictModel):
+            check_values(value, *place, key)
+        elif isinstance(value, tuple) and value and isinstance(value[0], StrictModel):
+            for index, part in enumerate(value):
+                if isinstance(part, StrictModel):  # anything else is refused below, with its place
+                    check_values(part, *place, key, index)
+    try:
+        validated(kind, dict(values), model._context(values))
+    except ValidationError as error:
+        found = scene_error(error, model.error)
+        where = ".".join(filter(None, (dotted(place), found.where))) or None
+        reason = f"{found.reason}; it was changed past the checks: with_(...) makes a checked copy"
+        raise model.error(reason, where=where, value=found.value) from error
 
 
 def fault(message: str, *below: int | str) -> PydanticCustomError:
@@ -93,6 +216,8 @@ def scene_error(error: ValidationError, kind: type[SceneError] = SceneError) -> 
     # Pydantic puts an obstacle's kind before its keys.
     steps = [*(step for step in first["loc"] if step not in _kinds()), *below]
     value = None if isinstance(first["input"], dict) else first["input"]
+    if first["type"] == "extra_forbidden" and below:
+        value = first["input"][below[0]]
     reason = plain_message(first)
     if first["type"] == "model_type":  # no mapping in a file, but an object in a program
         reason = f"expected a {first['ctx']['class_name']} (got {_short(value)})"
@@ -114,7 +239,7 @@ def plain_message(fault: Any, words: Mapping[str, str] = MappingProxyType({})) -
     """Pydantic's message, plainly; `words` replace what is called otherwise where the value comes from."""
     kind, value = fault["type"], fault["input"]
     if kind == "extra_forbidden":
-        return "unknown key"
+        return str(fault["msg"]) if "ctx" in fault else "unknown key"
     if kind == "missing":
         return "too few values" if isinstance(fault["loc"][-1], int) else "this key is missing"
     if kind == "union_tag_not_found":

@@ -153,7 +153,7 @@ def save_scene(scene: Scene, path: Path | str) -> Path:
         _with_file(shapes[index], path, index, taken) if index in shapes else obstacle
         for index, obstacle in enumerate(scene.obstacles)
     ]
-    return write_marked(path, dump_scene(scene.model_copy(update={"obstacles": tuple(obstacles)})), YAML_COMMENT)
+    return write_marked(path, dump_scene(scene.copy_unchecked({"obstacles": tuple(obstacles)})), YAML_COMMENT)
 
 
 def _with_file(
@@ -171,7 +171,7 @@ def _with_file(
         file = obstacle.file
         if obstacle.path is not None and (folder / file).absolute() != obstacle.path:
             file = Path(os.path.relpath(obstacle.path, folder)).as_posix()
-    return obstacle.model_copy(update={"file": file})
+    return obstacle.copy_unchecked({"file": file})
 
 
 def _present_steps(content: Any, location: Sequence[int | str]) -> list[int | str]:

@@ -1,8 +1,8 @@
 """The scene: obstacles, fruit, start and goal.
 
-A scene never changes; `with_obstacles` gives a new one. The classes are the scene file's schema too
-(`hplan.scene.file`). What keeps the arm away are an obstacle's `solids`: itself, or what a mesh or a point cloud
-becomes (`hplan.scene.solids`).
+A scene never changes; `with_` gives a checked copy with other values, `with_obstacles` one with other obstacles. The
+classes are the scene file's schema too (`hplan.scene.file`). The arm keeps clear of an obstacle's `solids`: itself, or
+the solids of a mesh or a point cloud (`hplan.scene.solids`).
 """
 
 from __future__ import annotations
@@ -11,16 +11,17 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import Annotated, Any, ClassVar, Final, Literal, Self
+from weakref import WeakValueDictionary
 
 import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import BeforeValidator, Field, field_validator, model_validator
 
-from hplan.base.arguments import list_of, number
+from hplan.base.arguments import instance, list_of, number
 from hplan.base.arrays import FloatArray, numbers
 from hplan.base.data_files import robot_names
 from hplan.errors import MovingObstacleError, SceneError
-from hplan.scene.fault import StrictModel, fault
+from hplan.scene.fault import StrictModel, check_values, fault
 from hplan.scene.limits import FARTHEST_M, MOST_OBSTACLES, Size, Vector
 from hplan.scene.obstacle_kind import (
     CovarianceField,
@@ -299,7 +300,7 @@ class Scene(StrictModel):
         return tuple(
             replace(solid, sigma=sigmas[solid.name])
             if isinstance(solid, Hull | Cloud)
-            else solid.model_copy(update={"sigma": sigmas[solid.name]})
+            else solid.copy_unchecked({"sigma": sigmas[solid.name]})
             for solid in listed
         )
 
@@ -358,7 +359,7 @@ class Scene(StrictModel):
         """
         poses = {name: (turns[0], shifts[0]) for name, (turns, shifts) in self.poses_at([time_s]).items()}
         changed = self._each(lambda item: moved(item, *poses[item.name]) if item.name in poses else {})
-        return self.model_copy(update=changed | {"base_track": None})
+        return self.copy_unchecked(changed | {"base_track": None})
 
     def since(self, time_s: float) -> Scene:
         """The scene with the times of all tracks counted from a time on [s].
@@ -374,14 +375,14 @@ class Scene(StrictModel):
             return self
         changed = self._each(lambda item: {} if item.track is None else {"track": item.track.since(time_s)})
         base_track = None if self.base_track is None else self.base_track.since(time_s)
-        return self.model_copy(update=changed | {"base_track": base_track})
+        return self.copy_unchecked(changed | {"base_track": base_track})
 
     def _each(self, changes: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
         """Obstacles and fruits, each with the values that are others."""
         found: dict[str, Any] = {}
         for key in ("obstacles", "fruits"):
             pairs = [(item, changes(item)) for item in getattr(self, key)]
-            found[key] = tuple(item.model_copy(update=update) if update else item for item, update in pairs)
+            found[key] = tuple(item.copy_unchecked(update) if update else item for item, update in pairs)
         return found
 
     def shifted(self, shift: ArrayLike, yaw_deg: float = 0.0) -> Scene:
@@ -410,11 +411,11 @@ class Scene(StrictModel):
                 x, y, z, w = goal.quaternion_xyzw
                 cos, sin = math.cos(0.5 * math.radians(yaw_deg)), math.sin(0.5 * math.radians(yaw_deg))
                 place["quaternion_xyzw"] = cos * x - sin * y, cos * y + sin * x, cos * z + sin * w, cos * w - sin * z
-            goal = goal.model_copy(update=place)
+            goal = goal.copy_unchecked(place)
         update = self._each(lambda item: moved(item, turn, by)) | {"goal": goal}
         if self.covariance is not None:
             update["covariance"] = turned_covariance(self.covariance, turn)
-        return self.model_copy(update=update)
+        return self.copy_unchecked(update)
 
     def cropped(self, reach: float, centre: ArrayLike = (0.0, 0.0, 0.0)) -> Scene:
         """The scene without what is farther from a point than a reach; what moves stays, and so does the goal's fruit.
@@ -444,7 +445,7 @@ class Scene(StrictModel):
             or fruit.name == self.goal.fruit
             or math.dist(fruit.center, point) - fruit.radius <= reach
         )
-        return self.model_copy(update={"obstacles": obstacles, "fruits": hanging_from(obstacles, fruits)})
+        return self.copy_unchecked({"obstacles": obstacles, "fruits": hanging_from(obstacles, fruits)})
 
     def with_obstacles(self, obstacles: Sequence[AnyObstacle]) -> Scene:
         """The scene's task among other obstacles.
@@ -458,13 +459,34 @@ class Scene(StrictModel):
         return Scene.model_validate({**parts, "obstacles": obstacles, "fruits": fruits})
 
 
+#: Scenes that `checked_scene` has checked, by their identity: their values do not change.
+_CHECKED: Final[WeakValueDictionary[int, Scene]] = WeakValueDictionary()
+
+
+def checked_scene(scene: Scene) -> Scene:
+    """Return the scene after a check that it, and all its parts, hold valid values.
+
+    Scenes are checked when they are made. The second check, of one scene once, is for values that were changed past
+    the first, so that nothing is certified that no scene can be.
+
+    Raises:
+        OptionError: It is no scene.
+        SceneError: A value of the wrong kind or range.
+    """
+    instance("scene", scene, Scene, "load_scene")
+    if _CHECKED.get(id(scene)) is not scene:
+        check_values(scene)
+        _CHECKED[id(scene)] = scene
+    return scene
+
+
 def hanging_from(obstacles: Iterable[Obstacle], fruits: Iterable[Fruit]) -> tuple[Fruit, ...]:
     """Fruits that hang from those of the obstacles alone from which they hung."""
     wood = {obstacle.name for obstacle in obstacles}
     return tuple(
         fruit
         if wood.issuperset(fruit.hangs_from)
-        else fruit.model_copy(update={"hangs_from": tuple(name for name in fruit.hangs_from if name in wood)})
+        else fruit.copy_unchecked({"hangs_from": tuple(name for name in fruit.hangs_from if name in wood)})
         for fruit in fruits
     )
 

@@ -91,7 +91,8 @@ class Item(StrictModel):
         """Where a covariance is given, `sigma` is what it has in its worst direction."""
         if self.covariance is not None:
             largest = largest_deviation(np.array(self.covariance))
-            if self.sigma not in (0.0, largest):
+            # Turned rows have the same deviation but for rounding.
+            if self.sigma != 0.0 and not math.isclose(self.sigma, largest, rel_tol=1e-9):
                 raise fault("sigma and covariance exclude one another", "covariance")
             vars(self)["sigma"] = largest
         return self
@@ -184,6 +185,11 @@ class FromData(Turned):
         """SHA-256 of its data before scale, turn and shift, in hexadecimal digits; made once."""
         return str(self._data.digest)
 
+    def _context(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        """A copy from the same file has the same data."""
+        kept = values.get("file") == vars(self).get("file")
+        return {"kept": (self._data, self._path)} if kept else {}
+
     def _swept(self, solids: tuple[Solid, ...]) -> tuple[Solid, ...]:
         """What its solids sweep as it sways."""
         if self.sway is None:
@@ -253,7 +259,7 @@ def posed(solid: Solid, rotation: FloatArray, shift: FloatArray) -> Solid:
         shift: (3,) shift [m].
     """
     if not isinstance(solid, Hull | Cloud):
-        return solid.model_copy(update=moved(solid, rotation, shift))
+        return solid.copy_unchecked(moved(solid, rotation, shift))
     if isinstance(solid, Hull):
         return solid.placed(rotation, shift)
     tree = solid.tree.copy()
@@ -277,7 +283,7 @@ def moved(item: Any, rotation: FloatArray, shift: FloatArray) -> dict[str, Any]:
         found["covariance"] = turned_covariance(item.covariance, rotation)
     if item.sway is not None:
         turned = tuple((rotation @ item.sway.reach).tolist())
-        found["sway"] = item.sway.model_copy(update={"direction": turned})
+        found["sway"] = item.sway.copy_unchecked({"direction": turned})
     return found
 
 

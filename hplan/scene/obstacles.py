@@ -297,6 +297,9 @@ def _shape_data(
 ) -> tuple[_Shape, Path | None]:
     """The data of a mesh or cloud, and the file it is from."""
     context = info.context or {}
+    if "kept" in context:
+        kept: tuple[_Shape, Path | None] = context["kept"]
+        return kept
     if file is None:
         if context.get("data") is None:
             raise fault("this key is missing", "file")

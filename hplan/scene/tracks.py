@@ -98,7 +98,7 @@ class Track(StrictModel):
         if not (all(abs(time) <= LONGEST_S for time in times) and all(a < b for a, b in pairwise(times))):
             expected = f"a time from which the times of tracks are within {LONGEST_S:g} s, and apart as numbers"
             raise OptionError("time_s", time_s, expected)
-        return self.model_copy(update={"times_s": times})
+        return self.copy_unchecked({"times_s": times})
 
 
 class Sway(StrictModel):

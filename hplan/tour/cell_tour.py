@@ -102,6 +102,7 @@ class CellTour(Record, InNotebook):
             "speed_up_over_one_arm": sum(busy.values()) / makespan if makespan > 0.0 else None,
             "verified": self.verified,
             "between_arms_mm": apart if math.isfinite(apart) else None,
+            "uncovered_links": list(self.between.uncovered_links),
         }  # fmt: skip
 
 

@@ -19,7 +19,7 @@ def within_reach(robot: Robot, scene: Scene) -> Scene:
     Raises:
         InputError: Something that does not give way stands in the base.
     """
-    scene = scene.model_copy(update={"goal": Goal(position=(0.0, 0.0, 0.0), approach_deg=scene.goal.approach_deg)})
+    scene = scene.copy_unchecked({"goal": Goal(position=(0.0, 0.0, 0.0), approach_deg=scene.goal.approach_deg)})
     ball = reach_ball(robot)
     cropped = scene.cropped(float(ball[3]) + scene.clearance, ball[:3])
     near, inside = without_inside(robot, cropped)
@@ -46,5 +46,5 @@ def pickable(robot: Robot, scene: Scene, options: PlanOptions | None = None) -> 
         if not now:
             break
         found |= now
-        scene = scene.model_copy(update={"fruits": tuple(fruit for fruit in scene.fruits if fruit.name not in now)})
+        scene = scene.copy_unchecked({"fruits": tuple(fruit for fruit in scene.fruits if fruit.name not in now)})
     return found

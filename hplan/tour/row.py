@@ -112,15 +112,15 @@ class Place(NamedTuple):
 
     def seen(self, scene: Scene, options: RowOptions) -> Scene:
         """The scene as the base sees it from there."""
-        stands = scene.model_copy(
-            update={"obstacles": tuple(one for one in scene.obstacles if one.name not in options.carried)}
+        stands = scene.copy_unchecked(
+            {"obstacles": tuple(one for one in scene.obstacles if one.name not in options.carried)}
         )
         if self.side == 1:
             moved = stands.shifted((0.0, -self.along, -self.height))
         else:
             moved = stands.shifted((2.0 * options.distance, self.along, -self.height), 180.0)
         carried = tuple(one for one in scene.obstacles if one.name in options.carried)
-        return moved.model_copy(update={"obstacles": (*moved.obstacles, *carried)})
+        return moved.copy_unchecked({"obstacles": (*moved.obstacles, *carried)})
 
 
 @dataclass(frozen=True, eq=False)
@@ -308,7 +308,7 @@ def _tour_at(
     near = within_reach(robot, place.seen(scene, row))
     hanging = tuple(fruit for fruit in near.fruits if fruit.name not in gone)
     try:
-        return plan_tour(robot, near.model_copy(update={"fruits": hanging}), options, fruits=wanted, tour=tour)
+        return plan_tour(robot, near.copy_unchecked({"fruits": hanging}), options, fruits=wanted, tour=tour)
     except TourError:
         return None
 

@@ -201,7 +201,7 @@ class TourPlanner:
                 break
             stages.append(stage)
             gone = set(motions.fruits)
-            scene = scene.model_copy(update={"fruits": tuple(f for f in scene.fruits if f.name not in gone)})
+            scene = scene.copy_unchecked({"fruits": tuple(f for f in scene.fruits if f.name not in gone)})
             left = [item.fruit for item in stage.unreached if not isinstance(item.error, UnreachableError)]
             if left:
                 motions = self._motions(scene, motions.end(stage.visits))

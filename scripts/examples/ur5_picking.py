@@ -59,7 +59,7 @@ def orchard(tree: str | None) -> Scene:
         scene = measured_orchard([tree], stands, start_deg=START_DEG)
     platform = Box(name="platform", center=(-0.2, 0.0, -0.36), size=(0.9, 0.7, 0.7))
     bin_wall = Box(name="bin", center=(-0.1, 0.55, -0.25), size=(0.35, 0.35, 0.4))
-    return scene.model_copy(update={"obstacles": (*scene.obstacles, platform, bin_wall)})
+    return scene.with_(obstacles=(*scene.obstacles, platform, bin_wall))
 
 
 def main(tree: str | None = None, folder: str | None = None, most: int | None = None) -> hplan.TourResult:

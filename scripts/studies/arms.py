@@ -318,7 +318,7 @@ REFERENCE_PATHS, WITHIN_RAD = 20, 0.02
 def _to_finish(asked: Asked) -> Iterable[tuple[str, Robot, Scene]]:
     robot, scene = load_robot(), load_scene()
     numbers = range(min(REFERENCE_PATHS, asked.count or REFERENCE_PATHS))
-    reference = [("reference", robot, scene.model_copy(update={"name": f"reference {number}"})) for number in numbers]
+    reference = [("reference", robot, scene.with_(name=f"reference {number}")) for number in numbers]
     return [*reference, *panda_scenes(asked)]
 
 

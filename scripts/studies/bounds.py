@@ -33,7 +33,7 @@ def bound_problem(seed: int, number: int) -> tuple[Robot, Scene, str]:
     if kind == "pinch":
         return *pinch(seed, number, ARMS[turn % len(ARMS)], ROOMS[turn // len(ARMS) % len(ROOMS)]), kind
     robot, clearance = load_robot(kind), CLEARANCES[turn % len(CLEARANCES)]
-    return robot, random_scene(robot, seed, number).scene.model_copy(update={"clearance": clearance}), kind
+    return robot, random_scene(robot, seed, number).scene.with_(clearance=clearance), kind
 
 
 def _problems(asked: Asked) -> Iterable[tuple[int, TreeProblem | None]]:

@@ -75,7 +75,7 @@ def _picked(asked: Asked, file: Path, stands: str, yaw_deg: float) -> tuple[Cell
         key: tuple(item for item in getattr(tree, key) if item.name not in inside or not item.yields)
         for key in ("obstacles", "fruits")
     }
-    cell = cell_of(robot, tree.model_copy(update=kept), stands)
+    cell = cell_of(robot, tree.with_(**kept), stands)
     return timed(lambda: plan_cell_tour(cell, PlanOptions(effort=asked.effort)))
 
 
@@ -114,7 +114,7 @@ def _row(asked: Asked, problem: tuple[Path, str]) -> Row:
     rate, arms = len(found.picked) / found.trajectory.duration, len(cell.arms)
     equal = len(shares) == arms and min(shares) * arms >= EQUAL * sum(shares)
     rigid = tuple(item for item in cell.scene.obstacles if not item.yields)
-    firm = cell.task(cell.configuration({})).model_copy(update={"obstacles": rigid, "fruits": ()})
+    firm = cell.task(cell.configuration({})).with_(obstacles=rigid, fruits=())
     with_wood, with_arms = contacts(cell.robot, firm, found.trajectory)
     return row | {
         "solved": found.verified, "how": "verified" if found.verified else "not verified", "turned_deg": yaw_deg,

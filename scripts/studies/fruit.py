@@ -46,7 +46,7 @@ class FruitProblem(NamedTuple):
 
 def _to_fruit(group: str, name: str, scene: Scene) -> list[FruitProblem]:
     goals = [(f"{name}: {fruit.name}", Goal(fruit=fruit.name)) for fruit in scene.fruits]
-    return [FruitProblem(title, group, scene.model_copy(update={"goal": goal})) for title, goal in goals]
+    return [FruitProblem(title, group, scene.with_(goal=goal)) for title, goal in goals]
 
 
 def _shipped(asked: Asked) -> list[FruitProblem]:
@@ -130,7 +130,7 @@ def _return_row(asked: Asked, problem: tuple[float, int, FruitProblem, Robot]) -
     rng = np.random.default_rng([asked.seed, number])
     start = robot.joints_of(scene.start, "start") + rng.uniform(-SHIFTED, SHIFTED, robot.dof)
     start = np.clip(start, robot.lower, robot.upper)
-    scene = scene.model_copy(update={"start": Start(joints_rad=tuple(start.tolist()))})
+    scene = scene.with_(start=Start(joints_rad=tuple(start.tolist())))
     with _deadlines_in_cpu_time():
         found, row = planned(robot, scene, PlanOptions(deadline_s=1e-3 * ms))
     late_ms = row["ms"] - ms

@@ -45,7 +45,7 @@ def sequence(robot: Robot, seed: int, number: int) -> tuple[Scene, FloatArray, t
     """A scene with its start, (POSES, 4, 4) poses, and which motions are straight."""
     rng = np.random.default_rng([seed, number, 28])
     scene = random_scene(robot, seed, number)
-    scene = scene.with_obstacles(scene.obstacles[:KEPT]).model_copy(update={"clearance": CLEARANCE_M})
+    scene = scene.with_obstacles(scene.obstacles[:KEPT]).with_(clearance=CLEARANCE_M)
     checker, extent = CoalScene(robot, scene.solids), reach_of(robot, rng)
     ways = WAYS[number % len(WAYS)]
     while True:
@@ -69,7 +69,7 @@ def sequence(robot: Robot, seed: int, number: int) -> tuple[Scene, FloatArray, t
                     break
         if len(found) == POSES + 1:
             start = Start(joints_rad=tuple(begin.tolist()))
-            return scene.model_copy(update={"start": start}), np.array(found[1:]), ways
+            return scene.with_(start=start), np.array(found[1:]), ways
 
 
 def _place(rng: np.random.Generator, extent: float) -> FloatArray:

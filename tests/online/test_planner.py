@@ -212,7 +212,7 @@ def test_meshes_and_clouds_move_with_their_data(robot: Robot) -> None:
         with pytest.raises(InputError):
             planner.move("crate", **changes)
     for position in ((0.0, math.nan, 0.0), (0.0, 1.0), ("0", 0.0, 0.0), None):
-        with pytest.raises(InputError, match="got"):
+        with pytest.raises(InputError, match=r"got|too few values"):
             planner.move("dust", position=position)
 
 

@@ -70,7 +70,7 @@ def test_kernels_and_coal_see_the_same_hull(robot):
 
 def test_it_is_drawn_by_its_surface(scene):
     sharp, round_, _ = wedges()
-    scene = scene.model_copy(update={"obstacles": (sharp, round_), "fruits": ()})
+    scene = scene.copy_unchecked({"obstacles": (sharp, round_), "fruits": ()})
     markers = [np.array([[p["x"], p["y"], p["z"]] for p in m["points"]]) for m in scene_markers(scene) if "points" in m]
     assert {tuple(p) for p in markers[0].round(9)} == {tuple(p) for p in sharp.core.round(9)}
     # The grown one holds the other with room to spare.

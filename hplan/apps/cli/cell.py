@@ -28,6 +28,7 @@ from hplan.apps.cli.terminal import (
     loading,
     progress_line,
     show,
+    uncovered_rows,
 )
 from hplan.base.units import at_least_mm
 
@@ -40,6 +41,7 @@ if TYPE_CHECKING:
 #: Options that are of one robot, and what is said of one that is given.
 _OF_ONE_ROBOT = (
     *("robot", "limits", "hold", "tool_frame", "srdf", "package_dir", "allow_neighbours", "drop_inside", "yield_links"),
+    "collision_from_visual",
     *("bound", "view", "cspace", "cspace_yaw", "certify", "fruits", "drop_off", "drop_off_pose", "drop_off_joints"),
     *("risk", "begin", "moving_ends", "every", "back", "order", "compare", "grasps", "csv"),
 )
@@ -114,6 +116,7 @@ def _show_certificate(console: Console, scene: str, found: CellCertificate) -> N
     facts = [
         ("certificate", certificate_words(found.verified)),
         *(("", violation) for violation in found.violations),
+        *uncovered_rows(found.between.uncovered_links),
         ("clearance", ", ".join(f"{name} {at_least_mm(own.min_clearance_m)} mm" for name, own in distances.items())),
     ]
     show(console, scene, ", ".join(found.arms), facts_table(facts))
@@ -144,5 +147,7 @@ def _facts(result: CellResult | CellTour, milliseconds: float, files: str) -> It
     )
     yield "clearance", ", ".join(shown) + " or more, shown for all times"
     yield "certificate", certificate_words(report["verified"])
+    between = result.certificate.between if isinstance(result, CellResult) else result.between
+    yield from uncovered_rows(between.uncovered_links)
     yield "time", f"[bold]{milliseconds:,.0f} ms[/], loading of compiled code included"
     yield "files", escape(files)

@@ -32,6 +32,7 @@ from hplan.apps.cli.terminal import (
     percent,
     risk_words,
     show,
+    uncovered_rows,
 )
 from hplan.base.files import is_folder
 from hplan.base.units import at_least_mm
@@ -148,6 +149,8 @@ def _show(console: Console, report: dict[str, Any], error: str) -> None:
     table.add_row("certificate", certificate_words(proof["verified"]))
     for violation in proof["violations"]:
         table.add_row("", escape(violation))
+    for row in uncovered_rows(proof.get("uncovered_links", ())):
+        table.add_row(*row)
     shown = " mm or more, shown for all times" if proof["verified"] else " mm, the smallest found"
     table.add_row("clearance", clearance + shown)
     table.add_row("limits used", ", ".join(f"{k} {percent(v)}" for k, v in proof["limit_use"].items()) + " %")

@@ -117,6 +117,7 @@ class FinishedJob:
                 limit_use=LimitUse(**{name: _number(value) for name, value in saved["limit_use"].items()}),
                 checks=0,
                 violations=tuple(map(str, saved["violations"])),
+                uncovered_links=tuple(map(str, saved.get("uncovered_links", ()))),
             )
         except (AttributeError, KeyError, TypeError, ValueError) as error:
             raise self._fault("its certificate is not complete") from error

@@ -66,6 +66,8 @@ _SHARED: tuple[tuple[str, str, str, dict[str, Any]], ...] = (
     ("parts", "--allow-neighbours", "links with one joint between them may touch", {"action": "store_true"}),
     ("parts", "--package-dir", "where package:// meshes are looked for first",
         {"action": "append", "type": Path, "default": [], "metavar": "DIR"}),
+    ("parts", "--collision-from-visual", "build collision shapes from the visuals of these links; without names, of "
+        "all drawn links whose shapes are missing or of another size", {"nargs": "*", "metavar": "LINK"}),
     ("contacts", "--drop-inside", "leave out obstacles and fruits that stand in pedestal or turret, and say which; "
         "they are in no proof", {"action": "store_true"}),
     ("contacts", "--yield-links", "links that may push what gives way (default: the scene's, else those of the last "
@@ -132,7 +134,7 @@ def scene_among(
 ) -> tuple[Scene, dict[str, list[str]]]:
     """The scene as `--yield-links` and `--drop-inside` want it, and for the report `left_out`, which is printed too."""
     if arguments.yield_links is not None:
-        scene = scene.model_copy(update={"yield_links": tuple(arguments.yield_links)})
+        scene = scene.with_(yield_links=tuple(arguments.yield_links))
     if not arguments.drop_inside:
         return scene, {}
     from hplan.planning.world import without_inside
@@ -160,6 +162,12 @@ def held_joints(arguments: argparse.Namespace) -> dict[str, float]:
     return held
 
 
+def from_visual(arguments: argparse.Namespace) -> bool | tuple[str, ...]:
+    """The links of `--collision-from-visual`; True for the option without names, False without the option."""
+    names = getattr(arguments, "collision_from_visual", None)
+    return names is not None and (tuple(names) or True)
+
+
 def robot_of(arguments: argparse.Namespace, scene: Scene | None = None, job: FinishedJob | None = None) -> Robot:
     """The robot that `--robot` and its companions name, else the one that the scene is meant for, else the job's."""
     from hplan.robot.model import load_robot
@@ -176,6 +184,7 @@ def robot_of(arguments: argparse.Namespace, scene: Scene | None = None, job: Fin
         package_dirs=arguments.package_dir,
         srdf=arguments.srdf,
         allow_neighbours=arguments.allow_neighbours,
+        collision_from_visual=from_visual(arguments),
     )
     _check_tracking(arguments, robot)
     return robot

@@ -129,11 +129,11 @@ def _beside_base(scene: Scene, console: Console) -> Scene:
     from hplan.robot.model import load_robot
 
     robot = load_robot() if scene.robot is None else load_robot(scene.robot)
-    fruit_alone, names = without_inside(robot, scene.model_copy(update={"obstacles": ()}))
+    fruit_alone, names = without_inside(robot, scene.copy_unchecked({"obstacles": ()}))
     if not names:
         return scene
     console.print(f"left out, hanging in pedestal or turret: {', '.join(names)}", markup=False, soft_wrap=True)
-    return scene.model_copy(update={"fruits": fruit_alone.fruits, "goal": fruit_alone.goal})
+    return scene.copy_unchecked({"fruits": fruit_alone.fruits, "goal": fruit_alone.goal})
 
 
 def _given(options: dict[str, Any]) -> dict[str, Any]:

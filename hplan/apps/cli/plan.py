@@ -41,6 +41,7 @@ from hplan.apps.cli.terminal import (
     progress_line,
     risk_words,
     show,
+    uncovered_rows,
 )
 from hplan.base.units import at_least_mm
 
@@ -263,6 +264,8 @@ def show_summary(console: Console, result: PlanResult, folder: Path, files: Sequ
     add("certificate", certificate_words(proof["verified"]))
     for violation in proof["violations"]:
         add("", escape(violation))
+    for row in uncovered_rows(proof.get("uncovered_links", ())):
+        add(*row)
     add("time", _time_words(report["time_ms"]))
     add("files", f"{escape(folder)}: {', '.join(files)}")
     show(console, report["scene"], report["robot"], table)

@@ -265,6 +265,13 @@ def certificate_words(verified: bool) -> str:
     return "[bold green]verified[/]" if verified else "[bold red]NOT VERIFIED[/]"
 
 
+def uncovered_rows(names: Collection[str]) -> list[tuple[str, str]]:
+    """The row about drawn links that a certificate does not cover, with markup; none if it covers all."""
+    if not names:
+        return []
+    return [("not covered", f"[bold yellow]drawn, without a fitting collision shape: {escape(', '.join(names))}[/]")]
+
+
 def percent(fraction: float) -> str:
     """A fraction in percent, without the sign; in powers of ten where it is beyond all use."""
     return f"{100.0 * fraction:{'.1f' if fraction < 1e4 else '.3g'}}"

@@ -42,6 +42,7 @@ OUT = Path("timed.csv")
 _WITH_SCENE = (
     *("keep_path", "effort", "seed", "sigmas", "tracking_error", "tracking_error_m", "tracking_delay", "deadline_ms"),
     *("poses", "free", "tilt", "tool_frame", "srdf", "allow_neighbours", "package_dir"),
+    "collision_from_visual",
 )
 _WITHOUT_SCENE = ("acceleration", "no_torque", "joints")
 

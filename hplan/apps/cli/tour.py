@@ -14,7 +14,15 @@ from typing import TYPE_CHECKING
 
 from hplan.apps.cli.job_folder import MCAP, PAGE, TOUR, TOUR_REPORT, JobFolder, needs_rosbags, write_result
 from hplan.apps.cli.options import add_shared, command_parser, names_robots, plan_options, robot_of, scene_among
-from hplan.apps.cli.terminal import certificate_words, escape, facts_table, number_table, progress_line, show
+from hplan.apps.cli.terminal import (
+    certificate_words,
+    escape,
+    facts_table,
+    number_table,
+    progress_line,
+    show,
+    uncovered_rows,
+)
 from hplan.base.files import cut
 from hplan.base.units import at_least_mm
 from hplan.errors import OptionError
@@ -204,6 +212,7 @@ def _facts(result: TourResult, folder: Path, files: Sequence[str]) -> Iterator[t
         compared = ", ".join(f"{order} {seconds:.2f} s" for order, seconds in totals.items())
         yield "orders", f"{compared} ({report['totals_s']['fruits']} fruits)"
     yield "certificate", certificate_words(result.certificate.verified)
+    yield from uncovered_rows(result.certificate.uncovered_links)
     planner = report["planner"]
     yield "time", f"{1e-3 * planner['time_ms']:.1f} s, {planner['motions_planned']} motions planned"
     shown = files if len(files) <= 4 else [files[0], "...", *files[-3:]]

@@ -179,6 +179,8 @@ def certificate_words(certificate: Certificate | None) -> tuple[str, str, list[s
         words += (
             f"; {names} pushed, {deepest.obstacle} by {deepest.link} deepest: {1e3 * deepest.depth_m:.2f} mm at most"
         )
+    if certificate.uncovered_links:
+        words += f"; not covered, as drawn without a fitting collision shape: {', '.join(certificate.uncovered_links)}"
     return (
         "ok" if certificate.verified else "bad",
         f"{words}; nearest: {pair}" if pair else words,

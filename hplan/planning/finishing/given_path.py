@@ -81,4 +81,4 @@ def scene_along(robot: Robot, scene: Scene, path: GivenPath) -> Scene:
     if all(own is not None and own.shape == end.shape and np.abs(own - end).max() <= SAME for own, end in ends):
         return scene
     start, goal = (tuple(path.points[end].tolist()) for end in (0, -1))
-    return scene.model_copy(update={"start": Start(joints_rad=start), "goal": Goal(joints_rad=goal)})
+    return scene.copy_unchecked({"start": Start(joints_rad=start), "goal": Goal(joints_rad=goal)})

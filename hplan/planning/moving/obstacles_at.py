@@ -22,8 +22,8 @@ def without_moving(scene: Scene) -> Scene:
     """The scene without what moves; where the base moves, as it stands at the begin, without what moves besides."""
     at_first = scene.at(0.0)
     kept = {item.name for item in (*scene.obstacles, *scene.fruits) if item.track is None}
-    return at_first.model_copy(
-        update={
+    return at_first.copy_unchecked(
+        {
             "obstacles": tuple(item for item in at_first.obstacles if item.name in kept),
             "fruits": tuple(item for item in at_first.fruits if item.name in kept),
         }
@@ -52,8 +52,8 @@ def among_poses(scene: Scene, from_s: float, to_s: float) -> Scene:
         for number in _apart(steps):
             name = f"{item.name} at {clock[number]:.3f} s"
             update = moved(item, rotations[number], shifts[number])
-            obstacles.append(item.model_copy(update=update | {"name": name}))
-    return scene.model_copy(update={"obstacles": tuple(obstacles), "fruits": still_fruits, "base_track": None})
+            obstacles.append(item.copy_unchecked(update | {"name": name}))
+    return scene.copy_unchecked({"obstacles": tuple(obstacles), "fruits": still_fruits, "base_track": None})
 
 
 def _apart(steps: FloatArray) -> Iterator[int]:

@@ -169,7 +169,7 @@ def hung(fruits: Sequence[Fruit], wood: Sequence[Obstacle], within: float) -> tu
     canopy = Canopy(bearing, 0.0, FruitZone())
     near = [canopy.wood_distances(np.array(fruit.center)) <= fruit.radius + within for fruit in fruits]
     return tuple(
-        fruit.model_copy(update={"hangs_from": tuple(bearing[number].name for number in np.flatnonzero(which))})
+        fruit.copy_unchecked({"hangs_from": tuple(bearing[number].name for number in np.flatnonzero(which))})
         for fruit, which in zip(fruits, near, strict=True)
     )
 

@@ -81,7 +81,7 @@ def measured_orchard(
         position = options.distance, y, options.height
         tree, own = import_tree(path, position=position, yaw_deg=options.yaw_deg, prefix=prefix)
         wood += [capsule(piece.name, rounded(piece.start), rounded(piece.end), piece.radius) for piece in tree]
-        hung += [fruit.model_copy(update={"center": rounded(fruit.center)}) for fruit in own]
+        hung += [fruit.copy_unchecked({"center": rounded(fruit.center)}) for fruit in own]
     # How much fruit is put on measured trees that have none, and its radius [m].
     put, put_radius = 20, 0.04
     if hung:
@@ -148,13 +148,13 @@ def _scene(
     """The scene, with a goal that exists."""
     start = list_between("start_deg", start_deg, -36000.0, 36000.0)
     obstacles = [
-        piece.model_copy(update={"yields": options.wood_yields})
+        piece.copy_unchecked({"yields": options.wood_yields})
         if options.wood_yields and isinstance(piece, Capsule) and piece.radius < options.yields_below
         else piece
         for piece in obstacles
     ]
     if options.fruit_yields:
-        fruits = tuple(fruit.model_copy(update={"yields": options.fruit_yields}) for fruit in fruits)
+        fruits = tuple(fruit.copy_unchecked({"yields": options.fruit_yields}) for fruit in fruits)
     if options.hangs_within is not None:
         fruits = hung(fruits, obstacles, options.hangs_within)
     names = [fruit.name for fruit in fruits]

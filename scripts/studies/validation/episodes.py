@@ -309,7 +309,7 @@ class Episode:
         elif what == "fruit":
             fruits = tuple(shifted(fruit, direction(rng) * rng.uniform(0.0, 0.1)) for fruit in world.fruits)
             self.world = replace(world, fruits=fruits)
-            planner.scene = planner.scene.model_copy(update={"fruits": self.world.scene().fruits})
+            planner.scene = planner.scene.with_(fruits=self.world.scene().fruits)
 
 
 def impatient() -> Callable[[], bool]:

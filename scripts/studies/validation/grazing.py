@@ -52,7 +52,7 @@ def graze(seed: int, number: int, robot: Robot | None = None) -> Tally:
             if placed is None:
                 continue
             item, body = placed
-            scene = world.scene().model_copy(update={"obstacles": (obstacle(item),)})
+            scene = world.scene().with_(obstacles=(obstacle(item),))
             verified = certify(drawn.robot, scene, found.trajectory).verified
             tally.looked["grazing" if grazes else "clear"] += 1
             if verified == grazes:

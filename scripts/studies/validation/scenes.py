@@ -150,7 +150,7 @@ def _mesh(name: str, rng: np.random.Generator, place: _Place) -> Mesh:
     convex = rng.random() < _CONVEX
     mesh = Mesh.of(name, *_convex_surface(rng)) if convex else stock(int(rng.integers(_STOCK)))
     size = 0.5 * float(np.ptp(mesh.surface[0], axis=0).max())
-    return mesh.model_copy(update={"name": name, "position": place(size), "rpy_deg": _turn(rng)})
+    return mesh.with_(name=name, position=place(size), rpy_deg=_turn(rng))
 
 
 def _points(name: str, rng: np.random.Generator, place: _Place) -> PointCloud:

@@ -156,7 +156,7 @@ class _Soak:
             number = int(np.random.default_rng().integers(number + 1))
         if number >= MOST_SAMPLES:
             return
-        known = scene.model_copy(update={"obstacles": tuple(o for o in scene.obstacles if o.name != SEEN)})
+        known = scene.with_(obstacles=tuple(o for o in scene.obstacles if o.name != SEEN))
         allowed = windows(certificate, [fruit.model_dump() for fruit in scene.fruits])
         sample = pickle.dumps((known, kind, cloud, allowed, begin_s, from_s))
         write_csv(trajectory, self.folder / f"{number}.csv")
@@ -254,7 +254,7 @@ class _Soak:
         with self.driving:
             self.base = base
             track = None if base is None else Track(**base)
-            self.planner.scene = self.planner.scene.model_copy(update={"base_track": track})
+            self.planner.scene = self.planner.scene.with_(base_track=track)
 
     # Afterwards
 

@@ -97,7 +97,7 @@ class World:
         fruits = [{key: value for key, value in item.items() if key != "kind"} for item in self.fruits]
         task = {"name": "drawn", "start": {"joints_rad": self.start.tolist()}, "goal": goal, "fruits": fruits}
         scene = Scene.model_validate_json(json.dumps({**task, "base_track": self.base, "clearance": self.clearance}))
-        return scene.model_copy(update={"obstacles": tuple(obstacle(item) for item in self.items)})
+        return scene.with_(obstacles=tuple(obstacle(item) for item in self.items))
 
 
 def obstacle(item: Item) -> Any:
@@ -106,7 +106,7 @@ def obstacle(item: Item) -> Any:
     placed |= {key: model(**placed[key]) for key, model in (("track", Track), ("sway", Sway)) if key in placed}
     placed |= {key: tuple(placed[key]) for key in ("position", "rpy_deg") if key in placed}
     if "stock" in item:  # cut into convex pieces once
-        return stock(item["stock"]).model_copy(update={"name": item["name"], **placed})
+        return stock(item["stock"]).with_(name=item["name"], **placed)
     if item["kind"] == "mesh":
         return Mesh.of(item["name"], item["vertices"], item["faces"], **placed)
     if item["kind"] == "points":

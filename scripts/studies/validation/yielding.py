@@ -47,7 +47,7 @@ def among_yielding(seed: int, number: int, trees: Sequence[Path]) -> Tally:
     arm = _thick(robot)
     near = [fruit.name for fruit in scene.fruits if np.hypot(*fruit.center[:2]) < 2.0]
     for name in rng.permutation(near)[:FRUITS]:
-        task = scene.model_copy(update={"goal": Goal(fruit=str(name))})
+        task = scene.with_(goal=Goal(fruit=str(name)))
         options = PlanOptions(effort="quick", tracking_error=float(rng.choice([0.0, 1e-3])))
         try:
             result = plan(robot, task, options)
@@ -74,7 +74,7 @@ def _scene(robot: Robot, rng: np.random.Generator, trees: Sequence[Path]) -> tup
     )
     scene, _ = without_inside(robot, measured_orchard([file], options, start_deg=(0.0, 90.0, 90.0, 90.0)))
     links = ("hand",) if rng.random() < 0.3 else None
-    return scene.model_copy(update={"yield_links": links}), file.stem
+    return scene.with_(yield_links=links), file.stem
 
 
 def _thick(robot: Robot) -> Arm:
@@ -146,12 +146,12 @@ def _yielding_less(scene: Scene, contact: Contact) -> Scene:
     """The scene where what is pushed gives way by a little less than it is pushed."""
     items = {
         key: tuple(
-            item.model_copy(update={"yields": contact.depth_m - SHORT_M}) if item.name == contact.second else item
+            item.with_(yields=contact.depth_m - SHORT_M) if item.name == contact.second else item
             for item in getattr(scene, key)
         )
         for key in ("obstacles", "fruits")
     }
-    return scene.model_copy(update=items)
+    return scene.with_(**items)
 
 
 def _row(asked: Asked, number: int) -> Row:

@@ -8,6 +8,7 @@ line returns for it.
 
 from hplan.errors.bad_input import (
     ConfigurationInCollisionError,
+    FrameError,
     InputError,
     JointLimitError,
     MovingObstacleError,
@@ -48,6 +49,7 @@ __all__ = [
     "BoundError",
     "CertificationError",
     "ConfigurationInCollisionError",
+    "FrameError",
     "HplanError",
     "InputError",
     "JointLimitError",

@@ -331,7 +331,7 @@ class Planner:
                 left = tuple(fruit for fruit in self.scene.fruits if fruit.name != name)
                 self.scene = self.scene.model_copy(update={"fruits": left})
                 return
-            if name not in self._cropped or self._cropped[name].cloud is not None:
+            if not any(key == name and last.cloud is None for key, last in self._cropped.items()):
                 index = self._index(name)
                 self._change((*self.scene.obstacles[:index], *self.scene.obstacles[index + 1 :]))
             self._seen.pop(name, None)

@@ -267,13 +267,13 @@ class Episode:
         there = np.concatenate([world.seen, *(surface(rng, each, 0.01) for each in balls)])
         points = np.concatenate([seen_from_base(world, there, time_s), *own])
         pose = camera_pose(rng, 1.0)
-        options = CloudOptions(growth_m=float(rng.choice([0.002, 0.005, 0.02])))
+        options = CloudOptions(growth_m=float(rng.choice([0.002, 0.005, 0.02])), allow_empty=not len(there))
         local = (rng.permutation(points) - pose[:3, 3]) @ pose[:3, :3]
         frame = {"points": local, "pose": pose, "joints": q, "time_s": time_s, "radius": BALL_M, "options": options}
         frame["ignore"] = [each["name"] for each in balls]
         self.planner.set_cloud(SEEN, **frame)
         own_local = (np.concatenate(own) - pose[:3, 3]) @ pose[:3, :3]
-        for _ in range(BAD_FRAMES):
+        for _ in range(BAD_FRAMES * bool(len(there))):
             bad = bad_frame(rng, local, own_local, pose, time_s)
             try:
                 self.planner.set_cloud(SEEN, **{**frame, **bad})

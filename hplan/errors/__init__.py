@@ -42,6 +42,7 @@ from hplan.errors.no_motion import (
     WorkersLostError,
 )
 from hplan.errors.root import HplanError
+from hplan.errors.warning import FarObstacleWarning, HplanWarning
 
 __all__ = [
     "ApproachError",
@@ -49,8 +50,10 @@ __all__ = [
     "BoundError",
     "CertificationError",
     "ConfigurationInCollisionError",
+    "FarObstacleWarning",
     "FrameError",
     "HplanError",
+    "HplanWarning",
     "InputError",
     "JointLimitError",
     "MovingObstacleError",

@@ -25,6 +25,7 @@ from hplan.base.deadline import Cancel, TimeIsUpError, time_limit
 from hplan.base.forking import renewed_in_children
 from hplan.certificate.certificate import with_violations
 from hplan.certificate.retimed_certificate import CertifiedMotion
+from hplan.collision.far_obstacles import warn_of_far_obstacles
 from hplan.collision.obstacle_rows import solid_rows
 from hplan.collision.reach import largest_sway
 from hplan.errors import HplanError, InputError, NotInTimeError, OptionError, PlanCancelledError, SceneError
@@ -317,6 +318,7 @@ class Planner:
                 message = f"there is an obstacle {obstacle.name!r} already; names must differ"
                 raise InputError(message, name=obstacle.name)
             self._change((*self.scene.obstacles, obstacle))
+            warn_of_far_obstacles(self.robot, self.scene)
 
     def remove(self, name: str) -> None:
         """Take an obstacle or a fruit away.

@@ -76,7 +76,7 @@ class CloudOptions(Options):
             see nothing within reach. Otherwise such a frame is refused, and the obstacles of the last one stay.
         max_lost: Acceptable loss of returns, as a share of those of earlier frames of the cloud: a frame in which fewer
             rows have a return is refused. With `allow_empty`, 1 accepts frames without any return, as of the sky.
-        max_age_s: Maximum age at which plans may rely on a frame; None for no limit. It holds until the next frame [s].
+        max_age_s: Age limit for plans that rely on the frame; None for no limit [s].
         known_free: Shapes in which space is known to be free without being seen, where unknown space is solid, as the
             lane that the machine has driven in: of voxels whose middles are in one. No meshes, and no clouds.
     """

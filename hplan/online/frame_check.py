@@ -15,7 +15,7 @@ from hplan.online.frame_kernels import FAR_M
 if TYPE_CHECKING:
     from hplan.online.frame import CloudOptions, FrameReport
 
-#: Factor per frame by which the reference share of returns decreases, so that a camera that fades is noticed.
+#: Decay of the reference share of returns per frame: slow enough that a fading camera is noticed.
 _FADING: Final = 0.98
 
 
@@ -27,7 +27,7 @@ class AcceptedFrame:
         time_s: Time stamp on the controller's clock; None if the caller stated none [s].
         received_s: Time of the call on the monotonic clock of this machine [s].
         return_share: Reference share of rows with a return for the next frame.
-        max_age_s: Maximum age at which plans may rely on the frame; None for no limit [s].
+        max_age_s: Age limit for plans that rely on the frame; None for no limit [s].
     """
 
     time_s: float | None
@@ -61,13 +61,14 @@ def check_order(name: str, time_s: float | None, before: AcceptedFrame | None) -
     if (time_s is None) != (before.time_s is None):
         given, other = ("no", "one") if time_s is None else ("a", "none")
         raise FrameError(
-            name, f"it has {given} time stamp and the frame before has {other}; expected `time_s` of all or of none"
+            name,
+            f"it has {given} time stamp and the frame before has {other}; expected `time_s` with every frame or never",
         )
     if time_s is not None and before.time_s is not None and time_s < before.time_s:
         raise FrameError(
             name,
-            f"its stamp {time_s:.10g} s is before that of the last frame, {before.time_s:.10g} s; after the clock was "
-            f"set back, remove({name!r}) begins anew",
+            f"its stamp {time_s:.10g} s is before the stamp of the last frame, {before.time_s:.10g} s; if the clock was "
+            f"set back, remove({name!r}) first",
             time_s=time_s,
             last_time_s=before.time_s,
         )
@@ -108,8 +109,8 @@ def check_content(
         )
     elif share < (1.0 - options.max_lost) * reference:
         reason = (
-            f"{100.0 * share:.3g} % of {report.given} rows have a return, of the frames before {100.0 * reference:.3g} "
-            f"%: the camera may be failing; `max_lost` = {options.max_lost:g} is the acceptable loss"
+            f"{100.0 * share:.3g} % of {report.given} rows have a return, in earlier frames {100.0 * reference:.3g} %: "
+            f"the camera may be failing; `max_lost` = {options.max_lost:g} is the acceptable loss"
         )
     elif not (report.kept or report.ignored or options.allow_empty):
         listed = ", ".join(f"{count} {key.replace('_', ' ')}" for key, count in counts.items())

@@ -119,7 +119,7 @@ def test_pixels_without_a_return_are_no_obstacles(robot: Robot, plant: FloatArra
         assert (report.given, report.no_return, report.not_finite) == (2500, 500, 0)
         (cloud,) = planner.scene.obstacles
         assert np.linalg.norm(cloud.points - pose[:3, 3], axis=1).min() > 0.2
-    with pytest.raises(FrameError, match="of the frames before 80 %"):
+    with pytest.raises(FrameError, match="in earlier frames 80 %"):
         see(planner, np.zeros((50, 50, 3), np.float32), keep_s=60.0, time_s=9.0)
 
 
@@ -165,7 +165,7 @@ def test_the_order_of_stamps(robot: Robot, plant: FloatArray) -> None:
     see(planner, plant[:50], time_s=5.0)  # the same stamp is no older frame
     again = pickle.loads(pickle.dumps(planner))
     for each in (planner, again):
-        with pytest.raises(FrameError, match="its stamp 4 s is before that of the last frame, 5 s"):
+        with pytest.raises(FrameError, match="its stamp 4 s is before the stamp of the last frame, 5 s"):
             see(each, plant, time_s=4.0)
         with pytest.raises(FrameError, match="no time stamp and the frame before has one"):
             see(each, plant, time_s=None)

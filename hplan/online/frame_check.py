@@ -67,8 +67,8 @@ def check_order(name: str, time_s: float | None, before: AcceptedFrame | None) -
     if time_s is not None and before.time_s is not None and time_s < before.time_s:
         raise FrameError(
             name,
-            f"its stamp {time_s:.10g} s is before the stamp of the last frame, {before.time_s:.10g} s; if the clock was "
-            f"set back, remove({name!r}) first",
+            f"its stamp {time_s:.10g} s is before the stamp of the last frame, {before.time_s:.10g} s; if the clock "
+            f"was set back, remove({name!r}) first",
             time_s=time_s,
             last_time_s=before.time_s,
         )

@@ -309,7 +309,9 @@ def test_objects_stand_in_fixed_frames() -> None:
     np.testing.assert_allclose(can.core, other_can.core, atol=1e-12)
     cos, sin = 0.8**2 - 0.6**2, 2.0 * 0.6 * 0.8
     turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
-    np.testing.assert_allclose(box.core, (other_box.core + [0.0, 0.2, 0.3]) @ turn.T + [1.0, 0.0, 0.0], atol=1e-12)
+    np.testing.assert_allclose(
+        box.core, (other_box.core + np.array([0.0, 0.2, 0.3])) @ turn.T + [1.0, 0.0, 0.0], atol=1e-12
+    )
     scene["world"]["collision_objects"][0]["header"]["frame_id"] = "camera"
     with pytest.raises(SceneError, match="'Can1' is in frame 'camera', known are 'world', 'tray', 'table'"):
         read_planning_scene(scene)

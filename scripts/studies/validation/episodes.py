@@ -269,7 +269,14 @@ class Episode:
         pose = camera_pose(rng, 1.0)
         options = CloudOptions(growth_m=float(rng.choice([0.002, 0.005, 0.02])), allow_empty=not len(there))
         local = (rng.permutation(points) - pose[:3, 3]) @ pose[:3, :3]
-        frame = {"points": local, "pose": pose, "joints": q, "time_s": time_s, "radius": BALL_M, "options": options}
+        frame: dict[str, Any] = {
+            "points": local,
+            "pose": pose,
+            "joints": q,
+            "time_s": time_s,
+            "radius": BALL_M,
+            "options": options,
+        }
         frame["ignore"] = [each["name"] for each in balls]
         self.planner.set_cloud(SEEN, **frame)
         own_local = (np.concatenate(own) - pose[:3, 3]) @ pose[:3, :3]

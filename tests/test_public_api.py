@@ -120,7 +120,9 @@ def test_unknown_name() -> None:
 
 def test_all_errors_have_one_root() -> None:
     errors = importlib.import_module("hplan.errors")
-    kinds = [kind for kind in vars(errors).values() if isinstance(kind, type) and issubclass(kind, Exception)]
+    both = [kind for kind in vars(errors).values() if isinstance(kind, type) and issubclass(kind, Exception)]
+    kinds = [kind for kind in both if not issubclass(kind, Warning)]
     assert len(kinds) > 8
     assert all(issubclass(kind, hplan.HplanError) for kind in kinds)
+    assert all(issubclass(kind, errors.HplanWarning) for kind in both if kind not in kinds)
     assert {kind.exit_status for kind in kinds} == {1, 2, 3, 4, 5, 6}

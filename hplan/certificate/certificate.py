@@ -61,6 +61,7 @@ from hplan.certificate.task_check import task_violations
 from hplan.certificate.tilted_base import use_on_track
 from hplan.certificate.touch_risk import TouchRisk, touch_risk
 from hplan.collision.coal_scene import CoalScene, Contact, OwnContact, base_contacts
+from hplan.collision.far_obstacles import warn_of_far_obstacles
 from hplan.collision.giving_way import check_yield_links
 from hplan.errors import InputError, MovingObstacleError, OptionError
 from hplan.robot.base_shapes import BASE_DEPTH
@@ -227,6 +228,7 @@ def certify(
     truth("rest_to_rest", rest_to_rest)
     tracking = TrackingModel(tracking_error, tracking_delay_s)
     by_name("sigmas", sigmas, "a finite number >= 0", lambda value: value >= 0.0)
+    warn_of_far_obstacles(robot, scene)
     if risk is not None:
         sigmas = 0.0
         between("risk", risk, LEAST_RISK, 1.0)

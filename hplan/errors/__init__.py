@@ -8,6 +8,7 @@ line returns for it.
 
 from hplan.errors.bad_input import (
     ConfigurationInCollisionError,
+    FrameError,
     InputError,
     JointLimitError,
     MovingObstacleError,
@@ -41,7 +42,7 @@ from hplan.errors.no_motion import (
     WorkersLostError,
 )
 from hplan.errors.root import HplanError
-from hplan.errors.warning import HplanWarning, MissingVisualWarning, UncoveredLinkWarning
+from hplan.errors.warning import FarObstacleWarning, HplanWarning, MissingVisualWarning, UncoveredLinkWarning
 
 __all__ = [
     "ApproachError",
@@ -49,6 +50,8 @@ __all__ = [
     "BoundError",
     "CertificationError",
     "ConfigurationInCollisionError",
+    "FarObstacleWarning",
+    "FrameError",
     "HplanError",
     "HplanWarning",
     "InputError",

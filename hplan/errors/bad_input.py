@@ -141,6 +141,19 @@ class NotOnMotionError(InputError):
         super().__init__(message, joint=joint, off_by=off_by, covered=covered, at_s=at_s)
 
 
+class FrameError(InputError):
+    """A camera frame that cannot replace the frame before it, or one that is too old to plan among.
+
+    The obstacles of the last good frame stay in the scene. `reason` says what is wrong and what would be right.
+    """
+
+    name: str
+    reason: str
+
+    def __init__(self, name: str, reason: str, **facts: Any) -> None:
+        super().__init__(f"frame of {name!r}: {reason}", name=name, reason=reason, **facts)
+
+
 class ConfigurationInCollisionError(InputError):
     """Start or goal touches an obstacle or the arm itself, or comes closer than the clearance to keep."""
 

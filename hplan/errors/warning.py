@@ -7,6 +7,10 @@ class HplanWarning(UserWarning):
     """Root of the warnings that users of hplan may want to filter."""
 
 
+class FarObstacleWarning(HplanWarning):
+    """Obstacles are so far from the arm that their lengths are probably in millimetres."""
+
+
 class UncoveredLinkWarning(HplanWarning):
     """A drawn link of the robot is not covered by its collision shapes.
 

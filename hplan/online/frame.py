@@ -1,11 +1,11 @@
 """From the points of a depth camera to the balls that the arm keeps clear of.
 
 A frame's points are put into `base_link`, as it is when the frame is taken. In turn those are left out that are not
-finite, that the arm cannot come near at any configuration, wherever its base comes on its track, that are of the arm
-itself as it stood when the frame was taken, and that belong to what is to be ignored. What is left goes into voxels;
-each becomes one point, the middle of the box about its points, and all balls grow by the largest distance of a point
-from the one that stands for it. So every point that stays is inside its ball, grown by the radius asked for. All of it
-is counted.
+finite or stand for no return, that the arm cannot come near at any configuration, wherever its base comes on its track,
+that are of the arm itself as it stood when the frame was taken, and that belong to what is to be ignored. What is left
+goes into voxels; each becomes one point, the middle of the box about its points, and all balls grow by the largest
+distance of a point from the one that stands for it. So every point that stays is inside its ball, grown by the radius
+asked for. All of it is counted.
 """
 
 from __future__ import annotations
@@ -29,8 +29,10 @@ from hplan.online.arm_shape import arm_solids, reach_ball
 from hplan.online.body_distances import Bodies, distances_from_bodies
 from hplan.online.frame_kernels import (
     COUNT,
+    FAR,
     IGNORED,
     MIDDLE,
+    NO_RETURN,
     NOT_FINITE,
     OF_ARM,
     OUT_OF_REACH,
@@ -70,6 +72,11 @@ class CloudOptions(Options):
         most_remembered: Most hidden points that are kept; the oldest go first.
         unseen_edge_m: Edge of the voxels by which unknown space is solid (`hplan.online.seen_space`), where it is; that
             of the first frame holds.
+        allow_empty: Accept a frame that leaves no obstacle, although no ignored point is in view either: the camera may
+            see nothing within reach. Otherwise such a frame is refused, and the obstacles of the last one stay.
+        max_lost: Acceptable loss of returns, as a share of those of earlier frames of the cloud: a frame in which fewer
+            rows have a return is refused. With `allow_empty`, 1 accepts frames without any return, as of the sky.
+        max_age_s: Age limit for plans that rely on the frame; None for no limit [s].
         known_free: Shapes in which space is known to be free without being seen, where unknown space is solid, as the
             lane that the machine has driven in: of voxels whose middles are in one. No meshes, and no clouds.
     """
@@ -82,6 +89,9 @@ class CloudOptions(Options):
     neighbour_m: _Length = 0.02
     most_remembered: Annotated[int, Field(ge=0)] = 100_000
     unseen_edge_m: Annotated[float, Field(ge=1e-3, le=1.0)] = 0.05
+    allow_empty: bool = False
+    max_lost: Annotated[float, Field(ge=0.0, le=1.0)] = 0.5
+    max_age_s: Annotated[float, Field(ge=0.0)] | None = None
     known_free: tuple[Convex, ...] = ()
 
 
@@ -92,6 +102,7 @@ class FrameReport:
     Attributes:
         given: Points of the frame.
         not_finite: Rows with a value that is not finite.
+        no_return: Rows (0, 0, 0) in the camera's frame, which depth cameras write for pixels without a return.
         out_of_reach: Points that the arm cannot come near.
         of_arm: Points of the arm itself.
         ignored: Points of what was to be ignored.
@@ -101,10 +112,12 @@ class FrameReport:
         forgotten: Hidden points that were too many to be kept.
         growth_m: By how much all balls grew, for the points that became one.
         radius_m: Radius of the balls, their growth in it.
+        far: Points out of reach that are more than 100 m from the camera.
     """
 
     given: int
     not_finite: int
+    no_return: int
     out_of_reach: int
     of_arm: int
     ignored: int
@@ -114,6 +127,7 @@ class FrameReport:
     forgotten: int
     growth_m: float
     radius_m: float
+    far: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,12 +269,10 @@ def filter_frame(
         scratch: Memory of the frames before it; None for new one.
 
     Raises:
-        OptionError: The frame is older than the one before it, and points are to be kept; voxels far too small.
+        OptionError: The voxels are far too small.
     """
     instance("options", options, CloudOptions)
     before = SeenPoints() if before is None else before
-    if frame.keep_s > 0.0 and frame.time_s < before.time_s:
-        raise OptionError("time_s", frame.time_s, f"a time not before that of the last frame, {before.time_s:.6g} s")
     reach, swept = _reach(robot, frame, options, clearance_m)
     placement = _placement(frame, options, reach)
     arm = Bodies(*solid_rows([] if frame.joints is None else arm_solids(robot, frame.joints), options.arm_padding_m))
@@ -287,6 +299,7 @@ def filter_frame(
     report = FrameReport(
         given=len(frame.points),
         not_finite=int(tally[NOT_FINITE]),
+        no_return=int(tally[NO_RETURN]),
         out_of_reach=int(tally[OUT_OF_REACH]),
         of_arm=int(tally[OF_ARM]),
         ignored=int(tally[IGNORED]),
@@ -296,6 +309,7 @@ def filter_frame(
         forgotten=forgotten,
         growth_m=growth_m,
         radius_m=frame.radius + growth_m,
+        far=int(tally[FAR]),
     )
     kept_m = clearance_m + options.reach_margin_m
     if frame.keep_s == 0.0:

@@ -18,8 +18,12 @@ from hplan.base.kernels import any_int, inlined, kernel
 from hplan.collision.distances import Vector
 from hplan.online.body_distances import Bodies, distance_from_bodies
 
-#: Places in a tally: rows that are not finite, points out of reach, of the arm, of what is ignored.
-NOT_FINITE, OUT_OF_REACH, OF_ARM, IGNORED = 0, 1, 2, 3
+#: Places in a tally: rows that are not finite, points out of reach, points of the arm, ignored points, rows (0, 0, 0)
+#: that depth cameras write for pixels without a return, and points out of reach that are `FAR_M` from the camera.
+NOT_FINITE, OUT_OF_REACH, OF_ARM, IGNORED, NO_RETURN, FAR = range(6)
+
+#: Maximum plausible range of a depth camera [m]: farther points are taken for millimetres if they are the majority.
+FAR_M = 100.0
 
 #: How much of a block is in a body.
 _NONE, _ALL, _SOME = 0, 1, 2
@@ -104,13 +108,13 @@ class Scratch:
 
         Returns:
             (m, 7) the voxels that hold points which stay: least and largest coordinates of their points [m], and how
-            many; (k, 3) these points in `base_link` [m]; (k,) the voxel of each; (4,) how many do not stay, by the
-            reason. All but the last until the next frame is put.
+            many; (k, 3) these points in `base_link` [m]; (k,) the voxel of each; (6,) the tally of the other points, by
+            the reason. All but the last until the next frame is put.
         """
         if self._rows.shape[1] < len(points):
             self._rows = np.empty((2, len(points)), dtype=np.int32)
         rows, numbers = self._rows
-        found = Found(np.zeros(3, dtype=np.int64), rows, numbers, np.zeros(4, dtype=np.int64))
+        found = Found(np.zeros(3, dtype=np.int64), rows, numbers, np.zeros(FAR + 1, dtype=np.int64))
         self._table[:, _KEY] = -1
         while True:
             _find_blocks(points, placement, arm, ignored, self._blocks, self._table, found)
@@ -195,12 +199,16 @@ def _find_blocks(
         if not (math.isfinite(points[n, 0]) and math.isfinite(points[n, 1]) and math.isfinite(points[n, 2])):
             tally[NOT_FINITE] += 1
             continue
-        x, y, z = _transformed(
-            np.float64(points[n, 0]), np.float64(points[n, 1]), np.float64(points[n, 2]), rotation, position
-        )
+        u, v, w = np.float64(points[n, 0]), np.float64(points[n, 1]), np.float64(points[n, 2])
+        if u == 0.0 and v == 0.0 and w == 0.0:
+            tally[NO_RETURN] += 1
+            continue
+        x, y, z = _transformed(u, v, w, rotation, position)
         dx, dy, dz = x - reach[0], y - reach[1], z - reach[2]
         if not dx * dx + dy * dy + dz * dz <= square:  # sums of what is huge may be no number
             tally[OUT_OF_REACH] += 1
+            if u * u + v * v + w * w > FAR_M * FAR_M:
+                tally[FAR] += 1
             continue
         i, j, k = math.floor(dx * per_metre), math.floor(dy * per_metre), math.floor(dz * per_metre)
         i, j, k = i >> _BITS, j >> _BITS, k >> _BITS

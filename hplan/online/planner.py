@@ -24,12 +24,14 @@ from hplan.base.deadline import Cancel, TimeIsUpError, time_limit
 from hplan.base.forking import renewed_in_children
 from hplan.certificate.certificate import with_violations
 from hplan.certificate.retimed_certificate import CertifiedMotion
+from hplan.collision.far_obstacles import warn_of_far_obstacles
 from hplan.collision.obstacle_rows import solid_rows
 from hplan.collision.reach import largest_sway
 from hplan.errors import HplanError, InputError, NotInTimeError, OptionError, PlanCancelledError
 from hplan.online.arm_shape import arm_solids
 from hplan.online.body_distances import distances_from_bodies
 from hplan.online.frame import CloudOptions, Frame, FrameReport, SeenPoints, filter_frame, rigid
+from hplan.online.frame_check import AcceptedFrame, check_content, check_order
 from hplan.online.frame_kernels import Scratch
 from hplan.online.next_view import NextView, shows, sweep
 from hplan.online.scene_cloud import check_cloud_name, solids_named, with_cloud
@@ -120,6 +122,7 @@ class Planner:
 
         Raises:
             OptionError: A time that is none, or none where one is needed.
+            FrameError: A frame is older than its `max_age_s`.
             HplanError: As `hplan.plan`.
         """
         with self._turn(cancel):
@@ -171,6 +174,7 @@ class Planner:
         Raises:
             InputError: There is no motion that could run, or it is not known when it began.
             NotOnMotionError: The arm is not where the running motion has it.
+            FrameError: A frame is older than its `max_age_s`.
             OptionError: A time before the motion or after it, or before now; `now` or `measured` without what they
                 belong to.
             RunningMotionBlockedError: The running motion is not clear until then, or cannot be left without contact; it
@@ -181,16 +185,19 @@ class Planner:
             for option, value in (("now", now), ("measured", measured)):
                 if value is not None:
                     raise OptionError(option, value, "None without `at`: of a motion that has not begun")
-        elif begins_s is not None:
+        for option, value in (("at", at), ("now", now)):
+            if value is not None:
+                number(option, value, "a time on the controller's clock in seconds")
+        if at is not None and begins_s is not None:
             raise OptionError("begins_s", begins_s, "None with `at`: a splice begins as the motion before it runs")
         with self._turn(cancel):
             if at is None:
                 return self._from_rest(begins_s, None if self.last is None else self.last.motion)
-            scene, options = self.scene, self.options
-            self._check_crops(scene, options)
+            scene, options, known_s = self.scene, self.options, at if now is None else now
+            self._check_clouds(scene, options, known_s)
             spliced = self._running(scene, options, now, measured).spliced(at)
-            self.last = spliced
-            return spliced
+            self.last = self._with_ages(spliced, scene, known_s)
+            return self.last
 
     def stop_at(self, t: float, *, now: float | None = None, measured: ArrayLike | None = None) -> CertifiedMotion:
         """The last motion with the quickest stop on its path from the first row at or after a time on.
@@ -212,7 +219,8 @@ class Planner:
         """
         scene, options = self.scene, self.options
         found = self._running(scene, options, now, measured).stop_at(t)
-        return replace(found, certificate=with_violations(found.certificate, self._crop_faults(scene, options)))
+        faults = [error.message for error in self._cloud_faults(scene, options, t if now is None else now)]
+        return replace(found, certificate=with_violations(found.certificate, faults))
 
     def began(self, at_s: float) -> PlanResult:
         """Say when the motion that was planned last, from rest and among what stands still, has begun.
@@ -243,11 +251,11 @@ class Planner:
     def _from_rest(self, begins_s: float | None, before: Transit | None) -> PlanResult:
         """A plan of a motion that has not begun."""
         scene, options = self.scene, self.options
-        self._check_crops(scene, options)
-        self._check_known(scene)
         begin = self._begin_of(begins_s, scene)
+        self._check_clouds(scene, options, begins_s)
+        self._check_known(scene)
         found = plan_with(self._cache, scene if math.isnan(begin) else scene.since(begin), options, before=before)
-        self.last = replace(found, begins_s=begin)
+        self.last = self._with_ages(replace(found, begins_s=begin), scene, begins_s)
         return self.last
 
     def _begin_of(self, begins_s: float | None, scene: Scene) -> float:
@@ -310,6 +318,7 @@ class Planner:
                 message = f"there is an obstacle {obstacle.name!r} already; names must differ"
                 raise InputError(message, name=obstacle.name)
             self._change((*self.scene.obstacles, obstacle))
+            warn_of_far_obstacles(self.robot, self.scene)
 
     def remove(self, name: str) -> None:
         """Take an obstacle or a fruit away.
@@ -324,8 +333,9 @@ class Planner:
                 left = tuple(fruit for fruit in self.scene.fruits if fruit.name != name)
                 self.scene = self.scene.copy_unchecked({"fruits": left})
                 return
-            index = self._index(name)
-            self._change((*self.scene.obstacles[:index], *self.scene.obstacles[index + 1 :]))
+            if not any(key == name and last.cloud is None for key, last in self._cropped.items()):
+                index = self._index(name)
+                self._change((*self.scene.obstacles[:index], *self.scene.obstacles[index + 1 :]))
             self._seen.pop(name, None)
             self._cropped.pop(name, None)
 
@@ -362,10 +372,12 @@ class Planner:
         """Take a frame of a depth camera for the obstacle of a name, in place of the last one.
 
         Left out are rows that are not finite, points that the arm cannot come near, its own, and those of what is to be
-        ignored; the others become balls, fewer than points (`hplan.online.frame`). A frame of which nothing is left
-        takes the obstacle away. Where the base moves, the points stand where they were seen, from where it was then,
-        and those count that come within reach anywhere on its track. What is left out could matter for a larger
-        clearance, larger tracking errors or another track of the base: plans are refused then until the next frame.
+        ignored; the others become balls, fewer than points (`hplan.online.frame`). A frame that a failing camera, a
+        wrong unit or a wrong pose may have made is refused (`hplan.online.frame_check`), and the obstacle of the last
+        good frame stays; `CloudOptions` says what is acceptable. Where the base moves, the points stand where they were
+        seen, from where it was then, and those count that come within reach anywhere on its track. What is left out
+        could matter for a larger clearance, larger tracking errors or another track of the base: plans are refused then
+        until the next frame.
 
         Args:
             name: Name of the cloud.
@@ -389,6 +401,8 @@ class Planner:
         Raises:
             InputError: Points, a pose or joints that are none; a name of what is no cloud; nothing of a name to ignore.
             OptionError: A radius, a time, a depth or options that cannot be.
+            FrameError: The frame is older than the last one, has too few returns, is in millimetres, or leaves no
+                obstacle. The scene is unchanged.
         """
         yields = between("yields", yields, 0.0, FARTHEST_M)
         one_of("unknown", unknown, get_args(Unknown))
@@ -401,10 +415,13 @@ class Planner:
             if scene.base_track is not None and time_s is None:
                 expected = "when the frame was taken, on the controller's clock: the base moves"
                 raise OptionError("time_s", None, expected)
+            last = self._cropped.get(name)
+            before = None if last is None else last.frame
             frame = Frame.of(
                 self.robot, points, radius=radius, pose=pose, joints=joints, keep_s=keep_s,
                 time_s=time.monotonic() if time_s is None else time_s, base_track=scene.base_track,
             )  # fmt: skip
+            check_order(name, time_s, before)
             found = filter_frame(
                 self.robot,
                 frame,
@@ -414,6 +431,7 @@ class Planner:
                 before=self._seen.get(name),
                 scratch=self._scratch,
             )
+            accepted = check_content(name, found.report, options, time_s, before)
             cloud = None
             if len(found.points):
                 cloud = PointCloud.thinned(name, found.points, found.report.radius_m, yields)
@@ -425,7 +443,7 @@ class Planner:
                     check_cloud_name(self.scene, UNSEEN)
                     self.scene, self._closing = with_cloud(self.scene, UNSEEN, unseen), unseen
                 self._seen[name] = found.seen
-                self._cropped[name] = _Cropped(cloud, found.kept_m, scene.base_track)
+                self._cropped[name] = _Cropped(cloud, found.kept_m, scene.base_track, accepted)
         return found.report
 
     def _unseen(self, scene: Scene, frame: Frame, options: CloudOptions, ignore: Sequence[str]) -> PointCloud | None:
@@ -496,6 +514,7 @@ class Planner:
             InputError: No frame was taken with `unknown="solid"`; views or a mount that are none, or a frame that the
                 arm does not have.
             OptionError: Angles not within 0 and 180 degrees, or no distance.
+            FrameError: A frame is older than its `max_age_s`.
             HplanError: As `plan`: what is known is in the way already.
         """
         wide, high = (between("field_of_view_deg", angle, 1.0, 179.0) for angle in field_of_view_deg)
@@ -504,7 +523,7 @@ class Planner:
             scene, space, since_s = self.scene, self._space, self._known_since_s
             if space is None:
                 raise InputError('next_view: no frame was taken with unknown="solid"')
-            self._check_crops(scene, self.options)
+            self._check_clouds(scene, self.options, None)
             self._begin_of(None, scene)
             known = with_cloud(scene, UNSEEN, None)
             path = plan_with(self._cache, known, self.options).trajectory.position
@@ -565,14 +584,17 @@ class Planner:
         deviations = options.certified_tracking.deviations(self.robot.velocity_limit)
         return scene.clearance + float(largest_sway(self.robot, deviations))
 
-    def _check_crops(self, scene: Scene, options: PlanOptions) -> None:
-        """Refuse clouds that lack points that matter now."""
-        for fault in self._crop_faults(scene, options):
-            raise InputError(fault)
+    def _check_clouds(self, scene: Scene, options: PlanOptions, now: float | None) -> None:
+        """Refuse clouds that lack points that matter now, or whose frame is too old."""
+        for fault in self._cloud_faults(scene, options, now):
+            raise fault
 
-    def _crop_faults(self, scene: Scene, options: PlanOptions) -> list[str]:
-        """Messages: clouds of the scene that lack points that matter now."""
-        room_m, faults = self._room_m(scene, options), list[str]()
+    def _cloud_faults(self, scene: Scene, options: PlanOptions, now: float | None) -> list[InputError]:
+        """Errors for clouds of the scene that lack points that matter now, or whose frame is too old."""
+        room_m, faults = self._room_m(scene, options), list[InputError]()
+        for name, frame in self._frames(scene).items():
+            fault = frame.age_fault(name, now)
+            faults += [] if fault is None else [fault]
         for obstacle in scene.obstacles:
             cropped = self._cropped.get(obstacle.name)
             if cropped is None or obstacle is not cropped.cloud:
@@ -582,11 +604,23 @@ class Planner:
                 (_route(scene.base_track) != _route(cropped.base_track), "another track of the base"),
             ):
                 if lacks:
-                    faults.append(
+                    message = (
                         f"cloud {obstacle.name!r} was cropped to the reach for {what}: set it anew, or, where it is "
                         "remembered (keep_s), remove it before"
                     )
+                    faults.append(InputError(message))
         return faults
+
+    def _frames(self, scene: Scene) -> dict[str, AcceptedFrame]:
+        """The frames on which a plan in the scene relies, by the names of their clouds."""
+        held = {id(obstacle) for obstacle in scene.obstacles}
+        clouds = dict(self._cropped)
+        return {name: last.frame for name, last in clouds.items() if last.cloud is None or id(last.cloud) in held}
+
+    def _with_ages(self, found: _Result, scene: Scene, now: float | None) -> _Result:
+        """The result with the ages of the frames in its report."""
+        ages = {name: {"age_s": frame.age_s(now)} for name, frame in self._frames(scene).items()}
+        return replace(found, told={**found.told, "frames": ages}) if ages else found
 
     def _change(self, obstacles: tuple[Obstacle, ...]) -> None:
         # Names and obstacles are checked: no need to check the scene again.
@@ -607,11 +641,13 @@ class _Cropped(NamedTuple):
         cloud: The cloud; None where nothing was left of it.
         kept_m: All is in it that the arm can come so near to [m].
         base_track: On which track of the base.
+        frame: The frame that it is from.
     """
 
     cloud: PointCloud | None
     kept_m: float
     base_track: Track | None
+    frame: AcceptedFrame
 
 
 def _route(track: Track | None) -> tuple[Any, ...]:
@@ -626,6 +662,7 @@ Unknown: TypeAlias = Literal["free", "solid"]
 _SAME_M = 1e-9
 
 _Model = TypeVar("_Model", bound=StrictModel)
+_Result = TypeVar("_Result", bound=PlanResult)
 
 
 def _check_kind(item: object) -> None:

@@ -11,6 +11,7 @@ from hplan.base.deadline import Cancel, TimeIsUpError, TimeLimit, check_deadline
 from hplan.certificate.certificate import GoalContact, certify, goal_contacts
 from hplan.certificate.digests import Digests
 from hplan.certificate.start_state import start_state
+from hplan.collision.far_obstacles import warn_of_far_obstacles
 from hplan.collision.giving_way import check_yield_links
 from hplan.errors import CertificationError, HplanError, MovingObstacleError, NoPathError, OptionError, TimingError
 from hplan.planning.at_risk import plan_at_risk
@@ -106,6 +107,7 @@ def check_task(
     function("progress", progress)
     if options is not None:
         instance("options", options, PlanOptions).check_for(robot, takes_risk=takes_risk)
+    warn_of_far_obstacles(robot, scene)
 
 
 def plan_with(

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from hplan.base.files import REPORT_FORMAT, write_text
 from hplan.certificate.touch_risk import beyond_sigmas
+from hplan.collision.far_obstacles import far_obstacles
 from hplan.errors import HplanError
 
 if TYPE_CHECKING:
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from hplan.certificate.certificate import Certificate
     from hplan.certificate.touch_risk import TouchRisk
     from hplan.planning.options import PlanOptions
+    from hplan.robot.model import Robot
     from hplan.scene.model import Scene
     from hplan.scene.obstacle_kind import Sigmas
     from hplan.trajectory.trajectory import Trajectory
@@ -108,6 +110,12 @@ def pushes_report(certificate: Certificate, scene: Scene) -> dict[str, Any]:
     found = certificate.pushes
     links = {} if scene.yield_links is None else {"yield_links": list(scene.yield_links)}
     return {**links, "pushes": None if found is None else [vars(push) for push in found]}
+
+
+def far_report(robot: Robot, scene: Scene) -> dict[str, list[str]]:
+    """The obstacles that are implausibly far from the arm, for the report; nothing if there are none."""
+    names = far_obstacles(robot, scene)
+    return {"far_obstacles": list(names)} if names else {}
 
 
 def curve_report(certificate: Certificate) -> dict[str, Any]:

@@ -21,7 +21,7 @@ from hplan.grid.result import Expansions
 from hplan.planning.definition import Problem
 from hplan.planning.grasps import Grasp
 from hplan.planning.motion import Transit
-from hplan.planning.report import motion_report
+from hplan.planning.report import far_report, motion_report
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 from hplan.trajectory.spline import SplinePath
@@ -186,6 +186,7 @@ def plan_report(plan: PlanResult) -> dict[str, Any]:
         },
         **({"bound": _bound_report(plan.bound, bounded)} if options.bound else {}),
         **plan.told,
+        **far_report(motion.task.robot, scene),
         **motion_report(plan.trajectory, plan.certificate, options, scene),
     }
 

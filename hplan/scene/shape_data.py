@@ -10,7 +10,8 @@ import hashlib
 import io
 import math
 import os
-from collections.abc import Callable
+import warnings
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
@@ -18,6 +19,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
+from hplan.base.arguments import DECIMAL
 from hplan.base.arrays import FloatArray, IntArray, as_array, frozen, readonly
 from hplan.base.files import ByteBudget, write_text
 from hplan.scene.convex_decomposition import Pieces, convex_pieces
@@ -166,7 +168,7 @@ def read_points(path: Path, budget: ByteBudget) -> PointSet:
         ValueError: It cannot be read, is empty or too large, or none of its points is finite.
     """
     loaded = _load(path, budget, (".ply", ".xyz"), "point")
-    vertices = getattr(loaded, "vertices", None)
+    vertices = loaded if isinstance(loaded, np.ndarray) else getattr(loaded, "vertices", None)
     points = np.zeros((0, 3)) if vertices is None else np.asarray(vertices, dtype=np.float64)
     finite = np.isfinite(points).all(axis=-1)
     if len(points) and not finite.any():
@@ -194,7 +196,7 @@ def write_shape(data: Surface | PointSet, path: Path) -> Path:
 
 
 def _load(path: Path, budget: ByteBudget, formats: tuple[str, ...], what: str) -> Any:
-    """The mesh or point cloud that trimesh reads from a file."""
+    """The mesh or point cloud that trimesh reads from a file; of an XYZ file the (n, 3) points."""
     if path.suffix.lower() not in formats:
         raise ValueError(f"{path.name!r} is no {what} file that can be read; convert it to one of {', '.join(formats)}")
     try:
@@ -205,6 +207,11 @@ def _load(path: Path, budget: ByteBudget, formats: tuple[str, ...], what: str) -
         raise ValueError(f"cannot read {os.fspath(path)!r}: {error}") from error
     if not content.strip():
         raise ValueError(f"{os.fspath(path)} is empty")
+    if path.suffix.lower() == ".xyz":
+        return _read_xyz(content, os.fspath(path))
+    {".ply": _check_ply_rows, ".obj": _check_corners, ".stl": _check_corners}.get(path.suffix.lower(), _accept)(
+        content, os.fspath(path)
+    )
     import trimesh
 
     try:
@@ -219,6 +226,96 @@ def _load(path: Path, budget: ByteBudget, formats: tuple[str, ...], what: str) -
             f"{os.fspath(path)} is no whole {path.suffix} file ({type(error).__name__}: {error})"
         ) from error
     return loaded
+
+
+def _read_xyz(content: bytes, name: str) -> FloatArray:
+    """(n, 3) points of an XYZ text: the first three columns of rows that all have the same number of columns.
+
+    trimesh takes commas for blanks, so it would read decimal commas as twice as many numbers.
+
+    Raises:
+        ValueError: A row with a different number of columns, fewer than three columns, or a word that is no number.
+    """
+    comments = ["#", *(["//"] if b"//" in content else [])]
+    try:
+        with warnings.catch_warnings(action="ignore"):  # a file without rows is refused below
+            rows = np.loadtxt(io.BytesIO(content), comments=comments, ndmin=2, encoding="utf-8-sig")
+    except ValueError as error:
+        raise ValueError(f"{name}, {_xyz_fault(content, comments)}") from error
+    if rows.size and rows.shape[1] < 3:
+        raise ValueError(f"{name} has {rows.shape[1]} columns; expected x y z, separated by blanks")
+    return np.ascontiguousarray(rows[:, :3]) if rows.size else np.zeros((0, 3))
+
+
+def _xyz_fault(content: bytes, comments: Sequence[str]) -> str:
+    """The first line that is no row of an XYZ text, and why."""
+    columns = 0
+    for number, line in enumerate(content.decode("utf-8-sig", "replace").splitlines(), start=1):
+        for mark in comments:
+            line = line.partition(mark)[0]
+        words = line.split()
+        for word in words:
+            if DECIMAL.fullmatch(word) is None and word.lower().lstrip("+-") not in ("nan", "inf", "infinity"):
+                hint = "; write decimal points, and blanks between columns" if "," in word or ";" in word else ""
+                return f"line {number}: {word[:40]!r} is no number{hint}"
+        if words and len(words) != (columns := columns or len(words)):
+            return f"line {number} has {len(words)} columns, the lines before have {columns}"
+    return "expected rows of numbers, x y z first"
+
+
+def _check_ply_rows(content: bytes, name: str) -> None:
+    """Refuse an ASCII PLY file with more or fewer rows than its header declares, or with ragged rows of vertices.
+
+    trimesh cuts rows that are too long and takes a file that ends early for a smaller one.
+
+    Raises:
+        ValueError: Such a row, with its number among the rows after the header.
+    """
+    head, mark, body = content.partition(b"end_header")
+    words = [line.split() for line in head.decode("latin-1").splitlines()]
+    if not mark or ["format", "ascii"] not in [line[:2] for line in words]:
+        return
+    counts, columns = list[int](), list[int]()
+    for line in words:
+        if line[:1] == ["element"] and len(line) == 3 and line[2].isdigit():
+            counts.append(int(line[2]))
+            columns.append(0)
+        elif line[:1] == ["property"] and columns:
+            columns[-1] += -(10**6) if line[1:2] == ["list"] else 1
+    rows = body.splitlines()[1:]
+    while rows and not rows[-1].strip():
+        rows.pop()
+    if len(rows) != sum(counts):
+        raise ValueError(f"{name}: expected {sum(counts)} rows after the header, got {len(rows)}")
+    first = 0
+    for count, expected in zip(counts, columns, strict=True):
+        for number in range(first, first + count if expected > 0 else first):
+            if len(found := rows[number].split()) != expected:
+                raise ValueError(
+                    f"{name}: row {number + 1} after the header has {len(found)} columns, expected {expected}"
+                )
+        first += count
+
+
+def _check_corners(content: bytes, name: str) -> None:
+    """Refuse an OBJ or ASCII STL file in which rows of vertices differ in their number of columns.
+
+    trimesh reads such rows as one list of numbers, so a coordinate may move to another vertex.
+
+    Raises:
+        ValueError: Such a row, with its line.
+    """
+    if b"\0" in content[:1000]:  # a binary file has no rows
+        return
+    expected = 0
+    for number, line in enumerate(content.splitlines(), start=1):
+        words = line.partition(b"#")[0].split()
+        if words[:1] in ([b"v"], [b"vertex"]) and len(words) != (expected := expected or max(len(words), 4)):
+            raise ValueError(f"{name}, line {number}: a vertex has {len(words) - 1} numbers, expected {expected - 1}")
+
+
+def _accept(_content: bytes, _name: str) -> None:
+    """Check nothing."""
 
 
 def _checked_points(points: ArrayLike, what: str, farthest: float) -> FloatArray:

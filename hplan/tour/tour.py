@@ -30,7 +30,7 @@ from hplan.planning.failures import NO_MOTION
 from hplan.planning.motion import Motion, certificate_of, in_sequence, required, seconds
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import check_task
-from hplan.planning.report import motion_report
+from hplan.planning.report import far_report, motion_report
 from hplan.planning.task import PlanningCache, Progress, no_progress
 from hplan.robot.model import Robot
 from hplan.scene.model import Fruit, Goal, Scene
@@ -277,6 +277,7 @@ class TourPlanner:
             dropped=MappingProxyType(dropped),
             unreached=tuple(unreached),
             report=self._report(stages, legs, picked, unreached)
+            | far_report(self.robot, self.scene)
             | motion_report(trajectory, certificate, self.options, self.scene),
             robot=self.robot,
             scene=self.scene,

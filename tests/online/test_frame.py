@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 
 from hplan.collision.coal_cloud import distance_from
 from hplan.collision.obstacle_rows import solid_rows
-from hplan.errors import InputError, OptionError
+from hplan.errors import InputError
 from hplan.online.arm_shape import arm_solids, reach_ball
 from hplan.online.body_distances import distance_from_bodies, distances_from_bodies
-from hplan.online.frame import CloudOptions, Frame, SeenPoints, filter_frame
+from hplan.online.frame import CloudOptions, Frame, filter_frame
 from hplan.online.frame_kernels import Scratch
 from hplan.robot.model import load_robot
 from hplan.scene.obstacles import Sphere
@@ -54,6 +54,8 @@ def test_every_point_is_accounted_for(robot, seed, kind, growth_m):
     wanted = cloud_about_the_arm(rng, 600)
     with np.errstate(invalid="ignore"):
         seen = ((wanted - pose[:3, 3]) @ pose[:3, :3]).astype(kind)
+        seen[rng.random(600) < 0.05] = 0.0  # pixels without a return
+        seen[rng.random(600) < 0.05] *= 1e3
         world = seen.astype(np.float64) @ pose[:3, :3].T + pose[:3, 3]
     options = CloudOptions(growth_m=growth_m)
     fruit = Sphere(name="fruit", center=(0.2, 0.1, 0.9), radius=0.1)
@@ -61,15 +63,20 @@ def test_every_point_is_accounted_for(robot, seed, kind, growth_m):
     found = filter_frame(robot, frame, options, ignored=[fruit], clearance_m=0.01)
     report = found.report
 
-    finite = np.isfinite(seen).all(axis=1)
+    empty = (seen == 0.0).all(axis=1)
+    finite = np.isfinite(seen).all(axis=1) & ~empty
     x, y, z, radius = reach_ball(robot)
     near = np.linalg.norm(world - [x, y, z], axis=1) <= radius + RADIUS + growth_m + 0.1 + 0.01
     arm, ignored = (distances_from_bodies(np.nan_to_num(world, posinf=9.0, neginf=9.0), *solid_rows(s, p))
                     for s, p in ((arm_solids(robot, TUCKED), 0.03), ([fruit], 0.02)))  # fmt: skip
     in_arm, in_fruit = arm <= 0.0, ignored <= 0.0
     assert report.given == 600
-    assert report.not_finite == (~finite).sum()
+    assert report.not_finite == (~finite & ~empty).sum()
+    assert report.no_return == empty.sum() > 0
     assert report.out_of_reach == (finite & ~near).sum()
+    with np.errstate(over="ignore"):
+        ranges = np.sqrt((seen.astype(np.float64) ** 2).sum(axis=1))
+    assert report.far == (finite & ~near & (ranges > 100.0)).sum()
     assert report.of_arm == (finite & near & in_arm).sum() > 0
     assert report.ignored == (finite & near & ~in_arm & in_fruit).sum()
     stays = world[finite & near & ~in_arm & ~in_fruit]
@@ -399,10 +406,3 @@ def test_memory_is_bounded_and_the_oldest_go_first(robot):
     assert (third.report.remembered, third.report.forgotten) == (50, len(second.points) - 50)
     assert (third.seen.seen_s == 0.2).all()
     assert (third.points[:, 1] > 0.25).all()
-
-
-def test_time_does_not_go_back(robot):
-    first = take(robot, wall(0.8), 5.0)
-    with pytest.raises(OptionError, match="time_s"):
-        take(robot, wall(0.8), 4.0, first.seen)
-    assert take(robot, wall(0.8), 5.0, SeenPoints()).report.remembered == 0

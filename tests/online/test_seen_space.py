@@ -136,7 +136,9 @@ def test_motions_stay_in_known_space(robot: Robot) -> None:
 
 def test_the_start_has_to_be_known(robot: Robot) -> None:
     planner = Planner(robot, Scene(name="blind", start=Start(joints_rad=HOME), goal=GOAL))
-    planner.set_cloud("camera", np.full((5, 3), np.nan), radius=0.01, joints=HOME, keep_s=9.0, unknown="solid")
+    options = CloudOptions(allow_empty=True)
+    nothing = np.full((5, 3), np.nan)
+    planner.set_cloud("camera", nothing, radius=0.01, joints=HOME, keep_s=9.0, unknown="solid", options=options)
     with pytest.raises(HplanError, match=UNSEEN):
         planner.plan()
     planner.aim(start=Start(joints_rad=tuple(np.radians([180.0, 40.0, 70.0, 30.0]).tolist())))

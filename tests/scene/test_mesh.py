@@ -315,3 +315,42 @@ def test_winding_numbers():
     points = np.array([[0, 0, 0.01], [0, 0, 0.1], [0.24, 0, 0.2], [0, 0, 5.0]])
     np.testing.assert_allclose(winding_numbers(points, vertices[faces]), [1, 0, 1, 0], atol=1e-9)
     assert 0.01 < winding_numbers(vertices[:1], vertices[faces])[0] < 0.99
+
+
+def a_tetrahedron(name: str, corners: list[str]) -> str:
+    """A mesh file by the text of its corners."""
+    faces = [(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)]
+    listed = "".join(f"3 {a} {b} {c}\n" for a, b, c in faces)
+    head = "ply\nformat ascii 1.0\nelement vertex 4\nproperty double x\nproperty double y\nproperty double z\n"
+    head += "element face 4\nproperty list uchar int vertex_indices\nend_header\n"
+    rows = "\n".join(corners) + "\n"
+    loops = "".join(
+        "facet normal 0 0 0\nouter loop\n" + "".join(f"vertex {corners[k]}\n" for k in face) + "endloop\nendfacet\n"
+        for face in faces
+    )
+    return {
+        "a.obj": "".join(f"v {row}\n" for row in corners)
+        + "".join(f"f {a + 1} {b + 1} {c + 1}\n" for a, b, c in faces),
+        "a.off": f"OFF\n4 4 0\n{rows}{listed}",
+        "a.stl": f"solid a\n{loops}endsolid a\n",
+        "a.ply": head + rows + listed,
+    }[name]
+
+
+@pytest.mark.parametrize("name", ["a.obj", "a.off", "a.stl", "a.ply"])
+@pytest.mark.parametrize(
+    "corners",
+    [
+        ["0 0 0 9", "1 0", "0 1 0", "0 0 1"],
+        ["0 0 0", "1 0 0 0", "1 0", "0 0 1"],
+        ["0,0 0 0", "1,5 0 0", "0 1,5 0", "0 0 1,5"],
+    ],
+)
+def test_mesh_files_with_wrong_rows_are_refused(name: str, corners: list[str], tmp_path: Path) -> None:
+    """Ragged rows whose numbers are right in all, and decimal commas."""
+    file = tmp_path / name
+    file.write_text(a_tetrahedron(name, ["0 0 0", "1 0 0", "0 1 0", "0 0 1"]))
+    assert Mesh(name="a", file=str(file)).surface[0].max() == 1.0
+    file.write_text(a_tetrahedron(name, corners))
+    with pytest.raises(SceneError):
+        Mesh(name="a", file=str(file))

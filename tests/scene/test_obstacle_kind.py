@@ -255,6 +255,42 @@ def test_faults(content, entry, where, message, tmp_path):
     assert (caught.value.line, caught.value.where) == (6, f"obstacles[0].{where}")
 
 
+ASCII = ply(np.arange(9.0).reshape(3, 3), "ascii")
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        # trimesh read these as 600 points at other places.
+        ("c.xyz", "0,123 0,456 0,789\n1,0 2,0 3,0\n", "line 1: '0,123' is no number; write decimal points"),
+        ("c.xyz", "1 2 3\n4 5,5 6\n", "line 2: '5,5' is no number"),
+        ("c.xyz", "0.1,0.2,0.3\n", "line 1: '0.1,0.2,0.3' is no number; .* blanks between columns"),
+        ("c.xyz", "0.1;0.2;0.3\n", "line 1: .* blanks between columns"),
+        ("c.xyz", "1.234,5 2 3\n", "line 1"),
+        ("c.xyz", "x y z\n1 2 3\n", "line 1: 'x' is no number"),
+        ("c.xyz", "1 2 3\n\n4 5\n6 7 8 9\n", "line 3 has 2 columns, the lines before have 3"),
+        ("c.xyz", "2\n1 2 3\n4 5 6\n", "line 2 has 3 columns, the lines before have 1"),
+        ("c.xyz", "1 2 3 4\n5 6 # 7 8\n", "line 2 has 2 columns"),
+        ("c.xyz", "1 2\n3 4\n", "has 2 columns; expected x y z"),
+        ("c.xyz", "# nothing\n", "there are no points"),
+        ("c.xyz", "0x1 1_0 3\n", "line 1"),
+        ("c.ply", ASCII.replace(b"6.0 7.0 8.0\n", b"").decode(), "expected 3 rows after the header, got 2"),
+        ("c.ply", (ASCII + b"9 9 9\n").decode(), "expected 3 rows after the header, got 4"),
+        ("c.ply", ASCII.replace(b"3.0 4.0 5.0", b"3.0 4.0 5.0 9.0").decode(), "row 2 .* has 4 columns, expected 3"),
+        ("c.ply", ASCII.replace(b"2.0\n3.0 4.0", b"2.0 3.0\n4.0").decode(), "row 1 .* has 4 columns"),
+        ("c.ply", ASCII.replace(b"4.0", b"4,0").decode(), "is no whole .ply file"),
+    ],
+)
+def test_point_files_with_wrong_rows_are_refused(name, content, message, tmp_path):
+    with pytest.raises(SceneError, match=message):
+        read(content.encode(), tmp_path, name=name)
+
+
+def test_xyz_with_comments_and_more_columns(tmp_path):
+    text = "\ufeff# x y z r g b\r\n//comment\r\n1 2\t3 255 0 0\r\n\r\n-4.5e-1 .5 +6. 1 2 3  # last\r\n"
+    assert read(text.encode(), tmp_path, name="cloud.xyz").points.tolist() == [[1.0, 2.0, 3.0], [-0.45, 0.5, 6.0]]
+
+
 def test_other_formats_and_missing_files(tmp_path):
     with pytest.raises(SceneError, match=r"'cloud.pcd' is no point file .*one of .ply, .xyz"):
         read(b"# .PCD v.7", tmp_path, name="cloud.pcd")

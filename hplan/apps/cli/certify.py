@@ -79,7 +79,7 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int
     with loading():
         from hplan.certificate.certificate import certify
         from hplan.planning.options import PlanOptions
-        from hplan.planning.report import certificate_report, versions
+        from hplan.planning.report import certificate_report, far_report, versions
         from hplan.robot.tracking import TrackingModel
         from hplan.scene.file import load_scene
         from hplan.trajectory.trajectory import read_csv
@@ -115,6 +115,7 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int
         "scene": scene.name,
         "robot": robot.name,
         "differs": differs,
+        **far_report(robot, scene),
         "certificate": certificate_report(certificate, options, scene),
         "versions": versions(),
     }

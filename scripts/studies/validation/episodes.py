@@ -25,6 +25,7 @@ from studies.validation.worlds import (
     BALL_M,
     SEEN,
     World,
+    bad_frame,
     camera_pose,
     draw_item,
     draw_seen,
@@ -48,6 +49,9 @@ from hplan.trajectory.trajectory import Trajectory, write_csv
 
 #: Worlds of a case, changes while a motion runs, and stops between them.
 WORLDS, CHANGES, STOPS = 4, 4, 3
+
+#: Frames of a failing camera after each good one.
+BAD_FRAMES = 3
 
 #: How long until something changes, and how much later a new motion may take over [s].
 PAUSE_S, AHEAD_S = (0.02, 0.6), 0.1
@@ -263,12 +267,27 @@ class Episode:
         there = np.concatenate([world.seen, *(surface(rng, each, 0.01) for each in balls)])
         points = np.concatenate([seen_from_base(world, there, time_s), *own])
         pose = camera_pose(rng, 1.0)
-        options = CloudOptions(growth_m=float(rng.choice([0.002, 0.005, 0.02])))
+        options = CloudOptions(growth_m=float(rng.choice([0.002, 0.005, 0.02])), allow_empty=not len(there))
         local = (rng.permutation(points) - pose[:3, 3]) @ pose[:3, :3]
-        self.planner.set_cloud(
-            SEEN, local, radius=BALL_M, pose=pose, joints=q, ignore=[each["name"] for each in balls], time_s=time_s,
-            options=options,
-        )  # fmt: skip
+        frame: dict[str, Any] = {
+            "points": local,
+            "pose": pose,
+            "joints": q,
+            "time_s": time_s,
+            "radius": BALL_M,
+            "options": options,
+        }
+        frame["ignore"] = [each["name"] for each in balls]
+        self.planner.set_cloud(SEEN, **frame)
+        own_local = (np.concatenate(own) - pose[:3, 3]) @ pose[:3, :3]
+        for _ in range(BAD_FRAMES * bool(len(there))):
+            bad = bad_frame(rng, local, own_local, pose, time_s)
+            try:
+                self.planner.set_cloud(SEEN, **{**frame, **bad})
+            except HplanError as error:
+                self.tally.refused[f"bad frame: {error.kind}"] += 1
+            else:
+                self.tally.faults.append({"case": self.name, "kind": "a bad frame was taken", "frame": str(bad)})
 
     def change(self, q: FloatArray, time_s: float) -> None:
         """Something comes, goes, moves or is seen anew; or the arm is to go elsewhere; or nothing changes."""

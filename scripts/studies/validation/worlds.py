@@ -100,6 +100,45 @@ class World:
         return scene.with_(obstacles=tuple(obstacle(item) for item in self.items))
 
 
+def bad_frame(
+    rng: np.random.Generator, points: FloatArray, own: FloatArray, pose: FloatArray, time_s: float
+) -> dict[str, Any]:
+    """What is wrong with a frame, as arguments of `set_cloud`: a failing camera, a wrong unit or pose, an old stamp.
+
+    Args:
+        rng: Source of random numbers.
+        points: (n, 3) points of a good frame, in the camera's frame [m].
+        own: (k, 3) points of the arm, in the camera's frame [m].
+        pose: (4, 4) camera to `base_link`.
+        time_s: Time stamp of the good frame [s].
+    """
+    nothing = float(rng.choice([0.0, np.nan, np.inf, -np.inf]))
+    lost = np.where(rng.random((len(points), 1)) < rng.uniform(0.6, 1.0), nothing, points)
+    skewed, far, turned = pose.copy(), pose.copy(), pose.copy()
+    skewed[:3, :3] *= rng.uniform(1.01, 2.0)
+    far[:3, 3] = 1e3 * pose[:3, 3] + 1e3
+    turned[:3, 3] += 30.0 * direction(rng)
+    rays = points / np.maximum(np.linalg.norm(points, axis=1, keepdims=True), 1e-9)
+    faults: tuple[dict[str, Any], ...] = (
+        {"points": np.full_like(points, nothing)},
+        {"points": lost},
+        {"points": points[:0]},
+        {"points": 1e3 * points},
+        {"points": np.rint(1e3 * points).astype(np.int32)},
+        {"points": rng.choice([20.0, 65.535, 1e30]) * rays},
+        {"points": own},
+        {"points": points[:, :2]},
+        {"points": points.astype(str)},
+        {"pose": skewed},
+        {"pose": far},
+        {"pose": turned},
+        {"time_s": time_s - rng.uniform(1e-3, 10.0)},
+        {"points": points[:0], "time_s": time_s - rng.uniform(1e-3, 10.0)},
+        {"time_s": None},
+    )
+    return faults[int(rng.integers(len(faults)))]
+
+
 def obstacle(item: Item) -> Any:
     """An obstacle as hplan has it."""
     placed: Item = {key: item[key] for key in ("radius", "position", "rpy_deg", "track", "sway") if key in item}

@@ -1,0 +1,84 @@
+"""Finds obstacles so far from the arm that their lengths are probably in millimetres."""
+
+from __future__ import annotations
+
+import warnings
+from typing import Final
+
+import numpy as np
+
+from hplan.base.arrays import FloatArray
+from hplan.collision.reach import reach_ball
+from hplan.errors import FarObstacleWarning
+from hplan.robot.model import Robot
+from hplan.scene.model import Fruit, Scene
+from hplan.scene.obstacles import AnyObstacle, Mesh, PointCloud
+
+#: A scene is suspicious if all of it is farther than this multiple of the arm's reach, a mesh or cloud by itself if all
+#: of it is farther than this distance [m].
+_MANY_REACHES: Final = 10.0
+_FAR_M: Final = 100.0
+
+
+def far_obstacles(robot: Robot, scene: Scene) -> tuple[str, ...]:
+    """Names of the obstacles and fruits that are implausibly far from the arm.
+
+    These are all of them if nothing is within ten times the arm's reach, and each mesh or point cloud that is farther
+    than 100 m. Scenes with tracks are not examined.
+    """
+    if scene.moves:
+        return ()
+    *centre, reach = reach_ball(robot).tolist()
+    items = (*scene.obstacles, *scene.fruits)
+    if all(_is_beyond(item, np.array(centre), _MANY_REACHES * reach) for item in items):
+        return tuple(item.name for item in items)
+    shapes = (item for item in scene.obstacles if isinstance(item, Mesh | PointCloud))
+    return tuple(item.name for item in shapes if _is_beyond(item, np.array(centre), _FAR_M))
+
+
+def warn_of_far_obstacles(robot: Robot, scene: Scene) -> None:
+    """Warn if the scene has obstacles that are implausibly far from the arm.
+
+    Warns:
+        FarObstacleWarning: Of the first of them.
+    """
+    names = far_obstacles(robot, scene)
+    if names:
+        others = f" and {len(names) - 1} more are" if names[1:] else " is"
+        warnings.warn(
+            f"scene {scene.name!r}: obstacle {names[0]!r}{others} far out of reach; are lengths in millimetres? hplan "
+            "expects metres",
+            FarObstacleWarning,
+            stacklevel=2,
+        )
+
+
+def _is_beyond(item: AnyObstacle | Fruit, centre: FloatArray, distance_m: float) -> bool:
+    """True if all of an item is farther from a point than a distance."""
+    if isinstance(item, Fruit):
+        return float(np.linalg.norm(np.array(item.center) - centre)) - item.radius > distance_m
+    if isinstance(item, PointCloud):
+        # In most clouds that are near, the first point is near.
+        first, rounded = np.linalg.norm(item.points[0] - centre), distance_m + item.radius
+        return bool(first > rounded and (np.linalg.norm(item.points - centre, axis=1) > rounded).all())
+    if isinstance(item, Mesh):
+        return _is_hull_beyond(item.surface[0] - centre, distance_m)
+    return all(_is_hull_beyond(solid.core - centre, distance_m + solid.rounding) for solid in item.solids)
+
+
+def _is_hull_beyond(corners: FloatArray, distance_m: float) -> bool:
+    """True if the hull of (n, 3) corners is shown to be farther from the origin than a distance (Gilbert 1966)."""
+    nearest = corners[0]
+    for _ in range(100):
+        length = float(np.linalg.norm(nearest))
+        if length <= distance_m:
+            return False
+        along = corners @ nearest
+        if along.min() > distance_m * length:  # a plane separates the hull from the ball
+            return True
+        step = corners[along.argmin()] - nearest
+        squared = float(step @ step)
+        if squared == 0.0:
+            return False
+        nearest = nearest + min(1.0, max(0.0, -float(nearest @ step) / squared)) * step
+    return False

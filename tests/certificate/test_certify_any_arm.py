@@ -25,7 +25,7 @@ from hplan.collision.coal_scene import CoalScene
 from hplan.collision.coal_shapes import solid_shape
 from hplan.collision.collision_bodies import body_shapes, collision_bodies
 from hplan.collision.reach import reach_ball
-from hplan.collision.touching_pairs import self_pairs
+from hplan.collision.touching_pairs import required_distances, self_pairs
 from hplan.errors import InputError, JointLimitError, RobotFileError
 from hplan.online.arm_shape import arm_solids
 from hplan.robot.model import Robot, load_robot
@@ -96,8 +96,11 @@ def random_obstacles(rng: np.random.Generator, count: int) -> list:
     return found
 
 
-def least_distances(robot: Robot, obstacles, bezier: np.ndarray, looks: int) -> tuple[float, float]:
-    """Minimum distance from obstacles, and of checked pairs of the robot, at many places of a motion, by coal alone."""
+def least_distances(robot: Robot, obstacles, bezier: np.ndarray, looks: int) -> tuple[float, float, float]:
+    """Minimum distances at many places of a motion, by coal alone.
+
+    From obstacles; of checked pairs of the robot that keep the clearance; of those that only must not touch.
+    """
     shapes, pairs = body_shapes(robot), self_pairs(robot)
     geometry = pin.GeometryModel()
     for shape in (*shapes, *map(solid_shape, obstacles)):
@@ -106,14 +109,15 @@ def least_distances(robot: Robot, obstacles, bezier: np.ndarray, looks: int) -> 
     for pair in (*itertools.product(moving, range(len(shapes), geometry.ngeoms)), *pairs.checked):
         geometry.addCollisionPair(pin.CollisionPair(*pair))
     arm, data = robot.model.createData(), geometry.createData()
-    first = len(moving) * len(obstacles)
-    from_obstacles = own = np.inf
+    first, only_touch = len(moving) * len(obstacles), required_distances(pairs.farthest, 1e-3) == 0.0
+    from_obstacles = own = closer = np.inf
     for place in np.linspace(0.0, len(bezier), looks):
         pin.computeDistances(robot.model, arm, geometry, data, point_at(bezier, place))
         found = np.array([result.min_distance for result in data.distanceResults])
         from_obstacles = min(from_obstacles, found[:first].min())
-        own = min(own, found[first:].min())
-    return from_obstacles, own
+        own = min(own, found[first:][~only_touch].min(initial=np.inf))
+        closer = min(closer, found[first:][only_touch].min(initial=np.inf))
+    return from_obstacles, own, closer
 
 
 @pytest.mark.parametrize("name", ARMS)
@@ -127,15 +131,15 @@ def test_verified_motions_are_clear_at_close_times(load, name):
         obstacles = random_obstacles(rng, 5)
         certificate = certify(robot, scene_of(robot, trajectory, obstacles, 0.005), trajectory)
         bezier, _ = cubic_pieces(trajectory)
-        around, own = least_distances(robot, obstacles, bezier, 200)
+        around, own, closer = least_distances(robot, obstacles, bezier, 200)
         clear = not [line for line in certificate.violations if "limit" not in line and "deep" not in line]
         if clear:
-            assert min(around, own) >= certificate.min_clearance_m - 1e-9
+            assert min(around, own, closer) >= certificate.min_clearance_m - 1e-9
             bounds = [rule.clearance_m for rule in certificate.pair_rules if rule.clearance_m is not None]
             assert certificate.min_clearance_m > min([0.005, *(0.999 * bound for bound in bounds)])
         else:
             assert certificate.min_clearance_m <= min(around, own) + 2e-2
-        if min(around, own) <= 0.005:
+        if min(around, own) <= 0.005 or closer <= 0.0:
             assert not clear
         outcomes.add(clear)
     assert outcomes == {True, False}

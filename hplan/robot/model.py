@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Hashable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, TypeVar, overload
@@ -74,6 +74,7 @@ class Robot(PlanarNames, Record):
         beyond_family: Element of the robot, and the reason, for which it is not of the family; None where it is.
         may_touch: Pairs of links that may touch, by the robot's SRDF, Drake's filter groups or as neighbours, and the
             reason.
+        owners: Of several arms joined to one robot, the arm of each link by the link's name; empty for a single robot.
     """
 
     name: str
@@ -95,10 +96,23 @@ class Robot(PlanarNames, Record):
     planar: PlanarFamily | None
     beyond_family: tuple[str, str] | None = None
     may_touch: tuple[tuple[str, str, str], ...] = ()
+    owners: Mapping[str, str] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         joints = ", ".join(self.joint_names)
         return f"<Robot {self.name!r}: {self.dof} joints ({joints}), tool frame {self.tool_frame!r}>"
+
+    def owner_of(self, link: str) -> str | None:
+        """Name of the arm that a link belongs to; None for a single robot, and for other names.
+
+        Several arms joined to one robot (`hplan.robot.several`) each own the links of their URDF.
+        """
+        return self.owners.get(link)
+
+    def link_in_words(self, link: str) -> str:
+        """A link as messages name it; with its arm, if the robot consists of several."""
+        arm = self.owner_of(link)
+        return f"link {link!r}" if arm is None else f"link {link.removeprefix(f'{arm}_')!r} of arm {arm!r}"
 
     @property
     def family(self) -> PlanarFamily:

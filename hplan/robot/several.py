@@ -7,9 +7,9 @@ every body of the others is a pair of the robot's own, over continuous time and 
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
-from typing import Final
+from typing import Final, TypeAlias
 
 import numpy as np
 import pinocchio as pin
@@ -23,17 +23,28 @@ from hplan.robot.urdf_xml import read_urdf_xml
 #: The root, in whose frame all bases stand.
 _ROOT: Final = "base_link"
 
+#: A link of an arm: the arm's name in the cell, and the link's name in the arm's own URDF.
+ArmLink: TypeAlias = tuple[str, str]
 
-def joined_robots(arms: Mapping[str, tuple[Robot, pin.SE3]], name: str = "cell") -> Robot:
-    """Several robots as one; joints, links and frames are called as before, after the robot's name and `_`.
 
-    The tool frame is that of the first arm; the joints of each stand together, in their own order.
+def joined_robots(
+    arms: Mapping[str, tuple[Robot, pin.SE3]],
+    name: str = "cell",
+    *,
+    may_touch: Iterable[tuple[ArmLink, ArmLink, str]] = (),
+) -> Robot:
+    """Join several robots; prefix joints, links and frames with the robot's name and `_`.
+
+    The tool frame is that of the first arm; the joints of each arm stay together, in their own order. Each link knows
+    its arm (`Robot.owner_of`).
 
     Args:
-        arms: The robots by name, and where their bases stand.
+        arms: The robots by name, and the poses of their bases.
+        may_touch: Pairs of links of different arms that may touch, each with the reason. All other pairs of bodies of
+            different arms keep the full clearance.
 
     Raises:
-        InputError: No robot.
+        InputError: No robot; or `may_touch` names an unknown arm or link, or two links of one arm.
         RobotFileError: A robot's URDF can no longer be read, or two names make the same joint or link.
     """
     if not arms:
@@ -51,9 +62,34 @@ def joined_robots(arms: Mapping[str, tuple[Robot, pin.SE3]], name: str = "cell")
     joints = [f"{each}_{joint}" for each in ordered for joint in arms[each][0].joint_names]
     first, (robot, _) = next(iter(arms.items()))
     found = load_robot(ET.tostring(root, encoding="unicode"), joints=joints, tool_frame=f"{first}_{robot.tool_frame}")
-    allowed = ((f"{n}_{a}", f"{n}_{b}", why) for n in ordered for a, b, why in arms[n][0].may_touch)
+    allowed = [(f"{n}_{a}", f"{n}_{b}", why) for n in ordered for a, b, why in arms[n][0].may_touch]
+    allowed += _declared(arms, may_touch)
+    owners = {f"{each}_{link}": each for each, (robot, _) in arms.items() for link in _link_names(robot)}
     turning = np.concatenate([arms[each][0].continuous for each in ordered])
-    return replace(found, continuous=readonly(turning, np.bool_), may_touch=tuple(allowed))
+    return replace(found, continuous=readonly(turning, np.bool_), may_touch=tuple(allowed), owners=owners)
+
+
+def _declared(
+    arms: Mapping[str, tuple[Robot, pin.SE3]], pairs: Iterable[tuple[ArmLink, ArmLink, str]]
+) -> Iterator[tuple[str, str, str]]:
+    """Pairs of links of different arms, by their names in the joined robot, checked."""
+    for first, second, reason in pairs:
+        for arm, link in (first, second):
+            if arm not in arms:
+                raise InputError(f"may_touch: arm {arm!r} is not of the cell; it has {', '.join(arms)}", robot=arm)
+            links = _link_names(arms[arm][0])
+            if link not in links:
+                known = f"{link!r} is not a link of arm {arm!r}; its links are {', '.join(links)}"
+                raise InputError(f"may_touch: {known}", robot=arm, link=link)
+        if first[0] == second[0]:
+            declared = f"links {first[1]!r} and {second[1]!r} are both of arm {first[0]!r}"
+            raise InputError(f"may_touch: {declared}; the pairs of one arm are in its SRDF", robot=first[0])
+        yield "_".join(first), "_".join(second), reason
+
+
+def _link_names(robot: Robot) -> tuple[str, ...]:
+    """Names of the links of a robot."""
+    return tuple(str(frame.name) for frame in robot.model.frames if frame.type == pin.FrameType.BODY)
 
 
 def _renamed(name: str, robot: Robot, into: ET.Element, *, jerk: bool) -> str:

@@ -8,7 +8,6 @@ bodies of different arms against one another, over continuous time.
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -136,8 +135,9 @@ class Cell(Record):
                 raise InputError(f"robots: there is none for {arm.name!r}", robot=arm.name)
         placed = {arm.name: (robots[arm.name], _placement(arm)) for arm in scene.robots}
         key = tuple((name, robot, place.homogeneous.tobytes()) for name, (robot, place) in placed.items())
+        declared = [(first, second, BY_SCENE) for first, second in scene.may_touch]
         # Kept with the first robot: the next task of the same arms begins sooner.
-        whole = key[0][1].cached(("cell", scene.may_touch, *key), lambda: _touching(joined_robots(placed), scene))
+        whole = key[0][1].cached(("cell", scene.may_touch, *key), lambda: joined_robots(placed, may_touch=declared))
         return cls(scene, whole, tuple(_arm(scene, arm, *placed[arm.name], whole) for arm in scene.robots))
 
     def arm(self, name: str) -> CellArm:
@@ -151,26 +151,15 @@ class Cell(Record):
             raise InputError(f"the cell has no arm {name!r}; it has {', '.join(arm.name for arm in self.arms)}")
         return found
 
-    @cached_property
-    def _owners(self) -> dict[str, str]:
-        """The arm of each link and frame of the cell's robot, by name."""
-        common = {frame.name for frame in self.robot.model.frames[:2]}  # the universe, and the root of all arms
-        names = ((arm, arm.prefix + frame.name) for arm in self.arms for frame in arm.robot.model.frames)
-        return {name: arm.name for arm, name in names if name not in common}
-
     def owner(self, link: str) -> str | None:
         """The arm that a link of the cell's robot is of, by name; None for a link of no arm."""
-        return self._owners.get(link)
+        return self.robot.owner_of(link)
 
     def blocking(self, obstacle: str | None) -> str | None:
         """The arm that stands as an obstacle of this name (`standing`); None for the scene's own obstacles."""
         bodies = collision_bodies(self.robot)
         found = (body for number, body in enumerate(bodies) if obstacle == _standing_name(body, number))
         return next((self.owner(body.name) for body in found), None)
-
-    def link(self, arm: str, link: str) -> str:
-        """The name in the cell's robot of a link that an arm's URDF names."""
-        return f"{self.arm(arm).name}_{link}"
 
     def starting(self, q: Mapping[str, FloatArray]) -> Cell:
         """The cell with some of its arms, by name, at other (dof,) configurations at first."""
@@ -613,7 +602,7 @@ def standing(cell: Cell, name: str, thicker: float) -> Iterator[AnyObstacle]:
     Links that may touch one of that arm are left out.
     """
     may_touch = [dict(pair) for pair in cell.scene.may_touch]
-    beside = {cell.link(other, pair[other]) for pair in may_touch if name in pair for other in pair if other != name}
+    beside = {f"{arm}_{pair[arm]}" for pair in may_touch if name in pair for arm in pair if arm != name}
     robot, base = cell.robot, cell.arm(name).base
     data = robot.model.createData()
     pin.forwardKinematics(robot.model, data, cell.configuration({}))
@@ -685,19 +674,6 @@ def _arm(scene: CellScene, given: CellRobot, robot: Robot, placement: pin.SE3, w
     task = _seen_from(placement, task)
     joints = readonly([whole.joint_names.index(prefix + joint) for joint in robot.joint_names], np.int64)
     return CellArm(given.name, robot, task, joints, placement, given.goal is None, drop, given.every, prefix)
-
-
-def _touching(whole: Robot, scene: CellScene) -> Robot:
-    """The robot of all arms, with the pairs of links that the scene says may touch.
-
-    Raises:
-        InputError: A robot of the scene has no such link.
-    """
-    for arm, link in itertools.chain(*scene.may_touch):
-        if not whole.model.existBodyName(f"{arm}_{link}"):
-            raise InputError(f"may_touch: the robot {arm!r} has no link {link!r}", robot=arm, link=link)
-    pairs = (tuple(f"{arm}_{link}" for arm, link in pair) for pair in scene.may_touch)
-    return replace(whole, may_touch=(*whole.may_touch, *((first, second, BY_SCENE) for first, second in pairs)))
 
 
 def _seen_from(base: pin.SE3, task: Scene) -> Scene:

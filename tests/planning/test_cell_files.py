@@ -7,13 +7,14 @@ import math
 from dataclasses import replace
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
-from hplan import certify, load_robot, plan, write_csv
+from hplan import certify, load_robot, plan, read_csv, write_csv
 from hplan.apps.cli.main import main
-from hplan.errors import InputError, OptionError, SceneError
+from hplan.errors import HplanError, InputError, OptionError, SceneError
 from hplan.planning import cell as cells
-from hplan.planning.cell import Cell, certify_between, certify_cell
+from hplan.planning.cell import Cell, certify_between, certify_cell, load_cell
 from hplan.planning.cell_planner import plan_cell
 from hplan.planning.options import PlanOptions
 from hplan.scene.cell import CellRobot, CellScene
@@ -280,7 +281,7 @@ def test_options_without_meaning_are_refused(picker):
 @pytest.mark.parametrize("names", [("a", "a_link"), ("a_link", "a"), ("base", "base_link"), ("turret", "a")])
 def test_owners_go_by_exact_names(picker, names):
     cell = beside(picker, names=names, obstacles=(Sphere(name="a_post", center=(0.0, -2.0, 0.5), radius=0.1),))
-    own = [frame.name for frame in picker.model.frames if frame.name != "universe"]
+    own = [frame.name for frame in picker.model.frames if frame.type == pin.FrameType.BODY]
     for name in names:
         assert all(cell.owner(f"{name}_{link}") == name for link in own)
     assert cell.owner("a_post") is cell.owner("base_link") is cell.owner(f"{names[0]}_") is None
@@ -302,3 +303,70 @@ def test_an_arm_whose_joints_begin_with_its_name(picker, write):
     assert cell.robot.joint_names[cell.arm("left").joints[0]] == "left_left_yaw"
     assert cell.arm("left").tool_frame == "left_left_tool"
     assert plan_cell(cell, QUICK).certificate.verified
+
+
+def on_a_plate() -> str:
+    """A column with an arm on a plate of 1 m."""
+
+    def link(name: str, size: str, place: str) -> str:
+        box = f'<collision><origin xyz="{place}"/><geometry><box size="{size}"/></geometry></collision>'
+        inertia = '<inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/>'
+        return f'<link name="{name}"><inertial><mass value="1"/>{inertia}</inertial>{box}</link>'
+
+    def joint(name: str, ends: tuple[str, str], place: str, axis: str) -> str:
+        limit = '<limit lower="-3" upper="3" velocity="1" effort="500" acceleration="5"/>'
+        parts = f'<parent link="{ends[0]}"/><child link="{ends[1]}"/><origin xyz="{place}"/><axis xyz="{axis}"/>'
+        return f'<joint name="{name}" type="revolute">{parts}{limit}</joint>'
+
+    return f"""<robot name="m" version="1.2">
+{link("base_link", "1 1 0.02", "0 0 -0.03")}{link("column", "0.09 0.09 0.2", "0 0 0.1")}
+{link("arm", "0.3 0.04 0.04", "0.15 0 0")}<link name="tool0"/>
+{joint("turn", ("base_link", "column"), "0 0 0", "0 0 1")}{joint("lift", ("column", "arm"), "0 0 0.3", "0 1 0")}
+<joint name="t" type="fixed"><parent link="arm"/><child link="tool0"/><origin xyz="0.3 0 0"/></joint></robot>"""
+
+
+PLATES = """\
+format: hplan-scene/1
+name: plates
+robots:
+- {name: a, robot: m.urdf, start: {joints_deg: [0, -30]}, goal: {joints_deg: [90, -30]}}
+- {name: b, robot: m.urdf, position: [0.99, 0, 0], start: {joints_deg: [0, -30]}, goal: {joints_deg: [-90, -30]}}
+clearance: 0.02
+may_touch:
+- [[a, base_link], [b, base_link]]
+"""
+
+
+def test_links_that_touch_by_design_are_declared_and_reported(write, tmp_path, capsys):
+    write("m.urdf", on_a_plate())
+    scene, out = str(write("plates.yaml", PLATES)), tmp_path / "out"
+    assert main(["plan", scene, "--out", str(out), "--effort", "quick"]) == 0
+    assert "may touch" in capsys.readouterr().out
+    declared = [[["a", "base_link"], ["b", "base_link"]]]
+    assert json.loads((out / "report.json").read_text())["may_touch"] == declared
+    assert main(["certify", str(out), scene]) == 0
+    assert "may touch" in capsys.readouterr().out
+    assert main(["certify", str(out), scene, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["may_touch"] == declared
+    cell = load_cell(scene)
+    assert {solid.name.rpartition(" ")[0] for solid in cells.standing(cell, "a", 0.0)} == {"b_column", "b_arm"}
+    without = load_cell(write("without.yaml", PLATES.partition("may_touch")[0]))
+    files = {name: read_csv(out / f"trajectory-{name}.csv") for name in ("a", "b")}
+    assert not certify_cell(without, files).verified
+    with pytest.raises(HplanError, match="base_link"):
+        plan_cell(without, QUICK)
+
+
+@pytest.mark.parametrize(
+    ("pair", "message"),
+    [
+        ("[[a, base_link], [c, base_link]]", "'c' is not among the robots"),
+        ("[[a, base_link], [a, arm]]", "both links are of 'a'"),
+        ("[[a, base_link], [b, plate]]", "'plate' is not a link of arm 'b'"),
+        ("[[a, base_link]]", "may_touch"),
+    ],
+)
+def test_declarations_of_unknown_links_are_refused(write, pair, message):
+    write("m.urdf", on_a_plate())
+    with pytest.raises((SceneError, InputError), match=message):
+        load_cell(write("plates.yaml", PLATES.replace("[[a, base_link], [b, base_link]]", pair)))

@@ -33,6 +33,9 @@ from hplan.scene.cell import CellRobot, CellScene
 from hplan.scene.model import Goal, Start
 from hplan.trajectory.trajectory import Trajectory, read_csv, write_csv
 
+#: Sets of files for arms at the same places.
+SETS = 8
+
 #: Arms of a workcell, and how far their bases are from the origin [m].
 ARMS, FAR_M = (2, 4), (0.1, 0.6, 1.5)
 
@@ -43,69 +46,87 @@ OWN, TAMPERED, TIGHT = 0.1, 0.25, 0.5
 WITHIN_M, SAME_M = 0.2, 1e-6
 
 
-def judged_cell(seed: int, number: int) -> Tally:
-    """One workcell, its certificate and what the judge sees."""
-    warm_up()
+def judged_cells(seed: int, number: int) -> Tally:
+    """Arms at some places, and some sets of files for them: their certificates, and what the judge sees."""
     rng, tally = np.random.default_rng([seed, number, 21]), Tally()
     with tempfile.TemporaryDirectory() as name:
         try:
-            found = _drawn(Path(name), rng, tally)
-            if found is None:
-                return tally
-            cell, drawn, paths = found
-            files = {each: read_csv(path) for each, path in paths.items()}
-            certificate = certify_cell(cell, files, check_ends=False)
+            drawn, places = _drawn_arms(Path(name), rng, tally)
         except HplanError as error:
-            tally.refused[error.kind] += 1
+            tally.refused[f"robot: {error.kind}"] += 1
             return tally
-        tally.looked["verified" if certificate.verified else "not verified"] += 1
-        case = {"case": str(number), "arms": [each.kind for each in drawn]}
-        tally.faults += [case | fault for fault in _faults(cell, drawn, paths, certificate, tally)]
-        for arm in cell.arms:
-            alone = certify(arm.robot, arm.scene, files[arm.name], check_ends=False)
-            if certificate.arms[arm.name].violations != alone.violations:
-                tally.faults.append(case | {"kind": "not the certificate that the arm has alone", "arm": arm.name})
+        for turn in range(SETS):
+            try:
+                _judge(drawn, places, Path(name), rng, tally, f"{number}.{turn}")
+            except HplanError as error:
+                tally.refused[error.kind] += 1
     return tally
 
 
-def _drawn(folder: Path, rng: np.random.Generator, tally: Tally) -> tuple[Cell, list[DrawnArm], dict[str, Path]] | None:
-    """A workcell, its arms as the judge has them, and their files; None where an arm touches itself nearly always."""
-    count, far = int(rng.integers(ARMS[0], ARMS[1] + 1)), float(rng.choice(FAR_M))
-    drawn, robots, ends = list[DrawnArm](), list[dict[str, Any]](), list[Any]()
-    for k in range(count):
+def _judge(
+    drawn: list[DrawnArm], places: list[dict[str, Any]], folder: Path, rng: np.random.Generator, tally: Tally, case: str
+) -> None:
+    """One set of files."""
+    found = _drawn_files(drawn, places, folder, rng, tally)
+    if found is None:
+        return
+    cell, paths = found
+    files = {each: read_csv(path) for each, path in paths.items()}
+    certificate = certify_cell(cell, files, check_ends=False)
+    tally.looked["verified" if certificate.verified else "not verified"] += 1
+    told = {"case": case, "arms": [each.kind for each in drawn]}
+    tally.faults += [told | fault for fault in _faults(cell, drawn, paths, certificate, tally)]
+    for arm in cell.arms:
+        alone = certify(arm.robot, arm.scene, files[arm.name], check_ends=False)
+        if certificate.arms[arm.name].violations != alone.violations:
+            tally.faults.append(told | {"kind": "not the certificate that the arm has alone", "arm": arm.name})
+
+
+def _drawn_arms(folder: Path, rng: np.random.Generator, tally: Tally) -> tuple[list[DrawnArm], list[dict[str, Any]]]:
+    """Two to four arms, and the names and bases of them."""
+    far = float(rng.choice(FAR_M))
+    drawn, places = list[DrawnArm](), list[dict[str, Any]]()
+    for k in range(int(rng.integers(ARMS[0], ARMS[1] + 1))):
         own = folder / str(k)
         own.mkdir()
         arm = named_arm("harvester") if rng.random() < 0.1 else draw_arm(own, rng)
-        both = draw_ends(arm, rng, 0.0)
-        if both is None:
-            return None
         tilt = rng.uniform(-20.0, 20.0, 2) if rng.random() < 0.15 else np.zeros(2)
         place = (*(rng.uniform(-far, far, 2)), float(rng.choice([0.0, rng.uniform(-0.3, 0.3)])))
         drawn.append(arm)
-        ends.append(both)
-        robots.append({"name": f"arm_{k}" if k % 2 else f"arm{'_0' * (k // 2)}", "position": tuple(map(float, place)),
+        places.append({"name": f"arm_{k}" if k % 2 else f"arm{'_0' * (k // 2)}", "position": tuple(map(float, place)),
                        "rpy_deg": (*tilt.tolist(), float(rng.uniform(-180.0, 180.0)))})  # fmt: skip
         tally.arms[arm.kind] += 1
-    items = [draw_item(drawn[0], World(*ends[0]), rng, f"o{k}") for k in range(int(rng.integers(3)))]
+    return drawn, places
+
+
+def _drawn_files(
+    drawn: list[DrawnArm], places: list[dict[str, Any]], folder: Path, rng: np.random.Generator, tally: Tally
+) -> tuple[Cell, dict[str, Path]] | None:
+    """A workcell and the file of each arm; None where an arm touches itself nearly everywhere."""
+    ends = [draw_ends(each, rng, 0.0) for each in drawn]
+    if any(both is None for both in ends):
+        return None
+    known = [both for both in ends if both is not None]
+    items = [draw_item(drawn[0], World(*known[0]), rng, f"o{k}") for k in range(int(rng.integers(3)))]
     arms = tuple(
         CellRobot(**given, start=Start(joints_rad=tuple(q[0].tolist())), goal=Goal(joints_rad=tuple(q[1].tolist())))
-        for given, q in zip(robots, ends, strict=True)
+        for given, q in zip(places, known, strict=True)
     )
     scene = CellScene(name="drawn", robots=arms, obstacles=tuple(map(obstacle, items)))
     cell = Cell.of(scene, {arm.name: each.robot for arm, each in zip(arms, drawn, strict=True)})
     paths = {}
-    for arm, given, both in zip(cell.arms, drawn, ends, strict=True):
+    for arm, given, both in zip(cell.arms, drawn, known, strict=True):
         motion = _own(cell, arm.name) if rng.random() < OWN else None
         tampered, kind = False, "foreign" if motion is None else "own"
         motion = _foreign(given.robot, *both, rng) if motion is None else motion
         motion = replace(motion, joint_names=arm.robot.joint_names)
-        if rng.random() < TAMPERED / count:
+        if rng.random() < TAMPERED / len(drawn):
             motion, tampered = _tampered(motion, rng), True
         paths[arm.name] = write_csv(motion, folder / f"trajectory-{arm.name}.csv")
         if tampered and rng.random() < 0.2:
             _tamper_text(paths[arm.name], rng)
         tally.looked_in[f"{kind}{', tampered' if tampered else ''}"] += 1
-    return _with_clearance(cell, drawn, paths, rng), drawn, paths
+    return _with_clearance(cell, drawn, paths, rng), paths
 
 
 def _with_clearance(cell: Cell, drawn: list[DrawnArm], paths: dict[str, Path], rng: np.random.Generator) -> Cell:
@@ -136,6 +157,7 @@ def _remade(cell: Cell, drawn: list[DrawnArm], clearance: float, declared: tuple
 def _own(cell: Cell, name: str) -> Trajectory | None:
     """The motion that hplan plans for an arm; None where it finds none in time."""
     arm = cell.arm(name)
+    warm_up()
     try:
         return plan(arm.robot, arm.scene, PlanOptions(effort="quick"), cancel=impatient()).trajectory
     except HplanError:
@@ -256,7 +278,7 @@ def _items(cell: Cell) -> list[dict[str, Any]]:
 
 
 def _row(asked: Asked, number: int) -> Row:
-    return judged_cell(asked.seed, number).row(number)
+    return judged_cells(asked.seed, number).row(number)
 
 
 WORKCELLS = Study(

@@ -4,7 +4,8 @@ Between two rows the controller is taken to follow the cubic that has the rows' 
 Hermite`); a trajectory of hplan is exactly that curve. On it
 
 - **clearance** is shown over continuous time, from obstacles, and of parts of the arm that can touch one another
-  (conservative advancement; the bound is in `hplan.certificate.clearance_proof`);
+  (conservative advancement; the bound is in `hplan.certificate.clearance_proof`), but for pairs of one arm with a rule
+  of their own, which are listed (`hplan.certificate.pair_rules`); bodies of different arms always keep it;
 - the **fruit that is the goal** may be touched by the last link only, and only on a straight approach to the grasp and
   in the retreat (`hplan.certificate.goal_contact`); all other fruits are obstacles, but for windows of time that are
   given: those of fruits that the motion had to do with before it was led elsewhere;
@@ -52,12 +53,13 @@ from hplan.certificate.goal_contact import FruitContact, contact_window
 from hplan.certificate.limit_use import LimitUse, limit_use
 from hplan.certificate.motion_bound import fastest, largest_deviations
 from hplan.certificate.moving_obstacles import checker_in_time, clear_until, moving_base_contacts
+from hplan.certificate.pair_rules import PairRule, joined_rules, pair_rules
 from hplan.certificate.pushes import Push
 from hplan.certificate.start_state import start_violations
 from hplan.certificate.task_check import task_violations
 from hplan.certificate.tilted_base import use_on_track
 from hplan.certificate.touch_risk import TouchRisk, touch_risk
-from hplan.collision.coal_scene import CoalScene, Contact, base_contacts
+from hplan.collision.coal_scene import CoalScene, Contact, OwnContact, base_contacts
 from hplan.errors import InputError, MovingObstacleError, OptionError
 from hplan.robot.base_shapes import BASE_DEPTH
 from hplan.robot.model import Robot
@@ -98,11 +100,14 @@ class Certificate:
 
     Attributes:
         verified: True if everything asked for was shown.
-        min_clearance_m: Distance that every link is shown to keep at all times from every obstacle, and from every
-            part of the arm that it can touch [m]; inf where there is none. Where the clearance is not shown, the
-            smallest distance found, negative in contact. What gives way counts as if the clearance to keep were left
-            where it is pushed as deep as it may be (`pushes` says how deep it is).
-        nearest: Link and obstacle, or part of the arm, at the smallest distance that was evaluated.
+        min_clearance_m: If the clearance is proved, a lower bound of every distance, at all times and tracking errors
+            included, between links and obstacles, and between bodies of the arm that are checked [m]; inf without such
+            pairs. It is below the scene's clearance if a pair in `pair_rules` comes nearer. If the clearance is not
+            proved, the smallest distance found, negative in contact. A compliant obstacle counts as if the clearance
+            to keep were left when it is pushed as deep as it may be (`pushes` says how deep it is).
+        nearest: The pair that came closest to the distance that it has to keep, and its distance, at the configurations
+            that were evaluated: no less than `min_clearance_m` if the motion is verified, compliant obstacles aside.
+            `hplan.check` reports the same pair of single configurations.
         limit_use: Upper bound of the use of each limit.
         checks: Number of configurations at which distances were evaluated.
         violations: A message for everything that was not verified; empty when verified.
@@ -113,6 +118,9 @@ class Certificate:
         risk: The probability that the motion touches anything, where a bound of it was asked for.
         subject: The motions that it is about, for `clearance_curve`; None where it was made by hand.
         nearest_s: When `nearest` was seen, counted as the tracks' times are [s]; None where nothing moves but the arm.
+        pair_rules: Pairs of links of the arm that do not keep the scene's clearance: each with its own rule and its own
+            bound, or not checked; see `hplan.certificate.pair_rules`. Bodies that do not move relative to each other
+            are not listed.
         clear_until_s: Time up to which the arm is shown to keep its distance if it rests where the motion ends, counted
             as the tracks' times are; inf for ever [s]. None where nothing moves, or the motion is not verified.
     """
@@ -130,6 +138,7 @@ class Certificate:
     clear_until_s: float | None = None
     risk: TouchRisk | None = None
     subject: Subject | None = field(default=None, compare=False, repr=False)
+    pair_rules: tuple[PairRule, ...] = ()
 
     @property
     def contact_s(self) -> tuple[float, float] | None:
@@ -377,15 +386,16 @@ def certify_among(
         speeds = fastest(bezier, duration) if rates is None else rates.speeds
     deviations, at_rest = (largest_deviations(robot, tracking, at) for at in (speeds, np.zeros((1, robot.dof))))
     clock = begin_s + (trajectory.time if trajectory.samples > 1 else np.zeros(2))
-    seen_s: list[float | None] = []
+    seen_s, rules = list[float | None](), list[tuple[PairRule, ...]]()
     proved, wanted = [], f"more than {1e3 * clearance:.3g} mm at a tracking error of {tracking.summary(robot.slides)}"
     for part, checker in among:
         own = deviations if len(deviations) == 1 else deviations[part]
         times = clock[part.start : part.stop + 1]
         proof = prove_clearance(bezier[part], checker, own, clearance, times)
+        rules.append(pair_rules(checker.covering(float(own.max()), clearance), proof, clearance))
         proved.append(ProvedStretch(part, checker, own, proof, times))
         seen_s.append(None if checker.moving is None else _time_of(proof, times))
-        violations += _not_shown(proof, trajectory, part.start, wanted, seen_s[-1])
+        violations += _not_shown(robot, proof, trajectory, part.start, wanted, seen_s[-1])
     proofs = [stretch.proof for stretch in proved]
     last = among[-1][1]
     missing = [proof.clearance_m for proof in proofs if not proof.shown]
@@ -398,6 +408,7 @@ def certify_among(
         violations=tuple(violations),
         subject=Subject(((ProvedMotion(robot, trajectory, tuple(proved), clearance), False),)),
         nearest_s=_nearest_s([proof.nearest for proof in proofs], seen_s),
+        pair_rules=joined_rules(rules),
         clear_until_s=None
         if last.moving is None or violations
         else clear_until(bezier[-1, 3], last, at_rest, clearance, clock[-1]),
@@ -453,10 +464,13 @@ def all_of(parts: Sequence[Certificate]) -> Certificate:
         subject=joined_subjects(part.subject for part in parts),
         nearest_s=_nearest_s([part.nearest for part in parts], [part.nearest_s for part in parts]),
         clear_until_s=parts[-1].clear_until_s if all(part.verified for part in parts) else None,
+        pair_rules=joined_rules(part.pair_rules for part in parts),
     )
 
 
-def _not_shown(proof: Proof, trajectory: Trajectory, first: int, wanted: str, seen_s: float | None) -> Iterator[str]:
+def _not_shown(
+    robot: Robot, proof: Proof, trajectory: Trajectory, first: int, wanted: str, seen_s: float | None
+) -> Iterator[str]:
     """Message: the clearance that a proof does not verify, the first such piece, and when it saw the least."""
     if proof.shown:
         return
@@ -470,8 +484,10 @@ def _not_shown(proof: Proof, trajectory: Trajectory, first: int, wanted: str, se
         yield f"clearance is not shown beyond {at:.6g} s, where {proof.checks:,} checks are used up"
     if proof.nearest is not None:
         near, when = proof.nearest, "" if seen_s is None else f" at {seen_s:.6g} s"
+        other = robot.link_in_words(near.obstacle) if isinstance(near, OwnContact) else near.other
         yield (
-            f"link {near.link!r} comes to {1e3 * near.distance_m:.3g} mm of {near.other}{when}; to be shown: {wanted}"
+            f"{robot.link_in_words(near.link)} comes to {1e3 * near.distance_m:.3g} mm of {other}{when}; "
+            f"to be shown: {wanted}"
         )
 
 

@@ -4,7 +4,9 @@ A pair is a link and an obstacle, a turning shape of the turret and an obstacle,
 moving body: with an obstacle the link, or the turret, which the yaw alone moves; with two parts of the arm one of them
 as seen from the other. A pair's spare clearance is its distance, by coal, beyond the one to be kept. A look at a pair
 counts to both sides: as far as its moving body travels no more than its spare clearance there, less the clearance shown
-so far (at most half of the spare clearance of any pair), before and after, at least the clearance shown remains. So the
+so far (at most half of the spare clearance of any pair), before and after, at least the clearance shown remains. (So
+the certified clearance is at least halfway from the required distance to the nearest evaluated one. Pairs of the arm's
+own that keep less than the required clearance each have a bound of their own, `Proof.own_bounds`.) So the
 next look at a pair is further ahead than the last one shows, and where the two leave a gap, there is one in its middle.
 Before coal is asked, boxes about the two bound their distance (`hplan.collision.box_bounds`); where the bound leaves
 enough, it is taken in its place. Places are counted in rows. Where a pair is too near, the proof goes on as far as it
@@ -86,11 +88,15 @@ class Proof:
     Attributes:
         outcome: Whether it is shown, or why not: a pair comes too near, more than the stated number of checks would be
             needed, or the motion is too fast or too long for its travel to be bounded.
-        clearance_m: The clearance shown; else the smallest found, less the displacement by tracking errors [m].
+        clearance_m: Proved: lower bound of every distance along the motion, tracking errors included; else the smallest
+            distance found, less the displacement by tracking errors [m]. A compliant obstacle counts as
+            `CoalScene.counted` has it.
         nearest: The nearest pair that was seen, and its distance; None without pairs.
         checks: Configurations at which distances were evaluated.
         end: Place up to which it was shown, or from which on travel is not bounded, counted in pieces.
         nearest_at: Where the nearest pair was seen, counted in pieces.
+        own_bounds: Pairs of the arm's own that keep less than the required clearance, by their number among the
+            checker's pairs, each with a lower bound of its distance along the motion [m].
     """
 
     outcome: Outcome
@@ -99,6 +105,7 @@ class Proof:
     checks: int
     end: float
     nearest_at: float = 0.0
+    own_bounds: tuple[tuple[int, float], ...] = ()
 
     @property
     def shown(self) -> bool:
@@ -140,7 +147,9 @@ def prove_clearance(
             return search.worst("too near")
         look = following
     end = float(len(bezier))
-    return Proof("shown", needed + search.shown, search.contact(), search.checks, end, search.nearest[2])
+    bounds = tuple(search.own_bounds())
+    least = min(needed + float(search.shown[0]), *(bound for _, bound in bounds), math.inf)
+    return Proof("shown", least, search.contact(), search.checks, end, search.nearest[2], bounds)
 
 
 class _Search(NamedTuple):
@@ -158,6 +167,7 @@ class _Search(NamedTuple):
     joints: FloatArray
     asked: IntArray
     q: FloatArray
+    shown: FloatArray
 
 
 class Advancement:
@@ -166,12 +176,14 @@ class Advancement:
     Attributes:
         movers: (2, bodies, rows + 1) at each row, how much nearer each moving body may be than in the motion, and how
             far it has travelled [m].
-        pairs: (7, pairs) for each pair the distance to be kept, coal's error with it [m]; the place where it is to be
+        pairs: (8, pairs) for each pair the distance to be kept, coal's error with it [m]; the place where it is to be
             asked next, infinite where that is after the end; in travel of its moving body, up to where its
             clearance is shown, below 0 before the first look, from where on beyond a gap, infinite for none, and up to
-            where then [m]; by how much less than what is needed it has to keep, and what is taken off its bounds [m].
+            where then [m]; by how much less than what is needed it has to keep, and what is taken off its bounds [m];
+            and the index of its bound in `shown`.
         mover_of: (pairs,) each pair's moving body.
-        shown: Clearance shown of every pair so far, beyond the one needed [m].
+        shown: Clearance proved so far beyond the one to be kept: of all pairs with the required clearance or a
+            compliant obstacle, then of each other pair by itself [m].
         checks: Looks in which coal was asked.
         looks: All looks.
         nearest: The smallest distance so far [m], the pair, and where.
@@ -210,9 +222,14 @@ class Advancement:
         kept = asked + checker.distance_errors
         may_lack = none + (needed - asked)
         before = none - np.finfo(np.float64).tiny
-        self.pairs = np.stack([kept, none, before, none + math.inf, none, may_lack, checker.taken_off])
+        self._counted = checker.counted(needed)
+        by_itself = may_lack > self._counted
+        bound = np.where(by_itself, np.cumsum(by_itself), 0.0)
+        self.shown: FloatArray = np.full(1 + int(by_itself.sum()), math.inf)
+        self.pairs = np.stack([kept, none, before, none + math.inf, none, may_lack, checker.taken_off, bound])
+        self._required = none + asked
         self.mover_of = mover_of
-        self._ahead, self.shown, self.checks, self.looks = _AHEAD, math.inf, 0, 0
+        self._ahead, self.checks, self.looks = _AHEAD, 0, 0
         self.nearest = math.inf, 0, 0.0
 
     def place(self, q: FloatArray, at: float) -> None:
@@ -230,7 +247,7 @@ class Advancement:
         boxes, sides = self._checker.boxes
         joints, bezier = joints_as_pinocchio(self._checker.robot), np.ascontiguousarray(self._bezier)
         room = np.zeros(len(self.mover_of), dtype=np.int64), np.zeros(bezier.shape[2])
-        return _Search(bezier, self.mover_of, self.movers, self.pairs, boxes, sides, joints, *room)
+        return _Search(bezier, self.mover_of, self.movers, self.pairs, boxes, sides, joints, *room, self.shown)
 
     def first(self) -> Look:
         """The look at the nearest pairs at the begin, or at all; others are due there too."""
@@ -246,12 +263,11 @@ class Advancement:
         if len(pairs):
             self.place(q, at)
             distances = self._checker.distances_of(pairs)
-        distance, pair, shown, looks, count, there = _look(pairs, distances, at, self.shown, self._ahead, self._search)
+        distance, pair, is_far, looks, count, there = _look(pairs, distances, at, self._ahead, self._search)
         self.looks += looks
         if distance < self.nearest[0]:
             self.nearest = distance, pair, at
-        if shown > 0.0:
-            self.shown = shown
+        if is_far:
             return self._search.asked[:count], there, self._search.q
         if self._ahead == 0.0:
             return None
@@ -275,6 +291,11 @@ class Advancement:
         self.nearest = min(self.nearest, (distance, pair, at))
         return distance
 
+    def own_bounds(self) -> Iterator[tuple[int, float]]:
+        """The pairs with a bound of their own, and the lower bound of the distance of each so far [m]."""
+        for pair in np.flatnonzero(self.pairs[7]).tolist():
+            yield pair, float(self._required[pair] + self.shown[int(self.pairs[7, pair])])
+
     def contact(self) -> Contact:
         """The nearest pair by name, and its distance; one that may be nearer than others counts as farther away."""
         distance, pair, _ = self.nearest
@@ -286,7 +307,7 @@ class Advancement:
         A pair is not asked where its moving body has not yet travelled as much as it was farther away than the nearest.
         """
         mover_of, (sway_at_rows, travel) = self.mover_of, self.movers
-        rows, least = len(self._bezier), math.inf
+        rows, least = len(self._bezier), min((bound for _, bound in self.own_bounds()), default=math.inf)
         shown = min(*self._places(), float(rows))
         first = min(int(shown), rows - 1)
         end = shown if outcome != "travel" else float(self.bounded)
@@ -300,15 +321,17 @@ class Advancement:
             while due and due[0][0] == row:
                 pairs.append(heapq.heappop(due)[1])
             for pair, distance in zip(pairs, self._checker.distances_of(np.array(pairs)).tolist(), strict=True):
-                sway = float(sway_at_rows[mover_of[pair], row])
+                nearer = distance + float(self._counted[pair]) - float(sway_at_rows[mover_of[pair], row])
                 distance = self._see(distance, pair, float(row))
-                least = min(least, distance - sway)
-                farther = min(distance - self.nearest[0], distance - sway - least)
+                least = min(least, nearer)
+                farther = min(distance - self.nearest[0], nearer - least)
                 ahead = place_after(travel[mover_of[pair]], float(row), farther)
                 following = max(math.ceil(min(ahead, rows + 1.0)), row + 1)
                 if following <= rows:
                     heapq.heappush(due, (following, pair))
-        return Proof(outcome, min(least, self.nearest[0]), self.contact(), self.checks, end, self.nearest[2])
+        near = self.contact()
+        least = min(least, near.distance_m + float(self._counted[self.nearest[1]]))
+        return Proof(outcome, least, near, self.checks, end, self.nearest[2])
 
 
 @kernel
@@ -330,22 +353,22 @@ def point_at(bezier: FloatArray, at: float) -> FloatArray:
 
 @kernel
 def _look(
-    pairs: IntArray, distances: FloatArray, at: float, shown: float, ahead: float, search: _Search
-) -> tuple[float, int, float, int, int, float]:
+    pairs: IntArray, distances: FloatArray, at: float, ahead: float, search: _Search
+) -> tuple[float, int, bool, int, int, float]:
     """Write down what a look shows, and find the next one in which bounds are not enough for all pairs.
 
     Returns:
-        Distance and number of the nearest pair, and the clearance shown, as `_put_off`; how many looks there were in
+        Distance and number of the nearest pair, and whether none is too near, as `_put_off`; the number of looks in
         which bounds were enough; how many pairs the next one is at, none after the end or very many of those; and its
         place.
     """
     bezier = search.bezier
-    least, shown = _put_off(pairs, distances, at, shown, ahead, search)
+    least, is_far = _put_off(pairs, distances, at, ahead, search)
     nearest, which, count, looks = math.inf, 0, 0, 0
     if len(pairs):
         nearest, which = distances[least] + search.pairs[5, pairs[least]], pairs[least]
     frames, work = np.empty((bezier.shape[2] + 1, 12)), np.empty((2, 12))
-    while shown > 0.0 and count == 0 and looks < _BOUNDED_LOOKS:
+    while is_far and count == 0 and looks < _BOUNDED_LOOKS:
         count, at = _next(search)
         if at == math.inf:
             break
@@ -353,9 +376,9 @@ def _look(
         for j in range(len(q)):
             search.q[j] = q[j]
         place_joints(q, search.joints, frames)
-        count = _put_off_far(count, frames, work, (at, shown, ahead), search)
+        count = _put_off_far(count, frames, work, (at, ahead), search)
         looks += count == 0
-    return nearest, which, shown, looks, count, at
+    return nearest, which, is_far, looks, count, at
 
 
 @kernel
@@ -387,18 +410,15 @@ def _linear(values: FloatArray, at: float) -> float:
 
 
 @kernel
-def _put_off(
-    pairs: IntArray, distances: FloatArray, at: float, shown: float, ahead: float, search: _Search
-) -> tuple[int, float]:
+def _put_off(pairs: IntArray, distances: FloatArray, at: float, ahead: float, search: _Search) -> tuple[int, bool]:
     """Write down what looks at a place show, and where the pairs are due again.
 
     Returns:
-        Which of them is nearest, as if all had to keep what is needed, and the clearance then shown; 0 where one is too
-        near.
+        Which of them is nearest, as if all had to keep what is needed, and whether none is too near.
     """
     mover_of, sway, all_pairs = search.mover_of, search.movers[0], search.pairs
     kept, may_lack = all_pairs[0], all_pairs[5]
-    least = 0
+    least, is_far = 0, True
     spare_clearances = np.empty(len(pairs))
     for i in range(len(pairs)):
         if not distances[i] + may_lack[pairs[i]] >= distances[least] + may_lack[pairs[least]]:
@@ -406,37 +426,39 @@ def _put_off(
         spare_clearance = distances[i] - (_linear(sway[mover_of[pairs[i]]], at) + kept[pairs[i]])
         spare_clearances[i] = spare_clearance
         if not spare_clearance > SMALLEST_STEP:
-            shown = 0.0
-        shown = min(shown, 0.5 * spare_clearance)
-    if not shown > 0.0:
-        return least, 0.0
+            is_far = False
+    if not is_far:
+        return least, False
     for i in range(len(pairs)):
+        bound = int(all_pairs[7, pairs[i]])
+        search.shown[bound] = min(search.shown[bound], 0.5 * spare_clearances[i])
+    for i in range(len(pairs)):
+        shown = search.shown[int(all_pairs[7, pairs[i]])]
         _take_down(pairs[i], at, spare_clearances[i], shown, ahead, search.movers[1, mover_of[pairs[i]]], all_pairs)
-    return least, shown
+    return least, True
 
 
 @kernel
-def _put_off_far(
-    count: int, frames: FloatArray, work: FloatArray, place: tuple[float, float, float], search: _Search
-) -> int:
+def _put_off_far(count: int, frames: FloatArray, work: FloatArray, place: tuple[float, float], search: _Search) -> int:
     """As `_put_off` by lower bounds of distances, of the pairs whose bounds are large and leave the clearance shown.
 
     Args:
         count: How many pairs are looked at.
         frames: As `apart`, as `work`.
-        place: Where it is, the clearance shown, and how far ahead pairs are looked at.
+        place: Where it is, and how far ahead pairs are looked at.
 
     Returns:
         How many other pairs are left.
     """
     mover_of, sway, all_pairs = search.mover_of, search.movers[0], search.pairs
     kept, taken_off = all_pairs[0], all_pairs[6]
-    at, shown, ahead = place
+    at, ahead = place
     left = 0
     for i in range(count):
         pair = search.asked[i]
         bound = apart(frames, search.boxes, search.sides[pair], work) - taken_off[pair]
         spare_clearance = bound - (_linear(sway[mover_of[pair]], at) + kept[pair])
+        shown = search.shown[int(all_pairs[7, pair])]
         if spare_clearance >= FAR and 0.5 * spare_clearance >= shown:
             _take_down(pair, at, spare_clearance, shown, ahead, search.movers[1, mover_of[pair]], all_pairs)
         else:

@@ -136,7 +136,9 @@ def _by_path(robot: Robot, running: Certificate, motion: Trajectory, left: float
     """The certificate of a motion where the clearance of its path suffices."""
     use = limit_use(robot, motion, *cubic_pieces(motion))
     violations = tuple(limit_violations(use))
-    return Certificate(not violations, left, running.nearest, use, 0, violations)
+    nearer = running.min_clearance_m - left
+    rules = tuple(rule.nearer(nearer) for rule in running.pair_rules)
+    return Certificate(not violations, left, running.nearest, use, 0, violations, pair_rules=rules)
 
 
 def _nearer(robot: Robot, off_path: FloatArray) -> float:

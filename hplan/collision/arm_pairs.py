@@ -35,7 +35,7 @@ from hplan.collision.coal_shapes import LinkShapes, link_shapes, urdf_shapes
 from hplan.collision.collision_bodies import MOST_POINTS, CollisionBody, ball_about, body_shapes, collision_bodies
 from hplan.collision.geometry_pairs import ArmPairs
 from hplan.collision.reach import carriers, reach_of
-from hplan.collision.touching_pairs import BEYOND, SelfPairs, one_joint, pairs_among, self_pairs
+from hplan.collision.touching_pairs import BEYOND, RIGID, SelfPairs, one_joint, pairs_among, self_pairs
 from hplan.errors import RobotFileError
 from hplan.robot.base_shapes import (
     BASE_DEPTH,
@@ -88,6 +88,7 @@ class ArmParts(Record):
         turret: By body, the shapes of the turret that are not round about the yaw axis.
         tool_joint: The joint of the shapes that may touch a fruit which is picked, as Pinocchio counts them.
         own: Pairs of parts.
+        exempt: Names of two links of bodies that are not checked against each other, and the reason, each once.
     """
 
     robot: Robot
@@ -95,6 +96,12 @@ class ArmParts(Record):
     turret: dict[str, list[BaseShape]]
     tool_joint: int
     own: tuple[ArmPair, ...]
+    exempt: tuple[tuple[str, str, str], ...] = ()
+
+    @cached_property
+    def mover_names(self) -> tuple[str, ...]:
+        """Names of the moving bodies: links, turret; then bodies of one arm's base that meet another arm's base."""
+        return tuple(dict.fromkeys([*self.links, *self.turret, *(pair.mover_name for pair in self.own)]))
 
     @cached_property
     def shapes(self) -> list[pin.GeometryObject]:
@@ -121,7 +128,7 @@ class ArmParts(Record):
     @cached_property
     def own_names(self) -> tuple[tuple[str, ...], IntArray]:
         """Names of the parts that another can touch, and (pairs, 2) moving body and part of each pair."""
-        movers = {name: number for number, name in enumerate((*self.links, *self.turret))}
+        movers = {name: number for number, name in enumerate(self.mover_names)}
         names = {name: number for number, name in enumerate(dict.fromkeys(pair.other_name for pair in self.own))}
         numbers = [(movers[pair.mover_name], names[pair.other_name]) for pair in self.own]
         return tuple(names), readonly(np.array(numbers).reshape(-1, 2), np.int64)
@@ -262,8 +269,9 @@ def _parts_of_bodies(robot: Robot, deviation: float) -> ArmParts:
     """The parts of a general (non-planar) arm."""
     shapes = body_shapes(robot)
     by_link = {name: [shapes[body] for body in bodies] for name, bodies in moving_bodies(robot).items()}
-    own = tuple(_as_shaped(robot, self_pairs(robot, deviation)))
-    return ArmParts(robot, by_link, {}, robot.tool_joint, own)
+    pairs, bodies = self_pairs(robot, deviation), collision_bodies(robot)
+    exempt = dict.fromkeys((bodies[i].name, bodies[j].name, why) for i, j, why in pairs.allowed if why != RIGID)
+    return ArmParts(robot, by_link, {}, robot.tool_joint, tuple(_as_shaped(robot, pairs)), tuple(exempt))
 
 
 def _planar_parts(robot: Robot, links: LinkShapes, deviation: float, clearance: float, single: bool) -> ArmParts:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from hplan.base import ties
 from hplan.base.arrays import BoolArray, FloatArray, IntArray
 from hplan.base.deadline import check_deadline
-from hplan.collision.arm_pairs import arm_parts, base_bodies, below
+from hplan.collision.arm_pairs import ArmPair, arm_parts, base_bodies, below
 from hplan.collision.box_bounds import (
     ANYWHERE,
     RADIUS,
@@ -30,7 +30,7 @@ from hplan.collision.coal_shapes import LINK_SHAPES, LinkShapes, beyond_geometry
 from hplan.collision.geometry_pairs import GeometryPairs
 from hplan.collision.giving_way import pushing_links, yielded
 from hplan.collision.moving_solids import MovingSolids
-from hplan.collision.touching_pairs import needed
+from hplan.collision.touching_pairs import required_distances
 from hplan.errors import MovingObstacleError, OptionError
 from hplan.robot.base_shapes import base_joints
 from hplan.robot.model import Robot
@@ -87,7 +87,8 @@ class CoalScene:
     Several threads may ask at once. A scene can be pickled; it is built anew from robot and obstacles.
 
     Attributes:
-        mover_names: Names of the links, then names of the turret's bodies that have other shapes than round ones.
+        mover_names: Names of the links, then names of the turret's bodies that have other shapes than round ones, then
+            of bodies that no joint moves, of which another arm's base is to keep clear.
         obstacle_names: Names of the obstacles; from `own_first` on of the parts of the arm that another can touch.
         link_shapes: Shapes of the links, link by link.
         pairs: Moving body, by its place in `mover_names`, and obstacle or part, in `obstacle_names`, of each pair.
@@ -144,7 +145,7 @@ class CoalScene:
         parts = arm_parts(robot, links, self.deviation, self.clearance, single_joint_pairs=single_joint_pairs)
         self.parts = parts
         self.link_names = tuple(parts.links)
-        self.mover_names = (*self.link_names, *parts.turret)
+        self.mover_names = parts.mover_names
         movers = [*parts.links.values(), *([shape.placed for shape in shapes] for shapes in parts.turret.values())]
         # The shapes of moving body k are the rows from `_first_shape[k]` on.
         self._first_shape = np.cumsum([0, *(len(of_mover) for of_mover in movers[:-1])])
@@ -244,14 +245,19 @@ class CoalScene:
     def kept(self, clearance: float) -> float | FloatArray:
         """The distance that each of `pairs` is to keep where a clearance is asked for, for all or (pairs,) [m].
 
-        Bodies as the URDF has them may be nearer to each other where they can never be as far apart. What gives way
-        may be pushed: it is negative then, whatever the clearance.
+        It is 0 for bodies of one arm that are never so far apart (`touching_pairs.required_distances`). A compliant
+        obstacle may be pushed: it is negative then, whatever the clearance.
         """
         if self._yielded is None and not np.isfinite(self.parts.farthest).any():
             return clearance
         found = np.full(len(self.pairs), clearance)
-        found[self._beyond.size :] = needed(self.parts.farthest, clearance)
+        found[self._beyond.size :] = required_distances(self.parts.farthest, clearance)
         return self._but_pushed(found)
+
+    def own_required(self, clearance: float) -> Iterator[tuple[ArmPair, float]]:
+        """Pairs of the arm's own, and the distance that each keeps [m]."""
+        required = required_distances(self.parts.farthest, clearance) if self.parts.own else np.zeros(0)
+        yield from zip(self.parts.own, required.tolist(), strict=True)
 
     def _but_pushed(self, kept: FloatArray) -> FloatArray:
         """(pairs,) distances to keep, but of what gives way how deep it may be pushed, below 0 [m]."""
@@ -271,12 +277,12 @@ class CoalScene:
         """
         found = self.pair_distances(q, time_s)
         table = (found[: self._beyond.size] if self.parts.own else found).reshape(self._beyond.shape)
-        if len(self._mover_shapes) != len(self.mover_names):
+        if len(self._mover_shapes) != len(self._first_shape):
             table = np.minimum.reduceat(table, self._first_shape)
         if not self.parts.own:
             return table
         whole = np.full((len(self.mover_names), len(self.obstacle_names)), np.inf)
-        whole[:, : self.own_first] = table
+        whole[: len(table), : self.own_first] = table
         movers, columns = np.array(self.pairs[self._beyond.size :]).T
         np.minimum.at(whole, (movers, columns), found[self._beyond.size :])
         return whole

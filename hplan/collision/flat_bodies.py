@@ -11,7 +11,7 @@ from hplan.base.arrays import BoolArray, FloatArray, Record, frozen
 from hplan.collision.arm_pairs import ArmParts, arm_parts
 from hplan.collision.collision_bodies import GROUND, CollisionBody, ball_about, collision_bodies
 from hplan.collision.reach import carriers, joint_axis, points_reach
-from hplan.collision.touching_pairs import needed, self_pairs
+from hplan.collision.touching_pairs import required_distances, self_pairs
 from hplan.robot.model import Robot, made_once
 from hplan.scene.corner_table import corner_table
 
@@ -76,7 +76,7 @@ class FlatBodies(Record):
             parts = arm_parts(robot, "capsule", deviation, own_clearance, single_joint_pairs=False)
             still = robot.cached(("flat bodies", *parts.key), lambda: _of_parts(parts))
             farthest = np.full(len(parts.own), np.inf)
-        kept = np.append(np.zeros(int(still.numbers[BODIES])), needed(farthest, own_clearance))
+        kept = np.append(np.zeros(int(still.numbers[BODIES])), required_distances(farthest, own_clearance))
         return cls(frozen(thicker(still.movers, deviation * still.reaches.sum(axis=1) + kept)), still.numbers)
 
 

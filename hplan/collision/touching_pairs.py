@@ -1,16 +1,22 @@
-"""Pairs of a robot's own bodies: those that are checked, and those that may touch, each with the reason.
+"""Pairs of a robot's own bodies: the checked ones, and the exempt ones, each with the reason.
 
-Looked at are all pairs but
+Every pair of bodies of **different arms** (`Robot.owner_of`) is checked with the full clearance, unless the cell
+declares that the two links may touch. No other rule applies to it.
 
-- bodies that no joint, or the same one, carries: they do not move to each other;
-- bodies that lie to each other as one joint alone says, where that joint's whole range shows that they cannot touch, or
-  that they always do, or that they never come farther apart than `_BEARING`: those are the two sides of the joint;
-- bodies that touch at every one of `SAMPLES` random configurations, as where what lies between is short;
-- bodies of links that the robot's SRDF, or a filter group of Drake's, lets touch, for another reason than that they
-  were never seen to.
+Within **one arm** all pairs are checked, except
 
-What a range of one joint shows is certain, by bisection (`hplan.robot.base_shapes.ever`); what samples show is taken
-for how the robot is built, and is listed. A pair that no sample saw touch is checked all the same.
+- two bodies that the same joint carries, or none: they do not move relative to each other;
+- links that the robot's SRDF, or a filter group of Drake's, declares to touch for another reason than that no contact
+  was seen;
+- bodies that always touch: proved by bisection over the joints between them (`_always_touch`), so that no
+  configuration could pass a check;
+- bodies on both sides of one joint that cannot touch at any value of it: proved by bisection
+  (`hplan.robot.base_shapes.ever`);
+- bodies on both sides of one joint that are never farther apart than `_BEARING`, also proved. They are **assumed** to
+  touch by construction: convex shapes of bearings overlap.
+
+Samples exempt no pair. They only say which checked pairs are so close to each other that a clearance cannot be
+required of them (`required_distances`); such a pair must not touch, and the certificate lists it with its own bound.
 """
 
 from __future__ import annotations
@@ -26,7 +32,7 @@ import pinocchio as pin
 
 from hplan.base.arrays import BoolArray, FloatArray, Record, frozen
 from hplan.collision.collision_bodies import body_shapes, collision_bodies
-from hplan.collision.reach import carriers, joint_axis
+from hplan.collision.reach import carriers, joint_axis, reach_of
 from hplan.robot.base_shapes import always, coal_distance, ever
 from hplan.robot.model import Robot, made_once
 from hplan.robot.self_contact import SLACK
@@ -40,20 +46,26 @@ BEYOND: Final = 0.1
 #: Random configurations.
 SAMPLES: Final = 10_000
 
-#: Pairs that were seen this far apart are not asked further [m].
+#: Pairs that were seen this far apart are sampled no further [m].
 _FAR: Final = 0.25
+
+#: Boxes of joint values in which `_always_touch` measures a distance before it gives up.
+_MOST_BOXES: Final = 4_000
+
+#: Begin of the reason of pairs that do not move relative to each other.
+RIGID: Final = "they do not move relative to each other"
 
 
 @dataclass(frozen=True, eq=False)
 class SelfPairs(Record):
-    """Pairs of bodies, by their places in `hplan.collision.collision_bodies.collision_bodies`.
+    """Pairs of bodies, by their indices in `hplan.collision.collision_bodies.collision_bodies`.
 
     Attributes:
         checked: Pairs (i, j), i < j, that must not touch. (The outer body, the one that has more joints below it or is
             later in the URDF, is not always j.)
         allowed: Pairs (i, j), i < j, that are not checked, each with the reason.
-        farthest: (checked,) how far apart each pair was seen [m], infinite from 0.25 m on. One that is never farther
-            apart than the clearance to keep, or than `_BEARING`, is asked only whether it touches (`needed`).
+        farthest: (checked,) largest sampled distance of each pair of one arm [m], infinite from 0.25 m on, and for
+            pairs of different arms. It decides which clearance can be required (`required_distances`).
     """
 
     checked: tuple[tuple[int, int], ...]
@@ -61,8 +73,13 @@ class SelfPairs(Record):
     farthest: FloatArray
 
 
-def needed(farthest: FloatArray, clearance: float) -> FloatArray:
-    """Distances that pairs are to keep where a clearance is asked for, by how far apart they were seen at most [m]."""
+def required_distances(farthest: FloatArray, clearance: float) -> FloatArray:
+    """Required distance of each pair [m]: the clearance, or 0 if the pair is never farther apart than that.
+
+    Args:
+        farthest: (pairs,) largest distances, as in `SelfPairs` [m].
+        clearance: Clearance to keep [m].
+    """
     return np.where(farthest > max(clearance, _BEARING), clearance, min(clearance, 0.0))
 
 
@@ -78,34 +95,88 @@ def self_pairs(robot: Robot, beyond: float = BEYOND) -> SelfPairs:
 
 
 def pairs_among(robot: Robot, chosen: Iterable[tuple[int, int]], beyond: float) -> SelfPairs:
-    """As `self_pairs`, of some pairs (i, j), i < j, alone."""
+    """Sort some pairs (i, j), i < j, into checked and exempt ones, as `self_pairs` does with all."""
     bodies = collision_bodies(robot)
-    may_touch = {frozenset(pair[:2]): pair[2] for pair in robot.may_touch}
     allowed: list[tuple[int, int, str]] = []
     left: list[tuple[int, int]] = []
-    for i, j in chosen:
-        first, second = bodies[i], bodies[j]
-        between = _between(robot, first.joint, second.joint)
-        reason: str | None = None
-        if not between:
-            reason = "they do not move to each other"
-        elif first.name != second.name and frozenset((first.name, second.name)) in may_touch:
-            reason = f"may touch: {may_touch[frozenset((first.name, second.name))]}"
-        elif len(between) == 1:
-            reason = _by_one_joint(robot, (i, j), between[0], beyond)
+    for pair in chosen:
+        reason = _exemption(robot, pair, beyond)
         if reason is None:
-            left.append((i, j))
+            left.append(pair)
         else:
-            allowed.append((i, j, reason))
-    touching, farthest = _sampled(robot, left)
-    allowed += [
-        (*pair, f"they touch at each of {SAMPLES:,} random configurations")
-        for pair, touches in zip(left, touching.tolist(), strict=True)
-        if touches
-    ]
-    checked = tuple(pair for pair, touches in zip(left, touching.tolist(), strict=True) if not touches)
-    far = np.where(farthest >= _FAR, np.inf, farthest)[~touching]
-    return SelfPairs(checked, tuple(sorted(allowed)), frozen(far))
+            allowed.append((*pair, reason))
+    is_own = [robot.owner_of(bodies[i].name) == robot.owner_of(bodies[j].name) for i, j in left]
+    own = [pair for pair, same_arm in zip(left, is_own, strict=True) if same_arm]
+    touching, distances = _sampled(robot, own)
+    farthest = dict(zip(own, np.where(distances >= _FAR, np.inf, distances).tolist(), strict=True))
+    for pair, touches in zip(own, touching.tolist(), strict=True):
+        if touches and _always_touch(robot, pair):
+            allowed.append((*pair, f"they touch wherever {_joints_in_words(robot, pair)} are"))
+            del farthest[pair]
+    checked = tuple(pair for pair, same_arm in zip(left, is_own, strict=True) if not same_arm or pair in farthest)
+    return SelfPairs(checked, tuple(sorted(allowed)), frozen(np.array([farthest.get(p, np.inf) for p in checked])))
+
+
+def _exemption(robot: Robot, pair: tuple[int, int], beyond: float) -> str | None:
+    """The reason for which a pair of bodies is not checked; None if it is checked, or if samples are needed first."""
+    first, second = (collision_bodies(robot)[body] for body in pair)
+    declared = _declared(robot).get(frozenset((first.name, second.name))) if first.name != second.name else None
+    declared = None if declared is None else f"may touch: {declared}"
+    if robot.owner_of(first.name) != robot.owner_of(second.name):
+        return declared
+    between = _between(robot, first.joint, second.joint)
+    if not between:
+        return RIGID
+    if declared is None and len(between) == 1:
+        return _by_one_joint(robot, pair, between[0], beyond)
+    return declared
+
+
+@made_once
+def _declared(robot: Robot) -> dict[frozenset[str], str]:
+    """The reason for each pair of links that are declared to touch."""
+    return {frozenset(pair[:2]): pair[2] for pair in robot.may_touch}
+
+
+def _always_touch(robot: Robot, pair: tuple[int, int]) -> bool:
+    """True if two bodies touch at all joint values within the limits; True is certain.
+
+    Bisection: the distance at the centre of a box of joint values grows by no more than the half-widths times the
+    motion-bound coefficients (`hplan.collision.reach`).
+    """
+    bodies, shapes = collision_bodies(robot), [body_shapes(robot)[body] for body in pair]
+    between = list(_between(robot, *(bodies[body].joint for body in pair)))
+    rates = reach_of(robot, [bodies[body] for body in pair]).sum(axis=0)[between]
+    low, high = robot.lower[between], robot.upper[between].copy()
+    slides = np.array(robot.slides)[between]
+    high[~slides] = np.minimum(high, low + math.tau)[~slides]  # a whole turn later bodies are where they were
+    q, data = pin.neutral(robot.model), robot.model.createData()
+    boxes = [(0.5 * (low + high), 0.5 * (high - low))]
+    for _ in range(_MOST_BOXES):
+        if not boxes:
+            return True
+        centre, half = boxes.pop()
+        q[between] = centre
+        pin.forwardKinematics(robot.model, data, q)
+        (a, at), (b, there) = ((each.geometry, data.oMi[each.parentJoint] * each.placement) for each in shapes)
+        distance = coal_distance(a, at, b, there)
+        if distance > 0.0:
+            return False
+        travel = rates * half
+        if distance + float(travel.sum()) > 0.0:
+            widest = int(travel.argmax())
+            smaller = half.copy()
+            smaller[widest] *= 0.5
+            shift = np.zeros(len(half))
+            shift[widest] = smaller[widest]
+            boxes += [(centre - shift, smaller), (centre + shift, smaller)]
+    return not boxes
+
+
+def _joints_in_words(robot: Robot, pair: tuple[int, int]) -> str:
+    """The joints between two bodies, as messages name them."""
+    between = _between(robot, *(collision_bodies(robot)[body].joint for body in pair))
+    return "joints " + ", ".join(repr(robot.joint_names[joint]) for joint in between)
 
 
 def _between(robot: Robot, first: int, second: int) -> tuple[int, ...]:
@@ -163,16 +234,17 @@ def one_joint(
 
 
 def _by_one_joint(robot: Robot, pair: tuple[int, int], joint: int, beyond: float) -> str | None:
-    """Why two bodies that one joint moves to each other may touch, or never do; None where they are to be checked."""
-    first, second = (body_shapes(robot)[body] for body in pair)
-    decided, name = one_joint(robot, (first, second), joint, beyond), robot.joint_names[joint]
-    if decided.always(0.0):
+    """The reason for which two bodies of one arm with one joint between them are not checked; None if they are."""
+    shapes, name = (body_shapes(robot)[pair[0]], body_shapes(robot)[pair[1]]), robot.joint_names[joint]
+    if one_joint(robot, shapes, joint, 0.0).always(0.0):
         return f"they touch wherever joint {name!r} is"
-    if decided.always(_BEARING):
-        return f"they are the two sides of joint {name!r}, never farther apart than {1e3 * _BEARING:g} mm"
+    decided = one_joint(robot, shapes, joint, beyond)
     # Bodies apart by less than this count as touching: no proof shows so little [m].
     if not decided.ever(SLACK):
         return f"they cannot touch wherever joint {name!r} is"
+    if decided.always(_BEARING):
+        sides = f"they are the two sides of joint {name!r}, never farther apart than {1e3 * _BEARING:g} mm"
+        return f"{sides}: assumed to touch by construction"
     return None
 
 

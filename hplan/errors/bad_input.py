@@ -151,19 +151,27 @@ class ConfigurationInCollisionError(InputError):
     clearance_m: float
 
     def __init__(
-        self, which: str, link: str, obstacle: str, depth_m: float, clearance_m: float = 0.0, *, other: str = ""
+        self,
+        which: str,
+        link: str,
+        obstacle: str,
+        depth_m: float,
+        clearance_m: float = 0.0,
+        *,
+        mover: str = "",
+        other: str = "",
     ) -> None:
         """Name the configuration, link, obstacle, by how much too deep it is and the clearance to keep [m].
 
-        `other` names what is touched where it is no obstacle but a part of the arm.
+        `mover` and `other` name the two in the message; without them they are `link` and the obstacle.
         """
-        other = other or f"obstacle {obstacle!r}"
+        mover, other = mover or f"link {link!r}", other or f"obstacle {obstacle!r}"
         if depth_m >= clearance_m:
             depth = depth_m - clearance_m
-            message = f"{which} is in collision: link {link!r} is {1e3 * depth:.3g} mm deep in {other}"
+            message = f"{which} is in collision: {mover} is {1e3 * depth:.3g} mm deep in {other}"
         else:
             message = (
-                f"{which} is too close: link {link!r} is {1e3 * (clearance_m - depth_m):.3g} mm from "
+                f"{which} is too close: {mover} is {1e3 * (clearance_m - depth_m):.3g} mm from "
                 f"{other}, {1e3 * depth_m:.3g} mm less than the {1e3 * clearance_m:.3g} mm to keep"
             )
         super().__init__(message, which=which, link=link, obstacle=obstacle, depth_m=depth_m, clearance_m=clearance_m)

@@ -24,6 +24,7 @@ from hplan.base.arguments import instance
 from hplan.base.arrays import FloatArray
 from hplan.base.deadline import Cancel, TimeIsUpError, time_limit
 from hplan.collision.clearance_field import ClearanceField
+from hplan.collision.coal_scene import CoalScene
 from hplan.errors import (
     CertificationError,
     ConfigurationInCollisionError,
@@ -42,6 +43,7 @@ from hplan.planning.plan import plan
 from hplan.planning.result import PlanResult
 from hplan.planning.task import Progress, no_progress
 from hplan.planning.timetable import SPARES, Timetable
+from hplan.planning.world import check_clear
 from hplan.scene.model import Goal, Scene
 from hplan.trajectory.trajectory import Trajectory, joined, stopped
 
@@ -162,6 +164,7 @@ class _CellPlanner:
 
     def result(self) -> CellResult:
         cell = self._cell
+        _check_arms_apart(cell)
         for arm in cell.arms:
             if not arm.is_waiting:
                 self._progress(f"arm {arm.name}")
@@ -353,6 +356,17 @@ class _CellPlanner:
                 except HplanError:
                     continue
         return None
+
+
+def _check_arms_apart(cell: Cell) -> None:
+    """Refuse arms that are too close to each other at the start.
+
+    Raises:
+        ConfigurationInCollisionError: Two bodies of the arms touch, or keep less than the clearance; names both bodies
+            with their arms, and how deep or close they are.
+    """
+    checker = CoalScene(cell.robot, (), links="urdf", clearance=cell.scene.clearance)
+    check_clear(checker, cell.configuration({}), cell.scene.clearance, "start")
 
 
 def _to_goal(there: Cell, name: str, options: PlanOptions, goal: Goal | None = None) -> Trajectory:

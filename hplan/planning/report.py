@@ -91,6 +91,7 @@ def certificate_report(certificate: Certificate, options: PlanOptions, scene: Sc
         "contact_s": None if certificate.contact_s is None else list(certificate.contact_s),
         **({} if only_goal else {"contacts": told}),
         **pushes_report(certificate, scene),
+        **({"pair_rules": [vars(rule) for rule in certificate.pair_rules]} if certificate.pair_rules else {}),
         "limit_use": vars(certificate.limit_use),
         "violations": list(certificate.violations),
         "digests": None if digests is None else vars(digests),

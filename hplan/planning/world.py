@@ -229,10 +229,17 @@ def check_clear(checker: CoalScene, q: FloatArray, clearance: float, which: str,
     beyond = (distance - float(sways[worst])) - float(kept[worst])
     if beyond <= 0.0:
         nearest = checker.contact(*checker.pairs[worst], distance)
+        is_own, robot = isinstance(nearest, OwnContact), checker.robot
         error = ConfigurationInCollisionError(
-            which, nearest.link, nearest.obstacle, -beyond, float(kept[worst] + sways[worst]), other=nearest.other
-        )
-        if isinstance(nearest, OwnContact) and checker.robot.planar is None:
+            which, nearest.link, nearest.obstacle, -beyond, float(kept[worst] + sways[worst]),
+            mover=robot.link_in_words(nearest.link),
+            other=robot.link_in_words(nearest.obstacle) if is_own else nearest.other,
+        )  # fmt: skip
+        arms = [robot.owner_of(nearest.link), robot.owner_of(nearest.obstacle)]
+        if is_own and arms[0] != arms[1]:
+            how = "if they touch by design, declare the pair in the cell's scene (may_touch:)"
+            error.add(f"the two arms stand too close together: move a base (position:); {how}", arms=arms)
+        elif is_own and robot.planar is None:
             _name_neighbours(error, checker, q)
         raise error
     return beyond

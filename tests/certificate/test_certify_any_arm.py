@@ -25,7 +25,7 @@ from hplan.collision.coal_scene import CoalScene
 from hplan.collision.coal_shapes import solid_shape
 from hplan.collision.collision_bodies import body_shapes, collision_bodies
 from hplan.collision.reach import reach_ball
-from hplan.collision.touching_pairs import needed, self_pairs
+from hplan.collision.touching_pairs import required_distances, self_pairs
 from hplan.errors import InputError, JointLimitError, RobotFileError
 from hplan.online.arm_shape import arm_solids
 from hplan.robot.model import Robot, load_robot
@@ -109,7 +109,7 @@ def least_distances(robot: Robot, obstacles, bezier: np.ndarray, looks: int) -> 
     for pair in (*itertools.product(moving, range(len(shapes), geometry.ngeoms)), *pairs.checked):
         geometry.addCollisionPair(pin.CollisionPair(*pair))
     arm, data = robot.model.createData(), geometry.createData()
-    first, only_touch = len(moving) * len(obstacles), needed(pairs.farthest, 1e-3) == 0.0
+    first, only_touch = len(moving) * len(obstacles), required_distances(pairs.farthest, 1e-3) == 0.0
     from_obstacles = own = np.inf
     for place in np.linspace(0.0, len(bezier), looks):
         pin.computeDistances(robot.model, arm, geometry, data, point_at(bezier, place))

@@ -15,7 +15,7 @@ from shapes import torus
 from hplan.collision.collision_bodies import MOST_POINTS, body_shapes, collision_bodies
 from hplan.collision.flat_bodies import FlatBodies
 from hplan.collision.reach import carriers, joint_axis, reach
-from hplan.collision.touching_pairs import needed, self_pairs
+from hplan.collision.touching_pairs import required_distances, self_pairs
 from hplan.robot.model import load_robot
 
 
@@ -253,10 +253,10 @@ def test_pairs_of_the_panda_are_those_of_its_srdf_or_looked_at(load):
 
 def test_pairs_that_are_never_far_apart_are_asked_only_whether_they_touch(load):
     pairs = self_pairs(load("toy"))
-    assert needed(pairs.farthest, 0.0).tolist() == [0.0] * len(pairs.checked)
+    assert required_distances(pairs.farthest, 0.0).tolist() == [0.0] * len(pairs.checked)
     far = pairs.farthest[np.isfinite(pairs.farthest) & (pairs.farthest > 0.02)]
     keep = float(far.min()) + 1e-3
-    wanted = needed(pairs.farthest, keep)
+    wanted = required_distances(pairs.farthest, keep)
     assert (wanted == np.where(pairs.farthest > keep, keep, 0.0)).all()
     assert 0.0 in wanted
     assert keep in wanted

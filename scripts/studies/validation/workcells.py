@@ -37,7 +37,7 @@ from hplan.trajectory.trajectory import Trajectory, read_csv, write_csv
 SETS = 8
 
 #: Arms of a workcell, and how far their bases are from the origin [m].
-ARMS, FAR_M = (2, 4), (0.1, 0.6, 1.5)
+ARMS, FAR_M = (2, 4), (0.3, 1.5, 3.0)
 
 #: Shares of hplan's own files, of tampered ones, and of workcells whose clearance is about the distance that is kept.
 OWN, TAMPERED, TIGHT = 0.1, 0.25, 0.5
@@ -107,7 +107,10 @@ def _drawn_files(
     if any(both is None for both in ends):
         return None
     known = [both for both in ends if both is not None]
-    items = [draw_item(drawn[0], World(*known[0]), rng, f"o{k}") for k in range(int(rng.integers(3)))]
+    items = [
+        draw_item(drawn[0], World(*known[0]), rng, f"o{k}")
+        for k in range(int(rng.integers(3)) if rng.random() < 0.4 else 0)
+    ]
     arms = tuple(
         CellRobot(**given, start=Start(joints_rad=tuple(q[0].tolist())), goal=Goal(joints_rad=tuple(q[1].tolist())))
         for given, q in zip(places, known, strict=True)

@@ -175,7 +175,7 @@ def _always_touch(robot: Robot, pair: tuple[int, int]) -> bool:
 
 def _joints_in_words(robot: Robot, pair: tuple[int, int]) -> str:
     """The joints between two bodies, as messages name them."""
-    between = _between(robot, *(collision_bodies(robot)[body].joint for body in pair))
+    between = sorted(_between(robot, *(collision_bodies(robot)[body].joint for body in pair)))
     return "joints " + ", ".join(repr(robot.joint_names[joint]) for joint in between)
 
 

@@ -337,7 +337,7 @@ def test_wrong_values(robot):
         ), {"left": robot, "right": robot}))  # fmt: skip
     with pytest.raises(InputError, match="moves"):
         cell.together({"left": cell.together({})})
-    with pytest.raises(ConfigurationInCollisionError, match=r"'right_.*deep in link 'left_"):
+    with pytest.raises(ConfigurationInCollisionError, match=r"of arm 'right' is .* deep in .* of arm 'left'"):
         plan_cell(facing(robot, 0.7, start=(40.0, 60.0, 60.0, 60.0), goal=(-40.0, 60.0, 60.0, 60.0)))
     with pytest.raises(NotFoundError):
         plan_cell(cell, PlanOptions(deadline_s=1e-4))

@@ -1,0 +1,76 @@
+"""Pairs of links that a certificate does not hold to the scene's clearance, each with its own rule.
+
+`Certificate.min_clearance_m` is a lower bound of every distance that was checked. Two kinds of pairs of one arm have a
+rule of their own: pairs that are never as far apart as the clearance must not touch, and have their own certified
+bound; exempt pairs (`hplan.collision.touching_pairs`) are not checked at all. Pairs of different arms are exempt only
+if their cell declares it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+from hplan.certificate.clearance_proof import Proof
+from hplan.collision.coal_scene import CoalScene
+
+
+@dataclass(frozen=True)
+class PairRule:
+    """A pair of links with a rule of its own.
+
+    Attributes:
+        link: Name of a link.
+        other: Name of the other link.
+        rule: The rule, and its reason.
+        required_m: Required distance [m]; None for a pair that is not checked.
+        clearance_m: Lower bound of the distance of these bodies during the motion [m]; None for a pair that is not
+            checked, or whose distance is not proved.
+    """
+
+    link: str
+    other: str
+    rule: str
+    required_m: float | None = None
+    clearance_m: float | None = None
+
+    def nearer(self, distance: float) -> PairRule:
+        """The rule with a bound that is lower by a distance [m]."""
+        return self if self.clearance_m is None else replace(self, clearance_m=self.clearance_m - distance)
+
+
+def pair_rules(checker: CoalScene, proof: Proof, clearance: float) -> tuple[PairRule, ...]:
+    """The pairs of a checker with a rule of their own, and the proved bounds of their distances.
+
+    Args:
+        checker: The arm among the obstacles.
+        proof: The proof of its clearance.
+        clearance: Clearance that all other pairs keep [m].
+    """
+    return joined_rules([(*_closer_pairs(checker, proof, clearance), *_exempt(checker))])
+
+
+def joined_rules(parts: Iterable[Sequence[PairRule]]) -> tuple[PairRule, ...]:
+    """The rules of several motions; each pair once, with the lowest bound."""
+    found = dict[tuple[str, str, str], PairRule]()
+    for rule in (rule for part in parts for rule in part):
+        key = rule.link, rule.other, rule.rule
+        bounds = [each.clearance_m for each in (rule, found.get(key, rule))]
+        known = [bound for bound in bounds if bound is not None]
+        found[key] = replace(rule, clearance_m=min(known) if len(known) == len(bounds) else None)
+    return tuple(found.values())
+
+
+def _closer_pairs(checker: CoalScene, proof: Proof, clearance: float) -> Iterator[PairRule]:
+    """Pairs that only must not touch, since they are never as far apart as the clearance."""
+    bounds, first = dict(proof.own_bounds), len(checker.pairs) - len(checker.parts.own)
+    for number, (pair, required) in enumerate(checker.own_required(clearance)):
+        if required < clearance:
+            rule = f"they must not touch: at random configurations they are {1e3 * pair.farthest:.4g} mm apart at most"
+            yield PairRule(pair.mover_name, pair.other_name, rule, required, bounds.get(first + number))
+
+
+def _exempt(checker: CoalScene) -> Iterator[PairRule]:
+    """Pairs that are not checked."""
+    for link, other, reason in checker.parts.exempt:
+        yield PairRule(link, other, f"not checked: {reason}")

@@ -117,7 +117,7 @@ def _drawn_files(
     )
     scene = CellScene(name="drawn", robots=arms, obstacles=tuple(map(obstacle, items)))
     cell = Cell.of(scene, {arm.name: each.robot for arm, each in zip(arms, drawn, strict=True)})
-    paths = {}
+    paths, unreadable = {}, list[Path]()
     for arm, given, both in zip(cell.arms, drawn, known, strict=True):
         motion = _own(cell, arm.name) if rng.random() < OWN else None
         tampered, kind = False, "foreign" if motion is None else "own"
@@ -127,9 +127,12 @@ def _drawn_files(
             motion, tampered = _tampered(motion, rng), True
         paths[arm.name] = write_csv(motion, folder / f"trajectory-{arm.name}.csv")
         if tampered and rng.random() < 0.2:
-            _tamper_text(paths[arm.name], rng)
+            unreadable.append(paths[arm.name])
         tally.looked_in[f"{kind}{', tampered' if tampered else ''}"] += 1
-    return _with_clearance(cell, drawn, paths, rng), paths
+    cell = _with_clearance(cell, drawn, paths, rng)
+    for path in unreadable:
+        _tamper_text(path, rng)
+    return cell, paths
 
 
 def _with_clearance(cell: Cell, drawn: list[DrawnArm], paths: dict[str, Path], rng: np.random.Generator) -> Cell:
@@ -143,10 +146,7 @@ def _with_clearance(cell: Cell, drawn: list[DrawnArm], paths: dict[str, Path], r
             declared += {((names[i], a.link), (names[j], b.link)) for a in one for b in other}
     cell = _remade(cell, drawn, clearance, tuple(sorted(declared)))
     if rng.random() < TIGHT:
-        try:
-            least, *_ = _least(cell, drawn, paths)
-        except ValueError:  # text that is no number
-            return cell
+        least, *_ = _least(cell, drawn, paths)
         if SAME_M < least < 0.1:
             clearance = float(np.clip(least * rng.uniform(0.8, 1.1), 0.0, 0.1))
     return _remade(cell, drawn, clearance, tuple(sorted(declared)))

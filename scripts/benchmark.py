@@ -54,6 +54,7 @@ STUDIES = {
     "poses": "poses:POSE_SEQUENCES",
     "cells": "cells:CELLS",
     "cell_pairs": "cell_pairs:PAIRS",
+    "workcells": "validation.workcells:WORKCELLS",
     "cell_trees": "cell_trees:CELL_TREES",
     "baxter": "baxter:BAXTER",
 }

@@ -33,7 +33,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from typing import Literal, TypeAlias, get_args
+from typing import Literal, NamedTuple, TypeAlias, get_args
 
 import numpy as np
 
@@ -83,6 +83,18 @@ GoalContact: TypeAlias = Literal["approach", "motion"]
 
 #: A range of the motion's cubics, and the collision checker that holds there.
 Stretch: TypeAlias = tuple[slice, CoalScene]
+
+
+class MotionRates(NamedTuple):
+    """Rates of the motions that a trajectory is assembled from, so that samples it adds do not change them.
+
+    Attributes:
+        limit_use: Use of each limit.
+        speeds: (pieces, dof) bound of each joint's |velocity| between the samples of the trajectory [rad/s, m/s].
+    """
+
+    limit_use: LimitUse
+    speeds: FloatArray
 
 
 @dataclass(frozen=True)
@@ -353,6 +365,7 @@ def certify_among(
     tracking: TrackingModel,
     rest_to_rest: bool = True,
     begin_s: float = 0.0,
+    rates: MotionRates | None = None,
 ) -> Certificate:
     """Certify a trajectory, or part of one, with given collision checkers.
 
@@ -363,17 +376,20 @@ def certify_among(
         tracking: Deviation of the joints that is covered.
         rest_to_rest: Whether the motion has to begin and end at rest.
         begin_s: Time at which it begins, as the movements of obstacles count it [s].
+        rates: Its use of limits and its speeds, if it is assembled from other motions; None computes both.
 
     Raises:
         InputError: The trajectory has other joints than the robot.
     """
     check_joints(trajectory, robot)
     bezier, duration = cubic_pieces(trajectory)
-    use = limit_use(robot, trajectory, bezier, duration)
+    use = limit_use(robot, trajectory, bezier, duration) if rates is None else rates.limit_use
     violations = list(limit_violations(use))
     if rest_to_rest:
         violations += rest_violations(robot, trajectory, {"begins": 0, "ends": -1})
-    speeds = fastest(bezier, duration) if tracking.delay_s > 0.0 else np.zeros((1, robot.dof))
+    speeds = np.zeros((1, robot.dof))
+    if tracking.delay_s > 0.0:
+        speeds = fastest(bezier, duration) if rates is None else rates.speeds
     deviations, at_rest = (largest_deviations(robot, tracking, at) for at in (speeds, np.zeros((1, robot.dof))))
     clock = begin_s + (trajectory.time if trajectory.samples > 1 else np.zeros(2))
     seen_s, rules = list[float | None](), list[tuple[PairRule, ...]]()

@@ -145,8 +145,9 @@ class ProvedMotion(Record):
         for stretch in self.stretches:
             part, time = stretch.part, self.trajectory.time[stretch.part.start : stretch.part.stop + 1]
             found += pushes_along(
-                bezier[part], time, stretch.checker, stretch.deviations, self.clearance, stretch.clock
-            )
+                bezier[part], time, stretch.checker, stretch.deviations, self.clearance, stretch.clock,
+                proved=stretch.proof.shown,
+            )  # fmt: skip
         return joined(found)
 
 

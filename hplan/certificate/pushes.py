@@ -44,8 +44,10 @@ def pushes_along(
     deviations: FloatArray,
     clearance: float,
     clock: FloatArray | None,
+    *,
+    proved: bool,
 ) -> Iterator[Push]:
-    """What is pushed within each piece of a motion.
+    """Compute the deflection of compliant obstacles within each piece of a motion.
 
     Args:
         bezier: (pieces, 4, dof) Bezier points of the motion's cubics.
@@ -54,13 +56,15 @@ def pushes_along(
         deviations: (pieces, dof) largest deviation of each joint within each cubic, or (1, dof) for all of them [rad].
         clearance: Distance that all else is to keep [m].
         clock: (pieces + 1,) times of the rows, as tracks count them [s]; needed where obstacles move.
+        proved: True if no pair is deeper than it may be, which then bounds its depth.
     """
     pairs = checker.pushed
     if not len(pairs):
         return
     search, rows = Advancement(bezier, checker, deviations, clearance, clock), len(bezier)
     (sway, travel), mover_of = search.movers, search.mover_of.tolist()
-    most = -np.broadcast_to(checker.kept(clearance), len(checker.pairs))
+    allowed = -np.broadcast_to(checker.kept(clearance), len(checker.pairs))
+    most = allowed if proved else np.full(len(checker.pairs), math.inf)
     before = np.full(len(checker.pairs), math.inf)
     due: dict[int, list[int]] = {0: pairs.tolist()}
     for row in range(rows + 1):

@@ -21,10 +21,23 @@ import pinocchio as pin
 from hplan.base.arguments import file_path, instance
 from hplan.base.arrays import FloatArray, IntArray, Record, readonly
 from hplan.base.lazy_import import InNotebook
-from hplan.certificate.certificate import Certificate, GoalContact, certify
+from hplan.base.units import FARTHEST_JOINT
+from hplan.certificate.certificate import (
+    REST,
+    Certificate,
+    GoalContact,
+    MotionRates,
+    certify,
+    certify_among,
+    with_violations,
+)
+from hplan.certificate.digests import Digests
 from hplan.certificate.goal_contact import FruitContact
+from hplan.certificate.limit_use import LimitUse, limit_use
+from hplan.certificate.motion_bound import fastest
+from hplan.certificate.moving_obstacles import checker_in_time
 from hplan.collision.clearance_field import ClearanceField
-from hplan.collision.collision_bodies import collision_bodies
+from hplan.collision.collision_bodies import CollisionBody, collision_bodies
 from hplan.collision.flat_bodies import BODIES
 from hplan.collision.touching_pairs import self_pairs
 from hplan.errors import InputError, OptionError
@@ -32,20 +45,26 @@ from hplan.planning.options import PlanOptions
 from hplan.planning.result import PlanResult
 from hplan.robot.model import Robot, load_robot
 from hplan.robot.several import joined_robots
-from hplan.scene.cell import CellRobot, CellScene
+from hplan.scene.cell import ArmLink, CellRobot, CellScene
 from hplan.scene.file import read_model
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacle_kind import moved
 from hplan.scene.obstacles import AnyObstacle, Capsule, Mesh, Sphere
 from hplan.scene.solids import CUBE_CORNERS, rpy_rotation, whole_hull
 from hplan.trajectory.cubics import Rows, evaluate
-from hplan.trajectory.trajectory import Retimed, Trajectory, stopped
+from hplan.trajectory.trajectory import Retimed, Trajectory, cubic_pieces, stopped
 
 #: How a cell's motions were found.
 How = Literal["at once", "one later", "around each other"]
 
-#: Rows nearer to each other than this are one [s].
+#: Samples of planned motions nearer to each other than this are one [s].
 _SAME_S: Final = 1e-6
+
+#: Why links of two arms may touch.
+BY_SCENE: Final = "the scene says so"
+
+#: An arm whose file ends no faster than `REST` stands so soon after it [s].
+_STANDS_AFTER_S: Final = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,6 +80,7 @@ class CellArm(Record):
         is_waiting: True if it has no goal and stays where it is.
         drop_off: Where on a tour it lets fruit go, as its base sees it; None where it carries nothing.
         every: How many fruits it carries there at most.
+        prefix: What names of `robot` begin with in the cell's robot; empty if they have it already.
     """
 
     name: str
@@ -71,11 +91,12 @@ class CellArm(Record):
     is_waiting: bool
     drop_off: Goal | None = None
     every: int = 1
+    prefix: str = ""
 
     @property
     def tool_frame(self) -> str:
         """The tool frame's name in the cell's robot."""
-        return f"{self.name}_{self.robot.tool_frame.removeprefix(f'{self.name}_')}"
+        return self.prefix + self.robot.tool_frame
 
     def starting(self, q: FloatArray) -> CellArm:
         """The arm where it begins at another (dof,) configuration."""
@@ -105,7 +126,8 @@ class Cell(Record):
             robots: The robot of each name.
 
         Raises:
-            InputError: A robot is missing, or those given cannot be joined (`joined_robots`).
+            InputError: A robot is missing, those given cannot be joined (`joined_robots`), or one has no link that the
+                scene says may touch another.
         """
         instance("scene", scene, CellScene, "load_cell")
         for arm in scene.robots:
@@ -113,8 +135,9 @@ class Cell(Record):
                 raise InputError(f"robots: there is none for {arm.name!r}", robot=arm.name)
         placed = {arm.name: (robots[arm.name], _placement(arm)) for arm in scene.robots}
         key = tuple((name, robot, place.homogeneous.tobytes()) for name, (robot, place) in placed.items())
+        declared = [(first, second, BY_SCENE) for first, second in scene.may_touch]
         # Kept with the first robot: the next task of the same arms begins sooner.
-        whole = key[0][1].cached(("cell", *key), lambda: joined_robots(placed))
+        whole = key[0][1].cached(("cell", scene.may_touch, *key), lambda: joined_robots(placed, may_touch=declared))
         return cls(scene, whole, tuple(_arm(scene, arm, *placed[arm.name], whole) for arm in scene.robots))
 
     def arm(self, name: str) -> CellArm:
@@ -129,8 +152,14 @@ class Cell(Record):
         return found
 
     def owner(self, link: str) -> str | None:
-        """Name of the arm that a link, or an obstacle called after one, is of; None where it is nobody's."""
-        return next((arm.name for arm in self.arms if link.startswith(f"{arm.name}_")), None)
+        """The arm that a link of the cell's robot is of, by name; None for a link of no arm."""
+        return self.robot.owner_of(link)
+
+    def blocking(self, obstacle: str | None) -> str | None:
+        """The arm that stands as an obstacle of this name (`standing`); None for the scene's own obstacles."""
+        bodies = collision_bodies(self.robot)
+        found = (body for number, body in enumerate(bodies) if obstacle == _standing_name(body, number))
+        return next((self.owner(body.name) for body in found), None)
 
     def starting(self, q: Mapping[str, FloatArray]) -> Cell:
         """The cell with some of its arms, by name, at other (dof,) configurations at first."""
@@ -174,25 +203,45 @@ class Cell(Record):
             motions: The motion of each arm, by name, in its own joints.
 
         Raises:
-            InputError: No arm of that name, or a motion of other joints.
+            InputError: No arm of that name, a motion of other joints, or one that ends in motion before another.
         """
-        rows = {}
+        motions = {name: self.own_motion(name, motion) for name, motion in motions.items()}
+        end_s = max((motion.duration for motion in motions.values()), default=0.0)
         for name, motion in motions.items():
-            arm, motion = self.arm(name), instance(f"motion of {name}", motion, Trajectory, "plan or read_csv")
-            if motion.joint_names != arm.robot.joint_names:
-                raise InputError(f"the motion of arm {name!r} moves {', '.join(motion.joint_names)}", arm=name)
-            rows[name] = motion.rows
+            if motion.duration < end_s and (moving := _end_in_motion(name, motion)):
+                raise InputError(f"{moving}, and the others go on: where it is then is not known", arm=name)
+        rows = {name: motion.rows for name, motion in motions.items()}
         times = np.unique(np.concatenate([np.zeros(1), *(own.time for own in rows.values())]))
         clock = times[np.concatenate([[True], np.diff(times) > _SAME_S])]
+        q, v, a = self._states(rows, clock)
+        torque = self.robot.dynamics.torques(q, v, a)
+        return Trajectory(self.robot.joint_names, clock, q, v, a, torque, self.robot.slides)
+
+    def own_motion(self, name: str, motion: object) -> Trajectory:
+        """The motion of an arm, checked to move its joints.
+
+        Raises:
+            InputError: The cell has no arm of that name, or the motion moves other joints.
+            OptionError: `motion` is no trajectory.
+        """
+        arm, own = self.arm(name), instance(f"motion of {name}", motion, Trajectory, "plan or read_csv")
+        if own.joint_names != arm.robot.joint_names:
+            raise InputError(
+                f"the motion of arm {name!r} moves {', '.join(own.joint_names)}; "
+                f"the arm has {', '.join(arm.robot.joint_names)}",
+                arm=name,
+            )
+        return own
+
+    def _states(self, rows: Mapping[str, Rows], clock: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """(n, dof) positions, velocities and accelerations of all joints at (n,) times."""
         shape = len(clock), self.robot.dof
         q, v, a = np.tile(self.configuration({}), (shape[0], 1)), np.zeros(shape), np.zeros(shape)
         for name, own in rows.items():
             columns = self.arm(name).joints
             for into, values in zip((q, v, a), _states(own, clock), strict=True):
                 into[:, columns] = values
-        return Trajectory(
-            self.robot.joint_names, clock, q, v, a, self.robot.dynamics.torques(q, v, a), self.robot.slides
-        )
+        return q, v, a
 
     def apart(self, motion: Trajectory) -> dict[str, Trajectory]:
         """The motion of each arm, by name, in its own joints, of one of all joints.
@@ -205,7 +254,8 @@ class Cell(Record):
         found, (time, q, v, a, torque) = {}, motion.rows
         for arm in self.arms:
             own = (values[:, arm.joints] for values in (q, v, a, torque))
-            found[arm.name] = Trajectory(arm.robot.joint_names, *Rows(time, *own), arm.robot.slides)
+            slides = tuple(motion.slides[joint] for joint in arm.joints) if motion.slides else ()
+            found[arm.name] = Trajectory(arm.robot.joint_names, *Rows(time, *own), slides)
         return found
 
 
@@ -216,10 +266,12 @@ class CellCertificate:
     Attributes:
         between: The arms against one another, and each against itself; nothing else is there.
         arms: Each arm among the obstacles, by name.
+        may_touch: Pairs of links of different arms, by arm and link, that touch by design and were not checked.
     """
 
     between: Certificate
     arms: Mapping[str, Certificate]
+    may_touch: tuple[tuple[ArmLink, ArmLink], ...] = ()
 
     @property
     def parts(self) -> tuple[Certificate, ...]:
@@ -338,7 +390,13 @@ class CellResult(Record, InNotebook):
             "arms_mm": {name: _mm(each.min_clearance_m) for name, each in self.certificate.arms.items()},
             "violations": list(self.certificate.violations),
             "uncovered_links": list(self.certificate.between.uncovered_links),
+            **may_touch_report(self.certificate.may_touch),
         }
+
+
+def may_touch_report(pairs: Sequence[tuple[ArmLink, ArmLink]]) -> dict[str, Any]:
+    """The pairs of links that a scene lets touch, as reports list them; nothing if there are none."""
+    return {"may_touch": [[list(link) for link in pair] for pair in pairs]} if pairs else {}
 
 
 def load_cell(path: Path | str) -> Cell:
@@ -364,46 +422,155 @@ def certify_cell(
     contacts: Mapping[str, Sequence[FruitContact]] | None = None,
     check_ends: bool = True,
 ) -> CellCertificate:
-    """Certify a motion of a cell, wherever it comes from: each arm among the obstacles, and all against one another.
+    """Certify a motion of a workcell, wherever it comes from.
+
+    Each arm is judged among the obstacles by `hplan.certify` on its own samples, with its own columns and its own last
+    velocity. All arms are judged against one another on one clock that has the samples of all of them.
 
     Args:
         cell: The arms and their tasks, from `load_cell`.
-        motion: Of all joints (`Cell.together`); or of each arm by name, all from the same instant on.
+        motion: A motion of all joints (`Cell.together`); or that of each arm by name, all from the same instant on. An
+            arm that is not named stays at its start.
         options: For the tracking error and delay, of every arm, and `sigmas`.
         goal_contact: For each arm, by name, when it may touch its fruit, as `certify` takes it.
         contacts: For each arm windows of time in which it may touch fruits besides, as `certify` takes them.
         check_ends: Whether each arm has to begin at its start and reach its goal.
 
     Raises:
-        InputError: A motion of other joints.
-        OptionError: No cell.
+        InputError: A motion moves other joints than its arm, or the cell has no arm of a name.
+        OptionError: `cell` is no cell, or `motion` no trajectory.
     """
     instance("cell", cell, Cell, "load_cell")
     options = PlanOptions() if options is None else instance("options", options, PlanOptions)
     options.check_for(None)
-    if not isinstance(motion, Trajectory):
-        if not (isinstance(motion, Mapping) and motion):
-            raise OptionError("motion", motion, "a trajectory of all joints, or one of each arm by its name")
-        motion = cell.together(motion)
-    arms, own = {}, cell.apart(motion)
+    if isinstance(motion, Trajectory):
+        files = cell.apart(motion)
+    elif isinstance(motion, Mapping) and motion:
+        files = {name: cell.own_motion(name, own) for name, own in motion.items()}
+    else:
+        raise OptionError("motion", motion, "a trajectory of all joints, or one of each arm by its name")
+    for name in (*(goal_contact or {}), *(contacts or {})):
+        cell.arm(name)
+    files = {arm.name: files.get(arm.name) or _standing_still(arm) for arm in cell.arms}
+    arms, end_s = {}, max(own.duration for own in files.values())
     for arm in cell.arms:
         contact, windows = (goal_contact or {}).get(arm.name, "approach"), (contacts or {}).get(arm.name, ())
-        arms[arm.name] = certify(
-            arm.robot, arm.scene, own[arm.name],
+        own = certify(
+            arm.robot, arm.scene, files[arm.name],
             goal_contact=contact, contacts=windows, check_ends=check_ends, **_covered(options),
         )  # fmt: skip
-    return CellCertificate(certify_between(cell, motion, options), arms)
+        arms[arm.name] = with_violations(own, _meetings_at_rest(own, files[arm.name].duration, end_s))
+    return CellCertificate(certify_between(cell, files, options), arms, cell.scene.may_touch)
 
 
-def certify_between(cell: Cell, motion: Trajectory, options: PlanOptions) -> Certificate:
-    """Certify all arms of a cell against one another alone, as if nothing else were there.
+def certify_between(cell: Cell, files: Mapping[str, Trajectory], options: PlanOptions) -> Certificate:
+    """Certify the arms of a cell against one another alone, as if nothing else were there.
+
+    The clock has the samples of all files, so that the motion of all joints is each file's own between any two of them.
+    Limits are those of the files.
 
     Args:
-        motion: Of all joints.
-        options: For the tracking error and delay.
+        files: The motion of every arm, by name; who has arrived stays where its file ends.
+        options: For the tracking error and delay, and `sigmas`.
     """
+    end_s = max(own.duration for own in files.values())
+    moving = {name: own.duration for name, own in files.items() if _end_in_motion(name, own)}
+    known_s = min((end_s, *moving.values()))
+    rows = {name: own.rows for name, own in files.items()}
+    stands = [
+        own.duration + max(_STANDS_AFTER_S, float(np.spacing(own.duration)))
+        for own in rows.values()
+        if own.velocity[-1].any()
+    ]
+    clock = np.unique(np.concatenate([*(own.time for own in rows.values()), stands]))
+    clock = clock[clock <= known_s]
+    states = cell._states(rows, clock)
+    q, v, a = (np.clip(np.nan_to_num(values), -FARTHEST_JOINT, FARTHEST_JOINT) for values in states)
+    motion = Trajectory(cell.robot.joint_names, clock, q, v, a, np.zeros_like(q), cell.robot.slides)
     alone = cell.task(motion.position[-1], motion.position[0], obstacles=False)
-    return certify(cell.robot, alone, motion, check_ends=False, **_covered(options))  # the ends are its own
+    found = certify_among(
+        cell.robot,
+        motion,
+        [(slice(0, max(1, len(clock) - 1)), checker_in_time(cell.robot, alone, options.sigmas))],
+        clearance=alone.clearance,
+        tracking=options.certified_tracking,
+        rates=_rates(cell, files, clock),
+    )
+    return replace(
+        with_violations(found, _not_compared(files, states, moving, (known_s, end_s))),
+        digests=Digests.of(cell.robot, alone, motion),
+    )
+
+
+def _not_compared(
+    files: Mapping[str, Trajectory],
+    states: tuple[FloatArray, ...],
+    moving: Collection[str],
+    span_s: tuple[float, float],
+) -> Iterator[str]:
+    """Messages: times at which the place of an arm is not known, or is no number."""
+    known_s, end_s = span_s
+    if known_s < end_s:
+        ends = "; ".join(_end_in_motion(name, files[name]) for name in moving if files[name].duration == known_s)
+        yield f"{ends}; where it is then is not known, and others go on until {end_s:.6g} s"
+    if not all((np.abs(values) <= FARTHEST_JOINT).all() for values in states[:2]):
+        yield f"joints go, or move, beyond {FARTHEST_JOINT:.3g} rad, and are not followed there"
+
+
+def _rates(cell: Cell, files: Mapping[str, Trajectory], clock: FloatArray) -> MotionRates:
+    """Use of limits by files, and (pieces, dof) bounds of the velocity of all joints between the times of a clock."""
+    speeds, uses = np.zeros((max(1, len(clock) - 1), cell.robot.dof)), []
+    for name, own in files.items():
+        arm, (bezier, duration) = cell.arm(name), cubic_pieces(own)
+        uses.append(limit_use(arm.robot, own, bezier, duration))
+        piece = np.searchsorted(own.time, clock[:-1], side="right") - 1
+        moves = np.flatnonzero(piece < own.samples - 1)
+        speeds[np.ix_(moves, arm.joints)] = fastest(bezier, duration)[piece[moves]]
+    most = {key: max(getattr(use, key) for use in uses) for key in vars(uses[0])}
+    return MotionRates(LimitUse(**most), speeds)
+
+
+def _end_in_motion(name: str, motion: Trajectory) -> str:
+    """Message: with what speed an arm's motion ends; empty if it ends at rest."""
+    speeds = np.abs(motion.velocity[-1])
+    joint = int(speeds.argmax())
+    if speeds[joint] <= REST:
+        return ""
+    moves = f"joint {motion.joint_names[joint]!r} at a speed of {speeds[joint]:.4g}"
+    return f"the motion of arm {name!r} ends at {motion.duration:.6g} s with {moves}"
+
+
+def _meetings_at_rest(own: Certificate, arrives_s: float, end_s: float) -> Iterator[str]:
+    """Message: a moving obstacle comes to an arm that has arrived, while others still move."""
+    if own.clear_until_s is not None and arrives_s < end_s and own.clear_until_s < end_s:
+        yield (
+            f"where it rests from {arrives_s:.6g} s on it is clear until {own.clear_until_s:.6g} s, "
+            f"and other arms move until {end_s:.6g} s"
+        )
+
+
+def _standing_still(arm: CellArm) -> Trajectory:
+    """An arm's motion of one sample, at its start."""
+    q = arm.robot.joints_of(arm.scene.start, "start")[None]
+    still = np.zeros_like(q)
+    torque = arm.robot.dynamics.torques(q, still, still)
+    return Trajectory(arm.robot.joint_names, np.zeros(1), q, still, still, torque, arm.robot.slides)
+
+
+def check_options(options: PlanOptions, what: str) -> None:
+    """Refuse options that have no meaning for plans of several arms.
+
+    Args:
+        what: The plans, for messages: "motions of several arms".
+
+    Raises:
+        OptionError: A risk, a bound, or motions that need not be certified are asked for.
+    """
+    options.check_for(None)
+    if options.bound:
+        raise OptionError("bound", options.bound, f"False: {what} have no bound but the longest alone")
+    if not options.certify:
+        raise OptionError("certify", options.certify, f"True: {what} are always certified")
 
 
 def _covered(options: PlanOptions) -> dict[str, Any]:
@@ -431,23 +598,32 @@ def _field_between(cell: Cell, name: str, others: Collection[str]) -> ClearanceF
 
 
 def standing(cell: Cell, name: str, thicker: float) -> Iterator[AnyObstacle]:
-    """The arms of a cell but one where they stand, and as much thicker [m], as obstacles in the frame of that one."""
+    """The arms of a cell but one where they stand, and as much thicker [m], as obstacles in the frame of that one.
+
+    Links that may touch one of that arm are left out.
+    """
+    may_touch = [dict(pair) for pair in cell.scene.may_touch]
+    beside = {f"{arm}_{pair[arm]}" for pair in may_touch if name in pair for arm in pair if arm != name}
     robot, base = cell.robot, cell.arm(name).base
     data = robot.model.createData()
     pin.forwardKinematics(robot.model, data, cell.configuration({}))
     solids = robot.cached(("solids", thicker), lambda: _solids(robot, thicker))
     for body, solid in zip(collision_bodies(robot), solids, strict=True):
-        if cell.owner(body.name) != name:
+        if cell.owner(body.name) != name and body.name not in beside:
             place = base.actInv(data.oMi[body.joint + 1])
             yield solid.copy_unchecked(moved(solid, place.rotation, place.translation))
 
 
 def _states(rows: Rows, clock: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Position, velocity and acceleration of a motion at times; at rest after it."""
+    """Position, velocity and acceleration of a motion at times: at its samples theirs, at rest after it."""
     q = rows.positions(clock)
     v, a = np.zeros_like(q), np.zeros_like(q)
-    inside = clock < rows.duration
-    if len(rows.time) > 1 and inside.any():
+    place = np.minimum(np.searchsorted(rows.time, clock), len(rows.time) - 1)
+    sampled = rows.time[place] == clock
+    for into, values in zip((q, v, a), rows[1:4], strict=True):
+        into[sampled] = values[place[sampled]]
+    inside = ~sampled & (clock < rows.duration)
+    if inside.any():
         pieces, _ = rows.pieces
         v[inside], a[inside] = (evaluate(pieces, rows.time, clock[inside], order) for order in (1, 2))
     return q, v, a
@@ -466,11 +642,15 @@ def _windows(contacts: Sequence[FruitContact], stop: Retimed | None) -> list[Fru
     return found
 
 
+def _standing_name(body: CollisionBody, number: int) -> str:
+    return f"{body.name} {number}"
+
+
 def _solids(robot: Robot, thicker: float) -> list[AnyObstacle]:
     """Obstacles that hold the bodies of a robot, and as much more [m], each in the frame of its joint."""
     found: list[AnyObstacle] = []
     for number, body in enumerate(collision_bodies(robot)):
-        name, radius = f"{body.name} {number}", body.rounding + thicker
+        name, radius = _standing_name(body, number), body.rounding + thicker
         (start, *others) = body.core.tolist()
         if not others:
             found.append(Sphere(name=name, center=tuple(start), radius=radius))
@@ -487,14 +667,14 @@ def _arm(scene: CellScene, given: CellRobot, robot: Robot, placement: pin.SE3, w
     goal = given.goal
     if goal is None:
         goal = Goal(**{key: value for key, value in given.start.model_dump().items() if key.startswith("joints")})
-    task = scene.task(goal, given.start)
+    task, prefix = scene.task(goal, given.start), f"{given.name}_"
     if placement.rotation[2, 2] < 1.0:
         robot, placement = joined_robots({given.name: (robot, placement)}, given.name), pin.SE3.Identity()
+        prefix = ""
     drop = given.drop_off and _seen_from(placement, scene.task(given.drop_off, given.start)).goal
     task = _seen_from(placement, task)
-    names = [joint.removeprefix(f"{given.name}_") for joint in robot.joint_names]
-    joints = readonly([whole.joint_names.index(f"{given.name}_{joint}") for joint in names], np.int64)
-    return CellArm(given.name, robot, task, joints, placement, given.goal is None, drop, given.every)
+    joints = readonly([whole.joint_names.index(prefix + joint) for joint in robot.joint_names], np.int64)
+    return CellArm(given.name, robot, task, joints, placement, given.goal is None, drop, given.every, prefix)
 
 
 def _seen_from(base: pin.SE3, task: Scene) -> Scene:

@@ -32,12 +32,11 @@ from hplan.errors import (
     InputError,
     NotFoundError,
     NotInTimeError,
-    OptionError,
     PathInContactError,
     PlanCancelledError,
     TimingError,
 )
-from hplan.planning.cell import Cell, CellResult, How, between, certify_cell, standing
+from hplan.planning.cell import Cell, CellResult, How, between, certify_cell, check_options, standing
 from hplan.planning.finishing.finish import finish
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
@@ -87,14 +86,13 @@ def plan_cell(
         cancel: As for `plan`.
 
     Raises:
+        OptionError: An option without meaning for several arms.
         HplanError: As `plan`, of an arm by itself or of all as one: what is in the way, which arm of another too.
         NotFoundError: No motion of all arms was found, and it was not shown that there is none.
     """
     instance("cell", cell, Cell, "load_cell")
     options = PlanOptions() if options is None else instance("options", options, PlanOptions)
-    options.check_for(None)
-    if options.bound:
-        raise OptionError("bound", options.bound, "False: motions of several arms have no bound but the longest alone")
+    check_options(options, "motions of several arms")
     with time_limit(options.deadline_s, cancel) as limit:
         try:
             return _CellPlanner(cell, replace(options, deadline_s=None), progress).result()
@@ -304,7 +302,7 @@ class _CellPlanner:
                 raise
             except HplanError as error:
                 met = error.obstacle if isinstance(error, ConfigurationInCollisionError) else None
-                owner = self._cell.owner(str(met))
+                owner = self._cell.blocking(met)
                 blocking = owner if owner in alone else None
             else:
                 legs.append((name, motion))

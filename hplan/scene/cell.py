@@ -6,7 +6,7 @@ Everything is in the frame of the cell, `base_link`, whose z axis is vertical; g
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeAlias
 
 from pydantic import Field, model_validator
 
@@ -18,6 +18,9 @@ from hplan.scene.obstacles import Obstacle
 
 #: Most robots of a cell.
 MOST_ROBOTS = 16
+
+#: A link of one of the robots: the robot's name, and that of the link in its URDF.
+ArmLink: TypeAlias = tuple[Name, Name]
 
 
 class CellRobot(StrictModel):
@@ -57,6 +60,8 @@ class CellRobot(StrictModel):
             raise fault("a robot of a cell begins at rest", "start")
         if self.drop_off is not None and self.drop_off.fruit is not None:
             raise fault("fruit is let go at joints, a position or a pose, not at a fruit", "drop_off", "fruit")
+        if self.every > 1 and self.drop_off is None:
+            raise fault("fruit is carried to a drop-off: give drop_off with it", "every")
         return self
 
 
@@ -69,6 +74,8 @@ class CellScene(StrictModel):
         clearance: Distance that each keeps from every obstacle [m].
         obstacles: What must not be touched.
         fruits: Fruit; obstacles too, except for the robot that reaches for it.
+        may_touch: Pairs of links of different robots that touch by design, such as bases on one plate. They are not
+            checked, and every certificate and report lists them.
     """
 
     format: Literal["hplan-scene/1"] = FORMAT
@@ -78,15 +85,23 @@ class CellScene(StrictModel):
     obstacles: Annotated[tuple[Obstacle, ...], Field(max_length=MOST_OBSTACLES)] = ()
     fruits: Annotated[tuple[Fruit, ...], Field(max_length=MOST_OBSTACLES)] = ()
 
+    may_touch: tuple[tuple[ArmLink, ArmLink], ...] = ()
+
     @model_validator(mode="after")
     def _names_are_unique(self) -> CellScene:
         names = [robot.name for robot in self.robots]
         for place, robot in enumerate(self.robots):
-            if any(robot.name == other or robot.name.startswith(f"{other}_") for other in names[:place]):
-                raise fault(f"{robot.name!r} is taken, or begins as another robot's joints do", "robots", place, "name")
+            if robot.name in names[:place]:
+                raise fault(f"{robot.name!r} is the name of another robot", "robots", place, "name")
             fruit = None if robot.goal is None else robot.goal.fruit
             if fruit is not None and fruit not in {each.name for each in self.fruits}:
                 raise fault(f"{fruit!r} is not among the fruits", "robots", place, "goal", "fruit")
+        for place, pair in enumerate(self.may_touch):
+            for end, (robot_name, _) in enumerate(pair):
+                if robot_name not in names:
+                    raise fault(f"{robot_name!r} is not among the robots", "may_touch", place, end)
+            if pair[0][0] == pair[1][0]:
+                raise fault(f"both links are of {pair[0][0]!r}; pairs are of two robots", "may_touch", place)
         self.task(Goal(joints_rad=(0.0,)), self.robots[0].start)  # names of obstacles and fruits differ
         return self
 

@@ -26,7 +26,7 @@ from hplan.base.deadline import Cancel, TimeIsUpError, time_limit
 from hplan.base.lazy_import import InNotebook
 from hplan.certificate.certificate import Certificate
 from hplan.errors import CertificationError, HplanError, TourError
-from hplan.planning.cell import Cell, CellArm, certify_between, standing
+from hplan.planning.cell import Cell, CellArm, certify_between, check_options, may_touch_report, standing
 from hplan.planning.options import PlanOptions
 from hplan.planning.reachable import reachable
 from hplan.planning.task import Progress, no_progress
@@ -103,6 +103,7 @@ class CellTour(Record, InNotebook):
             "verified": self.verified,
             "between_arms_mm": apart if math.isfinite(apart) else None,
             "uncovered_links": list(self.between.uncovered_links),
+            **may_touch_report(self.cell.scene.may_touch),
         }  # fmt: skip
 
 
@@ -129,7 +130,7 @@ def plan_cell_tour(
     """
     instance("cell", cell, Cell, "load_cell")
     options = PlanOptions() if options is None else instance("options", options, PlanOptions)
-    options.check_for(None)
+    check_options(options, "tours of several arms")
     with time_limit(options.deadline_s, cancel) as limit:
         try:
             return _planned(cell, replace(options, deadline_s=None), progress)
@@ -377,7 +378,7 @@ class _Schedule(NamedTuple):
         return CellTour(
             cell,
             whole,
-            certify_between(cell, whole, options),
+            certify_between(cell, cell.apart(whole), options),
             {name: (tour,) for name, tour in self.tours.items()},
             {name: tuple(own) for name, own in phases.items()},
             picked,

@@ -40,7 +40,8 @@ class Bodies:
 
     def __init__(self, cell: Cell, motion: Trajectory) -> None:
         model, self._geometry = cell.robot.model, between_arms(cell)
-        of_second = [body.name.startswith(f"{cell.arms[1].name}_") for body in self._geometry.geometryObjects]
+        frames, second = model.frames, cell.arms[1].name
+        of_second = [cell.owner(frames[body.parentFrame].name) == second for body in self._geometry.geometryObjects]
         self._data, data = self._geometry.createData(), model.createData()
         self._second, self._places = np.flatnonzero(of_second).tolist(), []
         for q in motion.positions(np.arange(0.0, motion.duration + LOOK_S, LOOK_S)):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -68,11 +69,11 @@ def between_arms(cell: Cell, more: Sequence[pin.GeometryObject] = ()) -> pin.Geo
     geometry.removeAllCollisionPairs()
     for body in more:
         geometry.addGeometryObject(body)
-    names = [arm.name for arm in cell.arms]
-    arms = np.array([[body.name.startswith(f"{name}_") for name in names] for body in geometry.geometryObjects])
-    first = arms.argmax(axis=1)
-    for i, j in np.argwhere(first[:, None] < first).tolist():
-        geometry.addCollisionPair(pin.CollisionPair(i, j))
+    frames = cell.robot.model.frames
+    owners = [cell.owner(frames[body.parentFrame].name) for body in geometry.geometryObjects]
+    for i, j in itertools.combinations(range(len(owners)), 2):
+        if owners[i] != owners[j]:
+            geometry.addCollisionPair(pin.CollisionPair(i, j))
     return geometry
 
 

@@ -137,6 +137,32 @@ def test_what_is_pushed_deeper_than_allowed_is_not_verified(arm, motions):
     assert sum(verified for may, verified in outcomes if may) >= len(outcomes) // 4
 
 
+def test_pushes_of_a_motion_that_is_not_verified_are_as_deep_as_they_are(arm, motions):
+    """The bound of each obstacle that is pushed is a third of the true depth."""
+    seen = 0
+    for scene, result, _, found in motions:
+        deepest = dict[str, float]()
+        for (_, name), depth in found.items():
+            deepest[name] = max(deepest.get(name, 0.0), float(depth.max()))
+        pushed = {name: depth for name, depth in deepest.items() if depth > 1e-3}
+        if not pushed:
+            continue
+        less = {
+            key: tuple(
+                item.model_copy(update={"yields": pushed[item.name] / 3.0}) if item.name in pushed else item
+                for item in getattr(scene, key)
+            )
+            for key in ("obstacles", "fruits")
+        }
+        contact = "approach" if len(result.phases) > 1 else "motion"
+        certificate = certify(arm, scene.model_copy(update=less), result.trajectory, goal_contact=contact)
+        assert not certificate.verified
+        for name, depth in pushed.items():
+            seen += 1
+            assert max(push.depth_m for push in certificate.pushes if push.obstacle == name) >= depth - 1e-6
+    assert seen > 3
+
+
 def test_other_links_may_push_only_where_they_are_named(arm, motions):
     refused = 0
     for scene, result, *_ in motions:

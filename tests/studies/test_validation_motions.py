@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import studies.validation.episodes as episodes
 import studies.validation.grazing as grazing
+import studies.validation.workcells as workcells
 import studies.validation.yielding as yielding
 from script_loader import SCRIPTS
 from studies.harness import Asked, Study, plain, run, summary
@@ -24,6 +25,7 @@ from studies.validation.soak import SOAK
 from studies.validation.worlds import World
 from studies.validation.yielding import YIELDING
 
+from hplan.planning.cell import Cell, CellCertificate
 from hplan.planning.plan import plan
 
 #: A corner of a cube by its place, and the cube's faces, counter-clockwise from outside.
@@ -138,6 +140,30 @@ def test_a_wrong_certificate_is_counted(monkeypatch: pytest.MonkeyPatch, verifie
     assert min(looked["grazing"], looked["clear"]) > 0
     wrong = {None: 0, True: looked["grazing"], False: looked["clear"]}
     assert sum(len(tally.faults) for tally in tallies) == wrong[verified]
+
+
+@pytest.mark.parametrize("wrong", [False, True])
+def test_a_wrong_certificate_of_a_workcell_is_found(monkeypatch: pytest.MonkeyPatch, wrong: bool) -> None:
+    """Two harvesters, one at the other: every file is certified for bases far from each other."""
+    monkeypatch.setattr(workcells, "draw_arm", lambda *_: named_arm("orchard_harvester"))
+    monkeypatch.setattr(workcells, "named_arm", lambda _: named_arm("orchard_harvester"))
+    for name, value in {"ARMS": (2, 2), "FAR_M": (0.6,), "OWN": 0.0, "TAMPERED": 0.0, "SETS": 3}.items():
+        monkeypatch.setattr(workcells, name, value)
+    if wrong:
+        certified = workcells.certify_cell
+
+        def elsewhere(cell: Cell, *files: object, **options: object) -> CellCertificate:
+            arms = [arm.model_copy(update={"position": (9.0 * k, 0.0, 0.0)}) for k, arm in enumerate(cell.scene.robots)]
+            scene = cell.scene.model_copy(update={"robots": tuple(arms), "obstacles": ()})
+            robots = {arm.name: named_arm("orchard_harvester").robot for arm in arms}
+            return certified(Cell.of(scene, robots), *files, **options)
+
+        monkeypatch.setattr(workcells, "certify_cell", elsewhere)
+    tallies = [workcells.judged_cells(0, number) for number in range(2)]
+    near = sum(fault["kind"].startswith("nearer") for tally in tallies for fault in tally.faults)
+    assert sum(tally.looked.total() for tally in tallies) > 2
+    assert (near > 0) == wrong
+    assert wrong or not any(tally.faults for tally in tallies)
 
 
 @pytest.mark.parametrize("times", [1.0, 2.0])

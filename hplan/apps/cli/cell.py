@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 from hplan.apps.cli.job_folder import (
@@ -18,7 +18,7 @@ from hplan.apps.cli.job_folder import (
     needs_rosbags,
     write_result,
 )
-from hplan.apps.cli.options import OF_PLANS, check_output_file, plan_options, refuse, tracking_of
+from hplan.apps.cli.options import OF_PLANS, check_output_file, check_tracking, plan_options, refuse, tracking_of
 from hplan.apps.cli.terminal import (
     FAILED,
     certificate_words,
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from hplan.planning.cell import CellCertificate, CellResult
+    from hplan.scene.cell import ArmLink
     from hplan.tour.cell_tour import CellTour
 
 #: Options that are of one robot, and what is said of one that is given.
@@ -64,6 +65,7 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console, *, tou
             from hplan.tour.cell_tour import plan_cell_tour
         options = plan_options(arguments, *(option for option in OF_PLANS if hasattr(arguments, option)))
         cell = load_cell(arguments.scene)
+        check_tracking(arguments, cell.robot)
         with folder.job(cell.scene.name, cell.robot.name):
             begin = time.perf_counter()
             plan = plan_cell_tour if tour else plan_cell
@@ -85,12 +87,13 @@ def certify(arguments: argparse.Namespace, console: Console) -> int:
     """Certify a motion of all joints, or a folder with a `trajectory-NAME.csv` of each arm; returns the exit status."""
     refuse(arguments, _OF_ONE_ROBOT, _REFUSED)
     with loading():
-        from hplan.planning.cell import certify_cell, load_cell
+        from hplan.planning.cell import certify_cell, load_cell, may_touch_report
         from hplan.planning.options import PlanOptions
         from hplan.planning.report import certificate_report, versions
         from hplan.trajectory.trajectory import read_csv
 
     cell, path, tracking = load_cell(arguments.scene), arguments.trajectory, tracking_of(arguments)
+    check_tracking(arguments, cell.robot)
     options = PlanOptions(tracking_error=tracking.still_rad, tracking_delay_s=tracking.delay_s, sigmas=arguments.sigmas)
     names = [arm.name for arm in cell.arms]
     motion = {name: read_csv(path / f"trajectory-{name}.csv") for name in names} if path.is_dir() else read_csv(path)
@@ -105,6 +108,7 @@ def certify(arguments: argparse.Namespace, console: Console) -> int:
         "between": certificate_report(found.between, options, cell.task(cell.configuration({}), obstacles=False)),
         "arms": {name: certificate_report(own, options, tasks[name]) for name, own in found.arms.items()},
         "violations": list(found.violations),
+        **may_touch_report(found.may_touch),
         "versions": versions(),
     }
     hand_out(arguments, console, report, lambda: _show_certificate(console, cell.scene.name, found))
@@ -119,7 +123,15 @@ def _show_certificate(console: Console, scene: str, found: CellCertificate) -> N
         *uncovered_rows(found.between.uncovered_links),
         ("clearance", ", ".join(f"{name} {at_least_mm(own.min_clearance_m)} mm" for name, own in distances.items())),
     ]
+    facts += _may_touch(found.may_touch)
     show(console, scene, ", ".join(found.arms), facts_table(facts))
+
+
+def _may_touch(pairs: Sequence[tuple[ArmLink, ArmLink]]) -> Iterator[tuple[str, str]]:
+    """The pairs of links that were not checked, as a row of a summary."""
+    if pairs:
+        named = (" and ".join(f"{arm} {link!r}" for arm, link in pair) for pair in pairs)
+        yield "may touch", escape("; ".join(named)) + ": not checked, as the scene says"
 
 
 def _facts(result: CellResult | CellTour, milliseconds: float, files: str) -> Iterator[tuple[str, str]]:
@@ -149,5 +161,6 @@ def _facts(result: CellResult | CellTour, milliseconds: float, files: str) -> It
     yield "certificate", certificate_words(report["verified"])
     between = result.certificate.between if isinstance(result, CellResult) else result.between
     yield from uncovered_rows(between.uncovered_links)
+    yield from _may_touch(result.cell.scene.may_touch)
     yield "time", f"[bold]{milliseconds:,.0f} ms[/], loading of compiled code included"
     yield "files", escape(files)

@@ -186,14 +186,14 @@ def robot_of(arguments: argparse.Namespace, scene: Scene | None = None, job: Fin
         allow_neighbours=arguments.allow_neighbours,
         collision_from_visual=from_visual(arguments),
     )
-    _check_tracking(arguments, robot)
+    check_tracking(arguments, robot)
     return robot
 
 
 def tracking_of(arguments: argparse.Namespace) -> TrackingModel:
     """The tracking model of `--tracking-error`, `--tracking-error-m` and `--tracking-delay`.
 
-    The model has one number for radians and metres: the larger of both. `robot_of` refuses what fits no joint.
+    The model has one number for radians and metres: the larger of both (`check_tracking`).
     """
     from hplan.robot.tracking import TrackingModel
 
@@ -205,7 +205,12 @@ def tracking_of(arguments: argparse.Namespace) -> TrackingModel:
     return TrackingModel(max(math.radians(error_deg), error_m), 1e-3 * delay_ms)
 
 
-def _check_tracking(arguments: argparse.Namespace, robot: Robot) -> None:
+def check_tracking(arguments: argparse.Namespace, robot: Robot) -> None:
+    """Refuse tracking errors that fit no joint of a robot.
+
+    Raises:
+        OptionError: An error in metres and no joint slides; or only one unit is given, and a joint has the other one.
+    """
     degrees, metres = getattr(arguments, "tracking_error", None), getattr(arguments, "tracking_error_m", None)
     if metres and not any(robot.slides):
         raise OptionError("--tracking-error-m", metres, "0: no joint of the robot slides")

@@ -491,6 +491,46 @@ def contacts(
     return [contact for contact in found if contact is not None]
 
 
+def least_between(
+    arms: Sequence[tuple[Arm, Motion, pin.SE3]], within: float, skip: Callable[[int, str, int, str], bool]
+) -> tuple[float, str, str]:
+    """The minimum distance of bodies of different arms over motions with the same ticks, and the two bodies.
+
+    Ticks are skipped as in `contacts`; a distance above `within` is not searched for [m].
+
+    Args:
+        arms: Each arm, its motion, and the pose of its base.
+        skip: True for two links, each with the number of its arm, that may touch.
+    """
+    looks = [_Look(arm, motion, (), None, 0.0) for arm, motion, _ in arms]
+    centres = [
+        look.centres @ base.rotation.T + base.translation for look, (_, _, base) in zip(looks, arms, strict=True)
+    ]
+    best, names = within, ("", "")
+    for first, second in itertools.combinations(range(len(arms)), 2):
+        one, other, to_other = looks[first], looks[second], arms[first][2].actInv(arms[second][2])
+        apart = np.linalg.norm(centres[first][:, :, None] - centres[second][:, None], axis=3)
+        apart -= one.radii[:, None] + other.radii + one._come(one.gone)[:, :, None] + other._come(other.gone)[:, None]
+        for a, b in itertools.product(range(len(one.radii)), range(len(other.radii))):
+            if skip(first, one.arm.bodies[a].link, second, other.arm.bodies[b].link):
+                continue
+            gone, bodies = one.gone[:, a] + other.gone[:, b], (one.arm.bodies[a], other.arm.bodies[b])
+            stack = [one.edges[k] for k in np.argsort(-apart[:, a, b]) if apart[k, a, b] < best]
+            while stack:
+                low, high = stack.pop()
+                middle = (low + high) // 2
+                places = one.places(middle)[a], to_other * other.places(middle)[b]
+                come = max(gone[middle] - gone[low], gone[high] - gone[middle])
+                found = distance(bodies[0].hull, places[0], bodies[1].hull, places[1])
+                if found - come < best:
+                    found = distance(bodies[0].shape, places[0], bodies[1].shape, places[1])
+                if found < best:
+                    best, names = found, (f"{first} {bodies[0].name}", f"{second} {bodies[1].name}")
+                if found - come < best:
+                    stack += [piece for piece in ((low, middle - 1), (middle + 1, high)) if piece[0] <= piece[1]]
+    return best, *names
+
+
 class _Look:
     """One motion among obstacles."""
 

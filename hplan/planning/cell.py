@@ -181,6 +181,9 @@ class Cell(Record):
             arm, motion = self.arm(name), instance(f"motion of {name}", motion, Trajectory, "plan or read_csv")
             if motion.joint_names != arm.robot.joint_names:
                 raise InputError(f"the motion of arm {name!r} moves {', '.join(motion.joint_names)}", arm=name)
+            if motion.interpolation != "cubic":
+                raise InputError(f"the motion of arm {name!r} is {motion.interpolation} between its rows; several arms "
+                    "are certified by cubics", arm=name)  # fmt: skip
             rows[name] = motion.rows
         times = np.unique(np.concatenate([np.zeros(1), *(own.time for own in rows.values())]))
         clock = times[np.concatenate([[True], np.diff(times) > _SAME_S])]
@@ -190,9 +193,9 @@ class Cell(Record):
             columns = self.arm(name).joints
             for into, values in zip((q, v, a), _states(own, clock), strict=True):
                 into[:, columns] = values
-        return Trajectory(
-            self.robot.joint_names, clock, q, v, a, self.robot.dynamics.torques(q, v, a), self.robot.slides
-        )
+        taken = [motion.takes_over_s for motion in motions.values() if motion.takes_over_s is not None]
+        torque, takes_over_s = self.robot.dynamics.torques(q, v, a), max(taken, default=None)
+        return Trajectory(self.robot.joint_names, clock, q, v, a, torque, self.robot.slides, takes_over_s=takes_over_s)
 
     def apart(self, motion: Trajectory) -> dict[str, Trajectory]:
         """The motion of each arm, by name, in its own joints, of one of all joints.
@@ -205,7 +208,9 @@ class Cell(Record):
         found, (time, q, v, a, torque) = {}, motion.rows
         for arm in self.arms:
             own = (values[:, arm.joints] for values in (q, v, a, torque))
-            found[arm.name] = Trajectory(arm.robot.joint_names, *Rows(time, *own), arm.robot.slides)
+            found[arm.name] = Trajectory(
+                arm.robot.joint_names, *Rows(time, *own), arm.robot.slides, takes_over_s=motion.takes_over_s
+            )
         return found
 
 

@@ -33,6 +33,8 @@ STUDIES = {
     "risk": "risk:RISK",
     "motions": "validation.episodes:MOTIONS",
     "grazing": "validation.grazing:GRAZING",
+    "messages": "validation.controller:MESSAGES",
+    "strangers": "validation.controller:STRANGERS_STUDY",
     "yielding": "validation.yielding:YIELDING",
     "soak": "validation.soak:SOAK",
     "clutter": "planar:CLUTTER",

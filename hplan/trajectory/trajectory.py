@@ -73,9 +73,9 @@ class Trajectory(Record):
         slides: Of each joint whether it slides, and is in metres; empty where that is not known.
         interpolation: The curve that the controller follows between two rows: `cubic` has their positions and
             velocities, as every motion of hplan, `quintic` their accelerations too, `linear` their positions alone.
-        takes_over_s: Time from which this motion takes over from another one, which runs until then [s]. A message of
-            it needs a start time, and the rows before that time are past when it is sent. None for a motion that begins
-            on its own.
+        takes_over_s: Of a motion that takes over from a running one, the time up to which its rows are those of the
+            running one and may be past when it is sent [s]; 0 if it begins where the arm is. A message of it needs a
+            start time. None for a motion that begins on its own.
     """
 
     joint_names: tuple[str, ...]
@@ -164,10 +164,8 @@ class Trajectory(Record):
         row = whole("row", row, 0, self.samples - 1)
         if row == 0:
             return self
-        takes_over_s = None if self.rows.is_at_rest(row) else 0.0
-        if self.takes_over_s is not None:
-            takes_over_s = max(self.takes_over_s - float(self.time[row]), 0.0)
-        return self._with(self.rows.since(row), takes_over_s)
+        begins_alone = self.takes_over_s is None and self.rows.is_at_rest(row)
+        return self._with(self.rows.since(row), None if begins_alone else 0.0)
 
     def until(self, row: int) -> Trajectory:
         """The motion up to a row; it ends in motion if it is in motion there.

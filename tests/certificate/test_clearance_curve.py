@@ -24,7 +24,7 @@ from hplan.scene.file import load_scene
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Box, Capsule, Obstacle, Sphere
 from hplan.scene.tracks import Track
-from hplan.trajectory.trajectory import Trajectory, cubic_states
+from hplan.trajectory.trajectory import Trajectory
 
 
 def random_motion(robot: Robot, random: np.random.Generator, duration: float, count: int = 40) -> Trajectory:
@@ -222,7 +222,7 @@ def test_it_is_what_is_seen_at_many_times(values):
     table = np.array(values)
     motion = trajectory(np.concatenate([[0.0], np.cumsum(table[1:, 4])]), table[:, :2], 3.0 * table[:, 2:4])
     clock = np.concatenate([np.linspace(*ends, 1001) for ends in pairwise(motion.time)])
-    seen = cubic_states(motion.time, motion.position, motion.velocity, clock)[0]
+    seen = motion.positions(clock)
     most = float((np.abs(seen - 0.5 * (ROBOT.lower + ROBOT.upper)) / (0.5 * (ROBOT.upper - ROBOT.lower))).max())
     assert most - 1e-12 <= position_use(motion) <= most + 1e-5
 

@@ -22,7 +22,7 @@ from hplan.robot.family.members import HARVESTER, write_robot
 from hplan.robot.model import load_robot
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.tracks import Poses, Track
-from hplan.trajectory.trajectory import Trajectory, cubic_states
+from hplan.trajectory.trajectory import Trajectory
 
 
 def hermite(robot, time, position, velocity):
@@ -195,7 +195,7 @@ def test_torques_are_bounded_whatever_the_tilt(first, second, third):
     found, clock, model = straight(ROBOT, BEGIN, END, DURATION, 5.0), np.linspace(0.0, DURATION, 60), ROBOT.model.copy()
     certificate = certify(ROBOT, scene((first, second, third)), found)
     data, worst = model.createData(), 0.0
-    states = zip(*cubic_states(found.time, found.position, found.velocity, clock), strict=True)
+    states = [found.state_at(t) for t in clock.tolist()]
     for state, turn in zip(states, base_at((first, second, third), clock), strict=True):
         model.gravity.linear = turn.T @ ROBOT.model.gravity.linear
         worst = max(worst, float((np.abs(pin.rnea(model, data, *state)) / ROBOT.torque_limit).max()))

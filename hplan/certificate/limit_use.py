@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hplan.base.arrays import FloatArray
+from hplan.base.arrays import FloatArray, IntArray
 from hplan.base.kernels import kernel
 from hplan.certificate.torque_bound import largest_torques
 from hplan.robot.model import Robot
@@ -68,26 +68,26 @@ def _peaks(bezier: FloatArray, duration: FloatArray, middle: FloatArray) -> Floa
     """(3, dof) largest distances of segments from a configuration, largest |velocity| and |acceleration|."""
     segments, points, dof = bezier.shape
     degree, peaks = points - 1.0, np.zeros((3, dof))
-    work = np.empty((_MOST_HALVINGS + 1, points))
+    work, levels = np.empty((_MOST_HALVINGS + 1, points)), np.zeros(_MOST_HALVINGS + 1, dtype=np.int64)
     for j in range(dof):
         for segment in range(segments):
             h = duration[segment]
             for n in range(points):
                 work[0, n] = bezier[segment, n, j] - middle[j]
-            peaks[0, j] = _peak(work, points, peaks[0, j])
+            peaks[0, j] = _peak(work, levels, points, peaks[0, j])
             for n in range(points - 1):
                 work[0, n] = degree * (bezier[segment, n + 1, j] - bezier[segment, n, j]) / h
-            peaks[1, j] = _peak(work, points - 1, peaks[1, j])
+            peaks[1, j] = _peak(work, levels, points - 1, peaks[1, j])
             for n in range(points - 2):
                 first = bezier[segment, n + 1, j] - bezier[segment, n, j]
                 bent = bezier[segment, n + 2, j] - bezier[segment, n + 1, j] - first
                 work[0, n] = degree * (degree - 1.0) * bent / (h * h)
-            peaks[2, j] = _peak(work, points - 2, peaks[2, j])
+            peaks[2, j] = _peak(work, levels, points - 2, peaks[2, j])
     return peaks
 
 
 @kernel
-def _peak(work: FloatArray, points: int, known: float) -> float:
+def _peak(work: FloatArray, levels: IntArray, points: int, known: float) -> float:
     """Largest size of a polynomial, or a known larger number; infinite if a number is not finite.
 
     The polynomial lies in the hull of its Bezier points, and its ends are two of them. Where the hull is larger than
@@ -95,10 +95,11 @@ def _peak(work: FloatArray, points: int, known: float) -> float:
 
     Args:
         work: Its first row has the Bezier points; the others are room for halves.
+        levels: Room for how often each half was halved.
         points: The number of Bezier points.
         known: The size known so far.
     """
-    levels, top = np.zeros(_MOST_HALVINGS + 1, dtype=np.int64), 0
+    top, levels[0] = 0, 0
     while top >= 0:
         hull = 0.0
         for n in range(points):

@@ -208,13 +208,13 @@ def _remainders(bezier: FloatArray, duration: FloatArray, sizes: FloatArray, gra
             for i in range(first, end):
                 for n in range(len(work)):
                     work[n] = bezier[i, n, k]
-                farthest = _most(farthest, _largest_of(work, len(work)))
+                    farthest = _most(farthest, abs(work[n]))
                 left, scale = len(work) - 1, 1.0
                 for n in range(1, min(left, 4) + 1):
+                    scale *= left / duration[i]
                     for m in range(left):
                         work[m] = work[m + 1] - work[m]
-                    scale *= left / duration[i]
-                    rate[n] = _most(rate[n], scale * _largest_of(work, left))
+                        rate[n] = _most(rate[n], scale * abs(work[m]))
                     left -= 1
             rotor[k] = sizes[k, 6] * rate[4]
             above = int(sizes[k, 4])
@@ -258,15 +258,6 @@ def _remainders(bezier: FloatArray, duration: FloatArray, sizes: FloatArray, gra
                     for m in range(n + 1):
                         moment[above, n] += _CHOOSE[n, m] * s[k, m] * force[k, n - m]
     return slack
-
-
-@kernel
-def _largest_of(values: FloatArray, count: int) -> float:
-    """Largest size of the first values; infinite if one is not a number."""
-    largest = 0.0
-    for n in range(count):
-        largest = _most(largest, abs(values[n]))
-    return largest
 
 
 @kernel

@@ -34,6 +34,8 @@ STUDIES = {
     "motions": "validation.episodes:MOTIONS",
     "grazing": "validation.grazing:GRAZING",
     "clearances": "validation.clearances:CLEARANCES_STUDY",
+    "messages": "validation.controller:MESSAGES",
+    "strangers": "validation.controller:STRANGERS_STUDY",
     "yielding": "validation.yielding:YIELDING",
     "soak": "validation.soak:SOAK",
     "interrupts": "interrupts:INTERRUPTS",

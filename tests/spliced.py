@@ -6,7 +6,6 @@ import numpy as np
 
 from hplan.online.splice import SplicedResult
 from hplan.planning.result import PlanResult
-from hplan.trajectory.trajectory import cubic_pieces
 
 FIELDS = ("position", "velocity", "acceleration")
 
@@ -20,7 +19,7 @@ def assert_goes_on(before: PlanResult, result: SplicedResult) -> None:
         kept, ran = getattr(motion, field)[: seam + 1], getattr(ran_before, field)[first : first + seam + 1]
         np.testing.assert_array_equal(kept, ran)
     if 0 < seam < motion.samples - 1:
-        bezier, duration = cubic_pieces(motion)
+        bezier, duration = motion.segments
         bent = 6.0 * np.diff(bezier, n=2, axis=1) / duration[:, None, None] ** 2
         speed = 3.0 * np.diff(bezier, axis=1) / duration[:, None, None]
         np.testing.assert_allclose(speed[seam, 0], speed[seam - 1, 2], rtol=0, atol=1e-9)

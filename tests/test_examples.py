@@ -164,9 +164,20 @@ def test_ros2_node() -> None:
     message = cloud(header, 2, 3, fields, False, 20, 64, data.ravel(), False)
     np.testing.assert_array_equal(node["points_of"](message), points.reshape(-1, 3))
     robot = hplan.load_robot()
-    state = {"name": ["gripper", *reversed(robot.joint_names)], "position": [9.0, 4.0, 3.0, 2.0, 1.0]}
-    assert node["configuration_of"](robot, SimpleNamespace(**state)).tolist() == [1.0, 2.0, 3.0, 4.0]
-    assert node["configuration_of"](robot, SimpleNamespace(name=["wrist"], position=[1.0])) is None
+    arm, state = node["ArmState"](robot), lambda **at: SimpleNamespace(name=list(at), position=list(at.values()))
+    with pytest.raises(hplan.errors.InputError, match="'base_yaw'"):
+        arm.configuration(0.0)
+    arm.see(SimpleNamespace(name=["gripper", *reversed(robot.joint_names)], position=[9.0, 4.0, 3.0, 2.0, 1.0]), 0.0)
+    arm.see(state(finger=0.01), 0.1)
+    arm.see(state(wrist=5.0, shoulder=float("nan")), 0.3)
+    assert arm.configuration(0.4).tolist() == [1.0, 2.0, 3.0, 5.0]
+    with pytest.raises(hplan.errors.InputError, match=r"'base_yaw' is 0.60 s old"):
+        arm.configuration(0.6)
+    assert node["outcome_of"](SimpleNamespace(error_code=0, error_string="")) == (True, "successful")
+    assert node["outcome_of"](SimpleNamespace(error_code=-5, error_string="j1")) == (
+        False,
+        "goal tolerance violated: j1",
+    )
     motion = hplan.plan(robot, hplan.load_scene(), hplan.PlanOptions(effort="quick"))
     trajectory = node["goal_of"](motion)["trajectory"]
     kind = "trajectory_msgs/msg/JointTrajectory"

@@ -1,7 +1,8 @@
 r"""The certificate of a trajectory: what is shown of it for all times, and how.
 
-Between two rows the controller is taken to follow the cubic that has the rows' positions and velocities (`cubic
-Hermite`); a trajectory of hplan is exactly that curve. On it
+Between two rows the controller follows a polynomial (`Trajectory.interpolation`): the cubic that has the rows'
+positions and velocities, as a trajectory of hplan is, the quintic that has their accelerations too, or a straight line.
+On it
 
 - **clearance** is shown over continuous time, from obstacles, and of parts of the arm that can touch one another
   (conservative advancement; the bound is in `hplan.certificate.clearance_proof`), but for pairs of one arm with a rule
@@ -11,6 +12,8 @@ Hermite`); a trajectory of hplan is exactly that curve. On it
   given: those of fruits that the motion had to do with before it was led elsewhere;
 - **position, velocity, acceleration and torque** are bounded for all times (`hplan.certificate.limit_use`,
   `hplan.certificate.torque_bound`);
+- along straight lines velocities jump at rows, which no limit of acceleration or torque allows: such a motion is not
+  verified, unless `velocity_jumps` says that position, velocity and clearance are all that is required;
 - the acceleration and torque columns, which a controller may feed forward, must keep the limits too;
 - the motion begins and ends at rest, and solves the scene's task (`hplan.certificate.task_check`), unless that is
   not wanted; where the scene's start is in motion, it begins in that state (`hplan.certificate.start_state`).
@@ -70,7 +73,8 @@ from hplan.robot.tracking import TrackingModel
 from hplan.scene.limits import LEAST_RISK
 from hplan.scene.model import Fruit, Scene, checked_scene
 from hplan.scene.obstacle_kind import Sigmas
-from hplan.trajectory.trajectory import Trajectory, check_joints, cubic_pieces
+from hplan.trajectory.cubics import Interpolation
+from hplan.trajectory.trajectory import Trajectory, check_joints
 
 #: Use of a limit up to which it counts as kept.
 LIMIT_TOLERANCE = 1.001
@@ -180,7 +184,7 @@ class Certificate:
         return replace(self, subject=subject, contacts=(), digests=None)
 
 
-# Thirteen parameters: three subjects, and options that callers name by keyword.
+# Fifteen parameters: three subjects, and options that callers name by keyword.
 def certify(
     robot: Robot,
     scene: Scene,
@@ -196,6 +200,8 @@ def certify(
     rest_to_rest: bool = True,
     checker: CoalScene | None = None,
     begin_s: float = 0.0,
+    interpolation: Interpolation | None = None,
+    velocity_jumps: bool = False,
 ) -> Certificate:
     """Certify a trajectory, wherever it comes from, as `plan` certifies its own.
 
@@ -222,6 +228,10 @@ def certify(
             and `contacts` are not checked, nor what pedestal and turret stand in.
         begin_s: Time at which the motion begins, as the tracks of the scene count it [s]: a motion that starts later,
             or takes over from a running one, sees what moves from that time on.
+        interpolation: The curve that the controller runs between rows: `cubic`, `quintic` or `linear`; None for the
+            trajectory's own.
+        velocity_jumps: Whether velocity may jump, for controllers that are given positions alone: along straight lines
+            between rows neither acceleration and torque (`limit_use` says inf) nor rest at the ends are required then.
 
     Returns:
         The certificate; read `verified`.
@@ -231,13 +241,18 @@ def certify(
             some slide; start or goal of the scene do not fit it.
         MovingObstacleError: The fruit that is the goal moves; or something does, and a risk is given.
         OptionError: A time that is not finite; a tracking error or delay, or a number of standard deviations, that is
-            negative or not finite; another contact with the goal.
+            negative or not finite; another contact with the goal; another interpolation; velocity jumps of a motion
+            that is not made of straight lines.
     """
     instance("robot", robot, Robot, "load_robot")
     check_yield_links(robot, checked_scene(scene).yield_links)
     instance("trajectory", trajectory, Trajectory, "plan or read_csv")
     truth("check_ends", check_ends)
     truth("rest_to_rest", rest_to_rest)
+    if interpolation is not None:
+        trajectory = replace(trajectory, interpolation=interpolation)
+    if truth("velocity_jumps", velocity_jumps) and trajectory.interpolation != "linear":
+        raise OptionError("velocity_jumps", True, f"False: between its rows the motion is {trajectory.interpolation}")
     tracking = TrackingModel(tracking_error, tracking_delay_s)
     by_name("sigmas", sigmas, "a finite number >= 0", lambda value: value >= 0.0)
     warn_of_far_obstacles(robot, scene)
@@ -272,7 +287,7 @@ def certify(
     if check_ends:
         violations += [*task_violations(robot, scene, _pieces(trajectory)), *start_violations(robot, scene, trajectory)]
     if rest_to_rest and scene.start.is_moving:
-        violations += rest_violations(robot, trajectory, {"ends": -1})
+        violations += rest_violations(robot, trajectory, {"ends": -1}, velocity_jumps=velocity_jumps)
     certificate = certify_among(
         robot,
         trajectory,
@@ -281,6 +296,7 @@ def certify(
         tracking=tracking,
         rest_to_rest=rest_to_rest and not scene.start.is_moving,
         begin_s=begin_s,
+        velocity_jumps=velocity_jumps,
     )
     certificate = on_track(certificate, robot, scene, begin_s, trajectory.duration)
     if risk is not None and certificate.subject is not None:
@@ -313,8 +329,8 @@ def goal_contacts(
 
 
 def _pieces(trajectory: Trajectory) -> FloatArray:
-    """(pieces, 4, dof) Bezier points of a motion's cubics; joints beyond any limit are as far as matters."""
-    bezier: FloatArray = np.clip(cubic_pieces(trajectory)[0], -FARTHEST_JOINT, FARTHEST_JOINT)
+    """(pieces, 4 or 6, dof) Bezier points of a motion's segments; joints beyond any limit are as far as matters."""
+    bezier: FloatArray = np.clip(trajectory.segments[0], -FARTHEST_JOINT, FARTHEST_JOINT)
     return bezier
 
 
@@ -366,6 +382,7 @@ def certify_among(
     rest_to_rest: bool = True,
     begin_s: float = 0.0,
     rates: MotionRates | None = None,
+    velocity_jumps: bool = False,
 ) -> Certificate:
     """Certify a trajectory, or part of one, with given collision checkers.
 
@@ -377,16 +394,17 @@ def certify_among(
         rest_to_rest: Whether the motion has to begin and end at rest.
         begin_s: Time at which it begins, as the movements of obstacles count it [s].
         rates: Its use of limits and its speeds, if it is assembled from other motions; None computes both.
+        velocity_jumps: Whether velocity may jump along straight lines between rows (`certify`).
 
     Raises:
         InputError: The trajectory has other joints than the robot.
     """
     check_joints(trajectory, robot)
-    bezier, duration = cubic_pieces(trajectory)
+    bezier, duration = trajectory.segments
     use = limit_use(robot, trajectory, bezier, duration) if rates is None else rates.limit_use
-    violations = list(limit_violations(use))
+    violations = list(limit_violations(use, velocity_jumps=velocity_jumps))
     if rest_to_rest:
-        violations += rest_violations(robot, trajectory, {"begins": 0, "ends": -1})
+        violations += rest_violations(robot, trajectory, {"begins": 0, "ends": -1}, velocity_jumps=velocity_jumps)
     speeds = np.zeros((1, robot.dof))
     if tracking.delay_s > 0.0:
         speeds = fastest(bezier, duration) if rates is None else rates.speeds
@@ -417,15 +435,25 @@ def certify_among(
         pair_rules=joined_rules(rules),
         clear_until_s=None
         if last.moving is None or violations
-        else clear_until(bezier[-1, 3], last, at_rest, clearance, clock[-1]),
+        else clear_until(bezier[-1, -1], last, at_rest, clearance, clock[-1]),
         uncovered_links=robot.uncovered_links,
     )
 
 
-def rest_violations(robot: Robot, trajectory: Trajectory, ends: Mapping[str, int]) -> Iterator[str]:
-    """Messages: rows of a motion at which it is not at rest."""
+def rest_violations(
+    robot: Robot, trajectory: Trajectory, ends: Mapping[str, int], *, velocity_jumps: bool = False
+) -> Iterator[str]:
+    """Messages: ends of a motion at which it is not at rest, by its rows and by the curve between them.
+
+    Args:
+        ends: Whether it begins or ends there, and 0 or -1 for the first or last row.
+        velocity_jumps: Whether the velocity may jump there, along straight lines between rows.
+    """
+    leaving = trajectory.end_velocities
     for where, row in ends.items():
-        speeds = np.abs(trajectory.velocity[row])
+        if velocity_jumps:
+            continue
+        speeds = np.maximum(np.abs(trajectory.velocity[row]), np.abs(leaving[row]))
         joint = int(speeds.argmax())
         if speeds[joint] > REST:
             name, unit = robot.joint_names[joint], robot.units[joint].velocity
@@ -448,9 +476,11 @@ def on_track(certificate: Certificate, robot: Robot, scene: Scene, begin_s: floa
     return with_violations(replace(certificate, limit_use=use), more)
 
 
-def limit_violations(use: LimitUse) -> Iterator[str]:
-    """Messages: the limits that are not verified to be kept."""
+def limit_violations(use: LimitUse, *, velocity_jumps: bool = False) -> Iterator[str]:
+    """Messages: the limits that are not verified to be kept; with jumps of velocity, of position and velocity alone."""
     for what, fraction in vars(use).items():
+        if velocity_jumps and what in ("acceleration", "torque"):
+            continue
         if not fraction <= (LIMIT_TOLERANCE if what != "position" else 1.0 + 1e-6):
             yield f"{what} reaches {fraction:{'.4f' if fraction < 1e4 else '.4g'}} of its limit"
 

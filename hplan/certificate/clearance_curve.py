@@ -33,7 +33,7 @@ from hplan.certificate.clearance_proof import Advancement, Proof, place_after, p
 from hplan.certificate.pushes import Push, joined, pushes_along
 from hplan.collision.coal_scene import CoalScene
 from hplan.robot.model import Robot
-from hplan.trajectory.trajectory import Trajectory, cubic_pieces
+from hplan.trajectory.trajectory import Trajectory
 
 #: Travel between two stations: a part of the distance of the nearest pair, within bounds [m].
 _STATION_FRACTION, _STATION_M = 0.08, (1e-3, 0.05)
@@ -128,7 +128,7 @@ class ProvedMotion(Record):
     @cached_property
     def curve(self) -> ClearanceCurve:
         """Its clearance over time."""
-        bezier, _ = cubic_pieces(self.trajectory)
+        bezier, _ = self.trajectory.segments
         rows, time = np.arange(self.trajectory.samples, dtype=np.float64), self.trajectory.time
         found = []
         for stretch in self.stretches:
@@ -140,7 +140,7 @@ class ProvedMotion(Record):
     @cached_property
     def pushes(self) -> tuple[Push, ...]:
         """What gives way in it."""
-        bezier, _ = cubic_pieces(self.trajectory)
+        bezier, _ = self.trajectory.segments
         found = list[Push]()
         for stretch in self.stretches:
             part, time = stretch.part, self.trajectory.time[stretch.part.start : stretch.part.stop + 1]

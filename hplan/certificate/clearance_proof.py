@@ -1,4 +1,4 @@
-r"""Clearance over the whole of a motion: conservative advancement along its cubics, each pair with its own looks.
+r"""Clearance over the whole of a motion: conservative advancement along its segments, each pair with its own looks.
 
 A pair is a link and an obstacle, a turning shape of the turret and an obstacle, or two parts of the arm. Each has a
 moving body: with an obstacle the link, or the turret, which the yaw alone moves; with two parts of the arm one of them
@@ -52,6 +52,7 @@ from hplan.certificate.motion_bound import at_rows, motion_of_movers, with_obsta
 from hplan.collision.box_bounds import apart, joints_as_pinocchio
 from hplan.collision.coal_scene import CoalScene, Contact
 from hplan.collision.placed_bodies import place_joints
+from hplan.trajectory.cubics import cubic_at
 
 #: Spare clearance below which the proof gives up [m]: its steps, half of it, would become too small.
 SMALLEST_STEP = 1e-5
@@ -123,8 +124,8 @@ def prove_clearance(
     """Show that every pair keeps its distance at all times, or find where it does not.
 
     Args:
-        bezier: (pieces, 4, dof) Bezier points of the motion's cubics.
-        deviations: (pieces, dof) largest deviation of each joint within each cubic, or (1, dof) for all of them [rad].
+        bezier: (pieces, 4 or 6, dof) Bezier points of the motion's segments.
+        deviations: (pieces, dof) largest deviation of each joint within each segment, or (1, dof) for all [rad].
         needed: Distance to be kept [m].
         clock: (pieces + 1,) times of the rows, as tracks count them [s]; needed where obstacles move.
     """
@@ -316,7 +317,7 @@ class Advancement:
             check_deadline()
             row = due[0][0]
             # Points of Bezier between the rows may be no numbers.
-            self.place(self._bezier[row, 0] if row < rows else self._bezier[-1, 3], float(row))
+            self.place(self._bezier[row, 0] if row < rows else self._bezier[-1, -1], float(row))
             pairs = []
             while due and due[0][0] == row:
                 pairs.append(heapq.heappop(due)[1])
@@ -342,12 +343,8 @@ def point_at(bezier: FloatArray, at: float) -> FloatArray:
     u = 1.0 - t
     q = np.empty(bezier.shape[2])
     for j in range(len(q)):
-        q[j] = (
-            u * u * u * bezier[piece, 0, j]
-            + 3.0 * u * u * t * bezier[piece, 1, j]
-            + 3.0 * u * t * t * bezier[piece, 2, j]
-            + t * t * t * bezier[piece, 3, j]
-        )
+        p0, p1, p2, p3 = cubic_at(bezier, piece, j, t)
+        q[j] = u * u * u * p0 + 3.0 * u * u * t * p1 + 3.0 * u * t * t * p2 + t * t * t * p3
     return q
 
 

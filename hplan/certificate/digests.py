@@ -7,7 +7,7 @@ every number that planning or proof uses does.
   with vertices and triangles of their meshes; of general (non-planar) arms all frames, which goals may name; numbers
   rounded to 12 decimals, since sines differ in the last bit from machine to machine.
 - **Scene**: its keys and values as in a scene file, and for each mesh or cloud the data instead of the file's name.
-- **Trajectory**: the joint names and the numbers of the CSV, bit by bit.
+- **Trajectory**: the joint names and the numbers of the CSV, bit by bit, and the curve between rows unless cubic.
 """
 
 from __future__ import annotations
@@ -56,6 +56,8 @@ def trajectory_digest(trajectory: Trajectory) -> str:
     found = _Digest("hplan-trajectory/1")
     found.add_text(*trajectory.joint_names)
     found.add_exactly(as_table(trajectory))
+    if trajectory.interpolation != "cubic":
+        found.add_text("interpolation", trajectory.interpolation)
     return found.word
 
 

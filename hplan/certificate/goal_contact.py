@@ -94,16 +94,16 @@ def instant_at(robot: Robot, rows: FloatArray, point: ArrayLike) -> tuple[int, f
 
 
 def contact_window(robot: Robot, bezier: FloatArray, point: ArrayLike) -> slice | None:
-    """The cubics of a motion within which the last link may touch the fruit at a point.
+    """The segments of a motion within which the last link may touch the fruit at a point.
 
     Args:
-        bezier: (pieces, 4, dof) Bezier points of the motion's cubics.
+        bezier: (pieces, 4 or 6, dof) Bezier points of the motion's segments.
         point: (3,) the fruit's centre, in `base_link` [m].
 
     Returns:
         A range of pieces; None where the tool is never at the point, or not on a straight approach.
     """
-    rows = np.vstack([bezier[:, 0], bezier[-1:, 3]])
+    rows = np.vstack([bezier[:, 0], bezier[-1:, -1]])
     with np.errstate(over="ignore", invalid="ignore"):
         row, away = instant_at(robot, rows, point)
         if not away <= THERE:
@@ -151,5 +151,7 @@ def tool_bends(robot: Robot, rates: FloatArray, pushes: FloatArray) -> tuple[Flo
 
 
 def largest_rates(bezier: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(pieces, n) largest first and second derivatives of cubics in their own parameter, from (pieces, 4, n) points."""
-    return 3.0 * np.abs(np.diff(bezier, axis=1)).max(axis=1), 6.0 * np.abs(np.diff(bezier, 2, axis=1)).max(axis=1)
+    """(pieces, n) largest first and second derivatives of segments in their own parameter, by their Bezier points."""
+    degree = bezier.shape[1] - 1.0
+    rates, pushes = (np.abs(np.diff(bezier, order, axis=1)).max(axis=1) for order in (1, 2))
+    return degree * rates, degree * (degree - 1.0) * pushes

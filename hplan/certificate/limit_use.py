@@ -1,4 +1,4 @@
-"""Use of the joint limits along a motion of cubics between rows, bounded for all times."""
+"""Use of the joint limits along a motion of polynomials between rows, bounded for all times."""
 
 from __future__ import annotations
 
@@ -7,11 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hplan.base.arrays import FloatArray
+from hplan.base.arrays import FloatArray, IntArray
 from hplan.base.kernels import kernel
 from hplan.certificate.torque_bound import largest_torques
 from hplan.robot.model import Robot
 from hplan.trajectory.trajectory import Trajectory
+
+#: A hull larger than what is known by no more than this part is as large; and how often a polynomial is halved at most.
+_SAME_PEAK, _MOST_HALVINGS = 1e-12, 26
 
 
 @dataclass(frozen=True)
@@ -32,13 +35,14 @@ class LimitUse:
 
 
 def limit_use(robot: Robot, trajectory: Trajectory, bezier: FloatArray, duration: FloatArray) -> LimitUse:
-    """Bound the use of each limit over a motion's cubics, and by its columns for velocity, acceleration and torque.
+    """Bound the use of each limit over a motion's segments, and by its columns for velocity, acceleration and torque.
 
-    The acceleration is linear within a piece, velocity and position have their extremes at rows or where acceleration
-    and velocity are zero; torques as in `hplan.certificate.torque_bound`.
+    Position, velocity and acceleration are bounded by Bezier points of halved segments (`_peak`), torques as in
+    `hplan.certificate.torque_bound`. Along straight lines between rows velocities jump: acceleration and torque are
+    infinite unless the arm stands still.
 
     Args:
-        bezier: (pieces, 4, dof) its cubics.
+        bezier: (pieces, 4 or 6, dof) its segments.
         duration: (pieces,) their durations [s].
     """
     middle, half = 0.5 * (robot.lower + robot.upper), 0.5 * (robot.upper - robot.lower)
@@ -50,64 +54,78 @@ def limit_use(robot: Robot, trajectory: Trajectory, bezier: FloatArray, duration
     peak_torque = np.maximum(
         largest_torques(robot.dynamics, bezier, duration, robot.torque_limit), np.abs(trajectory.torque).max(axis=0)
     )
+    has_jumps = trajectory.interpolation == "linear" and bool((np.diff(trajectory.position, axis=0) != 0.0).any())
     return LimitUse(
         position=_finite_or_inf(position),
         velocity=fraction_of(peak_velocity, robot.velocity_limit),
-        acceleration=fraction_of(peak_acceleration, robot.acceleration_limit),
-        torque=fraction_of(peak_torque, robot.torque_limit),
+        acceleration=math.inf if has_jumps else fraction_of(peak_acceleration, robot.acceleration_limit),
+        torque=math.inf if has_jumps else fraction_of(peak_torque, robot.torque_limit),
     )
 
 
 @kernel
 def _peaks(bezier: FloatArray, duration: FloatArray, middle: FloatArray) -> FloatArray:
-    """(3, dof) largest distances of cubics from a (dof,) configuration, largest |velocity| and |acceleration|."""
-    peaks = np.zeros((3, len(middle)))
-    for j in range(len(middle)):
-        low, high, offset, speed, push = bezier[0, 0, j], bezier[0, 0, j], 0.0, 0.0, 0.0
-        for piece in range(len(bezier)):
-            low, high = (
-                min(low, bezier[piece, 0, j], bezier[piece, 3, j]),
-                max(high, bezier[piece, 0, j], bezier[piece, 3, j]),
-            )
-        for piece in range(len(bezier)):
-            h = duration[piece]
-            p0, p1, p2, p3 = bezier[piece, 0, j], bezier[piece, 1, j], bezier[piece, 2, j], bezier[piece, 3, j]
-            d0, d1, d2 = p1 - p0, p2 - p1, p3 - p2
-            offset = _larger(_larger(offset, p0 - middle[j]), p3 - middle[j])
-            # Of most pieces all points lie between the extremes of the ends, and with them the cubic.
-            if not (low <= p1 <= high and low <= p2 <= high):
-                for at in _turning_points(d0, d1, d2):
-                    u = 1.0 - at
-                    value = u * u * u * p0 + 3.0 * u * u * at * p1 + 3.0 * u * at * at * p2 + at * at * at * p3
-                    offset = _larger(offset, value - middle[j])
-            first, last = 6.0 * (d1 - d0) / (h * h), 6.0 * (d2 - d1) / (h * h)
-            push = _larger(_larger(push, first), last)
-            speed = _larger(_larger(speed, 3.0 * d0 / h), 3.0 * d2 / h)
-            if first * last < 0.0:
-                at = first / (first - last)
-                speed = _larger(speed, 3.0 * d0 / h + h * at * (first + 0.5 * at * (last - first)))
-        peaks[0, j], peaks[1, j], peaks[2, j] = offset, speed, push
+    """(3, dof) largest distances of segments from a configuration, largest |velocity| and |acceleration|."""
+    segments, points, dof = bezier.shape
+    degree, peaks = points - 1.0, np.zeros((3, dof))
+    work, levels = np.empty((_MOST_HALVINGS + 1, points)), np.zeros(_MOST_HALVINGS + 1, dtype=np.int64)
+    for j in range(dof):
+        for segment in range(segments):
+            h = duration[segment]
+            for n in range(points):
+                work[0, n] = bezier[segment, n, j] - middle[j]
+            peaks[0, j] = _peak(work, levels, points, peaks[0, j])
+            for n in range(points - 1):
+                work[0, n] = degree * (bezier[segment, n + 1, j] - bezier[segment, n, j]) / h
+            peaks[1, j] = _peak(work, levels, points - 1, peaks[1, j])
+            for n in range(points - 2):
+                first = bezier[segment, n + 1, j] - bezier[segment, n, j]
+                bent = bezier[segment, n + 2, j] - bezier[segment, n + 1, j] - first
+                work[0, n] = degree * (degree - 1.0) * bent / (h * h)
+            peaks[2, j] = _peak(work, levels, points - 2, peaks[2, j])
     return peaks
 
 
 @kernel
-def _larger(largest: float, value: float) -> float:
-    """The larger one of a number and the size of another; infinite where that is none."""
-    return max(largest, abs(value)) if abs(value) < math.inf else math.inf
+def _peak(work: FloatArray, levels: IntArray, points: int, known: float) -> float:
+    """Largest size of a polynomial, or a known larger number; infinite if a number is not finite.
+
+    The polynomial lies in the hull of its Bezier points, and its ends are two of them. Where the hull is larger than
+    what is known, the polynomial is halved, which quarters what the hull is too large by.
+
+    Args:
+        work: Its first row has the Bezier points; the others are room for halves.
+        levels: Room for how often each half was halved.
+        points: The number of Bezier points.
+        known: The size known so far.
+    """
+    top, levels[0] = 0, 0
+    while top >= 0:
+        hull = 0.0
+        for n in range(points):
+            hull = _larger(hull, work[top, n])
+        if hull == math.inf:
+            return math.inf
+        known = max(known, abs(work[top, 0]), abs(work[top, points - 1]))
+        if hull <= known * (1.0 + _SAME_PEAK) or levels[top] == _MOST_HALVINGS:
+            known = max(known, hull)
+            top -= 1
+            continue
+        # The second half takes the place of the whole; the first one goes on top, and is looked at first.
+        level = levels[top] + 1
+        for n in range(points):
+            work[top + 1, n] = work[top, 0]
+            for m in range(points - 1 - n):
+                work[top, m] = 0.5 * (work[top, m] + work[top, m + 1])
+        levels[top], levels[top + 1] = level, level
+        top += 1
+    return known
 
 
 @kernel
-def _turning_points(d0: float, d1: float, d2: float) -> tuple[float, float]:
-    """Where a cubic turns around in its piece, 0 for nowhere, from the differences of its Bezier points."""
-    # Of numbers of size one no square overflows.
-    size = max(abs(d0), abs(d1), abs(d2), 1e-300)
-    d0, d1, d2 = d0 / size, d1 / size, d2 / size
-    # Of bent t^2 + 2 half_turn t + d0, without a difference of numbers nearly the same.
-    bent, half_turn = d0 - 2.0 * d1 + d2, d1 - d0
-    root = math.sqrt(max(half_turn * half_turn - bent * d0, 0.0))
-    sum_of_both = -(half_turn + math.copysign(root, half_turn))
-    one, other = sum_of_both / bent, d0 / sum_of_both
-    return one if 0.0 < one < 1.0 else 0.0, other if 0.0 < other < 1.0 else 0.0
+def _larger(largest: float, value: float) -> float:
+    """The larger of a number and the size of another; infinite if that is not a number."""
+    return max(largest, abs(value)) if abs(value) < math.inf else math.inf
 
 
 def fraction_of(peak: FloatArray, limit: FloatArray) -> float:

@@ -7,7 +7,7 @@ no more than the body travels by the joints after j alone. So within the piece i
 
 .. math:: r_{bj} = \min(R_{bj}, \rho_{bj} + \tfrac12 \sum_{k > j} R_{bk} \max |q_k'|),
 
-and no point of the body travels farther than :math:`\sum_j r_{bj} \max |q_j'|`, the rates being those of the cubic in
+and no point of the body travels farther than :math:`\sum_j r_{bj} \max |q_j'|`, the rates being those of the segment in
 its own parameter, by the hull of its derivative's Bezier points.
 
 Nor does it where joints undo what others do. In the middle, where joint j moves a point by :math:`J_j` for each unit,
@@ -48,6 +48,7 @@ from hplan.collision.vectors import cross, dot, moved_on, placed_point, sub, tur
 from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel
 from hplan.scene.limits import FARTHEST_M
+from hplan.trajectory.cubics import cubic_at
 
 #: In place of rates that are no numbers, or larger [rad, m]: their products are numbers.
 _UNBOUNDED: Final = 1e150
@@ -72,9 +73,9 @@ def largest_deviations(robot: Robot, tracking: TrackingModel, speeds: FloatArray
 
 
 def fastest(bezier: FloatArray, duration: FloatArray) -> FloatArray:
-    """(pieces, dof) bounds of |velocity| within each cubic: it lies in the hull of its Bezier points [rad/s]."""
+    """(pieces, dof) bounds of |velocity| within each segment: it lies in the hull of its Bezier points [rad/s]."""
     with np.errstate(over="ignore", invalid="ignore"):
-        fastest: FloatArray = 3.0 * np.abs(np.diff(bezier, axis=1)).max(axis=1) / duration[:, None]
+        fastest: FloatArray = (bezier.shape[1] - 1.0) * np.abs(np.diff(bezier, axis=1)).max(axis=1) / duration[:, None]
     return fastest
 
 
@@ -139,7 +140,7 @@ def motion_of_movers(
     """What moves of a checker's pairs along a motion, and what tracking errors do.
 
     Args:
-        bezier: (pieces, 4, dof) Bezier points of the motion's cubics.
+        bezier: (pieces, 4 or 6, dof) Bezier points of the motion's segments.
         deviations: (k, dof) largest deviations of the joints [rad, m].
 
     Returns:
@@ -167,7 +168,7 @@ def _together(bezier: FloatArray, most: int, turn: float) -> tuple[IntArray, Flo
     """Pieces that have one bound: where each of these longer ones begins, and how joints move within it.
 
     Args:
-        bezier: (pieces, 4, dof) Bezier points.
+        bezier: (pieces, 4 or 6, dof) Bezier points.
         most: So many have one bound at most.
         turn: And no more than in which a joint moves so far.
 
@@ -175,15 +176,16 @@ def _together(bezier: FloatArray, most: int, turn: float) -> tuple[IntArray, Flo
         (longer pieces,) numbers of the first pieces, and (4, longer pieces, dof) in each the configuration in the
         middle, largest rates of the joints, rates in the middle, and by how much rates differ from those at most.
     """
-    pieces, _, dof = bezier.shape
+    pieces, points, dof = bezier.shape
+    degree = points - 1.0
     fast, slow, starts = np.empty((pieces, dof)), np.empty((pieces, dof)), np.empty(pieces, dtype=np.int64)
     count, together, largest = 0, 0, 0.0
     for piece in range(pieces):
         rate = 0.0
         for j in range(dof):
             high, low = -_UNBOUNDED, _UNBOUNDED
-            for n in range(3):
-                slope = 3.0 * (bezier[piece, n + 1, j] - bezier[piece, n, j])
+            for n in range(points - 1):
+                slope = degree * (bezier[piece, n + 1, j] - bezier[piece, n, j])
                 if not abs(slope) < _UNBOUNDED:
                     high, low = _UNBOUNDED, -_UNBOUNDED
                     break
@@ -205,7 +207,8 @@ def _together(bezier: FloatArray, most: int, turn: float) -> tuple[IntArray, Flo
             high, low = times * high, times * low
             at = bezier[middle, 0, j]
             if times % 2 == 1:
-                at = 0.125 * (at + bezier[middle, 3, j]) + 0.375 * (bezier[middle, 1, j] + bezier[middle, 2, j])
+                p0, p1, p2, p3 = cubic_at(bezier, middle, j, 0.5)
+                at = 0.125 * (p0 + p3) + 0.375 * (p1 + p2)
             motion[0, k, j] = at if abs(at) < _UNBOUNDED else 0.0
             motion[1, k, j], motion[2, k, j], motion[3, k, j] = max(high, -low), 0.5 * (high + low), 0.5 * (high - low)
     return starts[:count], motion

@@ -36,7 +36,7 @@ from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel
 from hplan.scene.model import Scene
 from hplan.scene.obstacle_kind import Sigmas
-from hplan.trajectory.trajectory import SAME_TIME, Retimed, Trajectory, cubic_pieces
+from hplan.trajectory.trajectory import SAME_TIME, Retimed, Trajectory
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,7 +134,7 @@ def certified_from(
 
 def _by_path(robot: Robot, running: Certificate, motion: Trajectory, left: float) -> Certificate:
     """The certificate of a motion where the clearance of its path suffices."""
-    use = limit_use(robot, motion, *cubic_pieces(motion))
+    use = limit_use(robot, motion, *motion.segments)
     violations = tuple(limit_violations(use))
     nearer = running.min_clearance_m - left
     rules = tuple(rule.nearer(nearer) for rule in running.pair_rules)

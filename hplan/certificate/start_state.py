@@ -11,7 +11,7 @@ from hplan.errors import InputError, StartStateError
 from hplan.optimization.timed_spline import BoundaryState
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
-from hplan.trajectory.trajectory import Trajectory, cubic_pieces
+from hplan.trajectory.trajectory import Trajectory
 
 #: Fraction of a limit up to which a state keeps it, as for a motion.
 _KEPT = 1.001
@@ -56,7 +56,7 @@ def start_state(robot: Robot, scene: Scene) -> BoundaryState | None:
 def start_violations(robot: Robot, scene: Scene, trajectory: Trajectory) -> Iterator[str]:
     """Messages: by how much a motion begins in another state of motion than the scene's start; none if that rests.
 
-    Its rows and the first of its cubics are checked.
+    Its rows and its first segment are checked.
 
     Raises:
         InputError: As `start_state`.
@@ -64,14 +64,15 @@ def start_violations(robot: Robot, scene: Scene, trajectory: Trajectory) -> Iter
     state = start_state(robot, scene)
     if state is None:
         return
-    pushes = [trajectory.acceleration[0]]
+    speeds, pushes = [trajectory.velocity[0], trajectory.end_velocities[0]], [trajectory.acceleration[0]]
     if trajectory.samples > 1:
-        bezier, duration = cubic_pieces(trajectory)
-        pushes.append(6.0 * (bezier[0, 2] - 2.0 * bezier[0, 1] + bezier[0, 0]) / duration[0] ** 2)
+        bezier, duration = trajectory.segments
+        degree = bezier.shape[1] - 1.0
+        pushes.append(degree * (degree - 1.0) * (bezier[0, 2] - 2.0 * bezier[0, 1] + bezier[0, 0]) / duration[0] ** 2)
     # Differences that count as none: of velocities [rad/s] and accelerations [rad/s^2].
     same_velocity, same_acceleration = 1e-6, 1e-3
     for what, found, asked, same in (
-        ("velocity", [trajectory.velocity[0]], state.velocity, same_velocity),
+        ("velocity", speeds, state.velocity, same_velocity),
         ("acceleration", pushes, state.acceleration, same_acceleration),
     ):
         off = np.abs(np.array(found) - asked).max(axis=0)

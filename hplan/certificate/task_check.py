@@ -28,12 +28,12 @@ def task_violations(robot: Robot, scene: Scene, bezier: FloatArray) -> Iterator[
     is asked for. Locked joints stand still.
 
     Args:
-        bezier: (pieces, 4, dof) Bezier points of the motion's cubics.
+        bezier: (pieces, 4 or 6, dof) Bezier points of the motion's segments.
 
     Raises:
         InputError: Start, goal or locked joints of the scene do not fit the robot.
     """
-    rows = np.vstack([bezier[:, 0], bezier[-1:, 3]])
+    rows = np.vstack([bezier[:, 0], bezier[-1:, -1]])
     start = robot.check_configuration(robot.joints_of(scene.start, "start"), "start")
     yield from _apart(robot, "begins", rows[0], start, "start")
     locked = np.flatnonzero(robot.locked_mask(scene.locked_joints))

@@ -18,7 +18,7 @@ from hplan.certificate.motion_bound import fastest, largest_deviations
 from hplan.collision.reach import carriers, joint_axis, points_reach
 from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel
-from hplan.trajectory.trajectory import Trajectory, cubic_pieces
+from hplan.trajectory.trajectory import Trajectory
 
 #: Places that are looked at in each cubic of a motion.
 _LOOKS = 4
@@ -45,7 +45,7 @@ def tool_bounds(
         direction: (3,) unit vector in the tool frame.
         upright: (3,) unit vector in `base_link` from which it tilts.
     """
-    pieces, duration = cubic_pieces(trajectory)
+    pieces, duration = trajectory.segments
     rates, pushes = largest_rates(pieces)
     bent, turned = (bends / (8.0 * _LOOKS**2) for bends in tool_bends(robot, rates, pushes))
     looks = np.arange(_LOOKS * len(pieces) + 1) / _LOOKS

@@ -1,4 +1,4 @@
-r"""Upper bounds of joint torques along cubic motions: samples, and what a torque can do between two of them.
+r"""Upper bounds of joint torques along cubics or quintics: samples, and the change of torque between two of them.
 
 Between two samples :math:`h` apart a twice differentiable function exceeds the larger of them by no more than
 :math:`h^2 / 8 \max |\ddot \tau|` (the error of linear interpolation). So the torque of joint j on a cubic piece obeys
@@ -18,14 +18,14 @@ by bounding the norm of each vector and of its time derivatives, from the base o
 - a vector fixed in a body turns with it, :math:`\dot x = \omega \times x`; an inertia obeys
   :math:`|\dot I| \le 2 |\omega| |I|`;
 - :math:`\omega_i = \omega_{i - 1} + z_i \dot q_i`, with :math:`|\dot q|, |\ddot q|, |\dddot q|` at most what the
-  Bezier points of the piece's derivatives say, and no fourth derivative;
+  Bezier points of the piece's derivatives say, and so for the fourth derivative, which cubics do not have;
 - a joint that slides turns with its parent, :math:`\omega_i = \omega_{i - 1}`, and stands at
   :math:`s_i + q_i z_i` from the parent's, both vectors fixed in the parent and :math:`|q|` at most what the Bezier
   points say; its force is :math:`z_i \cdot f_i`, with :math:`f_i = \sum_{j \ge i} m_j (\ddot c_j - g)`.
 
-The rotor's part is linear in time and adds nothing. Pieces on which the bound could exceed the largest sample by more
-than a given fraction of the limit are halved, each time with a quarter of the remainder, up to a stated number of
-samples; what is not resolved then is bounded by what is known.
+The rotor's part adds its inertia times the fourth derivative. Pieces on which the bound could exceed the largest sample
+by more than a given fraction of the limit are halved, each time with a quarter of the remainder, up to a stated number
+of samples; what is not resolved then is bounded by what is known.
 """
 
 from __future__ import annotations
@@ -36,6 +36,7 @@ from hplan.base.arrays import FloatArray, IntArray
 from hplan.base.kernels import any_int, kernel
 from hplan.errors import InputError
 from hplan.robot.dynamics import InverseDynamics, newton_euler
+from hplan.trajectory.cubics import cubic_at
 
 #: How far the bound may lie above the largest sample, as a fraction of the limit, before pieces are halved.
 GAP = 5e-5
@@ -63,10 +64,10 @@ _CHOOSE = np.array(
 def largest_torques(
     dynamics: InverseDynamics, bezier: FloatArray, duration: FloatArray, limit: FloatArray
 ) -> FloatArray:
-    """Upper bounds of |torque| along a motion of cubic pieces.
+    """Upper bounds of |torque| along a motion of cubics or quintics.
 
     Args:
-        bezier: (pieces, 4, dof) Bezier points [rad, m].
+        bezier: (pieces, 4 or 6, dof) Bezier points [rad, m].
         duration: (pieces,) durations [s].
         limit: (dof,) torque limits, of joints that slide force limits, which say how close the bound has to be [N m,
             N].
@@ -164,21 +165,16 @@ def _torques_at(
     bezier: FloatArray, duration: FloatArray, piece: IntArray, at: FloatArray, bodies: FloatArray, gravity: FloatArray
 ) -> FloatArray:
     """(n, dof) |torque| at places within pieces, infinite where it is not a number."""
-    count, dof = len(piece), bezier.shape[2]
+    count, dof, degree = len(piece), bezier.shape[2], bezier.shape[1] - 1.0
     q, v, a, torque = np.empty((count, dof)), np.empty((count, dof)), np.empty((count, dof)), np.empty((count, dof))
     for i in range(count):
         h, t = duration[piece[i]], at[i]
         u = 1.0 - t
         for j in range(dof):
-            p0, p1, p2, p3 = (
-                bezier[piece[i], 0, j],
-                bezier[piece[i], 1, j],
-                bezier[piece[i], 2, j],
-                bezier[piece[i], 3, j],
-            )
+            p0, p1, p2, p3 = cubic_at(bezier, piece[i], j, t)
             q[i, j] = u * u * u * p0 + 3.0 * u * u * t * p1 + 3.0 * u * t * t * p2 + t * t * t * p3
-            v[i, j] = 3.0 * (u * u * (p1 - p0) + 2.0 * u * t * (p2 - p1) + t * t * (p3 - p2)) / h
-            a[i, j] = 6.0 * (u * ((p2 - p1) - (p1 - p0)) + t * ((p3 - p2) - (p2 - p1))) / (h * h)
+            v[i, j] = degree * (u * u * (p1 - p0) + 2.0 * u * t * (p2 - p1) + t * t * (p3 - p2)) / h
+            a[i, j] = degree * (degree - 1.0) * (u * ((p2 - p1) - (p1 - p0)) + t * ((p3 - p2) - (p2 - p1))) / (h * h)
     newton_euler(q, v, a, bodies, gravity, torque)
     for i in range(count):
         for j in range(dof):
@@ -201,19 +197,26 @@ def _remainders(bezier: FloatArray, duration: FloatArray, sizes: FloatArray, gra
     acc[bodies, 0] = gravity
     z, s, d = np.zeros((bodies, 5)), np.zeros((bodies, 5)), np.zeros((bodies, 5))
     tensor, force, moment = np.zeros((bodies, 4)), np.zeros((bodies, 3)), np.zeros((bodies, 3))
-    rate, slide = np.zeros(5), np.zeros(5)
+    rate, slide, rotor, work = np.zeros(5), np.zeros(5), np.zeros(bodies), np.empty(bezier.shape[1])
     slack = np.zeros((count, bodies))
     for first in range(0, count, _ALIKE):
         end = min(first + _ALIKE, count)
         for k in range(bodies):
-            farthest, rate[1], rate[2], rate[3] = 0.0, 0.0, 0.0, 0.0
+            farthest = 0.0
+            for n in range(1, 5):
+                rate[n] = 0.0
             for i in range(first, end):
-                h = duration[i]
-                p0, p1, p2, p3 = bezier[i, 0, k], bezier[i, 1, k], bezier[i, 2, k], bezier[i, 3, k]
-                farthest = _most(farthest, max(abs(p0), abs(p1), abs(p2), abs(p3)))
-                rate[1] = _most(rate[1], 3.0 * max(abs(p1 - p0), abs(p2 - p1), abs(p3 - p2)) / h)
-                rate[2] = _most(rate[2], 6.0 * max(abs((p2 - p1) - (p1 - p0)), abs((p3 - p2) - (p2 - p1))) / (h * h))
-                rate[3] = _most(rate[3], 6.0 * abs((p3 - p2) - 2.0 * (p2 - p1) + (p1 - p0)) / (h * h * h))
+                for n in range(len(work)):
+                    work[n] = bezier[i, n, k]
+                    farthest = _most(farthest, abs(work[n]))
+                left, scale = len(work) - 1, 1.0
+                for n in range(1, min(left, 4) + 1):
+                    scale *= left / duration[i]
+                    for m in range(left):
+                        work[m] = work[m + 1] - work[m]
+                        rate[n] = _most(rate[n], scale * abs(work[m]))
+                    left -= 1
+            rotor[k] = sizes[k, 6] * rate[4]
             above = int(sizes[k, 4])
             z[k, 0], s[k, 0], d[k, 0], tensor[k, 0] = 1.0, sizes[k, 0], sizes[k, 1], sizes[k, 3]
             _turned(w[above], z[k], _OF_VECTORS, 1.0)
@@ -240,7 +243,7 @@ def _remainders(bezier: FloatArray, duration: FloatArray, sizes: FloatArray, gra
                     moment[k, n] += _CHOOSE[n, m] * d[k, m] * force[k, n - m]
         for k in range(bodies - 1, -1, -1):
             above = int(sizes[k, 4])
-            bend = 0.0
+            bend = rotor[k]
             for m in range(3):
                 bend += _CHOOSE[2, m] * z[k, m] * (force[k, 2 - m] if sizes[k, 5] > 0.0 else moment[k, 2 - m])
             for i in range(first, end):

@@ -24,7 +24,6 @@ from hplan.collision.coal_cloud import distance_from, obstacle_shapes
 from hplan.scene.model import Scene
 from hplan.scene.obstacles import Solid, Sphere
 from hplan.scene.solids import Cloud
-from hplan.trajectory.trajectory import cubic_pieces
 
 #: The arm is looked at as often as anything of it has travelled so far [m].
 EVERY_M = 2e-3
@@ -75,7 +74,7 @@ def touch_estimate(subject: Subject, scene: Scene, draws: int = 10_000, seed: in
         if error.any() or scene.covariance is not None
     }
     for motion, _ in subject.motions:
-        bezier, _ = cubic_pieces(motion.trajectory)
+        bezier, _ = motion.trajectory.segments
         for stretch in motion.stretches:
             for solid, distance, places in _near(bezier[stretch.part], stretch, shifts):
                 check_deadline()

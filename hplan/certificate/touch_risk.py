@@ -59,7 +59,6 @@ from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 from hplan.scene.obstacle_kind import largest_deviation
 from hplan.scene.solids import Cloud
-from hplan.trajectory.trajectory import cubic_pieces
 
 #: Beyond so many standard deviations nothing is looked at: 2e-10 of a place's errors are farther off.
 FAR: Final = 7.0
@@ -171,7 +170,7 @@ def touch_risk(subject: Subject, scene: Scene, asked: float) -> TouchRisk:
 
 def _along(motion: ProvedMotion, far: dict[str, float]) -> Iterator[FloatArray]:
     """Half-spaces of the stretches of a motion."""
-    bezier, _ = cubic_pieces(motion.trajectory)
+    bezier, _ = motion.trajectory.segments
     for stretch in motion.stretches:
         check_deadline()
         yield _of_stretch(motion.robot, bezier[stretch.part], stretch, motion.clearance, far)

@@ -239,6 +239,7 @@ class RunningMotion:
         begins_s = self.begins_s
         state = _state_at(self.plan.trajectory, self.row)
         scene = self._scene.since(begins_s).copy_unchecked({"start": state})
+        trajectory = replace(trajectory, takes_over_s=0.0)
         certificate = replace(certificate, digests=Digests.of(self.plan.robot, scene, trajectory))
         transit = made.motion
         task = replace(transit.task, scene=scene, options=self._options)

@@ -52,7 +52,7 @@ from hplan.scene.obstacle_kind import moved
 from hplan.scene.obstacles import AnyObstacle, Capsule, Mesh, Sphere
 from hplan.scene.solids import CUBE_CORNERS, rpy_rotation, whole_hull
 from hplan.trajectory.cubics import Rows, evaluate
-from hplan.trajectory.trajectory import Retimed, Trajectory, cubic_pieces, stopped
+from hplan.trajectory.trajectory import Retimed, Trajectory, stopped
 
 #: How a cell's motions were found.
 How = Literal["at once", "one later", "around each other"]
@@ -215,7 +215,9 @@ class Cell(Record):
         clock = times[np.concatenate([[True], np.diff(times) > _SAME_S])]
         q, v, a = self._states(rows, clock)
         torque = self.robot.dynamics.torques(q, v, a)
-        return Trajectory(self.robot.joint_names, clock, q, v, a, torque, self.robot.slides)
+        overtaken = [motion.takes_over_s for motion in motions.values() if motion.takes_over_s is not None]
+        takes_over_s = max(overtaken, default=None)
+        return Trajectory(self.robot.joint_names, clock, q, v, a, torque, self.robot.slides, takes_over_s=takes_over_s)
 
     def own_motion(self, name: str, motion: object) -> Trajectory:
         """The motion of an arm, checked to move its joints.
@@ -229,6 +231,12 @@ class Cell(Record):
             raise InputError(
                 f"the motion of arm {name!r} moves {', '.join(own.joint_names)}; "
                 f"the arm has {', '.join(arm.robot.joint_names)}",
+                arm=name,
+            )
+        if own.interpolation != "cubic":
+            raise InputError(
+                f"the motion of arm {name!r} is {own.interpolation} between its samples; "
+                "workcells are certified by cubics",
                 arm=name,
             )
         return own
@@ -255,7 +263,8 @@ class Cell(Record):
         for arm in self.arms:
             own = (values[:, arm.joints] for values in (q, v, a, torque))
             slides = tuple(motion.slides[joint] for joint in arm.joints) if motion.slides else ()
-            found[arm.name] = Trajectory(arm.robot.joint_names, *Rows(time, *own), slides)
+            takes_over_s = motion.takes_over_s
+            found[arm.name] = Trajectory(arm.robot.joint_names, *Rows(time, *own), slides, takes_over_s=takes_over_s)
         return found
 
 
@@ -521,7 +530,7 @@ def _rates(cell: Cell, files: Mapping[str, Trajectory], clock: FloatArray) -> Mo
     """Use of limits by files, and (pieces, dof) bounds of the velocity of all joints between the times of a clock."""
     speeds, uses = np.zeros((max(1, len(clock) - 1), cell.robot.dof)), []
     for name, own in files.items():
-        arm, (bezier, duration) = cell.arm(name), cubic_pieces(own)
+        arm, (bezier, duration) = cell.arm(name), own.segments
         uses.append(limit_use(arm.robot, own, bezier, duration))
         piece = np.searchsorted(own.time, clock[:-1], side="right") - 1
         moves = np.flatnonzero(piece < own.samples - 1)

@@ -54,9 +54,9 @@ class InverseDynamics(Record):
     Attributes:
         bodies: (nv, 18, 3) each joint and its body; None where the model has joints other than of one fixed axis, for
             which Pinocchio is asked.
-        sizes: (nv, 6) of each body the distance of its joint from its parent's (of one that slides, at 0) and of its
+        sizes: (nv, 7) of each body the distance of its joint from its parent's (of one that slides, at 0) and of its
             centre from its joint, its mass, the largest eigenvalue of its inertia about the centre, its parent's row
-            (nv for the base), and 1 where its joint slides, else 0; None where `bodies` is.
+            (nv for the base), 1 where its joint slides, else 0, and its rotor's inertia; None where `bodies` is.
     """
 
     model: pin.Model
@@ -119,6 +119,7 @@ def _sizes(bodies: FloatArray) -> FloatArray:
         np.linalg.norm(bodies[:, _INERTIA : _INERTIA + 3], ord=2, axis=(1, 2)),
         np.where(parent < 0.0, len(bodies), parent),
         bodies[:, _SLIDE].any(axis=1),
+        np.abs(bodies[:, _NUMBERS, 1]),
     )
     return readonly(np.column_stack(columns))
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
-from typing import Final, TypeAlias
+from typing import Final
 
 import numpy as np
 import pinocchio as pin
@@ -19,12 +19,10 @@ from hplan.errors import InputError
 from hplan.robot.model import Robot, read_robot
 from hplan.robot.urdf_adaptation import set_origin
 from hplan.robot.urdf_xml import read_urdf_xml
+from hplan.scene.cell import ArmLink
 
 #: The root, in whose frame all bases stand.
 _ROOT: Final = "base_link"
-
-#: A link of an arm: the arm's name in the cell, and the link's name in the arm's own URDF.
-ArmLink: TypeAlias = tuple[str, str]
 
 
 def joined_robots(

@@ -1,4 +1,4 @@
-r"""Piecewise cubics: Bezier points from rows or from B-splines, values and derivatives, and rows from control points.
+r"""Piecewise polynomials: Bezier points from rows or from B-splines, values and derivatives, rows from control points.
 
 A motion given by rows of positions and velocities is a cubic between each two of them. A motion made from control
 points that are a period h apart is a uniform cubic B-spline whose knots are its rows,
@@ -9,18 +9,25 @@ points that are a period h apart is a uniform cubic B-spline whose knots are its
     \ddot x_k = \frac{q_{k+1} - 2 q_k + q_{k-1}}{h^2},
 
 so that between its rows it is the same cubics, with a continuous acceleration.
+
+A controller may follow other polynomials between the same rows (`Interpolation`): quintics that have the rows'
+accelerations too, or straight lines, which are cubics as well. Whatever reads segments takes Bezier points of degree 3
+or 5 (`cubic_at`), so one code holds for all three.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from hplan.base.arrays import FloatArray, frozen
 from hplan.base.kernels import inlined, kernel
+
+#: The curve between two rows: a cubic by positions and velocities, a quintic by accelerations too, a straight line.
+Interpolation: TypeAlias = Literal["cubic", "quintic", "linear"]
 
 
 class Rows(NamedTuple):
@@ -93,6 +100,42 @@ def hermite_pieces(time: FloatArray, position: FloatArray, velocity: FloatArray)
         return np.stack([position[:-1], *inner, position[1:]], axis=1), duration
 
 
+def segments_between(rows: Rows, interpolation: Interpolation) -> tuple[FloatArray, FloatArray]:
+    """The polynomials between rows: (segments, 4 or 6, dof) Bezier points and (segments,) durations.
+
+    Points are not finite if numbers overflow. A single row is one constant segment of 1 s.
+    """
+    if interpolation == "cubic" or len(rows.time) == 1:
+        return rows.pieces
+    if interpolation == "quintic":
+        return _quintics(rows)
+    # A line is the cubic whose inner points are a third and two thirds along it.
+    pieces, duration = hermite_pieces(rows.time, rows.position, np.zeros_like(rows.position))
+    third = (rows.position[1:] - rows.position[:-1]) / 3.0
+    pieces[:, 1], pieces[:, 2] = rows.position[:-1] + third, rows.position[1:] - third
+    return pieces, duration
+
+
+def _quintics(rows: Rows) -> tuple[FloatArray, FloatArray]:
+    """Bezier points and durations of the quintics with the rows' positions, velocities and accelerations."""
+    time, position, velocity, acceleration = rows[:4]
+    duration = np.diff(time)
+    fifth = duration[:, None] / 5.0
+    with np.errstate(over="ignore", invalid="ignore"):
+        # The second difference of Bezier points at an end is h^2 / 20 of the acceleration there.
+        leaving, arriving = fifth * velocity[:-1], fifth * velocity[1:]
+        bend = 1.25 * fifth**2
+        points = (
+            position[:-1],
+            position[:-1] + leaving,
+            position[:-1] + 2.0 * leaving + bend * acceleration[:-1],
+            position[1:] - 2.0 * arriving + bend * acceleration[1:],
+            position[1:] - arriving,
+            position[1:],
+        )
+        return np.stack(points, axis=1), duration
+
+
 def accelerations(pieces: FloatArray, duration: FloatArray) -> FloatArray:
     """(pieces, 2, dof) second derivatives of cubics at both of their ends, between which they are linear."""
     bent: FloatArray = 6.0 * np.diff(pieces, n=2, axis=1) / duration[:, None, None] ** 2
@@ -117,7 +160,7 @@ def evaluate(pieces: FloatArray, breaks: FloatArray, parameters: ArrayLike, deri
     """Points or derivatives of Bezier pieces; returns (..., dof) values.
 
     Args:
-        pieces: (pieces, 4, dof) Bezier points.
+        pieces: (pieces, 4 or 6, dof) Bezier points.
         breaks: (pieces + 1,) parameters where they meet.
         parameters: (...) parameters; clipped to these.
         derivative: 0, 1 or 2.
@@ -142,12 +185,27 @@ def bezier_slope(b0: float, b1: float, b2: float, b3: float, t: float) -> float:
     return 3.0 * (u * u * (b1 - b0) + 2.0 * u * t * (b2 - b1) + t * t * (b3 - b2))
 
 
+@inlined
+def cubic_at(bezier: FloatArray, piece: int, joint: int, t: float) -> tuple[float, float, float, float]:
+    """Bezier points of a cubic that has a segment's value at t in [0, 1].
+
+    A cubic is itself. Of a quintic these are the points that two rounds of de Casteljau's algorithm at t leave. The
+    cubic's first derivative times degree / 3, and its second times degree (degree - 1) / 6, are the segment's.
+    """
+    b0, b1, b2, b3 = bezier[piece, 0, joint], bezier[piece, 1, joint], bezier[piece, 2, joint], bezier[piece, 3, joint]
+    if bezier.shape[1] == 6:
+        u, b4, b5 = 1.0 - t, bezier[piece, 4, joint], bezier[piece, 5, joint]
+        b0, b1, b2, b3, b4 = u * b0 + t * b1, u * b1 + t * b2, u * b2 + t * b3, u * b3 + t * b4, u * b4 + t * b5
+        b0, b1, b2, b3 = u * b0 + t * b1, u * b1 + t * b2, u * b2 + t * b3, u * b3 + t * b4
+    return b0, b1, b2, b3
+
+
 @kernel
 def _evaluate(
     pieces: FloatArray, breaks: FloatArray, parameters: FloatArray, derivative: int, values: FloatArray
 ) -> None:
     """Points or derivatives of Bezier pieces, as `evaluate`."""
-    last = len(pieces) - 1
+    last, degree = len(pieces) - 1, pieces.shape[1] - 1
     i = 0
     for row in range(len(parameters)):
         s = min(breaks[last + 1], max(breaks[0], parameters[row]))
@@ -159,13 +217,14 @@ def _evaluate(
         width = breaks[i + 1] - breaks[i]
         t = (s - breaks[i]) / width
         for joint in range(values.shape[1]):
-            b0, b1, b2, b3 = pieces[i, 0, joint], pieces[i, 1, joint], pieces[i, 2, joint], pieces[i, 3, joint]
+            b0, b1, b2, b3 = cubic_at(pieces, i, joint, t)
             if derivative == 0:
                 value = bezier_value(b0, b1, b2, b3, t)
             elif derivative == 1:
-                value = bezier_slope(b0, b1, b2, b3, t) / width
+                value = degree / 3.0 * bezier_slope(b0, b1, b2, b3, t) / width
             else:
-                value = 6.0 * ((1.0 - t) * (b2 - 2.0 * b1 + b0) + t * (b3 - 2.0 * b2 + b1)) / (width * width)
+                bent = (1.0 - t) * (b2 - 2.0 * b1 + b0) + t * (b3 - 2.0 * b2 + b1)
+                value = degree * (degree - 1.0) * bent / (width * width)
             values[row, joint] = value
 
 

@@ -8,12 +8,12 @@ import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hplan.base.arguments import instance, list_of, number, whole
+from hplan.base.arguments import instance, list_of, number, one_of, truth, whole
 from hplan.base.arrays import FloatArray, Record, numbers
 from hplan.base.csv_file import CsvFile
 from hplan.base.files import write_text
@@ -21,7 +21,13 @@ from hplan.base.lazy_import import from_apps
 from hplan.base.units import SLIDING, TURNING, joint_unit
 from hplan.errors import InputError, TimingError
 from hplan.robot.model import Robot
-from hplan.trajectory.cubics import Rows, evaluate, hermite_pieces, joined_rows
+from hplan.trajectory.cubics import (
+    Interpolation,
+    Rows,
+    evaluate,
+    joined_rows,
+    segments_between,
+)
 from hplan.trajectory.time_scaling import Profile, check_factors, rescaled, speed_factors
 
 if TYPE_CHECKING:
@@ -65,6 +71,11 @@ class Trajectory(Record):
         acceleration: (n, dof) [rad/s^2].
         torque: (n, dof) joint torques by inverse dynamics [N m], of joints that slide forces [N].
         slides: Of each joint whether it slides, and is in metres; empty where that is not known.
+        interpolation: The curve that the controller follows between two rows: `cubic` has their positions and
+            velocities, as every motion of hplan, `quintic` their accelerations too, `linear` their positions alone.
+        takes_over_s: Of a motion that takes over from a running one, the time up to which its rows are those of the
+            running one and may be past when it is sent [s]; 0 if it begins where the arm is. A message of it needs a
+            start time. None for a motion that begins on its own.
     """
 
     joint_names: tuple[str, ...]
@@ -74,6 +85,8 @@ class Trajectory(Record):
     acceleration: FloatArray
     torque: FloatArray
     slides: tuple[bool, ...] = ()
+    interpolation: Interpolation = "cubic"
+    takes_over_s: float | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "joint_names", list_of("trajectory: joint_names", self.joint_names, str, "names"))
@@ -90,6 +103,11 @@ class Trajectory(Record):
         if len(slides) not in (0, shape[1]):
             raise InputError(f"trajectory: slides has {len(slides)} values, expected one for each of {shape[1]} joints")
         object.__setattr__(self, "slides", slides)
+        one_of("interpolation", self.interpolation, get_args(Interpolation))
+        if self.takes_over_s is not None:
+            number(
+                "takes_over_s", self.takes_over_s, "a time since the motion began, or None", lambda time: time >= 0.0
+            )
 
     def __repr__(self) -> str:
         return f"<Trajectory: {self.duration:.6g} s, {self.samples} rows, joints {', '.join(self.joint_names)}>"
@@ -104,8 +122,25 @@ class Trajectory(Record):
         """Its samples alone."""
         return Rows(self.time, self.position, self.velocity, self.acceleration, self.torque)
 
-    def _with(self, rows: Rows) -> Trajectory:
-        return Trajectory(self.joint_names, *rows, self.slides)
+    @property
+    def segments(self) -> tuple[FloatArray, FloatArray]:
+        """The polynomials between its rows: (segments, 4 or 6, dof) Bezier points and (segments,) durations.
+
+        Points are not finite if numbers overflow. A single row is one constant segment of 1 s.
+        """
+        return segments_between(self.rows, self.interpolation)
+
+    @property
+    def end_velocities(self) -> FloatArray:
+        """(2, dof) velocities with which the curve leaves the first row and reaches the last one."""
+        bezier, duration = self.segments
+        with np.errstate(over="ignore", invalid="ignore"):
+            steps = np.stack([bezier[0, 1] - bezier[0, 0], bezier[-1, -1] - bezier[-1, -2]])
+            velocities: FloatArray = (bezier.shape[1] - 1.0) * steps / duration[[0, -1], None]
+        return velocities
+
+    def _with(self, rows: Rows, takes_over_s: float | None = None) -> Trajectory:
+        return Trajectory(self.joint_names, *rows, self.slides, self.interpolation, takes_over_s)
 
     @property
     def reversed(self) -> Trajectory:
@@ -121,10 +156,16 @@ class Trajectory(Record):
     def since(self, row: int) -> Trajectory:
         """The motion from a row on; it begins in motion if it is in motion there.
 
+        If it is in motion there, it takes over from the motion that runs until then (`takes_over_s`).
+
         Raises:
-            OptionError: It has no such row.
+            OptionError: There is no such row.
         """
-        return self._with(self.rows.since(whole("row", row, 0, self.samples - 1)))
+        row = whole("row", row, 0, self.samples - 1)
+        if row == 0:
+            return self
+        begins_alone = self.takes_over_s is None and self.rows.is_at_rest(row)
+        return self._with(self.rows.since(row), None if begins_alone else 0.0)
 
     def until(self, row: int) -> Trajectory:
         """The motion up to a row; it ends in motion if it is in motion there.
@@ -132,7 +173,7 @@ class Trajectory(Record):
         Raises:
             OptionError: It has no such row.
         """
-        return self._with(self.rows.until(whole("row", row, 0, self.samples - 1)))
+        return self._with(self.rows.until(whole("row", row, 0, self.samples - 1)), self.takes_over_s)
 
     def stop_at(self, t: float, robot: Robot) -> Trajectory:
         """The motion up to the first row at or after a time, and from there on the quickest stop on its path.
@@ -166,7 +207,7 @@ class Trajectory(Record):
     def state_at(self, t: float) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Position, velocity and acceleration that a controller is to follow at a time, each (dof,).
 
-        On the cubics of `cubic_pieces`; before the motion and after it, at rest where it begins and where it ends. A
+        On the curve of `interpolation`; before the motion and after it, at rest where it begins and where it ends. A
         time that rounding has put less than `_CLOCK_STEP` before the motion is its begin, which may be in motion.
 
         Args:
@@ -183,7 +224,9 @@ class Trajectory(Record):
             return self.position[0 if t < 0.0 else -1], still, still
         row = min(int(np.searchsorted(self.time, t, side="right")), self.samples - 1)
         about = slice(row - 1, row + 1)
-        q, v, a = cubic_states(self.time[about], self.position[about], self.velocity[about], np.array([t]))
+        rows = Rows(*(values[about] for values in self.rows))
+        bezier, _ = segments_between(rows, self.interpolation)
+        q, v, a = (evaluate(bezier, rows.time, np.array([t]), order) for order in range(3))
         return q[0], v[0], a[0]
 
     def plot(self, robot: Robot | None = None) -> Figure:
@@ -199,12 +242,15 @@ class Trajectory(Record):
         return figure
 
     def positions(self, clock: ArrayLike) -> FloatArray:
-        """(k, dof) configurations at (k,) times, on the cubics of `cubic_pieces`.
+        """(k, dof) configurations at (k,) times, on the curve of `interpolation`.
 
         Raises:
-            InputError: No list of finite times.
+            InputError: `clock` is not a list of finite times.
         """
-        return self.rows.positions(numbers("clock", clock, (None,)))
+        times = numbers("clock", clock, (None,))
+        if self.samples == 1:
+            return self.rows.positions(times)
+        return evaluate(self.segments[0], self.time, times)
 
 
 @dataclass(frozen=True, eq=False)
@@ -253,6 +299,8 @@ def stopped(trajectory: Trajectory, t: float, robot: Robot) -> Retimed:
         lambda value: 0.0 <= value <= trajectory.duration,
     )  # fmt: skip
     row, rows = int(np.searchsorted(trajectory.time, t - SAME_TIME)), trajectory.rows
+    takes_over_s = trajectory.takes_over_s if row == 0 else float(trajectory.time[row])
+    trajectory = replace(trajectory, takes_over_s=takes_over_s)
     if rows.is_at_rest(row):
         return Retimed.cut(trajectory, row)
     found = None
@@ -260,7 +308,7 @@ def stopped(trajectory: Trajectory, t: float, robot: Robot) -> Retimed:
         found = rescaled(rows, robot, row, np.zeros_like, final_s=0.0)
     rests = rows.is_at_rest(-1)
     if found is not None and (not rests or found[0].duration < trajectory.duration):
-        return Retimed(Trajectory(robot.joint_names, *found[0], robot.slides), row, *found[1:])
+        return _parted(robot, found, row, takes_over_s)
     if rests:
         return Retimed.cut(trajectory, trajectory.samples - 1)
     raise TimingError("no stop within the limits was found, and the motion does not end at rest", cause="no stop")
@@ -302,7 +350,7 @@ def scaled(trajectory: Trajectory, profile: Profile, robot: Robot) -> Retimed:
 
     found = rescaled(rows, robot, row, wanted, final_s=last_s - begin if last == 0.0 else np.inf)
     if found is not None:
-        return Retimed(Trajectory(robot.joint_names, *found[0], robot.slides), row, *found[1:])
+        return _parted(robot, found, row, begin if row > 0 else trajectory.takes_over_s)
     if rows.is_at_rest(-1):
         raise TimingError("no motion at these speed factors keeps the limits", cause="speed factors")
     velocity, acceleration = trajectory.velocity[-1], trajectory.acceleration[-1]
@@ -317,34 +365,29 @@ def scaled(trajectory: Trajectory, profile: Profile, robot: Robot) -> Retimed:
     )
 
 
+def _parted(
+    robot: Robot, found: tuple[Rows, FloatArray, FloatArray, float], row: int, takes_over_s: float | None
+) -> Retimed:
+    """A motion that leaves the timing of another one at a row."""
+    return Retimed(Trajectory(robot.joint_names, *found[0], robot.slides, takes_over_s=takes_over_s), row, *found[1:])
+
+
 def _check_kinds(trajectory: Trajectory, robot: Robot) -> None:
-    """Refuse what is no trajectory of a robot."""
+    """Check that a trajectory is one of cubics, of a robot.
+
+    Raises:
+        InputError: Its joints are not the robot's, or it is not made of cubics.
+    """
     instance("trajectory", trajectory, Trajectory, "plan or read_csv")
     instance("robot", robot, Robot, "load_robot")
     check_joints(trajectory, robot)
-
-
-def cubic_pieces(trajectory: Trajectory) -> tuple[FloatArray, FloatArray]:
-    """The cubics between the rows of a trajectory: Bezier points and durations (`cubics.hermite_pieces`)."""
-    return trajectory.rows.pieces
-
-
-def cubic_states(
-    time: FloatArray, position: FloatArray, velocity: FloatArray, clock: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Position, velocity and acceleration on the cubics between rows; after the end, there.
-
-    Args:
-        time: (n,) times of the rows, n > 1 [s].
-        position: (n, dof).
-        velocity: (n, dof) [rad/s].
-        clock: (k,) times, none before the first row [s].
-
-    Returns:
-        Three of (k, dof).
-    """
-    pieces, _ = hermite_pieces(time, position, velocity)
-    return evaluate(pieces, time, clock), evaluate(pieces, time, clock, 1), evaluate(pieces, time, clock, 2)
+    if trajectory.interpolation != "cubic":
+        raise InputError(
+            f"stops and other speeds are made of cubic motions; this one is {trajectory.interpolation} between its "
+            'rows. Let the controller run its cubics, dataclasses.replace(trajectory, interpolation="cubic"), and '
+            "certify those",
+            interpolation=trajectory.interpolation,
+        )
 
 
 def check_joints(trajectory: Trajectory, robot: Robot) -> None:
@@ -404,7 +447,11 @@ def joined(parts: Sequence[Trajectory]) -> Trajectory:
                 motion=place + 1,
             )
     slides = next((part.slides for part in parts if part.slides), ())
-    return Trajectory(parts[0].joint_names, *joined_rows([part.rows for part in parts]), slides)
+    curves = sorted({part.interpolation for part in parts if part.samples > 1}) or [parts[0].interpolation]
+    if len(curves) > 1:
+        raise InputError(f"joined: motions are {' and '.join(curves)} between their rows; they must be the same")
+    rows = joined_rows([part.rows for part in parts])
+    return Trajectory(parts[0].joint_names, *rows, slides, curves[0], parts[0].takes_over_s)
 
 
 def csv_header(joint_names: tuple[str, ...], slides: Sequence[bool] = ()) -> list[str]:
@@ -423,7 +470,7 @@ def as_table(trajectory: Trajectory) -> FloatArray:
     return table
 
 
-def write_csv(trajectory: Trajectory, path: Path | str, robot: Robot | None = None) -> Path:
+def write_csv(trajectory: Trajectory, path: Path | str, robot: Robot | None = None, *, whole: bool = False) -> Path:
     """Write the trajectory as RFC 4180 CSV: one header line, no comments, values that read back exactly.
 
     A file of that name is replaced, as by all functions that write a file.
@@ -432,12 +479,22 @@ def write_csv(trajectory: Trajectory, path: Path | str, robot: Robot | None = No
         trajectory: The motion. Where it does not say which joints slide, as those of hplan do, all count as turning.
         path: The file.
         robot: The robot that it is of, and that says which slide.
+        whole: Whether to write a stop, or other speeds, with the rows that the running motion has up to there, for an
+            arm that is at the first row and at rest.
 
     Raises:
-        InputError: It is of another robot, or has a joint in other units.
+        InputError: It is of another robot, or has a joint in other units; or it has rows of a running motion, which
+            would send the arm back, and `whole` is false.
         OutputError: The file cannot be written.
     """
     instance("trajectory", trajectory, Trajectory, "plan or read_csv")
+    if not truth("whole", whole) and trajectory.takes_over_s:
+        raise InputError(
+            f"the motion takes over {trajectory.takes_over_s:.6g} s after its first row, and a CSV has no start time: "
+            "run from its first row it would send a moving arm back. Write trajectory.since(row) from the row where "
+            "the arm is, or give whole=True if the arm is at rest at the first row",
+            takes_over_s=trajectory.takes_over_s,
+        )
     if robot is not None:
         instance("robot", robot, Robot, "load_robot")
         check_joints(trajectory, robot)
@@ -454,8 +511,12 @@ def csv_text(trajectory: Trajectory) -> str:
     return text.getvalue()
 
 
-def read_csv(path: Path | str) -> Trajectory:
+def read_csv(path: Path | str, *, interpolation: Interpolation = "cubic") -> Trajectory:
     """Read a trajectory CSV, whoever wrote it.
+
+    Args:
+        path: The file.
+        interpolation: The curve that the controller runs between the rows; those that hplan wrote are cubics.
 
     Raises:
         InputError: Missing file, other columns than `csv_header` gives, a cell that is no finite number, time that
@@ -474,7 +535,7 @@ def read_csv(path: Path | str) -> Trajectory:
     table = np.stack(rows)
     columns = table[:, 1:].reshape(len(table), len(joints), len(TURNING.columns))
     position, velocity, acceleration, torque = np.moveaxis(columns, 2, 0)
-    return Trajectory(joints, table[:, 0], position, velocity, acceleration, torque, slides)
+    return Trajectory(joints, table[:, 0], position, velocity, acceleration, torque, slides, interpolation)
 
 
 def joints_of_columns(header: Sequence[str]) -> tuple[tuple[str, ...], tuple[bool, ...]]:

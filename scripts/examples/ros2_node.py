@@ -6,12 +6,16 @@
 
 It needs a workspace with rclpy, control_msgs, sensor_msgs and std_srvs. The cloud is to be in `base_link` (let tf2 turn
 it). `ros2 service call /plan std_srvs/srv/Trigger` plans from where the arm is to the scene's goal, among what the
-camera has seen, and sends the motion. `points_of` and `goal_of` are all that knows of messages, and need no ROS.
+camera has seen, and sends the motion. The arm's state is the last position of each of its joints, whichever messages
+they come in; if one is missing or old, nothing is planned. The log has the controller's answer and the result.
+`points_of`, `ArmState`, `goal_of` and `outcome_of` are all that knows of messages, and need no ROS.
 """
 
 from __future__ import annotations
 
+import math
 import sys
+import time
 from typing import Any
 
 import numpy as np
@@ -22,6 +26,19 @@ from hplan.scene import Start
 
 #: Radius of the ball about each point of the cloud [m].
 RADIUS_M = 0.01
+
+#: Age from which on a joint's last position no longer says where the arm is [s].
+MAX_AGE_S = 0.5
+
+#: What the error codes of `control_msgs/action/FollowJointTrajectory` mean.
+ERROR_CODES = {
+    0: "successful",
+    -1: "invalid goal",
+    -2: "invalid joints",
+    -3: "old header timestamp",
+    -4: "path tolerance violated",
+    -5: "goal tolerance violated",
+}
 
 
 def points_of(cloud: Any) -> np.ndarray:
@@ -35,15 +52,39 @@ def points_of(cloud: Any) -> np.ndarray:
     return np.stack([points[axis].astype(np.float64) for axis in "xyz"], axis=1)
 
 
-def configuration_of(robot: hplan.Robot, state: Any) -> np.ndarray | None:
-    """The (dof,) configuration in a `sensor_msgs/msg/JointState`; None where a joint is missing."""
-    at = dict(zip(state.name, state.position, strict=False))
-    return np.array([at[name] for name in robot.joint_names]) if set(robot.joint_names) <= set(at) else None
+class ArmState:
+    """The last position of each joint, from all messages, with its age."""
+
+    def __init__(self, robot: hplan.Robot) -> None:
+        self._robot = robot
+        self._seen: dict[str, tuple[float, float]] = {}
+
+    def see(self, state: Any, now_s: float) -> None:
+        """Take the joints of the arm out of a `sensor_msgs/msg/JointState`; other joints, as a gripper's, stay out."""
+        for name, position in zip(state.name, state.position, strict=False):
+            if name in self._robot.joint_names and math.isfinite(position):
+                self._seen[name] = float(position), now_s
+
+    def configuration(self, now_s: float) -> np.ndarray:
+        """The (dof,) configuration; an `InputError` names a joint that was never seen, or not lately."""
+        for name in self._robot.joint_names:
+            if name not in self._seen:
+                raise hplan.errors.InputError(f"no joint state has had joint {name!r} yet")
+            age_s = now_s - self._seen[name][1]
+            if age_s > MAX_AGE_S:
+                raise hplan.errors.InputError(f"the last state of joint {name!r} is {age_s:.2f} s old")
+        return np.array([self._seen[name][0] for name in self._robot.joint_names])
 
 
 def goal_of(motion: hplan.PlanResult) -> dict[str, Any]:
     """A `control_msgs/action/FollowJointTrajectory` goal as a dict: begun as soon as it is received."""
-    return {"trajectory": to_joint_trajectory(motion.trajectory, effort=False)}
+    return {"trajectory": to_joint_trajectory(motion.trajectory)}
+
+
+def outcome_of(result: Any) -> tuple[bool, str]:
+    """Whether a `FollowJointTrajectory` result says that the motion was run, and the words for it."""
+    meaning = ERROR_CODES.get(result.error_code, f"error code {result.error_code}")
+    return result.error_code == 0, ": ".join(text for text in (meaning, result.error_string) if text)
 
 
 def main() -> None:
@@ -61,7 +102,8 @@ def main() -> None:
         def __init__(self) -> None:
             super().__init__("hplan")
             scene = hplan.load_scene(self.declare_parameter("scene", "orchard-row").value)
-            self.robot, self.joints = hplan.load_robot(scene.robot), None
+            self.robot = hplan.load_robot(scene.robot)
+            self.arm, self.goal = ArmState(self.robot), None
             self.planner = hplan.Planner(self.robot, scene)
             hplan.warm_up(self.robot)
             controller = self.declare_parameter("controller", "/follow_joint_trajectory").value
@@ -71,30 +113,67 @@ def main() -> None:
             self.create_service(Trigger, "plan", self.plan)
 
         def at(self, state: Any) -> None:
-            self.joints = configuration_of(self.robot, state)
+            self.arm.see(state, time.monotonic())
 
         def seen(self, cloud: Any) -> None:
-            report = self.planner.set_cloud("camera", points_of(cloud), radius=RADIUS_M, joints=self.joints)
+            try:
+                joints = self.arm.configuration(time.monotonic())
+                report = self.planner.set_cloud("camera", points_of(cloud), radius=RADIUS_M, joints=joints)
+            except hplan.HplanError as error:
+                self.get_logger().warning(f"cloud not taken: {error}")
+                return
             self.get_logger().debug(str(report))
 
         def plan(self, _: Any, answer: Any) -> Any:
+            if self.goal is not None:  # the arm is in motion, and a motion from rest would jump
+                answer.success, answer.message = (
+                    False,
+                    "the controller has not finished the last goal, or not answered it",
+                )
+                return answer
             try:
-                if self.joints is not None:
-                    self.planner.aim(start=Start(joints_rad=self.joints))
+                self.planner.aim(start=Start(joints_rad=self.arm.configuration(time.monotonic())))
                 motion = self.planner.plan()
             except hplan.HplanError as error:
                 answer.success, answer.message = False, str(error)
                 return answer
             goal = FollowJointTrajectory.Goal()
             set_message_fields(goal, goal_of(motion))
-            self.client.send_goal_async(goal)
+            self.goal = self.client.send_goal_async(goal)
+            if self.goal is not None:
+                self.goal.add_done_callback(self.answered)
             clearance = 1e3 * motion.certificate.min_clearance_m
             answer.success = True
             answer.message = f"{motion.trajectory.duration:.3f} s, clearance {clearance:.2f} mm or more at all times"
             return answer
 
+        def answered(self, answer: Any) -> None:
+            handle = answer.result()
+            if handle.accepted:
+                handle.get_result_async().add_done_callback(self.ended)
+                return
+            self.goal = None
+            self.get_logger().error("the controller rejected the goal; its log says why")
+
+        def ended(self, answer: Any) -> None:
+            self.goal = None
+            is_done, words = outcome_of(answer.result().result)
+            log = self.get_logger()
+            (log.info if is_done else log.error)(f"the controller's result: {words}")
+
     rclpy.init(args=sys.argv)
-    rclpy.spin(PlanningNode())
+    try:
+        rclpy.spin(PlanningNode())
+    except KeyboardInterrupt:
+        pass
+    except Exception as error:
+        from rclpy.executors import ExternalShutdownException
+
+        if not isinstance(error, ExternalShutdownException):  # Ctrl-C where rclpy takes the signal itself
+            raise
+    finally:
+        # Releases before Humble have no `try_shutdown`.
+        getattr(rclpy, "try_shutdown", lambda: None)()
 
 
 if __name__ == "__main__":

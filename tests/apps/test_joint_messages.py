@@ -33,7 +33,8 @@ def swing(robot: Robot) -> Trajectory:
     """A motion of three rows, each number of which is another."""
     numbers = iter(range(100))
     rows = [[[next(numbers) / 7.0 for _ in range(4)] for _ in range(3)] for _ in range(4)]
-    return Trajectory(robot.joint_names, [0.0, 0.999999999, 2.0], *rows)
+    rows[1][0] = [0.0] * 4  # it begins at rest, as what is sent without a stamp
+    return Trajectory(robot.joint_names, [0.0, 0.999999999, 2.0], *rows, interpolation="quintic")
 
 
 def assert_conforms(content: Any, kind: str, definitions: Any) -> None:
@@ -91,7 +92,7 @@ def test_times_are_the_nearest_nanoseconds(seconds: float) -> None:
 
 
 def test_there_and_back(swing: Trajectory) -> None:
-    message = json.loads(json.dumps(to_joint_trajectory(swing, prefix="left_")))
+    message = json.loads(json.dumps(to_joint_trajectory(swing, prefix="left_", effort=True)))
     assert trajectory_digest(from_joint_trajectory(message, prefix="left_")) == trajectory_digest(swing)
 
 
@@ -122,7 +123,7 @@ def broken(message: dict[str, Any], **changes: Any) -> dict[str, Any]:
 
 
 def test_wrong_messages(robot: Robot, swing: Trajectory) -> None:
-    good = to_joint_trajectory(swing)
+    good = to_joint_trajectory(swing, effort=True)
     wrong: list[tuple[Any, str]] = [
         ({key: value for key, value in good.items() if key != "points"}, "has no points"),
         ({**good, "points": []}, "points of the message is empty"),
@@ -144,7 +145,7 @@ def test_wrong_messages(robot: Robot, swing: Trajectory) -> None:
 
 
 def test_anything_in_place_of_a_value_is_an_error_of_our_own(swing: Trajectory) -> None:
-    good = to_joint_trajectory(swing)
+    good = to_joint_trajectory(swing, effort=True)
     junk = (None, "text", 1.0, True, [None], [[1.0] * 4], {"sec": 1}, float("nan"), [1j] * 4, object())
     for value in junk:
         for key in ("joint_names", "points"):

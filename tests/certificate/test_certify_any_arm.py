@@ -35,7 +35,7 @@ from hplan.scene.obstacles import Box, Capsule, Sphere
 from hplan.scene.solids import Cloud
 from hplan.scene.tracks import Track
 from hplan.trajectory import read_waypoints
-from hplan.trajectory.trajectory import Trajectory, cubic_pieces
+from hplan.trajectory.trajectory import Trajectory
 
 
 @pytest.fixture(scope="module")
@@ -130,7 +130,7 @@ def test_verified_motions_are_clear_at_close_times(load, name):
         trajectory = motion_between(robot, start, end)
         obstacles = random_obstacles(rng, 5)
         certificate = certify(robot, scene_of(robot, trajectory, obstacles, 0.005), trajectory)
-        bezier, _ = cubic_pieces(trajectory)
+        bezier, _ = trajectory.segments
         around, own, closer = least_distances(robot, obstacles, bezier, 200)
         clear = not [line for line in certificate.violations if "limit" not in line and "deep" not in line]
         if clear:
@@ -153,7 +153,7 @@ def test_grazing_motions_are_never_verified(load, name):
     refused = 0
     for start, end in itertools.pairwise(ends):
         trajectory = motion_between(robot, start, end, samples=12)
-        bezier, _ = cubic_pieces(trajectory)
+        bezier, _ = trajectory.segments
         place = rng.uniform(4.2, 6.8)
         tip = robot.tool_positions(point_at(bezier, place))
         free = scene_of(robot, trajectory, [], 0.0)
@@ -274,7 +274,7 @@ def test_tracking_errors_take_from_the_clearance(load, name):
     assert loose.min_clearance_m < exact.min_clearance_m
     # Configurations that are off by as much keep the clearance that was shown.
     if not [line for line in loose.violations if "comes to" in line]:
-        bezier, _ = cubic_pieces(trajectory)
+        bezier, _ = trajectory.segments
         checker, rng = CoalScene(robot, [ball]), np.random.default_rng(14)
         for place in np.linspace(0.0, len(bezier), 50):
             off = rng.choice([-1.0, 1.0], robot.dof) * 0.01
@@ -288,7 +288,7 @@ def test_clouds_and_what_stands_still(load):
     trajectory = motion_between(robot, start, end)
     points = np.random.default_rng(16).normal(size=(500, 3))
     cloud = Cloud("leaves", 1.5 * points / np.linalg.norm(points, axis=1)[:, None], 0.02, np.zeros((0, 7)))
-    bezier, _ = cubic_pieces(trajectory)
+    bezier, _ = trajectory.segments
     checker = CoalScene(robot, [cloud])
     proof = prove_clearance(bezier, checker, np.zeros((1, robot.dof)), 0.0)
     first = len(checker.pairs) - len(checker.parts.own)
@@ -330,7 +330,7 @@ def test_fruit_may_be_touched_on_a_straight_approach_along_the_tools_axis(load, 
     length, found = 0.12, []
     for aside in (0.0, 0.03):
         motion = straight_in(robot, grasp, length, aside)
-        bezier, _ = cubic_pieces(motion)
+        bezier, _ = motion.segments
         goal = robot.forward_kinematics(grasp)
         window = contact_window(robot, bezier, goal[:3, 3])
         assert window is not None
@@ -371,7 +371,7 @@ def test_obstacles_that_move(load, name):
     robot, rng = load(name), np.random.default_rng(20)
     start, end = free_configurations(robot, 2, seed=21)
     trajectory = motion_between(robot, start, start + 0.1 * (end - start))
-    duration, bezier = trajectory.duration, cubic_pieces(trajectory)[0]
+    duration, bezier = trajectory.duration, trajectory.segments[0]
     outcomes = set()
     for _ in range(12):
         middle = robot.tool_positions(trajectory.position[20]) + rng.normal(size=3) * 0.25

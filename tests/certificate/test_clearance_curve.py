@@ -24,7 +24,7 @@ from hplan.scene.file import load_scene
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Box, Capsule, Obstacle, Sphere
 from hplan.scene.tracks import Track
-from hplan.trajectory.trajectory import Trajectory, cubic_pieces, cubic_states
+from hplan.trajectory.trajectory import Trajectory
 
 
 def random_motion(robot: Robot, random: np.random.Generator, duration: float, count: int = 40) -> Trajectory:
@@ -213,7 +213,7 @@ def trajectory(time, position, velocity) -> Trajectory:
 
 
 def position_use(motion: Trajectory) -> float:
-    return limit_use(ROBOT, motion, *cubic_pieces(motion)).position
+    return limit_use(ROBOT, motion, *motion.segments).position
 
 
 @settings(max_examples=60)
@@ -222,7 +222,7 @@ def test_it_is_what_is_seen_at_many_times(values):
     table = np.array(values)
     motion = trajectory(np.concatenate([[0.0], np.cumsum(table[1:, 4])]), table[:, :2], 3.0 * table[:, 2:4])
     clock = np.concatenate([np.linspace(*ends, 1001) for ends in pairwise(motion.time)])
-    seen = cubic_states(motion.time, motion.position, motion.velocity, clock)[0]
+    seen = motion.positions(clock)
     most = float((np.abs(seen - 0.5 * (ROBOT.lower + ROBOT.upper)) / (0.5 * (ROBOT.upper - ROBOT.lower))).max())
     assert most - 1e-12 <= position_use(motion) <= most + 1e-5
 
@@ -230,7 +230,7 @@ def test_it_is_what_is_seen_at_many_times(values):
 def test_a_swing_that_turns_before_the_limit_keeps_it():
     """Its Bezier points are beyond the limit of 3 rad, and it is not."""
     motion = trajectory(np.array([0.0, 1.0]), np.array([[2.9, 0.0], [2.9, 0.0]]), np.array([[0.39, 0.0], [-0.39, 0.0]]))
-    assert np.abs(cubic_pieces(motion)[0]).max() > 3.0
+    assert np.abs(motion.segments[0]).max() > 3.0
     assert position_use(motion) == pytest.approx((2.9 + 0.39 / 4.0) / 3.0)
 
 

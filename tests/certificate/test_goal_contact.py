@@ -27,7 +27,7 @@ from hplan.scene.file import load_scene
 from hplan.scene.model import Fruit, Goal, Scene, Start
 from hplan.scene.obstacles import Box, Sphere
 from hplan.scene.tracks import Track
-from hplan.trajectory.trajectory import Trajectory, cubic_pieces, joined, read_csv, scaled, stopped, write_csv
+from hplan.trajectory.trajectory import Trajectory, joined, read_csv, scaled, stopped, write_csv
 
 GRASP = np.radians([0.0, 20.0, 20.0, 20.0])
 
@@ -151,7 +151,7 @@ def test_curves_between_rows_far_apart_are_not_taken_for_straight(robot, apple):
     """Rows on the line, the cubic between them beside it."""
     scene = orchard(apple, np.radians([0.0, 30.0, 20.0, 10.0]))
     result = hplan.plan(robot, scene)
-    bezier, _ = cubic_pieces(result.trajectory)
+    bezier, _ = result.trajectory.segments
     window = contact_window(robot, bezier, apple.center)
     inside = (window.start + window.stop) // 2
     bent = np.array(bezier)
@@ -205,7 +205,7 @@ def test_last_link_that_pivots_about_the_fruit_leaves_its_direction(robot, apple
     time = 0.02 * np.arange(len(position))
     velocity = np.gradient(position, time, axis=0)
     zero = 0.0 * position
-    bezier, _ = cubic_pieces(Trajectory(robot.joint_names, time, position, velocity, zero, zero))
+    bezier, _ = Trajectory(robot.joint_names, time, position, velocity, zero, zero).segments
     assert np.linalg.norm(robot.tool_positions(position) - apple.center, axis=1).max() < THERE
     window = contact_window(robot, bezier, apple.center)
     angles = position[window.start : window.stop + 1, 1:].sum(axis=1)

@@ -22,7 +22,7 @@ from hplan.robot.family.members import HARVESTER, write_robot
 from hplan.robot.model import load_robot
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.tracks import Poses, Track
-from hplan.trajectory.trajectory import Trajectory, cubic_pieces, cubic_states
+from hplan.trajectory.trajectory import Trajectory
 
 
 def hermite(robot, time, position, velocity):
@@ -57,7 +57,7 @@ def test_bound_holds_and_is_close_for_random_rows(name, tmp_path, tmp_path_facto
         time = np.concatenate([[0.0], np.cumsum(rng.uniform(0.5, 1.5, 6) * apart)])
         speed = rng.uniform(-2.0, 2.0, (7, robot.dof))
         position = 0.3 * rng.normal(size=robot.dof) + np.cumsum(apart * rng.uniform(-1.5, 1.5, (7, robot.dof)), axis=0)
-        bezier, duration = cubic_pieces(hermite(robot, time, position, speed))
+        bezier, duration = hermite(robot, time, position, speed).segments
         bound = largest_torques(robot.dynamics, bezier, duration, robot.torque_limit)
         true = sampled(robot, bezier, duration, 400)
         assert (bound >= np.abs(true).max(axis=(0, 1)) * (1.0 - 1e-12)).all()
@@ -77,7 +77,7 @@ def test_second_derivative_is_bounded(tmp_path, tmp_path_factory):
             time = np.arange(6) * apart
             position = np.cumsum(swing * apart * rng.normal(size=(6, robot.dof)), axis=0)
             motion = hermite(robot, time, position, swing * rng.normal(size=(6, robot.dof)))
-            bezier, duration = cubic_pieces(motion)
+            bezier, duration = motion.segments
             remainder = torque_bound._remainders(bezier, duration, robot.dynamics.sizes, gravity)
             curvature = np.abs(np.diff(sampled(robot, bezier, duration, 400), 2, axis=1)).max(axis=1) * 399.0**2
             assert (curvature / 8.0 <= remainder + 1e-4).all()
@@ -104,7 +104,7 @@ def test_second_derivative_at_constant_speed(tmp_path, speed):
     for joint in range(robot.dof):
         position, velocity = np.tile([0.2, 0.4, 0.3, -0.5], (2, 1)), np.zeros((2, 4))
         velocity[:, joint], position[1, joint] = speed, position[1, joint] + speed
-        bezier, duration = cubic_pieces(hermite(robot, np.array([0.0, 1.0]), position, velocity))
+        bezier, duration = hermite(robot, np.array([0.0, 1.0]), position, velocity).segments
         remainder = torque_bound._remainders(bezier, duration, robot.dynamics.sizes, 9.81)[0]
         curvature = np.abs(np.diff(sampled(robot, bezier, duration, 400)[0], 2, axis=0)).max(axis=0) * 399.0**2
         assert (curvature / 8.0 <= remainder * (1.0 + 1e-3) + 1e-6).all()
@@ -144,7 +144,7 @@ def test_bound_of_one_joint_that_turns_slowly(tmp_path, joint):
         position[1, joint] += span
         velocity = np.zeros((2, 4))
         velocity[:, joint] = 1.0 / 40.0
-        bezier, duration = cubic_pieces(hermite(robot, np.array([0.0, 40.0 * span]), position, velocity))
+        bezier, duration = hermite(robot, np.array([0.0, 40.0 * span]), position, velocity).segments
         true = np.abs(sampled(robot, bezier, duration, 501))[..., joint].max()
         assert true * (1.0 - 1e-9) <= largest_torques(robot.dynamics, bezier, duration, limit)[joint] <= 1.001 * true
 
@@ -152,7 +152,7 @@ def test_bound_of_one_joint_that_turns_slowly(tmp_path, joint):
 def test_without_samples_to_spare_the_bound_holds_all_the_same(robot, monkeypatch):
     rng = np.random.default_rng(4)
     time, position = np.arange(5) * 0.5, 0.5 + 0.4 * rng.uniform(-1, 1, (5, 4))
-    bezier, duration = cubic_pieces(hermite(robot, time, position, rng.uniform(-1, 1, (5, 4))))
+    bezier, duration = hermite(robot, time, position, rng.uniform(-1, 1, (5, 4))).segments
     true = np.abs(sampled(robot, bezier, duration, 400)).max(axis=(0, 1))
     for samples in (0, 3, 30, 300):
         monkeypatch.setattr(torque_bound, "SAMPLES", samples)
@@ -164,7 +164,7 @@ def test_without_samples_to_spare_the_bound_holds_all_the_same(robot, monkeypatc
 def test_numbers_that_overflow_give_an_infinite_bound(robot, value, recwarn):
     velocity = np.zeros((3, 4))
     velocity[1, 1] = value
-    bezier, duration = cubic_pieces(hermite(robot, np.arange(3) * 4e-3, np.zeros((3, 4)), velocity))
+    bezier, duration = hermite(robot, np.arange(3) * 4e-3, np.zeros((3, 4)), velocity).segments
     assert largest_torques(robot.dynamics, bezier, duration, robot.torque_limit).max() == np.inf
     assert not recwarn.list
 
@@ -195,7 +195,7 @@ def test_torques_are_bounded_whatever_the_tilt(first, second, third):
     found, clock, model = straight(ROBOT, BEGIN, END, DURATION, 5.0), np.linspace(0.0, DURATION, 60), ROBOT.model.copy()
     certificate = certify(ROBOT, scene((first, second, third)), found)
     data, worst = model.createData(), 0.0
-    states = zip(*cubic_states(found.time, found.position, found.velocity, clock), strict=True)
+    states = [found.state_at(t) for t in clock.tolist()]
     for state, turn in zip(states, base_at((first, second, third), clock), strict=True):
         model.gravity.linear = turn.T @ ROBOT.model.gravity.linear
         worst = max(worst, float((np.abs(pin.rnea(model, data, *state)) / ROBOT.torque_limit).max()))

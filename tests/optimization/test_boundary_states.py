@@ -18,7 +18,6 @@ from hplan.optimization.timed_spline import BoundaryState, TimedSpline
 from hplan.optimization.torque_rows import ALLOWED, TorqueUse, torque_rows
 from hplan.robot.limits import Limits
 from hplan.scene.obstacles import Sphere
-from hplan.trajectory.trajectory import cubic_pieces
 
 PIECES, STEP = 12, 1e-6
 
@@ -194,7 +193,7 @@ def assert_kept(robot, motion, ends):
             np.testing.assert_allclose(getattr(rows, name)[row], getattr(state, name), rtol=0, atol=1e-12)
     breaks = motion.knots[3:-3] * 250.0
     np.testing.assert_allclose(breaks, np.round(breaks), atol=1e-9)
-    use = limit_use(robot, rows, *cubic_pieces(rows))
+    use = limit_use(robot, rows, *rows.segments)
     assert max(use.velocity, use.acceleration, use.torque) <= 1.0 + 1e-5
     assert (np.abs(np.diff(rows.acceleration, axis=0)) * 250.0 <= robot.jerk_limit * (1.0 + 1e-5)).all()
     return rows

@@ -44,7 +44,6 @@ from hplan.scene.model import Scene
 from hplan.scene.obstacles import Sphere
 from hplan.trajectory.speed_profile import SpeedProfile
 from hplan.trajectory.spline import SplinePath
-from hplan.trajectory.trajectory import cubic_pieces
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +65,7 @@ def test_limits_are_kept_from_row_to_row_and_between(plans, robot):
         trajectory = plans[effort].trajectory
         jerk = np.diff(trajectory.acceleration, axis=0) * 250.0
         assert (np.abs(jerk) <= robot.jerk_limit * (1.0 + 1e-5)).all()
-        use = limit_use(robot, trajectory, *cubic_pieces(trajectory))
+        use = limit_use(robot, trajectory, *trajectory.segments)
         assert max(use.velocity, use.acceleration, use.torque) <= 1.0 + 1e-5
         assert use.position <= 1.0 + 1e-6
 

@@ -15,7 +15,6 @@ from hplan.optimization.timed_spline import TimedSpline, breaks_at_rows, even_br
 from hplan.robot.dynamics import InverseDynamics
 from hplan.scene.obstacles import Sphere
 from hplan.trajectory.spline import STRIDE, MovableSpline, SplinePath, first_contact, pieces_are_clear
-from hplan.trajectory.trajectory import cubic_pieces
 
 
 @st.composite
@@ -209,6 +208,6 @@ def test_rows_are_the_motion(robot):
         assert not rows.velocity[end].any()
         assert not rows.acceleration[end].any()
     # The cubics between the rows, as the certificate reads them, are the spline.
-    bezier, durations = cubic_pieces(rows)
+    bezier, durations = rows.segments
     middle = (bezier * np.array([1.0, 3.0, 3.0, 1.0])[:, None] / 8.0).sum(axis=1)
     np.testing.assert_allclose(middle, spline.path.evaluate(rows.time[:-1] + 0.5 * durations), atol=1e-13)

@@ -23,7 +23,7 @@ from hplan.scene.obstacles import Sphere
 from hplan.scene.tracks import Track
 from hplan.tour.cell_tour import plan_cell_tour
 from hplan.trajectory.cubics import evaluate
-from hplan.trajectory.trajectory import Trajectory, cubic_pieces
+from hplan.trajectory.trajectory import Trajectory
 
 FROM, TO = (0.0, 60.0, 20.0, 20.0), (30.0, 60.0, 20.0, 20.0)
 QUICK = PlanOptions(effort="quick")
@@ -127,7 +127,7 @@ def test_one_clock_holds_both_files_exactly(picker):
     fine = np.linspace(0.0, clock[-1], 20_001)
     for arm in cell.arms:
         own = files[arm.name]
-        expected = evaluate(cubic_pieces(own)[0], own.time, fine)
+        expected = evaluate(own.segments[0], own.time, fine)
         assert np.abs(merged.positions(fine)[:, arm.joints] - expected).max() < 1e-12
     uses = [certify(arm.robot, arm.scene, files[arm.name]).limit_use for arm in cell.arms]
     for key, value in vars(between.limit_use).items():

@@ -23,7 +23,7 @@ from hplan.trajectory.spline import SplinePath
 from hplan.trajectory.time_scaling import OFF_PATH
 from hplan.trajectory.time_steps import AHEAD
 from hplan.trajectory.topp import PathView, fastest_speed, half_planes, passes
-from hplan.trajectory.trajectory import Retimed, Trajectory, cubic_pieces, scaled, stopped
+from hplan.trajectory.trajectory import Retimed, Trajectory, scaled, stopped
 
 
 @pytest.fixture(scope="module")
@@ -195,7 +195,7 @@ def assert_smooth(trajectory: Trajectory) -> None:
     """The cubics between rows have the rows' accelerations at both ends: the acceleration is continuous."""
     if trajectory.samples == 1:
         return
-    bezier, duration = cubic_pieces(trajectory)
+    bezier, duration = trajectory.segments
     bent = 6.0 * np.diff(bezier, n=2, axis=1) / duration[:, None, None] ** 2
     np.testing.assert_allclose(bent[:, 0], trajectory.acceleration[:-1], rtol=0, atol=1e-6)
     np.testing.assert_allclose(bent[:, 1], trajectory.acceleration[1:], rtol=0, atol=1e-6)

@@ -29,7 +29,7 @@ from hplan.trajectory.corner_rounding import largest_deviation
 from hplan.trajectory.retime import GRID_POINTS, time_path
 from hplan.trajectory.speed_profile import parameter_grid
 from hplan.trajectory.spline import SplinePath
-from hplan.trajectory.trajectory import Trajectory, csv_header, cubic_pieces, joined, read_csv, write_csv
+from hplan.trajectory.trajectory import Trajectory, csv_header, joined, read_csv, write_csv
 
 HEADER = "time_s,a_pos_rad,a_vel_rad_s,a_acc_rad_s2,a_torque_nm"
 FIELDS = ("time", "position", "velocity", "acceleration", "torque")
@@ -243,7 +243,7 @@ def test_a_stop_goes_on_from_the_state_keeps_limits_and_ends_at_rest(speed, push
     assert (np.abs(found.acceleration) <= most * (1.0 + 1e-9)).all()
     jerk = np.diff(found.acceleration, axis=0) / PERIOD
     assert (np.abs(jerk) <= robot.jerk_limit * (1.0 + 1e-6) + 1e-6).all()
-    bezier, duration = cubic_pieces(found)
+    bezier, duration = found.segments
     bent = 6.0 * np.diff(bezier, n=2, axis=1) / duration[:, None, None] ** 2
     np.testing.assert_allclose(bent[:, 0], found.acceleration[:-1], rtol=0, atol=1e-6)
     np.testing.assert_allclose(bent[:, 1], found.acceleration[1:], rtol=0, atol=1e-6)

@@ -44,7 +44,19 @@ _OF_ONE_ROBOT = (
     *("robot", "limits", "hold", "tool_frame", "srdf", "package_dir", "allow_neighbours", "drop_inside", "yield_links"),
     "collision_from_visual",
     *("bound", "view", "cspace", "cspace_yaw", "certify", "fruits", "drop_off", "drop_off_pose", "drop_off_joints"),
-    *("risk", "begin", "moving_ends", "every", "back", "order", "compare", "grasps", "csv"),
+    *(
+        "risk",
+        "begin",
+        "interpolation",
+        "velocity_jumps",
+        "moving_ends",
+        "every",
+        "back",
+        "order",
+        "compare",
+        "grasps",
+        "csv",
+    ),
 )
 _REFUSED = "none: the scene has several robots, with their own"
 

@@ -56,6 +56,10 @@ def parser(prog: str) -> argparse.ArgumentParser:
     add_shared(parser, "scene", "robot", "parts", "contacts", "tracking", "sigmas", "risk")
     add("--goal-contact", choices=("approach", "motion"), help="when the last link may touch the fruit that is "
         "the goal: on a straight approach, or during the whole motion (default: approach)")  # fmt: skip
+    add("--interpolation", choices=("cubic", "quintic", "linear"), help="the curve that the controller runs between "
+        "rows: by positions and velocities, by accelerations too, or straight lines (default: cubic)")  # fmt: skip
+    add("--velocity-jumps", action="store_true", help="with --interpolation linear: velocity may jump at rows; "
+        "acceleration, torque and rest at the ends are not required")  # fmt: skip
     add("--begin", type=float, default=0.0, metavar="S", help="time at which the motion begins, as the tracks of what "
         "moves count it (default: 0)")  # fmt: skip
     add("--any-ends", action="store_true", help="start, goal and locked joints of the scene are not compared")
@@ -108,12 +112,15 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int
         check_ends=not arguments.any_ends,
         rest_to_rest=not arguments.moving_ends,
         begin_s=arguments.begin,
+        interpolation=arguments.interpolation,
+        velocity_jumps=arguments.velocity_jumps,
     )
     differs = [] if job is None else job.differing(certificate.digests)
     report = {
         "status": "ok" if certificate.verified and not differs else "failed",
         "scene": scene.name,
         "robot": robot.name,
+        "interpolation": arguments.interpolation or trajectory.interpolation,
         "differs": differs,
         **far_report(robot, scene),
         "certificate": certificate_report(certificate, options, scene),

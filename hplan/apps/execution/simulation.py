@@ -39,7 +39,8 @@ from hplan.errors import InputError, OptionError
 from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel
 from hplan.scene.model import Scene
-from hplan.trajectory.trajectory import check_units, cubic_states
+from hplan.trajectory.cubics import evaluate, hermite_pieces
+from hplan.trajectory.trajectory import Trajectory, check_units
 
 #: How long the last row is held [s].
 HOLD = 0.25
@@ -144,6 +145,7 @@ class _Reference:
     time: FloatArray
     position: FloatArray
     velocity: FloatArray
+    bezier: FloatArray
 
     @classmethod
     def of(cls, robot: Robot, motion: Movement) -> _Reference:
@@ -165,14 +167,15 @@ class _Reference:
             raise InputError("motion: it holds a value that is not finite")
         if not (np.diff(time) > 0.0).all():
             raise InputError(f"motion: time does not increase at row {int(np.argmin(np.diff(time) > 0.0)) + 1}")
-        return cls(time - time[0], position[:, order], velocity[:, order])
+        bezier = motion.segments[0] if isinstance(motion, Trajectory) else hermite_pieces(time, position, velocity)[0]
+        return cls(time - time[0], position[:, order], velocity[:, order], bezier[:, :, order])
 
     def at(self, clock: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Position, velocity and acceleration at instants, (k,) -> three of (k, dof); after the end, at rest there."""
         if len(self.time) == 1:
             q = np.repeat(self.position, len(clock), axis=0)
             return q, np.zeros_like(q), np.zeros_like(q)
-        q, v, a = cubic_states(self.time, self.position, self.velocity, clock)
+        q, v, a = (evaluate(self.bezier, self.time, clock, order) for order in range(3))
         over = (clock > self.time[-1])[:, None]
         return np.where(over, self.position[-1], q), np.where(over, 0.0, v), np.where(over, 0.0, a)
 

@@ -97,6 +97,6 @@ CLEARANCES_STUDY = Study(
     _row,
     ("certificates",),
     totals=("proved", "fault"),
-    count=(20,),
+    count=(20, 1),
     warm=0,
 )

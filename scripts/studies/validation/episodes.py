@@ -234,7 +234,7 @@ class Episode:
         if not certificate.verified:
             self.tally.unverified[kind] += 1
             return
-        path = write_csv(trajectory, self.folder / "motion.csv")
+        path = write_csv(trajectory, self.folder / "motion.csv", whole=True)
         motion = Motion.read(path, from_s)
         world = self.world
         allowed = windows(certificate, world.fruits)

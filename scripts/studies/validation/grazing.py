@@ -48,10 +48,10 @@ def graze(seed: int, number: int, robot: Robot | None = None) -> Tally:
             # Links of the planar family stand for capsules, and meshes for convex pieces, which are wider.
             grazes = count % 2 == 0 or drawn.robot.planar is not None or robot is not None or drawn.kind in NAMED
             gap = -math.exp(rng.uniform(*np.log(DEPTHS))) if grazes else math.exp(rng.uniform(*np.log(GAPS)))
-            placed = _placed(drawn, motion, rng, gap)
-            if placed is None:
+            made = placed(drawn, motion, rng, gap)
+            if made is None:
                 continue
-            item, body = placed
+            item, body = made
             scene = world.scene().with_(obstacles=(obstacle(item),))
             verified = certify(drawn.robot, scene, found.trajectory).verified
             tally.looked["grazing" if grazes else "clear"] += 1
@@ -60,7 +60,7 @@ def graze(seed: int, number: int, robot: Robot | None = None) -> Tally:
     return tally
 
 
-def _placed(drawn: DrawnArm, motion: Motion, rng: np.random.Generator, gap: float) -> tuple[dict[str, Any], str] | None:
+def placed(drawn: DrawnArm, motion: Motion, rng: np.random.Generator, gap: float) -> tuple[dict[str, Any], str] | None:
     """An obstacle whose least distance from the arm over a motion is the one asked for, and the nearest body."""
     arm = drawn.arm
     q = arm.configurations(motion.names, motion.values)

@@ -159,7 +159,7 @@ class _Soak:
         known = scene.with_(obstacles=tuple(o for o in scene.obstacles if o.name != SEEN))
         allowed = windows(certificate, [fruit.model_dump() for fruit in scene.fruits])
         sample = pickle.dumps((known, kind, cloud, allowed, begin_s, from_s))
-        write_csv(trajectory, self.folder / f"{number}.csv")
+        write_csv(trajectory, self.folder / f"{number}.csv", whole=True)
         (self.folder / f"{number}.pickle").write_bytes(sample)
 
     # What the four threads do

@@ -1,0 +1,346 @@
+"""What a ROS 2 controller makes of messages: the curve that it runs, when it begins, and what it refuses."""
+
+from __future__ import annotations
+
+import runpy
+import sys
+import types
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from scipy.interpolate import BPoly
+from studies.harness import Asked, run
+from studies.validation import controller
+from studies.validation.controller import MESSAGES, STRANGERS_STUDY, Controller, _jumps
+
+import hplan
+from hplan.apps.ros import from_joint_trajectory, to_joint_trajectory, write_joint_trajectory, write_mcap
+from hplan.certificate.digests import trajectory_digest
+from hplan.errors import InputError, OptionError
+from hplan.planning.result import PlanResult
+from hplan.robot.model import Robot
+from hplan.scene.model import Goal, Scene, Start
+from hplan.scene.obstacles import Sphere
+from hplan.trajectory.trajectory import Trajectory, joined, read_csv, write_csv
+
+A, B = (0.0, 0.9, 0.6, 0.3), (1.2, 0.9, 0.6, 0.3)
+NODE = Path(__file__).resolve().parents[2] / "scripts" / "examples" / "ros2_node.py"
+
+
+@pytest.fixture(autouse=True)
+def warm(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(controller, "warm_up", lambda: None)
+    monkeypatch.setattr(controller, "impatient", lambda: None)
+
+
+@pytest.fixture(scope="module")
+def swing(robot: Robot) -> PlanResult:
+    """A motion that begins at 100 s on the controller's clock."""
+    return planner_of(robot).plan(begins_s=100.0)
+
+
+def planner_of(robot: Robot) -> hplan.Planner:
+    return hplan.Planner(robot, Scene(name="x", start=Start(joints_rad=A), goal=Goal(joints_rad=B)))
+
+
+def sparse(robot: Robot, apart_s: float, fields: int) -> tuple[dict[str, Any], Trajectory]:
+    """Rows of a stranger: with accelerations, the curve between them swings out to one side."""
+    points = []
+    for k, push in enumerate((-0.75, 0.0, 0.75)):
+        rows = np.array([A, np.zeros(4), np.zeros(4)])
+        rows[:, 0] = 0.3 * apart_s * k, 0.45 if k == 1 else 0.0, push * robot.acceleration_limit[0]
+        sec, nanosec = divmod(round(k * apart_s * 1e9), 10**9)
+        keys = ("positions", "velocities", "accelerations")
+        given = {key: rows[n].tolist() if n < fields else [] for n, key in enumerate(keys)}
+        points.append({**given, "effort": [], "time_from_start": {"sec": sec, "nanosec": nanosec}})
+    message = {"joint_names": list(robot.joint_names), "points": points}
+    return message, from_joint_trajectory(message, robot=robot)
+
+
+def test_the_messages_curve_is_that_of_its_fields(robot: Robot) -> None:
+    for fields, curve in ((1, "linear"), (2, "cubic"), (3, "quintic")):
+        message, motion = sparse(robot, 0.5, fields)
+        assert motion.interpolation == curve
+        again = to_joint_trajectory(motion)["points"]
+        for point, given in zip(again, message["points"], strict=True):
+            assert {key: point[key] for key in given} == given
+    assert from_joint_trajectory(message, robot=robot, interpolation="cubic").interpolation == "cubic"
+    with pytest.raises(OptionError, match="interpolation"):
+        from_joint_trajectory(message, robot=robot, interpolation="septic")  # type: ignore[arg-type]
+
+
+def test_points_with_different_fields_are_refused(robot: Robot) -> None:
+    message, _ = sparse(robot, 0.5, 3)
+    message["points"][1]["accelerations"] = []
+    with pytest.raises(InputError, match=r"points\[1\].accelerations has 0 numbers"):
+        from_joint_trajectory(message, robot=robot)
+    for point in message["points"]:
+        point["velocities"], point["accelerations"] = [], [0.0] * 4
+    with pytest.raises(InputError, match="accelerations but no velocities"):
+        from_joint_trajectory(message, robot=robot)
+
+
+@pytest.mark.parametrize("apart_s", [1.0, 0.5])
+def test_the_curve_that_the_controller_runs_is_judged(robot: Robot, apart_s: float) -> None:
+    """The cubic is clear of a ball; the quintic through the same rows is not."""
+    _, motion = sparse(robot, apart_s, 3)
+    rows = np.stack([motion.position, motion.velocity, motion.acceleration], axis=1)
+    true = BPoly.from_derivatives(motion.time, rows)(np.linspace(0.0, motion.duration, 400))
+    farthest = true[[int(true[:, 0].argmin())]]
+    tool = robot.tool_positions(farthest)[0]
+    side = robot.tool_positions(farthest - [[0.02, 0.0, 0.0, 0.0]])[0] - tool
+    away = float(robot.arm.half_widths[-1]) + 0.02 - 0.0008
+    ball = Sphere(name="wood", center=tuple(tool + away * side / np.linalg.norm(side)), radius=0.02)
+    scene = Scene(name="x", start=Start(joints_rad=A), goal=Goal(joints_rad=motion.position[-1]), obstacles=(ball,))
+    assert hplan.check(robot, scene, true).distance_m.min() < 0.0
+    assert hplan.certify(robot, scene, motion, interpolation="cubic").verified
+    assert not hplan.certify(robot, scene, motion).verified
+    assert hplan.certify(robot, scene.model_copy(update={"obstacles": ()}), motion).verified
+
+
+def test_straight_lines_have_jumps_of_velocity(robot: Robot) -> None:
+    _, motion = sparse(robot, 0.5, 1)
+    scene = Scene(name="x", start=Start(joints_rad=A), goal=Goal(joints_rad=motion.position[-1]))
+    found = hplan.certify(robot, scene, motion)
+    assert not found.verified
+    assert found.limit_use.acceleration == found.limit_use.torque == np.inf
+    assert any("begins with joint" in each for each in found.violations)
+    allowed = hplan.certify(robot, scene, motion, velocity_jumps=True)
+    assert allowed.verified
+    assert allowed.limit_use.velocity == pytest.approx(0.3 / robot.velocity_limit[0])
+    fast = replace(motion, time=0.05 * motion.time)
+    assert "velocity reaches" in " ".join(hplan.certify(robot, scene, fast, velocity_jumps=True).violations)
+    with pytest.raises(OptionError, match="velocity_jumps"):
+        hplan.certify(robot, scene, replace(motion, interpolation="cubic"), velocity_jumps=True)
+    with pytest.raises(InputError, match="linear between its rows"):
+        motion.stop_at(0.3, robot)
+    with pytest.raises(InputError, match="they must be the same"):
+        joined([motion, replace(motion.reversed, interpolation="cubic", velocity=0.0 * motion.velocity)])
+
+
+def test_digests_tell_curves_apart(robot: Robot, tmp_path: Path) -> None:
+    _, motion = sparse(robot, 0.5, 3)
+    others = [trajectory_digest(replace(motion, interpolation=curve)) for curve in ("cubic", "quintic", "linear")]  # type: ignore[arg-type]
+    assert len(set(others)) == 3
+    again = read_csv(write_csv(motion, tmp_path / "t.csv"), interpolation="quintic")
+    assert trajectory_digest(again) == others[1]
+
+
+def test_a_controller_runs_what_was_certified(robot: Robot, swing: PlanResult) -> None:
+    """hplan's own message: no effort, no accelerations, and the cubics of the certificate."""
+    message = to_joint_trajectory(swing.trajectory)
+    assert all(point["effort"] == [] == point["accelerations"] for point in message["points"])
+    machine = Controller(robot.joint_names, np.array(A))
+    machine.receive(message, 5 * 10**9)
+    clock = np.arange(0.0, swing.trajectory.duration + 0.01, 1.7e-3)
+    commands = [machine.update(5 * 10**9 + round(1e9 * at)) for at in clock.tolist()]
+    states = [swing.trajectory.state_at(at) for at in clock.tolist()]
+    for k, most in ((0, 1e-8), (1, 1e-6)):
+        assert max(np.abs(command[k] - state[k]).max() for command, state in zip(commands, states, strict=True)) < most
+    with pytest.raises(ValueError, match="efforts"):
+        machine.receive(to_joint_trajectory(swing.trajectory, effort=True), 5 * 10**9)
+
+
+def handed_out(robot: Robot, now: float) -> dict[str, tuple[Trajectory, float]]:
+    """Motions that take over from one that runs, and when their first rows are."""
+    planner = planner_of(robot)
+    running = planner.plan(begins_s=100.0)
+    since = now + 0.05 - 100.0
+    planner.aim(goal=Goal(joints_rad=(1.0, 0.8, 0.6, 0.3)))
+    found = {
+        "stop": running.stop_at(since),
+        "scaled": running.scaled([(0, 1), (since, 1), (since, 0.5)]),
+        "planner stop": planner.stop_at(now + 0.05, now=now),
+        "splice": planner.replan(at=now + 0.05, now=now),
+    }
+    return {name: (motion.trajectory, motion.begins_s) for name, motion in found.items()}
+
+
+@pytest.mark.parametrize("now", [100.2, 100.4, 100.6])
+def test_what_takes_over_needs_a_stamp_and_does_not_jump(robot: Robot, now: float, swing: PlanResult) -> None:
+    for name, (motion, begins_s) in handed_out(robot, now).items():
+        for send in (to_joint_trajectory, lambda each: write_joint_trajectory(each, Path("never.yaml"))):
+            with pytest.raises(OptionError, match="send the arm back"):
+                send(motion)
+        faults = _jumps(SimpleNamespace(robot=robot), (swing.trajectory, 100.0), (motion, begins_s), now + 0.02)  # type: ignore[arg-type]
+        assert list(faults) == [], name
+
+
+def test_a_csv_of_a_stop_begins_where_the_arm_is(robot: Robot, tmp_path: Path) -> None:
+    found = handed_out(robot, 100.4)
+    for name in ("stop", "scaled", "planner stop"):
+        motion = found[name][0]
+        with pytest.raises(InputError, match="has no start time"):
+            write_csv(motion, tmp_path / "t.csv")
+        row = int(np.searchsorted(motion.time, 0.4, side="right")) - 1
+        first = read_csv(write_csv(motion.since(row), tmp_path / "t.csv"))
+        np.testing.assert_array_equal(first.position[0], motion.position[row])
+        assert read_csv(write_csv(motion, tmp_path / "t.csv", whole=True)).samples == motion.samples
+    write_csv(found["splice"][0], tmp_path / "t.csv")
+
+
+def test_a_recorded_stop_has_a_stamp(robot: Robot, swing: PlanResult, tmp_path: Path) -> None:
+    pytest.importorskip("rosbags")
+    write_mcap(swing.stop_at(0.4), tmp_path / "stop.mcap")
+    with pytest.raises(OptionError, match="stamp_s"):
+        write_mcap(swing.stop_at(0.4), tmp_path / "stop.mcap", stamp_s=0.0)
+
+
+def test_a_motion_that_begins_in_motion_needs_a_stamp(swing: PlanResult) -> None:
+    later = replace(swing.trajectory.since(50), takes_over_s=None)
+    with pytest.raises(OptionError, match="stamp_s"):
+        to_joint_trajectory(later)
+    assert to_joint_trajectory(later, stamp_s=100.1)["header"]["stamp"]["sec"] == 100
+
+
+def test_files_fit_the_documented_command(swing: PlanResult, tmp_path: Path) -> None:
+    """The command reads the file from its standard input: as an argument Linux takes no more than 128 KiB."""
+    path = write_joint_trajectory(swing.trajectory, tmp_path / "motion.yaml")
+    assert yaml.safe_load(path.read_text()) == to_joint_trajectory(swing.trajectory)
+    told = str(write_joint_trajectory.__doc__)
+    assert "--stdin" in told
+    assert "$(cat" not in told
+
+
+def test_commands_of_messages_that_take_over_do_not_jump() -> None:
+    rows = list(run(MESSAGES, Asked(count=3)))
+    assert sum(row["motions"] for row in rows) > 5
+    assert [row["faults"] for row in rows] == [[], [], []]
+
+
+def test_no_stranger_that_touches_on_the_controllers_curve_is_verified() -> None:
+    rows = list(run(STRANGERS_STUDY, Asked(count=5)))
+    assert sum(row["motions"] for row in rows) > 5
+    assert [row["faults"] for row in rows] == [[]] * 5
+
+
+class Future:
+    """An answer that is given later."""
+
+    def __init__(self) -> None:
+        self.calls: list[Callable[[Any], None]] = []
+        self.value: Any = None
+
+    def add_done_callback(self, call: Callable[[Any], None]) -> None:
+        self.calls.append(call)
+
+    def result(self) -> Any:
+        return self.value
+
+    def give(self, value: Any) -> None:
+        self.value = value
+        for call in self.calls:
+            call(self)
+
+
+class Ros:
+    """Stand-ins for what the node takes from ROS; `spin` is what happens when the node spins."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, spin: Callable[[Ros], None]) -> None:
+        self.calls: dict[str, Any] = {}
+        self.sent: list[tuple[dict[str, Any], Future]] = []
+        self.log: list[str] = []
+        self.is_down = False
+        ros = self
+
+        class Node:
+            def __init__(self, _: str) -> None:
+                ros.calls["node"] = self
+
+            def declare_parameter(self, _: str, value: Any) -> Any:
+                return SimpleNamespace(value=value)
+
+            def create_subscription(self, _: Any, topic: str, call: Any, __: Any) -> None:
+                ros.calls[topic] = call
+
+            def create_service(self, _: Any, name: str, call: Any) -> None:
+                ros.calls[name] = call
+
+            def get_logger(self) -> Any:
+                write = ros.log.append
+                return SimpleNamespace(debug=write, info=write, warning=write, error=write)
+
+        class Client:
+            def __init__(self, *_: Any) -> None:
+                pass
+
+            def send_goal_async(self, goal: Any) -> Future:
+                ros.sent.append((dict(goal), Future()))
+                return ros.sent[-1][1]
+
+        self.interrupt = type("ExternalShutdownException", (Exception,), {})
+        modules: dict[str, dict[str, Any]] = {
+            "rclpy": {"init": lambda args=None: None, "spin": lambda _: spin(self), "try_shutdown": self.shut_down},
+            "rclpy.executors": {"ExternalShutdownException": self.interrupt},
+            "rclpy.action": {"ActionClient": Client},
+            "rclpy.node": {"Node": Node},
+            "rclpy.qos": {"qos_profile_sensor_data": None},
+            "control_msgs": {},
+            "control_msgs.action": {"FollowJointTrajectory": SimpleNamespace(Goal=dict)},
+            "rosidl_runtime_py": {"set_message_fields": lambda goal, content: goal.update(content)},
+            "sensor_msgs": {},
+            "sensor_msgs.msg": {"JointState": None, "PointCloud2": None},
+            "std_srvs": {},
+            "std_srvs.srv": {"Trigger": None},
+        }
+        for name, content in modules.items():
+            module = types.ModuleType(name)
+            module.__dict__.update(content)
+            monkeypatch.setitem(sys.modules, name, module)
+        monkeypatch.setattr(sys, "argv", ["ros2_node"])
+        runpy.run_path(str(NODE))["main"]()
+
+    def shut_down(self) -> None:
+        self.is_down = True
+
+    def plan(self) -> Any:
+        return self.calls["plan"](None, SimpleNamespace())
+
+    def at(self, names: list[str], positions: list[float]) -> None:
+        self.calls["joint_states"](SimpleNamespace(name=names, position=positions))
+
+
+def test_a_gripper_that_publishes_does_not_erase_the_arm(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    ended = Future()
+
+    def spin(ros: Ros) -> None:
+        answer = ros.plan()
+        assert not answer.success
+        assert "no joint state has had joint 'base_yaw' yet" in answer.message
+        for yaw in (0.6, 1.0):
+            ros.at(list(robot.joint_names), [yaw, *[np.pi / 2] * 3])
+            ros.at(["finger"], [0.01])
+            answer = ros.plan()
+            assert answer.success, answer.message
+            goal, future = ros.sent[-1]
+            assert goal["trajectory"]["points"][0]["positions"] == [yaw, *[np.pi / 2] * 3]
+            assert "has not finished" in ros.plan().message
+            if yaw == 0.6:
+                future.give(SimpleNamespace(accepted=False))
+                assert "rejected" in ros.log[-1]
+            else:
+                future.give(SimpleNamespace(accepted=True, get_result_async=lambda: ended))
+                assert "has not finished" in ros.plan().message
+                ended.give(SimpleNamespace(result=SimpleNamespace(error_code=-4, error_string="shoulder")))
+                assert "path tolerance violated: shoulder" in ros.log[-1]
+        raise KeyboardInterrupt
+
+    assert Ros(monkeypatch, spin).is_down
+
+
+def test_an_interrupt_ends_the_node_and_an_error_does_not_pass_for_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(ros: Ros) -> None:
+        raise ros.interrupt
+
+    def broken(_: Ros) -> None:
+        raise RuntimeError("broken")
+
+    assert Ros(monkeypatch, interrupted).is_down
+    with pytest.raises(RuntimeError, match="broken"):
+        Ros(monkeypatch, broken)

@@ -11,7 +11,7 @@ gives the same path on every machine. Where no path is found, nothing is shown.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -22,7 +22,9 @@ from hplan.collision.body_motions import shown_part, straight_piece
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.obstacle_rows import FieldArrays
 from hplan.kinematics.damped_steps import Chain, solve
-from hplan.planning.definition import Problem
+
+if TYPE_CHECKING:
+    from hplan.planning.problem import Problem
 
 #: Samples drawn at a time, and nodes that a tree may have.
 _CHUNK, _MOST_NODES = 500, 20_000
@@ -165,7 +167,7 @@ def tree_path(
 def _samples(generator: np.random.Generator, problem: Problem, goals: FloatArray) -> FloatArray:
     """(_CHUNK, dof) targets in turn: anywhere; in the box of start and goals; about start, or a goal, at all scales."""
     first, last = np.minimum(problem.start, goals.min(axis=0)), np.maximum(problem.start, goals.max(axis=0))
-    lower, upper = np.maximum(problem.lower, first - _FAR), np.minimum(problem.upper, last + _FAR)
+    lower, upper = np.maximum(problem.lower[0], first - _FAR), np.minimum(problem.upper[0], last + _FAR)
     samples: FloatArray = generator.random((_CHUNK, len(lower)))
     low, high = np.maximum(first - _ASIDE, lower), np.minimum(last + _ASIDE, upper)
     samples[::3] = lower + samples[::3] * (upper - lower)

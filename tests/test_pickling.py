@@ -231,9 +231,3 @@ def test_a_planner_arrives_and_goes_on(robot: Robot, scene: Scene) -> None:
     found.move("ball", center=(1.0, 0.0, 1.95))
     planner.move("ball", center=(1.0, 0.0, 1.95))
     np.testing.assert_array_equal(found.replan().trajectory.position, planner.replan().trajectory.position)
-
-
-def test_results_hold_no_listener(robot: Robot, scene: Scene) -> None:
-    """Who listens to the progress of a plan is left where they are."""
-    result = hplan.plan(robot, scene, progress=lambda _: None)
-    assert by_pickle(result).motion.problem.progress("stage") is None

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Self
 
+from hplan.base.extensions import load_extensions
 from hplan.optimization.minimize_time import Effort as OptimizerEffort
 from hplan.optimization.minimize_time import Level
 from hplan.optimization.several_starts import StartsEffort
 from hplan.planning.options import EffortName, PlanOptions
 from hplan.planning.sampling.several_trees import TreesEffort
-from hplan.planning.specialist import specialist_of
 from hplan.robot.model import Robot
 
 #: Long trees before a goal is refused, for robots that also have a grid; and none.
@@ -87,7 +88,7 @@ _AT_ONCE = near_one(replace(COARSE, steps=8, gain=0.02, trust=1.0, enough=0.02))
 #: after about a second.
 _WITHIN_A_SECOND = TreesEffort(2, 45_000)
 
-#: The presets of robots without a specialist.
+#: The presets of all robots for which no others are registered.
 EFFORTS: dict[EffortName, Effort] = {
     "quick": Effort(
         trees=TreesEffort(1, 6_000),
@@ -135,10 +136,18 @@ EFFORTS: dict[EffortName, Effort] = {
 }
 
 
+_PRESETS: list[tuple[Callable[[Robot], bool], Mapping[EffortName, Effort]]] = []
+
+
+def register_presets(recognizes: Callable[[Robot], bool], presets: Mapping[EffortName, Effort]) -> None:
+    """Use other presets for the robots that a function recognizes."""
+    _PRESETS.append((recognizes, presets))
+
+
 def effort_named(robot: Robot, name: EffortName) -> Effort:
     """The preset of a robot by its name."""
-    specialist = specialist_of(robot)
-    return (EFFORTS if specialist is None else specialist.efforts)[name]
+    load_extensions()
+    return next((presets for recognizes, presets in _PRESETS if recognizes(robot)), EFFORTS)[name]
 
 
 def efforts_of(robot: Robot, options: PlanOptions) -> tuple[Effort, ...]:

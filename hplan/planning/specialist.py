@@ -1,24 +1,19 @@
 """Specialists: what a room at the edge adds to planning for a family of robots that it recognizes.
 
-A specialist has effort presets, path finders and a proof of infeasibility of its own. Planning itself knows none of
+A specialist has path finders and a proof of infeasibility of its own. Planning itself knows none of
 them; `hplan.base.extensions` says how they are loaded.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from hplan.base.extensions import load_extensions
+from hplan.errors import NoPathError
+from hplan.planning.path_finder import PathFinder
+from hplan.planning.problem import Problem
 from hplan.robot.model import Robot
-
-if TYPE_CHECKING:
-    from hplan.errors import NoPathError
-    from hplan.planning.effort import Effort
-    from hplan.planning.options import EffortName
-    from hplan.planning.path_finder import PathFinder
-    from hplan.planning.problem import Problem
 
 
 @dataclass(frozen=True)
@@ -27,7 +22,6 @@ class Specialist:
 
     Attributes:
         recognizes: True for the robots of the family.
-        efforts: Presets of the family.
         path_finders: The finders for a problem, in the order in which they are tried; None for those of all robots.
         prove_infeasible: For each goal of a problem the error that proves that no path leads there, or None.
         describe_proof: The kind of proof that was attempted, for the error if it did not succeed.
@@ -35,7 +29,6 @@ class Specialist:
     """
 
     recognizes: Callable[[Robot], bool]
-    efforts: Mapping[EffortName, Effort]
     path_finders: Callable[[Problem], Sequence[PathFinder] | None]
     prove_infeasible: Callable[[Problem], list[NoPathError | None]]
     describe_proof: Callable[[Problem], str]

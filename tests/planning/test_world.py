@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from arm_variants import random_obstacles
-from planned import post
+from planned import post, problem_between
 
 from hplan.base.arrays import FloatArray
 from hplan.collision.clearance_field import ClearanceField

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from hplan.base.extensions import declare_extension
 from hplan.base.lazy_import import lazy_names
-from hplan.base.moved import find_moved_modules
 
 if TYPE_CHECKING:
     from hplan.certificate.certificate import Certificate, certify
@@ -82,7 +82,8 @@ __all__ = [
 
 __getattr__ = lazy_names(__name__)
 
-find_moved_modules()
+#: Rooms at the edge that add path finders, inverse kinematics and proofs for robots that they recognize.
+declare_extension("hplan.planar")
 
 
 def __dir__() -> list[str]:

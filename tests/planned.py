@@ -7,11 +7,15 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from hplan.base.arrays import FloatArray
 from hplan.certificate.certificate import LIMIT_TOLERANCE
 from hplan.collision.coal_scene import CoalScene
+from hplan.planning.options import PlanOptions
+from hplan.planning.problem import Problem
 from hplan.planning.result import PlanResult
+from hplan.planning.world import World
 from hplan.robot.model import Robot
 from hplan.scene.model import Fruit, Goal, Scene, Start
 from hplan.scene.obstacles import Box, Capsule, Sphere
@@ -250,3 +254,11 @@ def on_cubics(trajectory: Trajectory, time: FloatArray) -> FloatArray:
         + (3 * t**2 - 2 * t**3) * q[row + 1]
         + (t**3 - t**2) * h * v[row + 1]
     )
+
+
+def problem_between(world: World, start: ArrayLike, goal: ArrayLike, locked_joints: Sequence[str] = ()) -> Problem:
+    """The problem of a motion between two configurations in a world."""
+    first = Start(joints_rad=tuple(np.asarray(start, dtype=np.float64).tolist()))
+    stay = Goal(joints_rad=first.joints_rad)
+    scene = Scene(name="between", start=first, goal=stay, locked_joints=tuple(locked_joints))
+    return Problem.of(world.robot, scene, PlanOptions()).among(world).between(start, goal)

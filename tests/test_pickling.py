@@ -176,11 +176,11 @@ def test_a_plan_arrives_and_can_be_certified(robot: Robot, scene: Scene, locked:
     assert found.certificate == locked.certificate
     assert found.report == locked.report
     assert found.picked == locked.picked
-    again = hplan.certify(found.motion.task.robot, found.motion.task.scene, found.trajectory)
+    again = hplan.certify(found.motion.problem.robot, found.motion.problem.scene, found.trajectory)
     assert again == hplan.certify(robot, scene, locked.trajectory)
-    checker = found.motion.task.world.checker
+    checker = found.motion.problem.world.checker
     q = found.trajectory.position[10]
-    np.testing.assert_array_equal(checker.distances(q), locked.motion.task.world.checker.distances(q))
+    np.testing.assert_array_equal(checker.distances(q), locked.motion.problem.world.checker.distances(q))
 
 
 def test_a_tour_arrives(robot: Robot) -> None:
@@ -232,9 +232,3 @@ def test_a_planner_arrives_and_goes_on(robot: Robot, scene: Scene) -> None:
     found.move("ball", center=(1.0, 0.0, 1.95))
     planner.move("ball", center=(1.0, 0.0, 1.95))
     np.testing.assert_array_equal(found.replan().trajectory.position, planner.replan().trajectory.position)
-
-
-def test_results_hold_no_listener(robot: Robot, scene: Scene) -> None:
-    """Who listens to the progress of a plan is left where they are."""
-    result = hplan.plan(robot, scene, progress=lambda _: None)
-    assert by_pickle(result).motion.task.progress("stage") is None

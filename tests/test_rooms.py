@@ -27,6 +27,7 @@ ROOMS = (
     "optimization",
     "certificate",
     "planning",
+    "planar",
     "online",
     "tour",
     "study",

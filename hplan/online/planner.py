@@ -41,7 +41,6 @@ from hplan.planning.motion import Transit
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import check_task, plan_with
 from hplan.planning.result import PlanResult
-from hplan.planning.task import PlanningCache
 from hplan.robot.model import Robot
 from hplan.scene.fault import StrictModel
 from hplan.scene.limits import FARTHEST_M
@@ -95,7 +94,6 @@ class Planner:
 
     def _make_ready(self) -> None:
         """Begin with no memory of earlier plans and frames."""
-        self._cache = PlanningCache(self.robot)
         self._planning, self._changing, self._filtering = (renewed_in_children(RLock()) for _ in range(3))
         self._seen: dict[str, SeenPoints] = {}
         self._scratch = Scratch()
@@ -254,7 +252,7 @@ class Planner:
         begin = self._begin_of(begins_s, scene)
         self._check_clouds(scene, options, begins_s)
         self._check_known(scene)
-        found = plan_with(self._cache, scene if math.isnan(begin) else scene.since(begin), options, before=before)
+        found = plan_with(self.robot, scene if math.isnan(begin) else scene.since(begin), options, before=before)
         self.last = self._with_ages(replace(found, begins_s=begin), scene, begins_s)
         return self.last
 
@@ -283,7 +281,7 @@ class Planner:
         if self.last is None:
             raise InputError("there is no motion that could run: plan one first")
         self._is_told = True
-        return RunningMotion(self.last, self._cache, scene, options, now, measured)
+        return RunningMotion(self.last, scene, options, now, measured)
 
     @contextmanager
     def _turn(self, cancel: Cancel | None) -> Iterator[None]:
@@ -526,7 +524,7 @@ class Planner:
             self._check_clouds(scene, self.options, None)
             self._begin_of(None, scene)
             known = with_cloud(scene, UNSEEN, None)
-            path = plan_with(self._cache, known, self.options).trajectory.position
+            path = plan_with(self.robot, known, self.options).trajectory.position
             unseen = space.unknown(sweep(self.robot, path, space.edge), since_s)
             found = list[tuple[int, int]]()
             for number, view in enumerate(views):
@@ -549,7 +547,7 @@ class Planner:
                     there = scene.copy_unchecked({"goal": Goal(joints_rad=tuple(joints.tolist()))})
                     self._check_known(there)
                     try:
-                        motion = plan_with(self._cache, there, self.options)
+                        motion = plan_with(self.robot, there, self.options)
                     except (NotInTimeError, PlanCancelledError):
                         raise
                     except HplanError:

@@ -30,7 +30,7 @@ from hplan.planning.moving.obstacles_at import without_moving
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan_with
 from hplan.planning.result import PlanResult
-from hplan.planning.task import PlanningCache
+from hplan.planning.world import World
 from hplan.scene.model import Scene, Start
 from hplan.trajectory.trajectory import SAME_TIME, Phase, Retimed, Trajectory, joined, stopped
 
@@ -81,7 +81,6 @@ class RunningMotion:
     def __init__(
         self,
         plan: PlanResult,
-        cache: PlanningCache,
         scene: Scene,
         options: PlanOptions,
         now: float | None,
@@ -102,7 +101,7 @@ class RunningMotion:
         if math.isnan(plan.begins_s):
             raise InputError("it was not told when the motion began: plan(begins_s=), or began(at_s) afterwards")
         time, scene = plan.trajectory.time, scene.since(plan.begins_s)
-        self.plan, self._cache, self._scene, self._options = plan, cache, scene, options
+        self.plan, self._scene, self._options = plan, scene, options
         # Clocks of controllers are sums of small steps, and may be large numbers.
         self._same_s = SAME_TIME + 4.0 * math.ulp(plan.begins_s)
         self._now = 0.0 if now is None else self._since_begin("now", now, 0.0)
@@ -111,7 +110,7 @@ class RunningMotion:
         self.row = max(int(np.searchsorted(time, self._now + self._same_s, side="right")) - 1, 0)
         self.begins_s = float(time[self.row])
         still = without_moving(scene.since(self.begins_s)) if scene.moves else scene
-        self._world = cache.world(still, options)
+        self._world = World.of_scene(plan.robot, still, options)
         self._checker = checker_in_time(plan.robot, scene, options.sigmas) if scene.moves else self._world.checker
         # What it may touch are the fruits that were there when it was planned, not others of their names.
         self._contacts = tuple(each for each in plan.certificate.contacts if each.fruit in scene.fruits)
@@ -162,7 +161,7 @@ class RunningMotion:
         scene = self._scene.since(float(time[seam])).copy_unchecked({"start": _state_at(self.plan.trajectory, seam)})
         stop = stopped(self.plan.trajectory, float(time[seam]), self.plan.robot).trajectory
         try:
-            new = plan_with(self._cache, scene, self._options, stop=stop.since(seam))
+            new = plan_with(self.plan.robot, scene, self._options, stop=stop.since(seam))
         except UnavoidableContactError as error:
             raise self._blocked(error.reasons) from error
         return self._joined(seam, until, new)
@@ -242,9 +241,9 @@ class RunningMotion:
         trajectory = replace(trajectory, takes_over_s=0.0)
         certificate = replace(certificate, digests=Digests.of(self.plan.robot, scene, trajectory))
         transit = made.motion
-        task = replace(transit.task, scene=scene, options=self._options)
+        problem = replace(transit.problem, scene=scene, options=self._options)
         first = trajectory.until(int(np.searchsorted(trajectory.time, phases[0].end_s - SAME_TIME)))
-        motion = replace(transit, task=task, trajectory=first, certificate=certificate)
+        motion = replace(transit, problem=problem, trajectory=first, certificate=certificate)
         values = {name: getattr(made, name) for name in PlanResult.__dataclass_fields__}
         values |= {
             "trajectory": trajectory,

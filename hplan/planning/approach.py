@@ -23,7 +23,8 @@ from hplan.planning.motion import (
     time_problem,
     timed,
 )
-from hplan.planning.task import PlanningContext, PlanningTask
+from hplan.planning.problem import Problem
+from hplan.planning.stages import stage
 from hplan.planning.tool_paths import Tool, tool_of
 from hplan.robot.model import Robot
 from hplan.trajectory.trajectory import Trajectory
@@ -45,19 +46,19 @@ class Approach:
     """Approaches to a grasp: from rest, and non-stop ones that are in motion at the stand-off.
 
     Attributes:
-        context: The arm among its obstacles, and options.
+        problem: The arm in its world, the scene, options and budget.
     """
 
-    context: PlanningContext
+    problem: Problem
     target: Target
     grasp: Grasp
     _known: dict[float, Trajectory | None] = field(init=False, default_factory=dict)
     _shown: dict[int, Motion | None] = field(init=False, default_factory=dict)
 
     @cached_property
-    def touching(self) -> PlanningContext:
-        """The context in which the last link may touch the fruit (`hplan.certificate.goal_contact`)."""
-        return self.context.among(self.target.world_touching)
+    def touching(self) -> Problem:
+        """The problem in which the last link may touch the fruit (`hplan.certificate.goal_contact`)."""
+        return self.problem.among(self.target.world_touching)
 
     @cached_property
     def from_rest(self) -> Motion | None:
@@ -67,14 +68,14 @@ class Approach:
             TimingError: There is none within the limits.
             CertificationError: It is asked for, and something was not shown.
         """
-        path = self.grasp.path(self.context.robot, self.context.scene.locked_joints)
+        path = self.grasp.path(self.problem.robot, self.problem.scene.locked_joints)
         if path is None:
             return None
         return Motion("approach", *certified_trajectory(self.touching, path, self._contact_stretches))
 
     @property
     def _tool(self) -> Tool:
-        return tool_of(self.context.robot, self.context.scene.locked_joints, self.grasp.keeps_turn)
+        return tool_of(self.problem.robot, self.problem.scene.locked_joints, self.grasp.keeps_turn)
 
     @property
     def motions(self) -> tuple[Motion, ...]:
@@ -122,7 +123,7 @@ class Approach:
 
     def _non_stop(self, longer: float) -> Trajectory | None:
         """The approach of which the whole has a length [m]."""
-        grasp, robot = self.grasp, self.context.robot
+        grasp, robot = self.grasp, self.problem.robot
         if longer < grasp.distance + 1e-3:
             return None
         path = self._tool.path(grasp.goal, longer)
@@ -139,7 +140,7 @@ class Approach:
     def _contact_stretches(self, approach: Trajectory) -> list[Stretch]:
         """What an approach is certified among: the last link may touch the fruit while it moves straight."""
         fruit = self.target.fruit
-        contacts = () if fruit is None else goal_contacts(self.context.robot, approach, fruit, "approach")
+        contacts = () if fruit is None else goal_contacts(self.problem.robot, approach, fruit, "approach")
         return stretches(self.target.world.checker, approach.time, contacts)
 
 
@@ -154,7 +155,7 @@ def _off_line(robot: Robot, approach: Trajectory, grasp: Grasp) -> float:
 
 
 def blended(
-    task: PlanningTask, transit: _Transit, before: Approach | None, after: Approach | None
+    problem: Problem, transit: _Transit, before: Approach | None, after: Approach | None
 ) -> tuple[Motion | None, _Transit, Motion | None] | None:
     """The quickest motion without a stop at the stand-offs; None where the one with stops is as quick.
 
@@ -168,7 +169,7 @@ def blended(
     Raises:
         HplanError: As `Approach.from_rest`.
     """
-    if task.optimization is None or transit.trajectory.samples == 1:
+    if problem.optimization is None or transit.trajectory.samples == 1:
         return None
     sides = before, after
     at_rest = [None if side is None else side.from_rest for side in sides]
@@ -179,13 +180,13 @@ def blended(
     found: list[tuple[float, TimedSpline, list[Trajectory | None]]] = []
     number, step = 2, 0
     known: list[Trajectory | None] = []
-    for _ in range(task.effort.leads):
+    for _ in range(problem.effort.leads):
         check_deadline()
         approaches = [None if side is None else side.non_stop(LEADS[number]) for side in sides]
         if known and all(one is other for one, other in zip(known, approaches, strict=True)):
             break  # there is no more room beyond the stand-offs
         known = approaches
-        spline = _between(task, transit.trajectory, approaches)
+        spline = _between(problem, transit.trajectory, approaches)
         if spline is not None:
             pairs = zip(at_rest, approaches, strict=True)
             saved_s = sum(
@@ -197,7 +198,7 @@ def blended(
             found.append((total_s, spline, approaches))
             # Where the transit comes to last longer by more than half of what approach and retreat save, try less.
             step = step or (1 if limit_s - total_s > 0.5 * saved_s else -1)
-            if step > 0 and None in sides and task.effort.leads <= 2:
+            if step > 0 and None in sides and problem.effort.leads <= 2:
                 break  # with one stand-off there is little more to gain
         number += step or -1
         if number not in range(len(LEADS)):
@@ -205,14 +206,14 @@ def blended(
     for total_s, spline, approaches in reversed(found):  # the quickest first
         if total_s > limit_s:
             break
-        certified = _certified(task, transit, spline, [*zip(sides, approaches, strict=True)])
+        certified = _certified(problem, transit, spline, [*zip(sides, approaches, strict=True)])
         if certified is not None:
             return certified
     return None
 
 
 def _certified(
-    task: PlanningTask,
+    problem: Problem,
     transit: _Transit,
     spline: TimedSpline,
     sides: Sequence[tuple[Approach | None, Trajectory | None]],
@@ -223,8 +224,8 @@ def _certified(
         shown.append(None if side is None or approach is None else side.certified(approach))
         if shown[-1] is None and approach is not None:
             return None
-    trajectory = spline.trajectory(task.robot.dynamics, task.options.rate_hz)
-    certificate = certificate_of(task, trajectory, rest_to_rest=False)
+    trajectory = spline.trajectory(problem.robot.dynamics, problem.options.rate_hz)
+    certificate = certificate_of(problem, trajectory, rest_to_rest=False)
     if not certificate.verified:
         return None
     leaving, coming = shown
@@ -232,7 +233,7 @@ def _certified(
     return retreat, transit.made(trajectory, certificate, spline.path), coming
 
 
-def _between(task: PlanningTask, transit: Trajectory, approaches: Sequence[Trajectory | None]) -> TimedSpline | None:
+def _between(problem: Problem, transit: Trajectory, approaches: Sequence[Trajectory | None]) -> TimedSpline | None:
     """The fastest motion near a transit between non-stop approaches, at rest without one; None where none is found."""
     leaving, coming = approaches
     if leaving is None and coming is None:
@@ -242,5 +243,5 @@ def _between(task: PlanningTask, transit: Trajectory, approaches: Sequence[Traje
         first = BoundaryState.of_row(leaving.reversed, -1)
     if coming is not None:
         last = BoundaryState.of_row(coming, 0)
-    with task.stage("timing"):
-        return minimize_time(transit, time_problem(task, transit, (first, last)), task.effort.blended)
+    with stage("timing"):
+        return minimize_time(transit, time_problem(problem, transit, (first, last)), problem.effort.blended)

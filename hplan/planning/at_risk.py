@@ -30,8 +30,8 @@ from hplan.errors import (
     TimingError,
 )
 from hplan.planning.options import PlanOptions
+from hplan.planning.problem import MARGIN
 from hplan.planning.result import PlanResult
-from hplan.planning.task import MARGIN
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 from hplan.scene.obstacle_kind import largest_deviation

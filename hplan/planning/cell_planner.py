@@ -41,7 +41,7 @@ from hplan.planning.finishing.finish import finish
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
 from hplan.planning.result import PlanResult
-from hplan.planning.task import Progress, no_progress
+from hplan.planning.stages import Progress, no_progress
 from hplan.planning.timetable import SPARES, Timetable
 from hplan.planning.world import check_clear
 from hplan.scene.model import Goal, Scene

@@ -23,7 +23,7 @@ from hplan.optimization.interior_point import solve
 
 if TYPE_CHECKING:
     from hplan.base.arrays import FloatArray
-    from hplan.planning.task import PlanningTask
+    from hplan.planning.problem import Problem
 
 
 def is_first_run() -> bool:
@@ -62,11 +62,12 @@ def _start() -> subprocess.Popen[bytes] | None:
 
 def compile_from_postprocessing_on() -> None:
     """Optimise and certify a motion through the reference scene, and time its path."""
-    from hplan.planning.motion import Polyline, quickest
-    from hplan.planning.task import MARGIN
+    from hplan.planning.motion import quickest
+    from hplan.planning.path_finder import Path
+    from hplan.planning.problem import MARGIN
 
-    task, waypoints = _reference()
-    quickest(task, [Polyline(waypoints, "search")], MARGIN)
+    problem, waypoints = _reference()
+    quickest(problem, [Path(waypoints, "search")], MARGIN)
     compile_certificate()
 
 
@@ -75,14 +76,14 @@ def compile_certificate() -> None:
     from hplan.planning.motion import certificate_of, timed
     from hplan.trajectory.spline import SplinePath
 
-    task, waypoints = _reference()
-    certificate_of(task, timed(task, SplinePath.through(waypoints)))
+    problem, waypoints = _reference()
+    certificate_of(problem, timed(problem, SplinePath.through(waypoints)))
 
 
-def _reference() -> tuple[PlanningTask, FloatArray]:
+def _reference() -> tuple[Problem, FloatArray]:
     """Arm and scene of a first run, and waypoints past the ball."""
     from hplan.planning.options import PlanOptions
-    from hplan.planning.task import PlanningCache
+    from hplan.planning.problem import Problem
     from hplan.robot.model import load_robot
     from hplan.scene.file import load_scene
 
@@ -91,7 +92,7 @@ def _reference() -> tuple[PlanningTask, FloatArray]:
     waypoints = np.stack([start, start, goal, goal])
     # Elbow and wrist while the shoulder turns, on a path that avoids the ball of the reference scene [deg].
     waypoints[1:3, -2:] = np.radians((80.0, 80.0))
-    return PlanningCache(load_robot()).context(scene, PlanOptions()).task(start, goal), waypoints
+    return Problem.of(load_robot(), scene, PlanOptions()).between(start, goal), waypoints
 
 
 if __name__ == "__main__":

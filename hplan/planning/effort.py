@@ -1,10 +1,13 @@
-"""What may be spent on a motion, by the option `effort`: one table for planar arms, one for all others."""
+"""Search and optimization budgets of the effort presets."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from typing import Self
 
+from hplan.base.extensions import load_extensions
 from hplan.optimization.minimize_time import Effort as OptimizerEffort
 from hplan.optimization.minimize_time import Level
 from hplan.optimization.several_starts import StartsEffort
@@ -12,51 +15,31 @@ from hplan.planning.options import EffortName, PlanOptions
 from hplan.planning.sampling.several_trees import TreesEffort
 from hplan.robot.model import Robot
 
-
-@dataclass(frozen=True)
-class GridAttempt:
-    """A grid: how fine and wide the grid is, and how obstacles are mapped into it.
-
-    Attributes:
-        step_factor: Largest spacing of the grid as a multiple of the option `step_deg`.
-        yaw_range_deg: How far the base may turn beyond start and goal; used where it turns [deg].
-        growth_m: Growth of obstacles in the C-space [m].
-    """
-
-    step_factor: float = 1.0
-    yaw_range_deg: float = 0.0
-    growth_m: float = 0.0
-
-
-#: Trees before goals are refused that have a grid as well; and none at all.
-_LONG, NO_TREES = TreesEffort(2, 60_000), TreesEffort(0, 0)
+#: Long trees before a goal is refused, for robots that also have a grid; and none.
+LONG_TREES, NO_TREES = TreesEffort(2, 60_000), TreesEffort(0, 0)
 
 
 @dataclass(frozen=True)
 class Effort:
-    """What may be spent on a motion.
+    """Search and optimization budget of a motion.
 
     Attributes:
-        trees: Pairs of trees that look for paths.
-        planar: Those that look for other paths where the base is locked and a grid has been searched; None for none.
-        grids: Coarse grids where the base is locked and a fine one has too many nodes to be searched first.
-        close: With a motion of the first pair of trees that takes no more than so many times the least duration no
-            others grow; nor is one that came at once improved.
-        starts: Optimisation of path and timing together; None for none.
-        leads: So many approaches that do not begin at rest are tried.
-        blended: Optimisation of a transit that ends in motion.
-        begun: Optimisation of a motion that begins in motion.
-        pose_goals: To so many of the configurations with a frame at a pose motions are looked for, the nearest ones.
-        compared: Motions by trees to so many goals are compared; the first that is found is taken where it is one.
-        long: Trees that grow before goals are refused, beyond `trees`; none where there are no pairs of them.
-        floods: Most nodes of grids that are flooded to show that there is no path; 0 for none.
-        at_once: Whether the first motion is to come as soon as can be: by what finds most motions in a few
-            milliseconds, to a few grasps, without regard to how quick it is. A quicker one near it follows.
+        trees: Pairs of trees that search for paths.
+        close: A motion within this multiple of the lower bound on its duration ends the search.
+        starts: Optimization of path and timing together; None for none.
+        leads: Maximum number of approaches that do not begin at rest.
+        blended: Optimization of a transit that ends in motion.
+        begun: Optimization of a motion that begins in motion.
+        pose_goals: Maximum number of configurations at a pose that serve as goals, the nearest first.
+        compared: Number of goals to which motions by trees are compared; with 1 the first motion found is taken.
+        long: Longer trees before a goal is refused, beyond `trees`; `NO_TREES` for none.
+        long_stops_early: True if long trees stop as soon as a motion within `FAR` of the lower bound is found.
+        proof_nodes: Maximum number of grid nodes that a proof of infeasibility may visit; 0 for no proofs.
+        at_once: True if the first motion is wanted as soon as possible: with the cheapest search, to few grasps, and
+            however slow it is. A faster one near it follows.
     """
 
     trees: TreesEffort
-    planar: TreesEffort | None
-    grids: tuple[GridAttempt, ...]
     close: float
     starts: StartsEffort | None
     leads: int
@@ -64,139 +47,120 @@ class Effort:
     begun: OptimizerEffort
     pose_goals: int
     compared: int = 1
-    long: TreesEffort = _LONG
-    floods: float = math.inf
+    long: TreesEffort = LONG_TREES
+    long_stops_early: bool = True
+    proof_nodes: float = 0.0
     at_once: bool = False
 
+    def seeded(self, seed: int) -> Self:
+        """The effort with other random seeds."""
+        long = replace(self.long, seed=seed + self.long.seed)
+        return replace(self, trees=replace(self.trees, seed=seed), long=long)
 
-#: A motion that takes no more than so many times the least duration is close to the fastest.
+
+#: A motion within this multiple of the lower bound on its duration is close to the fastest.
 CLOSE = 1.15
 
-#: One that takes more than so many times that may well lead past obstacles on a side that is not the best.
+#: A motion beyond this multiple may well pass obstacles on the wrong side.
 FAR = 1.3
 
-#: Seeds of trees that follow one another: as many as the seeds of two plans are apart.
+#: Distance between the tree seeds of two plans whose option `seed` differs by one.
 _SEEDS = 1000
 
-_COARSE = Level(piece_s=0.08, pieces=(20, 40), steps=20, gain=2e-3, trust=0.2)
-_LAST = Level(piece_s=0.03, pieces=(50, 120), steps=6, gain=5e-3, trust=0.05)
-_GRIDS = (GridAttempt(2.0, growth_m=0.02), GridAttempt(2.0, growth_m=5e-3), GridAttempt(3.0, growth_m=0.01))
-_FINE = OptimizerEffort((Level(piece_s=0.03, pieces=(50, 120), steps=12, gain=0.02, trust=0.2),))
-_FINEST = OptimizerEffort((Level(piece_s=0.012, pieces=(60, 300), steps=20, gain=1e-4, trust=0.2),))
+#: Levels of the optimizer: few segments first, as many as samples at last.
+COARSE = Level(piece_s=0.08, pieces=(20, 40), steps=20, gain=2e-3, trust=0.2)
+LAST = Level(piece_s=0.03, pieces=(50, 120), steps=6, gain=5e-3, trust=0.05)
+FINE = OptimizerEffort((Level(piece_s=0.03, pieces=(50, 120), steps=12, gain=0.02, trust=0.2),))
+FINEST = OptimizerEffort((Level(piece_s=0.012, pieces=(60, 300), steps=20, gain=1e-4, trust=0.2),))
+QUICK_START = OptimizerEffort((Level(piece_s=0.05, pieces=(24, 60), steps=8, gain=0.05, trust=0.2),))
 
 
-def _near_one(*levels: Level) -> StartsEffort:
-    """Optimisation near one path."""
+def near_one(*levels: Level) -> StartsEffort:
+    """Optimization near a single path."""
     return StartsEffort(OptimizerEffort(levels), rough=1, others=0, finished=1)
 
 
-#: A motion that came at once is made quicker with few pieces, by long steps.
-_AT_ONCE = _near_one(replace(_COARSE, steps=8, gain=0.02, trust=1.0, enough=0.02))
+#: A first motion is improved with few segments and long steps.
+_AT_ONCE = near_one(replace(COARSE, steps=8, gain=0.02, trust=1.0, enough=0.02))
 
-#: Of 400 random scenes of a UR5 and an iiwa twelve had a path that the first trees had missed. Others took 2,400 to
-#: 60,000 looks, and of two pairs one found eleven of them within this many: a goal is refused after about a second.
+#: Of 400 random scenes of a UR5 and an iiwa, twelve had a path that the first trees had missed. Other pairs needed
+#: 2,400 to 60,000 distance queries, and one of two pairs found eleven of the twelve within this many: a goal is refused
+#: after about a second.
 _WITHIN_A_SECOND = TreesEffort(2, 45_000)
 
-#: Of planar arms.
+#: The presets of all robots for which no others are registered.
 EFFORTS: dict[EffortName, Effort] = {
     "quick": Effort(
-        trees=TreesEffort(1, 4_000),
-        planar=None,
-        grids=(),
+        trees=TreesEffort(1, 6_000),
         close=math.inf,
-        starts=_near_one(replace(_COARSE, gain=0.01, trust=0.4), replace(_LAST, steps=2)),
+        starts=near_one(
+            replace(COARSE, gain=0.15, trust=0.8, enough=0.05),
+        ),
         leads=0,
-        blended=_FINE,
-        begun=OptimizerEffort((Level(piece_s=0.05, pieces=(24, 60), steps=8, gain=0.05, trust=0.2),)),
+        blended=FINE,
+        begun=QUICK_START,
         pose_goals=4,
+        long=_WITHIN_A_SECOND,
     ),
     "default": Effort(
-        trees=TreesEffort(8, 4_000),
-        planar=TreesEffort(2, 1_000),
-        grids=_GRIDS,
-        close=1.04,
-        starts=StartsEffort(OptimizerEffort((_COARSE, _LAST)), rough=8, others=4, finished=1),
-        leads=2,
-        blended=_FINE,
-        begun=_FINE,
-        pose_goals=8,
-    ),
-    "best": Effort(
-        trees=TreesEffort(16, 4_000),
-        planar=TreesEffort(16, 4_000),
-        grids=_GRIDS,
-        close=1.005,
-        starts=StartsEffort(OptimizerEffort((_COARSE, *_FINEST.levels)), rough=8, others=4, finished=2),
-        leads=4,
-        blended=_FINEST,
-        begun=_FINEST,
-        pose_goals=16,
-        compared=6,
-    ),
-}
-
-#: Of general (non-planar) arms: they have more joints, no grids and no floods.
-EFFORTS_OF_BODIES: dict[EffortName, Effort] = {
-    "quick": replace(
-        EFFORTS["quick"],
-        trees=TreesEffort(1, 6_000),
-        long=_WITHIN_A_SECOND,
-        floods=0.0,
-        starts=_near_one(replace(_COARSE, gain=0.15, trust=0.8, enough=0.05)),
-    ),
-    "default": replace(
-        EFFORTS["default"],
         trees=TreesEffort(2, 6_000),
-        long=_WITHIN_A_SECOND,
-        planar=None,
-        grids=(),
-        floods=0.0,
         close=CLOSE,
         starts=StartsEffort(
             OptimizerEffort(
                 (
-                    replace(_COARSE, gain=0.02, trust=0.6, enough=7e-3),
-                    replace(_LAST, steps=3, trust=0.2, enough=2e-3),
+                    replace(COARSE, gain=0.02, trust=0.6, enough=7e-3),
+                    replace(LAST, steps=3, trust=0.2, enough=2e-3),
                 )
             ),
             rough=2,
             others=0,
             finished=1,
         ),
+        leads=2,
+        blended=FINE,
+        begun=FINE,
+        pose_goals=8,
+        long=_WITHIN_A_SECOND,
     ),
-    "best": replace(
-        EFFORTS["best"],
+    "best": Effort(
         trees=TreesEffort(8, 12_000),
+        close=1.005,
+        starts=StartsEffort(OptimizerEffort((COARSE, *FINEST.levels)), rough=8, others=4, finished=2),
+        leads=4,
+        blended=FINEST,
+        begun=FINEST,
+        pose_goals=16,
+        compared=6,
         long=TreesEffort(3, 60_000, seed=8),
-        planar=None,
-        grids=(),
-        floods=0.0,
     ),
 }
 
 
+_PRESETS: list[tuple[Callable[[Robot], bool], Mapping[EffortName, Effort]]] = []
+
+
+def register_presets(recognizes: Callable[[Robot], bool], presets: Mapping[EffortName, Effort]) -> None:
+    """Use other presets for the robots that a function recognizes."""
+    _PRESETS.append((recognizes, presets))
+
+
 def effort_named(robot: Robot, name: EffortName) -> Effort:
-    """What may be spent on motions of a robot."""
-    return (EFFORTS if robot.planar is not None else EFFORTS_OF_BODIES)[name]
+    """The preset of a robot by its name."""
+    load_extensions()
+    return next((presets for recognizes, presets in _PRESETS if recognizes(robot)), EFFORTS)[name]
 
 
 def efforts_of(robot: Robot, options: PlanOptions) -> tuple[Effort, ...]:
-    """What may be spent on motions, one after the other, the last one what the options ask for.
+    """The budgets of successive searches, the last one what the options request.
 
-    With a deadline a first motion comes at once. More starts of an optimiser need not lead to all that fewer lead to,
-    so that what `default` finds counts for `best` too.
+    With a deadline a first motion comes at once. An optimizer with more starts need not find everything that one with
+    fewer starts finds, so `best` includes `default`.
     """
-    asked, quick = effort_named(robot, options.effort), effort_named(robot, "quick")
-    first = replace(asked, starts=_AT_ONCE, begun=quick.begun, long=NO_TREES, floods=0.0, at_once=True)
+    requested, quick = effort_named(robot, options.effort), effort_named(robot, "quick")
+    first = replace(requested, starts=_AT_ONCE, begun=quick.begun, long=NO_TREES, proof_nodes=0.0, at_once=True)
     efforts = (
         *((first,) if options.deadline_s is not None else ()),
         *((effort_named(robot, "default"),) if options.effort == "best" else ()),
-        asked,
+        requested,
     )
-    return efforts if options.seed == 0 else tuple(_seeded(effort, _SEEDS * options.seed) for effort in efforts)
-
-
-def _seeded(effort: Effort, seed: int) -> Effort:
-    planar = None if effort.planar is None else replace(effort.planar, seed=seed)
-    long = replace(effort.long, seed=seed + effort.long.seed)
-    return replace(effort, trees=replace(effort.trees, seed=seed), planar=planar, long=long)
+    return efforts if options.seed == 0 else tuple(effort.seeded(_SEEDS * options.seed) for effort in efforts)

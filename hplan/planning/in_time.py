@@ -19,7 +19,7 @@ import numpy as np
 from hplan.certificate.certificate import Certificate, certify
 from hplan.certificate.start_state import start_state
 from hplan.errors import HplanError, MovingObstacleError, ObstacleInTimeError, TimingError
-from hplan.planning.motion import Motion, Plan, last
+from hplan.planning.motion import Motion, Plan, best_of
 from hplan.planning.moving.obstacles_at import among_poses, without_moving
 from hplan.planning.moving.path_in_time import MovingField, PathInTime
 from hplan.planning.moving.schedule import STEP_S, earliest_schedule, room_to_change
@@ -70,7 +70,7 @@ def stopping_first(robot: Robot, scene: Scene, options: PlanOptions, plans_of: P
     """A stop and a plan from its end, where what moves is as it is then; None where it is not verified as a whole."""
     stop_s = stop.trajectory.duration
     rest = Start(joints_rad=tuple(stop.trajectory.position[-1].tolist()))
-    plan = last(plans_of(scene.since(stop_s).copy_unchecked({"start": rest})))
+    plan = best_of(plans_of(scene.since(stop_s).copy_unchecked({"start": rest})))
     later, trajectory, _ = plan.whole
     first, *others = (phase.later(stop_s) for phase in later)
     phases = (replace(first, start_s=0.0), *others)
@@ -128,7 +128,7 @@ class _Search:
         for path, among in self._scenes():
             try:
                 stills = self._plans_of(among)
-                for still in stills if self._options.deadline_s is not None else [last(stills)]:
+                for still in stills if self._options.deadline_s is not None else [best_of(stills)]:
                     plan = self._past(path, still)
                     if plan is not None and plan.duration < self.best_s - 1e-9:
                         self.best_s = plan.duration
@@ -206,7 +206,7 @@ def _run(
     plan: Plan, scene: Scene, run: tuple[tuple[Phase, ...], Trajectory, Certificate], told: Mapping[str, Any]
 ) -> Plan:
     """A plan as it is run in a scene in which something moves."""
-    transit = replace(plan.transit, task=replace(plan.transit.task, scene=scene))
+    transit = replace(plan.transit, problem=replace(plan.transit.problem, scene=scene))
     return replace(plan, transit=transit, run=run, told={**told, "clear_until_s": run[2].clear_until_s})
 
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import Any, Literal, NamedTuple, Self, TypeAlias, TypeVar
+from typing import Any, Self, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -22,16 +22,13 @@ from hplan.optimization.smooth_path import clear_path, is_straight, near_field, 
 from hplan.optimization.time_problem import TimeProblem
 from hplan.optimization.timed_spline import BoundaryState
 from hplan.planning.grasps import Grasp
-from hplan.planning.grid_route import Route
-from hplan.planning.task import PlanningContext, PlanningTask
+from hplan.planning.path_finder import GridSearch, Origin, Path
+from hplan.planning.problem import Problem
+from hplan.planning.stages import stage
 from hplan.robot.limits import GeometricPath, Limits
 from hplan.trajectory.retime import time_path
 from hplan.trajectory.spline import SplinePath
 from hplan.trajectory.trajectory import Phase, Trajectory, joined
-
-#: Where a path comes from: there is none, as start and goal are the same; it is straight, found by trees or on a grid,
-#: that of an earlier motion, repaired, or as it was, or it was given.
-Origin: TypeAlias = Literal["none", "direct", "trees", "search", "mended", "kept", "given"]
 
 _T = TypeVar("_T")
 _Whole: TypeAlias = tuple[tuple[Phase, ...], Trajectory, Certificate]
@@ -67,14 +64,14 @@ class Transit(Motion):
     Attributes:
         waypoints: (m, dof) the polyline before post-processing.
         path: The smooth path; None for an empty motion. Of a motion optimised with its timing the parameter is time.
-        route: The path over the grid; None where none was needed.
+        search: The grid search that found the polyline; None for none.
     """
 
-    task: PlanningTask
+    problem: Problem
     waypoints: FloatArray
     path: SplinePath | None
     origin: Origin
-    route: Route | None = None
+    search: GridSearch | None = None
 
     def made(self, trajectory: Trajectory, certificate: Certificate, path: SplinePath | None) -> Self:
         """The transit with another trajectory near the same waypoints, along a path."""
@@ -115,21 +112,8 @@ class Plan(Record):
         return in_sequence(self.motions) if self.run is None else self.run
 
 
-class Polyline(NamedTuple):
-    """A clear path of straight motions.
-
-    Attributes:
-        waypoints: (m, dof) its waypoints.
-        route: The path over a grid that it is; None for none.
-    """
-
-    waypoints: FloatArray
-    origin: Origin
-    route: Route | None = None
-
-
-def last(found: Iterable[_T]) -> _T:
-    """The last of ever better ones, of which there is one at least."""
+def best_of(found: Iterable[_T]) -> _T:
+    """The last item of an anytime search, which has at least one."""
     *_, best = found
     return best
 
@@ -147,7 +131,7 @@ def in_sequence(motions: Sequence[Motion], begin_s: float = 0.0) -> _Whole:
 
 
 def quickest(
-    task: PlanningTask, polylines: Sequence[Polyline], margin: float, *, quicker_than_s: float = math.inf
+    problem: Problem, polylines: Sequence[Path], margin: float, *, quicker_than_s: float = math.inf
 ) -> Transit:
     """The quickest certified motion near some polylines.
 
@@ -162,14 +146,14 @@ def quickest(
         CertificationError: There is none, or none can be certified; that of the first polyline.
         TimingError: It cannot be timed.
     """
-    effort = task.optimization
-    optimized = None if effort is None else _optimized(task, polylines, margin, effort, quicker_than_s)
+    effort = problem.optimization
+    optimized = None if effort is None else _optimized(problem, polylines, margin, effort, quicker_than_s)
     if optimized is not None:
         return optimized
     failures: list[CertificationError | TimingError] = []
     for polyline in polylines if effort is None or math.isinf(quicker_than_s) else ():
         try:
-            found = last(improving(along(task, polyline, margin)))
+            found = best_of(improve(motion_along(problem, polyline, margin)))
         except (CertificationError, TimingError) as error:
             failures.append(error.with_traceback(None))
         else:
@@ -177,21 +161,21 @@ def quickest(
     raise failures[0] if failures else CertificationError("no motion is quicker than the one that is known")
 
 
-def along(task: PlanningTask, polyline: Polyline, margin: float) -> Transit:
+def motion_along(problem: Problem, polyline: Path, margin: float) -> Transit:
     """The certified motion along the first smooth path near a polyline that is verified collision-free.
 
     Raises:
         CertificationError: There is none, or none can be certified.
         TimingError: It cannot be timed.
     """
-    options = smoothing_options(task, margin)
-    with task.stage("postprocess"):
-        smooth_path = short_path if task.options.objective == "length" else clear_path
-        path = smooth_path(polyline.waypoints, task.field, options)
-    return _transit(task, polyline, path, *certified_trajectory(task, path))
+    options = smoothing_options(problem, margin)
+    with stage("postprocess"):
+        smooth_path = short_path if problem.options.objective == "length" else clear_path
+        path = smooth_path(polyline.waypoints, problem.field, options)
+    return _transit(problem, polyline, path, *certified_trajectory(problem, path))
 
 
-def improving(motion: Transit, upright: Chain | None = None) -> Iterator[Transit]:
+def improve(motion: Transit, upright: Chain | None = None) -> Iterator[Transit]:
     """A motion and a quicker one near it, if there is one; both are certified.
 
     It is the only one where a short path is asked for, it is straight, or close enough to the fastest where a motion
@@ -201,36 +185,40 @@ def improving(motion: Transit, upright: Chain | None = None) -> Iterator[Transit
         upright: What the tool of the quicker one stays, wherever the optimiser looks; None where it may lean.
     """
     yield motion
-    task, effort, start = motion.task, motion.task.optimization, motion.trajectory
+    problem, effort, start = motion.problem, motion.problem.optimization, motion.trajectory
     if (
         effort is None
-        or (task.effort.at_once and start.duration <= task.effort.close * task.least_duration)
+        or (problem.effort.at_once and start.duration <= problem.effort.close * problem.least_duration)
         or start.samples == 1
-        or (upright is None and is_straight(motion.waypoints, task.field, smoothing_options(task, task.margin())))
+        or (
+            upright is None and is_straight(motion.waypoints, problem.field, smoothing_options(problem, problem.margin))
+        )
     ):
         return
-    with task.stage("timing"):
-        problem = replace(time_problem(task, start), upright=upright)
-        spline = minimize_time(start, problem, effort.optimization)
+    with stage("timing"):
+        program = replace(time_problem(problem, start), upright=upright)
+        spline = minimize_time(start, program, effort.optimization)
     if spline is not None and spline.duration < start.duration:
-        quicker = spline.trajectory(problem.dynamics, problem.rate_hz)
-        certificate = certificate_of(task, quicker)
+        quicker = spline.trajectory(program.dynamics, program.rate_hz)
+        certificate = certificate_of(problem, quicker)
         if certificate.verified:
             yield motion.made(quicker, certificate, spline.path)
 
 
 def _transit(
-    task: PlanningTask, polyline: Polyline, path: SplinePath, trajectory: Trajectory, certificate: Certificate
+    problem: Problem, polyline: Path, path: SplinePath, trajectory: Trajectory, certificate: Certificate
 ) -> Transit:
-    return Transit("transit", trajectory, certificate, task, polyline.waypoints, path, polyline.origin, polyline.route)
+    return Transit(
+        "transit", trajectory, certificate, problem, polyline.waypoints, path, polyline.origin, polyline.search
+    )
 
 
-def smoothing_options(task: PlanningTask, margin: float) -> PostprocessOptions:
-    """Options of post-processing for a task, with a clearance beyond the one to keep [m]."""
-    robot, problem = task.robot, task.problem
+def smoothing_options(problem: Problem, margin: float) -> PostprocessOptions:
+    """Options of post-processing for a problem, with a clearance beyond the one to keep [m]."""
+    robot = problem.robot
     return PostprocessOptions(
-        lower=problem.lower,
-        upper=problem.upper,
+        lower=problem.lower[0],
+        upper=problem.upper[0],
         velocity=robot.velocity_limit,
         acceleration=robot.acceleration_limit,
         movable=problem.movable,
@@ -238,16 +226,16 @@ def smoothing_options(task: PlanningTask, margin: float) -> PostprocessOptions:
     )
 
 
-def sway_of(context: PlanningContext) -> FloatArray | None:
+def sway_of(problem: Problem) -> FloatArray | None:
     """(moving bodies, dof) what each sways by for a unit of each joint's speed [m s/rad]; None if it does not."""
-    delay_s = context.options.tracking.delay_s
+    delay_s = problem.options.tracking.delay_s
     if delay_s == 0.0:
         return None
-    return frozen(delay_s * context.field.reaches)
+    return frozen(delay_s * problem.field.reaches)
 
 
 def time_problem(
-    task: PlanningTask, motion: Trajectory, ends: tuple[BoundaryState, BoundaryState] | None = None
+    problem: Problem, motion: Trajectory, ends: tuple[BoundaryState, BoundaryState] | None = None
 ) -> TimeProblem:
     """What the fastest motion near a given one has to keep.
 
@@ -256,41 +244,44 @@ def time_problem(
     """
     along = motion.position[np.linspace(0, motion.samples - 1, 33).astype(int)]
     return TimeProblem(
-        task.field, near_field(along, task.field, NEAR), smoothing_options(task, task.margin()),
-        motion_limits(task), task.robot.dynamics, task.options.rate_hz, ends, sway_of(task),
+        problem.field, near_field(along, problem.field, NEAR), smoothing_options(problem, problem.margin),
+        motion_limits(problem), problem.robot.dynamics, problem.options.rate_hz, ends, sway_of(problem),
     )  # fmt: skip
 
 
 def _optimized(
-    task: PlanningTask, polylines: Sequence[Polyline], margin: float, effort: StartsEffort, quicker_than_s: float
+    problem: Problem, polylines: Sequence[Path], margin: float, effort: StartsEffort, quicker_than_s: float
 ) -> Transit | None:
     """The quickest motion near some polylines that was optimised with its timing and is certified.
 
     None where the straight one is as good, or none was found.
     """
-    if not task.problem.turns and len(polylines) > 4:  # where the base is locked a rough motion costs little
-        effort = replace(effort, rough=max(effort.rough, 6), others=max(effort.others, 4))
-    processing, paths = smoothing_options(task, margin), [polyline.waypoints for polyline in polylines]
-    limits, dynamics, sway, rate_hz = motion_limits(task), task.robot.dynamics, sway_of(task), task.options.rate_hz
-    if sway is None and is_straight(paths[0], task.field, processing):
+    processing, paths = smoothing_options(problem, margin), [polyline.waypoints for polyline in polylines]
+    limits, dynamics, sway, rate_hz = (
+        motion_limits(problem),
+        problem.robot.dynamics,
+        sway_of(problem),
+        problem.options.rate_hz,
+    )
+    if sway is None and is_straight(paths[0], problem.field, processing):
         return None
     # Where tracking errors grow with speed, room is made for so many times as much, until a motion is certified.
     for room in [None] if sway is None else [times * sway for times in (1.0, 1.6, 2.5)]:
-        with task.stage("postprocess"):
-            problem = TimeProblem(task.field, task.field, processing, limits, dynamics, rate_hz, sway=room)
-            starts = optimization_starts(paths, problem)
-        with task.stage("timing"):
+        with stage("postprocess"):
+            program = TimeProblem(problem.field, problem.field, processing, limits, dynamics, rate_hz, sway=room)
+            starts = optimization_starts(paths, program)
+        with stage("timing"):
             motions = fastest_motions(starts, effort, quicker_than_s=quicker_than_s)
         for number, motion in motions:
             trajectory = motion.trajectory(dynamics, rate_hz)
-            certificate = certificate_of(task, trajectory)
+            certificate = certificate_of(problem, trajectory)
             if certificate.verified:
-                return _transit(task, polylines[number], motion.path, trajectory, certificate)
+                return _transit(problem, polylines[number], motion.path, trajectory, certificate)
     return None
 
 
 def certified_trajectory(
-    context: PlanningContext,
+    problem: Problem,
     path: GeometricPath,
     among: Callable[[Trajectory], Sequence[Stretch]] | None = None,
     grid: FloatArray | None = None,
@@ -307,29 +298,29 @@ def certified_trajectory(
         TimingError: There is none within the limits.
         CertificationError: It is asked for, and something was not shown.
     """
-    limits, largest = motion_limits(context), np.empty(0)
+    limits, largest = motion_limits(problem), np.empty(0)
     # A motion on a given path is run at these fractions of its own speed, tried in turn until one is certified.
     speeds = (1.0, 0.7, 0.5, 0.35, 0.25, 0.17, 0.12, 0.08, 0.05, 0.03)
-    for speed in speeds if context.options.tracking.delay_s > 0.0 else speeds[:1]:
+    for speed in speeds if problem.options.tracking.delay_s > 0.0 else speeds[:1]:
         if speed < 1.0:
             limits = replace(limits, velocity=np.minimum(limits.velocity, np.maximum(speed * largest, 1e-3)))
-        trajectory = timed(context, path, limits, grid)
+        trajectory = timed(problem, path, limits, grid)
         largest = np.abs(trajectory.velocity).max(axis=0) if speed == 1.0 else largest
-        certificate = certificate_of(context, trajectory, None if among is None else among(trajectory))
+        certificate = certificate_of(problem, trajectory, None if among is None else among(trajectory))
         if certificate.verified:
             break
-    return trajectory, required(context, certificate)
+    return trajectory, require_certificate(problem, certificate)
 
 
-def motion_limits(context: PlanningContext) -> Limits:
+def motion_limits(problem: Problem) -> Limits:
     """What motions of a context may use of the robot's limits."""
-    robot = context.robot
+    robot = problem.robot
     limits = Limits(robot.velocity_limit, robot.acceleration_limit, robot.torque_limit, robot.jerk_limit)
-    return limits.scaled(context.options.speed)
+    return limits.scaled(problem.options.speed)
 
 
 def timed(
-    context: PlanningContext, path: GeometricPath, limits: Limits | None = None, grid: FloatArray | None = None
+    problem: Problem, path: GeometricPath, limits: Limits | None = None, grid: FloatArray | None = None
 ) -> Trajectory:
     """The fastest trajectory along a path.
 
@@ -340,13 +331,13 @@ def timed(
     Raises:
         TimingError: There is none.
     """
-    limits, rate_hz = motion_limits(context) if limits is None else limits, context.options.rate_hz
-    with context.stage("timing"):
-        return time_path(path, context.robot.dynamics, limits, rate_hz=rate_hz, grid=grid)
+    limits, rate_hz = motion_limits(problem) if limits is None else limits, problem.options.rate_hz
+    with stage("timing"):
+        return time_path(path, problem.robot.dynamics, limits, rate_hz=rate_hz, grid=grid)
 
 
 def certificate_of(
-    context: PlanningContext,
+    problem: Problem,
     trajectory: Trajectory,
     among: Sequence[Stretch] | None = None,
     *,
@@ -358,25 +349,25 @@ def certificate_of(
         among: The obstacles that it is certified among, stretch by stretch; those of the context where this is None.
         rest_to_rest: Whether it has to begin and end at rest.
     """
-    options = context.options
-    with context.stage("certificate"):
+    options = problem.options
+    with stage("certificate"):
         return certify_among(
-            context.robot,
+            problem.robot,
             trajectory,
-            stretches(context.world.checker, trajectory.time, ()) if among is None else among,
-            clearance=context.scene.clearance,
+            stretches(problem.world.checker, trajectory.time, ()) if among is None else among,
+            clearance=problem.scene.clearance,
             tracking=options.certified_tracking,
             rest_to_rest=rest_to_rest,
         )
 
 
-def required(context: PlanningContext, certificate: Certificate) -> Certificate:
+def require_certificate(problem: Problem, certificate: Certificate) -> Certificate:
     """The certificate as it is.
 
     Raises:
         CertificationError: The options ask for one, and something was not shown.
     """
-    if context.options.certify and not certificate.verified:
+    if problem.options.certify and not certificate.verified:
         raise CertificationError(
             f"the motion is not certified: {'; '.join(certificate.violations)}",
             violations=list(certificate.violations),

@@ -16,13 +16,13 @@ from hplan.collision.giving_way import check_yield_links
 from hplan.errors import CertificationError, HplanError, MovingObstacleError, NoPathError, OptionError, TimingError
 from hplan.planning.at_risk import plan_at_risk
 from hplan.planning.in_time import plans_in_time
-from hplan.planning.motion import Plan, Transit, last, motion_limits, seconds
+from hplan.planning.motion import Plan, Transit, best_of, motion_limits, seconds
 from hplan.planning.options import PlanOptions
 from hplan.planning.plans import plans
+from hplan.planning.problem import Problem
 from hplan.planning.report import deadline_report
 from hplan.planning.result import PlanResult, bounded_phases
-from hplan.planning.stages import StageClock
-from hplan.planning.task import LastWorld, PlanningCache, Progress, no_progress
+from hplan.planning.stages import Progress, current_clock, no_progress, stage, stage_clock
 from hplan.robot.model import Robot
 from hplan.robot.tracking import largest_fraction, name_margin
 from hplan.scene.model import Scene, checked_scene
@@ -72,10 +72,9 @@ def plan(
     """
     check_task(robot, scene, options, progress, takes_risk=True)
     options = PlanOptions() if options is None else options
-    cache = PlanningCache(robot, LastWorld.of(robot))
 
     def planned(options: PlanOptions) -> PlanResult:
-        return plan_with(cache, scene, options, progress=progress)
+        return plan_with(robot, scene, options, progress=progress)
 
     with time_limit(options.deadline_s, cancel) as limit:
         if options.risk is None:
@@ -111,7 +110,7 @@ def check_task(
 
 
 def plan_with(
-    cache: PlanningCache,
+    robot: Robot,
     scene: Scene,
     options: PlanOptions,
     *,
@@ -119,7 +118,7 @@ def plan_with(
     before: Transit | None = None,
     stop: Trajectory | None = None,
 ) -> PlanResult:
-    """As `plan`, with what earlier plans of the same robot have left.
+    """Plan as `plan` does, with an earlier motion to reuse and a stop to try.
 
     The deadline counts from the beginning of the limit of time that this is called in, or else from this call.
 
@@ -131,44 +130,38 @@ def plan_with(
     Raises:
         HplanError: As `plan`.
     """
-    clock = StageClock()
     try:
-        with time_limit(options.deadline_s) as limit:
+        with stage_clock(progress) as clock, time_limit(options.deadline_s) as limit:
             try:
-                found = _plans(cache, scene, options, progress, clock, before, stop)
-                return plan_result(last(found)) if options.deadline_s is None else _last_in_time(found, limit)
+                found = _plans(robot, scene, options, before, stop)
+                return plan_result(best_of(found)) if options.deadline_s is None else _last_in_time(found, limit)
             except TimeIsUpError:
-                raise limit.error(["motions past what moves"] if scene.moves else clock.told()) from None
+                raise limit.error(["motions past moving obstacles"] if scene.moves else clock.describe()) from None
     except (NoPathError, TimingError, CertificationError) as error:
         if not options.tracking.is_exact and options.deadline_s is None:
-            fraction = _fraction_with_room(cache, scene, options)
-            name_margin(
-                error, options.tracking, cache.robot.slides, fraction, "the motion found without one has room for"
-            )
+            fraction = _fraction_with_room(robot, scene, options)
+            name_margin(error, options.tracking, robot.slides, fraction, "the motion found without one has room for")
         raise
 
 
 def _plans(
-    cache: PlanningCache, scene: Scene, options: PlanOptions, progress: Progress, clock: StageClock,
-    before: Transit | None, stop: Trajectory | None,
-) -> Iterator[Plan]:  # fmt: skip
-    """Ever quicker plans of a scene; where nothing moves the world is made ready before this returns."""
-    robot = cache.robot
+    robot: Robot, scene: Scene, options: PlanOptions, before: Transit | None, stop: Trajectory | None
+) -> Iterator[Plan]:
+    """Plans of a scene, each faster than the one before; a static world is prepared before this returns."""
     if scene.moves:
 
         def plans_of(other: Scene) -> Iterator[Plan]:
-            return _plans(cache, other, options, progress, clock, None, stop)
+            return _plans(robot, other, options, None, stop)
 
         return plans_in_time(robot, scene, options, plans_of, stop)
-    context = cache.context(scene, options, progress, clock)
-    start = robot.check_configuration(robot.joints_of(scene.start, "start"), "start")
+    problem = Problem.of(robot, scene, options)
     check_deadline()
-    context.world.check_base(robot.yaw_of(start))
+    problem.world.check_base(robot.yaw_of(problem.start))
     check_deadline()
     state = start_state(robot, scene)
     if state is not None and options.bound:
         raise OptionError("bound", True, "False where the start is in motion")
-    return plans(context, start, state, before=before, stop=stop)
+    return plans(problem, state, before=before, stop=stop)
 
 
 def _last_in_time(found: Iterator[Plan], limit: TimeLimit) -> PlanResult:
@@ -196,17 +189,17 @@ def _last_in_time(found: Iterator[Plan], limit: TimeLimit) -> PlanResult:
     return replace(best, told={**best.told, **deadline_report(limit, count, first_s, cut_short=cut_short)})
 
 
-def _fraction_with_room(cache: PlanningCache, scene: Scene, options: PlanOptions) -> float:
+def _fraction_with_room(robot: Robot, scene: Scene, options: PlanOptions) -> float:
     """Fraction of the tracking error for which a motion planned without one can be certified; 0 if there is none."""
     try:
-        found = plan_with(cache, scene, replace(options, tracking_error=0.0, tracking_delay_s=0.0))
+        found = plan_with(robot, scene, replace(options, tracking_error=0.0, tracking_delay_s=0.0))
     except HplanError:
         return 0.0
 
     def is_certified(fraction: float) -> bool:
         tracking = options.tracking.scaled(fraction)
         return certify(
-            cache.robot, scene, found.trajectory, sigmas=options.sigmas,
+            robot, scene, found.trajectory, sigmas=options.sigmas,
             tracking_error=tracking.still_rad, tracking_delay_s=tracking.delay_s,
             goal_contact="approach" if len(found.phases) > 1 else "motion",
         ).verified  # fmt: skip
@@ -217,23 +210,23 @@ def _fraction_with_room(cache: PlanningCache, scene: Scene, options: PlanOptions
 def plan_result(plan: Plan) -> PlanResult:
     """A plan with its bound, where that is asked for, and when the fruit is touched."""
     phases, trajectory, certificate = plan.whole
-    task = plan.transit.task
-    fruit = task.scene.goal_fruit
+    problem = plan.transit.problem
+    fruit = problem.scene.goal_fruit
     if plan.run is None:
         if fruit is not None:
             # Without an approach the last link may touch the fruit all the time.
             goal_contact: GoalContact = "approach" if plan.others else "motion"
-            contacts = goal_contacts(task.robot, trajectory, fruit, goal_contact)
+            contacts = goal_contacts(problem.robot, trajectory, fruit, goal_contact)
             certificate = replace(certificate, goal_contact=goal_contact, contacts=contacts)
-        certificate = replace(certificate, digests=Digests.of(task.robot, task.scene, trajectory))
+        certificate = replace(certificate, digests=Digests.of(problem.robot, problem.scene, trajectory))
     return PlanResult(
         motion=plan.transit,
         trajectory=trajectory,
         certificate=certificate,
         phases=phases,
         grasp=plan.grasp,
-        bound=_bound(plan) if task.options.bound else None,
-        time_ms=task.clock.as_ms(),
+        bound=_bound(plan) if problem.options.bound else None,
+        time_ms=current_clock().as_ms(),
         told={} if plan.run is None else {"in_time": plan.told},
     )
 
@@ -251,14 +244,14 @@ def _bound(plan: Plan) -> DurationBound | None:
     motions = plan.motions[: bounded_phases(plan.transit)]
     if not all(motion.certificate.verified for motion in motions):
         return None
-    task, problem, world = plan.transit.task, plan.transit.task.problem, plan.transit.task.world
+    problem, world = plan.transit.problem, plan.transit.problem.world
     if len(motions) > 1 and plan.grasp is not None:
         # Any motion to the grasp, the last link free to touch the fruit all the time: more than there are.
-        fruit = task.scene.goal_fruit
-        problem = replace(problem, goal=plan.grasp.goal)
+        fruit = problem.scene.goal_fruit
+        problem = replace(problem, goals=plan.grasp.goal[None])
         world = world if fruit is None else world.touching(fruit.name, fruit.hangs_from)
-    with task.stage("bound"):
-        return duration_bound(world, problem, motion_limits(task), seconds(motions))
+    with stage("bound"):
+        return duration_bound(world, problem, motion_limits(problem), seconds(motions))
 
 
 def with_export_time(result: PlanResult, export_s: float) -> PlanResult:

@@ -24,19 +24,19 @@ from hplan.errors import (
 from hplan.optimization.timed_spline import BoundaryState
 from hplan.planning.approach import Approach, blended
 from hplan.planning.effort import Effort, efforts_of
-from hplan.planning.failures import FailuresError, without_path
+from hplan.planning.failures import FailuresError
 from hplan.planning.grasps import COUNT, SPARE, Grasp, Target, grasps, promising
 from hplan.planning.motion import Plan, Transit
 from hplan.planning.pose_goal import configurations_at, pose_of
+from hplan.planning.problem import Problem, merged
+from hplan.planning.solver import motions, prove_infeasible, reuse_motion
+from hplan.planning.stages import stage
 from hplan.planning.start_in_motion import plans_in_motion
-from hplan.planning.task import PlanningContext, PlanningTask
-from hplan.planning.transits import reused, transits
 from hplan.trajectory.trajectory import Trajectory
 
 
 def plans(
-    context: PlanningContext,
-    start: FloatArray,
+    problem: Problem,
     state: BoundaryState | None = None,
     *,
     before: Transit | None = None,
@@ -45,117 +45,114 @@ def plans(
     """Certified plans, each quicker than the one before; the last one is what the options ask for, or as quick.
 
     Args:
-        start: (dof,) configuration.
-        state: The state of motion there; None at rest.
-        before: An earlier motion, to be kept or repaired where that can be; None for none.
+        problem: The problem of a scene.
+        state: The state of motion at its start; None at rest.
+        before: An earlier motion, to be kept or repaired if possible; None for none.
         stop: How a start in motion might be brought to rest, in addition to what is tried anyway; None for none.
 
     Raises:
         TimeIsUpError: The deadline came before the last one.
         HplanError: There is none; as `hplan.planning.plan.plan`.
     """
-    kept = None if before is None or state is not None else _kept(context, start, before)
+    kept = None if before is None or state is not None else _kept(problem, before)
     if kept is not None:
         yield Plan(kept)
         return
     best_s, is_found = math.inf, False
-    efforts = efforts_of(context.robot, context.options)
+    efforts = efforts_of(problem.robot, problem.options)
     for effort in efforts:
-        if context.options.objective == "length":
+        if problem.options.objective == "length":
             best_s = math.inf  # what more is spent on is shorter, not quicker
         try:
-            for plan in _with_effort(replace(context, effort=effort), start, state, stop):
+            for plan in _with_effort(replace(problem, effort=effort), state, stop):
                 if plan.duration < best_s:
                     best_s, is_found = plan.duration, True
                     yield plan
         except HplanError as error:
-            if not is_found and (effort is efforts[-1] or not _may_be_found(context, effort, error)):
+            if not is_found and (effort is efforts[-1] or not _may_be_found(problem, effort, error)):
                 raise
 
 
-def _may_be_found(context: PlanningContext, effort: Effort, error: HplanError) -> bool:
-    """True if a larger effort may find a motion after a smaller one has failed by an error."""
+def _may_be_found(problem: Problem, effort: Effort, error: HplanError) -> bool:
+    """True if a larger effort may find a motion after a smaller one has failed with an error."""
     if not isinstance(error, NoPathError):
         return isinstance(error, NotFoundError | CertificationError | TimingError)
-    # The proof is about the goals that were tried, which are all only if the goal is given as joints.
-    goal = context.scene.goal
+    # The proof covers the goals that were tried: all of them only if the goal is given as joints.
+    goal = problem.scene.goal
     tries_all = not effort.at_once and goal.pose is None
-    return not tries_all and context.robot.joints_of(goal, "goal") is None
+    return not tries_all and problem.robot.joints_of(goal, "goal") is None
 
 
-def _with_effort(
-    context: PlanningContext, start: FloatArray, state: BoundaryState | None, stop: Trajectory | None
-) -> Iterator[Plan]:
+def _with_effort(problem: Problem, state: BoundaryState | None, stop: Trajectory | None) -> Iterator[Plan]:
     if state is None:
-        return _from_rest(context, start)
-    return plans_in_motion(context, state, lambda q: _from_rest(context, q), stop)
+        return _from_rest(problem)
+    return plans_in_motion(problem, state, lambda q: _from_rest(replace(problem, start=q)), stop)
 
 
-def _kept(context: PlanningContext, start: FloatArray, before: Transit) -> Transit | None:
-    """The earlier motion, kept or repaired; None where it cannot be."""
-    goal = _goal(context, start)
-    return None if isinstance(goal, Target) else reused(goal, before)
+def _kept(problem: Problem, before: Transit) -> Transit | None:
+    """The earlier motion, kept or repaired; None if it cannot be."""
+    goal = _goal(problem)
+    return None if isinstance(goal, Target) else reuse_motion(goal, before)
 
 
-def _from_rest(context: PlanningContext, start: FloatArray) -> Iterator[Plan]:
-    """Ever quicker plans with one effort."""
-    goal = _goal(context, start)
+def _from_rest(problem: Problem) -> Iterator[Plan]:
+    """Plans with one effort, each faster than the one before."""
+    goal = _goal(problem)
     if isinstance(goal, Target):
-        yield from _to_target(context, goal, start)
+        yield from _to_target(problem, goal)
         return
     try:
-        yield from (Plan(motion) for _, motion in transits(goal))
+        yield from (Plan(motion) for _, motion in motions(goal))
     except FailuresError as failures:
         raise failures.as_one() from None
 
 
-def _goal(context: PlanningContext, start: FloatArray) -> list[PlanningTask] | Target:
-    """What is asked: a motion to joints, or to some of those with a frame at a pose; or a target to reach."""
-    scene, world = context.scene, context.world
+def _goal(problem: Problem) -> Problem | Target:
+    """The problem with its goal configurations; or the target to approach."""
+    scene, world, start = problem.scene, problem.world, problem.start
     goal = scene.goal
-    joints = context.robot.joints_of(goal, "goal")
+    joints = problem.robot.joints_of(goal, "goal")
     if joints is not None:
-        return [context.task(start, context.robot.turned_near(joints, start))]
-    if goal.pose is not None and not context.options.standoff:
-        with context.stage("grasps"):
+        return problem.between(start, problem.robot.turned_near(joints, start))
+    if goal.pose is not None and not problem.options.standoff:
+        with stage("grasps"):
             ends = configurations_at(world, goal, start, scene.locked_joints)
-            return [context.task(start, end) for end in ends[: context.effort.pose_goals]]
+            return merged([problem.between(start, end) for end in ends[: problem.effort.pose_goals]])
     if goal.pose is not None:
         pose = pose_of(world.robot, goal)
         return Target("the pose", pose[:3, 3], world, world, pose=pose, frame=goal.frame)
     for fruit in scene.fruits:
         if fruit.name == goal.fruit:
-            return Target.of_fruit(world, fruit, scene, context.options)
+            return Target.of_fruit(world, fruit, scene, problem.options)
     return Target("the point", np.array(goal.position), world, world, goal.approach_deg)
 
 
-def _to_target(context: PlanningContext, target: Target, start: FloatArray) -> Iterator[Plan]:
-    """Ever quicker plans to a target; the last one goes without a stop before the approach where that is quicker."""
-    at_once, locked = context.effort.at_once, context.scene.locked_joints
-    # So many grasps are tried where a motion is wanted at once.
+def _to_target(problem: Problem, target: Target) -> Iterator[Plan]:
+    """Plans to a target, each faster than the one before; the last one without a stop if that is faster."""
+    at_once, locked, start = problem.effort.at_once, problem.scene.locked_joints, problem.start
+    # Number of grasps that are tried for a first motion.
     first_grasps = 3
-    with context.stage("grasps"):
-        # Where a motion is wanted at once, grasps are chosen among few configurations.
+    with stage("grasps"):
+        # For a first motion, grasps are chosen among few configurations.
         count = 24 if at_once else COUNT
-        found = grasps(target, start, standoff=context.options.standoff_m, locked=locked, count=count)
+        found = grasps(target, start, standoff=problem.options.standoff_m, locked=locked, count=count)
         if at_once:
             likely = promising(found, target, start)
             found = (*likely[:first_grasps], *likely[first_grasps:][-1:])  # the last may be straight ahead
-    for approach, plan in plans_to_grasps(context, target, found, start):
+    for approach, plan in plans_to_grasps(problem, target, found):
         quickest = approach, plan
         yield plan
     approach, plan = quickest
-    non_stop = blended(plan.transit.task, plan.transit, None, approach) if plan.others else None
+    non_stop = blended(plan.transit.problem, plan.transit, None, approach) if plan.others else None
     if non_stop is not None and non_stop[2] is not None:
         yield replace(plan, transit=non_stop[1], others=(non_stop[2], *plan.others[1:]))
 
 
 def plans_to_grasps(
-    context: PlanningContext,
+    problem: Problem,
     target: Target,
     found: Sequence[Grasp],
-    start: FloatArray,
-    task_to: Callable[[Grasp], PlanningTask] | None = None,
+    problem_to: Callable[[Grasp], Problem] | None = None,
 ) -> Iterator[tuple[Approach, Plan]]:
     """Ever quicker plans to one of several grasps, with a stop before the approach; and how it is approached.
 
@@ -165,9 +162,8 @@ def plans_to_grasps(
 
     Args:
         found: Its grasps, those that promise the shortest motions first.
-        start: (dof,) configuration from which the arm comes.
-        task_to: The motion to plan to a grasp, where it is not that to its stand-off among what the target has there;
-            raises `ConfigurationInCollisionError` where it cannot be taken.
+        problem_to: The problem of a motion to a grasp, if it is not that to the stand-off in the target's world;
+            raises `ConfigurationInCollisionError` if the goal is in collision.
 
     Raises:
         NoPathError: No path to any of the grasps exists on the grid.
@@ -175,30 +171,31 @@ def plans_to_grasps(
         CertificationError: Not all grasps were shown to have no path, and no motion could be certified.
         ConfigurationInCollisionError: The start is in collision.
     """
+    start = problem.start
 
-    def to_standoff(grasp: Grasp) -> PlanningTask:
-        return context.among(target.transit_world(grasp)).task(start, grasp.standoff)
+    def to_standoff(grasp: Grasp) -> Problem:
+        return problem.among(target.transit_world(grasp)).between(start, grasp.standoff)
 
     ordered: list[Grasp] = []
     failures: dict[int, HplanError] = {}
     for is_likely, batch in _batches(target, found, start):
-        tasks: dict[int, PlanningTask] = {}
+        problems: dict[int, Problem] = {}
         for number, grasp in enumerate(batch, len(ordered)):
             try:
-                tasks[number] = (task_to or to_standoff)(grasp)
+                problems[number] = (problem_to or to_standoff)(grasp)
             except ConfigurationInCollisionError as error:
                 if error.which == "start":
                     raise
                 failures[number] = error.with_traceback(None)
         ordered += batch
-        if not is_likely and context.effort.floods:
-            shown = zip(list(tasks), without_path(list(tasks.values())), strict=True)
-            failures |= {number: error for number, error in shown if error is not None}
-        while left := [number for number in tasks if number not in failures]:
+        if not is_likely and problems:
+            proofs = prove_infeasible(merged(list(problems.values())))
+            failures |= {number: error for number, error in zip(problems, proofs, strict=True) if error is not None}
+        while left := [number for number in problems if number not in failures]:
             is_found = False
             try:
-                for place, transit in transits([tasks[number] for number in left]):
-                    approach = Approach(context, target, ordered[left[place]])
+                for place, transit in motions(merged([problems[number] for number in left])):
+                    approach = Approach(problem, target, ordered[left[place]])
                     try:
                         plan = Plan(transit, approach.motions, approach.grasp)
                     except (CertificationError, TimingError) as error:

@@ -41,15 +41,16 @@ from hplan.kinematics.inverse_kinematics import chain_of, checked_pose
 from hplan.kinematics.straight_line import line_to
 from hplan.optimization.smooth_path import SMALLEST_FRACTION
 from hplan.planning.finishing.given_path import given_path, scene_along
-from hplan.planning.motion import Motion, Origin, Plan, Transit, certified_trajectory, improving, last
+from hplan.planning.motion import Motion, Plan, Transit, best_of, certified_trajectory, improve
 from hplan.planning.options import PlanOptions
+from hplan.planning.path_finder import Origin
 from hplan.planning.plan import check_task, plan_result
 from hplan.planning.pose_goal import configurations_at
+from hplan.planning.problem import Problem, merged
 from hplan.planning.result import PlanResult
 from hplan.planning.sampling.rrt_connect import Held, TreeEffort, tree_path
-from hplan.planning.stages import StageClock
-from hplan.planning.task import PlanningCache, PlanningContext, PlanningTask, Progress, no_progress
-from hplan.planning.transits import one_transit
+from hplan.planning.solver import best_motion
+from hplan.planning.stages import Progress, no_progress, stage, stage_clock
 from hplan.robot.model import Robot
 from hplan.scene.model import QUATERNION_LENGTH, Goal, Scene
 from hplan.scene.solids import quaternion_rotation
@@ -79,7 +80,7 @@ class _Leg(NamedTuple):
     """From a pose to the next: rows to be timed, the smooth path through them where it is straight; the motion."""
 
     number: int
-    task: PlanningTask
+    problem: Problem
     rows: FloatArray
     path: SplinePath | None = None
     motion: Transit | None = None
@@ -92,9 +93,9 @@ class _Tilt(NamedTuple):
     most: float
     chain: Chain
 
-    def within(self, to: PlanningTask) -> Chain:
+    def within(self, to: Problem) -> Chain:
         """What is upright, within the joint ranges of a motion."""
-        return self.chain._replace(lower=np.array(to.problem.lower), upper=np.array(to.problem.upper))
+        return self.chain._replace(lower=np.array(to.lower[0]), upper=np.array(to.upper[0]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +108,7 @@ class _Poses:
         tilt: None where the tool may be turned at will.
     """
 
-    context: PlanningContext
+    problem: Problem
     poses: tuple[FloatArray, ...]
     straight: tuple[bool, ...]
     deviation_m: float
@@ -177,13 +178,12 @@ def plan_poses(
     if tilt_rad is not None:
         checked_number("tilt_rad", tilt_rad, "None, or an angle in (0, pi/2)", lambda tilt: 0.0 < tilt < 0.5 * math.pi)
     checked_number("deviation_m", deviation_m, "a number of metres >= 1e-5", lambda off: 1e-5 <= off <= 1.0)
-    clock = StageClock()
-    with time_limit(options.deadline_s, cancel) as limit:
+    with stage_clock(progress) as clock, time_limit(options.deadline_s, cancel) as limit:
         try:
-            context = PlanningCache(robot).context(scene, options, progress, clock)
-            begin = robot.check_configuration(robot.joints_of(scene.start, "start"), "start")
-            context.world.check_base(robot.yaw_of(begin))
-            context.world.check_clear(begin, "start")
+            problem = Problem.of(robot, scene, options)
+            begin = problem.start
+            problem.world.check_base(robot.yaw_of(begin))
+            problem.world.check_clear(begin, "start")
             checked = tuple(checked_pose(matrix, f"poses[{k}]") for k, matrix in enumerate(matrices))
             gravity = np.array(robot.model.gravity.linear)
             up = -gravity / np.linalg.norm(gravity) if gravity.any() else np.array([0.0, 0.0, 1.0])
@@ -193,10 +193,10 @@ def plan_poses(
                 _check_upright(checked, up, direction, _OF_TILT * tilt_rad)
                 tilt = _Tilt(tilt_rad, _upright_chain(robot, scene, up, direction, _OF_TILT * tilt_rad))
             lines = tuple(truth("straight", way) for way in ways)
-            task = _Poses(context, checked, lines, deviation_m, up, direction, tilt)
+            task = _Poses(problem, checked, lines, deviation_m, up, direction, tilt)
             return _result(task, _through(task, begin, 0))
         except TimeIsUpError:
-            raise limit.error(clock.told()) from None
+            raise limit.error(clock.describe()) from None
 
 
 def pose_matrices(rows: FloatArray) -> FloatArray:
@@ -253,11 +253,11 @@ def _through(task: _Poses, begin: FloatArray, number: int) -> list[_Leg]:
     if number == len(task.poses):
         return []
     failure: HplanError | None = None
-    given_up: list[PlanningTask] = []
+    given_up: list[Problem] = []
     for leg in _lines(task, begin, number) if task.straight[number] else _free(task, begin, number, given_up):
         try:
             found = _certified(task, leg)
-            given_up.append(leg.task)  # there is no other way on from its end
+            given_up.append(leg.problem)  # there is no other way on from its end
             return [found, *_through(task, leg.rows[-1], number + 1)]
         except (NotFoundError, BlockedError, TimingError, CertificationError) as error:
             failure = failure or error
@@ -268,24 +268,24 @@ def _through(task: _Poses, begin: FloatArray, number: int) -> list[_Leg]:
 
 def _lines(task: _Poses, begin: FloatArray, number: int) -> Iterator[_Leg]:
     """Straight to a pose: as the joints move least, then towards each configuration there."""
-    context, pose = task.context, task.poses[number]
-    locked = context.scene.locked_joints
+    problem, pose = task.problem, task.poses[number]
+    locked = problem.scene.locked_joints
     longest = 0.0
     for towards in _ways_there(task, begin, number):
         check_deadline()
-        with context.stage("grasps"):
-            rows, part = line_to(context.robot, begin, pose, towards, locked=locked)
+        with stage("grasps"):
+            rows, part = line_to(problem.robot, begin, pose, towards, locked=locked)
         longest = max(longest, part)
         if part < 1.0:
             continue
         with suppress(ConfigurationInCollisionError):
-            leg = _Leg(number, context.task(begin, rows[-1]), rows)
+            leg = _Leg(number, problem.between(begin, rows[-1]), rows)
             if len(_moving(rows)) < 2:
                 yield leg
                 continue
-            path, robot = _interpolated(rows), context.robot
+            path, robot = _interpolated(rows), problem.robot
             is_within = (path.pieces >= robot.lower).all() and (path.pieces <= robot.upper).all()
-            if is_within and path.is_clear(context.field, _margin(leg.task)):
+            if is_within and path.is_clear(problem.field, _margin(leg.problem)):
                 yield leg._replace(path=path)
     if longest < 1.0:
         raise NotFoundError(
@@ -299,29 +299,29 @@ def _ways_there(task: _Poses, begin: FloatArray, number: int) -> Iterator[FloatA
         yield from _ends(task, begin, number)
 
 
-def _free(task: _Poses, begin: FloatArray, number: int, given_up: Sequence[PlanningTask]) -> Iterator[_Leg]:
+def _free(task: _Poses, begin: FloatArray, number: int, given_up: Sequence[Problem]) -> Iterator[_Leg]:
     """To configurations at a pose from which the straight lines that follow can be had, the nearest ones first.
 
     Args:
         given_up: Motions to be left out from now on, whatever is added to them.
     """
-    context = task.context
+    problem = task.problem
     ends = [end for end in _ends(task, begin, number) if _goes_on(task, end, number + 1)]
     if not ends:
         tried = f"configurations at pose {number + 1}, from none of which the straight lines after it were found"
         raise NotFoundError([tried], pose=number)
     tasks = []
-    for end in ends[: context.effort.pose_goals]:
+    for end in ends[: problem.effort.pose_goals]:
         with suppress(ConfigurationInCollisionError):
-            tasks.append(context.task(begin, end))
-    still = [to for to in tasks if to.problem.is_empty]
-    yield from (_Leg(number, to, np.stack([begin, to.problem.goal])) for to in still)
-    tasks = [to for to in tasks if not to.problem.is_empty]
+            tasks.append(problem.between(begin, end))
+    still = [to for to in tasks if to.is_empty]
+    yield from (_Leg(number, to, np.stack([begin, to.goal])) for to in still)
+    tasks = [to for to in tasks if not to.is_empty]
     if task.tilt is not None:
         yield from _upright(task.tilt, tasks, number, given_up)
         return
     while tasks:
-        at, motion = one_transit(tasks)
+        at, motion = best_motion(merged(tasks))
         yield _Leg(number, tasks[at], motion.trajectory.position[[0, -1]], motion=motion)
         del tasks[at]
 
@@ -337,16 +337,14 @@ def _goes_on(task: _Poses, begin: FloatArray, number: int) -> bool:
 
 def _ends(task: _Poses, begin: FloatArray, number: int) -> FloatArray:
     """Clear configurations at a pose, those nearest first; errors as `configurations_at`."""
-    context, pose = task.context, task.poses[number]
+    problem, pose = task.problem, task.poses[number]
     quaternion = tuple(pin.Quaternion(pose[:3, :3]).coeffs().tolist())
     goal = Goal(position=tuple(pose[:3, 3].tolist()), quaternion_xyzw=quaternion)
-    with context.stage("grasps"):
-        return configurations_at(context.world, goal, begin, context.scene.locked_joints)
+    with stage("grasps"):
+        return configurations_at(problem.world, goal, begin, problem.scene.locked_joints)
 
 
-def _upright(
-    tilt: _Tilt, tasks: Sequence[PlanningTask], number: int, given_up: Sequence[PlanningTask]
-) -> Iterator[_Leg]:
+def _upright(tilt: _Tilt, tasks: Sequence[Problem], number: int, given_up: Sequence[Problem]) -> Iterator[_Leg]:
     """Paths to whichever configurations can be reached upright: as the joints go there, or of trees.
 
     Raises:
@@ -356,21 +354,21 @@ def _upright(
         return
     field, robot, reached = tasks[0].field, tasks[0].robot, False
     for to in tasks:
-        rows = _followed(tilt, to, to.problem.start, to.problem.goal)
-        if rows is not None and field.is_clear(rows, 0.1 * to.margin()):
+        rows = _followed(tilt, to, to.start, to.goal)
+        if rows is not None and field.is_clear(rows, 0.1 * to.margin):
             reached = True
             yield _Leg(number, to, rows)
-    first, least = tasks[0], 0.1 * min(to.margin() for to in tasks)
+    first, least = tasks[0], 0.1 * min(to.margin for to in tasks)
     # Longest edge of trees that stay upright, for a tilt of one radian [s]; it goes with the root of the tilt.
     held = Held(tilt.within(first), 0.1 * math.sqrt(_OF_TILT * tilt.most))
     for seed, evaluations in enumerate(_TREES):
         left = [to for to in tasks if to not in given_up]
         if not left:
             return
-        goals = np.array([to.problem.goal for to in left])
+        goals = np.array([to.goal for to in left])
         effort = TreeEffort(evaluations, first.effort.trees.seed + seed)
-        with first.stage("trees"):
-            path, _ = tree_path(first.problem, field, robot.velocity_limit, least, effort, goals=goals, held=held)
+        with stage("trees"):
+            path, _ = tree_path(first, field, robot.velocity_limit, least, effort, goals=goals, held=held)
         if path is not None:
             reached, to = True, left[int((goals == path[-1]).all(axis=1).argmax())]
             yield _Leg(number, to, _shorter(tilt, to, path))
@@ -379,7 +377,7 @@ def _upright(
         raise NotFoundError([tried], pose=number)
 
 
-def _followed(tilt: _Tilt, to: PlanningTask, begin: FloatArray, end: FloatArray) -> FloatArray | None:
+def _followed(tilt: _Tilt, to: Problem, begin: FloatArray, end: FloatArray) -> FloatArray | None:
     """(m, dof) configurations from one to another, upright and close together; None where they are not."""
     count = max(2, math.ceil(float(np.abs(end - begin).max()) / _ROW) + 1)
     chain = tilt.within(to)
@@ -392,12 +390,12 @@ def _followed(tilt: _Tilt, to: PlanningTask, begin: FloatArray, end: FloatArray)
     return rows
 
 
-def _shorter(tilt: _Tilt, to: PlanningTask, path: FloatArray) -> FloatArray:
+def _shorter(tilt: _Tilt, to: Problem, path: FloatArray) -> FloatArray:
     """The path with shortcuts that stay upright."""
     parts = [np.linspace(*pair, max(2, math.ceil(float(np.abs(pair[1] - pair[0]).max()) / _ROW) + 1))[1:]
              for pair in pairwise(path)]  # fmt: skip
     rows, draw = np.vstack([path[:1], *parts]), np.random.Generator(np.random.PCG64(to.effort.trees.seed))
-    with to.stage("postprocess"):
+    with stage("postprocess"):
         for _ in range(_SHORTCUTS):
             low, high = np.sort(draw.integers(0, len(rows), 2))
             if high - low < 2:
@@ -406,14 +404,14 @@ def _shorter(tilt: _Tilt, to: PlanningTask, path: FloatArray) -> FloatArray:
             if (
                 between is not None
                 and path_length(between) < path_length(rows[low : high + 1])
-                and to.field.is_clear(between, 0.1 * to.margin())
+                and to.field.is_clear(between, 0.1 * to.margin)
             ):
                 rows = np.vstack([rows[:low], between, rows[high + 1 :]])
     return rows
 
 
-def _margin(to: PlanningTask) -> float:
-    return 0.5 * SMALLEST_FRACTION * to.margin()
+def _margin(to: Problem) -> float:
+    return 0.5 * SMALLEST_FRACTION * to.margin
 
 
 def _moving(rows: FloatArray) -> FloatArray:
@@ -446,14 +444,14 @@ def _smooth(leg: _Leg) -> Iterator[SplinePath]:
         control = np.stack([np.interp(even, station, joint) for joint in points.T], axis=1)
         with suppress(InputError):
             path = SplinePath.through(control)
-            if path.is_clear(leg.task.field, _margin(leg.task)):
+            if path.is_clear(leg.problem.field, _margin(leg.problem)):
                 yield path
 
 
 def _result(task: _Poses, legs: Sequence[_Leg]) -> PlanResult:
     """The motion of certified legs."""
-    robot, rows = task.context.robot, np.vstack([leg.rows for leg in legs])
-    along = scene_along(robot, task.context.scene, given_path(robot, rows))
+    robot, rows = task.problem.robot, np.vstack([leg.rows for leg in legs])
+    along = scene_along(robot, task.problem.scene, given_path(robot, rows))
     # Where the arm is at a pose before, it does not move.
     moved = [(leg, leg.motion, leg.bounds) for leg in legs if leg.motion is not None and leg.bounds is not None]
     told = [
@@ -467,7 +465,7 @@ def _result(task: _Poses, legs: Sequence[_Leg]) -> PlanResult:
     ]
     first, *others = (motion for _, motion, _ in moved)
     whole = Plan(
-        replace(first, task=replace(first.task, scene=along)),
+        replace(first, problem=replace(first.problem, scene=along)),
         tuple(Motion(motion.name, motion.trajectory, motion.certificate) for motion in others),
     )
     allowed = None if task.tilt is None else math.degrees(task.tilt.most)
@@ -482,7 +480,7 @@ def _certified(task: _Poses, leg: _Leg) -> _Leg:
         TimingError: It cannot be timed.
         CertificationError: None was certified, or kept what is allowed.
     """
-    to, name, failure = leg.task, f"pose {leg.number + 1}", None
+    to, name, failure = leg.problem, f"pose {leg.number + 1}", None
     if leg.motion is not None:
         return leg._replace(motion=replace(leg.motion, name=name), bounds=_bounds(task, leg.motion))
     if len(_moving(leg.rows)) < 2:
@@ -495,7 +493,7 @@ def _certified(task: _Poses, leg: _Leg) -> _Leg:
             continue
         origin: Origin = "direct" if task.straight[leg.number] else "trees"
         motion = Transit(name, trajectory, certificate, to, frozen(np.array(leg.rows)), path, origin)
-        with to.stage("certificate"):
+        with stage("certificate"):
             bounds = _bounds(task, motion)
         tilted = task.tilt is not None and bounds.tilt_rad > task.tilt.most
         if not tilted and (not task.straight[leg.number] or bounds.deviation_m <= task.deviation_m):
@@ -512,15 +510,15 @@ def _certified(task: _Poses, leg: _Leg) -> _Leg:
 
 def _quicker(task: _Poses, motion: Transit, bounds: ToolBounds) -> tuple[Transit, ToolBounds]:
     """An upright motion, or a quicker one near it that is."""
-    if task.tilt is None or motion.trajectory.duration <= _FAST * motion.task.least_duration:
+    if task.tilt is None or motion.trajectory.duration <= _FAST * motion.problem.least_duration:
         return motion, bounds
-    chain = task.tilt.within(motion.task)
-    quicker = last(improving(motion, chain._replace(free_turn=np.array([UPRIGHT, _OPTIMIZED * task.tilt.most]))))
-    with motion.task.stage("certificate"):
+    chain = task.tilt.within(motion.problem)
+    quicker = best_of(improve(motion, chain._replace(free_turn=np.array([UPRIGHT, _OPTIMIZED * task.tilt.most]))))
+    with stage("certificate"):
         found = _bounds(task, quicker)
     return (quicker, found) if found.tilt_rad <= task.tilt.most else (motion, bounds)
 
 
 def _bounds(task: _Poses, motion: Motion) -> ToolBounds:
-    options = task.context.options
-    return tool_bounds(task.context.robot, motion.trajectory, task.direction, task.upright, options.certified_tracking)
+    options = task.problem.options
+    return tool_bounds(task.problem.robot, motion.trajectory, task.direction, task.upright, options.certified_tracking)

@@ -8,7 +8,7 @@ from types import MappingProxyType
 from typing import Literal
 
 from hplan.base.arguments import truth
-from hplan.base.arrays import FloatArray, Record
+from hplan.base.arrays import Record
 from hplan.base.deadline import Cancel, TimeIsUpError, check_deadline, time_limit
 from hplan.collision.coal_scene import Contact
 from hplan.errors import (
@@ -27,7 +27,8 @@ from hplan.planning.motion import Motion
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import check_task
 from hplan.planning.plans import plans_to_grasps
-from hplan.planning.task import LastWorld, PlanningCache, PlanningContext, Progress, no_progress
+from hplan.planning.problem import Problem
+from hplan.planning.stages import Progress, no_progress, stage_clock
 from hplan.robot.model import Robot
 from hplan.scene.model import Fruit, Scene
 
@@ -106,44 +107,43 @@ def reachable(
     if motions and scene.start.is_moving:
         raise SceneError("motions begin at rest here; the start has a velocity or an acceleration", where="start")
     asked = PlanOptions() if options is None else options
-    with time_limit(asked.deadline_s, cancel) as limit:
+    with stage_clock(progress), time_limit(asked.deadline_s, cancel) as limit:
         try:
             whole = replace(asked, deadline_s=None)
-            context = PlanningCache(robot, LastWorld.of(robot)).context(scene, whole, progress)
-            start = robot.check_configuration(robot.joints_of(scene.start, "start"), "start")
-            context.world.check_base(robot.yaw_of(start))
-            context.task(start, start)
+            problem = Problem.of(robot, scene, whole)
+            problem.world.check_base(robot.yaw_of(problem.start))
+            problem.between(problem.start, problem.start)
             found: dict[str, FruitReach] = {}
             for number, fruit in enumerate(scene.fruits):
                 check_deadline()
                 progress(f"fruit {number + 1} of {len(scene.fruits)}")
-                found[fruit.name] = _reach(context, fruit, start, motions=motions)
+                found[fruit.name] = _reach(problem, fruit, motions=motions)
         except TimeIsUpError:
             raise limit.error([f"{len(scene.fruits)} fruits"]) from None
     return MappingProxyType(found)
 
 
-def _reach(context: PlanningContext, fruit: Fruit, start: FloatArray, *, motions: bool) -> FruitReach:
-    target = Target.of_fruit(context.world, fruit, context.scene, context.options)
+def _reach(problem: Problem, fruit: Fruit, *, motions: bool) -> FruitReach:
+    target = Target.of_fruit(problem.world, fruit, problem.scene, problem.options)
     try:
         found = grasps_or_blocked(
-            target, start, standoff=context.options.standoff_m, locked=context.scene.locked_joints
+            target, problem.start, standoff=problem.options.standoff_m, locked=problem.scene.locked_joints
         )
     except UnreachableError as error:
         return FruitReach(fruit.name, "out_of_reach", error.message)
     if isinstance(found, Blocked):
         return _blocked(fruit.name, found)
     if motions:
-        quick = replace(context, effort=effort_named(context.robot, "quick"))
+        quick = replace(problem, effort=effort_named(problem.robot, "quick"))
         try:
-            approach, plan = next(plans_to_grasps(quick, target, found, start))
+            approach, plan = next(plans_to_grasps(quick, target, found))
         except NO_MOTION as error:
             return FruitReach(fruit.name, "no_motion", error.message)
         return FruitReach(fruit.name, grasp=approach.grasp, motions=plan.motions)
     failure: HplanError | None = None
     for grasp in found:
         try:
-            taken = Approach(context, target, grasp).motions
+            taken = Approach(problem, target, grasp).motions
             if not taken:
                 target.world_touching.check_clear(grasp.goal, "goal")
             return FruitReach(fruit.name, grasp=grasp, motions=taken)

@@ -15,12 +15,9 @@ from hplan.base.lazy_import import InNotebook
 from hplan.base.polyline import path_length
 from hplan.certificate.certificate import REST, Certificate
 from hplan.certificate.retimed_certificate import CertifiedMotion, certified_retiming
-from hplan.grid import SearchResult
-from hplan.grid.grid import Occupancy
-from hplan.grid.result import Expansions
-from hplan.planning.definition import Problem
 from hplan.planning.grasps import Grasp
 from hplan.planning.motion import Transit
+from hplan.planning.problem import Problem
 from hplan.planning.report import far_report, motion_report
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
@@ -68,17 +65,17 @@ class PlanResult(Record, InNotebook):
     @property
     def problem(self) -> Problem:
         """Start and goal of the transit, and the joints that may move."""
-        return self.motion.task.problem
+        return self.motion.problem
 
     @property
-    def occupancy(self) -> Occupancy | None:
+    def occupancy(self) -> Any:
         """The C-space that was searched; None where nothing was searched."""
-        return None if self.motion.route is None else self.motion.route.occupancy
+        return None if self.motion.search is None else self.motion.search.occupancy
 
     @property
-    def search(self) -> SearchResult | None:
+    def search(self) -> Any:
         """The search; None where nothing was searched."""
-        return None if self.motion.route is None else self.motion.route.search
+        return None if self.motion.search is None else self.motion.search.search
 
     @property
     def grid_path(self) -> FloatArray:
@@ -93,12 +90,12 @@ class PlanResult(Record, InNotebook):
     @property
     def robot(self) -> Robot:
         """The arm."""
-        return self.motion.task.robot
+        return self.motion.problem.robot
 
     @property
     def scene(self) -> Scene:
         """Obstacles and task, as they were given."""
-        return self.motion.task.scene
+        return self.motion.problem.scene
 
     @property
     def picked(self) -> dict[str, float]:
@@ -131,9 +128,11 @@ class PlanResult(Record, InNotebook):
         return self._retimed(scaled(self.trajectory, profile, self.robot))
 
     def _retimed(self, retimed: Retimed) -> CertifiedMotion:
-        task = self.motion.task
-        tracking, sigmas = task.options.certified_tracking, task.options.sigmas
-        found = certified_retiming(task.robot, task.scene, self.certificate, retimed, tracking=tracking, sigmas=sigmas)
+        problem = self.motion.problem
+        tracking, sigmas = problem.options.certified_tracking, problem.options.sigmas
+        found = certified_retiming(
+            problem.robot, problem.scene, self.certificate, retimed, tracking=tracking, sigmas=sigmas
+        )
         return replace(found, begins_s=self.begins_s)
 
 
@@ -145,29 +144,23 @@ def bounded_phases(transit: Transit) -> int:
 def plan_report(plan: PlanResult) -> dict[str, Any]:
     """The report of a plan, in the shape of `report.json`."""
     motion, grasp = plan.motion, plan.grasp
-    scene, options, route, path = motion.task.scene, motion.task.options, motion.route, motion.path
-    search = None if route is None else route.search
-    spent = Expansions() if search is None else search.expansions
+    scene, options, path = motion.problem.scene, motion.problem.options, motion.path
+    expansions = dict.fromkeys(("layers", "sparse", "fallback", "total", "flooded_cells"), 0)
     phases = [vars(phase) for phase in plan.phases]
     bounded = [phase.name for phase in plan.phases[: bounded_phases(motion)]]
     return {
         "status": "ok",
         "scene": scene.name,
-        "robot": motion.task.robot.name,
+        "robot": motion.problem.robot.name,
         "planner": {
             "method": options.method if motion.origin in ("none", "search") else motion.origin,
             "link_model": options.link_model,
-            "step_deg": options.step_deg if route is None else route.step_deg,
-            "cost_deg": 0.0 if search is None else math.degrees(search.cost),
-            "points": len(motion.waypoints) if search is None or search.path is None else len(search.path),
-            "fallback": "none" if search is None else search.fallback,
-            "expansions": {
-                "layers": spent.layers,
-                "sparse": spent.sparse,
-                "fallback": spent.fallback,
-                "total": spent.total,
-                "flooded_cells": spent.flooded,
-            },
+            "step_deg": options.step_deg,
+            "cost_deg": 0.0,
+            "points": len(motion.waypoints),
+            "fallback": "none",
+            "expansions": expansions,
+            **({} if motion.search is None else motion.search.report()),
         },
         "time_ms": dict(plan.time_ms),
         "path": {
@@ -186,7 +179,7 @@ def plan_report(plan: PlanResult) -> dict[str, Any]:
         },
         **({"bound": _bound_report(plan.bound, bounded)} if options.bound else {}),
         **plan.told,
-        **far_report(motion.task.robot, scene),
+        **far_report(motion.problem.robot, scene),
         **motion_report(plan.trajectory, plan.certificate, options, scene),
     }
 

@@ -1,10 +1,18 @@
-"""Stages of a plan, and how long each of them takes."""
+"""Stages of a plan: their names, their times, and who listens to their progress.
+
+The current clock is a context variable, as deadlines are: it belongs to the call that began it and need not be passed
+through every function.
+"""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
+from typing import TypeAlias
+
+from hplan.base.deadline import check_deadline
 
 #: Stages of a plan, in order.
 STAGES = (
@@ -12,32 +20,77 @@ STAGES = (
     "export",
 )  # fmt: skip
 
+#: Called with the name of each stage as it begins.
+Progress: TypeAlias = Callable[[str], None]
+
+
+def no_progress(_: str) -> None:
+    """Ignore the stages."""
+
 
 class StageClock:
-    """Wall-clock time of each stage [s]; a stage entered again adds up."""
+    """Wall-clock time of each stage [s]; a stage that is entered again adds up.
 
-    def __init__(self) -> None:
-        self._begin = time.perf_counter()
+    Attributes:
+        seconds: Time by stage [s].
+        progress: Called with the name of each stage as it begins.
+    """
+
+    def __init__(self, progress: Progress = no_progress) -> None:
+        self._start = time.perf_counter()
         self.seconds = dict.fromkeys(STAGES, 0.0)
+        self.progress = progress
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Time what runs inside as part of a stage."""
-        begin = time.perf_counter()
+        """Announce a stage and time the block as part of it."""
+        self.progress(name)
+        start = time.perf_counter()
         try:
             yield
         finally:
-            self.add(name, time.perf_counter() - begin)
+            self.add(name, time.perf_counter() - start)
 
     def add(self, name: str, seconds: float) -> None:
         """Add time that was measured elsewhere."""
         self.seconds[name] += seconds
 
-    def told(self) -> list[str]:
-        """The stages that there were and how long each took, in words."""
+    def describe(self) -> list[str]:
+        """Return a phrase for each stage that ran, with its time."""
         return [f"{name} for {1e3 * seconds:.3g} ms" for name, seconds in self.seconds.items() if seconds > 0.0]
 
     def as_ms(self) -> dict[str, float]:
-        """Times by stage and in all [ms]."""
+        """Return the times by stage and their total [ms]."""
         table = {name: round(1e3 * seconds, 4) for name, seconds in self.seconds.items()}
-        return {**table, "total": round(1e3 * (time.perf_counter() - self._begin), 4)}
+        return {**table, "total": round(1e3 * (time.perf_counter() - self._start), 4)}
+
+
+_CURRENT: ContextVar[StageClock | None] = ContextVar("stage_clock", default=None)
+
+
+@contextmanager
+def stage_clock(progress: Progress = no_progress) -> Iterator[StageClock]:
+    """Time the stages of the block with a clock of their own."""
+    clock = StageClock(progress)
+    token = _CURRENT.set(clock)
+    try:
+        yield clock
+    finally:
+        _CURRENT.reset(token)
+
+
+def current_clock() -> StageClock:
+    """Return the clock of the innermost `stage_clock`; outside of any, a new one."""
+    return _CURRENT.get() or StageClock()
+
+
+@contextmanager
+def stage(name: str) -> Iterator[None]:
+    """Check the deadline, announce a stage and time the block.
+
+    Raises:
+        TimeIsUpError: The deadline has passed.
+    """
+    check_deadline()
+    with current_clock().stage(name):
+        yield

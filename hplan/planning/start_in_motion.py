@@ -19,8 +19,9 @@ from hplan.certificate.certificate import REST, Certificate, all_of
 from hplan.errors import ConfigurationInCollisionError, HplanError, UnavoidableContactError
 from hplan.optimization.minimize_time import TimedMotion, minimize_time
 from hplan.optimization.timed_spline import RESTING, BoundaryState, TimedSpline, even_breaks
-from hplan.planning.motion import Motion, Plan, certificate_of, last, motion_limits, time_problem
-from hplan.planning.task import PlanningContext
+from hplan.planning.motion import Motion, Plan, best_of, certificate_of, motion_limits, time_problem
+from hplan.planning.problem import Problem
+from hplan.planning.stages import stage
 from hplan.robot.model import Robot
 from hplan.trajectory.braking import braking
 from hplan.trajectory.trajectory import Trajectory, joined
@@ -33,7 +34,7 @@ _TOGETHER: Final = 1e-3
 
 
 def plans_in_motion(
-    context: PlanningContext,
+    problem: Problem,
     state: BoundaryState,
     plans_from: Callable[[FloatArray], Iterator[Plan]],
     stop: Trajectory | None = None,
@@ -49,12 +50,12 @@ def plans_in_motion(
         HplanError: No motion was found; what `plans_from` raises where the arm would begin at rest.
     """
     is_found, failure = False, None
-    options = context.options
-    may_be_blended = options.objective == "duration" and options.tracking.delay_s == 0.0 and _is_within(context, state)
+    options = problem.options
+    may_be_blended = options.objective == "duration" and options.tracking.delay_s == 0.0 and _is_within(problem, state)
     if may_be_blended:
         try:
             planned = plans_from(state.position)
-            for plan in planned if options.deadline_s is not None else [last(planned)]:
+            for plan in planned if options.deadline_s is not None else [best_of(planned)]:
                 blended = _blended(plan, state)
                 if blended is not None:
                     is_found = True
@@ -63,17 +64,17 @@ def plans_in_motion(
             if isinstance(error, ConfigurationInCollisionError) and error.which == "start":
                 raise
             failure = error.with_traceback(None)
-        if is_found and context.effort.compared == 1:
+        if is_found and problem.effort.compared == 1:
             return
 
     def onward(stopped: Motion) -> Plan:
         planned = plans_from(stopped.trajectory.position[-1])
-        return _stopping_first(stopped, next(planned) if context.effort.at_once else last(planned))
+        return _stopping_first(stopped, next(planned) if problem.effort.at_once else best_of(planned))
 
     try:
         stopping = after_stop(
-            stops(context.robot, state, 1.0 / options.rate_hz, stop),
-            lambda motion: certificate_of(context, motion, rest_to_rest=False),
+            stops(problem.robot, state, 1.0 / options.rate_hz, stop),
+            lambda motion: certificate_of(problem, motion, rest_to_rest=False),
             onward,
             certify=options.certify,
         )
@@ -87,33 +88,33 @@ def plans_in_motion(
         yield blended
 
 
-def _is_within(context: PlanningContext, state: BoundaryState) -> bool:
-    """True if motions of the context may be as fast as a state."""
-    limits = motion_limits(context)
+def _is_within(problem: Problem, state: BoundaryState) -> bool:
+    """True if a state is within the motion limits."""
+    limits = motion_limits(problem)
     fast = np.abs(state.velocity) > limits.velocity
     return not (fast | (np.abs(state.acceleration) > limits.acceleration)).any()
 
 
 def _blended(plan: Plan, state: BoundaryState) -> Plan | None:
     """A plan whose transit is blended with a state, or optimised if it begins so; None if none is certified."""
-    task, transit = plan.transit.task, plan.transit.trajectory
+    problem, transit = plan.transit.problem, plan.transit.trajectory
     if transit.samples == 1:
         return None
     ends = state, BoundaryState.of_row(transit, -1)
-    with task.stage("timing"):
-        problem = time_problem(task, transit, ends)
-        effort = task.effort.begun
+    with stage("timing"):
+        program = time_problem(problem, transit, ends)
+        effort = problem.effort.begun
         start: TimedMotion = transit
         if np.abs(transit.velocity[0]).max() > REST:
-            pieces = effort.levels[0].pieces_of(transit.duration, task.options.rate_hz)
+            pieces = effort.levels[0].pieces_of(transit.duration, problem.options.rate_hz)
             if pieces < 2 * RESTING:
                 return None
             start = TimedSpline.near(transit.positions, even_breaks(transit.duration, pieces), ends)
-        spline = minimize_time(start, problem, effort)
+        spline = minimize_time(start, program, effort)
     if spline is None:
         return None
-    trajectory = spline.trajectory(task.robot.dynamics, task.options.rate_hz)
-    certificate = certificate_of(task, trajectory, rest_to_rest=False)
+    trajectory = spline.trajectory(problem.robot.dynamics, problem.options.rate_hz)
+    certificate = certificate_of(problem, trajectory, rest_to_rest=False)
     if not certificate.verified:
         return None
     return replace(plan, transit=plan.transit.made(trajectory, certificate, spline.path))

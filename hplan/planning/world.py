@@ -8,6 +8,7 @@ outer links sway farther.
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -24,7 +25,7 @@ from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.coal_scene import CoalScene, OwnContact, base_contacts
 from hplan.collision.giving_way import LinkedSolids
 from hplan.errors import ConfigurationInCollisionError, InputError
-from hplan.grid.prepared_obstacles import PreparedObstacles, prepare_obstacles
+from hplan.planning.options import PlanOptions
 from hplan.robot.base_shapes import BASE_DEPTH, base_radius, turning_shapes
 from hplan.robot.files import neighbouring_links
 from hplan.robot.model import Robot
@@ -95,6 +96,30 @@ class World(Record):
         )
         return cls(robot, tuple(solids), clearance, tracking_error, field, checker, linked, growth, yield_links)
 
+    @classmethod
+    def of_scene(cls, robot: Robot, scene: Scene, options: PlanOptions) -> World:
+        """Return the robot among the scene's solids, all fruits included.
+
+        The robot keeps its last two worlds: planning again among the same solids starts sooner.
+
+        Raises:
+            OptionError: `scene.yield_links` names an unknown link.
+        """
+        # A motion that need not be certified need not leave room for tracking errors; it is certified all the same.
+        tracking_error = options.tracking.still_rad
+        key = scene.solids_with_goal, scene.clearance, tracking_error, options.sigmas, scene.yield_links
+        check_deadline()
+        kept: deque[tuple[object, World]] = robot.cached("worlds", lambda: deque(maxlen=2))
+        for known, world in tuple(kept):
+            if known == key:
+                return world
+        world = cls.of(
+            robot, key[0], clearance=scene.clearance, tracking_error=tracking_error, sigmas=options.sigmas,
+            yield_links=scene.yield_links,
+        )  # fmt: skip
+        kept.append((key, world))
+        return world
+
     def touching(self, name: str, hangs_from: Sequence[str] = ()) -> World:
         """The world where the last link may touch the solid of a name, and others push what it hangs from."""
         rigid = [solid.name for solid in self.solids if solid.name in hangs_from and not solid.yields]
@@ -108,23 +133,6 @@ class World(Record):
         field = linked.field(self.robot, own_clearance=self.clearance, deviation=self.deviation)
         field = field.sparing(linked.named(touched))
         return replace(self, field=field, checker=checker, linked=linked, touched=touched, hanging=hanging)
-
-    def bodies(self, more: float = 0.0) -> PreparedObstacles:
-        """The solids made ready for cutting, grown by the clearance to keep and `more` [m]."""
-        linked, arm = self.linked, self.robot.arm_slice
-        links = None if linked.joints is None else linked.joints[:, arm]
-        if self.touched:
-            touched = linked.named(self.touched)
-            everything = np.ones((len(touched), self.robot.arm.link_count), dtype=np.bool_)
-            links = everything if links is None else links.copy()
-            links[touched, -1] = False
-        return prepare_obstacles(
-            linked.solids,
-            clearance=linked.growth + more,
-            own_clearance=self.clearance + more,
-            deviation=self.deviation,
-            links=links,
-        )
 
     def check_clear(self, q: FloatArray, which: str) -> float:
         """The clearance of a configuration at rest beyond the one to keep and each link's displacement bound [m].

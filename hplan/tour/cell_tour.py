@@ -29,7 +29,7 @@ from hplan.errors import CertificationError, HplanError, TourError
 from hplan.planning.cell import Cell, CellArm, certify_between, check_options, may_touch_report, standing
 from hplan.planning.options import PlanOptions
 from hplan.planning.reachable import reachable
-from hplan.planning.task import Progress, no_progress
+from hplan.planning.stages import Progress, no_progress
 from hplan.planning.timetable import SPARES, Timetable
 from hplan.planning.world import World
 from hplan.tour.carried import carrying

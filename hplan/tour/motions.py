@@ -35,11 +35,11 @@ from hplan.errors import HplanError, UnreachableError
 from hplan.planning.approach import Approach, blended, retreat_of
 from hplan.planning.failures import NO_MOTION
 from hplan.planning.grasps import Grasp, Target, grasps
-from hplan.planning.motion import Motion, Transit, last, seconds
+from hplan.planning.motion import Motion, Transit, best_of, seconds
 from hplan.planning.plans import plans_to_grasps
 from hplan.planning.pose_goal import configurations_at
-from hplan.planning.task import PlanningContext, PlanningTask
-from hplan.planning.transits import one_transit
+from hplan.planning.problem import Problem, merged
+from hplan.planning.solver import best_motion
 from hplan.robot.limits import rest_to_rest
 from hplan.scene.model import Fruit, Goal
 from hplan.tour.moves import Moves, Stop
@@ -79,7 +79,7 @@ class Motions:
     """
 
     def __init__(
-        self, empty: PlanningContext, loaded: PlanningContext | None, *, here: Stop, home: Stop,
+        self, empty: Problem, loaded: Problem | None, *, here: Stop, home: Stop,
         drop: Transit | None, every: int, back: bool,
     ) -> None:  # fmt: skip
         """Begin without fruits.
@@ -92,14 +92,14 @@ class Motions:
             back: True if the tour goes back.
         """
         self.fruits = list[str]()
-        context = empty if loaded is None else loaded
+        problem = empty if loaded is None else loaded
         # Most nodes of the grids that show that no path leads to a fruit: finer ones take hundreds of megabytes.
-        floods = min(context.effort.floods, 2e7)
-        self._context = replace(context, effort=replace(context.effort, floods=floods))
+        nodes = min(problem.effort.proof_nodes, 2e7)
+        self._problem = replace(problem, effort=replace(problem.effort, proof_nodes=nodes))
         self._moves = Moves(empty, loaded)
         self._every, self._back, self._carries = every, back, loaded is not None
         self._here, self._home = self._moves.stop(here), self._moves.stop(home)
-        self._hub = self._home if drop is None else self._moves.stop(Stop(drop.task.problem.goal))
+        self._hub = self._home if drop is None else self._moves.stop(Stop(drop.problem.goal))
         self._moves.drop_at(self._hub)
         self._begin, self._names, self._numbers = [0], list[str](), np.zeros(0, dtype=np.int64)
         self._failed: dict[str, HplanError] = {}
@@ -162,14 +162,15 @@ class Motions:
         return visits if all(self._moves.take(*stops, False) is not None for stops in steps) else None
 
     def _add(self, fruit: Fruit, keep: int) -> None:
-        context, hub = self._context, self._moves.stops[self._hub].configuration
-        target = Target.of_fruit(context.world, fruit, context.scene, context.options)
-        found = grasps(target, hub, standoff=context.options.standoff_m, locked=context.scene.locked_joints)
+        hub = self._moves.stops[self._hub].configuration
+        problem = replace(self._problem, start=hub)
+        target = Target.of_fruit(problem.world, fruit, problem.scene, problem.options)
+        found = grasps(target, hub, standoff=problem.options.standoff_m, locked=problem.scene.locked_joints)
         self._sought += 1
-        approach, plan = next(plans_to_grasps(context, target, found, hub))
+        approach, plan = next(plans_to_grasps(problem, target, found))
         begin = self._begin[-1]
         for grasp in found:
-            self._places.append(approach if grasp is approach.grasp else Approach(context, target, grasp))
+            self._places.append(approach if grasp is approach.grasp else Approach(problem, target, grasp))
             self._moves.add(Stop(grasp.standoff, fruit if grasp.distance == 0.0 else None))
         turns = np.array([np.abs(grasp.goal - grasp.standoff) for grasp in found])
         self._pick_s += (2.0 * rest_to_rest(turns, *self._moves.limits).max(axis=1)).tolist()
@@ -308,7 +309,7 @@ class Motions:
             return None
         with suppress(*NO_MOTION):
             before, after = (None if place is None else self._places[place] for place in (leaving, coming))
-            return blended(self._moves.task(*step.stops, step.loaded), motion, before, after)
+            return blended(self._moves.problem(*step.stops, step.loaded), motion, before, after)
         return None
 
     def end(self, visits: Visits) -> Stop:
@@ -385,7 +386,7 @@ def _reversed(found: _Blended) -> _Blended:
     return before, motion.reversed, None if leaving is None else replace(leaving.reversed, name="approach")
 
 
-def drop_off(goal: Goal, empty: PlanningContext, loaded: PlanningContext, start: FloatArray) -> Transit:
+def drop_off(goal: Goal, empty: Problem, loaded: Problem, start: FloatArray) -> Transit:
     """The motion from the start to the drop-off, which is clear also as the arm carries.
 
     Args:
@@ -403,16 +404,16 @@ def drop_off(goal: Goal, empty: PlanningContext, loaded: PlanningContext, start:
     if joints is not None:
         q = world.robot.check_configuration(world.robot.turned_near(joints, start), "drop_off")
         world.check_clear(q, "drop_off")
-        return one_transit([empty.task(start, q)])[1]
+        return best_motion(empty.between(start, q))[1]
     if goal.pose is not None:
         ends = configurations_at(world, goal, start, empty.scene.locked_joints)
-        return one_transit([empty.task(start, q) for q in ends])[1]
+        return best_motion(merged([empty.between(start, q) for q in ends]))[1]
     target = Target("the drop-off", np.array(goal.position), world, world, goal.approach_deg)
     found = grasps(target, start, standoff=0.0, locked=empty.scene.locked_joints)
 
-    def task_to(grasp: Grasp) -> PlanningTask:
+    def problem_to(grasp: Grasp) -> Problem:
         world.check_clear(grasp.goal, "goal")
-        return empty.task(start, grasp.goal)
+        return empty.between(start, grasp.goal)
 
-    _, plan = last(plans_to_grasps(empty, target, found, start, task_to))
+    _, plan = best_of(plans_to_grasps(empty, target, found, problem_to))
     return plan.transit

@@ -23,10 +23,11 @@ import numpy as np
 from hplan.base.arrays import FloatArray, IntArray
 from hplan.planning.effort import CLOSE, NO_TREES
 from hplan.planning.failures import NO_MOTION, FailuresError
-from hplan.planning.motion import Motion, last, seconds
+from hplan.planning.motion import Motion, best_of, seconds
+from hplan.planning.path_finder import first_tree_path, is_straight_clear
+from hplan.planning.problem import Problem
 from hplan.planning.sampling.several_trees import PromisingPath
-from hplan.planning.task import PlanningContext, PlanningTask
-from hplan.planning.transits import first_paths, near_paths, straight_is_clear, transits
+from hplan.planning.solver import motion_near, motions, searches_first
 from hplan.robot.limits import Limits, rest_to_rest
 from hplan.scene.model import Fruit
 from hplan.tour.joins import GAIN_S, Joins
@@ -56,15 +57,15 @@ def _key(a: int, b: int, loaded: bool) -> _Key:
     return min(a, b), max(a, b), loaded
 
 
-def _transit(task: PlanningTask, *, at_once: bool = False) -> Motion | None:
+def _transit(problem: Problem, *, at_once: bool = False) -> Motion | None:
     """The motion that is found first, or the last and quickest one; None where there is none.
 
     Raises:
         HplanError: One of `NO_MOTION`.
     """
     with suppress(FailuresError):
-        found = transits([task])
-        return (next(found) if at_once else last(found))[1]
+        found = motions(problem)
+        return (next(found) if at_once else best_of(found))[1]
     return None
 
 
@@ -76,7 +77,7 @@ class Moves:
         planned: How many motions between stops were planned, those among them that were not found.
     """
 
-    def __init__(self, empty: PlanningContext, loaded: PlanningContext | None) -> None:
+    def __init__(self, empty: Problem, loaded: Problem | None) -> None:
         """Begin without stops.
 
         Args:
@@ -137,22 +138,23 @@ class Moves:
         if self.is_known(a, b, loaded):
             return
         try:
-            task = self.task(*key)
-            if not task.problem.turns or task.problem.is_empty:
-                self._plan(key, _transit(task))
+            problem = self.problem(*key)
+            if problem.is_empty or searches_first(problem):
+                self._plan(key, _transit(problem))
             elif key in self._routes:
-                self._plan(key, near_paths(task, self._routes.pop(key)))
+                self._plan(key, motion_near(problem, self._routes.pop(key)))
             elif key in self._blocked:
-                routes = first_paths(task)
+                routes = first_tree_path(problem)
                 if routes and routes[0].seconds < self._joins[loaded].between(a, b):
                     self._routes[key] = routes
                     # A motion near a path of trees lasts about so many times as long as that at the velocity limits.
                     self._estimate(key, 1.2 * routes[0].seconds)
                 else:
                     self._plan(key, None)
-            elif straight_is_clear(task):
-                effort = replace(task.effort, trees=replace(task.effort.trees, pairs=1), long=NO_TREES, floods=0.0)
-                self._plan(key, _transit(replace(task, effort=effort), at_once=True))
+            elif is_straight_clear(problem):
+                trees = replace(problem.effort.trees, pairs=1)
+                effort = replace(problem.effort, trees=trees, long=NO_TREES, proof_nodes=0.0)
+                self._plan(key, _transit(replace(problem, effort=effort), at_once=True))
             else:
                 self._block(key)
         except NO_MOTION:
@@ -178,7 +180,7 @@ class Moves:
             return False
         self._thorough.add(key)
         with suppress(*NO_MOTION):
-            found = _transit(self.task(*key))
+            found = _transit(self.problem(*key))
             if found is not None and found.trajectory.duration < duration_s - GAIN_S:
                 self._plan(key, found)
                 return True
@@ -218,13 +220,13 @@ class Moves:
             least[rows] = rest_to_rest(np.abs(there[rows, None] - there), *self.limits).max(axis=2)
         return least
 
-    def task(self, a: int, b: int, loaded: bool) -> PlanningTask:
-        """The motion to plan between two stops."""
-        ends, context = (self.stops[a], self.stops[b]), self._contexts[loaded]
+    def problem(self, a: int, b: int, loaded: bool) -> Problem:
+        """The problem of the motion between two stops."""
+        ends, problem = (self.stops[a], self.stops[b]), self._contexts[loaded]
         for fruit in {end.fruit.name: end.fruit for end in ends if end.fruit is not None}.values():
             # At a fruit the last link may touch it.
-            context = context.among(context.world.touching(fruit.name, fruit.hangs_from))
-        return context.task(*(end.configuration for end in ends))
+            problem = problem.among(problem.world.touching(fruit.name, fruit.hangs_from))
+        return problem.between(*(end.configuration for end in ends))
 
     def _plan(self, key: _Key, found: Motion | None) -> None:
         """Keep what was found of a motion."""

@@ -28,7 +28,7 @@ from hplan.collision.reach import reach_ball
 from hplan.errors import HplanError, InputError, MovingObstacleError, OptionError, TourError
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import check_task
-from hplan.planning.task import Progress, no_progress
+from hplan.planning.stages import Progress, no_progress
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 from hplan.scene.obstacles import Capsule

@@ -27,11 +27,12 @@ from hplan.certificate.certificate import all_of
 from hplan.certificate.digests import Digests
 from hplan.errors import CertificationError, OptionError, SceneError, TourError, UnreachableError
 from hplan.planning.failures import NO_MOTION
-from hplan.planning.motion import Motion, certificate_of, in_sequence, required, seconds
+from hplan.planning.motion import Motion, Transit, certificate_of, in_sequence, require_certificate, seconds
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import check_task
+from hplan.planning.problem import Problem
 from hplan.planning.report import far_report, motion_report
-from hplan.planning.task import PlanningCache, Progress, no_progress
+from hplan.planning.stages import Progress, no_progress
 from hplan.robot.model import Robot
 from hplan.scene.model import Fruit, Goal, Scene
 from hplan.tour.carried import carrying
@@ -167,25 +168,27 @@ class TourPlanner:
         """Arguments and errors as those of `plan_tour`; `names` are the fruits that may be picked."""
         self._begin = time.perf_counter()
         self.robot, self.scene, self.options, self.tour, self.progress = robot, scene, options, tour, progress
-        self._empty, self._loaded, self._drop = PlanningCache(robot), None, None
+        self._carrying: Robot | None = None
+        self._drop: Transit | None = None
         if scene.start.is_moving:
             raise SceneError("tours begin at rest; the start has a velocity or an acceleration", where="start")
-        self.start = robot.check_configuration(robot.joints_of(scene.start, "start"), "start")
-        self.context = self._empty.context(scene, options)
-        self.context.world.check_base(robot.yaw_of(self.start))
-        self.context.task(self.start, self.start)
+        self.problem = Problem.of(robot, scene, options)
+        self.start = self.problem.start
+        self.problem.world.check_base(robot.yaw_of(self.start))
+        self.problem.between(self.start, self.start)
         if tour.drop_off is not None:
             progress("drop-off")
             thickest = max(fruit.radius for fruit in scene.fruits if fruit.name in names)
-            self._loaded = PlanningCache(carrying(robot, thickest))
-            self._drop = drop_off(tour.drop_off, self.context, self._loaded.context(scene, options), self.start)
+            self._carrying = carrying(robot, thickest)
+            loaded = Problem.of(self._carrying, scene, options)
+            self._drop = drop_off(tour.drop_off, self.problem, loaded, self.start)
         self._whole = self._motions(scene, Stop(self.start))
 
     def _motions(self, scene: Scene, here: Stop) -> Motions:
         """The motions among what hangs in a scene, from where the arm is."""
         return Motions(
-            self._empty.context(scene, self.options),
-            None if self._loaded is None else self._loaded.context(scene, self.options),
+            Problem.of(self.robot, scene, self.options),
+            None if self._carrying is None else Problem.of(self._carrying, scene, self.options),
             here=here, home=Stop(self.start), drop=self._drop, every=self.tour.every or 1, back=self.tour.back,
         )  # fmt: skip
 
@@ -260,7 +263,7 @@ class TourPlanner:
         for fruit, grasp, parts in drafts:
             if not parts:  # the arm rests where it is
                 rest = resting(self.robot.model, here)
-                parts = [Motion("return", rest, required(self.context, certificate_of(self.context, rest)))]
+                parts = [Motion("return", rest, require_certificate(self.problem, certificate_of(self.problem, rest)))]
             legs.append(Leg(fruit, grasp, begin, *in_sequence(parts, begin)))
             begin = legs[-1].phases[-1].end_s
             here = legs[-1].trajectory.position[-1]

@@ -88,8 +88,8 @@ def _bound(asked: Asked, numbered: tuple[int, TreeProblem | None]) -> Row | None
 
 
 def _bound_of(result: PlanResult, *, thorough: bool) -> DurationBound:
-    task, duration_s = result.motion.task, result.motion.trajectory.duration
-    return duration_bound(task.world, task.problem, motion_limits(task), duration_s, thorough=thorough)
+    problem, duration_s = result.motion.problem, result.motion.trajectory.duration
+    return duration_bound(problem.world, problem, motion_limits(problem), duration_s, thorough=thorough)
 
 
 BOUND = Study(

@@ -12,6 +12,7 @@ import math
 from typing import TypeAlias
 
 import numpy as np
+from hplan.planning.definition import check_problem
 from studies.harness import Asked, Row, Study
 from studies.measure import planned
 from studies.outside import contacts
@@ -23,7 +24,6 @@ from hplan.certificate.moving_obstacles import clear_until, moving_base_contacts
 from hplan.collision.coal_scene import CoalScene
 from hplan.collision.moving_solids import MovingSolids
 from hplan.errors import InputError
-from hplan.planning.definition import check_problem
 from hplan.planning.moving.obstacles_at import without_moving
 from hplan.planning.moving.path_in_time import MovingField, PathInTime
 from hplan.planning.moving.schedule import STEP_S

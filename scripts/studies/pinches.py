@@ -12,13 +12,13 @@ from itertools import pairwise
 from typing import TypeAlias
 
 import numpy as np
+from hplan.planning.definition import check_problem
 from studies.validation.random_scenes import vector
 
 from hplan.base.arrays import FloatArray
 from hplan.errors import HplanError
-from hplan.planning.definition import check_problem
 from hplan.planning.options import PlanOptions
-from hplan.planning.task import PlanningCache
+from hplan.planning.world import World
 from hplan.robot.family.members import load_member
 from hplan.robot.family.spec import ArmSpec
 from hplan.robot.model import Robot, load_robot
@@ -62,7 +62,7 @@ def pinch(seed: int, number: int, arm: str, room: float) -> tuple[Robot, Scene]:
 
 def _is_narrow(robot: Robot, scene: Scene) -> bool:
     """True if planning takes base, start and goal, and the straight motion is not clear."""
-    world = PlanningCache(robot).world(scene, PlanOptions())
+    world = World.of_scene(robot, scene, PlanOptions())
     try:
         world.check_base(robot.yaw_of(scene.start.configuration))
         problem = check_problem(

@@ -21,7 +21,7 @@ from hplan.grid import dense_search, two_level_search
 from hplan.grid.grid import Occupancy
 from hplan.grid.occupancy import occupancy
 from hplan.planning.options import PlanOptions
-from hplan.planning.task import PlanningCache
+from hplan.planning.world import World
 from hplan.robot.model import Robot
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Sphere
@@ -87,7 +87,7 @@ def random_scene(robot: Robot, seed: int, number: int) -> PlanarScene:
             continue
         # The base is looked at last: so the numbers drawn for scenes in which it is free are the same as without.
         scene = planar_scene(robot, f"clutter-{number}", discs, ends[0], ends[1])
-        world = PlanningCache(robot).world(scene, PlanOptions())
+        world = World.of_scene(robot, scene, PlanOptions())
         try:
             world.check_base(robot.yaw_of(scene.start.configuration))
         except InputError:

@@ -241,8 +241,8 @@ def test_obstacles_that_move(picked: PlanResult, tmp_path: Path) -> None:
     scene = picked.scene.model_copy(update=changes)
     proof = certify(picked.robot, scene, picked.trajectory, check_ends=False)
     assert proof.nearest is not None
-    task = replace(picked.motion.task, scene=scene)
-    moving = replace(picked, motion=replace(picked.motion, task=task), certificate=proof, phases=())
+    problem = replace(picked.motion.problem, scene=scene)
+    moving = replace(picked, motion=replace(picked.motion, problem=problem), certificate=proof, phases=())
     found = Recorded(write_mcap(moving, tmp_path / "moving.mcap", rate_hz=20.0))
     (_, markers), *_ = found.messages["/scene"]
     (marker,) = markers.markers

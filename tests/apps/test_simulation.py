@@ -274,7 +274,7 @@ def test_a_late_command_is_a_lag_of_as_long(robot: Robot, around_a_post: PlanRes
     delay = 5e-3
     late = execute(
         robot,
-        around_a_post.motion.task.scene,
+        around_a_post.motion.problem.scene,
         around_a_post.trajectory,
         Plant(command_delay_s=delay, bandwidth=STIFF, decoupled=True),
     )
@@ -290,7 +290,7 @@ def test_a_late_command_is_a_lag_of_as_long(robot: Robot, around_a_post: PlanRes
 def test_other_masses_sag_and_a_stiffer_controller_sags_less(
     robot: Robot, around_a_post: PlanResult, factor: float
 ) -> None:
-    scene, motion = around_a_post.motion.task.scene, around_a_post.trajectory
+    scene, motion = around_a_post.motion.problem.scene, around_a_post.trajectory
     plants = Plant(factor, 1e-3), Plant(factor, 1e-3, STIFF, decoupled=True)
     soft, stiff = (execute(robot, scene, motion, plant) for plant in plants)
     sag = (soft.position - soft.reference)[-1, 1:]  # at rest, where gravity alone acts

@@ -258,7 +258,7 @@ def reference() -> PlanResult:
 @pytest.mark.parametrize("part", np.linspace(0.0, 1.0, 6))
 def test_stops_are_certified_without_a_look_and_clear(robot, part):
     result = reference()
-    scene = result.motion.task.scene
+    scene = result.motion.problem.scene
     found = result.stop_at(part * result.trajectory.duration)
     assert found.certificate.verified
     assert found.certificate.checks in (0, result.certificate.checks)
@@ -284,7 +284,7 @@ def test_stops_in_a_pick(part):
     found = result.stop_at(part * result.trajectory.duration)
     assert found.certificate.verified, found.certificate.violations
     anew = certified_retiming(
-        load_robot(), result.motion.task.scene, result.certificate,
+        load_robot(), result.motion.problem.scene, result.certificate,
         stopped(result.trajectory, part * result.trajectory.duration, load_robot()),
         tracking=STILL, sigmas=3.0, anew=True,
     )  # fmt: skip
@@ -293,7 +293,7 @@ def test_stops_in_a_pick(part):
 
 def test_where_the_clearance_does_not_suffice_it_is_shown_anew(robot):
     result = reference()
-    scene = result.motion.task.scene
+    scene = result.motion.problem.scene
     tight = replace(result.certificate, min_clearance_m=1e-6)
     retimed = stopped(result.trajectory, 0.6, robot)
     found = certified_retiming(robot, scene, tight, retimed, tracking=STILL, sigmas=3.0)
@@ -304,7 +304,7 @@ def test_where_the_clearance_does_not_suffice_it_is_shown_anew(robot):
 def test_what_is_not_clear_is_not_certified(robot):
     """An obstacle on the path, and a certificate that does not hold."""
     result = reference()
-    scene = result.motion.task.scene
+    scene = result.motion.problem.scene
     tool = robot.tool_positions(result.trajectory.position[[100]])[0]
     blocked = scene.with_obstacles([*scene.obstacles, Sphere(name="late", center=tuple(tool.tolist()), radius=0.05)])
     unknown = replace(result.certificate, verified=False)
@@ -319,7 +319,7 @@ def test_other_speeds_are_certified(robot):
     found = result.scaled([(0.0, 1.0), (0.4, 1.0), (0.4, 0.3)])
     assert found.certificate.verified
     assert found.parts_s == pytest.approx(0.396)
-    scene = result.motion.task.scene
+    scene = result.motion.problem.scene
     assert certify(robot, scene, found.trajectory).verified
 
 

@@ -51,7 +51,7 @@ def assert_spliced(robot: Robot, scene: Scene, before: PlanResult, result: Splic
     assert not trajectory.velocity[-1].any()
     assert result.phases[0].start_s == 0.0
     assert result.phases[-1].end_s == pytest.approx(trajectory.duration)
-    assert result.motion.task.scene is now
+    assert result.motion.problem.scene is now
 
 
 @pytest.mark.parametrize(

@@ -24,8 +24,6 @@ from hplan.planning.motion import Motion, Plan
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
 from hplan.planning.result import PlanResult
-from hplan.planning.stages import StageClock
-from hplan.planning.task import PlanningCache, no_progress
 from hplan.robot.model import Robot
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Sphere
@@ -236,7 +234,7 @@ def test_after_a_stop_what_moves_is_where_it_is_then(robot, monkeypatch):
 
     def plans_of(later: Scene) -> Iterator[Plan]:
         seen.append(later)
-        return planning._plans(PlanningCache(robot), later, options, no_progress, StageClock(), None, None)
+        return planning._plans(robot, later, options, None, None)
 
     certified = certified_in_time(robot, scene, options, stop, check_ends=False)
     found = stopping_first(robot, scene, options, plans_of, Motion("stop", stop, certified))

@@ -97,12 +97,12 @@ def test_one_planner(robot: Robot) -> None:
         for turn in range(6):
             planner.move("ball", center=(0.5, -1.2, 1.5 + 0.01 * (number + turn)))
             result = planner.replan()
-            scene = result.motion.task.scene
+            scene = result.motion.problem.scene
             assert hplan.certify(robot, scene, result.trajectory).verified
 
     at_once([lambda number=number: move(number) for number in range(3)])
     assert planner.last is not None
-    assert planner.last.motion.task.scene == planner.scene
+    assert planner.last.motion.problem.scene == planner.scene
 
 
 def test_changes_frames_and_stops_do_not_wait_for_a_plan(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:

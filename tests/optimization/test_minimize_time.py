@@ -36,10 +36,10 @@ from hplan.optimization.time_problem import TimeProblem
 from hplan.optimization.timed_spline import TimedSpline, even_breaks
 from hplan.optimization.tool_rows import LEANING, Leaning
 from hplan.optimization.torque_rows import ALLOWED, TorqueUse, torque_rows
-from hplan.planning.effort import EFFORTS_OF_BODIES
+from hplan.planning.effort import EFFORTS
 from hplan.planning.motion import motion_limits, smoothing_options
 from hplan.planning.options import EFFORT_NAMES, PlanOptions
-from hplan.planning.task import PlanningCache, PlanningTask
+from hplan.planning.problem import Problem
 from hplan.scene.model import Scene
 from hplan.scene.obstacles import Sphere
 from hplan.trajectory.speed_profile import SpeedProfile
@@ -325,35 +325,34 @@ def test_a_program_without_solution_is_not_solved():
     assert not solve(rows, 1, 0, ACCURACY, NEVER)[0]
 
 
-DEFAULT = EFFORTS_OF_BODIES["default"].starts
+DEFAULT = EFFORTS["default"].starts
 assert DEFAULT is not None
 EFFORT = DEFAULT.optimization
 
 
 @pytest.fixture(scope="module")
-def task(tmp_path_factory: pytest.TempPathFactory) -> PlanningTask:
+def task(tmp_path_factory: pytest.TempPathFactory) -> Problem:
     arm = loaded_arm("toy", tmp_path_factory)
     ends = {key: {"joints_rad": place} for key, place in (("start", (0.3,) * arm.dof), ("goal", (1.2,) * arm.dof))}
     scene = Scene.model_validate({"format": "hplan-scene/1", "name": "nothing", "obstacles": (), **ends})
-    context = PlanningCache(arm).context(scene, PlanOptions())
-    return context.task(scene.start.configuration, scene.goal.configuration)
+    return Problem.of(arm, scene, PlanOptions()).between(scene.start.configuration, scene.goal.configuration)
 
 
-def problem_of(task: PlanningTask) -> TimeProblem:
-    options, robot = smoothing_options(task, task.margin()), task.robot
+def problem_of(task: Problem) -> TimeProblem:
+    options, robot = smoothing_options(task, task.margin), task.robot
     return TimeProblem(task.field, task.field, options, motion_limits(task), robot.dynamics, task.options.rate_hz)
 
 
-def bent(task: PlanningTask, seed: int) -> SpeedProfile:
+def bent(task: Problem, seed: int) -> SpeedProfile:
     """A start that is a detour."""
-    ends: FloatArray = np.linspace(task.problem.start, task.problem.goal, 7)
+    ends: FloatArray = np.linspace(task.start, task.goal, 7)
     ends[1:-1] += np.random.default_rng(seed).uniform(-0.3, 0.3, ends[1:-1].shape)
-    return coarse_profile(SplinePath.through(ends), smoothing_options(task, task.margin()))
+    return coarse_profile(SplinePath.through(ends), smoothing_options(task, task.margin))
 
 
 @pytest.mark.parametrize("seed", [1, 2])
-def test_no_motion_falls_below_what_its_pieces_allow(task: PlanningTask, seed: int) -> None:
-    problem, turn = problem_of(task), task.problem.goal - task.problem.start
+def test_no_motion_falls_below_what_its_pieces_allow(task: Problem, seed: int) -> None:
+    problem, turn = problem_of(task), task.goal - task.start
     rough = rough_motion(bent(task, seed), problem, EFFORT)
     assert rough is not None
     found = minimize_time(bent(task, seed), problem, EFFORT, rough=rough)

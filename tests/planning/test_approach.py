@@ -176,7 +176,7 @@ def start_of(trajectory: Trajectory, row: int) -> Start:
 
 def begun(row: int, **changes: object) -> Scene:
     """The scene of the running motion, which is at a row of it."""
-    return running().motion.task.scene.model_copy(update={"start": start_of(running().trajectory, row), **changes})
+    return running().motion.problem.scene.model_copy(update={"start": start_of(running().trajectory, row), **changes})
 
 
 def assert_goes_on(scene: Scene, result: PlanResult) -> None:
@@ -267,7 +267,7 @@ def test_a_state_that_cannot_be_left(robot):
 
 
 def test_what_cannot_be_the_start(robot):
-    scene = running().motion.task.scene
+    scene = running().motion.problem.scene
     fast = (9.0, 0.0, 0.0, 0.0)
     joints = tuple(running().trajectory.position[0].tolist())
     for key, quantity in (("velocity_rad_s", "velocity"), ("acceleration_rad_s2", "acceleration")):

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from planned import fruit, post, task
+from planned import fruit, post, problem_between, task
 from scipy.optimize import linprog
 from studies.planar import random_scene
 
@@ -21,7 +21,6 @@ from hplan.base.arrays import BoolArray, FloatArray
 from hplan.certificate.certificate import LIMIT_TOLERANCE
 from hplan.collision.coal_scene import CoalScene
 from hplan.errors import BoundError, HplanError
-from hplan.planning.definition import check_problem
 from hplan.planning.lower_bound.duration_bound import (
     DurationBound,
     _excess,
@@ -36,7 +35,7 @@ from hplan.planning.motion import motion_limits
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
 from hplan.planning.result import PlanResult
-from hplan.planning.task import PlanningCache
+from hplan.planning.world import World
 from hplan.robot.limits import Limits, rest_to_rest
 from hplan.robot.model import Robot, load_robot
 from hplan.scene.model import Goal, Scene, Start
@@ -49,7 +48,7 @@ def bound_of(result: PlanResult, duration_s: float | None = None) -> DurationBou
     """The bound for the transit of a plan, by itself."""
     motion = result.motion
     duration = motion.trajectory.duration if duration_s is None else duration_s
-    return duration_bound(motion.task.world, motion.task.problem, motion_limits(motion.task), duration)
+    return duration_bound(motion.problem.world, motion.problem, motion_limits(motion.problem), duration)
 
 
 @pytest.fixture
@@ -264,9 +263,9 @@ def search_of(
     robot: Robot, scene: Scene, order: list[int], longest: float, samples: int
 ) -> tuple[GridSearch, JointMotions]:
     """The search over a grid of some joints, and the motions of all joints."""
-    world = PlanningCache(robot).world(scene, PlanOptions())
+    world = World.of_scene(robot, scene, PlanOptions())
     ends = scene.start.configuration, scene.goal.configuration
-    problem = check_problem(world, *ends, locked_joints=scene.locked_joints)
+    problem = problem_between(world, *ends, locked_joints=scene.locked_joints)
     limits = Limits(robot.velocity_limit, robot.acceleration_limit, jerk=robot.jerk_limit)
     motions, obstacles = _joint_motions(world, problem, limits), _obstacles(world)
     grid = TimedGrid.of(motions.only(order), longest, samples)
@@ -351,7 +350,7 @@ def test_no_obstacle_is_taken_for_larger_than_it_is(robot: Robot) -> None:
     random = np.random.default_rng(9)
     for solid in OBSTACLES.values():
         scene = task([0, 5, 0, 0], [0, 80, 5, 5], [solid], clearance=0.01)
-        field, checker = _obstacles(PlanningCache(robot).world(scene, PlanOptions())), CoalScene(robot, scene.solids)
+        field, checker = _obstacles(World.of_scene(robot, scene, PlanOptions())), CoalScene(robot, scene.solids)
         for q in random.uniform(robot.lower, robot.upper, (200, 4)) * [0.05, 1.0, 1.0, 1.0]:
             apart = checker.distances(q)[:, 0]
             assert (field.link_clearances(q) >= np.minimum(apart - 0.01, 0.1) - 1e-9 - 2e-6)[apart > 0.0].all()

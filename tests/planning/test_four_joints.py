@@ -78,7 +78,7 @@ def test_base_moves_where_the_plane_is_closed(robot: Robot) -> None:
     scene = around_the_bar()
     free = plan(robot, scene)
     assert np.ptp(free.trajectory.position[:, 0]) > math.radians(2.0)
-    assert free.trajectory.duration < 1.5 * free.motion.task.least_duration
+    assert free.trajectory.duration < 1.5 * free.motion.problem.least_duration
     with pytest.raises(NoPathError):
         plan(robot, Scene(**{**vars(scene), "locked_joints": ("base_yaw",)}))
 

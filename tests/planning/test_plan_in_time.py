@@ -18,7 +18,7 @@ from hplan.errors import MovingObstacleError, NotFoundError, NotInTimeError, Opt
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
 from hplan.planning.plans import plans
-from hplan.planning.task import LastWorld, PlanningCache
+from hplan.planning.problem import Problem
 from hplan.planning.world import World, without_inside
 from hplan.robot.model import Robot
 from hplan.scene.model import Fruit, Goal, Scene
@@ -146,8 +146,8 @@ def test_the_best_so_far_is_handed_out_at_the_deadline(robot: Robot, monkeypatch
 
 
 def test_each_motion_in_time_is_certified_and_quicker_than_the_one_before(robot: Robot) -> None:
-    context = PlanningCache(robot).context(hplan.load_scene("tour"), hplan.PlanOptions(deadline_s=ENOUGH_S))
-    found = list(plans(context, context.scene.start.configuration))
+    problem = Problem.of(robot, hplan.load_scene("tour"), hplan.PlanOptions(deadline_s=ENOUGH_S))
+    found = list(plans(problem))
     assert len(found) > 1
     assert all(motion.certificate.verified for plan in found for motion in plan.motions)
     durations = [plan.duration for plan in found]
@@ -158,7 +158,7 @@ def test_the_robot_keeps_the_last_world_that_was_planned_in() -> None:
     robot, scene, asked = hplan.load_robot(), hplan.load_scene("tour"), hplan.PlanOptions()
 
     def world(scene: Scene, options: hplan.PlanOptions = asked) -> World:
-        return LastWorld.of(robot).world(robot, scene, options)
+        return World.of_scene(robot, scene, options)
 
     kept = world(scene)
     assert world(scene.model_copy(update={"goal": Goal(fruit=scene.fruits[1].name)})) is kept
@@ -198,7 +198,7 @@ def refused(ask) -> None:
 def test_tours_bounds_worlds_and_execution(robot):
     refused(lambda: hplan.plan_tour(robot, SCENE))
     refused(lambda: plan(robot, SCENE, PlanOptions(bound=True)))
-    refused(lambda: PlanningCache(robot).world(SCENE, PlanOptions()))
+    refused(lambda: World.of_scene(robot, SCENE, PlanOptions()))
     refused(lambda: without_inside(robot, SCENE))
     result = plan(robot, SCENE)
     assert result.certificate.verified

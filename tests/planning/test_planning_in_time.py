@@ -60,7 +60,7 @@ def test_a_motion_that_is_not_in_the_way_is_as_if_nothing_moved(robot):
     assert result.trajectory.duration == alone.trajectory.duration
     assert result.report["in_time"]["waits_s"] == 0.0
     assert result.report["scene"] == scene.name
-    assert result.motion.task.scene is scene
+    assert result.motion.problem.scene is scene
 
 
 def test_it_goes_at_once_before_what_comes(robot):

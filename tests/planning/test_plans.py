@@ -18,12 +18,13 @@ import hplan.planning.tool_paths
 from hplan.collision.coal_scene import CoalScene
 from hplan.errors import BlockedError, CertificationError, NoPathError, NotFoundError, TimingError
 from hplan.kinematics.planar_inverse_kinematics import reach
-from hplan.planning.failures import FailuresError, without_path
+from hplan.planning.failures import FailuresError
 from hplan.planning.grasps import COUNT, ROOMS, SPARE, Grasp, Target, grasps, promising
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
-from hplan.planning.task import PlanningCache
-from hplan.planning.transits import one_transit
+from hplan.planning.problem import merged
+from hplan.planning.solver import best_motion, prove_infeasible
+from hplan.planning.world import World
 from hplan.robot.model import Robot, load_robot
 from hplan.scene.model import Fruit, Goal, Scene, Start
 from hplan.scene.obstacles import Capsule, Sphere
@@ -75,7 +76,7 @@ TIGHT = {
 
 def grasps_of(robot: Robot, scene: Scene) -> tuple[tuple[Grasp, ...], list[Grasp]]:
     """All grasps of the goal's fruit, and the likely ones."""
-    world, start = PlanningCache(robot).world(scene, COARSE), scene.start.configuration
+    world, start = World.of_scene(robot, scene, COARSE), scene.start.configuration
     fruit = next(fruit for fruit in scene.fruits if fruit.name == scene.goal.fruit)
     target = Target.of_fruit(world, fruit, scene, COARSE)
     found = grasps(target, start, standoff=0.1, locked=scene.locked_joints)
@@ -119,7 +120,7 @@ def test_blocked_says_how_many_were_tried_and_by_how_much(robot: Robot) -> None:
     error = caught.value
     assert error.refined > 0
     assert f"so do {error.refined} at finer approach angles" in error.message
-    near = PlanningCache(robot).world(tight, COARSE).touching("apple")
+    near = World.of_scene(robot, tight, COARSE).touching("apple")
     start = tight.start.configuration
     fine = reach(robot, tight.fruits[0].center, count=4000, start=start, locked=tight.locked_joints).configurations
     best = max(near.field.clearance(q) for q in fine)
@@ -168,19 +169,19 @@ def test_no_path_to_any_in_a_pocket(robot: Robot) -> None:
     bars = frame_about_upper_arm(60.0, 20.0)
     scenes = [task((0.0, 70.0, 20.0, 20.0), (60.0, 20.0, wrist, 20.0), bars) for wrist in (20.0, 30.0, 40.0, 50.0)]
     tasks = [posed(robot, scene, PlanOptions(step_deg=3.0)) for scene in scenes]
-    errors = without_path(tasks)
+    errors = prove_infeasible(merged(tasks))
     assert all(isinstance(error, NoPathError) for error in errors)
     with pytest.raises(NoPathError) as caught:
-        one_transit(tasks)
+        best_motion(merged(tasks))
     assert caught.value.goals == 4
     # What is said of the first is what is said of it alone; and one outside is reached, whatever is said of the others.
     with pytest.raises(NoPathError) as alone:
-        one_transit(tasks[:1])
+        best_motion(tasks[0])
     assert caught.value.reached_cells == alone.value.reached_cells > 0
     assert caught.value.blockers == alone.value.blockers != ()
     outside = posed(robot, task((0.0, 70.0, 20.0, 20.0), (20.0, 60.0, 30.0, 20.0), bars), PlanOptions(step_deg=3.0))
-    assert without_path([*tasks, outside])[4] is None
-    number, motion = one_transit([*tasks, outside])
+    assert prove_infeasible(merged([*tasks, outside]))[4] is None
+    number, motion = best_motion(merged([*tasks, outside]))
     assert number == 4
     assert motion.certificate.verified
 
@@ -306,7 +307,7 @@ def test_a_stand_off_with_little_room_is_better_than_none(orchard_arm: Robot) ->
     """A ball behind the wrist at the stand-off: the fruit is touched on the approach only, not on the whole motion."""
     free, room = scene(orchard_arm, 10.0), 3e-4
     options = PlanOptions(standoff=0.0)  # the shortest approach alone
-    target = Target.of_fruit(PlanningCache(orchard_arm).world(free, options), APPLE, free, options)
+    target = Target.of_fruit(World.of_scene(orchard_arm, free, options), APPLE, free, options)
     grasp = grasps(target, free.start.configuration, standoff=0.0)[0]
     origin, axes = orchard_arm.plane_at(grasp.standoff[0])
     elbow, wrist, tool = origin + orchard_arm.arm.joint_points(grasp.standoff[1:])[-3:] @ axes[:2]

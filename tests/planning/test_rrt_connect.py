@@ -7,15 +7,16 @@ import math
 
 import numpy as np
 import pytest
+from planned import problem_between
 from studies.arms import random_scene
 
-import hplan.planning.transits
+import hplan.planning.path_finder
 from hplan.base.arrays import FloatArray
 from hplan.collision.coal_scene import CoalScene
 from hplan.optimization.shortcut import shorten
 from hplan.optimization.smooth_path import START_SHORTCUTS
-from hplan.planning.definition import Problem, check_problem
 from hplan.planning.plan import plan
+from hplan.planning.problem import Problem
 from hplan.planning.sampling.rrt_connect import EDGE_S, Pairs, TreeEffort, tree_path
 from hplan.planning.sampling.several_trees import TreesEffort, path_time, promising_paths
 from hplan.planning.world import World
@@ -35,7 +36,7 @@ def blocked(robot: Robot) -> tuple[Problem, World]:
     ball = Sphere(name="ball", center=(1.6, 0.0, 1.6), radius=0.25)
     world = World.of(robot, [ball], clearance=0.005)
     assert not world.field.is_clear(np.stack([START, GOAL]), MARGIN)
-    return check_problem(world, START, GOAL), world
+    return problem_between(world, START, GOAL), world
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -46,8 +47,8 @@ def test_path_is_clear_all_along(robot: Robot, blocked: tuple[Problem, World], s
     assert (path[0] == problem.start).all()
     assert (path[-1] == problem.goal).all()
     assert world.field.is_clear(path, 0.5 * MARGIN)
-    assert (path >= problem.lower - 1e-12).all()
-    assert (path <= problem.upper + 1e-12).all()
+    assert (path >= problem.lower[0] - 1e-12).all()
+    assert (path <= problem.upper[0] + 1e-12).all()
     # An edge is no longer than it may be, and not of no length.
     times = (np.abs(np.diff(path, axis=0)) / robot.velocity_limit).max(axis=1)
     assert (times > 0.0).all()
@@ -63,7 +64,7 @@ def test_nothing_is_found_through_a_plate(robot: Robot) -> None:
     plate = Box(name="plate", center=(0.9, 0.0, 1.5), size=(2.0, 3.0, 0.02), rpy_deg=(0.0, -45.0, 0.0))
     world = World.of(robot, [plate])
     start, goal = np.array([0.0, 1.5, 0.1, 0.1]), np.array([0.0, 0.0, 0.1, 0.1])
-    problem = check_problem(world, start, goal, locked_joints=("base_yaw",))
+    problem = problem_between(world, start, goal, locked_joints=("base_yaw",))
     assert path_of(robot, problem, world, TreeEffort(20_000)) is None
 
 
@@ -92,7 +93,7 @@ def test_trees_that_grow_on_are_those_that_grow_at_once(
 def test_locked_joints_stay(robot: Robot, scene: Scene) -> None:
     world = World.of(robot, scene.solids, clearance=scene.clearance)
     ends = scene.start.configuration, scene.goal.configuration
-    problem = check_problem(world, *ends, locked_joints=("base_yaw",))
+    problem = problem_between(world, *ends, locked_joints=("base_yaw",))
     path = path_of(robot, problem, world, TreeEffort(100_000))
     assert path is not None
     assert (path[:, 0] == problem.start[0]).all()
@@ -115,7 +116,7 @@ def test_a_second_pair_finds_a_better_side_where_the_first_ones_motion_lasts_lon
     arm = load_robot("ur5")
     scene = random_scene(arm, 1, 67)
     found = plan(arm, scene)
-    monkeypatch.setattr(hplan.planning.transits, "FAR", math.inf)
+    monkeypatch.setattr(hplan.planning.path_finder, "FAR", math.inf)
     alone = plan(arm, scene)
     assert found.certificate.verified
     assert found.trajectory.duration < 0.8 * alone.trajectory.duration

@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 import pytest
 from arm_variants import random_obstacles
-from planned import post
+from planned import post, problem_between
 
 from hplan.base.arrays import FloatArray
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.coal_scene import CoalScene, base_contacts
 from hplan.errors import ConfigurationInCollisionError, InputError
 from hplan.grid.sections import sections_at
-from hplan.planning.definition import Problem, check_problem
+from hplan.planning.problem import Problem
 from hplan.planning.world import BASE_DEPTH, World, without_inside
 from hplan.robot.family.members import write_robot
 from hplan.robot.family.spec import ArmSpec
@@ -244,40 +244,40 @@ def pose(robot: Robot, scene: Scene, **changes: Any) -> Problem:
     changed = Scene.model_validate({**vars(scene), **changes})
     world = World.of(robot, changed.solids, clearance=changed.clearance)
     ends = changed.start.configuration, changed.goal.configuration
-    return check_problem(world, *ends, locked_joints=changed.locked_joints)
+    return problem_between(world, *ends, locked_joints=changed.locked_joints)
 
 
 def test_spare_clearance_is_the_lesser_of_both_ends(robot: Robot, scene: Scene) -> None:
     checker = CoalScene(robot, scene.solids)
     problem = pose(robot, scene)
     ends = [checker.distances(q).min() for q in (problem.start, problem.goal)]
-    assert problem.spare_clearance == min(ends)
-    assert pose(robot, scene, clearance=0.02).spare_clearance == pytest.approx(min(ends) - 0.02)
+    assert problem.spare_clearances[0] == min(ends)
+    assert pose(robot, scene, clearance=0.02).spare_clearances[0] == pytest.approx(min(ends) - 0.02)
 
 
 def test_locked_joints_keep_their_start_value(robot: Robot, scene: Scene) -> None:
     problem = pose(robot, scene, start={"joints_deg": (0.0, 0.0, 60.0, 0.0)}, locked_joints=("base_yaw", "elbow"))
     assert problem.movable.tolist() == [1, 3]
-    assert problem.lower[2] == problem.upper[2] == problem.start[2] == problem.goal[2]
+    assert problem.lower[0, 2] == problem.upper[0, 2] == problem.start[2] == problem.goal[2]
 
 
 def test_uncertainty_and_tracking_error_take_from_the_spare_clearance(robot: Robot, scene: Scene) -> None:
     ends = scene.start.configuration, scene.goal.configuration
-    plain = check_problem(World.of(robot, scene.solids), *ends).spare_clearance
+    plain = problem_between(World.of(robot, scene.solids), *ends).spare_clearances[0]
     blurred = [solid.model_copy(update={"sigma": 0.01}) for solid in scene.solids]
     world = World.of(robot, blurred, clearance=0.005, tracking_error=1e-3, sigmas=2.0)
     checker = CoalScene(robot, scene.solids)
     sways = robot.sway(1e-3)[:, None]  # each link its own
     expected = min((checker.distances(robot.check_configuration(q, "")) - sways).min() for q in ends) - 0.005 - 0.02
     assert plain - 0.005 - 0.02 - sways.max() < expected < plain - 0.005 - 0.02
-    assert check_problem(world, *ends).spare_clearance == pytest.approx(expected, abs=1e-9)
+    assert problem_between(world, *ends).spare_clearances[0] == pytest.approx(expected, abs=1e-9)
 
 
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
         ({"locked_joints": ("knee",)}, "locked_joints names 'knee'; the robot has base_yaw, shoulder, elbow, wrist"),
-        ({"locked_joints": ("wrist",)}, "joint 'wrist' is locked at 0 rad, but the goal wants it at 1.22173 rad"),
+        ({"locked_joints": ("wrist",)}, "joint 'wrist' is locked at 0 rad, but the goal has it at 1.22173 rad"),
         ({"goal": {"joints_deg": (1.0, 45.0, 60.0, 70.0)}}, "joint 'base_yaw' is locked at 0 rad"),
         ({"goal": {"joints_deg": (0.0, 45.0)}}, "goal: expected 4 joint values"),
     ],

@@ -22,7 +22,7 @@ from hplan.collision.coal_scene import CoalScene
 from hplan.errors import BlockedError, InputError, TourError, UnreachableError
 from hplan.planning.motion import Motion
 from hplan.planning.options import PlanOptions
-from hplan.planning.task import PlanningCache
+from hplan.planning.problem import Problem
 from hplan.robot.model import Robot
 from hplan.scene.file import save_scene
 from hplan.scene.model import Fruit, Goal, Scene, Start
@@ -306,7 +306,7 @@ def test_no_fruit_at_all_is_an_error_with_all_reasons(robot: Robot) -> None:
 def moves_of_seconds(robot: Robot, seconds: dict[tuple[int, int], float], stops: Sequence[Stop]) -> Moves:
     """Moves among stops of which some motions are there already, named by their ends."""
     scene = orchard(robot, fruits=False)
-    moves = Moves(PlanningCache(robot).context(scene, OPTIONS), None)
+    moves = Moves(Problem.of(robot, scene, OPTIONS), None)
     for stop in stops:
         moves.add(stop)
     shown = Certificate(True, math.inf, None, LimitUse(0.0, 0.0, 0.0, 0.0), 0, ())

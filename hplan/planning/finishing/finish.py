@@ -18,12 +18,13 @@ from hplan.optimization.repair import pushed_clear, repaired
 from hplan.optimization.smooth_path import SMALLEST_FRACTION
 from hplan.planning.finishing.given_path import SAME, GivenPath, given_path, scene_along
 from hplan.planning.finishing.path_contact import places_of, refuse
-from hplan.planning.motion import Plan, Polyline, Transit, certified_trajectory, quickest
+from hplan.planning.motion import Plan, Transit, certified_trajectory, quickest
 from hplan.planning.options import PlanOptions
+from hplan.planning.path_finder import Path
 from hplan.planning.plan import check_task, plan_result
+from hplan.planning.problem import MARGIN, Problem
 from hplan.planning.result import PlanResult
-from hplan.planning.stages import StageClock
-from hplan.planning.task import MARGIN, PlanningCache, PlanningContext, PlanningTask, Progress, no_progress
+from hplan.planning.stages import Progress, no_progress, stage, stage_clock
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 from hplan.trajectory.corner_rounding import LEAST_DEVIATION, rounded_path
@@ -97,37 +98,35 @@ def finish(
     along = scene_along(robot, scene, path)
     if keep_within_rad is None and np.abs(path.points[-1] - path.points[0]).max() <= SAME:
         raise InputError("the path ends where it begins: shortened, nothing is left of it; its shape can be kept")
-    clock = StageClock()
-    with time_limit(options.deadline_s, cancel) as limit:
+    with stage_clock(progress) as clock, time_limit(options.deadline_s, cancel) as limit:
         try:
-            context = PlanningCache(robot).context(along, options, progress, clock)
-            return _finished(context, path, keep_within_rad)
+            return _finished(Problem.of(robot, along, options), path, keep_within_rad)
         except TimeIsUpError:
-            raise limit.error(clock.told()) from None
+            raise limit.error(clock.describe()) from None
 
 
-def _finished(context: PlanningContext, path: GivenPath, keep_within_rad: float | None) -> PlanResult:
+def _finished(problem: Problem, path: GivenPath, keep_within_rad: float | None) -> PlanResult:
     """The motion."""
-    robot, points = context.robot, path.points
-    context.world.check_base(robot.yaw_of(points[0]))
-    clear = _shown_clear(context, path)
-    task = context.task(points[0], points[-1])
+    robot, points = problem.robot, path.points
+    problem.world.check_base(robot.yaw_of(points[0]))
+    clear = _shown_clear(problem, path)
+    problem = problem.between(points[0], points[-1])
     if keep_within_rad is not None:
-        return _result(path, clear, _kept(task, clear.waypoints, keep_within_rad))
-    return _result(path, clear, _smoothed(task, clear.waypoints))
+        return _result(path, clear, _kept(problem, clear.waypoints, keep_within_rad))
+    return _result(path, clear, _smoothed(problem, clear.waypoints))
 
 
-def _shown_clear(context: PlanningContext, path: GivenPath) -> _ClearPath:
+def _shown_clear(problem: Problem, path: GivenPath) -> _ClearPath:
     """The path, moved away from what it merely comes too close to.
 
     Raises:
         PathInContactError: It touches something, or could not be moved away.
         CertificationError: It was not verified collision-free, though no contact was found.
     """
-    world, field, points = context.world, context.field, path.points
+    world, field, points = problem.world, problem.field, path.points
     # Fraction of the margin that the path itself is to have; smoothing asks for the whole where it can be had.
     path_margin = 0.1
-    with context.stage("postprocess"):
+    with stage("postprocess"):
         spare = float(field.along(points[[0, -1]]).min())
         margin = path_margin * min(MARGIN, 0.5 * spare) if spare > 0.0 else path_margin * MARGIN
         if spare > 0.0 and field.is_clear(points, margin):
@@ -137,8 +136,8 @@ def _shown_clear(context: PlanningContext, path: GivenPath) -> _ClearPath:
         ends = [place for place in places if place.at_waypoint and place.number in (0, len(points) - 1)]
         if touching or ends:
             raise refuse(path, touching or ends)
-        locked = context.robot.locked_mask(context.scene.locked_joints)
-        lower, upper = (np.where(locked, points[0], bound) for bound in (context.robot.lower, context.robot.upper))
+        locked = problem.robot.locked_mask(problem.scene.locked_joints)
+        lower, upper = (np.where(locked, points[0], bound) for bound in (problem.robot.lower, problem.robot.upper))
         clear, unmoved = pushed_clear(points, field, lower, upper, margin)
         if unmoved:
             clear, unmoved = repaired(points, field, lower, upper, margin)
@@ -155,13 +154,13 @@ def _shown_clear(context: PlanningContext, path: GivenPath) -> _ClearPath:
     return _ClearPath(clear, segments)
 
 
-def _smoothed(task: PlanningTask, waypoints: FloatArray) -> Transit:
+def _smoothed(problem: Problem, waypoints: FloatArray) -> Transit:
     """The motion along the path shortened and smoothed; where it cannot be certified, with its corners rounded."""
     try:
-        return quickest(task, [Polyline(waypoints, "given")], task.margin())
+        return quickest(problem, [Path(waypoints, "given")], problem.margin)
     except (CertificationError, TimingError):
         with suppress(CertificationError, TimingError):
-            return _kept(task, waypoints, ROUNDING)
+            return _kept(problem, waypoints, ROUNDING)
         raise
 
 
@@ -169,24 +168,24 @@ def _smoothed(task: PlanningTask, waypoints: FloatArray) -> Transit:
 ROUNDING = 0.02
 
 
-def _kept(task: PlanningTask, waypoints: FloatArray, deviation_rad: float) -> Transit:
+def _kept(problem: Problem, waypoints: FloatArray, deviation_rad: float) -> Transit:
     """The motion along the path with its corners rounded, as far as can be verified collision-free.
 
     Raises:
         CertificationError: No rounding was verified collision-free, or the motion is not certified.
         TimingError: It cannot be timed.
     """
-    margin = 0.5 * SMALLEST_FRACTION * task.margin()
+    margin = 0.5 * SMALLEST_FRACTION * problem.margin
     allowed = deviation_rad
-    with task.stage("postprocess"):
+    with stage("postprocess"):
         path = rounded_path(waypoints, allowed)
-        while not path.is_clear(task.field, margin):
+        while not path.is_clear(problem.field, margin):
             if allowed <= LEAST_DEVIATION:
                 raise CertificationError("the path's corners cannot be rounded within its clearance")
             allowed = max(0.5 * allowed, LEAST_DEVIATION)
             path = rounded_path(waypoints, allowed)
-    trajectory, certificate = certified_trajectory(task, path, grid=corner_grid(path))
-    return Transit("transit", trajectory, certificate, task, waypoints, path, "given")
+    trajectory, certificate = certified_trajectory(problem, path, grid=corner_grid(path))
+    return Transit("transit", trajectory, certificate, problem, waypoints, path, "given")
 
 
 def _result(path: GivenPath, clear: _ClearPath, motion: Transit) -> PlanResult:

@@ -11,17 +11,19 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+import pinocchio as pin
 
 from hplan.base import ties
 from hplan.base.arrays import FloatArray, IntArray, frozen
 from hplan.certificate.certificate import LIMIT_TOLERANCE
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.collision_bodies import collision_bodies
+from hplan.collision.reach import joint_axis
 from hplan.errors import BoundError
-from hplan.planning.definition import Problem
 from hplan.planning.lower_bound.grid_search import GridSearch, TimedGrid
 from hplan.planning.lower_bound.joint_tubes import JointMotions
 from hplan.planning.lower_bound.occupied_cells import AXES
+from hplan.planning.problem import Problem
 from hplan.planning.world import World
 from hplan.robot.limits import Limits
 from hplan.robot.model import Robot
@@ -99,8 +101,21 @@ def duration_bound(
     found = _on_grids(world, motions, samples, least, duration_s)
     if found <= least:
         return by_joints
-    method: Literal["planar", "spatial"] = "spatial" if problem.turns else "planar"
+    method: Literal["planar", "spatial"] = "planar" if _moves_in_a_plane(robot, problem) else "spatial"
     return DurationBound(found, least, duration_s, method, robot.joint_names[slowest])
+
+
+def _moves_in_a_plane(robot: Robot, problem: Problem) -> bool:
+    """True if all joints that may move turn about parallel axes."""
+    data = robot.model.createData()
+    pin.forwardKinematics(robot.model, data, problem.start)
+    axes = []
+    for joint in problem.movable.tolist():
+        axis, slides = joint_axis(robot, joint)
+        if slides:
+            return False
+        axes.append(data.oMi[joint + 1].rotation @ axis)
+    return all(np.linalg.norm(np.cross(axes[0], axis)) <= 1e-9 for axis in axes)
 
 
 def _contradiction(duration_s: float, joints: Sequence[str]) -> BoundError:

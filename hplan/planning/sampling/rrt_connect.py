@@ -11,7 +11,7 @@ gives the same path on every machine. Where no path is found, nothing is shown.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple, Protocol, TypeAlias
 
 import numpy as np
 
@@ -22,7 +22,6 @@ from hplan.collision.body_motions import shown_part, straight_piece
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.obstacle_rows import FieldArrays
 from hplan.kinematics.damped_steps import Chain, solve
-from hplan.planning.definition import Problem
 
 #: Samples drawn at a time, and nodes that a tree may have.
 _CHUNK, _MOST_NODES = 500, 20_000
@@ -55,6 +54,26 @@ class TreeEffort:
 
     evaluations: int
     seed: int = 0
+
+
+class SamplingProblem(Protocol):
+    """Start, goal and joint limits of a search.
+
+    Attributes:
+        start: (dof,) start configuration.
+        goal: (dof,) goal configuration.
+        lower: (n, dof) joint limits; the first row counts.
+        upper: (n, dof) the same.
+    """
+
+    @property
+    def start(self) -> FloatArray: ...  # noqa: D102
+    @property
+    def goal(self) -> FloatArray: ...  # noqa: D102
+    @property
+    def lower(self) -> FloatArray: ...  # noqa: D102
+    @property
+    def upper(self) -> FloatArray: ...  # noqa: D102
 
 
 class Tree(NamedTuple):
@@ -120,7 +139,7 @@ class Surroundings(NamedTuple):
 
 
 def tree_path(
-    problem: Problem, field: ClearanceField, velocity: FloatArray, margin: float, effort: TreeEffort,
+    problem: SamplingProblem, field: ClearanceField, velocity: FloatArray, margin: float, effort: TreeEffort,
     *, goals: FloatArray | None = None, held: Held | None = None, pairs: Pairs | None = None,
 ) -> tuple[FloatArray | None, int]:  # fmt: skip
     """A clear path of straight motions from start to goal.
@@ -162,10 +181,10 @@ def tree_path(
     return path, effort.evaluations - int(looks[0])
 
 
-def _samples(generator: np.random.Generator, problem: Problem, goals: FloatArray) -> FloatArray:
+def _samples(generator: np.random.Generator, problem: SamplingProblem, goals: FloatArray) -> FloatArray:
     """(_CHUNK, dof) targets in turn: anywhere; in the box of start and goals; about start, or a goal, at all scales."""
     first, last = np.minimum(problem.start, goals.min(axis=0)), np.maximum(problem.start, goals.max(axis=0))
-    lower, upper = np.maximum(problem.lower, first - _FAR), np.minimum(problem.upper, last + _FAR)
+    lower, upper = np.maximum(problem.lower[0], first - _FAR), np.minimum(problem.upper[0], last + _FAR)
     samples: FloatArray = generator.random((_CHUNK, len(lower)))
     low, high = np.maximum(first - _ASIDE, lower), np.minimum(last + _ASIDE, upper)
     samples[::3] = lower + samples[::3] * (upper - lower)

@@ -14,8 +14,7 @@ from hplan.collision.clearance_field import ClearanceField
 from hplan.optimization.path_classes import PARTS, class_numbers
 from hplan.optimization.shortcut import shorten
 from hplan.optimization.smooth_path import START_SHORTCUTS
-from hplan.planning.definition import Problem
-from hplan.planning.sampling.rrt_connect import Pairs, TreeEffort, tree_path
+from hplan.planning.sampling.rrt_connect import Pairs, SamplingProblem, TreeEffort, tree_path
 
 #: So many paths of a class are of use, as smoothing may fail.
 OF_A_CLASS = 3
@@ -67,7 +66,7 @@ class PromisingPath(Record):
 
 
 def promising_paths(
-    problem: Problem,
+    problem: SamplingProblem,
     field: ClearanceField,
     velocity: FloatArray,
     margin: float,

@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 from planned import random_scene, task
 
-import hplan.planning.failures
+import hplan.planar.no_path_proof
 from hplan.errors import HplanError, OptionError
 from hplan.grid.grid import Occupancy
-from hplan.grid.yaw_layers import turning_occupancy, yaw_axis
-from hplan.planning.effort import GridAttempt
-from hplan.planning.failures import EnclosedError, enclosed_goals, without_path
-from hplan.planning.grid_route import find_route
+from hplan.grid.yaw_layers import LayerCache, turning_occupancy, yaw_axis
+from hplan.planar.grid_route import find_route
+from hplan.planar.grids import GridAttempt, grid_axes, planar_grid, prepared
+from hplan.planar.no_path_proof import EnclosedError, enclosed_goals, prove_infeasible
 from hplan.planning.options import PlanOptions
-from hplan.planning.task import PlanningCache, PlanningTask
+from hplan.planning.problem import Problem
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 from hplan.scene.obstacles import Sphere
@@ -26,17 +26,17 @@ from hplan.scene.obstacles import Sphere
 MARGIN = 1e-4
 
 
-def posed(robot: Robot, scene: Scene, options: PlanOptions | None = None) -> PlanningTask:
-    context = PlanningCache(robot).context(scene, PlanOptions() if options is None else options)
-    return context.task(scene.start.configuration, scene.goal.configuration)
+def posed(robot: Robot, scene: Scene, options: PlanOptions | None = None) -> Problem:
+    problem = Problem.of(robot, scene, PlanOptions() if options is None else options)
+    return problem.between(scene.start.configuration, scene.goal.configuration)
 
 
 BAR = [Sphere(name="ball", center=(1.3, 0.0, 1.6), radius=0.15)]
 BELOW, ABOVE = (0.0, 10.0, 10.0, 10.0), (0.0, 70.0, 10.0, 10.0)
 
 
-def shown_enclosed(one: PlanningTask, attempt: GridAttempt) -> EnclosedError | None:
-    return enclosed_goals([one], attempt, [MARGIN], explained=True)[0]
+def shown_enclosed(one: Problem, attempt: GridAttempt) -> EnclosedError | None:
+    return enclosed_goals(one, attempt, [0], explained=True)[0]
 
 
 def test_beyond_start_and_goal(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -47,8 +47,8 @@ def test_beyond_start_and_goal(robot: Robot, monkeypatch: pytest.MonkeyPatch) ->
     assert error.open_ended
     assert error.reached_cells > 0
     assert shown_enclosed(one, GridAttempt(1.0, yaw_range_deg=20.0)) is None
-    monkeypatch.setattr(hplan.planning.failures, "WIDTHS", (0.0, 20.0))
-    assert without_path([one]) == [None]
+    monkeypatch.setattr(hplan.planar.no_path_proof, "WIDTHS", (0.0, 20.0))
+    assert prove_infeasible(one) == [None]
 
 
 def test_step_that_gives_no_grid(robot: Robot, scene: Scene) -> None:
@@ -82,18 +82,18 @@ def test_no_path_is_said_if_there_is_none(robot: Robot, seed: int) -> None:
     )
     scene = task(start, goal, [*drawn.obstacles, *BAR])
     try:
-        task_of = posed(robot, scene)
+        problem = posed(robot, scene)
     except HplanError:
         return
-    bodies, planar = task_of.world.bodies(), task_of.planar_grid(GridAttempt(step))
-    ends = task_of.problem.start, task_of.problem.goal
+    bodies, planar = prepared(problem.world), planar_grid(problem, GridAttempt(step))
+    ends = problem.start, problem.goal
     yaws = yaw_axis(ends[0][0], ends[1][0], math.radians(step), robot.lower[0], robot.upper[0], 0.0)
-    space = turning_occupancy(robot, bodies, planar, yaws, layers=task_of.layers)
+    space = turning_occupancy(robot, bodies, planar, yaws, layers=LayerCache())
     labels = labels_of(space)
-    first, second = (labels[tuple(space.grid.nearest(q[task_of.axes]))] for q in ends)
+    first, second = (labels[tuple(space.grid.nearest(q[grid_axes(problem)]))] for q in ends)
     assert first > 0
     assert second > 0
-    error = shown_enclosed(task_of, GridAttempt(step))
+    error = shown_enclosed(problem, GridAttempt(step))
     assert (error is not None) == (first != second)
     if error is not None:
         assert error.reached_cells in {int((labels == part).sum()) for part in (first, second)}

@@ -10,16 +10,16 @@ import pytest
 from planned import frame_about_upper_arm, task
 from test_grid_route import posed
 
-import hplan.planning.task
+import hplan.planar.grids
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.coal_scene import CoalScene
 from hplan.errors import NoPathError
 from hplan.grid.grid import Grid, Occupancy
-from hplan.planning.effort import GridAttempt
-from hplan.planning.grid_entry import joined_nodes
+from hplan.planar.grid_entry import joined_nodes
+from hplan.planar.grids import GridAttempt, count_nodes, grid_occupancy
 from hplan.planning.options import PlanOptions
-from hplan.planning.task import PlanningTask
-from hplan.planning.transits import one_transit
+from hplan.planning.problem import Problem
+from hplan.planning.solver import best_motion
 from hplan.robot.model import Robot
 from hplan.scene.obstacles import Sphere
 
@@ -109,7 +109,7 @@ def test_motions_in_contact_are_left_out(robot, grid):
     assert joined(robot, grid, q, [ball], yaw=1.0) == every
 
 
-def turned_by(robot: Robot, yaw_deg: float, step_deg: float = 1.0) -> PlanningTask:
+def turned_by(robot: Robot, yaw_deg: float, step_deg: float = 1.0) -> Problem:
     scene = task((0.0, 30.0, 20.0, 20.0), (yaw_deg, 30.0, 20.0, 20.0))
     return posed(robot, scene, PlanOptions(step_deg=step_deg))
 
@@ -117,7 +117,7 @@ def turned_by(robot: Robot, yaw_deg: float, step_deg: float = 1.0) -> PlanningTa
 @pytest.mark.parametrize("attempt", [GridAttempt(2.0, 4.0), GridAttempt(4.0, 45.0), GridAttempt(4.0, 360.0)])
 def test_cells_are_those_of_the_grid(robot: Robot, attempt: GridAttempt) -> None:
     one = turned_by(robot, 60.0)
-    assert one.cells(attempt) == pytest.approx(one.occupancy(attempt).grid.size, rel=0.15)
+    assert count_nodes(one, attempt) == pytest.approx(grid_occupancy(one, attempt).grid.size, rel=0.15)
 
 
 def test_closed_on_the_finest_grid_that_fits_names_its_step(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -126,8 +126,8 @@ def test_closed_on_the_finest_grid_that_fits_names_its_step(robot: Robot, monkey
     locked = locked.model_copy(update={"goal": type(scene.goal)(joints_deg=(60.0, 70.0, 20.0, 20.0))})
     for one in (posed(robot, scene, PlanOptions(step_deg=3.0)), posed(robot, locked)):
         widest = GridAttempt(1.0, 360.0)
-        monkeypatch.setattr(hplan.planning.task, "MOST_CELLS", 0.5 * one.cells(widest))
+        monkeypatch.setattr(hplan.planar.grids, "MOST_CELLS", 0.5 * count_nodes(one, widest))
         with pytest.raises(NoPathError, match=r"the grid's step is (4|1)\.5 deg") as caught:
-            one_transit([one])
+            best_motion(one)
         assert caught.value.data["step_deg"] == 1.5 * one.options.step_deg
         assert caught.value.blockers

@@ -5,17 +5,20 @@ Nodes are not motions: the polyline's own motions are verified by the caller.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from hplan.base.arrays import FloatArray, IntArray, Record, frozen
 from hplan.grid import SearchResult, dense_search, reachable, two_level_search
 from hplan.grid.grid import Grid, Occupancy
-from hplan.planning.effort import GridAttempt
-from hplan.planning.failures import EnclosedError, Region
-from hplan.planning.grid_entry import GridEntry, grid_entry
-from hplan.planning.task import PlanningTask
+from hplan.planar.grid_entry import GridEntry, grid_entry
+from hplan.planar.grids import GridAttempt, grid_axes, grid_occupancy, step_deg
+from hplan.planar.no_path_proof import EnclosedError, Region
+from hplan.planning.problem import Problem
+from hplan.planning.stages import current_clock
 
 #: A node and a configuration that differ by less than this are one [rad].
 _ON_NODE = 1e-9
@@ -35,12 +38,29 @@ class Route(Record):
     path: FloatArray
     step_deg: float
 
+    def report(self) -> dict[str, Any]:
+        """Return the entries of the report's section `planner`."""
+        spent = self.search.expansions
+        found: dict[str, Any] = {
+            "step_deg": self.step_deg,
+            "cost_deg": math.degrees(self.search.cost),
+            "fallback": self.search.fallback,
+            "expansions": {
+                "layers": spent.layers,
+                "sparse": spent.sparse,
+                "fallback": spent.fallback,
+                "total": spent.total,
+                "flooded_cells": spent.flooded,
+            },
+        }
+        return found if self.search.path is None else {**found, "points": len(self.search.path)}
 
-def find_route(task: PlanningTask, attempt: GridAttempt, margin: float) -> Route:
+
+def find_route(problem: Problem, attempt: GridAttempt, margin: float) -> Route:
     """A path over the grid.
 
     Args:
-        task: Arm, obstacles and what is asked.
+        problem: The problem; its first goal counts.
         margin: Clearance asked of motions to the grid, wherever they are evaluated [m].
 
     Raises:
@@ -48,28 +68,29 @@ def find_route(task: PlanningTask, attempt: GridAttempt, margin: float) -> Route
         CertificationError: Start or goal cannot be joined to the grid.
         OptionError: A step that gives no grid.
     """
-    space = task.occupancy(attempt)
-    start, goal = grid_entry(task, space, "start", margin), grid_entry(task, space, "goal", margin)
-    search, nodes = _planar_search(task, attempt, space, start, goal)
-    return Route(space, search, _configurations(task, space.grid, nodes, start, goal), task.step_deg(attempt))
+    space = grid_occupancy(problem, attempt)
+    start, goal = grid_entry(problem, space, "start", margin), grid_entry(problem, space, "goal", margin)
+    search, nodes = _planar_search(problem, attempt, space, start, goal)
+    return Route(space, search, _configurations(problem, space.grid, nodes, start, goal), step_deg(problem, attempt))
 
 
-def _search(task: PlanningTask, space: Occupancy, start: IntArray, goal: IntArray) -> SearchResult:
+def _search(problem: Problem, space: Occupancy, start: IntArray, goal: IntArray) -> SearchResult:
     """The search that the options ask for, its time noted."""
-    task.progress("search")
-    if task.options.method == "dense" or len(space.grid.shape) < 2:
+    clock = current_clock()
+    clock.progress("search")
+    if problem.options.method == "dense" or len(space.grid.shape) < 2:
         found = dense_search(space, start, goal)
     else:
         found = two_level_search(space, start, goal)
     for stage in ("layers", "sparse", "fallback"):
-        task.clock.add(stage, getattr(found.times, stage))
+        clock.add(stage, getattr(found.times, stage))
     return found
 
 
-def _configurations(task: PlanningTask, grid: Grid, nodes: IntArray, start: GridEntry, goal: GridEntry) -> FloatArray:
+def _configurations(problem: Problem, grid: Grid, nodes: IntArray, start: GridEntry, goal: GridEntry) -> FloatArray:
     """The path over nodes as (m, dof) configurations, with start and goal where they are off the grid."""
-    path = np.repeat(task.problem.start[None], len(nodes), axis=0)
-    path[:, task.axes] = grid.coordinates(nodes)
+    path = np.repeat(problem.start[None], len(nodes), axis=0)
+    path[:, grid_axes(problem)] = grid.coordinates(nodes)
     before, after = start.waypoints, goal.waypoints
     if np.abs(path[0] - before[-1]).max() < _ON_NODE:
         path[0], before = before[-1], before[:-1]
@@ -79,14 +100,14 @@ def _configurations(task: PlanningTask, grid: Grid, nodes: IntArray, start: Grid
 
 
 def _planar_search(
-    task: PlanningTask, attempt: GridAttempt, space: Occupancy, start: GridEntry, goal: GridEntry
+    problem: Problem, attempt: GridAttempt, space: Occupancy, start: GridEntry, goal: GridEntry
 ) -> tuple[SearchResult, IntArray]:
     """Search between the grid nodes that start and goal are joined to.
 
     Off the grid there may be several, and the nearest may lie in a pocket: "no path" is said only when no pair of them
     is connected.
     """
-    search = _search(task, space, start.nodes[0], goal.nodes[0])
+    search = _search(problem, space, start.nodes[0], goal.nodes[0])
     if search.path is not None:
         return search, search.path
     largest = known = np.zeros(space.grid.shape, dtype=np.bool_)  # nodes from which the goal cannot be reached
@@ -96,11 +117,11 @@ def _planar_search(
         reached = reachable(space, node)
         for other in goal.nodes:
             if reached[tuple(other)]:
-                search = _search(task, space, node, other)
+                search = _search(problem, space, node, other)
                 if search.path is not None:
                     return search, search.path
         known = known | reached
         largest = max(largest, reached, key=np.count_nonzero)
     count = int(largest.sum())
-    what = f"the start reaches {count} of {space.grid.size} nodes, not the goal"
-    raise EnclosedError(task, attempt, count, Region(what, space.grid, largest))
+    description = f"the start reaches {count} of {space.grid.size} nodes, not the goal"
+    raise EnclosedError(problem, attempt, count, Region(description, space.grid, largest))

@@ -14,7 +14,8 @@ from hplan.collision.clearance_field import ClearanceField
 from hplan.errors import CertificationError
 from hplan.grid.grid import Occupancy
 from hplan.optimization.repair import leave_contact
-from hplan.planning.task import PlanningTask
+from hplan.planar.grids import grid_axes
+from hplan.planning.problem import Problem
 
 #: A configuration this near to a node stands on it [steps].
 _ON_NODE = 1e-6
@@ -35,7 +36,7 @@ class GridEntry(NamedTuple):
     nodes: list[IntArray]
 
 
-def grid_entry(task: PlanningTask, space: Occupancy, which: Literal["start", "goal"], margin: float) -> GridEntry:
+def grid_entry(problem: Problem, space: Occupancy, which: Literal["start", "goal"], margin: float) -> GridEntry:
     """The nodes that start or goal is joined to nearby; in a tight place those that a path out of it leads to.
 
     Args:
@@ -44,10 +45,11 @@ def grid_entry(task: PlanningTask, space: Occupancy, which: Literal["start", "go
     Raises:
         CertificationError: There is none.
     """
-    problem = task.problem
     q = problem.start if which == "start" else problem.goal
-    for waypoints in itertools.chain([q[None]], leave_contact(q, task.field, problem.lower, problem.upper, margin)):
-        nodes = list(joined_nodes(space, waypoints[-1], task.axes, task.field, margin))
+    for waypoints in itertools.chain(
+        [q[None]], leave_contact(q, problem.field, problem.lower[0], problem.upper[0], margin)
+    ):
+        nodes = list(joined_nodes(space, waypoints[-1], grid_axes(problem), problem.field, margin))
         if nodes:
             return GridEntry(waypoints, nodes)
     raise CertificationError(

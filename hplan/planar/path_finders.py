@@ -1,0 +1,165 @@
+"""Path finders of a planar arm with a locked base: two-level search on the grid, and trees next to it.
+
+If the base may turn, planar arms use the finders of all robots.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from typing import Final
+
+from hplan.errors import CertificationError, HplanError, NoPathError, NotFoundError, TimingError
+from hplan.planar.effort import PlanarEffort
+from hplan.planar.grid_route import find_route
+from hplan.planar.grids import (
+    COARSEST_DEG,
+    MOST_CELLS,
+    GridAttempt,
+    base_turns,
+    count_nodes,
+    fitting_attempt,
+    grown_margin,
+    possible_growth,
+)
+from hplan.planar.no_path_proof import EnclosedError, enclosed_goals, prove_infeasible
+from hplan.planning.failures import FailuresError
+from hplan.planning.path_finder import (
+    Budget,
+    FirstPaths,
+    LongTrees,
+    Path,
+    PathFinder,
+    Trees,
+    describe_trees,
+    is_straight_clear,
+    tree_paths,
+)
+from hplan.planning.problem import Problem
+from hplan.planning.sampling.several_trees import TreesEffort
+
+#: Nodes are not motions: if the motions of a grid path cannot be verified, the search is repeated with obstacles grown
+#: by these lengths [m], and if that does not help either, on grids with these multiples of the step.
+_GROWTH: Final = (0.0, 2e-3, 5e-3, 0.01, 0.02, 0.04)
+_STEP_FACTORS: Final = (1.0, 0.5)
+
+#: A planar grid with more nodes is searched only after trees; a coarse one with more than the other is not searched.
+_LARGE: Final = 2e6
+_MOST_COARSE: Final = 5e6
+
+#: Trees before the first motion at once: narrow passages are found on grids.
+_AT_ONCE: Final = TreesEffort(2, 1_500)
+
+
+def searches_first(problem: Problem) -> bool:
+    """True if the base is locked: then a grid is searched even if the straight motion is free."""
+    return not base_turns(problem)
+
+
+def path_finders(problem: Problem) -> Sequence[PathFinder] | None:
+    """The finders of a problem; None for those of all robots."""
+    if base_turns(problem):
+        return None
+    if problem.effort.at_once:
+        return (FirstGridPaths(_AT_ONCE),)
+    if problem.options.method == "dense":
+        return (TwoLevelGrid(),)
+    if count_nodes(problem, GridAttempt()) > _LARGE:
+        # Trees take a fraction of the time, and their paths are shorter than those from a flood of the grid.
+        return (TreesAndGrids(), LongTrees(), TwoLevelGrid())
+    return (TwoLevelGrid(), LongTrees())
+
+
+class TwoLevelGrid:
+    """Two-level A* on the grid over the planar joints, with finer grids and grown obstacles as fallbacks."""
+
+    def paths(self, problem: Problem, budget: Budget) -> Iterator[tuple[Path, ...]]:
+        """Yield the path on the grid with its alternatives, until one leads to a certified motion.
+
+        Raises:
+            FailuresError: None does; with a proof for each goal that no path leads to.
+        """
+        failures: dict[int, HplanError] = {}
+        for number in range(len(problem.goals)):
+            if number in failures:
+                continue
+            try:
+                yield from self._paths_to(problem.to(number), number, budget)
+            except NoPathError as error:
+                failures[number] = error.plain if isinstance(error, EnclosedError) and number else error
+                error.with_traceback(None)  # it would keep grids in memory
+                others = [other for other in range(number + 1, len(problem.goals)) if other not in failures]
+                proofs = prove_infeasible(problem, others)
+                failures |= {other: proof for other, proof in zip(others, proofs, strict=True) if proof is not None}
+            except (CertificationError, NotFoundError, TimingError) as error:
+                failures[number] = error.with_traceback(None)
+            else:
+                return
+        raise FailuresError(tuple(failures[number] for number in range(len(problem.goals))))
+
+    def _paths_to(self, problem: Problem, number: int, budget: Budget) -> Iterator[tuple[Path, ...]]:
+        """Yield paths to one goal until one leads to a certified motion; raises if none does."""
+        fitting = [fitting_attempt(problem, GridAttempt(factor)) for factor in _STEP_FACTORS]
+        failure: CertificationError | None = None
+        for step_factor in dict.fromkeys(attempt.step_factor for attempt in fitting if attempt is not None):
+            for growth_m in sorted({possible_growth(problem, growth_m) for growth_m in _GROWTH}):
+                attempt = GridAttempt(step_factor, growth_m=growth_m)
+                margin = grown_margin(problem, growth_m)
+                try:
+                    route = find_route(problem, attempt, 0.1 * margin)
+                except CertificationError as error:
+                    failure = failure or error.with_traceback(None)
+                    continue
+                except NoPathError:
+                    if failure is None:
+                        raise
+                    break  # grown obstacles close the passage; the motion found without them could not be certified
+                found = Path(route.path, "search", number, route, margin)
+                yield (found, *(path._replace(goal=number, margin=margin) for path in self._alternatives(problem)))
+                if budget.error is None:
+                    return
+                if isinstance(budget.error, TimingError):
+                    raise budget.error
+                if isinstance(budget.error, CertificationError):
+                    failure = failure or budget.error
+        coarsest = max(problem.options.step_deg, COARSEST_DEG)
+        tried = [] if any(fitting) else [f"no grid of {coarsest:g} deg or less has fewer than {MOST_CELLS:.3g} nodes"]
+        raise failure or NotFoundError(
+            [*tried, describe_trees(problem)] if problem.options.method == "two-level" else tried
+        )
+
+    def _alternatives(self, problem: Problem) -> list[Path]:
+        """Paths of trees, of other homotopy classes than the grid's, if there is an obstacle to pass."""
+        effort = problem.effort
+        if problem.options.method == "dense" or not isinstance(effort, PlanarEffort) or effort.after_grid is None:
+            return []
+        if is_straight_clear(problem):
+            return []
+        return [Path(path.waypoints, "trees") for path in tree_paths(problem, effort.after_grid)]
+
+
+class FirstGridPaths(FirstPaths):
+    """Straight lines, then trees to the goals that a flood of the grid does not exclude."""
+
+    def excluded(self, problem: Problem) -> Sequence[NoPathError | None]:
+        """For each goal the proof that the planar grid has no path to it, or None."""
+        attempt, numbers = GridAttempt(), range(len(problem.goals))
+        if count_nodes(problem, attempt) > _LARGE:
+            return [None] * len(numbers)
+        return enclosed_goals(problem, attempt, numbers, explained=True)
+
+
+class TreesAndGrids(Trees):
+    """Pairs of trees, and the shortest path on each of several coarse grids."""
+
+    def others(self, problem: Problem, number: int) -> Sequence[Path]:
+        """Paths on coarse grids, to be compared with those of several pairs of trees."""
+        found: list[Path] = []
+        effort = problem.effort
+        for attempt in effort.coarse_grids if isinstance(effort, PlanarEffort) else ():
+            if count_nodes(problem, attempt) <= _MOST_COARSE:
+                with suppress(NoPathError):
+                    grown = replace(attempt, growth_m=possible_growth(problem, attempt.growth_m))
+                    found.append(Path(find_route(problem, grown, 0.1 * problem.margin).path, "search", number))
+        return found

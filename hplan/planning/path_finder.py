@@ -1,0 +1,288 @@
+"""Path finders: straight lines, pairs of trees, and whatever a specialist adds.
+
+A path finder yields groups of paths to one goal. The solver (`hplan.planning.solver`) makes the fastest certified
+motion of each group, notes its duration in the budget, and asks for the next group as long as that may be worthwhile.
+Finders read the budget to decide whether to go on.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal, NamedTuple, Protocol, TypeAlias
+
+import numpy as np
+
+from hplan.base.arrays import FloatArray, frozen
+from hplan.errors import HplanError, NoPathError
+from hplan.planning.effort import FAR, Effort
+from hplan.planning.failures import FailuresError
+from hplan.planning.problem import Problem
+from hplan.planning.sampling.rrt_connect import Pairs, TreeEffort, tree_path
+from hplan.planning.sampling.several_trees import PromisingPath, TreesEffort, promising_paths
+from hplan.planning.stages import stage
+
+#: Where a path comes from: start and goal are the same; a straight line; trees; a grid search; an earlier motion,
+#: repaired or as it was; the caller.
+Origin: TypeAlias = Literal["none", "direct", "trees", "search", "mended", "kept", "given"]
+
+#: Minimum number of distance queries of a second pair of long trees.
+_SHORT = 8_000
+
+#: Number of goals for which trees search one by one before they search for all goals at once.
+_ONE_BY_ONE = 2
+
+
+class GridSearch(Protocol):
+    """Record of a search on a grid.
+
+    Attributes:
+        occupancy: The C-space that was searched.
+        search: The result of the search.
+    """
+
+    @property
+    def occupancy(self) -> Any: ...  # noqa: D102
+    @property
+    def search(self) -> Any: ...  # noqa: D102
+
+    def report(self) -> dict[str, Any]:
+        """Return the entries that replace defaults in the report's section `planner`."""
+
+
+class Path(NamedTuple):
+    """A path of straight motions in joint space.
+
+    Attributes:
+        waypoints: (m, dof) configurations from the start to a goal.
+        origin: Where it comes from.
+        goal: Number of the problem's goal that it leads to.
+        search: The grid search that found it; None for none.
+        margin: Clearance that the motion near it must have beyond the required one; None for the problem's [m].
+    """
+
+    waypoints: FloatArray
+    origin: Origin
+    goal: int = 0
+    search: GridSearch | None = None
+    margin: float | None = None
+
+
+@dataclass
+class Budget:
+    """Budget of a search, and what it has achieved so far.
+
+    Attributes:
+        effort: The preset.
+        durations: (n,) duration of the fastest certified motion to each goal; inf if there is none [s].
+        pairs: Trees that have not met yet and can grow on.
+        error: Why the last group led to no certified motion; None if it led to one.
+    """
+
+    effort: Effort
+    durations: FloatArray
+    pairs: Pairs = field(default_factory=dict)
+    error: HplanError | None = None
+
+    @classmethod
+    def of(cls, problem: Problem) -> Budget:
+        """The budget of a problem, nothing spent."""
+        return cls(problem.effort, np.full(len(problem.goals), math.inf))
+
+    @property
+    def best_s(self) -> float:
+        """Duration of the fastest certified motion to any goal; inf if there is none [s]."""
+        return float(self.durations.min())
+
+
+class PathFinder(Protocol):
+    """Finds paths from the start of a problem to its goals."""
+
+    def paths(self, problem: Problem, budget: Budget) -> Iterator[tuple[Path, ...]]:
+        """Yield groups of alternative paths to one goal each.
+
+        Raises:
+            FailuresError: None leads to a motion; why not, for each goal.
+        """
+
+
+def straight_path(problem: Problem, goal: int = 0) -> Path:
+    """The straight line from the start to a goal."""
+    return Path(frozen(np.stack([problem.start, problem.goals[goal]])), "direct", goal)
+
+
+def is_straight_clear(problem: Problem) -> bool:
+    """True if the straight motion to the first goal is verified collision-free."""
+    return problem.field.is_clear(straight_path(problem).waypoints, problem.margin)
+
+
+class StraightLine:
+    """The straight line to the first goal with a free one."""
+
+    #: A goal is searched with trees if its lower bound is below this fraction of the straight motion's duration.
+    _WORTHWHILE = 0.7
+
+    def paths(self, problem: Problem, budget: Budget) -> Iterator[tuple[Path, ...]]:
+        """Yield the line, then paths to a goal with an obstructed line that may be reached much sooner."""
+        for number in range(len(problem.goals)):
+            if not is_straight_clear(problem.to(number)):
+                continue
+            yield (straight_path(problem, number),)
+            if math.isinf(budget.durations[number]):
+                continue  # another path may lead to a motion that can be certified
+            enough = self._WORTHWHILE * budget.durations[number]
+            better = (other for other in range(number) if problem.to(other).least_duration < enough)
+            if (sooner := next(better, None)) is not None:
+                yield from Trees().paths_to(problem, sooner, replace(budget, pairs={}))
+            return
+
+
+class Trees:
+    """Paths of pairs of trees (RRT-Connect): one pair first, then several of different homotopy classes."""
+
+    def paths(self, problem: Problem, budget: Budget) -> Iterator[tuple[Path, ...]]:
+        """Yield paths to the first goal that has any, or to several goals that may be reached sooner."""
+        compared = budget.effort.compared
+        for number in range(min(len(problem.goals), max(_ONE_BY_ONE, compared))):
+            is_found = math.isfinite(budget.best_s)
+            if is_found and (compared == 1 or problem.to(number).least_duration >= budget.best_s):
+                continue
+            yield from self.paths_to(problem, number, budget)
+
+    def paths_to(self, problem: Problem, number: int, budget: Budget) -> Iterator[tuple[Path, ...]]:
+        """Yield the path of one pair to a goal, then those of several unless the motion is close to the fastest."""
+        one = problem.to(number)
+        first = first_tree_path(one, budget.pairs)
+        if first:
+            yield _as_paths(first, number)
+        if budget.durations[number] <= budget.effort.close * one.least_duration:
+            return
+        found = tree_paths(one, budget.effort.trees, first, 1, budget.pairs)
+        if math.isfinite(budget.durations[number]):  # the motion near the first
+            found = [path for path in found if path is not first[0]]
+        group = (*self.others(one, number), *_as_paths(found, number))
+        if group:
+            yield group
+
+    def others(self, problem: Problem, number: int) -> Sequence[Path]:
+        """Paths from elsewhere, to be compared with those of several pairs of trees."""
+        del problem, number
+        return ()
+
+
+class LongTrees:
+    """Paths of trees with a larger budget, to whichever goal they reach."""
+
+    def paths(self, problem: Problem, budget: Budget) -> Iterator[tuple[Path, ...]]:
+        """Yield a group for each pair that meets, or for each goal after all pairs have grown."""
+        found: dict[int, list[Path]] = {}
+        long = long_trees(problem)
+        each = long.each
+        for seed in range(long.seed, long.seed + long.pairs):
+            path, evaluations = tree_to_any(problem, TreeEffort(each, seed), budget.pairs)
+            if path is None:
+                continue
+            found.setdefault(path.goal, []).append(path)
+            if not budget.effort.long_stops_early:
+                continue
+            yield (path,)
+            if budget.error is None and math.isfinite(budget.best_s):
+                if budget.best_s <= FAR * problem.to(path.goal).least_duration:
+                    return
+                # A second pair that takes about as long as this one did.
+                each = min(each, max(_SHORT, 3 * evaluations // 2))
+        for paths in found.values():
+            if math.isfinite(budget.best_s) or budget.effort.long_stops_early:
+                return
+            yield tuple(paths)
+
+
+@dataclass(frozen=True)
+class FirstPaths:
+    """The first paths that may lead to a motion at once: straight lines, and trees to whichever goal.
+
+    Attributes:
+        trees: Trees to grow; None for those of the budget.
+    """
+
+    trees: TreesEffort | None = None
+
+    def paths(self, problem: Problem, budget: Budget) -> Iterator[tuple[Path, ...]]:
+        """Yield single paths, straight ones unchecked, until one leads to a certified motion.
+
+        Raises:
+            FailuresError: No path leads to any goal, with a proof for each.
+        """
+        for path in self._candidates(problem, budget):
+            yield (path,)
+            if math.isfinite(budget.best_s):
+                return
+
+    def _candidates(self, problem: Problem, budget: Budget) -> Iterator[Path]:
+        yield from (straight_path(problem, number) for number in range(len(problem.goals)))
+        proofs = self.excluded(problem)
+        if all(proofs):
+            raise FailuresError(tuple(error for error in proofs if error is not None))
+        left = [number for number, error in enumerate(proofs) if error is None]
+        trees = budget.effort.trees
+        if self.trees is not None:
+            trees = replace(self.trees, seed=trees.seed)
+        for seed in range(trees.seed, trees.seed + trees.pairs):
+            path, _ = tree_to_any(problem.to(*left), TreeEffort(trees.each, seed))
+            if path is not None:
+                yield path._replace(goal=left[path.goal])
+
+    def excluded(self, problem: Problem) -> Sequence[NoPathError | None]:
+        """For each goal the proof that no path leads there, or None."""
+        return [None] * len(problem.goals)
+
+
+def first_tree_path(problem: Problem, pairs: Pairs | None = None) -> list[PromisingPath]:
+    """The path that one pair of trees finds, if any; `pairs` as `tree_path` takes them."""
+    return tree_paths(problem, replace(problem.effort.trees, pairs=1), pairs=pairs)
+
+
+def tree_paths(
+    problem: Problem,
+    effort: TreesEffort,
+    known: Sequence[PromisingPath] = (),
+    grown: int = 0,
+    pairs: Pairs | None = None,
+) -> list[PromisingPath]:
+    """The paths of several pairs of trees, the most promising first (`promising_paths`)."""
+    with stage("trees"):
+        velocity = problem.robot.velocity_limit
+        return promising_paths(problem, problem.field, velocity, 0.1 * problem.margin, effort, known, grown, pairs)
+
+
+def tree_to_any(problem: Problem, effort: TreeEffort, pairs: Pairs | None = None) -> tuple[Path | None, int]:
+    """The path of a pair of trees to whichever goal it reaches, and the number of its distance queries."""
+    margin = 0.1 * min(problem.to(number).margin for number in range(len(problem.goals)))
+    with stage("trees"):
+        path, evaluations = tree_path(
+            problem, problem.field, problem.robot.velocity_limit, margin, effort, goals=problem.goals, pairs=pairs
+        )
+    if path is None:
+        return None, evaluations
+    return Path(path, "trees", int((problem.goals == path[-1]).all(axis=1).argmax())), evaluations
+
+
+def long_trees(problem: Problem) -> TreesEffort:
+    """The trees before goals are refused; half of them among clouds, whose distances cost up to four times as much."""
+    long = problem.effort.long
+    is_cloudy = any(solid.is_point_set for solid in problem.world.solids)
+    return replace(long, each=long.each // 2) if is_cloudy else long
+
+
+def describe_trees(problem: Problem) -> str:
+    """Return a phrase for errors: the budget of all trees of a problem."""
+    each: dict[int, int] = {}  # by seed: some of the long ones have grown before
+    for trees in (problem.effort.trees, long_trees(problem)):
+        each |= dict.fromkeys(range(trees.seed, trees.seed + trees.pairs), trees.each)
+    return f"trees with {sum(each.values())} distance queries"
+
+
+def _as_paths(found: Sequence[PromisingPath], goal: int) -> tuple[Path, ...]:
+    """Paths of trees as they were found: shortened ones touch the margin and leave no room for smoothing."""
+    return tuple(Path(path.waypoints, "trees", goal) for path in found)

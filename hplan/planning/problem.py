@@ -1,0 +1,174 @@
+"""A planning problem: an arm in its world, where the motion starts, the goals it may end at, and the budget."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hplan.base.arrays import FloatArray, IntArray, Record, frozen, readonly
+from hplan.collision.clearance_field import ClearanceField
+from hplan.errors import InputError
+from hplan.optimization.several_starts import StartsEffort
+from hplan.planning.effort import Effort, efforts_of
+from hplan.planning.joint_ranges import narrowed
+from hplan.planning.options import PlanOptions
+from hplan.planning.world import World
+from hplan.robot.limits import least_duration
+from hplan.robot.model import Robot
+from hplan.scene.model import Scene
+
+#: Clearance required wherever a motion is evaluated, beyond the scene's own [m]; less if start or goal have less.
+MARGIN = 2e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Problem(Record):
+    """An arm in its world, the task, the budget, and the configurations between which it moves.
+
+    A problem made from a scene has no goal configurations yet: `scene.goal` says which are acceptable. `between` gives
+    the problem of a motion to one of them, and `merged` that of a motion to any of several.
+
+    Attributes:
+        world: The arm and the obstacles.
+        scene: Obstacles and task, as given.
+        effort: Search and optimization budget.
+        start: (dof,) start configuration.
+        goals: (n, dof) alternative goal configurations; n = 0 before they are chosen.
+        lower: (n, dof) joint limits of the motion to each goal; a locked joint has its start value as both.
+        upper: (n, dof) the same.
+        spare_clearances: (n,) minimum clearance of start and goal beyond the required one [m]; inf without obstacles.
+        movable: (k,) numbers of the joints that may move.
+    """
+
+    world: World
+    scene: Scene
+    options: PlanOptions
+    effort: Effort
+    start: FloatArray
+    goals: FloatArray
+    lower: FloatArray
+    upper: FloatArray
+    spare_clearances: FloatArray
+    movable: IntArray
+
+    @classmethod
+    def of(cls, robot: Robot, scene: Scene, options: PlanOptions) -> Problem:
+        """The problem that a scene states for a robot.
+
+        Raises:
+            InputError: The scene's start is not a configuration of the robot.
+            JointLimitError: The start violates the joint limits.
+            OptionError: `scene.yield_links` names an unknown link.
+        """
+        world = World.of_scene(robot, scene, options)
+        start = robot.check_configuration(robot.joints_of(scene.start, "start"), "start")
+        movable = np.flatnonzero(~robot.locked_mask(scene.locked_joints))
+        rows, nothing = frozen(np.zeros((0, robot.dof))), frozen(np.zeros(0))
+        effort = efforts_of(robot, options)[-1]
+        return cls(world, scene, options, effort, start, rows, rows, rows, nothing, readonly(movable, np.int64))
+
+    @property
+    def robot(self) -> Robot:
+        """The arm."""
+        return self.world.robot
+
+    @property
+    def field(self) -> ClearanceField:
+        """Distances between the arm and the obstacles."""
+        return self.world.field
+
+    @property
+    def optimization(self) -> StartsEffort | None:
+        """Budget of the optimizer; None if the objective is a short path."""
+        return self.effort.starts if self.options.objective == "duration" else None
+
+    @property
+    def goal(self) -> FloatArray:
+        """(dof,) the goal; the first of several."""
+        first: FloatArray = self.goals[0]
+        return first
+
+    @property
+    def is_empty(self) -> bool:
+        """True if start and goal are the same configuration."""
+        return bool(np.abs(self.goal - self.start).max() < 1e-9)
+
+    @property
+    def least_duration(self) -> float:
+        """Lower bound of the duration of any motion from start to goal [s]."""
+        robot = self.robot
+        return least_duration(self.start, self.goal, robot.velocity_limit, robot.acceleration_limit)
+
+    @property
+    def margin(self) -> float:
+        """Clearance required beyond the scene's own [m]: less if start or goal have less."""
+        return min(MARGIN, 0.5 * float(self.spare_clearances[0]))
+
+    def among(self, world: World) -> Problem:
+        """The problem in another world."""
+        return replace(self, world=world)
+
+    def to(self, *numbers: int) -> Problem:
+        """The problem with some of its goals alone, by their numbers."""
+        chosen = list(numbers)
+        return replace(
+            self, goals=frozen(self.goals[chosen]), lower=frozen(self.lower[chosen]), upper=frozen(self.upper[chosen]),
+            spare_clearances=frozen(self.spare_clearances[chosen]),
+        )  # fmt: skip
+
+    def between(self, start: ArrayLike, goal: ArrayLike) -> Problem:
+        """The problem of moving between two configurations, checked.
+
+        Args:
+            start: (dof,) configuration.
+            goal: (dof,) configuration.
+
+        Raises:
+            InputError: A value is not a configuration; a locked joint has different values in start and goal.
+            JointLimitError: Start or goal violates the joint limits.
+            ConfigurationInCollisionError: Start or goal is in collision, or closer to an obstacle than the required
+                clearance; names link, obstacle and depth.
+            NoPathError: A joint is blocked between start and goal, whatever the others do.
+        """
+        world, robot = self.world, self.robot
+        first = robot.check_configuration(start, "start")
+        last = robot.check_configuration(goal, "goal")
+        locked = robot.locked_mask(self.scene.locked_joints)
+        for joint in np.flatnonzero(locked & (np.abs(last - first) > 1e-9)):
+            name = robot.joint_names[joint]
+            raise InputError(
+                f"joint {name!r} is locked at {first[joint]:.6g} rad, but the goal has it at {last[joint]:.6g} rad",
+                joint=name,
+            )
+        clearance = min(world.check_clear(first, "start"), world.check_clear(last, "goal"))
+        if robot.planar is None:
+            # coal's distances between hulls are accurate to its tolerance; the last digits depend on earlier queries.
+            in_kernels = float(world.field.along([first, last]).min())
+            clearance = in_kernels if in_kernels > 0.0 else clearance
+        last = readonly(np.where(locked, first, last))
+        ranges = narrowed(world.checker, first, last, clearance)
+        return replace(
+            self,
+            start=first,
+            goals=frozen(np.array(last[None])),
+            lower=frozen(np.where(locked, first, ranges.lower)[None]),
+            upper=frozen(np.where(locked, first, ranges.upper)[None]),
+            spare_clearances=frozen(np.array([clearance])),
+        )
+
+
+def merged(problems: Sequence[Problem]) -> Problem:
+    """The problem of reaching any of the goals of several problems with the same start, in their order."""
+    first, *others = problems
+    if not others:
+        return first
+    return replace(
+        first,
+        goals=frozen(np.concatenate([problem.goals for problem in problems])),
+        lower=frozen(np.concatenate([problem.lower for problem in problems])),
+        upper=frozen(np.concatenate([problem.upper for problem in problems])),
+        spare_clearances=frozen(np.concatenate([problem.spare_clearances for problem in problems])),
+    )

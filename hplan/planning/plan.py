@@ -124,7 +124,7 @@ def plan_with(
 
     Args:
         progress: Called with the name of each stage as it begins.
-        before: An earlier motion, to be kept or repaired where that can be (`hplan.planning.transits.reused`).
+        before: An earlier motion, to be kept or repaired where that can be (`hplan.planning.solver.reuse_motion`).
         stop: How a start in motion might be brought to rest, in addition to what is tried anyway.
 
     Raises:

@@ -2,7 +2,7 @@
 
 Straight from pose to pose the joints follow the tool, from the configuration before; where they have a choice (seven
 joints, or several configurations at the end of a free motion before), one is taken with which all straight lines up to
-the next free motion can be had. A free motion is that of `hplan.planning.transits`; where the tool is to stay upright,
+the next free motion can be had. A free motion is that of `hplan.planning.solver`; where the tool is to stay upright,
 one of trees whose nodes do (`hplan.kinematics.damped_steps.UPRIGHT`). The arm stops at each pose. Deviation and tilt of
 the timed motion are bounded at all times (`hplan.certificate.tool_bounds`).
 """

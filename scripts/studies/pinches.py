@@ -12,7 +12,7 @@ from itertools import pairwise
 from typing import TypeAlias
 
 import numpy as np
-from hplan.planning.definition import check_problem
+from hplan.planning.problem import Problem
 from studies.validation.random_scenes import vector
 
 from hplan.base.arrays import FloatArray
@@ -62,18 +62,16 @@ def pinch(seed: int, number: int, arm: str, room: float) -> tuple[Robot, Scene]:
 
 def _is_narrow(robot: Robot, scene: Scene) -> bool:
     """True if planning takes base, start and goal, and the straight motion is not clear."""
-    world = World.of_scene(robot, scene, PlanOptions())
     try:
-        world.check_base(robot.yaw_of(scene.start.configuration))
-        problem = check_problem(
-            world, scene.start.configuration, scene.goal.configuration, locked_joints=scene.locked_joints
-        )
+        problem = Problem.of(robot, scene, PlanOptions())
+        problem.world.check_base(robot.yaw_of(problem.start))
+        problem = problem.between(problem.start, scene.goal.configuration)
     except HplanError:
         return False
     ends = np.stack([problem.start, problem.goal])
     # Start and goal have so much clearance [m].
     least = 1e-3
-    return problem.spare_clearance >= least and not world.field.is_clear(ends, 1e-6)
+    return problem.spare_clearances[0] >= least and not problem.field.is_clear(ends, 1e-6)
 
 
 @cache

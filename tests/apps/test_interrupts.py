@@ -40,7 +40,7 @@ STAGES = [
     ("hplan.apps.cli.plan", "plan_options"),
     ("hplan.scene.file", "load_scene"),
     ("hplan.planning.plan", "plan"),
-    ("hplan.planning.transits", "quickest"),
+    ("hplan.planning.solver", "quickest"),
     ("hplan.trajectory.trajectory", "write_csv"),
     ("hplan.apps.view.page", "render_page"),
     ("hplan.planning.report", "write_report"),

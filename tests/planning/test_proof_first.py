@@ -10,7 +10,8 @@ import pytest
 import hplan
 from hplan.base.deadline import TimeIsUpError, current
 from hplan.errors import NoPathError
-from hplan.planning import failures, transits
+from hplan.planar import no_path_proof
+from hplan.planning import path_finder
 from hplan.planning.options import PlanOptions
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
@@ -44,8 +45,8 @@ OPTIONS = {
 def test_no_path_is_the_error_and_no_tree_grows(
     options: PlanOptions, robot: Robot, closed: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(transits, "tree_path", no_search)
-    monkeypatch.setattr(transits, "promising_paths", no_search)
+    monkeypatch.setattr(path_finder, "tree_path", no_search)
+    monkeypatch.setattr(path_finder, "promising_paths", no_search)
     with pytest.raises(NoPathError) as caught:
         hplan.plan(robot, closed, options)
     assert caught.value.reached_cells == 40677
@@ -62,7 +63,7 @@ def time_is_up(*_: object) -> Any:
 def test_a_deadline_while_the_blockers_are_found_keeps_the_proof(
     robot: Robot, closed: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(failures, "blockers", time_is_up)
+    monkeypatch.setattr(no_path_proof, "blockers", time_is_up)
     with pytest.raises(NoPathError, match="40677 of 753571 nodes") as caught:
         hplan.plan(robot, closed, PlanOptions(deadline_s=1e4))
     assert caught.value.blockers == ()

@@ -1,7 +1,8 @@
-"""Modules imported only when they are used, and by the names that they had in earlier versions."""
+"""Modules imported only when they are used."""
 
 from __future__ import annotations
 
+import ast
 import importlib
 import subprocess
 import sys
@@ -9,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
+import hplan
 from hplan.base.lazy_import import deferred
-from hplan.base.moved import MOVED, present_name
 
 
 @pytest.fixture
@@ -65,39 +66,18 @@ def test_timing_leaves_matplotlib_out() -> None:
     assert found.stdout.strip() == "True"
 
 
-@pytest.mark.parametrize("name", sorted(MOVED))
-def test_an_earlier_name_is_the_same_module(name: str) -> None:
-    assert importlib.import_module(f"hplan.{name}") is importlib.import_module(f"hplan.{MOVED[name]}")
+@pytest.mark.parametrize("package", ["hplan", "hplan.scene", "hplan.grid", "hplan.trajectory", "hplan.apps.ros"])
+def test_public_names_load_from_the_modules_that_type_checkers_see(package: str) -> None:
+    module = importlib.import_module(package)
+    blocks = [node for node in ast.parse(Path(str(module.__file__)).read_text()).body if isinstance(node, ast.If)]
+    imports = [node for block in blocks for node in block.body if isinstance(node, ast.ImportFrom)]
+    homes = {alias.name: str(node.module) for node in imports for alias in node.names}
+    assert sorted(homes) == sorted(module.__all__)
+    for name, home in homes.items():
+        assert module.__getattr__(name) is getattr(importlib.import_module(home), name)
+    with pytest.raises(AttributeError, match="nothing"):
+        _ = module.nothing
 
 
-@pytest.mark.parametrize(
-    ("before", "now"),
-    [
-        ("hplan.view.page", "hplan.apps.view.page"),
-        ("hplan.timing.trajectory", "hplan.trajectory.trajectory"),
-        ("hplan.smoothing.spline", "hplan.trajectory.spline"),
-        ("hplan.smoothing.repair", "hplan.optimization.repair"),
-    ],
-)
-def test_a_module_of_an_earlier_package_is_no_copy(before: str, now: str) -> None:
-    assert present_name(before) == now
-    assert importlib.import_module(before) is importlib.import_module(now)
-
-
-def test_public_names_of_earlier_packages() -> None:
-    names = {"orchard": "generate", "robot_family": "ArmSpec", "search": "dense_search", "waypoints": "time_waypoints"}
-    assert all(callable(getattr(importlib.import_module(f"hplan.{room}"), name)) for room, name in names.items())
-
-
-@pytest.mark.parametrize("name", ["hplan.timing.nothing", "hplan.nothing"])
-def test_other_names_are_not_found(name: str) -> None:
-    assert present_name("hplan.scene.model") is None
-    with pytest.raises(ModuleNotFoundError):
-        importlib.import_module(name)
-
-
-def test_a_module_that_was_moved_is_run_by_its_earlier_name() -> None:
-    called = subprocess.run(
-        [sys.executable, "-m", "hplan.cli", "--version"], capture_output=True, text=True, check=True
-    )
-    assert called.stdout.startswith("hplan ")
+def test_viewers_are_registered() -> None:
+    assert set(hplan.base.lazy_import.VIEWERS) == {"notebook_html", "draw_trajectory"}

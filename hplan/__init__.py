@@ -6,10 +6,10 @@ imported from here; whatever stands there can be imported from there as well.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from hplan.base.extensions import declare_extension
-from hplan.base.lazy_import import lazy_names
+from hplan.base.lazy_import import VIEWERS, lazy_names
 
 if TYPE_CHECKING:
     from hplan.certificate.certificate import Certificate, certify
@@ -80,7 +80,34 @@ __all__ = [
     "write_csv",
 ]
 
-__getattr__ = lazy_names(__name__)
+__getattr__ = lazy_names(
+    __name__,
+    {
+        "hplan.certificate.certificate": "Certificate certify",
+        "hplan.errors": "HplanError",
+        "hplan.online.planner": "Planner",
+        "hplan.online.warm_up": "warm_up",
+        "hplan.planning.cell": "Cell CellResult certify_cell load_cell",
+        "hplan.planning.cell_planner": "plan_cell replan_cell",
+        "hplan.planning.configuration_check": "ConfigurationCheck check",
+        "hplan.planning.finishing.finish": "finish",
+        "hplan.planning.options": "PlanOptions",
+        "hplan.planning.plan": "plan",
+        "hplan.planning.pose_sequence": "plan_poses",
+        "hplan.planning.reachable": "FruitReach reachable",
+        "hplan.planning.result": "PlanResult",
+        "hplan.robot.model": "Robot load_robot",
+        "hplan.scene.file": "load_scene save_scene",
+        "hplan.scene.model": "Scene",
+        "hplan.study.definition": "Study",
+        "hplan.study.run": "StudyResult run_study",
+        "hplan.tour.cell_tour": "CellTour plan_cell_tour",
+        "hplan.tour.result": "TourResult",
+        "hplan.tour.row": "RowOptions RowResult plan_row",
+        "hplan.tour.tour": "TourOptions plan_tour",
+        "hplan.trajectory.trajectory": "Trajectory read_csv write_csv",
+    },
+)
 
 #: Rooms at the edge that add path finders, inverse kinematics and proofs for robots that they recognize.
 declare_extension("hplan.planar")
@@ -89,3 +116,20 @@ declare_extension("hplan.planar")
 def __dir__() -> list[str]:
     """Public names, loaded or not."""
     return sorted(__all__)
+
+
+def _notebook_html(result: Any) -> str:
+    """Make the page of a result for a notebook."""
+    from hplan.apps.view.page import notebook_html
+
+    return notebook_html(result)
+
+
+def _draw_trajectory(trajectory: Trajectory, robot: Robot | None) -> Any:
+    """Draw joint values over time."""
+    from hplan.apps.view.trajectory_figure import draw_trajectory
+
+    return draw_trajectory(trajectory, robot)
+
+
+VIEWERS.update(notebook_html=_notebook_html, draw_trajectory=_draw_trajectory)

@@ -30,7 +30,6 @@ if TYPE_CHECKING:
 STUDIES = {
     "reference": "reference:REFERENCE",
     "cspace": "validation.kinds:CSPACE",
-    "risk": "risk:RISK",
     "motions": "validation.episodes:MOTIONS",
     "grazing": "validation.grazing:GRAZING",
     "clearances": "validation.clearances:CLEARANCES_STUDY",
@@ -43,22 +42,13 @@ STUDIES = {
     "trees": "trees:TREES",
     "tours": "trees:TOURS",
     "fastest": "fastest:FASTEST",
-    "bound": "bounds:BOUND",
-    "recheck": "planar:RECHECK",
     "deadlines": "fruit:DEADLINES",
-    "returns": "fruit:RETURNS",
-    "tracking": "fruit:TRACKED",
-    "moving": "moving:MOVING",
     "camera": "camera:CAMERA",
-    "finishing": "arms:FINISHING",
     "panda": "arms:PANDA",
     "random": "arms:RANDOM",
-    "poses": "poses:POSE_SEQUENCES",
     "cells": "cells:CELLS",
-    "cell_pairs": "cell_pairs:PAIRS",
     "workcells": "validation.workcells:WORKCELLS",
     "cell_trees": "cell_trees:CELL_TREES",
-    "baxter": "baxter:BAXTER",
 }
 
 #: Who can solve the problems of a study too.

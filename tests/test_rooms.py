@@ -40,13 +40,15 @@ def rooms() -> list[str]:
 
 
 def imported(path: Path) -> Iterator[str]:
-    """Rooms that a file imports from, wherever in the file."""
+    """Rooms that a file imports from, wherever in the file, or names in a string (for `importlib`)."""
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         names = []
         if isinstance(node, ast.ImportFrom) and node.module is not None:
             names = [f"{node.module}.{alias.name}" for alias in node.names]
         elif isinstance(node, ast.Import):
             names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.Constant) and re.match(r"hplan\.\w+[\w.{}]*$", str(node.value)):
+            names = [str(node.value)]
         for name in names:
             parts = name.split(".")
             if parts[0] == "hplan" and len(parts) > 1 and parts[1] in ROOMS:

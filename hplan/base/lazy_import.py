@@ -5,9 +5,8 @@ from __future__ import annotations
 import gc
 import importlib
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -42,45 +41,36 @@ def deferred(*names: str) -> Iterator[None]:
                 del sys.modules[name]
 
 
-def lazy_names(package: str) -> Callable[[str], Any]:
-    """A module-level `__getattr__` that loads a package's public names from their modules on first use.
-
-    The names are those that its `__init__` imports under `if TYPE_CHECKING`, which is read when one is first asked for.
+def lazy_names(package: str, homes: Mapping[str, str]) -> Callable[[str], Any]:
+    """Make a module-level `__getattr__` that loads public names on first use.
 
     Args:
         package: Name of the package, its `__name__`.
+        homes: Modules, and the names that each of them provides, separated by spaces.
     """
-    homes: dict[str, str] = {}
+    modules = {name: module for module, names in homes.items() for name in names.split()}
 
     def load(name: str) -> Any:
         """Load one name and keep it in the package."""
-        if not homes:
-            import ast  # `import hplan` is to cost next to nothing
-
-            source = Path(str(sys.modules[package].__file__)).read_text(encoding="utf-8")
-            blocks = (node for node in ast.parse(source).body if isinstance(node, ast.If))
-            imports = (node for block in blocks for node in block.body if isinstance(node, ast.ImportFrom))
-            homes.update({alias.name: str(node.module) for node in imports for alias in node.names})
-        if name not in homes:
+        if name not in modules:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
         with without_garbage_collection():
-            value = getattr(importlib.import_module(homes[name]), name)
+            value = getattr(importlib.import_module(modules[name]), name)
         vars(sys.modules[package])[name] = value
         return value
 
     return load
 
 
-def from_apps(module: str, name: str) -> Any:
-    """What a module of `hplan.apps` has by a name: for methods that show what they belong to, in rooms before it."""
-    return getattr(importlib.import_module(f"hplan.apps.{module}"), name)
+#: Functions that show results, by name. The package registers them: it is above all rooms, and viewers are in the last.
+VIEWERS: dict[str, Callable[..., Any]] = {}
 
 
 class InNotebook:
     """Mixin of results: a notebook shows the page of the motion, playing."""
 
     def _repr_html_(self) -> str:
-        html: str = from_apps("view.page", "notebook_html")(self)
+        html: str = VIEWERS["notebook_html"](self)
         return html
 
 

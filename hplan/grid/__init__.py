@@ -27,4 +27,12 @@ __all__ = [
     "two_level_search",
 ]
 
-__getattr__ = lazy_names(__name__)
+__getattr__ = lazy_names(
+    __name__,
+    {
+        "hplan.grid.astar": "dense_search",
+        "hplan.grid.flood": "reachable slices_with_path",
+        "hplan.grid.result": "Expansions Fallback SearchResult StageTimes",
+        "hplan.grid.two_level": "two_level_search",
+    },
+)

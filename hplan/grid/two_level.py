@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import time
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from hplan.base.arguments import truth
@@ -82,9 +83,17 @@ def _join(
 ) -> tuple[IntArray | None, float, int, tuple[int, ...], int]:
     """Search the union of slice paths.
 
+    Restored parts start from one end and mostly lead nowhere, so the search starts from the other end, unless it is
+    the paper's.
+
     Returns:
         Path or None, cost, expansions, slices restored, and nodes of the union.
     """
     nodes, restored = union_of(lattice, free, layers, start, goal, beyond=beyond)
-    path, cost, expansions = astar(lattice, nodes, start, goal, octile=octile)
+    has_path = layers.feasible
+    if octile and has_path[goal[-1]] and not has_path[start[-1]]:
+        path, cost, expansions = astar(lattice, nodes, goal, start, octile=True)
+        path = None if path is None else np.ascontiguousarray(path[::-1])
+    else:
+        path, cost, expansions = astar(lattice, nodes, start, goal, octile=octile)
     return path, cost, expansions, restored, nodes.size

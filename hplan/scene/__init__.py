@@ -37,4 +37,12 @@ __all__ = [
     "save_scene",
 ]
 
-__getattr__ = lazy_names(__name__)
+__getattr__ = lazy_names(
+    __name__,
+    {
+        "hplan.scene.file": "default_scene_path dump_scene load_scene parse_scene save_scene",
+        "hplan.scene.model": "FORMAT Fruit Goal Scene Start",
+        "hplan.scene.obstacles": "Box Capsule Cylinder Mesh Obstacle PointCloud Sphere",
+        "hplan.scene.tracks": "Sway Track",
+    },
+)

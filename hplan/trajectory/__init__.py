@@ -37,4 +37,12 @@ __all__ = [
     "time_waypoints",
 ]
 
-__getattr__ = lazy_names(__name__)
+__getattr__ = lazy_names(
+    __name__,
+    {
+        "hplan.trajectory.corner_rounding": "largest_deviation rounded_path",
+        "hplan.trajectory.machine": "Machine limits_of read_machine",
+        "hplan.trajectory.timing": "AT_LIMIT DEVIATION LimitShares corner_grid limit_shares read_waypoints "
+        "time_waypoints",
+    },
+)

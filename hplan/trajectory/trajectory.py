@@ -17,7 +17,7 @@ from hplan.base.arguments import instance, list_of, number, one_of, truth, whole
 from hplan.base.arrays import FloatArray, Record, numbers
 from hplan.base.csv_file import CsvFile
 from hplan.base.files import write_text
-from hplan.base.lazy_import import from_apps
+from hplan.base.lazy_import import VIEWERS
 from hplan.base.units import SLIDING, TURNING, joint_unit
 from hplan.errors import InputError, TimingError
 from hplan.robot.model import Robot
@@ -238,7 +238,7 @@ class Trajectory(Record):
         Raises:
             InputError: Matplotlib is not installed; a robot of other joints.
         """
-        figure: Figure = from_apps("view.trajectory_figure", "draw_trajectory")(self, robot)
+        figure: Figure = VIEWERS["draw_trajectory"](self, robot)
         return figure
 
     def positions(self, clock: ArrayLike) -> FloatArray:

@@ -1,4 +1,4 @@
-"""Any arm: random scenes, MotionBenchMaker's problems for the Panda, paths of OMPL finished.
+"""Any arm: random scenes, MotionBenchMaker's problems for the Panda.
 
 A random scene comes of its own seed, (seed, number). Boxes, balls, capsules and clouds stand where the tool gets to,
 over a floor just below the base; start and goal are drawn uniformly from the joint ranges (at most half a turn to
@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 from studies.harness import Asked, Row, Study
-from studies.measure import or_error, planned, ratio, timed
+from studies.measure import planned, ratio, timed
 from studies.outside import contacts, path_is_clear
 from studies.peers import RESOLUTION, ompl_path, roboplan_row, seed_ompl, toppra_motion, world_of
 from studies.validation.random_scenes import direction
@@ -30,12 +30,10 @@ from studies.validation.random_scenes import direction
 from hplan.base.arrays import FloatArray
 from hplan.collision.coal_scene import CoalScene, base_contacts
 from hplan.collision.collision_bodies import collision_bodies
-from hplan.errors import HplanError, InputError
-from hplan.planning.finishing.finish import finish
+from hplan.errors import InputError
 from hplan.planning.options import PlanOptions
 from hplan.robot.files import named_robot
 from hplan.robot.model import Robot, load_robot
-from hplan.scene.file import load_scene
 from hplan.scene.model import Scene
 from hplan.scene.obstacles import Box, Capsule, Cylinder, Obstacle, PointCloud, Sphere
 
@@ -308,49 +306,4 @@ PANDA = Study(
     needs=("files",),
     peers=("RRTConnect", "roboplan"),
     warm=7,
-)
-
-
-#: Paths in the reference scene, and where the shape of a path is kept, so near to it [rad].
-REFERENCE_PATHS, WITHIN_RAD = 20, 0.02
-
-
-def _to_finish(asked: Asked) -> Iterable[tuple[str, Robot, Scene]]:
-    robot, scene = load_robot(), load_scene()
-    numbers = range(min(REFERENCE_PATHS, asked.count or REFERENCE_PATHS))
-    reference = [("reference", robot, scene.with_(name=f"reference {number}")) for number in numbers]
-    return [*reference, *panda_scenes(asked)]
-
-
-def _finishing(asked: Asked, problem: tuple[str, Robot, Scene]) -> Row:
-    """A path of RRTConnect, simplified, at OMPL's resolution: what toppra and `hplan.finish` make of it."""
-    group, robot, scene = problem
-    seed_ompl(asked.seed + 1)
-    row: Row = {"name": scene.name, "set": group}
-    path = ompl_path(world_of(robot, scene), scene, scene.goal.configuration, resolution=RESOLUTION)
-    if path is None:
-        return row | {"outcome": "no path"}
-    spline, options = toppra_motion(robot, path), PlanOptions(effort=asked.effort)
-    spline_s = None if spline is None else spline.duration
-    row["spline_touches"] = None if spline is None else any(contacts(robot, scene, spline))
-    found, row["ms"] = timed(lambda: or_error(lambda: finish(robot, scene, path, options)))
-    if isinstance(found, HplanError):
-        return row | {"outcome": found.kind}
-    kept = or_error(lambda: finish(robot, scene, path, options, keep_within_rad=WITHIN_RAD))
-    return row | {
-        "outcome": "certified",
-        "to_spline": ratio(found.trajectory.duration, spline_s),
-        "kept_to_spline": None if isinstance(kept, HplanError) else ratio(kept.trajectory.duration, spline_s),
-        "fault": any(contacts(robot, scene, found.trajectory)),
-    }
-
-
-FINISHING = Study(
-    "finishing",
-    "paths of OMPL, finished, beside toppra on the same: the reference scene, and the Panda's problems (--files)",
-    _finishing,
-    ("outcome", "ms", "to_spline", "kept_to_spline", "spline_touches"),
-    problems=_to_finish,
-    by="set",
-    count=(None, 2),
 )

@@ -12,13 +12,12 @@ from itertools import pairwise
 from typing import TypeAlias
 
 import numpy as np
-from hplan.planning.problem import Problem
 from studies.validation.random_scenes import vector
 
 from hplan.base.arrays import FloatArray
 from hplan.errors import HplanError
 from hplan.planning.options import PlanOptions
-from hplan.planning.world import World
+from hplan.planning.problem import Problem
 from hplan.robot.family.members import load_member
 from hplan.robot.family.spec import ArmSpec
 from hplan.robot.model import Robot, load_robot

@@ -1,21 +1,16 @@
-"""Random planar scenes, the base locked: searches and motions, motions looked at again."""
+"""Random planar scenes, the base locked: searches and motions."""
 
 from __future__ import annotations
 
-import tempfile
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 from studies.harness import Asked, Row, Study
 from studies.measure import planned, ratio, timed
-from studies.outside import TimedMotion, findings
 from studies.peers import MARGIN_M, peer_row, quickest_polyline, stopping_duration, toppra_motion, world_of
 from studies.planar_cspace import arm_sections, joint_grid
-from studies.validation.judge import read_cubics
 
 from hplan.base.arrays import FloatArray, IntArray
-from hplan.collision.coal_scene import CoalScene
 from hplan.errors import InputError
 from hplan.grid import dense_search, two_level_search
 from hplan.grid.grid import Occupancy
@@ -25,16 +20,12 @@ from hplan.planning.world import World
 from hplan.robot.model import Robot
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Sphere
-from hplan.trajectory.trajectory import write_csv
 
 #: Spacing of the joint grid, and how far start and goal are apart in joint space at least [deg].
 STEP_DEG, APART_DEG = 1.0, 30.0
 
 #: Pairs of nodes drawn before a scene's discs are drawn anew.
 _PAIRS = 200
-
-#: Spacing of the samples of a motion that is looked at again [s], and the share of a limit that may be used.
-INSTANT_S, LIMIT_TOLERANCE = 1e-4, 1.001
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,37 +147,6 @@ CLUTTER = Study(
     by="way",
     count=(200, 10),
     warm=2,
-)
-
-
-def _recheck(asked: Asked, number: int) -> Row | None:
-    """A certified motion as its written CSV has it: cubics between rows, looked at every 0.1 ms."""
-    robot = asked.arm()
-    drawn = random_scene(robot, asked.seed, number)
-    if not drawn.has_path:
-        return None
-    found, row = planned(robot, drawn.scene, PlanOptions(effort=asked.effort))
-    row["name"] = drawn.scene.name
-    if found is None:
-        return row | {"fault": True}
-    with tempfile.TemporaryDirectory() as folder:
-        _, rows, cubics = read_cubics(write_csv(found.trajectory, Path(folder) / "trajectory.csv"))
-    motion = TimedMotion(float(rows[-1]), cubics)
-    seen = findings(robot, drawn.scene, motion, INSTANT_S)
-    checker, places = CoalScene(robot, drawn.scene.solids), motion.positions(np.linspace(0.0, motion.duration, 400))
-    least = min(float(checker.distances(q).min()) for q in places)
-    beyond = least - found.certificate.min_clearance_m
-    wrong = seen["contacts"] > 0 or seen["outside_deg"] > 1e-6 or beyond < -1e-9
-    over = max(seen[name] for name in ("velocity", "acceleration", "torque")) > LIMIT_TOLERANCE
-    return row | seen | {"beyond_certificate_mm": 1e3 * beyond, "fault": row["fault"] or wrong or over}
-
-
-RECHECK = Study(
-    "recheck",
-    "certified motions of random planar scenes, looked at every 0.1 ms from their CSV",
-    _recheck,
-    ("certified", "looks", "contacts", "velocity", "acceleration", "torque", "outside_deg", "beyond_certificate_mm"),
-    count=(1000, 5),
 )
 
 

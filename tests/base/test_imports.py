@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import ast
+import importlib
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
+import hplan
 from hplan.base.lazy_import import deferred
 
 
@@ -61,3 +64,20 @@ def test_timing_leaves_matplotlib_out() -> None:
     code += "print(toppra.parametrizer.plt.figure is plt.figure)"
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert found.stdout.strip() == "True"
+
+
+@pytest.mark.parametrize("package", ["hplan", "hplan.scene", "hplan.grid", "hplan.trajectory", "hplan.apps.ros"])
+def test_public_names_load_from_the_modules_that_type_checkers_see(package: str) -> None:
+    module = importlib.import_module(package)
+    blocks = [node for node in ast.parse(Path(str(module.__file__)).read_text()).body if isinstance(node, ast.If)]
+    imports = [node for block in blocks for node in block.body if isinstance(node, ast.ImportFrom)]
+    homes = {alias.name: str(node.module) for node in imports for alias in node.names}
+    assert sorted(homes) == sorted(module.__all__)
+    for name, home in homes.items():
+        assert module.__getattr__(name) is getattr(importlib.import_module(home), name)
+    with pytest.raises(AttributeError, match="nothing"):
+        _ = module.nothing
+
+
+def test_viewers_are_registered() -> None:
+    assert set(hplan.base.lazy_import.VIEWERS) == {"notebook_html", "draw_trajectory"}

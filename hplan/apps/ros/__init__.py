@@ -34,4 +34,15 @@ __all__ = [
     "write_mcap",
 ]
 
-__getattr__ = lazy_names(__name__)
+__getattr__ = lazy_names(
+    __name__,
+    {
+        "hplan.apps.ros.joint_messages": "from_joint_trajectory to_joint_state to_joint_trajectory "
+        "write_joint_trajectory",
+        "hplan.apps.ros.marked_scene": "scene_markers",
+        "hplan.apps.ros.mcap_file": "write_mcap",
+        "hplan.apps.ros.moveit_scene": "read_moveit_scene",
+        "hplan.apps.ros.planning_scene": "read_planning_scene",
+        "hplan.apps.ros.transforms": "robot_description",
+    },
+)

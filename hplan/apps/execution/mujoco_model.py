@@ -51,6 +51,7 @@ def mujoco_model(mujoco: ModuleType, robot: Robot, scene: Scene, *, timestep_s: 
 
     Raises:
         InputError: A cloud has more than 2,000 balls.
+        MovingObstacleError: An obstacle of the scene moves.
         RobotFileError: MuJoCo refuses the URDF.
     """
     try:

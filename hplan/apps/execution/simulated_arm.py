@@ -72,6 +72,7 @@ class SimulatedArm:
 
         Raises:
             InputError: MuJoCo is not installed, or a cloud has more than 2,000 balls.
+            MovingObstacleError: An obstacle of the scene moves.
             RobotFileError: MuJoCo refuses the URDF.
         """
         self.robot, self.plant = instance("robot", robot, Robot, "load_robot"), Plant() if plant is None else plant

@@ -13,9 +13,9 @@ saturate at the motors' limits. Contacts between the arm and an obstacle exert f
 self-collisions and no ground. After the last sample the controller holds it for `HOLD` seconds, which reveals a motion
 that does not end at rest.
 
-By default the controller knows the true masses, those of the URDF, so all errors are due to the motion itself, not to
-model errors, friction or flexibility. With a `Plant` the masses differ from the controller's model and its commands are
-delayed. `Execution.is_within` compares the resulting errors with a tracking model.
+By default the simulated masses are the URDF's, which the controller knows, so all errors are due to the motion itself,
+not to model errors, friction or flexibility. With a `Plant` the masses differ from the controller's model and its
+commands are delayed. `Execution.is_within` compares the resulting errors with a tracking model.
 
 MuJoCo comes with the extra `execution`: `pip install 'hplan[execution]'`.
 """
@@ -49,7 +49,7 @@ HOLD = 0.25
 class Execution(Record):
     """Result of executing a motion, with joints in the robot's order.
 
-    For prismatic joints the units are m and N in place of rad and N m, whatever the field's suffix says.
+    For prismatic joints the units are m and N in place of rad and N m, despite the suffixes of the fields.
 
     Attributes:
         joint_names: Names of the `dof` joints.
@@ -116,8 +116,8 @@ class Execution(Record):
 def execute(robot: Robot, scene: Scene, motion: Movement, plant: Plant | None = None) -> Execution:
     """Execute a motion on a simulated arm among a scene's obstacles.
 
-    The arm starts at the position and velocity of the motion's first sample. All links take part, also those that the
-    planar joints do not move: a turret that strikes an obstacle is a contact.
+    The arm starts at the position and velocity of the motion's first sample. All links take part, also links that no
+    planar joint moves: a turret that strikes an obstacle is a contact.
 
     Args:
         robot: The arm; MuJoCo reads its URDF.
@@ -223,7 +223,7 @@ def _executed(
     resting = clock >= duration - 1e-9
     final = np.nan_to_num(np.abs(position[resting] - goal), nan=np.inf).max(axis=0)
     limit = robot.torque_limit
-    # Maximum error of a revolute [rad] and of a prismatic joint [m] at which the goal counts as reached.
+    # The goal counts as reached up to this error of a revolute [rad] or prismatic joint [m].
     goal_tolerance, goal_tolerance_m = math.radians(0.5), 0.005
     return Execution(
         joint_names=robot.joint_names,
@@ -249,7 +249,7 @@ def _executed(
 
 def _gains(arm: SimulatedArm, q: FloatArray) -> tuple[FloatArray, FloatArray]:
     """(dof,) stiffness [N m/rad] and damping [N m s/rad] of the joints."""
-    # Number of samples at which the inertia is evaluated, enough for a maximum along the motion.
+    # The inertia is evaluated at no more than this number of samples, enough for its maximum along the motion.
     inertia_samples = 50
     rows = np.unique(np.linspace(0, len(q) - 1, inertia_samples).astype(np.int64))
     inertia = np.max([np.diag(arm.inertia(q[row])) for row in rows], axis=0)
@@ -258,7 +258,7 @@ def _gains(arm: SimulatedArm, q: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _joints(robot: Robot, scene: Scene, which: str, end: FloatArray) -> FloatArray | None:
-    """Joints of a scene's start or goal; None if not given by joints.
+    """Joints of a scene's start or goal; None if given otherwise.
 
     Continuous joints of the goal are shifted by whole turns to the values nearest to the motion's end.
     """

@@ -255,6 +255,7 @@ def show(console: Console, what: str, robot: str, *tables: Table) -> None:
     """Print a summary: title line and tables.
 
     Args:
+        console: Console for results.
         what: Name of the scene or file.
         robot: Name of the robot.
         tables: The tables, printed in this order.

@@ -20,7 +20,9 @@ ADD, DELETE, DELETE_ALL = 0, 2, 3
 
 
 def head(*, frame_id: str, ns: str, number: int) -> Marker:
-    """Fields common to all markers; with time 0 a marker follows its frame.
+    """Fields common to all markers.
+
+    The time is 0, so that a marker follows its frame.
 
     Args:
         frame_id: Frame of the marker.

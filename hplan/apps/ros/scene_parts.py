@@ -249,7 +249,9 @@ def pose_of(content: Any, where: str, keys: tuple[str, str] = ("position", "orie
 
 
 def numbers_of(content: Any, keys: str, where: str) -> list[float]:
-    """Convert numbers given as a list or by keys; missing keys are 0.
+    """Convert numbers given as a list or by keys.
+
+    Missing keys are 0.
 
     Raises:
         SceneError: Another number of values, a value that is not a number, or an unknown key.
@@ -293,7 +295,7 @@ def mapping(content: Any, where: str) -> Mapping[str, Any]:
 
 
 def sequence(content: Any, where: str) -> list[Any] | tuple[Any, ...]:
-    """Check that a value is a list, tuple or array, and return it.
+    """Return a value if it is a list, tuple or array.
 
     Arrays are converted to lists.
 

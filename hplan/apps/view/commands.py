@@ -67,8 +67,8 @@ def showing(since: float, until: float, end: float) -> Json:
     """Visibility track: a node is visible in [since, until).
 
     Args:
-        since: Time at which the node appears [s].
-        until: Time at which it disappears [s].
+        since: Time when the node appears [s].
+        until: Time when it disappears [s].
         end: End of the animation [s].
     """
     times = sorted({0.0, end, *(time for time in (since, until) if 0.0 < time < end)})

@@ -1,4 +1,6 @@
-"""Live view of arm and scene in a browser, by viser (extra `viser`).
+"""Live view of arm and scene in a browser.
+
+The view uses viser (extra `viser`).
 
 It shows the state of a running program; the page of a finished motion needs neither server nor network. Pinocchio draws
 the arm (`pinocchio.visualize.ViserVisualizer`).

@@ -1,4 +1,4 @@
-"""Data of a motion for its page: charts, clearance over time, phases, certificate.
+"""Data of a motion for its page: charts, clearance, phases, certificate.
 
 Charts show values as fractions of their limits, with no more points than a screen can show. Two samples of each short
 time interval are kept, the first one and the one with the largest fraction, so no peak is lost.
@@ -80,7 +80,10 @@ def _fruit_of_each(phases: Sequence[Phase], picked: Mapping[str, float]) -> list
 
 
 def _legs(phases: Sequence[Json]) -> list[Json]:
-    """Legs of a tour in order: fruit name, None for the return, and times [s]."""
+    """Legs of a tour in order, with their fruits and times [s].
+
+    The return to the start has None for its fruit.
+    """
     spans: list[Json] = []
     for phase in phases:
         name = phase["fruit"]

@@ -1,7 +1,7 @@
 """Show a motion: write its animated page and serve it until interrupted.
 
-Given a folder of `plan` or `tour`, the command shows the latest job's motion in the scene named by its report, if that
-scene ships with hplan. The pages written by `row` are served unchanged.
+Given a folder of `plan`, `tour` or `time --scene`, the command shows the latest job's motion in its own scene. A scene
+that neither ships with hplan nor is in the folder must be given. The pages written by `row` are served unchanged.
 """
 
 from __future__ import annotations

@@ -64,5 +64,5 @@ def points(places: ArrayLike) -> list[dict[str, float]]:
 
 
 def ball(center: Sequence[float] | FloatArray, radius: float) -> Marker:
-    """Shape and pose of a sphere marker: (3,) center, radius [m]."""
+    """Shape and pose of a sphere marker: (3,) centre, radius [m]."""
     return {"type": _SPHERE, "pose": pose(center), "scale": xyz((2.0 * radius,) * 3)}

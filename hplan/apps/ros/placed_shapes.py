@@ -77,7 +77,7 @@ def shape(name: str, kind: str, sizes: Sequence[float], place: pin.SE3) -> Obsta
         kind: `sphere`, `box`, `cylinder` or `cone`.
         sizes: Radius of a sphere; three edge lengths of a box; radius and length along z of a cylinder or of a cone,
             whose tip is at the upper end [m].
-        place: Pose of the shape's center.
+        place: Pose of the shape's centre.
 
     Raises:
         SceneError: A size is not positive, or the place is too far away.

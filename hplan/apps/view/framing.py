@@ -28,7 +28,7 @@ class Frame:
         target: (3,) point in the middle of the picture [m].
         camera: (3,) camera position [m].
         radius: Half of the diagonal of the points' bounding box [m].
-        ground: (2,) center of the ground [m].
+        ground: (2,) centre of the ground [m].
     """
 
     target: FloatArray
@@ -180,7 +180,7 @@ def ground(view: Frame, floor: float) -> Body:
     """Ground with a fading grid, 0.5 m wide, and shadows.
 
     Args:
-        view: The camera's frame, which centers and sizes the ground.
+        view: The camera's frame, which gives centre and size of the ground.
         floor: Height of the ground [m].
     """
     body = Body()

@@ -42,8 +42,8 @@ FAR = 0.2
 #: Relative tolerance: a clearance may be returned too small by this fraction of itself.
 EXACT = 1e-10
 
-#: Vector between nearest points (3), parameter of its end on the segment, and a lower bound of the distance along it
-#: [m].
+#: Vector between nearest points (3), parameter of its end on the segment, and the separation along the vector [m]: a
+#: lower bound of the distance, and up to rounding errors the largest of its kind.
 Shown: TypeAlias = tuple[float, float, float, float, float]
 
 #: The lower bound counts as the distance if its square is at least this multiple of the vector's squared length.
@@ -225,7 +225,7 @@ def _body_clearance(arm: BodyArrays, b: int, enough: float) -> float:
         else:
             away = (-dx, -dy, -dz)
             if kind != row.HULL:
-                # Distance from the solid's core to the body's axis segment.
+                # Vector from the solid's core to the body's axis segment.
                 ox, oy, oz, t, shown = off_row(placed, b, solids, s)
                 if shown > 0.0:
                     clear = shown - solids[s, row.RADIUS] - movers[b, flat.AXIS_RADIUS]

@@ -266,7 +266,7 @@ def _of_body(moving: Moving, b: int, first: int, part: Part) -> Part:
         if kind < row.NODE:
             clear, is_known = 0.0, False
             if kind != row.HULL:
-                # Distance from the solid's core to the body's axis segment.
+                # Vector from the solid's core to the body's axis segment.
                 x, y, z, _, shown = off_row(placed, b, solids, s)
                 if shown > 0.0:
                     away, clear = (x, y, z), shown - solids[s, row.RADIUS] - thickness

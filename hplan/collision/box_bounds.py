@@ -130,7 +130,7 @@ def lower_bounds(q: FloatArray, pairs: IntArray, sides: IntArray, boxes: FloatAr
 
 @kernel
 def apart(frames: FloatArray, boxes: FloatArray, both: IntArray, work: FloatArray) -> float:
-    """Lower bound of two boxes' distance [m]; -`ANYWHERE` if they overlap.
+    """Lower bound of two boxes' distance [m]; -`ANYWHERE` unless positive.
 
     Args:
         frames: (dof + 1, 12) frames of joints and base, as `place_joints` writes them.

@@ -79,9 +79,9 @@ def penetration(hulls: Hulls, work: FloatArray) -> float:
 def _find_deepest(
     corners: FloatArray, of_first: FloatArray, planes: FloatArray, faces: IntArray, depth: float, work: FloatArray
 ) -> None:
-    """Write the first hull's deepest point, where the nearest face is nearest.
+    """Write the first hull's point that is deepest in the other.
 
-    Several triangles may form that face.
+    It is the point of the nearest face that is nearest to the origin; several triangles may form that face.
     """
     least = math.inf
     for f in range(faces.shape[0]):

@@ -36,7 +36,10 @@ class AcceptedFrame:
     max_age_s: float | None
 
     def age_s(self, now: float | None) -> float:
-        """Age on the controller's clock, or since the call if one of the times is unknown [s]."""
+        """Age on the controller's clock [s].
+
+        Since the call if one of the times is unknown.
+        """
         return time.monotonic() - self.received_s if now is None or self.time_s is None else now - self.time_s
 
     def age_fault(self, name: str, now: float | None) -> FrameError | None:

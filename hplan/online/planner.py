@@ -224,8 +224,8 @@ class Planner:
 
         Args:
             t: Start of the stop on the controller's clock [s].
-            now: Current time on that clock, from then on the motion must be collision-free [s]; None for the start of
-                the motion.
+            now: Current time on that clock [s]; the motion must be collision-free from then on. None for the start
+                of the motion.
             measured: (dof,) current configuration of the arm, as for `replan`.
 
         Raises:

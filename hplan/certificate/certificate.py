@@ -41,7 +41,7 @@ from typing import Literal, NamedTuple, TypeAlias, get_args
 import numpy as np
 
 from hplan.base import ties
-from hplan.base.arguments import between, by_name, instance, number, one_of, truth
+from hplan.base.arguments import between, by_name, instance, list_of, number, one_of, truth
 from hplan.base.arrays import FloatArray
 from hplan.base.units import FARTHEST_JOINT
 from hplan.certificate.clearance_curve import (
@@ -277,8 +277,7 @@ def certify(
             if fruit.track is not None or scene.base_track is not None:
                 raise MovingObstacleError(None if fruit.track is None else fruit.name, "a fruit to pick must not move")
             allowed += goal_contacts(robot, trajectory, fruit, goal_contact)
-        for contact in contacts:
-            instance("contacts", contact, FruitContact, "Certificate.contacts")
+        for contact in list_of("contacts", contacts, FruitContact, "windows, as of Certificate.contacts"):
             if contact.fruit in scene.fruits and not any(known.covers(contact) for known in allowed):
                 allowed.append(contact)
         allowed.sort(key=lambda contact: contact.span_s)

@@ -156,7 +156,7 @@ class FixedFrames:
         """Read the transforms of a message.
 
         Raises:
-            SceneError: Transforms that are malformed, or that have no common root.
+            SceneError: Transforms that are malformed or have no common root, or two of one frame.
         """
         key = "fixed_frame_transforms"
         self._parents: dict[str, tuple[str, pin.SE3]] = {}
@@ -168,6 +168,8 @@ class FixedFrames:
             place = mapping(or_else(item.get("transform"), {}), f"{where}.transform")
             placed = pose_of(place, f"{where}.transform", ("translation", "rotation"))
             frames.append(parent)
+            if child in self._parents:
+                raise SceneError(f"expected one transform of frame {child!r}, got two", where=where, value=child)
             if child != parent:
                 self._parents[child] = parent, placed
         roots = {self._root(frame) for frame in frames}

@@ -189,6 +189,13 @@ class CoalScene:
         movers, own = self.parts.extents
         return distance_errors(movers, self._built["obstacles"], own)
 
+    @property
+    def grown_obstacles(self) -> tuple[tuple[Solid, float], ...]:
+        """The obstacles, and by how much each is grown [m]."""
+        obstacles = self._built["obstacles"]
+        growth = np.broadcast_to(np.asarray(self._built["growth"], dtype=np.float64), len(obstacles))
+        return tuple(zip(obstacles, growth.tolist(), strict=True))
+
     def covering(self, deviation: float, clearance: float) -> CoalScene:
         """The scene with the pairs that a tracking error [rad] and a clearance [m] require."""
         if deviation <= self.deviation and clearance == self.clearance:

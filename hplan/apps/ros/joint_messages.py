@@ -64,9 +64,10 @@ def to_joint_trajectory(
         raise OptionError(
             "stamp_s",
             stamp_s,
-            "the time of the first row by the controller's clock, such as the result's begins_s, and not 0, which means "
-            "on receipt: the motion takes over from a running one, and a controller that begins it on receipt would "
-            "send the arm back. Of a motion that began at 0, send trajectory.since(row) with the time of that row",
+            "the time of the first row by the controller's clock, such as the result's begins_s, and not 0, which is "
+            "the time of receipt: the motion takes over from a running one, and a controller that begins it on receipt "
+            "would send the arm back. Of a motion that began at 0, send trajectory.since(row) with the time of that "
+            "row",
         )
     header = _header(frame_id, stamp_ns)
     given = (*_FIELDS_OF[trajectory.interpolation], *(["effort"] if truth("effort", effort) else []))

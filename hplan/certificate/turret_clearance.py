@@ -70,7 +70,7 @@ def turret_clearance(checker: CoalScene, span_s: tuple[float, float], clearance:
 
 
 def _round_shapes(robot: Robot) -> tuple[BaseShape, ...]:
-    """The shapes that turn with the yaw joint of a planar arm and are round about it; none of another arm."""
+    """Shapes of a planar arm that turn with the yaw joint and are round about its axis."""
     shapes = base_shapes(robot) if base_joints(robot) else ()
     return tuple(shape for shape in shapes if shape.carrier == TURRET and shape.is_round)
 

@@ -12,6 +12,7 @@ from typing import Final, NamedTuple
 import numpy as np
 import pinocchio as pin
 
+from hplan.base.arrays import FloatArray
 from hplan.certificate.pair_rules import PairRule
 from hplan.collision.coal_accuracy import distance_errors, extents
 from hplan.collision.coal_cloud import distance_from
@@ -50,14 +51,19 @@ def turret_clearance(checker: CoalScene, span_s: tuple[float, float], clearance:
         clearance: Clearance that all other pairs keep [m].
         most: Distances above this do not matter [m].
     """
-    shapes, bounds = _round_shapes(checker.robot), dict[tuple[str, str], float]()
-    for number, (solid, growth) in enumerate(checker.grown_obstacles if shapes else ()):
-        movement = None if checker.moving is None else checker.moving.movements[number]
-        for shape in shapes:
-            key = shape.name, solid.name
+    bounds = dict[tuple[str, str], float]()
+    for shape in _round_shapes(checker.robot):
+        for number in _near(shape, checker, most):
+            solid, growth = checker.grown_obstacles[number]
+            movement = None if checker.moving is None else checker.moving.movements[number]
             off = growth + float(distance_errors(extents([shape.placed]), [solid], np.zeros((0, 2, 3)))[0])
-            bound = _lower_bound(shape, solid, movement, span_s, most + off) - off
-            bounds[key] = min(bound, bounds.get(key, np.inf))
+            if movement is None:
+                bound = distance_from(solid, most + off)(shape.placed.geometry, shape.placement)
+            else:
+                ball = checker.obstacle_balls[number] - np.array([0.0, 0.0, 0.0, growth])
+                bound = _lower_bound(shape, (solid, ball), movement, span_s, most + off)
+            key = shape.name, solid.name
+            bounds[key] = min(bound - off, bounds.get(key, np.inf))
     rules, least = list[PairRule](), float("inf")
     for (link, obstacle), bound in bounds.items():
         if bound <= BASE_DEPTH:
@@ -75,22 +81,41 @@ def _round_shapes(robot: Robot) -> tuple[BaseShape, ...]:
     return tuple(shape for shape in shapes if shape.carrier == TURRET and shape.is_round)
 
 
+def _ball(shape: BaseShape) -> tuple[FloatArray, float]:
+    """Centre and radius of a ball about a shape [m]."""
+    low, high = shape.core.min(axis=0), shape.core.max(axis=0)
+    return 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low)) + shape.rounding
+
+
+def _near(shape: BaseShape, checker: CoalScene, most: float) -> list[int]:
+    """Numbers of the obstacles that may come within a distance of a shape [m]: of those that stand still, by balls."""
+    centre, radius = _ball(shape)
+    balls = checker.obstacle_balls
+    near = np.linalg.norm(balls[:, :3] - centre, axis=1) - balls[:, 3] - radius <= most
+    if checker.moving is not None:
+        near[list(checker.moving.numbers)] = True
+    found: list[int] = np.flatnonzero(near).tolist()
+    return found
+
+
 def _lower_bound(
-    shape: BaseShape, solid: Solid, movement: Movement | None, span_s: tuple[float, float], most: float
+    shape: BaseShape, obstacle: tuple[Solid, FloatArray], movement: Movement, span_s: tuple[float, float], most: float
 ) -> float:
-    """Lower bound of the distance of a shape from an obstacle within a span of time [m]."""
-    body, distance = shape.placed.geometry, distance_from(solid, most if movement is None else np.inf)
-    if movement is None:
-        return distance(body, shape.placement)
+    """Lower bound of the distance of a shape from an obstacle that moves, within a span of time [m].
+
+    Args:
+        obstacle: The obstacle, and (4,) a ball about it.
+    """
+    solid, ball = obstacle
     times = np.linspace(*span_s, _TIMES)
     rotations, shifts = movement.at(times)
-    found = np.array(
-        [
-            distance(body, pin.SE3(rotation, shift).inverse() * shape.placement)
-            for rotation, shift in zip(rotations, shifts, strict=True)
-        ]
-    )
     steps = movement.rates(solid.core, solid.rounding) * np.diff(movement.breaks)
-    travel = np.interp(times, movement.breaks, np.concatenate([[0.0], np.cumsum(steps)]))
-    # Between two times it loses as much as the obstacle travels at most.
-    return float((0.5 * (found[:-1] + found[1:] - np.diff(travel))).min())
+    travel = np.diff(np.interp(times, movement.breaks, np.concatenate([[0.0], np.cumsum(steps)])))
+    centre, radius = _ball(shape)
+    found = np.linalg.norm(rotations @ ball[:3] + shifts - centre, axis=1) - ball[3] - radius
+    distance = distance_from(solid)
+    for number in np.flatnonzero(found <= most + float(travel.max())).tolist():
+        place = pin.SE3(rotations[number], shifts[number]).inverse() * shape.placement
+        found[number] = distance(shape.placed.geometry, place)
+    # Between two times the obstacle comes nearer by no more than it travels.
+    return float((0.5 * (found[:-1] + found[1:] - travel)).min())

@@ -266,13 +266,16 @@ def _xyz_fault(content: bytes, comments: Sequence[str]) -> str:
 def _check_ply_rows(content: bytes, name: str) -> None:
     """Refuse an ASCII PLY file with more or fewer rows than its header declares, or with ragged rows of vertices.
 
-    trimesh cuts rows that are too long and takes a file that ends early for a smaller one.
+    trimesh cuts rows that are too long, takes a file that ends early for a smaller one, and one whose second line is
+    not its format for binary numbers.
 
     Raises:
-        ValueError: Such a row, with its number among the rows after the header.
+        ValueError: Such a row, with its number among the rows after the header; or another second line.
     """
     head, mark, body = content.partition(b"end_header")
     words = [line.split() for line in head.decode("latin-1").splitlines()]
+    if words[1:] and words[1][:1] != ["format"]:  # trimesh would read text as binary numbers
+        raise ValueError(f"{name}, line 2: expected the format of the PLY file, got {' '.join(words[1])[:40]!r}")
     if not mark or ["format", "ascii"] not in [line[:2] for line in words]:
         return
     counts, columns = list[int](), list[int]()

@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import hplan
-from hplan.apps.cli.own_files import FORMAT_KEY, WRITTEN, check_own, digests_of, is_own
+from hplan.apps.cli.own_files import FORMAT_KEY, NOT_OURS, WRITTEN, check_own, digests_of, is_own
 from hplan.apps.cli.own_files import REPORT as REPORT
 from hplan.apps.cli.own_files import ROW_REPORT as ROW_REPORT
 from hplan.apps.cli.own_files import TOUR_REPORT as TOUR_REPORT
@@ -82,6 +82,8 @@ class JobFolder:
         self._files = (*files, report)
         self._report = report
         self._force: bool = arguments.force
+        #: Names of files of others that the job might replace.
+        self._others: frozenset[str] = frozenset()
         #: Whether the folder has a report of how this job ended.
         self._is_settled = False
         _note_inputs(arguments)
@@ -141,7 +143,7 @@ class JobFolder:
                 made = sorted(staging.iterdir(), key=lambda file: (file.suffix == ".csv", file.name))
                 for file in made:
                     check_replaceable(self.path / file.name, self.path / file.name)
-                    check_own(self.path / file.name, force=self._force)
+                    self._check_replaced(file.name)
                 report = staging / self._report
                 digests = digests_of([file for file in made if file != report])
                 if self._report in {file.name for file in made}:
@@ -195,6 +197,20 @@ class JobFolder:
         for name in self._files:
             if name not in _OPTIONAL and "*" not in name:
                 check_own(self.path / name, force=self._force)
+        # Names that are known later only: by then the report, which tells whose they are, is removed.
+        later = [name for name in self._files if name in _OPTIONAL or "*" in name]
+        found = (file for name in later for file in self.path.glob(name) if file.is_file())
+        self._others = frozenset(file.name for file in found if not is_own(file))
+
+    def _check_replaced(self, name: str) -> None:
+        """Refuse to replace a file that is not hplan's now, or was not when the job began.
+
+        Raises:
+            OutputError: It is one.
+        """
+        check_own(self.path / name, force=self._force)
+        if name in self._others and not self._force:
+            raise OutputError(self.path / name, NOT_OURS)
 
     def _clear(self) -> None:
         """Remove the trajectory, report and accompanying files of an earlier job.

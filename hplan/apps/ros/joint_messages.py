@@ -12,6 +12,7 @@ own motions have positions and velocities.
 from __future__ import annotations
 
 import json
+from array import array
 from collections.abc import Mapping, Sequence, Set, Sized
 from dataclasses import replace
 from itertools import pairwise
@@ -66,8 +67,10 @@ def to_joint_trajectory(
         raise OptionError(
             "stamp_s",
             stamp_s,
-            "the time of the first row by the controller's clock, such as the result's begins_s: the motion takes over "
-            "from a running one, and a controller that begins it on receipt would send the arm back",
+            "the time of the first row by the controller's clock, such as the result's begins_s, and not 0, which is "
+            "the time of receipt: the motion takes over from a running one, and a controller that begins it on receipt "
+            "would send the arm back. Of a motion that began at 0, send trajectory.since(row) with the time of that "
+            "row",
         )
     header = _header(frame_id, stamp_ns)
     given = (*_FIELDS_OF[trajectory.interpolation], *(["effort"] if truth("effort", effort) else []))
@@ -323,8 +326,8 @@ def _array(points: Sequence[Mapping[str, Any]], field: str, joints: int) -> Floa
     rows = []
     for index, point in enumerate(points):
         row = point.get(field, ())
-        if not isinstance(row, (list, tuple, np.ndarray)) or len(row) != joints:
-            count = f"{len(row)} numbers" if isinstance(row, (list, tuple, np.ndarray)) else repr(row)
+        if not isinstance(row, list | tuple | array | np.ndarray) or len(row) != joints:
+            count = f"{len(row)} numbers" if isinstance(row, list | tuple | array | np.ndarray) else repr(row)
             raise InputError(
                 f"points[{index}].{field} has {count}, expected one for each of {joints} joints",
                 point=index,

@@ -159,7 +159,7 @@ class FixedFrames:
         """Read the transforms of a message.
 
         Raises:
-            SceneError: The transforms are malformed, have no common root, or have a cycle.
+            SceneError: The transforms are malformed, have no common root or a cycle, or two are of one frame.
         """
         key = "fixed_frame_transforms"
         self._parents: dict[str, tuple[str, pin.SE3]] = {}
@@ -171,6 +171,8 @@ class FixedFrames:
             place = mapping(or_else(item.get("transform"), {}), f"{where}.transform")
             placed = pose_of(place, f"{where}.transform", ("translation", "rotation"))
             frames.append(parent)
+            if child in self._parents:
+                raise SceneError(f"expected one transform of frame {child!r}, got two", where=where, value=child)
             if child != parent:
                 self._parents[child] = parent, placed
         roots = {self._root(frame) for frame in frames}

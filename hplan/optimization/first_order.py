@@ -43,8 +43,7 @@ class MotionArrays(NamedTuple):
         control: (n, dof) control points.
         knots: (n + 4,) clamped knots [s].
         drift: (n, dof) derivatives of the control points with respect to the time scale that keep the states at both
-            ends
-            fixed.
+            ends fixed.
     """
 
     control: FloatArray
@@ -61,8 +60,7 @@ class MotionLimits(NamedTuple):
         rates: (3, dof) maximum velocity [rad/s], acceleration [rad/s^2] and jerk [rad/s^3]; infinite for no limit.
         movable: (k,) indices of the joints that may move.
         sway: (links, dof) loss of each link's clearance by tracking errors, per unit of each joint's speed [m s/rad];
-            empty
-            if tracking errors do not depend on speed.
+            empty if tracking errors do not depend on speed.
     """
 
     lower: FloatArray
@@ -342,8 +340,7 @@ def _velocity_weights(knots: FloatArray, piece: int, t: float, weight: FloatArra
     """Write the weights of a piece's control points in its velocity [1/s].
 
     The control points are `piece` to `piece + 3`; `t` is the fraction of the piece. The velocity is a quadratic
-    B-spline; its control points are differences of the
-    motion's.
+    B-spline; its control points are differences of the motion's.
     """
     span = piece + 3
     x = knots[span] + t * (knots[span + 1] - knots[span])

@@ -150,8 +150,7 @@ def _minimized(
     """Optimize level by level, adding torque limits when they are violated.
 
     Between states of rest, the programs include torque limits as soon as a motion exceeds them. Otherwise the final
-    motion
-    may exceed them.
+    motion may exceed them.
 
     Args:
         programs: Problem of the first programs: the full problem, or the one without torque limits.
@@ -193,8 +192,7 @@ def _between_rows(spline: TimedSpline | None, problem: TimeProblem) -> TimedSpli
     """Motion with a whole number of samples whose pieces meet anywhere.
 
     None if limits are exceeded. Between two samples this motion is not a single cubic: the certificate is computed for
-    the
-    slightly different motion that the samples define.
+    the slightly different motion that the samples define.
     """
     if spline is None:
         return None
@@ -347,8 +345,7 @@ def _step(
     None if the program has no solution or no tried fraction is collision-free.
 
     The time scale is left unchanged, unless a boundary velocity is nonzero, so that the pieces there change with the
-    time
-    scale, or tracking errors depend on speed.
+    time scale, or tracking errors depend on speed.
     """
     free = spline.ends is None and problem.sway is None
     # Minimum time scale of a step if a boundary velocity is nonzero or tracking errors depend on speed: neither is

@@ -40,11 +40,9 @@ class StartsEffort:
     Attributes:
         optimization: Budget of one motion.
         rough: Maximum number of coarsely optimized motions; they start from the paths with the fastest splines, one of
-            each
-            homotopy class.
+            each homotopy class.
         others: Minimum number of coarsely optimized motions if paths suffice; with fewer classes, further paths of the
-            same
-            classes fill up.
+            same classes fill up.
         finished: Maximum number of these motions, the fastest, that are optimized fully.
     """
 

@@ -39,8 +39,7 @@ def shorten(path: FloatArray, field: ClearanceField, *, margin: float, rounds: i
     Args:
         path: (m, dof) waypoints, verified collision-free.
         margin: Required clearance of shortcuts at each evaluated configuration [m]; the remaining parts of the path
-            keep
-            their own clearance.
+            keep their own clearance.
 
     Returns:
         (k, dof) waypoints from the same start to the same goal, verified collision-free, never longer.

@@ -99,8 +99,7 @@ class TimedSpline(Record):
         The control points are samples of the motion at the means of their knots, minus a sixth of their second
         differences:
         for equal pieces the quasi-interpolant of de Boor and Fix (J. Approx. Theory 8, 1973). With boundary states in
-        motion,
-        the spline interpolates the motion at the means of the knots of its control points.
+        motion, the spline interpolates the motion at the means of the knots of its control points.
 
         Args:
             positions: The motion, (k,) times -> (k, dof) configurations.
@@ -196,8 +195,7 @@ class TimedSpline(Record):
         """Sample the motion for a controller.
 
         If pieces meet at samples only, the samples represent the motion exactly: between two samples it is a single
-        cubic,
-        determined by their positions and velocities.
+        cubic, determined by their positions and velocities.
 
         Args:
             dynamics: Inverse dynamics of the arm, for the torques.

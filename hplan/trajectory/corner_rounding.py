@@ -1,7 +1,7 @@
 r"""Rounds the corners of a polyline within a deviation, and measures deviations.
 
-Let P be the polyline through the waypoints, s its arc length, and :math:`\Delta_k` the change of its unit direction
-at corner k, at :math:`s_k`. The path is the cubic spline
+Let P be the polyline through the waypoints, s its arc length, and :math:`\Delta_k` the change of its unit direction at
+corner k, at :math:`s_k`. The path is the cubic spline
 
 .. math::
     V(s) = \sum_i N_i(s)\, P(\xi_i), \qquad \xi_i = \tfrac13 (t_{i+1} + t_{i+2} + t_{i+3}),
@@ -47,10 +47,8 @@ def rounded_path(waypoints: ArrayLike, deviation_rad: float) -> SplinePath:
     """Polyline through waypoints with its corners rounded (formula: see the module).
 
     At equal arc length, path and polyline are at most `deviation_rad` apart in the Euclidean norm of joint space: the
-    path
-    follows the polyline, and passes every waypoint in turn within the deviation. It starts and ends at the first and
-    the
-    last waypoint (up to rounding), and stays in the convex hull of all waypoints.
+    path follows the polyline, and passes every waypoint in turn within the deviation. It starts and ends at the first
+    and the last waypoint (up to rounding), and stays in the convex hull of all waypoints.
 
     A quarter of the deviation is used to leave out waypoints (duplicates, collinear ones, noise): a chord replaces the
     waypoints between its ends if points of it, in the same order, are within that distance of them; by convexity the

@@ -213,9 +213,8 @@ def cubic_at(bezier: FloatArray, piece: int, joint: int, t: float) -> tuple[floa
     """Bezier points of a cubic with a segment's value at t.
 
     `t` is in [0, 1]. A cubic is returned unchanged. For a quintic, these are the points after two rounds of de
-    Casteljau's
-    algorithm at t. The cubic's first derivative times degree / 3, and its second times degree (degree - 1) / 6, are the
-    segment's.
+    Casteljau's algorithm at t. The cubic's first derivative times degree / 3, and its second times degree (degree - 1)
+    / 6, are the segment's.
     """
     b0, b1, b2, b3 = bezier[piece, 0, joint], bezier[piece, 1, joint], bezier[piece, 2, joint], bezier[piece, 3, joint]
     if bezier.shape[1] == 6:

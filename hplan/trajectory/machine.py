@@ -40,8 +40,7 @@ class Machine(Record):
     Attributes:
         model: Pinocchio's model of the moving joints; nq = nv. A limit missing in the URDF is inf.
         held: Positions of the other joints by name [rad, m]; None for joints with several coordinates, which are at
-            their
-            neutral position.
+            their neutral position.
     """
 
     model: pin.Model
@@ -65,11 +64,9 @@ def read_machine(
 
     Raises:
         RobotFileError: The file is missing or malformed XML, `hplan.robot.urdf_file` or Pinocchio refuses its content,
-            or
-            Pinocchio reads it differently.
+            or Pinocchio reads it differently.
         InputError: A named joint does not exist or cannot move, no joint moves, or example-robot-data is not installed
-            for
-            a robot given by name.
+            for a robot given by name.
         JointLimitError: A joint is held outside its limits.
     """
     path = robot_files(file_path("path", path)).urdf

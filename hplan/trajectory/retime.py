@@ -7,8 +7,8 @@ cubic B-spline in time, and the samples of the trajectory are at its knots (`hpl
 These are averages of the motion's own position, velocity and acceleration over :math:`\pm h`, so its limits hold.
 Between samples the acceleration is linear and the velocity lies in the convex hull of the differences
 :math:`(q_{k+1} - q_k) / h`, so limits on both that hold there hold in between; and a controller that interpolates with
-cubic (position and velocity) or quintic (acceleration as well) polynomials runs exactly this motion. It starts and
-ends with zero acceleration.
+cubic (position and velocity) or quintic (acceleration as well) polynomials runs exactly this motion. It starts and ends
+with zero acceleration.
 
 With jerk limits, each control point is first replaced by the mean of :math:`m` successive ones. The acceleration then
 changes by at most :math:`2 a / m` from sample to sample, and velocity and acceleration are again averages within their
@@ -79,8 +79,7 @@ def time_path(
         limits: Velocity and acceleration limits, and optional torque and jerk limits.
         rate_hz: Samples per second.
         grid: (n,) increasing path parameters, from 0 to the end, of the grid for the path speed; None for a default
-            grid that suits
-            any path.
+            grid that suits any path.
 
     Raises:
         TimingError: No motion within the limits exists; names the joint and the cause.

@@ -33,8 +33,8 @@ LITTLE, _SPLIT, _MOST_REFINEMENTS, _SHORTEST_INTERVAL = 0.01, 4, 6, 1e-7
 def parameter_grid(path: GeometricPath, points: int) -> FloatArray:
     """Path parameters, denser towards the ends, including the pieces' break points.
 
-    From rest the parameter grows with the square of time; cosine spacing makes the first intervals as short in time
-    as the others.
+    From rest the parameter grows with the square of time; cosine spacing makes the first intervals as short in time as
+    the others.
     """
     last = float(path.breaks[-1])
     inner = path.breaks[(path.breaks > 0.0) & (path.breaks < last)]

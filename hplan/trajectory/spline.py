@@ -1,8 +1,8 @@
 """Smooth path: a clamped cubic B-spline in joint space.
 
-Its second derivative is continuous, so the geometry causes no jump of acceleration. Every span is a cubic Bezier
-piece that lies in the convex hull of its four control points. The whole path is therefore within the joint limits if
-the control points are; the hull of a piece's derivative bounds its motion, which the collision check uses.
+Its second derivative is continuous, so the geometry causes no jump of acceleration. Every span is a cubic Bezier piece
+that lies in the convex hull of its four control points. The whole path is therefore within the joint limits if the
+control points are; the hull of a piece's derivative bounds its motion, which the collision check uses.
 """
 
 from __future__ import annotations
@@ -53,8 +53,7 @@ class SplinePath(Record):
 
         Raises:
             InputError: There are fewer than 4 control points, the first two or the last two are equal, or too many
-                coincide in
-                between.
+                coincide in between.
         """
         points = readonly(control)
         station = stations(points)

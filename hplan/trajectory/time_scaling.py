@@ -11,8 +11,8 @@ acceleration, jerk and torque limits. A motion slowed down uniformly satisfies e
 speed, so such a step exists. If the jerk limits of several joints contradict one another, earlier requested steps are
 reduced slightly.
 
-**Seam.** :math:`C = q + e`. At the start of the new timing, the first three points reproduce the motion's own
-position, velocity and acceleration; :math:`e`, about :math:`-h^2 \ddot q / 6`, is then faded out.
+**Seam.** :math:`C = q + e`. At the start of the new timing, the first three points reproduce the motion's own position,
+velocity and acceleration; :math:`e`, about :math:`-h^2 \ddot q / 6`, is then faded out.
 
 **Off the path.** A sample is a mean of points of the path with weights of the variance :math:`\sigma^2 \le u^2 / 3`,
 :math:`u` the maximum of their steps, so each joint is off it by at most :math:`|e| + u^2 \max |\ddot q| / 6`, at all
@@ -126,8 +126,7 @@ class _Begin(NamedTuple):
         points: (3, dof) control points.
         clock: (3,) their times on the motion's own clock [s].
         fade: (3, dof) the offset from the path at the last of them, its derivative with respect to time [rad/s], and,
-            in
-            the first column of the last row, the fading time [s].
+            in the first column of the last row, the fading time [s].
     """
 
     points: FloatArray
@@ -216,8 +215,7 @@ def speed_factors(profile: Profile) -> tuple[Callable[[FloatArray], FloatArray],
 
     Raises:
         OptionError: `profile` is not a positive factor, a nonempty (n, 2) array with nondecreasing times, or a
-            function;
-            or a factor is negative or not finite.
+            function; or a factor is negative or not finite.
     """
     expected = "a factor >= 0, (n, 2) rows of time and factor >= 0, or a function of the time that gives one"
     if is_number(profile):

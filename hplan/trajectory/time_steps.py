@@ -79,8 +79,7 @@ def run_clock(clocks: Clocks, kept: Kept, period: float, final: int) -> tuple[in
 
     Returns:
         Status: 0 if it reaches its end, 1 if there are too few samples, 2 if no step satisfies the limits; the number
-            of
-        points; (rows,) their times on the motion's own clock [s]; (rows, dof) the points.
+        of points; (rows,) their times on the motion's own clock [s]; (rows, dof) the points.
     """
     rows, dof = len(clocks.factors), clocks.points.shape[1]
     end = clocks.time[len(clocks.time) - 1]

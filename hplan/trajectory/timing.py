@@ -53,8 +53,7 @@ def read_waypoints(path: Path | str, joint_names: Sequence[str], slides: Sequenc
 
     Raises:
         InputError: The file is missing or unreadable, a joint has no column or two, a line has another length, a value
-            is
-            not a finite number, or there is no waypoint; names the line.
+            is not a finite number, or there is no waypoint; names the line.
     """
     joint_names = list_of("joint_names", joint_names, str, "names")
 
@@ -85,10 +84,8 @@ def time_waypoints(
     """Fastest rest-to-rest motion through waypoints, with corners rounded by `rounded_path`.
 
     The samples are averages of the motion along the path over a period h (`hplan.trajectory.retime`). They are off the
-    path
-    by less than a h^2 / 6 for each joint (a: acceleration; 3e-6 rad for 1 rad/s^2 at 250 Hz), and by more with jerk
-    limits.
-    They stay in the convex hull of the waypoints.
+    path by less than a h^2 / 6 for each joint (a: acceleration; 3e-6 rad for 1 rad/s^2 at 250 Hz), and by more with
+    jerk limits. They stay in the convex hull of the waypoints.
 
     Args:
         model: Pinocchio's model; all its joints have one coordinate (as from `read_machine`).
@@ -139,9 +136,8 @@ def corner_grid(path: SplinePath) -> FloatArray:
     """Path parameters for a `rounded_path`: many in each corner, few in between.
 
     The number per corner does not depend on its length. In a corner the joints that reverse pass a point where path
-    acceleration
-    does not move them; on a coarse grid toppra lets it jump up and down there, and timing would slow the whole
-    motion down to remove that.
+    acceleration does not move them; on a coarse grid toppra lets it jump up and down there, and timing would slow the
+    whole motion down to remove that.
     """
     breaks = instance("path", path, SplinePath, "rounded_path").breaks
     corners = (len(breaks) - 2) // 3

@@ -1,18 +1,17 @@
 r"""toppra with limits at grid interval midpoints, and its two passes compiled.
 
-Between grid points the path acceleration :math:`u = \ddot s` is constant and :math:`x = \dot s^2` linear in s. A
-limit of the form :math:`|a u + b x + c| \le g` enforced at grid points (collocation) is exceeded in between, and
-enforced at both ends of each interval (interpolation) leaves some of it unused everywhere; both errors are of the
-order of the spacing. Enforced at the middle, where :math:`x_m = x_i + \Delta s \, u`, the error alternates in sign
-and its average over an interval is of second order. The samples of a trajectory are such averages
-(`hplan.trajectory.retime`), so the limits are used fully and violated only by a fraction that timing then removes.
+Between grid points the path acceleration :math:`u = \ddot s` is constant and :math:`x = \dot s^2` linear in s. A limit
+of the form :math:`|a u + b x + c| \le g` enforced at grid points (collocation) is exceeded in between, and enforced at
+both ends of each interval (interpolation) leaves some of it unused everywhere; both errors are of the order of the
+spacing. Enforced at the middle, where :math:`x_m = x_i + \Delta s \, u`, the error alternates in sign and its average
+over an interval is of second order. The samples of a trajectory are such averages (`hplan.trajectory.retime`), so the
+limits are used fully and violated only by a fraction that timing then removes.
 
 toppra's constraints define the problem: in their canonical form they give half-planes of (u, x). From the end backward,
-the set of x that can reach the end is an interval whose two ends are linear programs in two variables;
-forward, the maximum u that stays in these intervals is taken. `toppra.algorithm.TOPPRA` does so with a call from Python
-for each program, which takes many times longer than solving it, and its torque constraint with one for each point;
-here both passes are one compiled call, and all torques are computed in one call. The tests compare the passes with
-toppra's own.
+the set of x that can reach the end is an interval whose two ends are linear programs in two variables; forward, the
+maximum u that stays in these intervals is taken. `toppra.algorithm.TOPPRA` does so with a call from Python for each
+program, which takes many times longer than solving it, and its torque constraint with one for each point; here both
+passes are one compiled call, and all torques are computed in one call. The tests compare the passes with toppra's own.
 
 This module is imported lazily: toppra, with scipy, takes a quarter of a second.
 """
@@ -91,8 +90,7 @@ def half_planes(view: PathView, dynamics: InverseDynamics, limits: Limits, grid:
     Returns (n, 6 + m, 3) coefficients (a, b, c) at each grid point.
 
     The first four are the bounds of u and x; two are reserved for the interval of the next grid point. The last grid
-    point
-    has no interval after it, and therefore no limit of acceleration or torque.
+    point has no interval after it, and therefore no limit of acceleration or torque.
     """
     half = 0.5 * np.diff(grid)
     middle = grid[:-1] + half
@@ -168,9 +166,8 @@ def _controllable(rows: FloatArray, steps: FloatArray, end: float, sets: FloatAr
     An x in this interval can reach x = end.
 
     The minimum and the maximum x at each grid point are linear programs in (u, x), solved by adding one half-plane
-    after
-    the other (Seidel): if the current optimum is outside the next one, the new optimum lies on its border, between the
-    half-planes before it. If a program is infeasible, the remaining intervals are left unchanged.
+    after the other (Seidel): if the current optimum is outside the next one, the new optimum lies on its border,
+    between the half-planes before it. If a program is infeasible, the remaining intervals are left unchanged.
     """
     last, count = rows.shape[0] - 1, rows.shape[1]
     sets[last, 0], sets[last, 1] = end, end
@@ -215,8 +212,7 @@ def greedy(rows: FloatArray, steps: FloatArray, sets: FloatArray, start: float, 
     """Forward pass: the maximum u at each grid point within the sets.
 
     The half-planes are those the backward pass has completed. As in toppra, x is lowered a few times if rounding leaves
-    no
-    feasible u. If none is found, the remaining x are left unchanged.
+    no feasible u. If none is found, the remaining x are left unchanged.
     """
     x[0] = start
     i, tries = 0, 0

@@ -136,8 +136,7 @@ class Trajectory(Record):
         """Polynomials between the samples, as Bezier points and durations.
 
         Returns (segments, 4 or 6, dof) Bezier points and (segments,) durations [s]. Points are not finite if numbers
-        overflow.
-        A single sample is one constant segment of 1 s.
+        overflow. A single sample is one constant segment of 1 s.
         """
         return segments_between(self.rows, self.interpolation)
 
@@ -199,8 +198,7 @@ class Trajectory(Record):
         """The motion with the quickest stop on its path.
 
         The stop begins at the first sample at or after the time `t`. The arm stays on the path (to 0.1 mm), so a
-        collision-free
-        path remains collision-free. Details: function `stopped`.
+        collision-free path remains collision-free. Details: function `stopped`.
 
         Args:
             t: The time, within the motion [s].
@@ -217,8 +215,7 @@ class Trajectory(Record):
 
         Args:
             profile: Fraction of the motion's own speed over time: a number, (n, 2) rows of time [s] and factor, or a
-                function
-                of the time (details: function `scaled`).
+                function of the time (details: function `scaled`).
             robot: The arm, for its limits.
 
         Raises:
@@ -232,9 +229,8 @@ class Trajectory(Record):
         """Reference position, velocity and acceleration at a time, each (dof,).
 
         The state is on the curve of `interpolation`; before and after the motion, at rest at its first and its last
-        position. A
-        time that rounding has put less than `_CLOCK_STEP` before the motion counts as its start, which may be in
-        motion.
+        position. A time that rounding has put less than `_CLOCK_STEP` before the motion counts as its start, which may
+        be in motion.
 
         Args:
             t: The time [s].
@@ -347,21 +343,18 @@ def scaled(trajectory: Trajectory, profile: Profile, robot: Robot) -> Retimed:
     """The motion at other speeds, on its path.
 
     Factors are followed as closely as the limits permit: a step of the factor becomes a ramp. A factor of 0 is a pause;
-    if
-    the last factor of an array is 0, the motion ends when it comes to rest.
+    if the last factor of an array is 0, the motion ends when it comes to rest.
 
     Args:
         trajectory: The motion; its joints are the robot's.
         profile: Fraction of the motion's own speed over the time of the new motion: a number, (n, 2) rows of time [s]
             and factor, linear in between and constant after the last one (a repeated time is a step), or a function of
-            the
-            time [s]. Factors above 1 are accepted if the limits permit them for the whole motion.
+            the time [s]. Factors above 1 are accepted if the limits permit them for the whole motion.
         robot: The arm, for its limits.
 
     Raises:
         OptionError: A factor is negative, not finite or beyond the limits, times decrease or are negative, or the
-            motion
-            does not end with these factors.
+            motion does not end with these factors.
         InputError: The motion has other joints than the robot, or its segments are not cubics.
         TimingError: No motion within the limits was found.
     """
@@ -463,8 +456,7 @@ def joined(parts: Sequence[Trajectory]) -> Trajectory:
 
     Raises:
         InputError: `parts` is empty, or a motion has other joints or another interpolation, or starts at another
-            position
-            or velocity.
+            position or velocity.
 
     Examples:
         >>> motion = Trajectory(("q1",), [0.0, 2.0], [[0.0], [1.0]], [[0.0], [0.0]], [[0.0], [0.0]], [[0.0], [0.0]])
@@ -579,8 +571,7 @@ def read_csv(path: Path | str, *, interpolation: Interpolation = "cubic") -> Tra
 
     Raises:
         InputError: The file is missing, its columns are not those of `csv_header`, a cell is not a finite number, or
-            time
-            does not increase strictly from 0; names the line.
+            time does not increase strictly from 0; names the line.
 
     Examples:
         >>> import tempfile

@@ -247,7 +247,7 @@ class Motions:
         return wider
 
     def _likely(self, visits: Visits) -> IntArray:
-        """Active places, and further ones with low bounds to their tour neighbors."""
+        """Active places, and further ones with low bounds to their tour neighbours."""
         numbers = self._numbers
         found, around = {place for fruit in numbers.tolist() for place in self._active[fruit]}, [self._here]
         for place, dropped in zip(visits.places.tolist(), visits.dropped.tolist(), strict=True):

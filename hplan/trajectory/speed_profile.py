@@ -41,7 +41,7 @@ def parameter_grid(path: GeometricPath, points: int) -> FloatArray:
     spaced = 0.5 * last * (1.0 - np.cos(np.linspace(0.0, np.pi, points)))
     if len(inner) == 0:
         return spaced
-    # Spaced points close to a piece's end are dropped in favor of it, so that few intervals become very short.
+    # Spaced points close to a piece's end are dropped in favour of it, so that few intervals become very short.
     following = np.searchsorted(inner, spaced)
     nearest = np.minimum(
         np.abs(spaced - inner[np.minimum(following, len(inner) - 1)]),

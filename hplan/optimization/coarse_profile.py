@@ -81,7 +81,7 @@ def _demands(control: FloatArray, grid: _Grid, joints: JointArrays, demands: Flo
     """Write the velocity and acceleration constraints at the grid points.
 
     With q' taken positive, each row of `demands` holds push = a / q' and bend = q'' / q' for each movable joint, so
-    that -push <= u + bend x <= push; its last entry is the maximum x with a feasible u.
+    that -push <= u + bend x <= push; its last entry is the maximum x within the velocity limits that has a feasible u.
     """
     _, first, second = grid
     _, _, velocity, acceleration, movable = joints

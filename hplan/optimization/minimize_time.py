@@ -254,7 +254,7 @@ def _of_level(start: TimedMotion, problem: TimeProblem, level: Level) -> TimedSp
 
 
 def _enough(spline: TimedSpline, problem: TimeProblem, level: Level) -> float:
-    """Duration that ends a level [s]; 0 if `enough` is ignored."""
+    """Duration that ends a level [s]; 0 without a lower bound."""
     if level.enough == 0.0 or spline.ends is not None:
         return 0.0
     turn = spline.control[-1] - spline.control[0]

@@ -122,7 +122,7 @@ def along(costs: Costs, order: Sequence[int] | IntArray) -> Visits:
 
 
 def nearest(costs: Costs) -> Visits:
-    """Greedy tour: always to the nearest fruit; drop-offs only if necessary."""
+    """Greedy tour: always to the cheapest next fruit; drop-offs only if necessary."""
     fruit_of, left = costs.fruit_of, np.ones(len(costs.first), dtype=np.bool_)
     places: list[int] = []
     dropped: list[bool] = []

@@ -214,8 +214,8 @@ def speed_factors(profile: Profile) -> tuple[Callable[[FloatArray], FloatArray],
         The function; the time and the factor of the profile's last row; infinite and NaN without rows.
 
     Raises:
-        OptionError: `profile` is not a positive factor, a nonempty (n, 2) array with nondecreasing times, or a
-            function; or a factor is negative or not finite.
+        OptionError: `profile` is not a positive factor, a nonempty (n, 2) array with nonnegative, nondecreasing times,
+            or a function; or a factor is negative or not finite.
     """
     expected = "a factor >= 0, (n, 2) rows of time and factor >= 0, or a function of the time that gives one"
     if is_number(profile):

@@ -26,8 +26,8 @@ AHEAD = 0.8
 #: Maximum number of corrections of a step, and differences that count as zero [rad].
 LOOKS, ROUNDING = 4, 1e-13
 
-#: If no step satisfies the limits, this many previous samples are repeated with their changes scaled by `LESS`; at most
-#: `MOST_RETURNS` times.
+#: If no step satisfies the limits, this many previous samples are repeated with their changes scaled by `LESS`, twice
+#: as many after each further failure; at most `MOST_RETURNS` times.
 BACK, LESS, MOST_RETURNS = 6, 0.7, 200
 
 

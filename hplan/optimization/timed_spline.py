@@ -241,10 +241,20 @@ class MotionBetween(Record):
 
 
 def even_breaks(duration: float, pieces: int) -> FloatArray:
-    """(pieces + 1,) break times of pieces of equal duration [s]."""
+    """(pieces + 1,) break times of pieces of equal duration [s].
+
+    Examples:
+        >>> even_breaks(2.0, 4).tolist()
+        [0.0, 0.5, 1.0, 1.5, 2.0]
+    """
     return frozen(np.linspace(0.0, duration, pieces + 1))
 
 
 def breaks_at_rows(intervals: int, pieces: int, rate_hz: float) -> FloatArray:
-    """(pieces + 1,) break times at samples, nearly evenly spaced [s]."""
+    """(pieces + 1,) break times at samples, nearly evenly spaced [s].
+
+    Examples:
+        >>> breaks_at_rows(5, 2, 10.0).tolist()
+        [0.0, 0.2, 0.5]
+    """
     return frozen((np.arange(pieces + 1, dtype=np.int64) * intervals // pieces) / rate_hz)

@@ -52,6 +52,10 @@ def rest_to_rest(
 
     Returns:
         (...) durations [s]; 0 for a distance of 0.
+
+    Examples:
+        >>> rest_to_rest(np.array([0.0, 1.0]), 1.0, 1.0).tolist()
+        [0.0, 2.0]
     """
     v, a = np.asarray(velocity, dtype=np.float64), np.asarray(acceleration, dtype=np.float64)
     j = np.full(1, np.inf) if jerk is None else np.asarray(jerk, dtype=np.float64)
@@ -79,6 +83,10 @@ def least_duration(start: FloatArray, goal: FloatArray, velocity: FloatArray, ac
         goal: (dof,) configuration.
         velocity: (dof,) maximum speeds.
         acceleration: (dof,) maximum accelerations.
+
+    Examples:
+        >>> least_duration(np.zeros(2), np.array([1.0, 4.0]), np.ones(2), np.ones(2))
+        5.0
     """
     return float(rest_to_rest(np.abs(goal - start), velocity, acceleration).max())
 
@@ -117,6 +125,10 @@ class Limits(Record):
 
         Raises:
             OptionError: `speed` is not in (0, 1].
+
+        Examples:
+            >>> Limits(np.ones(1), np.ones(1)).scaled(0.5).acceleration.tolist()
+            [0.25]
         """
         check_speed(speed)
         jerk = None if self.jerk is None else readonly(self.jerk * speed**3)

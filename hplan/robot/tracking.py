@@ -33,6 +33,10 @@ class TrackingModel:
     Attributes:
         still_rad: Deviation at rest [rad; m for prismatic joints].
         delay_s: Additional deviation per unit of the joint's commanded velocity, rad/s or m/s [s].
+
+    Examples:
+        >>> TrackingModel(still_rad=0.01, delay_s=0.02).deviations([0.0, 1.0]).tolist()
+        [0.01, 0.03]
     """
 
     still_rad: float = 0.0
@@ -113,6 +117,10 @@ def largest_fraction(would_do: Callable[[float], bool]) -> float:
 
     Returns:
         A fraction that succeeds, less than `_FRACTION_ERROR` below the maximum; 0 if no fraction succeeds.
+
+    Examples:
+        >>> round(largest_fraction(lambda fraction: fraction <= 0.5), 2)
+        0.5
     """
     if not would_do(0.0):
         return 0.0

@@ -52,7 +52,12 @@ def read_urdf_xml(path: Path, text: str | None = None, package_dirs: Sequence[Pa
 
 
 def is_urdf_text(source: object) -> bool:
-    """True if a source is URDF text instead of a path."""
+    """True if a source is URDF text instead of a path.
+
+    Examples:
+        >>> is_urdf_text("<robot/>"), is_urdf_text("arm.urdf")
+        (True, False)
+    """
     return isinstance(source, str) and source.lstrip().startswith("<")
 
 

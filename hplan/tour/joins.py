@@ -70,7 +70,15 @@ class Joins:
         return float(self.seconds(np.array([a]), np.array([b]))[0])
 
     def way(self, a: int, b: int) -> list[int] | None:
-        """Stops of the fastest connection between two stops; None without a connection."""
+        """Stops of the fastest connection between two stops; None without a connection.
+
+        Examples:
+            >>> joins = Joins(lambda stop: True)
+            >>> joins.add(0, 1, 1.0)
+            >>> joins.add(1, 2, 1.0)
+            >>> joins.way(0, 2), joins.between(0, 2)
+            ([0, 1, 2], 2.0)
+        """
         i, j = self._place_of(a), self._place_of(b)
         if not math.isfinite(self._seconds[i, j]):
             return None

@@ -25,6 +25,10 @@ def cover(
     Returns:
         Indices of the selected sets and the elements that each covers, in the order of the set; and whether this is
         proved optimal.
+
+    Examples:
+        >>> cover([{"a": 1.0, "b": 1.0}, {"b": 0.5}], math.inf)
+        ({0: ['a', 'b']}, True)
     """
     pairs = [(i, name, cost) for i, held in enumerate(costs) for name, cost in held.items()]
     names = list(dict.fromkeys(name for _, name, _ in pairs))

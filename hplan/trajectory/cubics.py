@@ -58,7 +58,13 @@ class Rows(NamedTuple):
         return hermite_pieces(self.time, self.position, self.velocity)
 
     def since(self, row: int) -> Rows:
-        """The motion from a sample on; its time starts at 0."""
+        """The motion from a sample on; its time starts at 0.
+
+        Examples:
+            >>> zero = np.zeros((2, 1))
+            >>> Rows(np.array([0.0, 2.0]), zero, zero, zero, zero).since(1).time.tolist()
+            [0.0]
+        """
         return Rows(self.time[row:] - self.time[row], *(values[row:] for values in self[1:]))
 
     def until(self, row: int) -> Rows:
@@ -98,6 +104,11 @@ def hermite_pieces(time: FloatArray, position: FloatArray, velocity: FloatArray)
     Returns:
         (pieces, 4, dof) Bezier points [rad] and (pieces,) durations [s]; one constant piece of 1 s for a single sample.
         Points are not finite if numbers overflow.
+
+    Examples:
+        >>> bezier, _ = hermite_pieces(np.array([0.0, 3.0]), np.array([[0.0], [1.0]]), np.array([[1.0], [0.0]]))
+        >>> bezier[0, :, 0].tolist()
+        [0.0, 1.0, 1.0, 1.0]
     """
     if len(position) == 1:
         return np.repeat(position[:, None, :], 4, axis=1), np.ones(1)
@@ -173,7 +184,13 @@ def rows_of(points: FloatArray, period: float) -> tuple[FloatArray, FloatArray, 
 
 
 def points_of(position: FloatArray, velocity: FloatArray, acceleration: FloatArray, period: float) -> FloatArray:
-    """(3, dof) control points that define the state at a sample."""
+    """(3, dof) control points that define the state at a sample.
+
+    Examples:
+        >>> points = points_of(np.array([1.0]), np.array([2.0]), np.array([3.0]), 0.1)
+        >>> [round(float(values[0, 0]), 9) for values in rows_of(points, 0.1)]
+        [1.0, 2.0, 3.0]
+    """
     middle = position - period**2 / 6.0 * acceleration
     aside = 0.5 * period**2 * acceleration
     return np.stack([middle - period * velocity + aside, middle, middle + period * velocity + aside])

@@ -54,6 +54,11 @@ class SplinePath(Record):
         Raises:
             InputError: There are fewer than 4 control points, the first two or the last two are equal, or too many
                 coincide in between.
+
+        Examples:
+            >>> path = SplinePath.through([[0.0], [1.0], [2.0], [3.0]])
+            >>> path.evaluate(path.end).tolist(), round(path.length, 9)
+            ([3.0], 3.0)
         """
         points = readonly(control)
         station = stations(points)

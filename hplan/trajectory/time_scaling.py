@@ -216,6 +216,11 @@ def speed_factors(profile: Profile) -> tuple[Callable[[FloatArray], FloatArray],
     Raises:
         OptionError: `profile` is not a positive factor, a nonempty (n, 2) array with nonnegative, nondecreasing times,
             or a function; or a factor is negative or not finite.
+
+    Examples:
+        >>> factors, end_s, last = speed_factors([(0.0, 1.0), (2.0, 0.5)])
+        >>> factors(np.array([1.0, 3.0])).tolist(), end_s, last
+        ([0.75, 0.5], 2.0, 0.5)
     """
     expected = "a factor >= 0, (n, 2) rows of time and factor >= 0, or a function of the time that gives one"
     if is_number(profile):

@@ -186,6 +186,11 @@ def limit_shares(trajectory: Trajectory, limits: Limits) -> LimitShares:
     Args:
         trajectory: The motion.
         limits: (dof,) limits; scale them like the motion, so that `binding` refers to its reduced limits.
+
+    Examples:
+        >>> motion = Trajectory(("q1",), [0.0, 2.0], [[0.0], [1.0]], [[0.0], [0.0]], [[0.0], [0.0]], [[0.0], [0.0]])
+        >>> limit_shares(motion, Limits(np.ones(1), np.ones(1))).bound
+        0.0
     """
     instance("trajectory", trajectory, Trajectory, "time_waypoints")
     instance("limits", limits, Limits, "limits_of")

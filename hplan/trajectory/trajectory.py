@@ -55,7 +55,12 @@ class Phase:
     end_s: float
 
     def later(self, seconds: float) -> Phase:
-        """The phase, delayed by a time [s]."""
+        """The phase, delayed by a time [s].
+
+        Examples:
+            >>> Phase("transit", 0.0, 1.0).later(2.0)
+            Phase(name='transit', start_s=2.0, end_s=3.0)
+        """
         return Phase(self.name, self.start_s + seconds, self.end_s + seconds)
 
 
@@ -191,6 +196,11 @@ class Trajectory(Record):
 
         Raises:
             OptionError: `row` is not the index of a sample.
+
+        Examples:
+            >>> motion = Trajectory(("q1",), [0.0, 2.0], [[0.0], [1.0]], [[0.0], [0.0]], [[0.0], [0.0]], [[0.0], [0.0]])
+            >>> motion.until(0).duration
+            0.0
         """
         return self._with(self.rows.until(whole("row", row, 0, self.samples - 1)), self.takes_over_s)
 
@@ -237,6 +247,11 @@ class Trajectory(Record):
 
         Raises:
             OptionError: `t` is not a finite number.
+
+        Examples:
+            >>> motion = Trajectory(("q1",), [0.0, 2.0], [[0.0], [1.0]], [[0.0], [0.0]], [[0.0], [0.0]], [[0.0], [0.0]])
+            >>> [values.tolist() for values in motion.state_at(1.0)]
+            [[0.5], [0.75], [0.0]]
         """
         number("t", t, "a time in seconds")
         if -_CLOCK_STEP < t < 0.0:
@@ -505,6 +520,11 @@ def as_table(trajectory: Trajectory) -> FloatArray:
     """(n, 1 + 4 dof) table in the order of `csv_header`.
 
     Negative zeros become zeros.
+
+    Examples:
+        >>> motion = Trajectory(("q1",), [0.0, 2.0], [[0.0], [1.0]], [[0.0], [0.0]], [[0.0], [0.0]], [[0.0], [0.0]])
+        >>> as_table(motion).tolist()
+        [[0.0, 0.0, 0.0, 0.0, 0.0], [2.0, 1.0, 0.0, 0.0, 0.0]]
     """
     columns = np.stack(
         [trajectory.position, trajectory.velocity, trajectory.acceleration, trajectory.torque],
@@ -554,7 +574,13 @@ def write_csv(trajectory: Trajectory, path: Path | str, robot: Robot | None = No
 
 
 def csv_text(trajectory: Trajectory) -> str:
-    """Text of the CSV that `write_csv` writes."""
+    """Text of the CSV that `write_csv` writes.
+
+    Examples:
+        >>> motion = Trajectory(("q1",), [0.0, 2.0], [[0.0], [1.0]], [[0.0], [0.0]], [[0.0], [0.0]], [[0.0], [0.0]])
+        >>> csv_text(motion).splitlines()[1]
+        '0.0,0.0,0.0,0.0,0.0'
+    """
     text = io.StringIO(newline="")
     writer = csv.writer(text)
     writer.writerow(csv_header(trajectory.joint_names, trajectory.slides))

@@ -3,8 +3,8 @@
 A fruit that only one arm can pick is assigned to it; the others are allocated to minimize the time until all arms are
 done (`hplan.tour.sharing`). Each arm's tour is planned on its own, with the other arms as obstacles at their starts,
 and with all fruits of other arms as obstacles. A fruit without a motion is reassigned to another arm that can pick it.
-The motions found improve the cost estimates of the next allocation. Tours are run forward or reversed, and arms wait at
-rests, whichever finishes all tours first.
+The motions found improve the cost estimates of the next allocation. Tours run forward or reversed, with waits at rests,
+so that all of them finish as early as possible.
 
 There is no deadlock: in the worst case the arms run one after the other, past the starts of the others, where they also
 end. Finally all arms are certified against one another as one motion.

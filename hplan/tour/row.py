@@ -2,8 +2,8 @@
 
 The row runs along y of the scene. The scene shows it as seen from the base at y = 0 on the first side: the row's line
 is `distance` ahead. Candidate stops lie on a grid along it, on one side or both and at each height. The pickable fruits
-of each are computed, an integer program selects as few stops as possible, and a tour is planned at each, in driving
-order. Fruits that a tour leaves are tried again at later stops, and in further passes along the row.
+of each are computed, an integer program selects the best stops (`RowOptions.objective`), and a tour is planned at each,
+in driving order. Fruits that a tour leaves are tried again at later stops, and in further passes along the row.
 """
 
 from __future__ import annotations
@@ -346,7 +346,7 @@ def _tour_at(
 
 
 def _driven(scene: Scene, row: RowOptions, stops: Sequence[RowStop]) -> tuple[list[RowStop], float]:
-    """The stops with arrival times, and the total driving time [s].
+    """The stops with their driving times, and the total one [s].
 
     Settling times are included.
 

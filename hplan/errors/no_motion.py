@@ -215,7 +215,7 @@ class ObstacleInTimeError(NotFoundError):
 
     Attributes:
         obstacle: Obstacle that blocks the best motion found.
-        at_s: Time of that contact [s]. Both attributes: None if only the base moves and the search found no path to time.
+        at_s: Time of that contact [s]. Both attributes: None if only the base moves and there was no path to time.
 
     Examples:
         >>> from hplan.errors import ObstacleInTimeError

@@ -38,10 +38,10 @@ class CsvFile:
     def read(cls, path: Path | str, what: str, row_word: str, *, blank: bool = False) -> CsvFile:
         """Read a file, with or without a byte order mark.
 
+        Further arguments are the attributes of that name.
+
         Args:
             path: The file.
-            what: Kind of the file in messages.
-            row_word: Kind of one row in messages.
             blank: True to skip rows of blanks only.
 
         Raises:

@@ -85,8 +85,8 @@ class _Waiting:
     def come(self, number: int, frame: FrameType | None) -> None:
         """Handle a signal: raise it as soon as that is safe.
 
-        A second signal more than `_SAME_S` after the first raises it at once, except in `uninterrupted`. A signal more than
-        `_SAME_S` after the raise ends the process.
+        A second signal more than `_SAME_S` after the first raises it at once, except in `uninterrupted`. A signal more
+        than `_SAME_S` after the raise ends the process.
         """
         now = time.monotonic()
         if not self.number:

@@ -2,7 +2,7 @@
 
 numba compiles into a kernel's machine code the kernels that it calls or inlines, and the values of the constants that
 it reads. So the digest covers them, recursively: bytecode, options, defaults, closure values, constants, fields of
-named tuples. It does not depend on file locations, modification times or comments.
+named tuples. It does not depend on file locations, modification times or comments; docstrings are constants and count.
 
 Objects of Python's standard library, NumPy or numba count by name; `hplan.base.kernels` adds their versions. An
 unknown kind of object is refused, never ignored. One dependency is invisible: a numba `overload` of a plain Python

@@ -1,9 +1,10 @@
 """Functions compiled by numba once and cached on disk.
 
-The files are next to the source. The cache key is all that the machine code depends on: code
-(`hplan.base.kernel_digest`), argument types, processor, and the versions of Python, NumPy and numba. So files may be
-copied, moved, touched and shared by processes, and are never out of date. Each has a checksum that is verified before
-anything else is read. If cache or disk fails, kernels are compiled, and one `KernelCacheWarning` says so.
+The files are in `__pycache__` next to the source, or in the user's cache folder. The key is all that the code depends
+on: source code (`hplan.base.kernel_digest`), argument types, processor, and the versions of Python, NumPy and numba. So
+files may be copied, moved, touched and shared by processes, and are never out of date. Each has a checksum that is
+verified before anything else is read. If cache or disk fails, kernels are compiled, and one `KernelCacheWarning` says
+so.
 
 A kernel that is not tiny is compiled once and called by name. numba by itself would inline all callees and compile them
 again in each caller, which takes most of the time. A name identifies the code; callees are loaded before their caller.
@@ -100,7 +101,7 @@ def inlined(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def any_int(number: int) -> int:
-    """Return a constant for which callee kernels are not specialized."""
+    """Return a constant that does not specialize callee kernels."""
     return cast(int, np.int64(number))
 
 

@@ -35,7 +35,7 @@ _AHEAD, _AT_ONCE = 2, 256
 
 
 def pool_of(executor: Pool | None, workers: int | None) -> tuple[Pool, int]:
-    """Return the executor or its factory, and the maximum number of submitted tasks.
+    """Return executor or factory, and the maximum number of submitted tasks.
 
     Args:
         executor: The requested executor; None for processes of this machine, or this process alone for one worker.

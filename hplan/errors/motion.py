@@ -47,12 +47,11 @@ class CertificationError(HplanError):
 class PathInContactError(HplanError):
     """A path of straight joint-space segments is in collision or too close.
 
-    No timing can mend that. The attributes describe the first place along the path, at a waypoint or on a segment; the
-    attribute of the other kind is None.
+    No timing can mend that. The attributes describe the first place along the path, at a waypoint or on a segment.
 
     Attributes:
-        waypoint: Number of the waypoint, counted from 1.
-        segment: Number of the segment, counted from 1; segment k leads from waypoint k to waypoint k + 1.
+        waypoint: Number of the waypoint, counted from 1; None if the place is on a segment.
+        segment: Number of the segment, counted from 1; segment k leads from waypoint k to k + 1. None at a waypoint.
         fraction: Position along the segment, 0 to 1.
         link: Name of the link.
         obstacle: Name of the obstacle.

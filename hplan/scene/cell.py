@@ -107,6 +107,6 @@ class CellScene(StrictModel):
         return self
 
     def task(self, goal: Goal, start: Start, **more: Any) -> Scene:
-        """Return the scene of a robot with its base at the workcell frame."""
+        """Return the scene of a robot based at the workcell frame."""
         shared = {key: getattr(self, key) for key in ("name", "clearance", "obstacles", "fruits")}
         return Scene(**{**shared, "start": start, "goal": goal, **more})

@@ -37,6 +37,7 @@ from hplan.scene.obstacles import AnyObstacle, Obstacle, Solid, Sphere
 from hplan.scene.solids import Cloud, Hull, quaternion_rotation, rpy_rotation
 from hplan.scene.tracks import Movement
 
+#: Format of scene files, the value of their key `format`.
 FORMAT: Final = "hplan-scene/1"
 
 #: Tolerance of a quaternion's norm about 1; quaternions are normalized.
@@ -50,6 +51,8 @@ def _listed(names: Any) -> Any:
 
 class Fruit(Item):
     """A spherical fruit; an obstacle unless it is the goal.
+
+    `track`, `sway`, `yields` and `covariance` are described in `hplan.scene.obstacle_kind.Item`.
 
     Attributes:
         name: Name of the fruit.

@@ -273,7 +273,9 @@ def growths(solids: Sequence[Solid], sigmas: Sigmas) -> FloatArray:
 
 
 def posed(solid: Solid, rotation: FloatArray, shift: FloatArray) -> Solid:
-    """Transform a solid, x -> `rotation @ x + shift` for each point.
+    """Transform a solid.
+
+    Each point x moves to `rotation @ x + shift`.
 
     Args:
         solid: The solid.

@@ -42,6 +42,8 @@ _Shape = TypeVar("_Shape", "Surface", "PointSet")
 class Sphere(Convex):
     """A ball.
 
+    `track`, `sway`, `yields` and `covariance` are described in `hplan.scene.obstacle_kind.Item`.
+
     Attributes:
         name: Name of the obstacle.
         center: Centre [m].
@@ -81,6 +83,8 @@ class Sphere(Convex):
 class Capsule(Convex):
     """A segment with a radius: branch, wire, trunk.
 
+    `track`, `sway`, `yields` and `covariance` are described in `hplan.scene.obstacle_kind.Item`.
+
     Attributes:
         name: Name of the obstacle.
         start: First end of the axis; key `from` in files [m].
@@ -117,6 +121,7 @@ class Cylinder(Turned, Convex):
     """A cylinder with flat ends, its axis along z before rotation.
 
     The certificate and MuJoCo use the exact cylinder, kernels and sections a circumscribed prism (`hplan.scene.prism`).
+    `track`, `sway`, `yields` and `covariance` are described in `hplan.scene.obstacle_kind.Item`.
 
     Attributes:
         name: Name of the obstacle.
@@ -160,6 +165,8 @@ class Cylinder(Turned, Convex):
 class Box(Turned, Convex):
     """A box with full edge lengths.
 
+    `track`, `sway`, `yields` and `covariance` are described in `hplan.scene.obstacle_kind.Item`.
+
     Attributes:
         name: Name of the obstacle.
         center: Centre [m].
@@ -197,6 +204,7 @@ class Mesh(FromData):
     """The solid inside a closed surface, from a file or arrays (`Mesh.of`).
 
     The surface is scaled, then rotated by roll, pitch and yaw about the fixed axes x, y, z, then shifted.
+    `track`, `sway`, `yields` and `covariance` are described in `hplan.scene.obstacle_kind.Item`.
 
     Attributes:
         name: Name of the obstacle.
@@ -272,7 +280,7 @@ class Mesh(FromData):
 
     @property
     def solids(self) -> tuple[Solid, ...]:
-        """Convex segments whose union contains the mesh."""
+        """Convex parts whose union contains the mesh."""
         key = (self.name, self.scale, self.position, self.rpy_deg, self.sigma, self.sway, self.yields)
         hulls: tuple[Solid, ...] = self._data.cached(key, self._hulls)
         return hulls
@@ -286,7 +294,8 @@ class Mesh(FromData):
 class PointCloud(FromData):
     """Balls of one radius about points, from a file or an array.
 
-    Placed as a `Mesh` is, without scale.
+    The points are placed as a `Mesh` is, without scale. `track`, `sway`, `yields` and `covariance` are described in
+    `hplan.scene.obstacle_kind.Item`.
 
     Attributes:
         name: Name of the obstacle.

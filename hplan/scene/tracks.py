@@ -87,9 +87,10 @@ class Track(StrictModel):
         return np.array([rpy_rotation(*map(math.radians, angles)) for angles in self.rpy_deg])
 
     def pose_at(self, time_s: float) -> tuple[FloatArray, FloatArray]:
-        """Return rotation R (3, 3) and shift s (3,) at a time [m].
+        """Return rotation and shift at a time.
 
-        A listed point x is at R x + s. For the track of a base, a point at x relative to the base is listed at R x + s.
+        A listed point x is at R x + s, with R the (3, 3) rotation and s the (3,) shift [m]. For the track of a base, a
+        point at x relative to the base is listed at R x + s.
         """
         poses = Poses.of(self)
         rotations, places = poses.at(np.array([time_s]))
@@ -175,10 +176,13 @@ class Poses(Record):
         return frozen(rotation_vectors(self.rotations))
 
     def at(self, clock: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return rotations (k, 3, 3) and centres of rotation (k, 3) [m].
+        """Return rotations and centres of rotation at times.
 
         Args:
             clock: (k,) times [s].
+
+        Returns:
+            (k, 3, 3) rotations and (k, 3) positions of the centre of rotation [m].
         """
         piece = np.clip(np.searchsorted(self.times, clock, side="right") - 1, 0, len(self.times) - 2)
         begin, span = self.times[piece], self.times[piece + 1] - self.times[piece]
@@ -191,10 +195,11 @@ class Poses(Record):
     def speeds(self, clock: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return velocities of the centre of rotation and angular speeds.
 
-        They are (k, 3) [m/s] and (k,) [rad/s].
-
         Args:
             clock: (k,) times, different from `times` [s].
+
+        Returns:
+            (k, 3) velocities [m/s] and (k,) angular speeds [rad/s].
         """
         piece = np.clip(np.searchsorted(self.times, clock) - 1, 0, len(self.times) - 2)
         span = self.times[piece + 1] - self.times[piece]
@@ -227,9 +232,15 @@ class Movement(Record):
         return frozen(np.unique(np.concatenate([part.times for part in (self.own, self.base)])))
 
     def at(self, clock: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return rotations R (k, 3, 3) and shifts s (k, 3) at times.
+        """Return rotations and shifts at times.
 
-        A point x is at R x + s [m].
+        A point x is at R x + s at each time.
+
+        Args:
+            clock: (k,) times [s].
+
+        Returns:
+            (k, 3, 3) rotations R and (k, 3) shifts s [m].
         """
         rotation, place = self.own.at(clock)
         seen, pivot = self.base.at(clock)
@@ -238,11 +249,14 @@ class Movement(Record):
         return back @ rotation, (back @ shift[:, :, None])[:, :, 0] + self.base.about
 
     def rates(self, core: FloatArray, rounding: float) -> FloatArray:
-        """Upper bounds of a solid's point speeds between `breaks`, (m - 1,) [m/s].
+        """Upper bounds of a solid's point speeds between `breaks` [m/s].
 
         Args:
             core: (k, 3) points of the listed solid [m].
             rounding: Radius about them [m].
+
+        Returns:
+            (m - 1,) bounds.
         """
         middle = 0.5 * (self.breaks[:-1] + self.breaks[1:])
         (velocity, turning), (base_velocity, base_turning) = self.own.speeds(middle), self.base.speeds(middle)
@@ -262,9 +276,13 @@ class Movement(Record):
 
 
 def rotation_vectors(rotations: FloatArray) -> FloatArray:
-    """Rotation vectors between successive (n, 3, 3) rotations, (n - 1, 3) [rad].
+    """Rotation vectors between successive rotations [rad].
 
-    Each is in the frame of the earlier rotation: axis times angle.
+    Args:
+        rotations: (n, 3, 3) rotations.
+
+    Returns:
+        (n - 1, 3) vectors, axis times angle, each in the frame of the earlier rotation.
     """
     from scipy.spatial.transform import Rotation
 

@@ -132,7 +132,7 @@ def run_study(
     workers: int | None = None,
     progress: Callable[[int, int], None] = lambda *_: None,
 ) -> StudyResult:
-    r"""Measure all designs of a study that are missing from its CSV file.
+    r"""Measure the designs of a study that its CSV file lacks.
 
     Each row is written immediately, so an interrupted study resumes from its file. Designs of a lost worker are
     measured by another one.

@@ -1,6 +1,6 @@
 """Checked closed surfaces and point sets, from files or arrays.
 
-Files are read with trimesh, which is imported for the first file. Faults are `ValueError`s that state the fault and the
+Files are read with trimesh, which is imported for the first file. Errors are `ValueError` with the fault and the
 expected input; the scene adds the key path.
 """
 

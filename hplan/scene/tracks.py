@@ -113,7 +113,7 @@ class Track(StrictModel):
 class Sway(StrictModel):
     """Oscillation of an obstacle along a line, to either side.
 
-    The swept volume is the obstacle.
+    The arm keeps its clearance from the swept volume.
 
     Attributes:
         direction: Direction of the line, of any nonzero length.

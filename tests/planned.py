@@ -262,3 +262,14 @@ def problem_between(world: World, start: ArrayLike, goal: ArrayLike, locked_join
     stay = Goal(joints_rad=first.joints_rad)
     scene = Scene(name="between", start=first, goal=stay, locked_joints=tuple(locked_joints))
     return Problem.of(world.robot, scene, PlanOptions()).among(world).between(start, goal)
+
+
+def posed(robot: Robot, scene: Scene, options: PlanOptions | None = None) -> Problem:
+    """The problem of a scene whose goal is given as joints."""
+    problem = Problem.of(robot, scene, PlanOptions() if options is None else options)
+    return problem.between(scene.start.configuration, scene.goal.configuration)
+
+
+#: A ball in the plane of a locked base, and configurations below and above it.
+BAR = [Sphere(name="ball", center=(1.3, 0.0, 1.6), radius=0.15)]
+BELOW, ABOVE = (0.0, 10.0, 10.0, 10.0), (0.0, 70.0, 10.0, 10.0)

@@ -1,4 +1,4 @@
-"""What stands on top of the planner: the `hplan` command, the animated page, ROS 2 messages, a simulated arm.
+"""Applications: the `hplan` command, the animated page, ROS 2 messages, simulation.
 
-Nothing below imports it, and no part of it is imported before it is used.
+No other room imports this one, and each part of it is imported on first use.
 """

@@ -41,7 +41,7 @@ from typing import Literal, NamedTuple, TypeAlias, get_args
 import numpy as np
 
 from hplan.base import ties
-from hplan.base.arguments import between, by_name, instance, number, one_of, truth
+from hplan.base.arguments import between, by_name, instance, list_of, number, one_of, truth
 from hplan.base.arrays import FloatArray
 from hplan.base.units import FARTHEST_JOINT
 from hplan.certificate.clearance_curve import (
@@ -63,6 +63,7 @@ from hplan.certificate.start_state import start_violations
 from hplan.certificate.task_check import task_violations
 from hplan.certificate.tilted_base import use_on_track
 from hplan.certificate.touch_risk import TouchRisk, touch_risk
+from hplan.certificate.turret_clearance import turret_clearance
 from hplan.collision.coal_scene import CoalScene, Contact, OwnContact, base_contacts
 from hplan.collision.far_obstacles import warn_of_far_obstacles
 from hplan.collision.giving_way import check_yield_links
@@ -108,10 +109,11 @@ class Certificate:
     Attributes:
         verified: True if everything asked for was shown.
         min_clearance_m: If the clearance is proved, a lower bound of every distance, at all times and tracking errors
-            included, between links and obstacles, and between bodies of the arm that are checked [m]; inf without such
-            pairs. It is below the scene's clearance if a pair in `pair_rules` comes nearer. If the clearance is not
-            proved, the smallest distance found, negative in contact. A compliant obstacle counts as if the clearance
-            to keep were left when it is pushed as deep as it may be (`pushes` says how deep it is).
+            included, between obstacles and links that a joint moves, and between bodies of the arm that are checked
+            [m]; inf without such pairs. The base, which no joint moves, is not counted. It is below the scene's
+            clearance if a pair in `pair_rules` comes nearer. If the clearance is not proved, the smallest distance
+            found, negative in contact. A compliant obstacle counts as if the clearance to keep were left when it is
+            pushed as deep as it may be (`pushes` says how deep it is).
         nearest: The pair that came closest to the distance that it has to keep, and its distance, at the configurations
             that were evaluated: no less than `min_clearance_m` if the motion is verified, compliant obstacles aside.
             `hplan.check` reports the same pair of single configurations.
@@ -125,9 +127,9 @@ class Certificate:
         risk: The probability that the motion touches anything, where a bound of it was asked for.
         subject: The motions that it is about, for `clearance_curve`; None where it was made by hand.
         nearest_s: When `nearest` was seen, counted as the tracks' times are [s]; None where nothing moves but the arm.
-        pair_rules: Pairs of links of the arm that do not keep the scene's clearance: each with its own rule and its own
-            bound, or not checked; see `hplan.certificate.pair_rules`. Bodies that do not move relative to each other
-            are not listed.
+        pair_rules: Pairs of links of the arm, or of its turret and an obstacle, that do not keep the scene's clearance:
+            each with its own rule and its own bound, or not checked; see `hplan.certificate.pair_rules`. Bodies that do
+            not move relative to each other are not listed.
         clear_until_s: Time up to which the arm is shown to keep its distance if it rests where the motion ends, counted
             as the tracks' times are; inf for ever [s]. None where nothing moves, or the motion is not verified.
         uncovered_links: Names of the drawn links that no collision shape covers: nothing is proved about them.
@@ -277,8 +279,7 @@ def certify(
             if fruit.track is not None or scene.base_track is not None:
                 raise MovingObstacleError(None if fruit.track is None else fruit.name, "a fruit to pick must not move")
             allowed += goal_contacts(robot, trajectory, fruit, goal_contact)
-        for contact in contacts:
-            instance("contacts", contact, FruitContact, "Certificate.contacts")
+        for contact in list_of("contacts", contacts, FruitContact, "windows, as of Certificate.contacts"):
             if contact.fruit in scene.fruits and not any(known.covers(contact) for known in allowed):
                 allowed.append(contact)
         allowed.sort(key=lambda contact: contact.span_s)
@@ -423,16 +424,18 @@ def certify_among(
     proofs = [stretch.proof for stretch in proved]
     last = among[-1][1]
     missing = [proof.clearance_m for proof in proofs if not proof.shown]
+    least = min(missing or (proof.clearance_m for proof in proofs))
+    turret = turret_clearance(last, (float(clock[0]), float(clock[-1])), clearance, least)
     return Certificate(
         verified=not violations,
-        min_clearance_m=min(missing or (proof.clearance_m for proof in proofs)),
+        min_clearance_m=min(least, turret.distance_m),
         nearest=_nearest(proof.nearest for proof in proofs),
         limit_use=use,
         checks=sum(proof.checks for proof in proofs),
         violations=tuple(violations),
         subject=Subject(((ProvedMotion(robot, trajectory, tuple(proved), clearance), False),)),
         nearest_s=_nearest_s([proof.nearest for proof in proofs], seen_s),
-        pair_rules=joined_rules(rules),
+        pair_rules=joined_rules([*rules, turret.rules]),
         clear_until_s=None
         if last.moving is None or violations
         else clear_until(bezier[-1, -1], last, at_rest, clearance, clock[-1]),

@@ -1,37 +1,37 @@
-r"""Clearance over the whole of a motion: conservative advancement along its segments, each pair with its own looks.
+r"""Clearance over a whole motion by conservative advancement, pair by pair.
 
-A pair is a link and an obstacle, a turning shape of the turret and an obstacle, or two parts of the arm. Each has a
-moving body: with an obstacle the link, or the turret, which the yaw alone moves; with two parts of the arm one of them
-as seen from the other. A pair's spare clearance is its distance, by coal, beyond the one to be kept. A look at a pair
-counts to both sides: as far as its moving body travels no more than its spare clearance there, less the clearance shown
-so far (at most half of the spare clearance of any pair), before and after, at least the clearance shown remains. (So
-the certified clearance is at least halfway from the required distance to the nearest evaluated one. Pairs of the arm's
-own that keep less than the required clearance each have a bound of their own, `Proof.own_bounds`.) So the
-next look at a pair is further ahead than the last one shows, and where the two leave a gap, there is one in its middle.
-Before coal is asked, boxes about the two bound their distance (`hplan.collision.box_bounds`); where the bound leaves
-enough, it is taken in its place. Places are counted in rows. Where a pair is too near, the proof goes on as far as it
-gets without looking ahead; where it has to give up, the rest of the motion is searched for the worst.
+A pair is a link and an obstacle, a rotating shape of the turret and an obstacle, or two parts of the arm. Each pair has
+a moving body: with an obstacle the link, or the turret, which only the yaw moves; with two parts of the arm one of them
+relative to the other. A pair's spare clearance is its distance, by coal, minus the required distance. A distance query
+of a pair counts on both sides: as far as its moving body travels no more than its spare clearance there minus the
+clearance certified before (at most half of the spare clearance of any pair), before and after, at least the certified
+clearance remains. (So the certified clearance is at least halfway from the required distance to the nearest evaluated
+one. Self-collision pairs whose required distance is less than the required clearance each have a bound of their own,
+`Proof.own_bounds`.) So the next query of a pair lies farther ahead than the last one certifies, and if the two leave a
+gap, another query follows in its middle. Before coal is called, boxes around the two bound their distance
+(`hplan.collision.box_bounds`); if the bound leaves enough, it replaces the query. Places are counted in samples. If a
+pair is too near, the proof continues as far as possible without querying ahead; if it has to give up, the rest of the
+motion is searched for the minimum distance.
 
-How far a moving body travels within a piece of the motion, and how far tracking errors displace it, is bounded in
-`hplan.certificate.motion_bound`. Two parts that can never be as far apart as is asked for must not touch
+`hplan.certificate.motion_bound` bounds the travel of a moving body within a segment of the motion, and its displacement
+by tracking errors. Two parts that can never be as far apart as required must not touch
 (`hplan.collision.touching_pairs`).
 
-**Tracking.** Joints that are off by their deviations bring a pair nearer by its displacement bound, at most :math:`m_r`
-in piece :math:`r` of the motion. It is replaced by the piecewise linear :math:`\tilde m` with the values
-:math:`M_r = \max(m_{r - 1}, m_r)` at the rows, so that :math:`\tilde m(x) \ge m_r` at every place :math:`x` of piece
-:math:`r`. With :math:`T` what the moving body travels up to a place and :math:`V` by how much :math:`\tilde m` has
-risen and fallen in all up to there, both piecewise linear, a pair of distance :math:`d(a)` when coal is asked at
-:math:`a` has at every other place
+**Tracking.** Joint deviations bring a pair nearer by its displacement bound, at most :math:`m_r` in segment :math:`r`
+of the motion. It is replaced by the piecewise linear :math:`\tilde m` with the values :math:`M_r = \max(m_{r - 1},
+m_r)` at the samples, so that :math:`\tilde m(x) \ge m_r` at every place :math:`x` of segment :math:`r`. Let :math:`T`
+be the travel of the moving body up to a place and :math:`V` the total variation of :math:`\tilde m` up to there, both
+piecewise linear. A pair with the distance :math:`d(a)` from a query at :math:`a` has at every other place
 
 .. math::
     d(x) - \tilde m(x) \ge d(a) - |T(x) - T(a)| - \tilde m(a) - |V(x) - V(a)|,
 
-so the advancement counts :math:`T + V` as travel and :math:`d(a) - \tilde m(a)`, less the distance to be kept, as
-spare clearance.
+so the advancement counts :math:`T + V` as travel and :math:`d(a) - \tilde m(a)`, minus the required distance, as spare
+clearance.
 
-**Obstacles that move.** Distances are those from where the obstacle is at that time. Where a link and such an obstacle
-are a pair, what the obstacle travels comes to what the link does: in each piece the largest speed that any point of it
-has there (`hplan.scene.tracks`), all the time that the piece takes.
+**Moving obstacles.** Distances are measured from the obstacle's pose at that time. For a pair of a link and a moving
+obstacle, the travel of the obstacle is added to the travel of the link: in each segment the maximum speed of its points
+there (`hplan.scene.tracks`) times the duration of the segment.
 """
 
 from __future__ import annotations
@@ -57,28 +57,30 @@ from hplan.trajectory.cubics import cubic_at
 #: Spare clearance below which the proof gives up [m]: its steps, half of it, would become too small.
 SMALLEST_STEP = 1e-5
 
-#: Largest fraction of a pair's spare clearance that its moving body may travel before the next look: far away, coal's
-#: distances are good to a fraction of them.
+#: Maximum fraction of a pair's spare clearance that its moving body may travel before the next query: far away, coal's
+#: distances have a relative error.
 MOST_TRAVEL = 0.99
 
-#: How far ahead of what is shown a pair is asked next, in parts of what its last look shows to one side. Together with
-#: the pair that is due, others are asked that are due before it has gone so many times as far.
+#: Distance of a pair's next query beyond its certified part, as a fraction of the length that the last query certified
+#: on one side. A query includes other pairs that are due before the first pair has travelled this multiple of that
+#: distance.
 _AHEAD, _TOGETHER = 0.8, 8.0
 
-#: So many of the nearest pairs are asked first. A lower bound is enough where it leaves so much spare clearance [m].
+#: Number of nearest pairs in the first query. A lower bound suffices if it leaves this much spare clearance [m].
 FIRST, FAR = 16, 0.02
 
-#: So many looks in which bounds are enough for all pairs, before the deadline is checked again.
+#: Number of queries answered by lower bounds between checks of the deadline.
 _BOUNDED_LOOKS = 256
 
-#: Configurations at which the proof may evaluate distances: some, and for each piece of the motion. A motion of 1.8 s
-#: that comes to 1.5 mm of an obstacle takes 155. The deadline is checked after so many: a fraction of a millisecond.
+#: Maximum number of configurations with distance queries: a constant, and a number for each segment of the motion. A
+#: motion of 1.8 s that comes to 1.5 mm of an obstacle takes 155. The deadline is checked after the third number: a
+#: fraction of a millisecond.
 CHECKS, CHECKS_PER_PIECE, _CHECKS_BETWEEN_LOOKS = 20_000, 50, 16
 
-#: Why a proof ends: the clearance is shown, a pair is too near, or what it may take is used up.
+#: Outcome of a proof: the clearance is certified, a pair is too near, or the budget of queries or of travel is used up.
 Outcome: TypeAlias = Literal["shown", "too near", "checks", "travel"]
 
-#: Pairs that coal is to be asked about, the place, infinite after the end, and the (dof,) configuration there.
+#: Pairs for a coal query, its place (infinite after the end), and the (dof,) configuration there.
 Look: TypeAlias = tuple[IntArray, float, FloatArray]
 
 
@@ -87,17 +89,17 @@ class Proof:
     """Clearance over the whole motion.
 
     Attributes:
-        outcome: Whether it is shown, or why not: a pair comes too near, more than the stated number of checks would be
-            needed, or the motion is too fast or too long for its travel to be bounded.
-        clearance_m: Proved: lower bound of every distance along the motion, tracking errors included; else the smallest
-            distance found, less the displacement by tracking errors [m]. A compliant obstacle counts as
-            `CoalScene.counted` has it.
-        nearest: The nearest pair that was seen, and its distance; None without pairs.
-        checks: Configurations at which distances were evaluated.
-        end: Place up to which it was shown, or from which on travel is not bounded, counted in pieces.
-        nearest_at: Where the nearest pair was seen, counted in pieces.
-        own_bounds: Pairs of the arm's own that keep less than the required clearance, by their number among the
-            checker's pairs, each with a lower bound of its distance along the motion [m].
+        outcome: Success, or the reason of failure: a pair comes too near, the proof would require more than the maximum
+            number of queries, or the motion is too fast or too long for its travel to be bounded.
+        clearance_m: If proved, the lower bound of every distance along the motion, tracking errors included; otherwise
+            the minimum distance found, minus the displacement by tracking errors [m]. Compliant obstacles count as in
+            `CoalScene.counted`.
+        nearest: The nearest pair found, and its distance; None without pairs.
+        checks: Number of configurations with distance queries.
+        end: End of the certified part, or start of the part with unbounded travel, counted in segments.
+        nearest_at: Place of the nearest pair found, counted in segments.
+        own_bounds: Self-collision pairs whose required distance is less than the required clearance, by their index
+            among the checker's pairs, each with a lower bound of its distance along the motion [m].
     """
 
     outcome: Outcome
@@ -110,7 +112,7 @@ class Proof:
 
     @property
     def shown(self) -> bool:
-        """True if the clearance is shown over the whole motion."""
+        """True if the clearance is certified over the whole motion."""
         return self.outcome == "shown"
 
 
@@ -121,15 +123,16 @@ def prove_clearance(
     needed: float,
     clock: FloatArray | None = None,
 ) -> Proof:
-    """Show that every pair keeps its distance at all times, or find where it does not.
+    """Certify every pair's distance at all times, or find a violation.
 
     Args:
         bezier: (pieces, 4 or 6, dof) Bezier points of the motion's segments.
-        deviations: (pieces, dof) largest deviation of each joint within each segment, or (1, dof) for all [rad].
-        needed: Distance to be kept [m].
-        clock: (pieces + 1,) times of the rows, as tracks count them [s]; needed where obstacles move.
+        checker: The arm among the obstacles.
+        deviations: (pieces, dof) maximum joint deviations within each segment, or (1, dof) for all [rad].
+        needed: Required distance [m].
+        clock: (pieces + 1,) times of the samples on the clock of the tracks [s]; required if obstacles move.
     """
-    # Pairs that touch only beyond the limits, where a deviation leads, are asked too.
+    # Pairs that touch only beyond the joint limits, where a deviation may lead, are included.
     checker = checker.covering(float(deviations.max()), needed)
     if not checker.pairs:
         return Proof("shown", math.inf, None, 0, len(bezier))
@@ -154,9 +157,9 @@ def prove_clearance(
 
 
 class _Search(NamedTuple):
-    """What kernels are given of an `Advancement`, and its motion; and room for the next look's pairs and configuration.
+    """Arrays of an `Advancement` and its motion for kernels.
 
-    (Each array that a kernel returns costs 2 us.)
+    Includes buffers for the next query's pairs and configuration. (Each array that a kernel returns costs 2 us.)
     """
 
     bezier: FloatArray
@@ -175,20 +178,20 @@ class Advancement:
     """State of the advancement along a motion, pair by pair.
 
     Attributes:
-        movers: (2, bodies, rows + 1) at each row, how much nearer each moving body may be than in the motion, and how
-            far it has travelled [m].
-        pairs: (8, pairs) for each pair the distance to be kept, coal's error with it [m]; the place where it is to be
-            asked next, infinite where that is after the end; in travel of its moving body, up to where its
-            clearance is shown, below 0 before the first look, from where on beyond a gap, infinite for none, and up to
-            where then [m]; by how much less than what is needed it has to keep, and what is taken off its bounds [m];
-            and the index of its bound in `shown`.
-        mover_of: (pairs,) each pair's moving body.
-        shown: Clearance proved so far beyond the one to be kept: of all pairs with the required clearance or a
-            compliant obstacle, then of each other pair by itself [m].
-        checks: Looks in which coal was asked.
-        looks: All looks.
-        nearest: The smallest distance so far [m], the pair, and where.
-        bounded: How many pieces from the first on have a bounded travel.
+        movers: (2, bodies, rows + 1) at each sample, the displacement bound of each moving body by tracking errors, and
+            its travel up to there [m].
+        pairs: (8, pairs) for each pair: the required distance plus coal's error [m]; the place of its next query,
+            infinite after the end; in travel of its moving body, the end of its certified part, negative before the
+            first query, the start of the certified part beyond a gap, infinite without a gap, and the end of that part
+            [m]; the difference between the required clearance and its own required distance, and the error subtracted
+            from its bounds [m]; and the index of its bound in `shown`.
+        mover_of: (pairs,) index of each pair's moving body.
+        shown: Clearance certified until now beyond the required distance: first for all pairs with the required
+            clearance or a compliant obstacle, then for each other pair on its own [m].
+        checks: Number of coal queries.
+        looks: Number of all queries, lower bounds included.
+        nearest: The minimum distance found [m], its pair and its place.
+        bounded: Number of segments, from the first one on, with bounded travel.
     """
 
     def __init__(
@@ -201,13 +204,14 @@ class Advancement:
     ) -> None:
         self._bezier, self._checker = bezier, checker
         self._clock = None if checker.moving is None else clock
-        # Longest travel that is bounded [m]: beyond, its sum over the pieces would be good to less than a micrometre.
+        # Maximum travel that is bounded [m]: beyond it, its sum over the segments would have an error of more than a
+        # micrometre.
         longest_travel = 1e5
         with np.errstate(over="ignore", invalid="ignore"):
             mover_of, moved, nearer = motion_of_movers(checker, bezier, deviations)
             if checker.moving is not None and clock is not None:
                 mover_of, moved, nearer = with_obstacles(checker, mover_of, moved, nearer, clock)
-            # Written in place: where there are many movers, copies take longer than what is computed.
+            # Written in place: with many moving bodies, copies take longer than the computation.
             self.movers = np.zeros((2, len(moved), len(bezier) + 1))
             sway, travel = self.movers[0], self.movers[1, :, 1:]
             sway[:] = at_rows(nearer)
@@ -217,7 +221,7 @@ class Advancement:
         self.bounded = len(bezier)
         if not (travel[:, -1] <= longest_travel).all():
             self.bounded = int((travel <= longest_travel).all(axis=0).sum())
-            # For the search of the rows alone: after such a piece every pair may be anywhere.
+            # Only for the search of the samples: after such a segment every pair may be anywhere.
             np.cumsum(np.where(moved <= longest_travel, moved, longest_travel), axis=1, out=travel)
         none, asked = np.zeros(len(checker.pairs)), checker.kept(needed)
         kept = asked + checker.distance_errors
@@ -234,13 +238,13 @@ class Advancement:
         self.nearest = math.inf, 0, 0.0
 
     def place(self, q: FloatArray, at: float) -> None:
-        """Put the arm at a configuration, that of a place."""
+        """Place the arm at the configuration of a place."""
         self._checker.place(q, *self.when(at))
         self.checks += 1
         self.looks += 1
 
     def when(self, at: float) -> tuple[float, ...]:
-        """The time of a place, as the checker takes it: none where nothing moves but the arm."""
+        """Time of a place; empty if only the arm moves."""
         return () if self._clock is None else (_linear(self._clock, at),)
 
     @cached_property
@@ -251,7 +255,10 @@ class Advancement:
         return _Search(bezier, self.mover_of, self.movers, self.pairs, boxes, sides, joints, *room, self.shown)
 
     def first(self) -> Look:
-        """The look at the nearest pairs at the begin, or at all; others are due there too."""
+        """The first query: the nearest pairs at the start, or all.
+
+        The other pairs are due there too.
+        """
         pairs, q = np.arange(len(self._checker.pairs)), self._bezier[0, 0]
         if len(pairs) > FIRST:
             nearness = self._checker.lower_bounds(q, pairs) - self.pairs[0]
@@ -259,7 +266,10 @@ class Advancement:
         return pairs, 0.0, q
 
     def after(self, look: Look) -> Look | None:
-        """Look there, and find where to look next; None where a pair is too near for the proof to go on."""
+        """Run a query and find the next.
+
+        None if a pair is too near for the proof to continue.
+        """
         (pairs, at, q), distances = look, np.zeros(0)
         if len(pairs):
             self.place(q, at)
@@ -276,36 +286,45 @@ class Advancement:
         return pairs[:0], at, q
 
     def _only_forward(self) -> None:
-        """Go on from where clearance is shown, and look no further ahead: that says how far it can be shown."""
+        """Continue from the certified part without querying ahead.
+
+        This finds how far the clearance can be certified.
+        """
         self._ahead = 0.0
         self.pairs[1] = [place if place < len(self._bezier) else math.inf for place in self._places()]
         self.pairs[3] = math.inf
 
     def _places(self) -> Iterator[float]:
-        """Of each pair the place up to which its clearance is shown; infinite where that is the end."""
+        """End of each pair's certified part; infinite for the motion's end."""
         for mover, upto in zip(self.mover_of.tolist(), self.pairs[2].tolist(), strict=True):
             yield 0.0 if upto < 0.0 else place_after(self.movers[1, mover], 0.0, upto)
 
     def _see(self, distance: float, pair: int, at: float) -> float:
-        """Take down a distance if it is the smallest; returns it as if the pair had to keep what is needed."""
+        """Record a distance if it is the minimum, and return it.
+
+        The distance is shifted as if the pair's required distance were the required clearance.
+        """
         distance += float(self.pairs[5, pair])
         self.nearest = min(self.nearest, (distance, pair, at))
         return distance
 
     def own_bounds(self) -> Iterator[tuple[int, float]]:
-        """The pairs with a bound of their own, and the lower bound of the distance of each so far [m]."""
+        """Pairs with their own bound, each with its lower bound [m]."""
         for pair in np.flatnonzero(self.pairs[7]).tolist():
             yield pair, float(self._required[pair] + self.shown[int(self.pairs[7, pair])])
 
     def contact(self) -> Contact:
-        """The nearest pair by name, and its distance; one that may be nearer than others counts as farther away."""
+        """The nearest pair by name, and its distance.
+
+        A pair with a smaller required distance counts as farther away.
+        """
         distance, pair, _ = self.nearest
         return self._checker.contact(*self._checker.pairs[pair], distance - float(self.pairs[5, pair]))
 
     def worst(self, outcome: Outcome) -> Proof:
-        """The report of a proof that gave up: the smallest distance at the rows from there on.
+        """Report of a failed proof: the minimum distance at the remaining samples.
 
-        A pair is not asked where its moving body has not yet travelled as much as it was farther away than the nearest.
+        A pair is skipped until its moving body has travelled as much as the pair was farther away than the nearest one.
         """
         mover_of, (sway_at_rows, travel) = self.mover_of, self.movers
         rows, least = len(self._bezier), min((bound for _, bound in self.own_bounds()), default=math.inf)
@@ -316,7 +335,7 @@ class Advancement:
         while due:
             check_deadline()
             row = due[0][0]
-            # Points of Bezier between the rows may be no numbers.
+            # Bezier points between the samples may be NaN.
             self.place(self._bezier[row, 0] if row < rows else self._bezier[-1, -1], float(row))
             pairs = []
             while due and due[0][0] == row:
@@ -337,7 +356,7 @@ class Advancement:
 
 @kernel
 def point_at(bezier: FloatArray, at: float) -> FloatArray:
-    """Configuration at a place counted in rows."""
+    """Configuration at a place counted in samples."""
     piece = min(int(at), bezier.shape[0] - 1)
     t = at - piece
     u = 1.0 - t
@@ -352,12 +371,12 @@ def point_at(bezier: FloatArray, at: float) -> FloatArray:
 def _look(
     pairs: IntArray, distances: FloatArray, at: float, ahead: float, search: _Search
 ) -> tuple[float, int, bool, int, int, float]:
-    """Write down what a look shows, and find the next one in which bounds are not enough for all pairs.
+    """Record a query's results and find the next one for coal.
 
     Returns:
-        Distance and number of the nearest pair, and whether none is too near, as `_put_off`; the number of looks in
-        which bounds were enough; how many pairs the next one is at, none after the end or very many of those; and its
-        place.
+        Distance and index of the nearest pair, and whether no pair is too near, as in `_put_off`; the number of queries
+        answered by lower bounds; the number of pairs of the next query, zero after the end or after very many such
+        queries; and its place.
     """
     bezier = search.bezier
     least, is_far = _put_off(pairs, distances, at, ahead, search)
@@ -380,7 +399,10 @@ def _look(
 
 @kernel
 def _next(search: _Search) -> tuple[int, float]:
-    """How many pairs are looked at next: the one due first, and others that may as well be; the place, or infinity."""
+    """Number of pairs in the next query, and its place, or infinity.
+
+    The pairs are the one due first, and others that can be queried together with it.
+    """
     due, upto, mover_of, travels = search.pairs[1], search.pairs[2], search.mover_of, search.movers[1]
     first, at, count = 0, due[0], 0
     for pair in range(len(due)):
@@ -390,7 +412,7 @@ def _next(search: _Search) -> tuple[int, float]:
         return 0, at
     travel = travels[mover_of[first]]
     before = min(place_after(travel, at, _TOGETHER * (_linear(travel, at) - upto[first])), len(travel) - 1.0)
-    before = max(before, at)  # by rounding errors it may be less
+    before = max(before, at)  # Rounding errors may make it smaller.
     for pair in range(len(due)):
         if due[pair] <= before and (pair == first or upto[pair] <= _linear(travels[mover_of[pair]], at)):
             search.asked[count] = pair
@@ -400,7 +422,7 @@ def _next(search: _Search) -> tuple[int, float]:
 
 @kernel
 def _linear(values: FloatArray, at: float) -> float:
-    """Value at a place of a function that is linear between its values at the rows."""
+    """Value at a place of a function linear between the samples."""
     row = min(int(at), len(values) - 2)
     value: float = values[row] + (at - row) * (values[row + 1] - values[row])
     return value
@@ -408,10 +430,10 @@ def _linear(values: FloatArray, at: float) -> float:
 
 @kernel
 def _put_off(pairs: IntArray, distances: FloatArray, at: float, ahead: float, search: _Search) -> tuple[int, bool]:
-    """Write down what looks at a place show, and where the pairs are due again.
+    """Record queries at a place and the pairs' next due places.
 
     Returns:
-        Which of them is nearest, as if all had to keep what is needed, and whether none is too near.
+        Index of the nearest pair, as if all pairs had the same required distance, and whether no pair is too near.
     """
     mover_of, sway, all_pairs = search.mover_of, search.movers[0], search.pairs
     kept, may_lack = all_pairs[0], all_pairs[5]
@@ -437,15 +459,18 @@ def _put_off(pairs: IntArray, distances: FloatArray, at: float, ahead: float, se
 
 @kernel
 def _put_off_far(count: int, frames: FloatArray, work: FloatArray, place: tuple[float, float], search: _Search) -> int:
-    """As `_put_off` by lower bounds of distances, of the pairs whose bounds are large and leave the clearance shown.
+    """Apply lower bounds of distances in place of queries, as in `_put_off`.
+
+    Applies to pairs whose bounds are large and leave the certified clearance unchanged.
 
     Args:
-        count: How many pairs are looked at.
-        frames: As `apart`, as `work`.
-        place: Where it is, and how far ahead pairs are looked at.
+        count: Number of pairs of the query.
+        frames: Frames of joints and base, as in `apart`.
+        work: Buffer, as in `apart`.
+        place: Place of the query, and the look-ahead fraction.
 
     Returns:
-        How many other pairs are left.
+        Number of pairs that still require a query.
     """
     mover_of, sway, all_pairs = search.mover_of, search.movers[0], search.pairs
     kept, taken_off = all_pairs[0], all_pairs[6]
@@ -468,7 +493,7 @@ def _put_off_far(count: int, frames: FloatArray, work: FloatArray, place: tuple[
 def _take_down(
     pair: int, at: float, spare_clearance: float, shown: float, ahead: float, travel: FloatArray, all_pairs: FloatArray
 ) -> None:
-    """Write down how far to both sides a look at a pair shows the clearance, and where the pair is due again."""
+    """Record a query's certified part and the pair's next due place."""
     due, upto, gap_end, then_to = all_pairs[1], all_pairs[2], all_pairs[3], all_pairs[4]
     here, end = _linear(travel, at), travel[-1]
     step = min(spare_clearance - shown, MOST_TRAVEL * spare_clearance)
@@ -492,16 +517,18 @@ def _take_down(
 
 @kernel
 def place_after(travel: FloatArray, at: float, part: float) -> float:
-    """The place up to which a moving body travels no farther than `part`, infinite where that is the end.
+    """Last place that a body reaches with travel at most `part`.
+
+    Infinite if that is beyond the end.
 
     Args:
-        travel: (rows + 1,) how far it has travelled at each row; linear within a row.
-        at: The place from where it goes on.
+        travel: (rows + 1,) travel up to each sample; linear between samples.
+        at: Start place.
     """
     row = min(int(at), len(travel) - 2)
     limit = travel[row] + (at - row) * (travel[row + 1] - travel[row]) + part
     row, beyond = -1, len(travel)
-    while row + 1 < beyond:  # the last row that is no farther
+    while row + 1 < beyond:  # The last sample with a travel of at most the limit.
         middle = (row + beyond) // 2
         if travel[middle] <= limit:
             row = middle

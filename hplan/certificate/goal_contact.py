@@ -1,24 +1,24 @@
-r"""The window of time in which the last link may touch its fruit: a straight approach and retreat.
+r"""Time window of contact with the goal fruit: straight approach and retreat.
 
-The fruit that is the goal is an obstacle for every link at all times, with one exception: the last link, in one
-contiguous window of time about the instant at which the tool is at the fruit's centre, in which
+The goal fruit is an obstacle for every link at all times, with one exception: the last link, in one contiguous time
+window around the instant when the tool is at the fruit's centre. In this window
 
-- the tool keeps within `OFFSET` of the half-line that begins where it is at that instant, :math:`p^*`, and runs
+- the tool keeps within `OFFSET` of the half-line that starts at its position at that instant, :math:`p^*`, and runs
   backward along the last link, :math:`\{p^* - x u^* : x \ge 0\}`: it moves straight along the link, and no deeper;
 - the last link keeps its direction within `TURN`.
 
-The link then meets the fruit with its tip alone, from the place where it begins to touch to the grasp, and back.
-Outside the window, and for every other link within it, clearance from the fruit is shown as from any obstacle.
+The link then touches the fruit with its tip only, from first contact to the grasp and back. Outside the window, and for
+every other link inside it, clearance from the fruit is certified as from any obstacle.
 
-The link's direction is the tool's own (`hplan.robot.model.Robot.tool_axis`), about which it may turn; what the joint of
-the tool frame carries is the last link.
+The link's direction is the tool axis (`hplan.robot.model.Robot.tool_axis`), and the link may rotate about it. The last
+link is the body carried by the joint of the tool frame.
 
 The window consists of whole cubics of the motion, and the two conditions hold at all times within each. The tool's path
-leaves the chord between two rows :math:`h` apart by at most :math:`h^2 / 8 \max |\ddot p|`, and points within a
-distance of a half-line are a convex set: if both rows are within `OFFSET` less that, the path between them is within
-`OFFSET`. The direction :math:`u` leaves its chord by at most :math:`h^2 / 8 \max |\ddot u|`. With :math:`r_j` the
-tool's largest distance from the axis of joint j (`hplan.collision.reach`; 1 where it slides), joints counted from the
-base,
+leaves the chord between two samples :math:`h` apart by at most :math:`h^2 / 8 \max |\ddot p|`, and the points within a
+distance of a half-line are a convex set: if both samples are within `OFFSET` minus that value, the path between them is
+within `OFFSET`. The direction :math:`u` leaves its chord by at most :math:`h^2 / 8 \max |\ddot u|`. With :math:`r_j`
+the tool's maximum distance from the axis of joint j (`hplan.collision.reach`; 1 for a prismatic joint), and joints
+counted from the base,
 
 .. math::
     |\ddot p| \le \sum_j r_j |\ddot q_j| + \sum_{j \text{ turns}} |\dot q_j| \Bigl(r_j |\dot q_j|
@@ -39,21 +39,21 @@ from hplan.robot.model import Robot
 from hplan.scene.model import Fruit
 from hplan.trajectory.trajectory import SAME_TIME
 
-#: Distance from the point to be reached at which the tool counts as there [m].
+#: Within this distance of its target point the tool counts as arrived [m].
 THERE = 1e-3
 
-#: How far the tool may leave the line of its approach [m], and the last link its direction there [rad].
+#: Maximum distance of the tool from its approach line [m], and maximum change of the last link's direction [rad].
 OFFSET, TURN = 5e-3, np.radians(2.0)
 
 
 @dataclass(frozen=True)
 class FruitContact:
-    """A window of time in which the last link may touch a fruit.
+    """A time window in which the last link may touch a fruit.
 
     Attributes:
-        fruit: The fruit, as it was when contact was allowed: another one of its name is an obstacle.
-        begin_s: When it begins [s].
-        end_s: When it ends [s].
+        fruit: The fruit as it was when contact was allowed; a different fruit with the same name is an obstacle.
+        begin_s: Start of the window [s].
+        end_s: End of the window [s].
     """
 
     fruit: Fruit
@@ -62,19 +62,19 @@ class FruitContact:
 
     @property
     def span_s(self) -> tuple[float, float]:
-        """When it begins and ends [s]."""
+        """Start and end of the window [s]."""
         return self.begin_s, self.end_s
 
     def covers(self, other: FruitContact) -> bool:
-        """True if another one allows nothing more."""
+        """True if this contact allows everything that another one allows."""
         begins, ends = self.begin_s <= other.begin_s + SAME_TIME, other.end_s <= self.end_s + SAME_TIME
         return self.fruit == other.fruit and begins and ends
 
     def pieces(self, clock: FloatArray) -> slice | None:
-        """Those of a motion's cubics that are within the window; None for none.
+        """Range of a motion's segments within the window; None if empty.
 
         Args:
-            clock: (n,) times of the motion's rows.
+            clock: (n,) times of the motion's samples [s].
         """
         begins, ends = (clock, clock) if len(clock) == 1 else (clock[:-1], clock[1:])
         inside = np.flatnonzero((begins >= self.begin_s - SAME_TIME) & (ends <= self.end_s + SAME_TIME))
@@ -82,7 +82,7 @@ class FruitContact:
 
 
 def instant_at(robot: Robot, rows: FloatArray, point: ArrayLike) -> tuple[int, float]:
-    """The row at which the tool is nearest to a point, and the distance [m].
+    """Sample with the tool nearest to a point, and the distance [m].
 
     Args:
         rows: (n, dof) configurations.
@@ -94,14 +94,14 @@ def instant_at(robot: Robot, rows: FloatArray, point: ArrayLike) -> tuple[int, f
 
 
 def contact_window(robot: Robot, bezier: FloatArray, point: ArrayLike) -> slice | None:
-    """The segments of a motion within which the last link may touch the fruit at a point.
+    """Segments in which the last link may touch the fruit.
 
     Args:
         bezier: (pieces, 4 or 6, dof) Bezier points of the motion's segments.
         point: (3,) the fruit's centre, in `base_link` [m].
 
     Returns:
-        A range of pieces; None where the tool is never at the point, or not on a straight approach.
+        A range of segments; None if the tool never reaches the point, or not on a straight approach.
     """
     rows = np.vstack([bezier[:, 0], bezier[-1:, -1]])
     with np.errstate(over="ignore", invalid="ignore"):
@@ -116,7 +116,10 @@ def contact_window(robot: Robot, bezier: FloatArray, point: ArrayLike) -> slice 
 
 
 def _is_straight(robot: Robot, bezier: FloatArray, rows: FloatArray, row: int) -> BoolArray:
-    """(pieces,) whether the tool keeps to the line, and the last link to the direction, that they have at a row."""
+    """(pieces,) mask of the segments that keep the approach line and direction.
+
+    Line and direction are taken from the tool and the last link at sample `row`.
+    """
     poses = robot.forward_kinematics(rows)
     tool, along = poses[:, :3, 3], poses[:, :3, :3] @ robot.tool_axis
     bent, turned = tool_bends(robot, *largest_rates(bezier))
@@ -127,7 +130,10 @@ def _is_straight(robot: Robot, bezier: FloatArray, rows: FloatArray, row: int) -
 
 
 def _off_line(tool: FloatArray, row: int, direction: FloatArray) -> FloatArray:
-    """(n,) distances of (n, 3) tool positions from the half-line that runs backward from that at a row [m]."""
+    """(n,) distances of tool positions from the backward half-line [m].
+
+    The half-line starts at the position of sample `row`; `tool` is (n, 3).
+    """
     from_there = tool - tool[row]
     behind = np.maximum(-(from_there @ direction), 0.0)
     off: FloatArray = np.linalg.norm(from_there + behind[:, None] * direction, axis=1)
@@ -135,11 +141,15 @@ def _off_line(tool: FloatArray, row: int, direction: FloatArray) -> FloatArray:
 
 
 def tool_bends(robot: Robot, rates: FloatArray, pushes: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(pieces,) bounds of the second derivatives of the tool's position and of a direction fixed in it."""
+    """(pieces,) bounds of the second derivatives of tool position and direction.
+
+    The direction is any unit vector fixed in the tool. `rates` and `pushes` bound the first and second derivatives of
+    the joint values.
+    """
     place = robot.model.frames[robot.frame_number(robot.tool_frame)].placement.translation[None]
     reach = points_reach(robot, place, robot.tool_joint - 1)
     bent, turn, turn_push = (np.zeros(len(rates)) for _ in range(3))
-    beyond = np.zeros(len(rates))  # sum of r |q'| of the joints after
+    beyond = np.zeros(len(rates))  # Sum of r |q'| of the outer joints.
     for joint in carriers(robot, robot.tool_joint - 1):
         rate, push = rates[:, joint], pushes[:, joint]
         bent += reach[joint] * push
@@ -151,7 +161,10 @@ def tool_bends(robot: Robot, rates: FloatArray, pushes: FloatArray) -> tuple[Flo
 
 
 def largest_rates(bezier: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(pieces, n) largest first and second derivatives of segments in their own parameter, by their Bezier points."""
+    """(pieces, n) maximum first and second derivatives of Bezier segments.
+
+    The derivatives are with respect to the segment's own parameter; the Bezier points bound them.
+    """
     degree = bezier.shape[1] - 1.0
     rates, pushes = (np.abs(np.diff(bezier, order, axis=1)).max(axis=1) for order in (1, 2))
     return degree * rates, degree * (degree - 1.0) * pushes

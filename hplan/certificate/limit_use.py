@@ -1,4 +1,4 @@
-"""Use of the joint limits along a motion of polynomials between rows, bounded for all times."""
+"""Bounds, at all times, of a polynomial motion's use of the limits."""
 
 from __future__ import annotations
 
@@ -13,19 +13,21 @@ from hplan.certificate.torque_bound import largest_torques
 from hplan.robot.model import Robot
 from hplan.trajectory.trajectory import Trajectory
 
-#: A hull larger than what is known by no more than this part is as large; and how often a polynomial is halved at most.
+#: A hull that exceeds the known maximum by at most this fraction counts as equal; and the maximum number of halvings.
 _SAME_PEAK, _MOST_HALVINGS = 1e-12, 26
 
 
 @dataclass(frozen=True)
 class LimitUse:
-    """Upper bound of the fraction of each limit that a trajectory uses, at all times; infinite where numbers overflow.
+    """Upper bound of the used fraction of each limit.
+
+    It holds at all times. Infinite if numbers overflow.
 
     Attributes:
-        position: Largest distance from the middle of the joint range, as a fraction of half the range: 1 at a limit.
-        velocity: Largest |velocity| / limit.
-        acceleration: Largest |acceleration| / limit.
-        torque: Largest |torque| / limit.
+        position: Maximum distance from the middle of the joint range, as a fraction of half the range: 1 at a limit.
+        velocity: Maximum |velocity| / limit.
+        acceleration: Maximum |acceleration| / limit.
+        torque: Maximum |torque| / limit.
     """
 
     position: float
@@ -35,14 +37,15 @@ class LimitUse:
 
 
 def limit_use(robot: Robot, trajectory: Trajectory, bezier: FloatArray, duration: FloatArray) -> LimitUse:
-    """Bound the use of each limit over a motion's segments, and by its columns for velocity, acceleration and torque.
+    """Bound the use of each limit over a motion's segments.
 
-    Position, velocity and acceleration are bounded by Bezier points of halved segments (`_peak`), torques as in
-    `hplan.certificate.torque_bound`. Along straight lines between rows velocities jump: acceleration and torque are
-    infinite unless the arm stands still.
+    The columns of the trajectory for velocity, acceleration and torque count as well. Position, velocity and
+    acceleration are bounded by the Bezier points of halved segments (`_peak`), torques as in
+    `hplan.certificate.torque_bound`. Along straight lines between samples velocities jump: acceleration and torque are
+    infinite unless the arm rests.
 
     Args:
-        bezier: (pieces, 4 or 6, dof) its segments.
+        bezier: (pieces, 4 or 6, dof) Bezier points of the trajectory's segments.
         duration: (pieces,) their durations [s].
     """
     middle, half = 0.5 * (robot.lower + robot.upper), 0.5 * (robot.upper - robot.lower)
@@ -65,7 +68,7 @@ def limit_use(robot: Robot, trajectory: Trajectory, bezier: FloatArray, duration
 
 @kernel
 def _peaks(bezier: FloatArray, duration: FloatArray, middle: FloatArray) -> FloatArray:
-    """(3, dof) largest distances of segments from a configuration, largest |velocity| and |acceleration|."""
+    """(3, dof) maximum distance from a configuration, |velocity| and |acceleration|."""
     segments, points, dof = bezier.shape
     degree, peaks = points - 1.0, np.zeros((3, dof))
     work, levels = np.empty((_MOST_HALVINGS + 1, points)), np.zeros(_MOST_HALVINGS + 1, dtype=np.int64)
@@ -88,16 +91,16 @@ def _peaks(bezier: FloatArray, duration: FloatArray, middle: FloatArray) -> Floa
 
 @kernel
 def _peak(work: FloatArray, levels: IntArray, points: int, known: float) -> float:
-    """Largest size of a polynomial, or a known larger number; infinite if a number is not finite.
+    """Maximum absolute value of a polynomial; infinite if it overflows.
 
-    The polynomial lies in the hull of its Bezier points, and its ends are two of them. Where the hull is larger than
-    what is known, the polynomial is halved, which quarters what the hull is too large by.
+    The result is at least `known`. The polynomial lies in the hull of its Bezier points, and its ends are two of them.
+    If the hull exceeds the known maximum, the polynomial is halved, which quarters the excess of the hull.
 
     Args:
-        work: Its first row has the Bezier points; the others are room for halves.
-        levels: Room for how often each half was halved.
-        points: The number of Bezier points.
-        known: The size known so far.
+        work: The first row holds the Bezier points; the others are buffers for halves.
+        levels: Buffer for the number of halvings of each half.
+        points: Number of Bezier points.
+        known: Maximum known before the call.
     """
     top, levels[0] = 0, 0
     while top >= 0:
@@ -111,7 +114,7 @@ def _peak(work: FloatArray, levels: IntArray, points: int, known: float) -> floa
             known = max(known, hull)
             top -= 1
             continue
-        # The second half takes the place of the whole; the first one goes on top, and is looked at first.
+        # The second half replaces the whole; the first half goes on top of the stack and is processed next.
         level = levels[top] + 1
         for n in range(points):
             work[top + 1, n] = work[top, 0]
@@ -124,17 +127,17 @@ def _peak(work: FloatArray, levels: IntArray, points: int, known: float) -> floa
 
 @kernel
 def _larger(largest: float, value: float) -> float:
-    """The larger of a number and the size of another; infinite if that is not a number."""
+    """max(a, |b|), with NaN treated as infinity."""
     return max(largest, abs(value)) if abs(value) < math.inf else math.inf
 
 
 def fraction_of(peak: FloatArray, limit: FloatArray) -> float:
-    """Largest fraction of a limit; a joint that does not move may have a limit of zero."""
+    """Maximum fraction of a limit; a resting joint may have limit zero."""
     idle = (peak <= 1e-9) & (limit <= 0.0)
     with np.errstate(over="ignore"):
         return _finite_or_inf(np.where(idle, 0.0, peak / np.where(limit > 0.0, limit, 1e-300)))
 
 
 def _finite_or_inf(values: FloatArray) -> float:
-    """The largest of some values; infinite where one is not a number."""
+    """Maximum of the values, with NaN treated as infinity."""
     return float(np.where(np.isnan(values), np.inf, values).max())

@@ -1,33 +1,33 @@
-r"""Motion bounds: how far a checker's moving bodies travel, and how far tracking errors displace them.
+r"""Motion bounds: travel of moving bodies and displacement by tracking errors.
 
-A body's points are at most :math:`R_{bj}` from the axis of joint j, whatever the
-configuration (`hplan.collision.reach`). About the middle of a piece of the motion they are at most :math:`\rho_{bj}`
-from it, by a ball that holds the body; and what lies between the joint and the body changes that, within the piece, by
-no more than the body travels by the joints after j alone. So within the piece it is at most
+A body's points are at most :math:`R_{bj}` from the axis of joint j at any configuration (`hplan.collision.reach`). In
+the middle of a segment of the motion they are at most :math:`\rho_{bj}` from it, by a ball that contains the body. The
+joints between joint j and the body change this distance, within the segment, by no more than the body travels by the
+joints after j alone. So within the segment it is at most
 
 .. math:: r_{bj} = \min(R_{bj}, \rho_{bj} + \tfrac12 \sum_{k > j} R_{bk} \max |q_k'|),
 
-and no point of the body travels farther than :math:`\sum_j r_{bj} \max |q_j'|`, the rates being those of the segment in
-its own parameter, by the hull of its derivative's Bezier points.
+and no point of the body travels farther than :math:`\sum_j r_{bj} \max |q_j'|`. The rates are those of the segment in
+its own parameter, bounded by the hull of its derivative's Bezier points.
 
-Nor does it where joints undo what others do. In the middle, where joint j moves a point by :math:`J_j` for each unit,
-all together move the centre of the ball at :math:`v = \sum_j q_j' J_j` and turn the body at :math:`\omega`. Elsewhere
-in the piece rates differ by at most :math:`\varepsilon_j`, and configurations by half of :math:`m_j = \max |q_j'|` at
-most. Turning joint k by an angle changes the :math:`J_j` of any point by no more than that times the R of the outer
-one of the two joints: what is carried turns as a whole, what carries leaves the axis of j where it is. So the travel is
-at most
+A second bound accounts for joints that cancel each other's motion. In the middle, joint j moves a point by :math:`J_j`
+per unit, and all joints together move the centre of the ball at :math:`v = \sum_j q_j' J_j` and rotate the body at
+:math:`\omega`. Elsewhere in the segment rates differ by at most :math:`\varepsilon_j`, and configurations by at most
+half of :math:`m_j = \max |q_j'|`. Rotating joint k by an angle changes the :math:`J_j` of any point by no more than
+that angle times the R of the outer one of the two joints: a joint k inside j rotates body and axis as a whole, a joint
+k outside j leaves the axis of j unchanged. So the travel is at most
 
 .. math:: |v| + |\omega| \rho_b + \sum_j |J_j| \varepsilon_j
     + \sum_j m_j (\tfrac12 R_{bj} m_j + \sum_{k > j} R_{bk} m_k),
 
-with :math:`\rho_b` the radius of the ball, and :math:`|J_j|` at most the distance of the axis from the centre and that
-radius. The smaller bound of both counts.
+with :math:`\rho_b` the radius of the ball, and :math:`|J_j|` at most the distance of the axis from the centre plus that
+radius. The smaller of the two bounds is used.
 
-Of two bodies of the robot the joints that carry both do not count, and of the others the travels of both add up: these
-are the last joints of each, and both bounds hold for them alone, as seen from what carries both. Pairs of bodies of the
-same two links that are about as far out are one mover (`ArmParts.alike`), which travels as far as the farthest of them.
-Joints that are off by their deviations move a body by no more than :math:`\sum_j R_{bj} \delta_j`. (Of joints that
-slide, a deviation in rad counts as so many metres.)
+For two bodies of the robot the joints that carry both do not count, and the travels of both by the other joints add up:
+these are the last joints of each, and both bounds hold for them alone, relative to the body that carries both. Pairs of
+bodies of the same two links at similar distances share one moving body (`ArmParts.alike`), which travels as far as the
+farthest of them. Joint deviations displace a body by no more than :math:`\sum_j R_{bj} \delta_j`. (For prismatic
+joints, a deviation in rad counts as the same number in metres.)
 """
 
 from __future__ import annotations
@@ -50,22 +50,22 @@ from hplan.robot.tracking import TrackingModel
 from hplan.scene.limits import FARTHEST_M
 from hplan.trajectory.cubics import cubic_at
 
-#: In place of rates that are no numbers, or larger [rad, m]: their products are numbers.
+#: Replaces rates that are NaN or larger [rad, m]: products of it stay finite.
 _UNBOUNDED: Final = 1e150
 
-#: So many pieces have one bound at most, and fewer where a joint would turn farther in them [rad, m].
+#: Maximum number of segments that share one bound; fewer if a joint would move farther than `_TURN` in them [rad, m].
 _TOGETHER: Final = 8
 _TURN: Final = 0.03
 
-#: Farther than anything of a robot and a scene is apart [m].
+#: Larger than any distance between a robot and a scene [m].
 _FARTHEST: Final = 100.0 * FARTHEST_M
 
 
 def largest_deviations(robot: Robot, tracking: TrackingModel, speeds: FloatArray) -> FloatArray:
-    """Largest deviations of the joints at (k, dof) speeds [rad/s, m/s], of the same shape [rad, m].
+    """Maximum joint deviations at given speeds [rad, m].
 
-    Of a joint that turns none is larger than a whole turn; one that slides may be off as far as the model says, up to
-    where it would meet anything. So it is where a speed is not known.
+    (k, dof) for (k, dof) speeds [rad/s, m/s]. A revolute joint's deviation is at most a whole turn; a prismatic joint's
+    is the model's, capped at a distance beyond all obstacles. Unknown speeds (NaN) get these maxima.
     """
     with np.errstate(over="ignore"):
         largest: FloatArray = np.fmin(tracking.deviations(speeds), np.where(robot.slides, _FARTHEST, math.tau))
@@ -73,34 +73,47 @@ def largest_deviations(robot: Robot, tracking: TrackingModel, speeds: FloatArray
 
 
 def fastest(bezier: FloatArray, duration: FloatArray) -> FloatArray:
-    """(pieces, dof) bounds of |velocity| within each segment: it lies in the hull of its Bezier points [rad/s]."""
+    """(pieces, dof) bounds of |velocity| within each segment [rad/s].
+
+    The velocity lies in the hull of its Bezier points.
+    """
     with np.errstate(over="ignore", invalid="ignore"):
         fastest: FloatArray = (bezier.shape[1] - 1.0) * np.abs(np.diff(bezier, axis=1)).max(axis=1) / duration[:, None]
     return fastest
 
 
 def pair_sways(checker: CoalScene, deviations: FloatArray) -> FloatArray:
-    """Tracking-error displacement bound of each pair, of (k, dof) deviations [rad] -> (pairs, k) [m]."""
+    """Tracking displacement bound of each pair, (pairs, k) [m].
+
+    `deviations` is (k, dof) [rad].
+    """
     _, reaches = _reaches(checker.parts, deviations)
     sways: FloatArray = reaches @ deviations.T
     return sways[_mover_of(checker)]
 
 
 def largest_pair_sway(robot: Robot, deviation: FloatArray) -> float:
-    """By how much anything of a robot may come nearer to anything, itself too, with joints off by (dof,) [m]."""
+    """Upper bound on the clearance loss caused by joint errors [m].
+
+    `deviation` is (dof,). Self-collision pairs are included.
+    """
     parts = arm_parts(robot, "capsule", float(deviation.max(initial=0.0)), 0.0)
     _, reaches = _reaches(parts, deviation)
     return float((reaches @ deviation).max(initial=0.0))
 
 
 def _mover_of(checker: CoalScene) -> IntArray:
-    """(pairs,) what moves of each pair of a checker, as `ArmParts.movers` has it."""
+    """(pairs,) index of each pair's moving body in `ArmParts.movers`."""
     alone, own = len(checker.parts.shapes), len(checker.parts.own)
     return np.concatenate([np.repeat(np.arange(alone), checker.own_first), np.arange(alone, alone + own)])
 
 
 def at_rows(sway: FloatArray) -> FloatArray:
-    """(bodies, k + 1) the larger displacement bound of the pieces at each row, from those of k; (bodies, 1) of one."""
+    """(bodies, k + 1) displacement bounds at the samples [m].
+
+    At each sample the larger one of the adjacent segments' bounds, from `sway` (bodies, k); (bodies, 1) is returned as
+    it is.
+    """
     if sway.shape[1] == 1:
         return sway
     return np.maximum(np.column_stack([sway[:, :1], sway]), np.column_stack([sway, sway[:, -1:]]))
@@ -109,13 +122,16 @@ def at_rows(sway: FloatArray) -> FloatArray:
 def with_obstacles(
     checker: CoalScene, mover_of: IntArray, moved: FloatArray, nearer: FloatArray, clock: FloatArray
 ) -> tuple[IntArray, FloatArray, FloatArray]:
-    """Moving bodies where obstacles move too: a body and what moves alike make another, which travels as far as both.
+    """Add moving bodies for pairs with moving obstacles.
+
+    A body and a group of obstacles with equal travel form a new moving body that travels as far as both together.
 
     Args:
-        mover_of: (pairs,) the moving body of each pair.
-        moved: (bodies, pieces) how far each travels in each piece [m].
-        nearer: (bodies, k) how much nearer tracking errors may bring its pairs [m].
-        clock: (pieces + 1,) times of the rows [s].
+        checker: The arm among the obstacles.
+        mover_of: (pairs,) index of the moving body of each pair.
+        moved: (bodies, pieces) travel of each body in each segment [m].
+        nearer: (bodies, k) displacement bound of its pairs by tracking errors [m].
+        clock: (pieces + 1,) times of the samples [s].
 
     Returns:
         `mover_of`, `moved` and `nearer` with the moving bodies added.
@@ -137,15 +153,16 @@ def with_obstacles(
 def motion_of_movers(
     checker: CoalScene, bezier: FloatArray, deviations: FloatArray
 ) -> tuple[IntArray, FloatArray, FloatArray]:
-    """What moves of a checker's pairs along a motion, and what tracking errors do.
+    """Moving bodies of a checker's pairs, their travel and their tracking displacement.
 
     Args:
+        checker: The arm among the obstacles.
         bezier: (pieces, 4 or 6, dof) Bezier points of the motion's segments.
-        deviations: (k, dof) largest deviations of the joints [rad, m].
+        deviations: (k, dof) maximum joint deviations [rad, m].
 
     Returns:
-        (pairs,) what moves of each pair, as `ArmParts.alike` has it; (movers, pieces) how far each travels in
-        each piece; (movers, k) by how much deviations may bring its pairs nearer [m].
+        (pairs,) index of each pair's moving body, as in `ArmParts.alike`; (movers, pieces) travel bound of each in each
+        segment [m]; (movers, k) displacement bound of its pairs by deviations [m].
     """
     parts, robot = checker.parts, checker.robot
     of_bodies, reaches = _reaches(parts, deviations)
@@ -158,23 +175,26 @@ def motion_of_movers(
 
 
 def _reaches(parts: ArmParts, deviations: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """As `ArmParts.reaches`, where joints are off by (..., dof) deviations: sliding ones by one of few numbers."""
+    """`ArmParts.reaches` for (..., dof) deviations.
+
+    For prismatic joints the maximum deviation is rounded up to a power of two, so that few distinct values occur.
+    """
     largest = float(deviations.max(initial=0.0)) if any(parts.robot.slides) else 0.0
     return parts.reaches(2.0 ** math.ceil(math.log2(max(largest, 1e-3))) if largest > 0.0 else 0.0)
 
 
 @kernel
 def _together(bezier: FloatArray, most: int, turn: float) -> tuple[IntArray, FloatArray]:
-    """Pieces that have one bound: where each of these longer ones begins, and how joints move within it.
+    """Group consecutive segments that share one bound.
 
     Args:
         bezier: (pieces, 4 or 6, dof) Bezier points.
-        most: So many have one bound at most.
-        turn: And no more than in which a joint moves so far.
+        most: Maximum number of segments in a group.
+        turn: Maximum joint motion in a group [rad, m].
 
     Returns:
-        (longer pieces,) numbers of the first pieces, and (4, longer pieces, dof) in each the configuration in the
-        middle, largest rates of the joints, rates in the middle, and by how much rates differ from those at most.
+        (groups,) indices of the first segments, and (4, groups, dof) for each group the configuration in the middle,
+        the maximum joint rates, the rates in the middle, and the maximum difference of the rates from those.
     """
     pieces, points, dof = bezier.shape
     degree = points - 1.0
@@ -219,18 +239,19 @@ def _travels(
     motion: FloatArray, reach: FloatArray, bodies: FloatArray, numbers: FloatArray,
     slots: IntArray, both: IntArray, alike: IntArray,
 ) -> FloatArray:  # fmt: skip
-    """(movers, pieces) how far each mover travels within each piece at most [m].
+    """(movers, pieces) travel bound of each moving body within each segment [m].
 
     Args:
-        motion: How joints move, as `_together`.
+        motion: Joint motion, from `_together`.
         reach: (bodies, dof) motion-bound coefficients R.
-        bodies: As `ArmParts.rows`.
-        numbers: As `joints_alone`.
-        slots: As `ArmParts.travellers`, as `both`.
-        alike: The number of the mover that each of them is, as `ArmParts.alike`.
+        bodies: Bodies, as in `ArmParts.rows`.
+        numbers: Joint numbers from `joints_alone`.
+        slots: First array of `ArmParts.travellers`.
+        both: Second array of `ArmParts.travellers`.
+        alike: Moving body of each traveller, as in `ArmParts.alike`.
     """
     _, pieces, dof = motion.shape
-    # Taken out one by one they are known to be contiguous, which rows of an array unpacked are not.
+    # Taken out one by one they are known to be contiguous; rows of an unpacked array are not.
     middles, rates, paces, uneven = motion[0], motion[1], motion[2], motion[3]
     joints = int(numbers[flat.JOINTS])
     frames, axes, moved = np.empty((dof + 1, 12)), np.empty((dof, 3)), np.zeros((slots.max() + 1, pieces))

@@ -3,7 +3,8 @@
 `Certificate.min_clearance_m` is a lower bound of every distance that was checked. Two kinds of pairs of one arm have a
 rule of their own: pairs that are never as far apart as the clearance must not touch, and have their own certified
 bound; exempt pairs (`hplan.collision.touching_pairs`) are not checked at all. Pairs of different arms are exempt only
-if their cell declares it.
+if their cell declares it. Round shapes of a planar arm's turret, which no joint moves to or from an obstacle, must not
+touch it, and are listed if they are nearer than the clearance (`hplan.certificate.turret_clearance`).
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""What gives way during a motion: which link pushes it, how deep at most, and when.
+"""Contacts with compliant obstacles: the link, the maximum deflection and the time.
 
-At each row of the motion coal says how deep a pair is. Between two rows, the moving body travels a known distance at
-most (`hplan.certificate.motion_bound`), and a depth changes by no more than that: so it is at most half of the sum of
-both depths and that distance.
+At each sample of the motion coal returns the depth of a pair. Between two samples the travel of the moving body is
+bounded (`hplan.certificate.motion_bound`), and a depth changes by no more than the travel. So the depth is at most half
+of the sum of both depths and the travel.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from hplan.collision.coal_scene import CoalScene
 
 @dataclass(frozen=True)
 class Push:
-    """A link that pushes something that gives way.
+    """Contact of a link with a compliant obstacle.
 
     Attributes:
         link: Name of the link.
         obstacle: Name of the obstacle or fruit.
-        depth_m: How deep the link is in it at most, tracking errors included [m].
-        begin_s: Before this time the two do not touch [s].
-        end_s: Nor after this one, until they are said to touch again [s].
+        depth_m: Upper bound of the deflection, tracking errors included [m].
+        begin_s: No contact before this time [s].
+        end_s: No contact after this time, until the next listed contact of the two [s].
     """
 
     link: str
@@ -47,16 +47,19 @@ def pushes_along(
     *,
     proved: bool,
 ) -> Iterator[Push]:
-    """Compute the deflection of compliant obstacles within each piece of a motion.
+    """Bound the deflection of compliant obstacles within each segment of a motion.
 
     Args:
         bezier: (pieces, 4, dof) Bezier points of the motion's cubics.
-        time: (pieces + 1,) times of the rows [s].
+        time: (pieces + 1,) times of the samples [s].
         checker: The arm among the obstacles.
-        deviations: (pieces, dof) largest deviation of each joint within each cubic, or (1, dof) for all of them [rad].
-        clearance: Distance that all else is to keep [m].
-        clock: (pieces + 1,) times of the rows, as tracks count them [s]; needed where obstacles move.
-        proved: True if no pair is deeper than it may be, which then bounds its depth.
+        deviations: (pieces, dof) maximum joint deviations within each cubic, or (1, dof) for all of them [rad].
+        clearance: Clearance required from non-compliant obstacles [m].
+        clock: (pieces + 1,) times of the samples on the clock of the tracks [s]; required if obstacles move.
+        proved: True if the allowed deflection of every pair is certified; it then caps the bound.
+
+    Yields:
+        A contact for each segment and pair that may touch in it.
     """
     pairs = checker.pushed
     if not len(pairs):
@@ -84,13 +87,16 @@ def pushes_along(
                 yield Push(mover_name, checker.obstacle_names[other], min(depth, float(most[pair])), *span)
             ahead = place_after(travel[mover], float(row), max(distance - nearer, 0.0))
             following = max(row + 1, math.floor(min(ahead, rows + 1.0)))
-            # What cannot touch up to the next look has not touched before it.
+            # A pair that skips samples cannot touch before its next query, so its last distance counts as infinite.
             before[pair] = distance if following == row + 1 else math.inf
             due.setdefault(following, []).append(pair)
 
 
 def joined(found: Iterable[Push]) -> tuple[Push, ...]:
-    """Pushes as one for each time that a link touches an obstacle without a break, in the order of their begins."""
+    """Merge contacts of a link and obstacle without a gap between.
+
+    The result is sorted by start time.
+    """
     whole: list[Push] = []
     for push in sorted(found, key=lambda push: (push.link, push.obstacle, push.begin_s)):
         last = whole[-1] if whole else push

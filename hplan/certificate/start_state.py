@@ -1,4 +1,7 @@
-"""The state of motion in which a scene's motion begins: checked against the arm, and a motion against it."""
+"""State of motion at the start of a scene's motion.
+
+The state is checked against the robot, and a motion against the state.
+"""
 
 from __future__ import annotations
 
@@ -13,17 +16,17 @@ from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 from hplan.trajectory.trajectory import Trajectory
 
-#: Fraction of a limit up to which a state keeps it, as for a motion.
+#: A state may exceed a limit by this factor, as a motion may.
 _KEPT = 1.001
 
 
 def start_state(robot: Robot, scene: Scene) -> BoundaryState | None:
-    """The state in which the scene's motion begins; None for rest.
+    """The state in which the scene's motion starts; None for rest.
 
     Raises:
-        InputError: Velocities or accelerations of another number of joints.
-        StartStateError: One beyond its joint's limit, or of a joint that is locked.
-        JointLimitError: A configuration outside the limits.
+        InputError: The number of velocities or accelerations is not the number of joints.
+        StartStateError: A value exceeds its joint's limit, or a locked joint moves.
+        JointLimitError: The start configuration is outside the limits.
     """
     start = scene.start
     if not start.is_moving:
@@ -54,12 +57,14 @@ def start_state(robot: Robot, scene: Scene) -> BoundaryState | None:
 
 
 def start_violations(robot: Robot, scene: Scene, trajectory: Trajectory) -> Iterator[str]:
-    """Messages: by how much a motion begins in another state of motion than the scene's start; none if that rests.
+    """Messages on differences between the motion's first state and the scene's start.
 
-    Its rows and its first segment are checked.
+    The motion's first sample and first segment are checked. There are no messages if the scene starts at rest.
 
     Raises:
-        InputError: As `start_state`.
+        InputError: The number of velocities or accelerations is not the number of joints.
+        StartStateError: A value exceeds its joint's limit, or a locked joint moves.
+        JointLimitError: The start configuration is outside the limits.
     """
     state = start_state(robot, scene)
     if state is None:
@@ -69,7 +74,7 @@ def start_violations(robot: Robot, scene: Scene, trajectory: Trajectory) -> Iter
         bezier, duration = trajectory.segments
         degree = bezier.shape[1] - 1.0
         pushes.append(degree * (degree - 1.0) * (bezier[0, 2] - 2.0 * bezier[0, 1] + bezier[0, 0]) / duration[0] ** 2)
-    # Differences that count as none: of velocities [rad/s] and accelerations [rad/s^2].
+    # Tolerances of velocities [rad/s] and accelerations [rad/s^2].
     same_velocity, same_acceleration = 1e-6, 1e-3
     for what, found, asked, same in (
         ("velocity", speeds, state.velocity, same_velocity),

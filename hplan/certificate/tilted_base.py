@@ -1,16 +1,16 @@
-r"""What a base that tilts on its track adds to the torques: gravity then pulls along another axis of the arm.
+r"""Additional torque from a base that tilts on its track.
 
-Torques are computed for a base that stands upright. They are linear in gravity: where it is off by :math:`\Delta g`,
-the torque of a joint that turns is off by no more than
+Gravity then pulls along a different axis of the arm. Torques are computed for an upright base. They are linear in
+gravity: if it is off by :math:`\Delta g`, the torque of a revolute joint is off by at most
 
 .. math:: |\Delta g| \sum_{i} m_i \, r_{ij},
 
-over the bodies i that the joint carries, of mass :math:`m_i`, with :math:`r_{ij}` the largest distance of the centre of
-mass from the joint's axis, whatever the configuration (`hplan.collision.reach`); 1 for a joint that slides. A base
-whose vertical is at an angle :math:`\theta` to that of the world has :math:`|\Delta g| = 2 g \sin(\theta / 2)`.
+over the bodies i that the joint carries, of mass :math:`m_i`, with :math:`r_{ij}` the maximum distance of the centre of
+mass from the joint's axis over all configurations (`hplan.collision.reach`); 1 for a prismatic joint. If the base's
+vertical is at an angle :math:`\theta` to the world's, :math:`|\Delta g| = 2 g \sin(\theta / 2)`.
 
-A turn of a track from a time to the next is about one axis, so the height of the vertical's tip is a sine of the angle
-turned by, and its least value is known.
+A track rotates from one time to the next about one axis, so the height of the vertical's tip is a sine of the rotation
+angle, and its minimum is known.
 """
 
 from __future__ import annotations
@@ -27,17 +27,20 @@ from hplan.robot.model import Robot, made_once
 from hplan.scene.model import Scene
 from hplan.scene.tracks import Poses
 
-#: A vertical that is off by no more than this is upright: so much is lost in the cosine of an angle [rad].
+#: A vertical that is off by at most this is upright: the cosine cannot resolve smaller angles [rad].
 _UPRIGHT = 1e-6
 
 
 def use_on_track(use: LimitUse, robot: Robot, scene: Scene, begin_s: float, duration: float) -> LimitUse:
-    """The use of the limits where the base is on its track; the same where it stays upright.
+    """Limit use of the arm on its track.
+
+    Unchanged if the base stays upright.
 
     Args:
-        use: That of an arm whose base stands upright.
+        use: Limit use of an arm on an upright base.
+        robot: The arm.
         scene: The scene, with the base's track.
-        begin_s: Time at which the motion begins, as the track counts it [s].
+        begin_s: Start time of the motion on the clock of the track [s].
         duration: Duration of the motion [s].
     """
     if scene.base_track is None:
@@ -50,13 +53,16 @@ def use_on_track(use: LimitUse, robot: Robot, scene: Scene, begin_s: float, dura
 
 
 def largest_tilt(base: Poses, begin_s: float, end_s: float) -> float:
-    """Largest angle between the vertical of a base on its track and that of the world, between two times [rad]."""
+    """Maximum angle between the base's vertical and the world's [rad].
+
+    The maximum is over the times from `begin_s` to `end_s` of the base's track.
+    """
     up = np.array([0.0, 0.0, 1.0])
     first = max(int(np.searchsorted(base.times, begin_s, side="right")) - 1, 0)
     last = min(int(np.searchsorted(base.times, end_s, side="left")), len(base.times) - 1)
     lowest = float(base.rotations[min(first, last) : max(first, last) + 1, 2, 2].min())
     for piece in range(first, last):
-        # Of R exp(a axis) the vertical, seen from the base, has the height: constant + even cos a + odd sin a.
+        # The vertical of R exp(a axis), seen from the base, has the height constant + even cos a + odd sin a.
         turn = base.turns[piece]
         angle = float(np.linalg.norm(turn))
         if angle > 0.0:
@@ -70,7 +76,11 @@ def largest_tilt(base: Poses, begin_s: float, end_s: float) -> float:
 
 @made_once
 def first_moments(robot: Robot) -> FloatArray:
-    """(dof,) sums of the masses that each joint carries times their distance from its axis, or of the masses alone."""
+    """(dof,) first mass moments about the joint axes [kg m].
+
+    Sums over the carried bodies of mass times maximum distance of the centre of mass from the axis. For a prismatic
+    joint the sum of the masses alone [kg].
+    """
     rows = [
         inertia.mass * points_reach(robot, np.array(inertia.lever)[None], joint)
         for joint, inertia in enumerate(robot.model.inertias.tolist()[1:])

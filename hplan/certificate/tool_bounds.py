@@ -1,9 +1,10 @@
-r"""How far a tool leaves a straight line, and how far it tilts, at all times of a motion.
+r"""Bounds of the tool's distance from a line and its tilt.
 
-Between two places of the motion :math:`h` apart the tool's point leaves their chord by at most
-:math:`h^2 / 8 \max |\ddot p|`, and so does a direction fixed in the tool (`hplan.certificate.goal_contact` has both
-bounds). Points within a distance of a line segment are a convex set; of a direction, the component along another one
-is linear. So the largest of both at some places, with what is between them, bounds them at all times.
+Both hold at all times of a motion. Between two samples of the motion :math:`h` apart the tool's point leaves their
+chord by at most :math:`h^2 / 8 \max |\ddot p|`, and so does a direction fixed in the tool
+(`hplan.certificate.goal_contact` has both bounds). The points within a distance of a line segment are a convex set; the
+component of a direction along another one is linear. So the maximum of both over the samples, plus the bound between
+samples, holds at all times.
 """
 
 from __future__ import annotations
@@ -20,16 +21,16 @@ from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel
 from hplan.trajectory.trajectory import Trajectory
 
-#: Places that are looked at in each cubic of a motion.
+#: Number of samples in each cubic of a motion.
 _LOOKS = 4
 
 
 class ToolBounds(NamedTuple):
-    """Upper bounds at all times, with what the tracking error adds.
+    """Upper bounds at all times, tracking errors included.
 
     Attributes:
-        deviation_m: Of the tool's distance from the straight line between its places at both ends.
-        tilt_rad: Of the angle between a direction fixed in the tool and one fixed in `base_link`.
+        deviation_m: Distance of the tool from the straight line between its positions at both ends [m].
+        tilt_rad: Angle between a direction fixed in the tool and one fixed in `base_link` [rad].
     """
 
     deviation_m: float
@@ -39,11 +40,14 @@ class ToolBounds(NamedTuple):
 def tool_bounds(
     robot: Robot, trajectory: Trajectory, direction: FloatArray, upright: FloatArray, tracking: TrackingModel
 ) -> ToolBounds:
-    """Bounds of how far the tool of a general (non-planar) arm leaves its line and tilts along a motion.
+    """Bound the tool's distance from its line and its tilt.
+
+    For a general (non-planar) arm.
 
     Args:
         direction: (3,) unit vector in the tool frame.
-        upright: (3,) unit vector in `base_link` from which it tilts.
+        upright: (3,) unit vector in `base_link`; the tilt is measured from it.
+        tracking: Tracking errors of the joints.
     """
     pieces, duration = trajectory.segments
     rates, pushes = largest_rates(pieces)
@@ -62,13 +66,13 @@ def tool_bounds(
 
 
 def _largest(values: FloatArray) -> FloatArray:
-    """(pieces,) the largest value at the places of each cubic, its ends among them."""
+    """(pieces,) maximum over the samples of each cubic, both ends included."""
     inner: FloatArray = np.maximum(values[:-1], values[1:]).reshape(-1, _LOOKS).max(axis=1)
     return inner
 
 
 def _off_segment(places: FloatArray) -> FloatArray:
-    """(n,) distances of (n, 3) places from the segment between the first and the last [m]."""
+    """(n,) distances of (n, 3) positions from the end-to-end segment [m]."""
     away, line = places - places[0], places[-1] - places[0]
     along = np.clip(away @ line / max(float(line @ line), 1e-300), 0.0, 1.0)
     off: FloatArray = np.linalg.norm(away - along[:, None] * line, axis=1)

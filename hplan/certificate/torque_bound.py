@@ -1,12 +1,13 @@
-r"""Upper bounds of joint torques along cubics or quintics: samples, and the change of torque between two of them.
+r"""Upper bounds of joint torques along cubics or quintics.
 
-Between two samples :math:`h` apart a twice differentiable function exceeds the larger of them by no more than
-:math:`h^2 / 8 \max |\ddot \tau|` (the error of linear interpolation). So the torque of joint j on a cubic piece obeys
+Torques are sampled, and the change of torque between two samples is bounded. Between two samples :math:`h` apart a
+twice differentiable function exceeds the larger of them by no more than :math:`h^2 / 8 \max |\ddot \tau|` (the error of
+linear interpolation). So the torque of joint j on a segment obeys
 
 .. math:: |\tau_j(t)| \le \max(|\tau_j(t_0)|, |\tau_j(t_1)|) + \tfrac18 (t_1 - t_0)^2 \, T_j,
 
-with both samples taken *on that piece*: the acceleration may jump where pieces meet. :math:`T_j` bounds
-:math:`|\ddot \tau_j|`. It follows from the recursive Newton-Euler equations in world coordinates,
+with both samples taken *on that segment*: the acceleration may jump at its ends. :math:`T_j` bounds :math:`|\ddot
+\tau_j|`. It follows from the recursive Newton-Euler equations in world coordinates,
 
 .. math::
     \tau_j = z_j \cdot n_j, \quad n_j = \sum_{i \ge j} \bigl( (c_i - o_j) \times m_i (\ddot c_i - g)
@@ -15,17 +16,17 @@ with both samples taken *on that piece*: the acceleration may jump where pieces 
 by bounding the norm of each vector and of its time derivatives, from the base outward and back:
 
 - products: :math:`|(x y)^{(n)}| \le \sum_k \binom nk |x^{(k)}| |y^{(n - k)}|` (Leibniz);
-- a vector fixed in a body turns with it, :math:`\dot x = \omega \times x`; an inertia obeys
+- a vector fixed in a body rotates with it, :math:`\dot x = \omega \times x`; an inertia obeys
   :math:`|\dot I| \le 2 |\omega| |I|`;
-- :math:`\omega_i = \omega_{i - 1} + z_i \dot q_i`, with :math:`|\dot q|, |\ddot q|, |\dddot q|` at most what the
-  Bezier points of the piece's derivatives say, and so for the fourth derivative, which cubics do not have;
-- a joint that slides turns with its parent, :math:`\omega_i = \omega_{i - 1}`, and stands at
-  :math:`s_i + q_i z_i` from the parent's, both vectors fixed in the parent and :math:`|q|` at most what the Bezier
-  points say; its force is :math:`z_i \cdot f_i`, with :math:`f_i = \sum_{j \ge i} m_j (\ddot c_j - g)`.
+- :math:`\omega_i = \omega_{i - 1} + z_i \dot q_i`, with :math:`|\dot q|, |\ddot q|, |\dddot q|` bounded by the Bezier
+  points of the segment's derivatives, and likewise the fourth derivative, which is zero for cubics;
+- a prismatic joint rotates with its parent, :math:`\omega_i = \omega_{i - 1}`, and lies at :math:`s_i + q_i z_i` from
+  the parent's joint, both vectors fixed in the parent and :math:`|q|` bounded by the Bezier points; its force is
+  :math:`z_i \cdot f_i`, with :math:`f_i = \sum_{j \ge i} m_j (\ddot c_j - g)`.
 
-The rotor's part adds its inertia times the fourth derivative. Pieces on which the bound could exceed the largest sample
-by more than a given fraction of the limit are halved, each time with a quarter of the remainder, up to a stated number
-of samples; what is not resolved then is bounded by what is known.
+The rotor adds its inertia times the fourth derivative. Segments whose bound could exceed the maximum sample by more
+than a given fraction of the limit are halved, each time with a quarter of the remainder, up to a fixed number of
+samples; segments still unresolved then keep their current bound.
 """
 
 from __future__ import annotations
@@ -38,16 +39,17 @@ from hplan.errors import InputError
 from hplan.robot.dynamics import InverseDynamics, newton_euler
 from hplan.trajectory.cubics import cubic_at
 
-#: How far the bound may lie above the largest sample, as a fraction of the limit, before pieces are halved.
+#: Segments are halved until the bound exceeds the maximum sample by at most this fraction of the limit.
 GAP = 5e-5
 
-#: Samples that halving may take: some, and for each piece.
+#: Maximum number of samples spent on halving: a constant, and a number for each segment.
 SAMPLES, SAMPLES_PER_PIECE = 20_000, 16
 
-#: So many pieces have one remainder: what they have of rates in common takes longer to bound than to find.
+#: Number of consecutive segments that share one remainder: it takes longer to compute than the maximum rates of a
+#: group.
 _ALIKE = any_int(4)
 
-#: Derivatives that are needed: of axes and inertias, and of vectors in bodies.
+#: Number of derivatives required: of axes and inertias, and of vectors in bodies.
 _OF_AXES, _OF_VECTORS = any_int(3), any_int(4)
 
 _CHOOSE = np.array(
@@ -67,17 +69,18 @@ def largest_torques(
     """Upper bounds of |torque| along a motion of cubics or quintics.
 
     Args:
+        dynamics: Inverse dynamics of the robot.
         bezier: (pieces, 4 or 6, dof) Bezier points [rad, m].
         duration: (pieces,) durations [s].
-        limit: (dof,) torque limits, of joints that slide force limits, which say how close the bound has to be [N m,
-            N].
+        limit: (dof,) torque limits, force limits for prismatic joints; they set the required accuracy [N m, N].
 
     Returns:
-        (dof,) bounds [N m, N]; the one nearest to its limit is at most `GAP` of the limit above the truth, unless the
-        motion is so fast, or its pieces so long, that the samples do not suffice. Infinite where numbers overflow.
+        (dof,) bounds [N m, N]; the bound nearest to its limit exceeds the true maximum by at most `GAP` of the limit,
+        unless the samples do not suffice because the motion is too fast or its segments are too long. Infinite if
+        numbers overflow.
 
     Raises:
-        InputError: The model has joints that neither turn about fixed axes nor slide along them.
+        InputError: A joint of the model is neither revolute about a fixed axis nor prismatic along one.
     """
     if dynamics.bodies is None or dynamics.sizes is None:
         raise InputError("torques are bounded for joints that turn about fixed axes, or slide along them, only")
@@ -100,7 +103,7 @@ def _largest(
 ) -> FloatArray:
     count, dof = bezier.shape[0], bezier.shape[2]
     slack = _remainders(bezier, duration, sizes, _norm(gravity))
-    # Open intervals: their pieces, where they begin, their lengths as a fraction of the piece, |torque| at both ends.
+    # Open intervals: their segments, their starts, their lengths as a fraction of the segment, |torque| at both ends.
     piece, begin, width = np.empty(count, dtype=np.int64), np.zeros(count), np.empty(count)
     for i in range(count):
         piece[i], width[i] = i, 1.0
@@ -164,7 +167,7 @@ def _norm(vector: FloatArray) -> float:
 def _torques_at(
     bezier: FloatArray, duration: FloatArray, piece: IntArray, at: FloatArray, bodies: FloatArray, gravity: FloatArray
 ) -> FloatArray:
-    """(n, dof) |torque| at places within pieces, infinite where it is not a number."""
+    """(n, dof) |torque| at points within segments, with NaN replaced by infinity."""
     count, dof, degree = len(piece), bezier.shape[2], bezier.shape[1] - 1.0
     q, v, a, torque = np.empty((count, dof)), np.empty((count, dof)), np.empty((count, dof)), np.empty((count, dof))
     for i in range(count):
@@ -185,15 +188,16 @@ def _torques_at(
 
 @kernel
 def _remainders(bezier: FloatArray, duration: FloatArray, sizes: FloatArray, gravity: float) -> FloatArray:
-    """(pieces, dof) most by which |torque| within a piece can exceed its ends: h^2 / 8 times the bound of the text.
+    """(pieces, dof) maximum excess of |torque| in a segment over its ends.
 
-    Rows of `w`, `z`, `s`, `d`, `tensor`, `acc`, `force`, `moment` are norms: of a body's angular velocity, of its
-    joint's axis, of the vectors from the parent's joint to its own and on to its centre of mass, of its inertia, of the
-    acceleration of its joint, of force and of moment there; column n is the n-th time derivative. Column n of `slide`
-    is that of the distance by which a joint slides, or 0. Pieces one after the other share the largest rates of all.
+    It is h^2 / 8 times the bound :math:`T_j` of the module's text. Rows of `w`, `z`, `s`, `d`, `tensor`, `acc`,
+    `force`, `moment` are norms: of a body's angular velocity, its joint's axis, the vectors from the parent's joint to
+    its own and on to its centre of mass, its inertia, the acceleration of its joint, and force and moment there; column
+    n is the n-th time derivative. Column n of `slide` is the n-th derivative of a prismatic joint's displacement, or 0.
+    Consecutive segments share the maximum rates of their group.
     """
     count, bodies = bezier.shape[0], sizes.shape[0]
-    w, acc = np.zeros((bodies + 1, 4)), np.zeros((bodies + 1, 3))  # the last row is the base's
+    w, acc = np.zeros((bodies + 1, 4)), np.zeros((bodies + 1, 3))  # The last row belongs to the base.
     acc[bodies, 0] = gravity
     z, s, d = np.zeros((bodies, 5)), np.zeros((bodies, 5)), np.zeros((bodies, 5))
     tensor, force, moment = np.zeros((bodies, 4)), np.zeros((bodies, 3)), np.zeros((bodies, 3))
@@ -248,7 +252,7 @@ def _remainders(bezier: FloatArray, duration: FloatArray, sizes: FloatArray, gra
                 bend += _CHOOSE[2, m] * z[k, m] * (force[k, 2 - m] if sizes[k, 5] > 0.0 else moment[k, 2 - m])
             for i in range(first, end):
                 most = bend
-                if bend > 0.0:  # else it may be zero by infinity, in a long pause
+                if bend > 0.0:  # Zero times infinity would be NaN, in a long pause.
                     most *= 0.125 * duration[i] * duration[i]
                 slack[i, k] = most if most < np.inf else np.inf
             if above < bodies:
@@ -262,13 +266,13 @@ def _remainders(bezier: FloatArray, duration: FloatArray, sizes: FloatArray, gra
 
 @kernel
 def _most(one: float, other: float) -> float:
-    """The larger one of two numbers, none of which is negative; infinite where the second is none."""
+    """Maximum of non-negative numbers, with NaN in `other` treated as infinity."""
     return max(one, other) if other < np.inf else np.inf
 
 
 @kernel
 def _turned(w: FloatArray, x: FloatArray, orders: int, factor: float) -> None:
-    """Fill in the derivatives up to an order of what turns with a body."""
+    """Fill in the derivatives of a quantity that rotates with a body."""
     for n in range(orders):
         x[n + 1] = 0.0
         for m in range(n + 1):

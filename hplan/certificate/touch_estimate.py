@@ -1,7 +1,7 @@
-"""How often a motion touches something among obstacles whose errors are drawn: an estimate beside the bound.
+"""Monte Carlo estimate of how often a motion touches uncertain obstacles.
 
-It shares with `hplan.certificate.touch_risk` what may touch what, and nothing else: arm and obstacles are placed by
-Pinocchio, distances are coal's, and each obstacle is put where the draw has it.
+It complements the bound of `hplan.certificate.touch_risk` and shares with it only the pairs that may touch: Pinocchio
+places arm and obstacles, coal computes distances, and each obstacle is placed by the drawn error.
 """
 
 from __future__ import annotations
@@ -25,21 +25,21 @@ from hplan.scene.model import Scene
 from hplan.scene.obstacles import Solid, Sphere
 from hplan.scene.solids import Cloud
 
-#: The arm is looked at as often as anything of it has travelled so far [m].
+#: The arm is checked each time its fastest body has travelled this far [m].
 EVERY_M = 2e-3
 
-#: How sure the interval is.
+#: Confidence level of the interval.
 LEVEL = 0.95
 
 
 @dataclass(frozen=True)
 class TouchEstimate:
-    """How often a motion touches something.
+    """Frequency of contact over draws of the errors.
 
     Attributes:
-        draws: How many draws of all errors.
-        touching: In how many of them it does.
-        low: Lower end of the interval of Clopper and Pearson, of 95 %.
+        draws: Number of draws of all errors.
+        touching: Number of draws with contact.
+        low: Lower end of the 95 % Clopper-Pearson interval.
         high: Upper end of it.
     """
 
@@ -50,18 +50,21 @@ class TouchEstimate:
 
     @property
     def frequency(self) -> float:
-        """Part of the draws in which something is touched."""
+        """Fraction of the draws with contact."""
         return self.touching / self.draws
 
 
 def touch_estimate(subject: Subject, scene: Scene, draws: int = 10_000, seed: int = 0) -> TouchEstimate:
-    """Draw all errors, and look along the motions whether anything touches.
+    """Draw all errors and check the motions for contact.
 
     Args:
-        scene: What they were certified among; its obstacles have the errors.
+        subject: The certified motions.
+        scene: The scene of the certificate; its obstacles have the errors.
+        draws: Number of draws.
+        seed: Random seed.
 
     Raises:
-        OptionError: Fewer than one draw.
+        OptionError: `draws` is less than one.
     """
     from scipy.stats import beta
 
@@ -86,17 +89,20 @@ def touch_estimate(subject: Subject, scene: Scene, draws: int = 10_000, seed: in
     return TouchEstimate(draws, count, low, high)
 
 
-#: The distance of a shape in its place.
+#: Distance function of a placed shape.
 _Distance = Callable[[coal.CollisionGeometry, pin.SE3], float]
 
-#: A shape of the arm in its place, how near the solid is to it, and how deep it may be in it.
+#: A shape of the arm and its placement, its distance from the solid, and the allowed deflection.
 _Place = tuple[coal.CollisionGeometry, pin.SE3, float, float]
 
 
 def _near(
     bezier: FloatArray, stretch: ProvedStretch, shifts: dict[str, FloatArray]
 ) -> Iterator[tuple[Solid, _Distance, list[_Place]]]:
-    """Obstacles that a draw may bring into a stretch, their distances, and where the arm is near to them."""
+    """Obstacles that a draw may bring into contact, with nearby shapes.
+
+    Yields the solid, its distance function, and the placed shapes near it.
+    """
     robot, checker = stretch.checker.robot, stretch.checker
     shapes, solids, depths = checker.meetings
     _, moved, _ = motion_of_movers(checker, bezier, np.zeros((1, robot.dof)))
@@ -145,17 +151,20 @@ def _near(
 
 
 def _convex(solid: Solid) -> Iterator[tuple[FloatArray, float]]:
-    """Core and rounding of a solid, or of each ball of a cloud."""
+    """Core and rounding of a solid or of a cloud's balls."""
     cores = solid.core[:, None] if isinstance(solid, Cloud) else [solid.core]
     yield from ((core, solid.rounding) for core in cores)
 
 
 def _touching(solid: Solid, distance: _Distance, places: list[_Place], shifts: FloatArray) -> BoolArray:
-    """(k,) truths: whether the solid, shifted by (k, 3), touches any of the shapes in their places."""
+    """(k,) mask of the shifts that bring a solid into contact.
+
+    `shifts` is (k, 3); contact is with any of the shapes in `places`.
+    """
     places = sorted(places, key=lambda place: place[2])
     nearest = np.array([place[2] for place in places])
     sizes = np.linalg.norm(shifts, axis=1)
-    # A convex solid that is on its side of the plane between it and a shape does not touch it.
+    # A convex solid that stays on its side of the plane between it and a shape does not touch the shape.
     other = obstacle_shapes([solid])[0]
     apart = nearest > np.array([place[3] for place in places])
     side = (shifts @ np.array([_away(other, place) for place in places]).T >= nearest - 1e-4) | ~apart
@@ -171,7 +180,7 @@ def _touching(solid: Solid, distance: _Distance, places: list[_Place], shifts: F
 
 
 def _away(solid: Any, place: _Place) -> FloatArray:
-    """(3,) the direction from a solid to a shape in its place, by coal."""
+    """(3,) direction from a solid to a placed shape, by coal."""
     result, at = coal.DistanceResult(), place[1]
     where = coal.Transform3s(at.rotation, at.translation)
     there = coal.Transform3s(solid.placement.rotation, solid.placement.translation)

@@ -1,34 +1,36 @@
-r"""The probability that a motion touches anything, where obstacles are not quite where they were seen.
+r"""Probability bound of contact with obstacles of uncertain position.
 
-Of each obstacle the error of its place is drawn once for the whole motion: a shift :math:`e`, Gaussian with a
-covariance. With a unit vector :math:`n`, some convex part of the obstacle and a body of the arm that are apart by
-:math:`g` along it,
+The position error of each obstacle is drawn once for the whole motion: a translation :math:`e`, Gaussian with a
+covariance. Let a convex part of the obstacle and a body of the arm be separated by :math:`g` along a unit vector
+:math:`n`,
 
-.. math:: \min_{a \in \text{body}} n \cdot a - \max_{o \in \text{part}} n \cdot o \ge g,
+.. math:: \min_{a \in \text{body}} n \cdot a - \max_{o \in \text{part}} n \cdot o \ge g.
 
-touch after the shift only if :math:`n \cdot e \ge g`. Such half-spaces are found along the motion, for each body and
-each part, by the greatest such gap at some configurations (`hplan.collision.convex_distance`, which returns the gap of
-the direction that it gives: that it is the greatest need not be right). About one of them a gap is less by what the
-body travels and by what tracking errors displace it (`hplan.certificate.motion_bound`); each time of the motion belongs
-to a half-space of its pair, or has a distance of more than :math:`7` standard deviations in all directions. So the
-obstacle is touched at some time only if its error is in one of the half-spaces, or that far off: sums are over
-obstacles, not over time.
+After the translation they touch only if :math:`n \cdot e \ge g`. Such half-spaces are found along the motion, for each
+body and each part, from the maximum gap at some configurations (`hplan.collision.convex_distance`, which returns the
+gap of the direction that it returns: the proof does not need it to be the maximum). Around such a configuration a gap
+shrinks by the travel of the body and by the displacement due to tracking errors (`hplan.certificate.motion_bound`);
+each time of the motion belongs to a half-space of its pair, or has a distance of more than :math:`7` standard
+deviations in all directions. So the obstacle is touched at some time only if its error is in one of the half-spaces, or
+that large: the sums are over obstacles, not over time.
 
-**How probable that is.** In coordinates in which :math:`e` is a standard normal variable, the half-spaces are those
-beyond planes at distances :math:`\delta_k` in directions :math:`m_k`. In a direction :math:`u` they begin at
-:math:`t(u) = \min_k \delta_k / (m_k \cdot u)_+`, so the probability is the mean over the sphere of
-:math:`P(\chi_3 > t(u))`. The sphere is cut into cells; with the largest :math:`m_k \cdot u` of each cell that is an
-upper bound. Of one plane it is the half-space bound :math:`\Phi(-\delta)`, of planes all round the ball's
-:math:`P(\chi_3 > \delta)`, and what is between of all others.
+**Probability of the half-spaces.** In coordinates in which :math:`e` is a standard normal variable, the half-spaces lie
+beyond planes at distances :math:`\delta_k` in directions :math:`m_k`. In a direction :math:`u` they start at
+:math:`t(u) = \min_k \delta_k / (m_k \cdot u)_+`, so the probability is the mean over the sphere of :math:`P(\chi_3 >
+t(u))`. The sphere is divided into cells; with the maximum :math:`m_k \cdot u` of each cell this is an upper bound. For
+one plane it is the half-space bound :math:`\Phi(-\delta)`, for planes in all directions the bound of the ball,
+:math:`P(\chi_3 > \delta)`, and a value between them otherwise.
 
-**Errors that are common to all.** The obstacle's shift is :math:`e_i + e_0`, with the same :math:`e_0` of all (of the
-camera, of the base). Two bounds hold: the sum over obstacles with the sum of both covariances; and, as
+**Errors common to all obstacles.** The translation of an obstacle is :math:`e_i + e_0`, with :math:`e_0` the same for
+all (of the camera, of the base). Two bounds hold: the sum over obstacles with the sum of both covariances; and, as
 :math:`n \cdot (e_i + e_0) \ge g` only if :math:`n \cdot e_0 \ge \lambda g` or :math:`n \cdot e_i \ge (1 - \lambda) g`,
-the probability of all half-spaces of :math:`e_0` together, and of each obstacle's own. The smaller one is taken.
+the probability of all half-spaces of :math:`e_0` together, plus the sum over each obstacle's own. The smaller one is
+used.
 
-Assumed: errors shift an obstacle and do not turn it. No motion changes what pedestal, and what of the turret is round,
-stand in, nor what the turret stands on or turns over: that is not counted. What the motion may touch (the fruit that is
-picked) counts only where it may not; what gives way may be pushed as deep as it yields.
+Assumptions: errors translate an obstacle and do not rotate it. No motion changes the contact of the pedestal, and of
+the round part of the turret, with obstacles that enclose them, nor of the turret with obstacles below it: this is not
+counted. An obstacle that the motion may touch (the fruit to pick) counts only while contact is not allowed; a compliant
+obstacle may be deflected up to its compliance.
 """
 
 from __future__ import annotations
@@ -60,17 +62,17 @@ from hplan.scene.model import Scene
 from hplan.scene.obstacle_kind import largest_deviation
 from hplan.scene.solids import Cloud
 
-#: Beyond so many standard deviations nothing is looked at: 2e-10 of a place's errors are farther off.
+#: Standard deviations beyond which obstacles are ignored: 2e-10 of a position's errors are larger.
 FAR: Final = 7.0
 
-#: Part of a gap that a body may travel before the next half-space, where it is near.
+#: Fraction of a gap that a body may travel to the next half-space, if the obstacle is near.
 _STEP: Final = 0.03
 
-#: A gap below which an obstacle counts as touched [m]; half-spaces that are looked for at most in a stretch.
+#: Gap below which an obstacle counts as touched [m]; maximum number of half-spaces in a segment.
 _LEAST, _MOST = 1e-6, any_int(2_000_000)
 
-#: Columns of a moving shape, then of a part of an obstacle: first and last place of its points, radius; then joint and
-#: displacement bound of the shape, or the gap from which on the part is far.
+#: Columns of a moving shape, then of a part of an obstacle: start and end index of its points, radius; then joint and
+#: displacement bound of the shape, or the gap above which the part is far.
 _FIRST, _LAST, _RADIUS, _JOINT, _SWAY, _FARTHEST = 0, 1, 2, 3, 4, 3
 
 #: Columns of a half-space: the obstacle (the part, in the kernel), the direction from it to the arm, the gap.
@@ -79,12 +81,12 @@ _OBSTACLE, _NORMAL, _GAP = 0, 1, 4
 
 @dataclass(frozen=True)
 class Share:
-    """An obstacle, and the probability of its part.
+    """An obstacle and its share of the probability.
 
     Attributes:
-        obstacle: Its name.
-        probability: Upper bound of the probability that its own error brings it into the motion.
-        clearance_m: Distance that the motion keeps from it where it was seen, at least; inf where it is far [m].
+        obstacle: Name of the obstacle.
+        probability: Upper bound of the probability that its own error causes contact.
+        clearance_m: Lower bound of the motion's distance from the obstacle's observed pose; inf if it is far [m].
     """
 
     obstacle: str
@@ -94,15 +96,15 @@ class Share:
 
 @dataclass(frozen=True)
 class TouchRisk:
-    """The probability that a motion touches anything.
+    """Bound of the probability that a motion touches anything.
 
     Attributes:
-        asked: What it is to be at most.
-        bound: What it is shown to be at most.
-        shares: What each obstacle has of it, the largest first; none of those that are far.
-        shared: What the error that is common to all has of it; 0 where it was added to each obstacle's own.
+        asked: Maximum allowed probability.
+        bound: Certified upper bound of the probability.
+        shares: Share of each obstacle, the largest first; far obstacles are left out.
+        shared: Share of the error common to all obstacles; 0 if it was added to each obstacle's own error.
         subject: The motions.
-        scene: What they are among.
+        scene: The scene of the motions.
     """
 
     asked: float
@@ -114,12 +116,12 @@ class TouchRisk:
 
     @cached_property
     def estimate(self) -> TouchEstimate:
-        """How often something is touched in 10,000 draws of all errors; drawn when it is first asked for."""
+        """Contact frequency over 10,000 draws of all errors; computed on first use."""
         return touch_estimate(self.subject, self.scene)
 
     @property
     def violation(self) -> str:
-        """What is to be said where the bound is larger than what was asked for."""
+        """Message for a bound above the required maximum."""
         most = f", most of it {self.shares[0].obstacle!r}" if self.shares else ""
         return (
             f"it may touch something with a probability of {self.bound:.3g}{most}; to be shown: at most {self.asked:g}"
@@ -130,11 +132,12 @@ def touch_risk(subject: Subject, scene: Scene, asked: float) -> TouchRisk:
     """Bound the probability that the motions of a certificate touch anything.
 
     Args:
-        scene: What they were certified among; its obstacles have the errors.
-        asked: What the probability is to be at most.
+        subject: The certified motions.
+        scene: The scene of the certificate; its obstacles have the errors.
+        asked: Maximum allowed probability.
     """
     errors, shared = scene.errors, scene.shared_error
-    # Far is what is far in both ways to count the shared error: what it is added to, and what it is beside.
+    # An obstacle is far if it is far for both ways of counting the shared error: added, or separate.
     far = {name: FAR * (largest_deviation(error) + largest_deviation(shared)) for name, error in errors.items()}
     names = list(far)
     found = [rows for motion, _ in subject.motions for rows in _along(motion, far)]
@@ -152,7 +155,7 @@ def touch_risk(subject: Subject, scene: Scene, asked: float) -> TouchRisk:
         for n, part in parts.items():
             normals, error = part[:, 1:4], errors[names[n]]
             of_shared, of_own = _deviations(normals, shared), _deviations(normals, error)
-            # The gap is for both, in proportion to what either may be; for one alone where the other is none.
+            # The gap is divided in proportion to both standard deviations; if one is zero, the other gets it all.
             share = part[:, _GAP] / np.maximum(of_shared + of_own, 1e-300)
             moved = of_own > 0.0
             alone[n] = _beyond(normals[moved], (share * of_own)[moved], error) if error.any() else 0.0
@@ -169,7 +172,7 @@ def touch_risk(subject: Subject, scene: Scene, asked: float) -> TouchRisk:
 
 
 def _along(motion: ProvedMotion, far: dict[str, float]) -> Iterator[FloatArray]:
-    """Half-spaces of the stretches of a motion."""
+    """Half-spaces of the segments of a motion."""
     bezier, _ = motion.trajectory.segments
     for stretch in motion.stretches:
         check_deadline()
@@ -187,7 +190,7 @@ def _of_stretch(
         return np.zeros((0, 5))
     search = Advancement(bezier, checker, deviations, clearance)
     if search.bounded < len(bezier):
-        # Nothing is known of it: each obstacle may be touched.
+        # Nothing is known about it: each obstacle may be touched.
         touched = np.unique(obstacle[obstacle >= 0])
         return np.column_stack([touched, np.zeros((len(touched), 4))])
     bodies, parts, numbers = _numbers_of(robot, checker, far)
@@ -201,7 +204,10 @@ def _of_stretch(
 
 
 def _numbers_of(robot: Robot, checker: CoalScene, far: dict[str, float]) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Moving shapes, parts of the obstacles that have errors (last which of the solids each is of), numbers of both."""
+    """Moving shapes, parts of uncertain obstacles, and the numbers of both.
+
+    The last column of a part is the index of its solid.
+    """
     shapes, solids, _ = checker.meetings
     numbers = [flat.joints_alone(robot)]
     end = len(numbers[0])
@@ -229,7 +235,7 @@ def _numbers_of(robot: Robot, checker: CoalScene, far: dict[str, float]) -> tupl
 
 
 def _root(covariance: FloatArray) -> FloatArray:
-    """(3, 3) a matrix that makes of standard normal numbers an error of a covariance."""
+    """(3, 3) matrix that maps standard normals to a covariance's errors."""
     values, axes = np.linalg.eigh(covariance)
     root: FloatArray = axes * np.sqrt(np.maximum(values, 0.0))
     return root
@@ -242,12 +248,14 @@ def _deviations(normals: FloatArray, covariance: FloatArray) -> FloatArray:
 
 
 def _beyond(normals: FloatArray, gaps: FloatArray, covariance: FloatArray) -> float:
-    """Upper bound of the probability that an error is in one of some half-spaces, or far off.
+    """Probability bound of an error in half-spaces or beyond `FAR` sigmas.
+
+    An upper bound.
 
     Args:
         normals: (k, 3) unit vectors.
-        gaps: (k,) how far along each a half-space begins [m].
-        covariance: (3, 3) of the error [m^2].
+        gaps: (k,) start of each half-space along its normal [m].
+        covariance: (3, 3) covariance of the error [m^2].
     """
     if not covariance.any():
         return float((gaps <= 0.0).any())
@@ -267,7 +275,10 @@ def _beyond(normals: FloatArray, gaps: FloatArray, covariance: FloatArray) -> fl
 
 @cache
 def _cells() -> tuple[FloatArray, FloatArray, float]:
-    """Cells of a sphere: (c, 3) centres, (c,) parts of the area, and how far any point is from its centre [rad]."""
+    """Cells of a sphere: centres, area fractions, maximum radius.
+
+    (c, 3) centres, (c,) area fractions, and the maximum angle between a point and the centre of its cell [rad].
+    """
     golden = 0.5 * (1.0 + math.sqrt(5.0))
     corners = np.array([(0.0, a, b * golden) for a in (-1.0, 1.0) for b in (-1.0, 1.0)])
     corners = np.concatenate([np.roll(corners, turn, axis=1) for turn in range(3)])
@@ -283,7 +294,7 @@ def _cells() -> tuple[FloatArray, FloatArray, float]:
             if near[i, j] and near[j, k] and near[i, k]
         ]
     )
-    # How often the triangles of an icosahedron are cut into four, for the cells of a sphere.
+    # Each pass divides every triangle of the icosahedron into four cells of the sphere.
     for _ in range(4):
         a, b, c = triangles.transpose(1, 0, 2)
         ab, bc, ca = a + b, b + c, c + a
@@ -303,10 +314,15 @@ def _cells() -> tuple[FloatArray, FloatArray, float]:
 def _mean_beyond(
     centres: FloatArray, weights: FloatArray, radius: float, directions: FloatArray, starts: FloatArray
 ) -> float:
-    """Mean over the cells of the probability that a standard normal variable is beyond one of some planes, or far.
+    """Mean over the cells of the probability beyond some plane or `FAR`.
+
+    The variable is standard normal in space.
 
     Args:
-        directions: (k, 3) of the planes.
+        centres: (c, 3) centres of the cells.
+        weights: (c,) area fractions of the cells.
+        radius: Maximum angle between a point of a cell and its centre [rad].
+        directions: (k, 3) directions of the planes.
         starts: (k,) distances of the planes, the nearest first.
     """
     cos, sin, total = math.cos(radius), math.sin(radius), 0.0
@@ -320,7 +336,8 @@ def _mean_beyond(
                 + centres[cell, 1] * directions[k, 1]
                 + centres[cell, 2] * directions[k, 2]
             )
-            # The cosine of an angle that is smaller by the cell's radius, at most larger by that radius.
+            # The cosine of an angle smaller by the cell's radius exceeds the cosine of the angle by at most that
+            # radius.
             if begins * (along + radius) <= starts[k]:
                 continue
             most = 1.0 if along >= cos else along * cos + math.sqrt(1.0 - along * along) * sin
@@ -332,10 +349,10 @@ def _mean_beyond(
 
 @kernel
 def beyond_sigmas(sigmas: float) -> float:
-    """Probability that a place is off by more than so many sigmas, sigma being that of each coordinate in space.
+    """Probability that a position error exceeds a number of sigmas.
 
-    The distance has the chi distribution of three degrees of freedom: beyond three sigmas are 2.9 %, not the 0.3 % of a
-    single coordinate.
+    Sigma is the standard deviation of each coordinate in space. The distance has the chi distribution with three
+    degrees of freedom: 2.9 % are beyond three sigmas, not the 0.3 % of a single coordinate.
     """
     tail: float = math.erfc(sigmas / math.sqrt(2.0))
     return tail + math.sqrt(2.0 / math.pi) * sigmas * math.exp(-0.5 * sigmas * sigmas)
@@ -346,15 +363,17 @@ def _half_spaces(
     bezier: FloatArray, numbers: FloatArray, bodies: FloatArray, travels: FloatArray, parts: FloatArray,
     allowed: FloatArray,
 ) -> FloatArray:  # fmt: skip
-    """(k, 5) half-spaces, so that each time of each pair belongs to one, or has a distance that is far.
+    """(k, 5) half-spaces that cover each pair's times, except far ones.
+
+    At each time a pair belongs to a half-space, or its gap is larger than the part's far gap.
 
     Args:
         bezier: (pieces, 4, dof) Bezier points of the motion's cubics.
         numbers: Head, joints, and points of bodies and parts.
         bodies: (bodies, 5) rows of moving shapes.
-        travels: (bodies, pieces + 1) how far each has travelled at most at each row.
+        travels: (bodies, pieces + 1) upper bound of each body's travel up to each sample [m].
         parts: (parts, 5) rows of parts of obstacles.
-        allowed: (bodies, parts) how deep the two may be in one another; infinite where that is not asked.
+        allowed: (bodies, parts) allowed deflection of each pair [m]; infinite for a pair that is not checked.
     """
     dof, rows = bezier.shape[2], float(bezier.shape[0])
     frames, work = np.empty((dof + 1, 12)), np.zeros(WORK)
@@ -385,7 +404,7 @@ def _half_spaces(
                     gap, loss, going = 0.0, 0.0, False
                     length = 1.0
                 elif gap - far >= min(left, _STEP * gap):
-                    # Up to the next place it is far.
+                    # It is far up to the next place.
                     step, going, back = gap - far, gap - far < left, 0.0
                 else:
                     step = _STEP * gap

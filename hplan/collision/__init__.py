@@ -1,5 +1,6 @@
-"""Collision bodies of any robot and their distances: compiled for the planner, by coal for the certificate.
+"""Collision bodies of any robot and their distances.
 
-`collision_bodies` are convex cores with a radius; `reach` and `twists` say how far and how fast joints move them;
-`arm_pairs` and `geometry_pairs` which of them are held against which.
+Compiled kernels compute distances for the planner, coal computes them for the certificate. `collision_bodies` are
+convex cores with a radius; `reach` and `twists` bound how far and how fast joints move them; `arm_pairs` and
+`geometry_pairs` select the pairs to check.
 """

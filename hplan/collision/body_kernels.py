@@ -1,17 +1,17 @@
-"""Kernels for arms of any kind: clearances of moving bodies at a configuration, and how they change with the joints.
+"""Kernels for clearances of moving bodies at a configuration and their gradients.
 
-Moving bodies are those of the arm (`hplan.collision.flat_bodies`) and, after them, its pairs of bodies not to touch:
-the distance of a pair is seen from one of the two, so that a joint that carries both does not count as motion. Bodies
-and obstacles are hulls of points, grown by radii; their distance is that of the hulls
-(`hplan.collision.convex_distance`) less both radii. Bounding balls come first, then the segments that bodies are about,
-whose distance from points, segments and boxes has a closed form: of balls and capsules it is the distance, others are
-no nearer. Then comes whatever direction separates by as much as is asked.
+The moving bodies are the arm's bodies (`hplan.collision.flat_bodies`) followed by its self-collision pairs. The
+distance of a pair is expressed in the frame of one of its bodies, so a joint that carries both does not count as
+motion. Bodies and obstacles are convex hulls of points grown by a radius; their distance is the distance of the hulls
+(`hplan.collision.convex_distance`) minus both radii. Checks run from cheap to exact: bounding balls first, then the
+axis segments of the bodies, whose distance from points, segments and boxes has a closed form (exact for balls and
+capsules, a lower bound for other shapes), then GJK until a direction separates the hulls by the required clearance.
 
-**Enough.** Each moving body has a clearance that is enough: no more is looked for than is needed to tell whether there
-is less. (`hplan.collision.motion_cover` finds how long a motion stays clear with far less work.)
+**Clamping.** Distances are clamped to `enough`: a query stops once the clearance is known to be at least that.
+(`hplan.collision.motion_cover` finds the collision-free part of a motion with far less work.)
 
-**Depth.** Two hulls that share points are as far inside of each other as the least shift that takes them apart
-(`hplan.collision.penetration`), and the radii come to that.
+**Depth.** The penetration depth of two overlapping hulls is the minimum translation that separates them
+(`hplan.collision.penetration`), plus both radii.
 """
 
 from __future__ import annotations
@@ -36,33 +36,35 @@ from hplan.collision.vectors import Pose, Vector, dot, sub, turned_back
 
 _FIRST_ROW = any_int(0)
 
-#: Clearances that are larger are looked for only where that is asked for [m].
+#: Clearances are clamped to this value by default [m].
 FAR = 0.2
 
-#: By which fraction of itself a clearance may be given too small.
+#: Relative tolerance: a clearance may be returned too small by this fraction of itself.
 EXACT = 1e-10
 
-#: A vector, where along a segment it ends, and a distance that it shows: no number of its kind is larger.
+#: Vector between nearest points (3), parameter of its end on the segment, and the separation along the vector [m]: a
+#: lower bound of the distance, and up to rounding errors the largest of its kind.
 Shown: TypeAlias = tuple[float, float, float, float, float]
 
-#: A shown distance is the distance where its square is at least so many times that of the vector's length.
+#: The lower bound counts as the distance if its square is at least this multiple of the vector's squared length.
 _SURELY = 1.0 - EXACT
 
-#: In place of where the table of a hull's corners is: a single point has none.
+#: Table index of a hull without a corner table: a single point has no table.
 NO_TABLE = any_int(0)
 
 
 class BodyArrays(NamedTuple):
-    """An arm of any kind among obstacles, and what is worked with.
+    """An arm among obstacles, with the buffers of the kernels.
 
     Attributes:
-        movers: As `hplan.collision.flat_bodies.FlatBodies`.
-        numbers: The same.
-        solids: As `hplan.collision.clearance_field.ClearanceField`.
-        placed: (bodies, PLACED) each body where it is.
-        frames: (dof + 1, 12) frames of joints and base; with their twists where they move.
-        work: (WORK + 6,) numbers, the last of them the direction in which what was found nearest to a body lies, and
-            the body's point nearest to that.
+        movers: Moving bodies, as in `hplan.collision.flat_bodies.FlatBodies`.
+        numbers: Joint and hull data, as in `hplan.collision.flat_bodies.FlatBodies`.
+        solids: Obstacle rows, as in `hplan.collision.clearance_field.ClearanceField`.
+        data: Corners of hulls and points of clouds, as in `hplan.collision.clearance_field.ClearanceField`.
+        placed: (bodies, PLACED) placements of the bodies.
+        frames: (dof + 1, 12) frames of joints and base; (dof + 1, MOVING) with their twists for an arm in motion.
+        work: (WORK + 6,) buffer. Its last six numbers are the direction from the nearest obstacle to the body, and the
+            body's point nearest to that obstacle.
     """
 
     movers: FloatArray
@@ -76,7 +78,7 @@ class BodyArrays(NamedTuple):
 
 @kernel
 def _placed_arm(q: FloatArray, field: FieldArrays) -> BodyArrays:
-    """The arm at a configuration among obstacles."""
+    """Return the arrays of the arm placed at a configuration."""
     movers, numbers, solids, data = field.movers, field.numbers, field.solids, field.data
     placed, frames = np.empty((int(numbers[flat.BODIES]), PLACED)), np.empty((len(q) + 1, 12))
     place_bodies(q, movers, numbers, frames, placed)
@@ -85,7 +87,7 @@ def _placed_arm(q: FloatArray, field: FieldArrays) -> BodyArrays:
 
 @inlined
 def pose_of(frames: FloatArray, j: int) -> Pose:
-    """Where what a joint carries is."""
+    """Pose of joint j's frame."""
     return (
         frames[j, 0], frames[j, 1], frames[j, 2], frames[j, 3], frames[j, 4], frames[j, 5],
         frames[j, 6], frames[j, 7], frames[j, 8], frames[j, 9], frames[j, 10], frames[j, 11],
@@ -94,13 +96,13 @@ def pose_of(frames: FloatArray, j: int) -> Pose:
 
 @inlined
 def span_of(movers: FloatArray, b: int) -> Span:
-    """Which of the numbers are of a body."""
+    """Index range and corner table of a body's points."""
     return int(movers[b, flat.FIRST]), int(movers[b, flat.LAST]), int(movers[b, flat.TABLE])
 
 
 @inlined
 def difference(frames: FloatArray, j: int, i: int) -> Pose:
-    """Where what joint j carries is as seen from what joint i does."""
+    """Pose of joint j's frame in joint i's frame."""
     a, b = frames[i], frames[j]
     x, y, z = b[9] - a[9], b[10] - a[10], b[11] - a[11]
     return (
@@ -121,7 +123,7 @@ def difference(frames: FloatArray, j: int, i: int) -> Pose:
 
 @inlined
 def segment_of(placed: FloatArray, b: int) -> tuple[Vector, Vector]:
-    """Start and vector of the segment that a body is about."""
+    """Start and vector of a body's axis segment."""
     return (
         (placed[b, START], placed[b, START + 1], placed[b, START + 2]),
         (placed[b, ALONG], placed[b, ALONG + 1], placed[b, ALONG + 2]),
@@ -130,9 +132,10 @@ def segment_of(placed: FloatArray, b: int) -> tuple[Vector, Vector]:
 
 @kernel
 def off_row(placed: FloatArray, b: int, solids: FloatArray, s: int) -> Shown:
-    """From the point, segment or box of a row to the segment that a body is about.
+    """Vector from a primitive (point, segment, box) to a body's axis segment.
 
-    What it shows is how far apart the two are along it, as rounding errors may have it end beside the nearest point.
+    The last value is the separation of the two along that vector. It is a lower bound of the distance even if rounding
+    errors move the end of the vector off the nearest point.
     """
     start, along = segment_of(placed, b)
     first = (solids[s, row.SHAPE], solids[s, row.SHAPE + 1], solids[s, row.SHAPE + 2])
@@ -169,7 +172,10 @@ def off_row(placed: FloatArray, b: int, solids: FloatArray, s: int) -> Shown:
 
 @kernel
 def off_body(placed: FloatArray, j: int, i: int) -> Shown:
-    """From the segment that body i is about to that of body j; as `off_row`."""
+    """Vector from body i's axis segment to body j's.
+
+    Values and guarantee as for `off_row`.
+    """
     start, along = segment_of(placed, j)
     other, beside = segment_of(placed, i)
     x, y, z, t = off_segment(start, along, other, beside)
@@ -184,14 +190,14 @@ def off_body(placed: FloatArray, j: int, i: int) -> Shown:
 
 @inlined
 def is_thin(movers: FloatArray, b: int) -> bool:
-    """True if a body is its segment, grown by its radius."""
+    """True if a body is its axis segment grown by a radius."""
     thin: bool = movers[b, flat.LAST] - movers[b, flat.FIRST] <= flat.THIN
     return thin
 
 
 @kernel
 def _body_clearance(arm: BodyArrays, b: int, enough: float) -> float:
-    """Clearance of a body from obstacles, or `enough` where it is no less [m]."""
+    """Clearance of a body from the obstacles, clamped to `enough` [m]."""
     movers, solids, placed, work = arm.movers, arm.solids, arm.placed, arm.work
     x, y, z = placed[b, CENTRE], placed[b, CENTRE + 1], placed[b, CENTRE + 2]
     ball, joint, least = movers[b, flat.BALL_RADIUS], movers[b, flat.JOINT], enough
@@ -219,7 +225,7 @@ def _body_clearance(arm: BodyArrays, b: int, enough: float) -> float:
         else:
             away = (-dx, -dy, -dz)
             if kind != row.HULL:
-                # From the solid's core to the segment that the body is about.
+                # Vector from the solid's core to the body's axis segment.
                 ox, oy, oz, t, shown = off_row(placed, b, solids, s)
                 if shown > 0.0:
                     clear = shown - solids[s, row.RADIUS] - movers[b, flat.AXIS_RADIUS]
@@ -238,7 +244,7 @@ def _body_clearance(arm: BodyArrays, b: int, enough: float) -> float:
 
 @kernel
 def _hull_clearance(arm: BodyArrays, k: int, other: tuple[FloatArray, Span, float], least: float) -> float:
-    """Clearance of a body from a hull grown by a radius, or `least` where it is no less."""
+    """Clearance of a body from a rounded hull, clamped to `least` [m]."""
     points, other_span, radius = other
     movers, numbers, work = arm.movers, arm.numbers, arm.work
     radii = radius + movers[k, flat.ROUNDING]
@@ -258,12 +264,12 @@ def _hull_clearance(arm: BodyArrays, k: int, other: tuple[FloatArray, Span, floa
 
 @kernel
 def _row_clearance(arm: BodyArrays, place: tuple[int, int], away: Vector, least: float) -> float:
-    """Clearance of a body from the solid of a row, or `least` where it is no less.
+    """Clearance of a body from a primitive, clamped to `least` [m].
 
     Args:
-        place: Numbers of the body and of the row.
-        away: A direction from the solid to the body.
-        least: What is enough [m].
+        place: Indices of the body and of the primitive.
+        away: A direction from the primitive to the body.
+        least: The result is clamped to this clearance [m].
     """
     (k, s), solids, data, work = place, arm.solids, arm.data, arm.work
     work[NEAREST], work[NEAREST + 1], work[NEAREST + 2] = away
@@ -274,7 +280,7 @@ def _row_clearance(arm: BodyArrays, place: tuple[int, int], away: Vector, least:
 
 @kernel
 def _leaf_clearance(arm: BodyArrays, k: int, s: int, least: float) -> float:
-    """Clearance of a body from the balls of a leaf, or `least` where it is no less."""
+    """Clearance of a body from a leaf's balls, clamped to `least` [m]."""
     movers, solids, data, placed, work = arm.movers, arm.solids, arm.data, arm.placed, arm.work
     radius, thickness = solids[s, row.RADIUS], movers[k, flat.AXIS_RADIUS]
     start, along = segment_of(placed, k)
@@ -289,9 +295,10 @@ def _leaf_clearance(arm: BodyArrays, k: int, s: int, least: float) -> float:
 
 @kernel
 def _near_below(movers: FloatArray, placed: FloatArray, solids: FloatArray, k: int, enough: float) -> int:
-    """The next moving body below a number whose ball, or balls, do not show that it has a clearance; -1 for none.
+    """Next lower moving body that fails the bounding-ball check; else -1.
 
-    Pairs come first, then what is farthest out. (A call with all arrays costs more than what most bodies need.)
+    Pairs come first, then bodies from the tip to the base. (The check is inlined here because a call with all arrays
+    costs more than the work that most bodies need.)
     """
     bodies = placed.shape[0]
     while k > 0:
@@ -319,7 +326,7 @@ def _near_below(movers: FloatArray, placed: FloatArray, solids: FloatArray, k: i
 
 @kernel
 def _pair_clearance(arm: BodyArrays, k: int, enough: float) -> float:
-    """Clearance of a pair of the arm's own bodies, or `enough` where it is no less."""
+    """Clearance of a self-collision pair, clamped to `enough` [m]."""
     movers, numbers, placed, work = arm.movers, arm.numbers, arm.placed, arm.work
     j, i, touching = int(movers[k, flat.OUTER]), int(movers[k, flat.INNER]), movers[k, flat.TOUCHING]
     dx, dy, dz, t, shown = off_body(placed, j, i)
@@ -347,7 +354,7 @@ def _pair_clearance(arm: BodyArrays, k: int, enough: float) -> float:
         distance, sign = -penetration((numbers, span, pose, numbers, other), work), -1.0
     if enough <= distance - touching:
         return enough
-    # As seen from the ground.
+    # Expressed in the world frame.
     for c in range(3):
         work[WORK + c], work[WORK + 3 + c] = 0.0, frames[inner, 9 + c]
         for d in range(3):
@@ -359,7 +366,7 @@ def _pair_clearance(arm: BodyArrays, k: int, enough: float) -> float:
 
 @kernel
 def _mover_clearance(arm: BodyArrays, k: int, enough: float) -> float:
-    """Clearance of a moving body, or `enough` where it is no less [m]."""
+    """Clearance of a moving body, clamped to `enough` [m]."""
     if k >= arm.placed.shape[0]:
         return _pair_clearance(arm, k, enough)
     return _body_clearance(arm, k, enough)
@@ -367,7 +374,10 @@ def _mover_clearance(arm: BodyArrays, k: int, enough: float) -> float:
 
 @kernel
 def body_clearances(q: FloatArray, field: FieldArrays, enough: float, result: FloatArray) -> None:
-    """Clearance of each moving body at a configuration, `enough` where there is more, or obstacles do not count."""
+    """Write the clearance of each moving body, clamped to `enough` [m].
+
+    Bodies that no obstacle concerns get `enough`.
+    """
     arm = _placed_arm(q, field)
     movers, placed, solids = arm.movers, arm.placed, arm.solids
     for k in range(len(result)):
@@ -380,7 +390,10 @@ def body_clearances(q: FloatArray, field: FieldArrays, enough: float, result: Fl
 
 @kernel
 def clearances_along(points: FloatArray, field: FieldArrays, enough: float, result: FloatArray) -> None:
-    """As `body_clearances`, at (n, dof) configurations, written into (n, bodies)."""
+    """Write the clearances at (n, dof) configurations into an (n, bodies) array.
+
+    Each is clamped to `enough` [m], as by `body_clearances`. Rows after the deadline are not written.
+    """
     for i in range(points.shape[0]):
         if is_up(field.until):
             break
@@ -391,9 +404,10 @@ def clearances_along(points: FloatArray, field: FieldArrays, enough: float, resu
 def body_slopes(
     q: FloatArray, field: FieldArrays, joints: IntArray, enough: float, clear: FloatArray, gradient: FloatArray
 ) -> None:
-    """Write the (bodies,) clearances, `enough` where there is more, and their (bodies, k) gradients by k joints.
+    """Write the (bodies,) clearances and their (bodies, k) gradients by k joints.
 
-    A gradient is the velocity of the nearest points along the line between them; zeros where there is enough.
+    Clearances are clamped to `enough` [m]. A gradient is the velocity of the nearest points along the line between
+    them; zeros if the clearance is clamped.
     """
     arm = _placed_arm(q, field)
     movers, work, placed, solids = arm.movers, arm.work, arm.placed, arm.solids
@@ -422,7 +436,7 @@ def body_slopes(
         for m in range(len(joints)):
             gradient[k, m] = _rate(arm, outer, joints[m], n, at)
         if inner >= 0:
-            # What carries both does not count, wherever the nearest point of the inner one is along the line.
+            # Joints that carry both bodies do not count, wherever the inner body's nearest point lies along the line.
             for m in range(len(joints)):
                 if _carries(arm, inner, joints[m]):
                     gradient[k, m] -= _rate(arm, inner, joints[m], n, at)
@@ -440,7 +454,10 @@ def _carries(arm: BodyArrays, b: int, joint: int) -> bool:
 
 @kernel
 def _rate(arm: BodyArrays, b: int, joint: int, n: Vector, at: Vector) -> float:
-    """Velocity in a direction of a body's point while a joint alone moves at unit rate [m/rad, m/m]."""
+    """Velocity of a body's point along n [m/rad, m/m].
+
+    One joint moves at unit rate.
+    """
     if not _carries(arm, b, joint):
         return 0.0
     numbers, frames = arm.numbers, arm.frames
@@ -462,7 +479,7 @@ def _rate(arm: BodyArrays, b: int, joint: int, n: Vector, at: Vector) -> float:
 
 @kernel
 def least_body_clearance(q: FloatArray, field: FieldArrays, enough: float) -> float:
-    """The smallest clearance of all moving bodies at one configuration, or `enough` where it is no less [m]."""
+    """Minimum clearance of all moving bodies, clamped to `enough` [m]."""
     arm = _placed_arm(q, field)
     movers, placed, solids, least = arm.movers, arm.placed, arm.solids, enough
     k = _near_below(movers, placed, solids, movers.shape[0], least)

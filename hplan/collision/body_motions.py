@@ -1,10 +1,10 @@
-"""Kernels for arms of any kind: how far bodies move, motions verified collision-free, and what is near to them.
+"""Kernels that verify motions as collision-free by conservative advancement.
 
-The clearance at a configuration verifies a part of the motion, before it and after it (`hplan.collision.motion_cover`).
-That in the middle often verifies all of it. From the begin on, the next one is far enough ahead that its part before is
-to meet what is shown; where it does not, one nearer comes in between. No more is asked for than lets the motion go on
-by a part that is a little longer than the last one: looks that are nearer to each other but cheaper are the quicker
-proof.
+The clearance at a configuration verifies a segment of the motion before and after it (`hplan.collision.motion_cover`).
+A query in the middle often verifies the whole motion. Otherwise the queries advance from the start: the next one lies
+far enough ahead that the segment verified backward from it should meet the verified part; if it does not, a nearer
+query follows. Each query asks only for a segment a little longer than the previous one, because many cheap queries
+prove a motion faster than few expensive ones.
 """
 
 from __future__ import annotations
@@ -27,28 +27,29 @@ from hplan.collision.twists import motion_bends
 
 _FIRST_ROW = any_int(0)
 
-#: Most looks along one motion.
+#: Maximum number of distance queries along one motion.
 _MOST_LOOKS = any_int(1_000_000)
 
-#: Places of a motion that are checked before it is proved are about so far apart, as its farthest point goes [m].
+#: Spacing of the queries before the proof, as travel of the motion's fastest point [m].
 _APART = 0.8
 
-#: The first part of a motion that is asked for, and a later one in multiples of the one before.
+#: First requested segment, and a later one as a multiple of the one before.
 _FIRST_STEP, _LONGER = 1.0, 2.0
 
-#: How far beyond the verified part the next look is, in multiples of what the last one verified; and, where that was
-#: too far, in multiples of that.
+#: Distance of the next query beyond the verified part as a fraction of the last verified segment; and the factor by
+#: which that distance shrinks after a query that was too far.
 _NEXT, _NEARER = 0.8, 0.5
 
 
 class Run(NamedTuple):
-    """A motion along a Bezier piece, and what it is checked with.
+    """A motion along a Bezier segment, with its buffers.
 
     Attributes:
         piece: (4, dof) control points.
-        q: (dof,) room for a configuration.
-        rates: (dof,) and for the rates of its joints there.
-        until: As in `hplan.collision.obstacle_rows.FieldArrays`.
+        moving: The arm in motion, with its bounds on speed and acceleration.
+        q: (dof,) buffer for a configuration.
+        rates: (dof,) buffer for the joint rates there.
+        until: Deadline, as in `hplan.collision.obstacle_rows.FieldArrays`.
     """
 
     piece: FloatArray
@@ -60,7 +61,7 @@ class Run(NamedTuple):
 
 @kernel
 def _run(piece: FloatArray, field: FieldArrays, margin: float) -> Run:
-    """A motion, of which nothing is known yet but how fast its points are at most, and how far it bends."""
+    """Prepare a motion: bounds on the speed and acceleration of its points."""
     dof = piece.shape[1]
     bends, fastest, changes = np.empty((field.movers.shape[0], 2)), np.empty(dof), np.empty(dof)
     for j in range(dof):
@@ -73,7 +74,7 @@ def _run(piece: FloatArray, field: FieldArrays, margin: float) -> Run:
 
 @kernel
 def _look(run: Run, t: float, back: float, forward: float) -> Part:
-    """How much of a motion about a place is verified collision-free, no more than is asked."""
+    """Segment verified collision-free around parameter t, at most the requested one."""
     piece, u = run.piece, 1.0 - t
     w0, w1, w2, w3 = u * u * u, 3.0 * u * u * t, 3.0 * u * t * t, t * t * t
     for i in range(len(run.q)):
@@ -85,16 +86,16 @@ def _look(run: Run, t: float, back: float, forward: float) -> Part:
 
 @kernel
 def _march(run: Run, middle: Part, looks: int, stride: float, least: float) -> tuple[float, int]:
-    """Show a motion clear, from its begin on.
+    """Verify a motion as collision-free from its start.
 
     Args:
-        middle: What is verified about its middle.
-        looks: How many are taken at most.
-        stride: No step from look to look is shorter than that.
-        least: Where less than that is verified ahead, it is not gone on.
+        middle: Segment that is verified around the middle of the motion.
+        looks: Maximum number of distance queries.
+        stride: Minimum step between queries.
+        least: The march stops if less than this is verified ahead.
 
     Returns:
-        The last place with all before it verified collision-free, 0 without any; and how many looks it took.
+        The end of the verified segment as the motion's parameter, 0 if nothing is verified; and the number of queries.
     """
     shown, covered, at, last, ask = 0.0, 0.0, 0.0, -1.0, _FIRST_STEP
     for used in range(looks):
@@ -116,22 +117,23 @@ def _march(run: Run, middle: Part, looks: int, stride: float, least: float) -> t
             at = max(covered + _NEARER * asked, last + stride)
             ask = _LONGER * (at - covered)
         if at == last or is_up(run.until):
-            return shown, used + 1  # a clearance of next to nothing leads nowhere
+            return shown, used + 1  # A clearance of almost zero makes no progress.
     return shown, looks
 
 
 @kernel
 def shown_part(piece: FloatArray, field: FieldArrays, margin: float, least: float, looks: int) -> tuple[float, int]:
-    """How much of a motion is verified to keep a margin, from its begin on, by conservative advancement.
+    """Segment verified to keep a margin from the start, by conservative advancement.
 
     Args:
         piece: (4, dof) Bezier points of the motion.
-        margin: Clearance asked for wherever it is evaluated; half of it is kept all along [m].
-        least: It ends where less than that is verified ahead.
-        looks: Most evaluations of the clearance.
+        margin: Clearance required at every query; half of it is kept along the whole segment [m].
+        least: The march stops if less than this is verified ahead.
+        looks: Maximum number of distance queries.
 
     Returns:
-        The last place, from 0 to 1, with all before it verified, 0 without any; and how many evaluations it took.
+        The end of the verified segment as the motion's parameter in [0, 1], 0 if nothing is verified; and the number of
+        queries.
     """
     run = _run(piece, field, margin)
     shown, used = _march(run, Part(-1.0, -1.0), looks, 0.0, least)
@@ -140,12 +142,14 @@ def shown_part(piece: FloatArray, field: FieldArrays, margin: float, least: floa
 
 @kernel
 def piece_is_clear(piece: FloatArray, field: FieldArrays, margin: float, stride: float) -> bool:
-    """True if a motion along a Bezier piece is verified to keep a margin (`shown_part`).
+    """True if a motion along a Bezier segment verifiably keeps a margin.
 
-    The middle often shows all of it; and most motions that are checked fail, which places far apart show at once.
+    The proof is the same as in `shown_part`. A query in the middle often verifies the whole motion; and most motions
+    that are checked are in collision, which a few widely spaced queries detect quickly.
 
     Args:
-        stride: No step is shorter than that: above 0 no proof near contact, but cheap, for optimisers.
+        stride: Minimum step between queries. A positive value rules out proofs near contact but is cheap, for
+            optimizers.
     """
     run = _run(piece, field, margin)
     middle = _look(run, 0.5, 0.5, 0.5)
@@ -166,7 +170,7 @@ def piece_is_clear(piece: FloatArray, field: FieldArrays, margin: float, stride:
 
 @kernel
 def straight_piece(start: FloatArray, end: FloatArray) -> FloatArray:
-    """(4, dof) Bezier points of a straight motion at a steady rate."""
+    """(4, dof) Bezier points of a straight motion at constant rate."""
     piece = np.empty((4, len(start)))
     for i in range(len(start)):
         third = (end[i] - start[i]) / 3.0
@@ -176,13 +180,13 @@ def straight_piece(start: FloatArray, end: FloatArray) -> FloatArray:
 
 @kernel
 def segment_is_clear(start: FloatArray, end: FloatArray, field: FieldArrays, margin: float) -> bool:
-    """True if the straight joint-space motion is verified to keep a margin (`shown_part`)."""
+    """True if the straight joint-space motion verifiably keeps a margin (`shown_part`)."""
     return piece_is_clear(straight_piece(start, end), field, margin, 0.0)
 
 
 @kernel
 def path_is_clear(path: FloatArray, field: FieldArrays, margin: float) -> bool:
-    """True if every segment of a polyline is verified to keep a margin (`shown_part`)."""
+    """True if every segment of a polyline verifiably keeps a margin (`shown_part`)."""
     clear, i = True, 0
     while clear and i < path.shape[0] - 1:
         clear = segment_is_clear(path[i], path[i + 1], field, margin)
@@ -192,7 +196,10 @@ def path_is_clear(path: FloatArray, field: FieldArrays, margin: float) -> bool:
 
 @kernel
 def mark_near(path: FloatArray, arrays: FieldArrays, distance: float, near: BoolArray) -> None:
-    """Mark the rows whose bounding ball comes within a distance of a body at some configuration."""
+    """Mark the rows whose bounding ball comes near the arm.
+
+    A row is marked if its ball is within `distance` [m] of some body at some configuration of the path.
+    """
     movers, numbers, solids = arrays.movers, arrays.numbers, arrays.solids
     placed, frames = np.empty((int(numbers[flat.BODIES]), PLACED)), np.empty((path.shape[1] + 1, 12))
     for i in range(path.shape[0]):

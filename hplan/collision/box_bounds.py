@@ -1,8 +1,9 @@
-"""Lower bounds of distances: each shape lies in a box of its own, grown by a radius.
+"""Lower bounds of distances from oriented boxes grown by a radius.
 
-Seen along the axes of one of two boxes, the other lies in a box along these axes too, and boxes along the same axes are
-as far apart as they are along each. Less both radii, that is no more than the distance of the two shapes; the larger of
-what both boxes see counts. Joints are placed by `hplan.collision.placed_bodies`: who asks does not wait for Pinocchio.
+Each shape lies in an oriented box grown by a radius. Projected on the axes of one of two boxes, the other one lies in a
+box along these axes too, and the distance of two boxes with the same axes follows from their gap along each axis. This
+distance minus both radii is at most the distance of the two shapes; the bound is the larger one of the two projections.
+`hplan.collision.placed_bodies` places the joints, so a query does not wait for Pinocchio.
 """
 
 from __future__ import annotations
@@ -24,20 +25,20 @@ from hplan.robot.model import Robot, made_once
 from hplan.scene.obstacles import Box, Capsule, Cylinder, Solid, Sphere
 from hplan.scene.solids import Cloud
 
-#: Columns of a box: its turn, row by row, and its centre, in the frame of what carries it; half its sizes; its radius;
-#: the joint that carries it, the number of joints for the base.
+#: Columns of a box: its rotation (row by row) and its centre in the frame of its joint; its half sizes; its radius; the
+#: index of the joint that carries it, the number of joints for the base.
 TURN, CENTRE, HALF, RADIUS, JOINT, COLUMNS = 0, 9, 12, 15, 16, 17
 
-#: The radius of a box about what may be anywhere: finite, so that an infinite distance may be taken off a bound [m].
+#: Radius of a box around an unbounded shape [m]: finite, so that an infinite distance may be subtracted from a bound.
 ANYWHERE: Final = 1e300
 
 
 @made_once
 def joints_as_pinocchio(robot: Robot) -> FloatArray:
-    """Numbers of a robot's joints, for kernels, after these were seen to place joints where Pinocchio does.
+    """Joint numbers of a robot for kernels, verified against Pinocchio.
 
     Raises:
-        RobotFileError: They do not: nothing could be shown of such a robot.
+        RobotFileError: The kernels place a joint elsewhere than Pinocchio, so nothing could be proved about the robot.
     """
     numbers, data, frames = joints_alone(robot), robot.model.createData(), np.empty((robot.dof + 1, 12))
     for q in np.random.default_rng(0).uniform(robot.lower, robot.upper, (8, robot.dof)):
@@ -52,7 +53,7 @@ def joints_as_pinocchio(robot: Robot) -> FloatArray:
 
 
 def boxes_about(parts: ArmParts) -> FloatArray:
-    """(bodies, COLUMNS) the box about each of an arm's `all_shapes`, as the frame of its joint has it."""
+    """(bodies, COLUMNS) boxes around an arm's `all_shapes`, in their joints' frames."""
     dof, boxes = parts.robot.dof, np.zeros((len(parts.all_shapes), COLUMNS))
     for box, shape, bare in zip(boxes, parts.all_shapes, parts.bare_shapes, strict=True):
         centre, half = bare.core
@@ -64,7 +65,7 @@ def boxes_about(parts: ArmParts) -> FloatArray:
 
 
 def boxes_about_solids(solids: Sequence[Solid], dof: int) -> FloatArray:
-    """(n, COLUMNS) the box about each obstacle, never too small by rounding errors."""
+    """(n, COLUMNS) boxes around the obstacles, never too small by rounding errors."""
     boxes = np.zeros((len(solids), COLUMNS))
     boxes[:, JOINT] = dof
     boxes[:, TURN:CENTRE] = np.eye(3).ravel()
@@ -93,12 +94,15 @@ def boxes_about_solids(solids: Sequence[Solid], dof: int) -> FloatArray:
 
 
 def _stand_along(boxes: FloatArray, capsules: Sequence[int]) -> None:
-    """Turn boxes, which have both ends of a segment in place of centre and half sizes, so that z is along it."""
+    """Rotate boxes so that z points along their segments.
+
+    On entry the columns of centre and half sizes hold both ends of the segment.
+    """
     ends = boxes[capsules, CENTRE:RADIUS].reshape(-1, 2, 3)
     half = 0.5 * (ends[:, 1] - ends[:, 0])
     length = np.sqrt((half * half).sum(axis=1))
     z = np.where(length[:, None] > 0.0, half / np.maximum(length, 1e-300)[:, None], [0.0, 0.0, 1.0])
-    # Across the axis and that of the base to which it is least along.
+    # Perpendicular to the segment and to the base axis least aligned with it.
     x = np.cross(z, np.eye(3)[np.abs(z).argmin(axis=1)])
     x /= np.sqrt((x * x).sum(axis=1))[:, None]
     boxes[capsules, TURN:CENTRE] = np.stack([x, np.cross(z, x), z], axis=2).reshape(-1, 9)
@@ -108,12 +112,14 @@ def _stand_along(boxes: FloatArray, capsules: Sequence[int]) -> None:
 
 @kernel
 def lower_bounds(q: FloatArray, pairs: IntArray, sides: IntArray, boxes: FloatArray, numbers: FloatArray) -> FloatArray:
-    """(k,) lower bounds of the distances of some pairs at a configuration, as `apart` [m].
+    """(k,) lower bounds of the distances of pairs at a configuration [m].
+
+    `apart` computes each bound.
 
     Args:
-        pairs: (k,) numbers of pairs.
-        sides: (pairs, 2) both boxes of each pair.
-        numbers: As `hplan.collision.flat_bodies.joints_alone`.
+        pairs: (k,) indices of pairs.
+        sides: (pairs, 2) indices of both boxes of each pair.
+        numbers: Joint numbers from `hplan.collision.flat_bodies.joints_alone`.
     """
     frames, work, bounds = np.empty((len(q) + 1, 12)), np.empty((2, 12)), np.empty(len(pairs))
     place_joints(q, numbers, frames)
@@ -124,12 +130,12 @@ def lower_bounds(q: FloatArray, pairs: IntArray, sides: IntArray, boxes: FloatAr
 
 @kernel
 def apart(frames: FloatArray, boxes: FloatArray, both: IntArray, work: FloatArray) -> float:
-    """How far apart two boxes are at least [m]; a huge negative number where they meet.
+    """Lower bound of two boxes' distance [m]; -`ANYWHERE` unless positive.
 
     Args:
         frames: (dof + 1, 12) frames of joints and base, as `place_joints` writes them.
-        both: (2,) which of the boxes.
-        work: (2, 12) room for the turns of both, and their centres.
+        both: (2,) indices of the boxes.
+        work: (2, 12) buffer for the rotations and centres of both.
     """
     for side in range(2):
         box, placed = boxes[both[side]], work[side]

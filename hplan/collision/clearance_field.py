@@ -1,7 +1,7 @@
-"""Clearance of the arm in space, and motions verified collision-free over continuous time.
+"""Clearance of the arm, and motions verified collision-free over continuous time.
 
-Moving bodies are those of the arm, of a planar one the capsules of its links, and pairs of its own that are not to
-touch (`hplan.collision.flat_bodies`). A motion is verified collision-free by how the bodies move
+The moving bodies are the arm's bodies (for a planar arm the capsules of its links), followed by its self-collision
+pairs (`hplan.collision.flat_bodies`). A motion is verified collision-free by bounds on the motion of the bodies
 (`hplan.collision.body_motions`).
 """
 
@@ -33,22 +33,22 @@ from hplan.errors import OptionError
 from hplan.robot.model import Robot
 from hplan.scene.obstacles import Solid
 
-#: Largest turn of a joint between two samples of a motion, for what is near it.
+#: Maximum rotation of a joint between two samples of a motion in `near` [rad].
 _NEAR_STEP = 0.05
 
 
 @dataclass(frozen=True, eq=False)
 class ClearanceField(Record):
-    """Arm and obstacles as flat arrays, ready for the kernels.
+    """Arm and obstacles as flat arrays for the kernels.
 
     Attributes:
-        movers: Moving bodies, and pairs of them, as `hplan.collision.flat_bodies.FlatBodies` has them.
-        numbers: What they refer to there.
-        solids: (rows, 21) balls, capsules, boxes, hulls and nodes of clouds, grown by the clearance to keep; columns as
-            in `hplan.collision.obstacle_rows`.
-        data: Corners of hulls and points of clouds, one after the other; rows say where.
-        owner: (rows,) index of the solid behind each row; -1 of a group of several, `RANGE`
-            (`hplan.collision.obstacle_rows`).
+        movers: Moving bodies and self-collision pairs, as in `hplan.collision.flat_bodies.FlatBodies`.
+        numbers: Joint and hull data of `movers`, as in `hplan.collision.flat_bodies.FlatBodies`.
+        solids: (rows, 21) balls, capsules, boxes, hulls and nodes of clouds, grown by the required clearance; columns
+            as in `hplan.collision.obstacle_rows`.
+        data: Corners of hulls and points of clouds, one after the other; the rows hold the indices.
+        owner: (rows,) index of the obstacle of each row; -1 for a node over several obstacles, `RANGE` for a joint
+            range (`hplan.collision.obstacle_rows`).
     """
 
     movers: FloatArray
@@ -59,7 +59,7 @@ class ClearanceField(Record):
 
     @property
     def arrays(self) -> FieldArrays:
-        """The arrays for kernels, and how long these may take."""
+        """The arrays and the deadline for the kernels."""
         return FieldArrays(self.movers, self.numbers, self.solids, self.data, until())
 
     @property
@@ -78,14 +78,14 @@ class ClearanceField(Record):
         deviation: float = 0.0,
         joints: BoolArray | None = None,
     ) -> ClearanceField:
-        """The field of a robot among obstacles.
+        """Build the field of a robot among obstacles.
 
         Args:
-            clearance: By how much each of them is grown [m], one number or one for each.
-            own_clearance: Clearance that parts of the arm are to keep from one another [m]; None for the smallest of
-                the others.
-            deviation: By how much every joint may be off [rad]; each body is as much thicker as it may then sway.
-            joints: (obstacles, dof) for each whether what a joint carries keeps clear of it. None for all of all.
+            clearance: Growth of the obstacles [m], one number or one for each.
+            own_clearance: Clearance required between the arm's own bodies [m]; None for the minimum of `clearance`.
+            deviation: Joint error bound [rad]; each body is thickened by the displacement that this error can cause.
+            joints: (obstacles, dof) mask of the joints whose bodies keep clear of each obstacle; None for all joints
+                and obstacles.
         """
         growth = np.asarray(clearance, dtype=np.float64)
         own = float(growth.min()) if own_clearance is None and growth.size else own_clearance or 0.0
@@ -94,26 +94,26 @@ class ClearanceField(Record):
         return cls(flat.movers, flat.numbers, frozen(solids), frozen(data), frozen(owner))
 
     def only(self, kept: BoolArray, *, arm: bool = True) -> ClearanceField:
-        """The field of some of the solids, and of the arm itself.
+        """Return the field of a subset of the obstacles.
 
         Args:
-            kept: (solids,) which of them.
-            arm: False leaves the arm itself out.
+            kept: (solids,) mask of the obstacles to keep.
+            arm: False drops the arm's self-collision pairs.
         """
         found = self._of_rows(np.append(kept, [True, True])[self.owner])
         return found if arm else replace(found, movers=readonly(self.movers[: int(self.numbers[BODIES])]))
 
     def sparing(self, touched: BoolArray) -> ClearanceField:
-        """The field where what the last joint carries may touch some of the solids.
+        """Return the field whose last joint's bodies may touch some obstacles.
 
         Args:
-            touched: (solids,) which of them.
+            touched: (solids,) mask of these obstacles.
         """
         before_last = int(self.numbers[DOF]) - 2
         if before_last < 0:
             return self.only(~touched)
         rows = np.append(touched, [False, False])[self.owner]
-        first = rows & (np.concatenate([[-2], self.owner[:-1]]) != self.owner)  # a joint range comes before it
+        first = rows & (np.concatenate([[-2], self.owner[:-1]]) != self.owner)  # A joint range comes before it.
         before = np.concatenate([[0], np.cumsum(first)])
         solids = np.insert(self.solids, np.flatnonzero(first), 0.0, axis=0)
         moved = np.arange(len(rows)) + before[1:]
@@ -129,11 +129,13 @@ class ClearanceField(Record):
         return replace(self, solids=frozen(solids), owner=frozen(owner))
 
     def near(self, path: ArrayLike, distance: float) -> ClearanceField:
-        """The field of what is near a motion: for optimisers, whose result is proved with the whole field.
+        """Return the field of the obstacles near a motion.
+
+        For optimizers only: their result is certified with the whole field.
 
         Args:
             path: (m, dof) waypoints; between them the motion is sampled every `_NEAR_STEP`.
-            distance: Distance from the links up to which solids, by their bounding balls, are kept [m].
+            distance: Obstacles are kept if their bounding balls are within this distance of the links [m].
         """
         points = np.asarray(path, dtype=np.float64)
         parts = [points[:1]]
@@ -146,13 +148,13 @@ class ClearanceField(Record):
         return self._of_rows(kept)
 
     def without_idle_pairs(self, path: FloatArray, movable: IntArray, distance: float, turn: float) -> ClearanceField:
-        """The field without pairs of the arm's own bodies that do not matter near a motion, as `near` of solids.
+        """Return the field without self-collision pairs that are irrelevant near a motion.
 
         Args:
             path: (m, dof) configurations.
             movable: (k,) joints that may move.
-            distance: Pairs farther apart than this do not matter [m].
-            turn: Nor do those that do not touch while all joints turn by this, as gradients tell [rad].
+            distance: Pairs farther apart than this are irrelevant [m].
+            turn: So are pairs that, by their gradients, do not touch while every joint moves by this [rad].
         """
         first, arrays = int(self.numbers[BODIES]), self.arrays._replace(solids=self.solids[:0])
         idle = np.arange(len(self.movers)) >= first
@@ -167,28 +169,31 @@ class ClearanceField(Record):
         return replace(self, movers=frozen(movers))
 
     def _of_rows(self, kept: BoolArray) -> ClearanceField:
-        """The field of some rows; where a node is left out, so is all below it."""
+        """Return the field of some rows; dropping a node drops its subtree."""
         rows = np.flatnonzero(kept)
-        place = np.searchsorted(rows, np.arange(len(self.solids) + 1))  # new numbers of the rows kept
+        place = np.searchsorted(rows, np.arange(len(self.solids) + 1))  # New indices of the rows that remain.
         solids = self.solids[rows]
         solids[:, NEXT] = place[solids[:, NEXT].astype(np.int64)]
         return replace(self, solids=frozen(solids), owner=frozen(self.owner[rows]))
 
     def link_clearances(self, q: ArrayLike, enough: float = FAR) -> FloatArray:
-        """Clearance of each moving body at one configuration; as `along`."""
+        """Clearance of each moving body at one configuration [m].
+
+        Clamped and signed as by `along`.
+        """
         found: FloatArray = self.along(np.asarray(q)[None], enough)[0]
         return found
 
     def along(self, configurations: ArrayLike, enough: float = FAR) -> FloatArray:
-        """Clearance of each moving body at many configurations.
+        """Clearance of each moving body at many configurations [m].
 
         Args:
             configurations: (n, dof).
-            enough: Larger clearances are not told from it [m].
+            enough: Clearances are clamped to this value [m].
 
         Returns:
-            (n, moving bodies) distances to the nearest obstacle [m]. Negative in contact: the least shift that takes a
-            body out of an obstacle that it is in.
+            (n, moving bodies) distances to the nearest obstacle [m]. Negative in contact: minus the minimum translation
+            that separates a body from an obstacle.
         """
         points = np.array(configurations, dtype=np.float64, order="C")
         result = np.empty((len(points), len(self.movers)))
@@ -197,19 +202,21 @@ class ClearanceField(Record):
         return result
 
     def clearance(self, q: ArrayLike) -> float:
-        """Least clearance of any link at one configuration [m]."""
+        """Minimum clearance of all moving bodies at one configuration [m]."""
         return float(self.link_clearances(q).min())
 
     def is_clear(self, path: ArrayLike, margin: float) -> bool:
-        """True if the straight joint-space motions between waypoints are verified collision-free.
+        """True if the straight motions between waypoints are verified collision-free.
+
+        The motions are straight in joint space.
 
         Args:
             path: (m, dof) waypoints.
-            margin: Clearance asked for wherever it is evaluated [m], positive. A step from clearance `d` may use up
-                `d` before the next one finds at least `margin`, so half of it is shown to be kept everywhere.
+            margin: Clearance required at every query [m], positive. A step from clearance `d` may use up `d` before the
+                next one finds at least `margin`, so half of it is certified everywhere.
 
         Raises:
-            OptionError: A margin that is not positive.
+            OptionError: `margin` is not positive.
         """
         if not margin > 0.0:
             raise OptionError("margin", margin, "a positive number of metres")

@@ -1,9 +1,10 @@
-r"""Clouds in coal: trees of bounding volumes over blocks of their points, built when a block is first asked.
+r"""Point clouds in coal: lazily built bounding-volume trees over blocks of points.
 
-coal takes 2 us a point to build a tree, but a motion comes near a few blocks alone: leaves of the cloud's own tree,
-whose nodes have balls about their points. A shape of the arm lies in a box grown by a radius, a capsule in its axis.
-The distance of the box from a ball, less the radius, bounds that of the points from the shape from below, so a block
-with a bound that is no smaller than a distance found already is passed over, and the least distance over all is exact.
+coal takes 2 us per point to build a tree, but a motion comes near few blocks only: leaves of the cloud's own tree,
+whose nodes have bounding balls. A shape of the arm lies in a box grown by a radius, a capsule in its axis grown by a
+radius. The distance from the box to a ball minus the radius is a lower bound of the distance between the shape and the
+ball's points. A block is skipped if its bound is at least the minimum found before it, so the minimum over all points
+is exact.
 """
 
 from __future__ import annotations
@@ -26,15 +27,15 @@ from hplan.scene.cloud_tree import tree_of
 from hplan.scene.obstacles import Capsule, Solid
 from hplan.scene.solids import LEAF, Cloud
 
-#: Size of the triangle that stands for a point [m]. Of triangles that are mere points, coal's distance from a ball is
+#: Size of the triangle that represents a point [m]. For triangles degenerated to points, coal's distance from a ball is
 #: wrong.
 _SPECK: Final = 1e-7
 _CORNERS: Final = _SPECK * np.array([[1.0, 0.0, 0.5], [-0.5, 0.75, -0.25], [-0.5, -0.75, -0.25]])
 
-#: Radius of a capsule that stands for its axis [m].
+#: Radius of a capsule that represents its axis [m].
 _THIN: Final = 1e-6
 
-#: The blocks of clouds that are in use.
+#: The blocks of the clouds in use.
 _KNOWN: WeakKeyDictionary[Cloud, PointBlocks] = WeakKeyDictionary()
 
 _PLACE: Final = coal.Transform3s()
@@ -42,14 +43,15 @@ _REQUEST: Final = coal.DistanceRequest()
 
 
 class BareShape(NamedTuple):
-    """A shape without the radius that is swept about it: coal knows none where it is asked about triangles.
+    """A shape without its swept radius, which coal ignores against triangles.
 
     Attributes:
-        core: (2, 3) centre and half sizes of a box in its own frame, which holds it, grown by `rounding` [m].
-        rounding: Its radius where it is round [m].
-        radius: What was swept about it [m].
-        thin: Of a capsule one with hardly any radius: of a shape that is in contact coal says of one point how deep it
-            is, and not of the deepest. None of other shapes.
+        core: (2, 3) centre and half sizes of a box in the shape's frame that contains the shape when grown by
+            `rounding` [m].
+        rounding: Radius of a ball or capsule, 0 for other shapes [m].
+        radius: The swept radius that was removed [m].
+        thin: For a capsule, one with almost no radius: for a shape in contact coal returns the depth of some point, not
+            of the deepest one. None for other shapes.
     """
 
     geometry: coal.CollisionGeometry
@@ -60,7 +62,7 @@ class BareShape(NamedTuple):
 
     @classmethod
     def of(cls, shape: coal.CollisionGeometry) -> BareShape:
-        """A shape of the arm; one that nothing is swept about is itself."""
+        """Strip the swept radius, if any, from a shape of the arm."""
         radius = float(shape.getSweptSphereRadius())
         if radius > 0.0:
             shape = shape.clone()
@@ -73,32 +75,32 @@ class BareShape(NamedTuple):
 
 
 class PointBlocks:
-    """The points of a cloud, without their radius, in blocks of neighbours: the leaves of its tree.
+    """The points of a cloud, without their radius, in blocks of neighbours.
 
-    Several threads may ask at once.
+    The blocks are the leaves of the cloud's tree. Safe for use from several threads.
     """
 
     def __init__(self, points: FloatArray, nodes: FloatArray) -> None:
-        """Take a cloud's points, and the nodes of its tree, as `hplan.scene.solids.Cloud` has them."""
+        """Take a cloud's points and tree nodes, as in `hplan.scene.solids.Cloud`."""
         self._points, self._nodes = points, nodes
         self._trees: dict[int, coal.BVHModelOBBRSS] = {}
 
     @classmethod
     def of(cls, cloud: Cloud) -> PointBlocks:
-        """The blocks of a cloud, cut once."""
+        """Return the blocks of a cloud, built once."""
         found = _KNOWN.get(cloud)
         if found is None:
             points, tree = cloud.core, cloud.tree
-            if len(tree) == 0:  # its points are in no order
+            if len(tree) == 0:  # The points are unordered.
                 points, tree = tree_of(points, LEAF)
             found = _KNOWN[cloud] = cls(points, tree)
         return found
 
     def distance(self, shape: BareShape, placement: pin.SE3, most: float = math.inf) -> float:
-        """Signed distance of a shape from the nearest point [m]; in contact that of one of those that it touches.
+        """Signed distance of a shape from the nearest point [m].
 
-        Of a capsule it is the nearest, as long as that is not on its axis. Infinite, it may be, where it is more than
-        `most`.
+        In contact it is the signed distance from one of the points that the shape touches; for a capsule the nearest
+        one, unless that lies on its axis. May be infinite if the distance exceeds `most`.
         """
         place = placement.rotation, placement.translation
         coal_place, result = coal.Transform3s(*place), coal.DistanceResult()
@@ -110,11 +112,11 @@ class PointBlocks:
                 if least <= 0.0 and shape.thin is not None:
                     return self.distance(shape.thin, placement)
                 return least - shape.radius
-            # coal goes on from the least distance in its result, and passes over what is farther.
+            # coal continues from the minimum distance in its result and skips everything farther.
             least = min(least, coal.distance(shape.geometry, coal_place, self._tree(block), _PLACE, _REQUEST, result))
 
     def _tree(self, block: int) -> coal.BVHModelOBBRSS:
-        """The points of a block as tiny triangles about them, built once."""
+        """Return the tree of a block's points as tiny triangles, built once."""
         tree = self._trees.get(block)
         if tree is None:
             first, last = self._nodes[block, :2].astype(np.int64)
@@ -125,7 +127,10 @@ class PointBlocks:
 
 
 def _core_box(shape: coal.CollisionGeometry) -> tuple[FloatArray, float]:
-    """(2, 3) centre and half sizes of a box in a shape's own frame, and the radius about it: they hold it [m]."""
+    """Box and radius that together contain a shape [m].
+
+    (2, 3) centre and half sizes of the box in the shape's own frame, and the radius that grows it.
+    """
     shape.computeLocalAABB()
     low, high = np.array(shape.aabb_local.min_), np.array(shape.aabb_local.max_)
     rounding = float(shape.radius) if isinstance(shape, coal.Sphere | coal.Capsule) else 0.0
@@ -134,12 +139,12 @@ def _core_box(shape: coal.CollisionGeometry) -> tuple[FloatArray, float]:
 
 
 def obstacle_shape(obstacle: Solid) -> pin.GeometryObject | PointBlocks:
-    """An obstacle as coal is asked about it; a cloud without its radius (`beyond_geometry`)."""
+    """The obstacle as coal sees it; a cloud without its radius (`beyond_geometry`)."""
     return PointBlocks.of(obstacle) if isinstance(obstacle, Cloud) else solid_shape(obstacle)
 
 
 def obstacle_shapes(obstacles: Sequence[Solid]) -> list[pin.GeometryObject | PointBlocks]:
-    """As `obstacle_shape`, of many."""
+    """Convert many obstacles by `obstacle_shape`, capsules in one batch."""
     capsules = iter(capsule_shapes([obstacle for obstacle in obstacles if type(obstacle) is Capsule]))
     shapes: list[pin.GeometryObject | PointBlocks] = []
     for obstacle in obstacles:
@@ -149,9 +154,10 @@ def obstacle_shapes(obstacles: Sequence[Solid]) -> list[pin.GeometryObject | Poi
 
 
 def distance_from(obstacle: Solid, most: float = math.inf) -> Callable[[coal.CollisionGeometry, pin.SE3], float]:
-    """The signed distance of a shape in its place from an obstacle [m]; the obstacle's own shape is made once.
+    """Return the distance function of an obstacle.
 
-    Infinite, it may be, where it is more than `most`.
+    It returns the signed distance of a placed shape from the obstacle [m]. The obstacle's own shape is built once. The
+    distance may be infinite if it exceeds `most`.
     """
     solid = obstacle_shape(obstacle)
     if isinstance(solid, PointBlocks):
@@ -164,21 +170,21 @@ def distance_from(obstacle: Solid, most: float = math.inf) -> Callable[[coal.Col
 def nearest_block(
     place: tuple[FloatArray, FloatArray], core: FloatArray, nodes: FloatArray, after: tuple[float, int], limit: float
 ) -> tuple[float, int]:
-    """The leaf of a tree that a box in its place may be nearest to.
+    """Find the leaf that may be nearest to a placed box.
 
     Args:
         place: (3, 3) rotation and (3,) translation of the box's frame.
-        core: (2, 3) its centre and half sizes there.
+        core: (2, 3) centre and half sizes of the box in that frame.
         nodes: (k, 7) the tree, as in `hplan.scene.solids.Cloud`.
-        after: What was found before: what is no farther is passed over.
-        limit: So is what is no nearer than this [m].
+        after: Result of the previous call; leaves up to it in the order of bound and index are skipped.
+        limit: Leaves with a bound of at least this are skipped [m].
 
     Returns:
-        The distance of the box from a ball that holds the leaf's points, less than 0 where it reaches into that, and
-        the leaf's number; -1 where there is none left.
+        The distance from the box to the ball that contains the leaf's points, negative if the box overlaps the ball,
+        and the leaf's index; -1 if no leaf is left.
     """
     (rotation, translation), least, found, number = place, limit, -1, 0
-    # Ends and bounds of the nodes above: this one's ball may stand out of theirs, its points do not.
+    # Ends and bounds of the nodes above: this node's ball may extend beyond theirs, its points do not.
     above, height = np.empty((64, 2)), 0
     while number < nodes.shape[0]:
         node = nodes[number]
@@ -190,7 +196,7 @@ def nearest_block(
             along = rotation[0, axis] * x + rotation[1, axis] * y + rotation[2, axis] * z
             beyond = max(0.0, abs(along - core[0, axis]) - core[1, axis])
             square += beyond * beyond
-        # Rounding errors, and the specks, never make a ball too small.
+        # Rounding errors, and the triangles' size, never make a ball too small.
         bound = math.sqrt(square) - (node[6] * (1.0 + 1e-12) + 2.0 * _SPECK)
         if height > 0:
             bound = max(bound, above[height - 1, 1])

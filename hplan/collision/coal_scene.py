@@ -189,6 +189,23 @@ class CoalScene:
         movers, own = self.parts.extents
         return distance_errors(movers, self._built["obstacles"], own)
 
+    @property
+    def grown_obstacles(self) -> tuple[tuple[Solid, float], ...]:
+        """The obstacles, and by how much each is grown [m]."""
+        obstacles = self._built["obstacles"]
+        growth = np.broadcast_to(np.asarray(self._built["growth"], dtype=np.float64), len(obstacles))
+        return tuple(zip(obstacles, growth.tolist(), strict=True))
+
+    @cached_property
+    def obstacle_balls(self) -> FloatArray:
+        """(obstacles, 4) centre and radius of a ball about each grown obstacle, where it is listed [m]."""
+        found = np.zeros((self.own_first, 4))
+        for row, (solid, growth) in zip(found, self.grown_obstacles, strict=True):
+            low, high = solid.core.min(axis=0), solid.core.max(axis=0)
+            row[:3] = 0.5 * (low + high)
+            row[3] = 0.5 * float(np.linalg.norm(high - low)) + solid.rounding + growth
+        return found
+
     def covering(self, deviation: float, clearance: float) -> CoalScene:
         """The scene with the pairs that a tracking error [rad] and a clearance [m] require."""
         if deviation <= self.deviation and clearance == self.clearance:

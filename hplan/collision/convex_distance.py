@@ -1,15 +1,15 @@
-r"""Distance between the convex hulls of two sets of points, one of them turned and shifted: the GJK algorithm.
+r"""Distance between the convex hulls of two point sets: the GJK algorithm.
 
-The point nearest to the origin is looked for in :math:`A - B`, the differences of the points of the two hulls (Gilbert,
-Johnson and Keerthi 1988). A simplex of at most four differences of corners is kept; its point `v` nearest to the origin
-is found by signed volumes (Montanari, Petrinic and Barbieri 2017, "Improving the GJK algorithm for faster and more
-reliable distance queries between convex objects"), and the corner that lies farthest against `v` comes next. With `w`
-that corner, no point of :math:`A - B` is nearer than :math:`v \cdot w / |v|`, and `v` itself is no nearer than the
-nearest: what is returned is the greatest of these lower bounds, so that rounding errors never make a distance too large
-by more than their own size.
+One of the hulls is rotated and translated. GJK searches for the point nearest to the origin in :math:`A - B`, the
+differences of the points of the two hulls (Gilbert, Johnson and Keerthi 1988). It keeps a simplex of at most four
+differences of corners; signed volumes give the simplex's point `v` nearest to the origin (Montanari, Petrinic and
+Barbieri 2017, "Improving the GJK algorithm for faster and more reliable distance queries between convex objects"), and
+the next corner `w` is the one farthest against `v`. No point of :math:`A - B` is nearer than :math:`v \cdot w / |v|`,
+and `v` itself is no nearer than the nearest point. The result is the maximum of these lower bounds, so rounding errors
+never make a distance too large by more than their own size.
 
-Points, segments and flat polygons are hulls as any other. Where two hulls share a point the distance is 0; how deep one
-is in the other says `hplan.collision.penetration`.
+Points, segments and flat polygons are hulls like any other. The distance is 0 if the hulls share a point;
+`hplan.collision.penetration` computes the depth.
 """
 
 from __future__ import annotations
@@ -23,34 +23,34 @@ from hplan.collision.sweep import STILL, Sweep, used_up
 from hplan.collision.vectors import Pose, Vector, cross, dot, placed_point, sub, turned_back
 from hplan.scene.corner_table import OCTANTS
 
-#: First and last place of the coordinates of some points in an array of numbers, last is one past; and the place of
-#: their table (`hplan.scene.corner_table`) there, 0 for none.
+#: Range of a point set in an array of numbers: index of the first coordinate, index past the last one, and index of the
+#: corner table (`hplan.scene.corner_table`), 0 for no table.
 Span: TypeAlias = tuple[int, int, int]
 
-#: Numbers of `work`: the simplex (four points of A - B), the points of A behind them, the places of both their corners,
-#: weights; then what is left behind: how many corners there are, the nearest point of A - B and that of A, and the
-#: direction in which the two are as far apart as is returned, of any length.
+#: Layout of `work`: the simplex (four points of A - B), the matching points of A, the indices of both their corners,
+#: weights; then the outputs: number of corners, the nearest points of A - B and of A, and the direction, of any length,
+#: along which the two hulls are separated by the returned distance.
 _CORNERS, _OF_FIRST, _NUMBERS, _WEIGHTS = any_int(0), any_int(12), any_int(24), any_int(32)
 SIZE, NEAREST, ON_FIRST = any_int(36), any_int(37), any_int(40)
 SEPARATING = any_int(43)
 WORK = 46
 
-#: Most corners that are visited, and the fraction of the simplex's size below which a distance is none.
+#: Maximum number of corners visited, and the fraction of the simplex's size below which a distance counts as zero.
 _MOST, _NONE = any_int(128), 1e-13
 
-#: No corners so far.
+#: Initial number of corners.
 _NONE_YET = any_int(0)
 
 
 class Wanted(NamedTuple):
-    """What a distance is asked for.
+    """Requirements of a distance query.
 
     Attributes:
-        enough: A number no smaller than this is returned as soon as one is shown [m].
-        too_little: Where the distance is shown to be less than this, so may be what is returned [m].
-        fraction: By which fraction of what is left of it beyond `radii` a distance may be returned too small.
-        radii: What will be taken off it [m].
-        sweep: Infinity is returned as soon as a direction shows that this uses up no more than is left.
+        enough: A lower bound of at least this is returned as soon as it is found [m].
+        too_little: Once the distance is known to be less than this, the query may stop with any lower bound [m].
+        fraction: Relative tolerance: the result may be too small by this fraction of the distance minus `radii`.
+        radii: Sum of the radii that the caller subtracts from the distance [m].
+        sweep: Infinity is returned as soon as this motion uses up at most the clearance along some direction.
     """
 
     enough: float
@@ -62,7 +62,7 @@ class Wanted(NamedTuple):
 
 @kernel
 def farthest_corner(points: FloatArray, span: Span, direction: Vector) -> int:
-    """The place of the point that lies farthest in a direction."""
+    """Index of the point that lies farthest in a direction."""
     (x, y, z), (first, last, table) = direction, span
     if table == 0:
         best = first
@@ -98,15 +98,17 @@ def core_distance(
     wanted: Wanted,
     work: FloatArray,
 ) -> float:
-    """Distance between two hulls; 0 where they share a point.
+    """Distance between two hulls; 0 if they share a point.
 
     Args:
         shape: Coordinates of points, one after the other.
-        span: Which of them are of the first hull.
-        pose: Where it is, in the frame of the other.
-        other_span: Which of them are of the other hull.
-        work: (WORK,) numbers. At `NEAREST` a direction from the other hull to the first to begin with, or zeros. Where
-            no distance was enough, `work` then holds the nearest points.
+        span: Range of the first hull's points.
+        pose: Pose of the first hull in the frame of the other.
+        other: Coordinates of points, one after the other.
+        other_span: Range of the other hull's points.
+        wanted: Accuracy and early exits of the query.
+        work: (WORK,) buffer. On entry a direction from the other hull to the first at `NEAREST`, or zeros. On return it
+            holds the nearest points, unless `enough` or `sweep` ended the query or the hulls overlap.
     """
     direction = (work[NEAREST], work[NEAREST + 1], work[NEAREST + 2])
     if direction[0] == 0.0 and direction[1] == 0.0 and direction[2] == 0.0:
@@ -147,7 +149,7 @@ def core_distance(
             work[SIZE] = float(size)
             return 0.0
         if square >= before:
-            break  # rounding errors are all that is left
+            break  # Only rounding errors are left.
     work[SIZE] = float(size)
     _find_point_of_first(work, size)
     return lower
@@ -180,9 +182,9 @@ def _corner(work: FloatArray, k: int) -> Vector:
 
 @kernel
 def _reduced(work: FloatArray, size: int) -> int:
-    """Keep those corners of the simplex alone that its point nearest to the origin lies between; how many they are.
+    """Reduce the simplex to the corners that span its nearest point.
 
-    Weights and the nearest point are written; four corners are left where the origin is inside.
+    Writes the weights and the nearest point and returns the number of corners; four remain if the origin is inside.
     """
     a = _corner(work, 0)
     weights = (1.0, 0.0, 0.0, 0.0)
@@ -214,8 +216,8 @@ def _reduced(work: FloatArray, size: int) -> int:
 def _nearest_point(work: FloatArray, size: int) -> Vector:
     """The point of a simplex nearest to the origin.
 
-    It is as long as rounding errors of its corners allow, but its direction is far more exact than their weighted sum:
-    it is made perpendicular to edge or face.
+    Its length is as exact as the rounding errors of the corners allow, but its direction is far more exact than that of
+    the weighted sum of corners, because it is made perpendicular to the edge or face.
     """
     a = _corner(work, 0)
     x, y, z = a
@@ -236,7 +238,7 @@ def _nearest_point(work: FloatArray, size: int) -> Vector:
 
 @kernel
 def _on_line(a: Vector, b: Vector) -> tuple[float, float]:
-    """Weights of the point of a segment that is nearest to the origin."""
+    """Weights of a segment's point nearest to the origin."""
     along = sub(b, a)
     square = dot(along, along)
     t = min(1.0, max(0.0, -dot(a, along) / square)) if square > 0.0 else 0.0
@@ -245,17 +247,17 @@ def _on_line(a: Vector, b: Vector) -> tuple[float, float]:
 
 @kernel
 def _square_at(a: Vector, b: Vector, t: float) -> float:
-    """Squared distance from the origin of a point between two others."""
+    """Squared distance from the origin of a point on segment ab."""
     x, y, z = a[0] + t * (b[0] - a[0]), a[1] + t * (b[1] - a[1]), a[2] + t * (b[2] - a[2])
     return x * x + y * y + z * z
 
 
 @kernel
 def on_triangle(a: Vector, b: Vector, c: Vector) -> tuple[float, float, float]:
-    """Weights of the point of a triangle that is nearest to the origin.
+    """Weights of a triangle's point nearest to the origin.
 
-    Areas are compared in the plane of two axes in which the triangle is largest. Where the foot of the origin is beyond
-    an edge, the nearest point lies on such an edge.
+    Areas are compared in the coordinate plane in which the triangle's projection is largest. If the projection of the
+    origin lies beyond an edge, the nearest point is on one of the edges that it lies beyond.
     """
     normal = cross(sub(b, a), sub(c, a))
     square = dot(normal, normal)
@@ -318,10 +320,10 @@ def _square_of(a: Vector, b: Vector, c: Vector, weights: Vector) -> float:
 
 @kernel
 def _in_tetrahedron(a: Vector, b: Vector, c: Vector, d: Vector) -> tuple[float, float, float, float]:
-    """Weights of the point of a tetrahedron that is nearest to the origin; all positive where that is inside.
+    """Weights of a tetrahedron's point nearest to the origin.
 
-    Each of the four volumes between the origin and a face has the sign of the whole where the origin is inside; else
-    the nearest point lies on a face beyond which the origin is.
+    They are all positive if the origin is inside. In that case each of the four volumes between the origin and a face
+    has the sign of the whole volume; otherwise the nearest point lies on one of the faces that the origin lies beyond.
     """
     da, db, dc = sub(a, d), sub(b, d), sub(c, d)
     back = (-d[0], -d[1], -d[2])

@@ -1,4 +1,9 @@
-"""Distances of segments in space from points, segments and boxes, and of points from hulls; 0 where the two meet."""
+"""Distances of segments and points from simple shapes.
+
+Segments from points, segments and boxes; points from hulls.
+
+A distance is 0 if the two meet.
+"""
 
 from __future__ import annotations
 
@@ -8,10 +13,10 @@ from typing import TypeAlias
 from hplan.base.arrays import FloatArray
 from hplan.base.kernels import inlined, kernel
 
-#: Three coordinates. They stay in registers; an array would be made and counted for each call.
+#: Three coordinates. A tuple stays in registers; an array would be allocated and reference-counted in each call.
 Vector: TypeAlias = tuple[float, float, float]
 
-#: From the point of one thing that is nearest to another to that one's nearest point, which is so far along a segment.
+#: Vector from a body's point nearest to a segment to the segment's nearest point, and the latter's parameter on it.
 Off: TypeAlias = tuple[float, float, float, float]
 
 
@@ -30,9 +35,10 @@ def point_segment(c: Vector, a: Vector, u: Vector) -> float:
 
 @kernel
 def off_segment(a: Vector, u: Vector, b: Vector, v: Vector) -> Off:
-    """From the segment b, b + v to the segment a, a + u.
+    """Vector from one segment to another.
 
-    Closest points by clamping (Ericson, Real-Time Collision Detection, 5.1.9).
+    From segment b, b + v to segment a, a + u. Closest points by clamping (Ericson, Real-Time Collision Detection,
+    5.1.9).
     """
     (ux, uy, uz), (vx, vy, vz) = u, v
     rx, ry, rz = a[0] - b[0], a[1] - b[1], a[2] - b[2]
@@ -70,10 +76,11 @@ def signed_excess(x: float, half: float) -> float:
 
 @kernel
 def off_box(a: Vector, u: Vector, half: Vector) -> Off:
-    """From the box of half sizes `half` to the segment a, a + u, in the box's frame.
+    """Vector from a box to the segment a, a + u.
 
-    The squared distance is convex and piecewise quadratic along the segment; its derivative is piecewise linear and
-    changes sign between two of the at most eight breakpoints (faces crossed, ends).
+    Everything is in the box's frame; the box has half sizes `half`. The squared distance is convex and piecewise
+    quadratic along the segment; its derivative is piecewise linear and changes sign between two of the at most eight
+    breakpoints (face crossings and ends).
     """
     (ax, ay, az), (ux, uy, uz), (hx, hy, hz) = a, u, half
     low, high = 0.0, 1.0
@@ -105,10 +112,11 @@ def off_box(a: Vector, u: Vector, half: Vector) -> Off:
 
 @kernel
 def point_hull(point: Vector, data: FloatArray, first: int, middle: int, last: int, enough: float) -> float:
-    """Distance of a point from a hull, or some number from `enough` up where it is not below that.
+    """Distance of a point from a hull, or a number >= `enough`.
 
-    Facets stand in data[first:middle], edges in data[middle:last]. The nearest point of the hull lies on the facet
-    above which the point stands highest, or on an edge.
+    The result is at least `enough` if the distance is, and the distance otherwise. Facets are data[first:middle], edges
+    are data[middle:last]. The hull's nearest point lies on the facet with the largest signed distance of the point, or
+    on an edge.
     """
     x, y, z = point
     top, at = -math.inf, first

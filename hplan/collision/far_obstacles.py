@@ -1,4 +1,4 @@
-"""Finds obstacles so far from the arm that their lengths are probably in millimetres."""
+"""Detection of implausibly far obstacles, whose lengths are probably in millimetres."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from hplan.robot.model import Robot
 from hplan.scene.model import Fruit, Scene
 from hplan.scene.obstacles import AnyObstacle, Mesh, PointCloud
 
-#: A scene is suspicious if all of it is farther than this multiple of the arm's reach, a mesh or cloud by itself if all
-#: of it is farther than this distance [m].
+#: A scene is suspicious if all of it is farther than this multiple of the arm's maximum extent; a single mesh or cloud
+#: is suspicious if all of it is farther than this distance [m].
 _MANY_REACHES: Final = 10.0
 _FAR_M: Final = 100.0
 
 
 def far_obstacles(robot: Robot, scene: Scene) -> tuple[str, ...]:
-    """Names of the obstacles and fruits that are implausibly far from the arm.
+    """Names of the obstacles and fruits implausibly far from the arm.
 
-    These are all of them if nothing is within ten times the arm's reach, and each mesh or point cloud that is farther
-    than 100 m. Scenes with tracks are not examined.
+    These are all of them if nothing is within ten times the arm's maximum extent, and each mesh or point cloud that is
+    farther than 100 m. Scenes with tracks are not checked.
     """
     if scene.moves:
         return ()
@@ -37,10 +37,10 @@ def far_obstacles(robot: Robot, scene: Scene) -> tuple[str, ...]:
 
 
 def warn_of_far_obstacles(robot: Robot, scene: Scene) -> None:
-    """Warn if the scene has obstacles that are implausibly far from the arm.
+    """Warn if the scene has obstacles implausibly far from the arm.
 
     Warns:
-        FarObstacleWarning: Of the first of them.
+        FarObstacleWarning: An obstacle or fruit is implausibly far from the arm; the warning names the first one.
     """
     names = far_obstacles(robot, scene)
     if names:
@@ -54,11 +54,11 @@ def warn_of_far_obstacles(robot: Robot, scene: Scene) -> None:
 
 
 def _is_beyond(item: AnyObstacle | Fruit, centre: FloatArray, distance_m: float) -> bool:
-    """True if all of an item is farther from a point than a distance."""
+    """True if an item is entirely beyond a distance from a point."""
     if isinstance(item, Fruit):
         return float(np.linalg.norm(np.array(item.center) - centre)) - item.radius > distance_m
     if isinstance(item, PointCloud):
-        # In most clouds that are near, the first point is near.
+        # In most clouds near the arm, the first point is near.
         first, rounded = np.linalg.norm(item.points[0] - centre), distance_m + item.radius
         return bool(first > rounded and (np.linalg.norm(item.points - centre, axis=1) > rounded).all())
     if isinstance(item, Mesh):
@@ -67,14 +67,17 @@ def _is_beyond(item: AnyObstacle | Fruit, centre: FloatArray, distance_m: float)
 
 
 def _is_hull_beyond(corners: FloatArray, distance_m: float) -> bool:
-    """True if the hull of (n, 3) corners is shown to be farther from the origin than a distance (Gilbert 1966)."""
+    """True if a hull is verified beyond a distance from the origin.
+
+    The hull has (n, 3) corners. A separating plane proves it (Gilbert 1966); False after 100 iterations without one.
+    """
     nearest = corners[0]
     for _ in range(100):
         length = float(np.linalg.norm(nearest))
         if length <= distance_m:
             return False
         along = corners @ nearest
-        if along.min() > distance_m * length:  # a plane separates the hull from the ball
+        if along.min() > distance_m * length:  # A plane separates the hull from the ball.
             return True
         step = corners[along.argmin()] - nearest
         squared = float(step @ step)

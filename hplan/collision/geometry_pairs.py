@@ -1,8 +1,9 @@
-"""Pairs of shapes in Pinocchio, for any number of obstacles in time and memory linear in it.
+"""Shape pairs in Pinocchio, with linear time and memory in the obstacles.
 
-`pinocchio.GeometryModel.addGeometryObject` copies a table of all pairs of its objects each time, so that a model of n
-objects costs n^3. Obstacles are therefore spread over several models, each with all the moving shapes. Many pairs of
-the arm itself have a model that all its scenes share: their data takes 2.5 us a pair to make.
+`pinocchio.GeometryModel.addGeometryObject` copies a table of all pairs of its objects each time, so a model of n
+objects costs n^3. Obstacles are therefore spread over several models, each with all moving shapes. The many
+self-collision pairs of the arm have a model that all its scenes share, because creating their data takes 2.5 us per
+pair.
 """
 
 from __future__ import annotations
@@ -20,18 +21,18 @@ from hplan.base.arrays import BoolArray, FloatArray, IntArray
 from hplan.base.deadline import check_deadline
 from hplan.collision.coal_cloud import BareShape, PointBlocks
 
-#: Most obstacles in one geometry model.
+#: Maximum number of obstacles in one geometry model.
 _CHUNK: Final = 128
 
-#: Stands for the clouds among the numbers of models.
+#: Index that represents the clouds among the model indices.
 _CLOUDS: Final = -1
 
 
 class _PartData:
-    """Working data of queries of one geometry model.
+    """Query data of one geometry model.
 
     Attributes:
-        placed: For which `_QueryData.placed` its shapes stand; None for none.
+        placed: Token `_QueryData.placed` of the last placement of its shapes; None before the first.
     """
 
     def __init__(self, geometry: pin.GeometryModel) -> None:
@@ -40,12 +41,19 @@ class _PartData:
 
     @cached_property
     def results(self) -> list[Any]:
-        """Results of its pairs; they stay where they are, and taking one out anew costs more than what it says."""
+        """Distance results of its pairs.
+
+        Cached, because they keep their addresses and fetching one costs more than reading it.
+        """
         return list(self.geometry.distanceResults)
 
 
 class ArmPairs:
-    """Pairs of an arm's own shapes in a model of their own, after the shapes that move; several threads may ask."""
+    """Self-collision pairs of an arm in their own geometry model.
+
+    The model starts with the moving shapes.
+    Safe for use from several threads.
+    """
 
     def __init__(
         self, movers: Sequence[pin.GeometryObject], pairs: Sequence[tuple[pin.GeometryObject, pin.GeometryObject]]
@@ -58,7 +66,10 @@ class ArmPairs:
 
     @property
     def data(self) -> _PartData:
-        """This thread's data; whoever places an arm finds whether another scene has done so since."""
+        """This thread's query data.
+
+        Scenes share it, so whoever places an arm must check whether another scene has done so since.
+        """
         known = vars(self._known)
         if "data" not in known:
             known["data"] = _PartData(self.geometry)
@@ -67,14 +78,14 @@ class ArmPairs:
 
 
 class _QueryData(threading.local):
-    """Working data of queries: every thread has its own, made when it first asks.
+    """Query data of the current thread, created on first use.
 
     Attributes:
-        placed: Stands for where the arm was last placed.
-        single: Arm and part where there is one model alone, that no other scene places: looking up what belongs to a
-            thread takes its time.
-        elsewhere: Obstacles that are not where they were built, by model: their number in it, and where they are.
-        clouds: Of clouds that are not, by number, the base as seen from them.
+        placed: Token of the arm's last placement.
+        single: Arm data and model data if there is a single model that no other scene places, which saves the
+            thread-local lookup; None otherwise.
+        elsewhere: Obstacles that are not at their initial pose, by model: their index in it and their pose.
+        clouds: For displaced clouds, by index, the pose of the base in the cloud's frame.
     """
 
     def __init__(
@@ -93,10 +104,10 @@ class _QueryData(threading.local):
 
 
 class GeometryPairs:
-    """Numbered pairs of shapes of an arm and obstacles, and their distances.
+    """Numbered shape pairs of an arm and obstacles, and their distances.
 
-    Pairs are each moving shape with each obstacle, moving shape by moving shape; then the chosen ones. Models are built
-    whole before their data, as Pinocchio demands. Several threads may ask at once.
+    The pairs are each moving shape with each obstacle, moving shape by moving shape, followed by the chosen pairs. All
+    models are complete before their data is created, as Pinocchio requires. Safe for use from several threads.
     """
 
     def __init__(
@@ -110,20 +121,22 @@ class GeometryPairs:
         """Build the geometry models.
 
         Args:
-            obstacles: Fixed shapes, and clouds.
-            chosen: Further pairs, of moving bodies or of shapes that meet no obstacle; of the same movers where they
-                have a model already.
-            bare: The moving shapes, and others after them, without what is swept about them, where that is known.
+            model: Kinematic model of the arm.
+            movers: The moving shapes.
+            obstacles: Fixed shapes and clouds.
+            chosen: Further pairs, of moving bodies or of shapes that are checked against no obstacle; `ArmPairs` must
+                have been built with the same movers.
+            bare: The moving shapes, possibly followed by others, without their swept radius; None to compute them.
         """
         self._model = model
         self._geometries: list[pin.GeometryModel] = []
-        #: Numbers of each model's pairs among all.
+        #: Pair indices of each model.
         self._numbers: list[IntArray] = []
         own = chosen if isinstance(chosen, ArmPairs) else None
         first_own = len(movers) * len(obstacles)
         self._clouds = [(column, shape) for column, shape in enumerate(obstacles) if isinstance(shape, PointBlocks)]
         fixed = [(column, shape) for column, shape in enumerate(obstacles) if not isinstance(shape, PointBlocks)]
-        #: Of each obstacle the model and its number there.
+        #: Model and index in it of each obstacle.
         self._where = {column: (_CLOUDS, cloud) for cloud, (column, _) in enumerate(self._clouds)}
         for number, (column, _) in enumerate(fixed):
             self._where[column] = number // _CHUNK, len(movers) + number % _CHUNK
@@ -153,7 +166,7 @@ class GeometryPairs:
         self.count = sum(map(len, self._numbers)) + len(movers) * len(self._clouds)
         self._movers = [BareShape.of(shape.geometry) for shape in movers] if bare is None else bare
         self._query = _QueryData(model, self._geometries, own, bool(self._clouds))
-        # In which model a pair is, and its number there; the pairs of clouds, in none, body by body.
+        # Model of each pair and its index there; pairs with clouds have no model and are numbered body by body.
         self._part_of = np.full(self.count, -1, dtype=np.int64)
         self._local = np.zeros(self.count, dtype=np.int64)
         columns = np.array([column for column, _ in self._clouds], dtype=np.int64)
@@ -164,10 +177,10 @@ class GeometryPairs:
             self._local[numbers] = np.arange(len(numbers))
 
     def place(self, q: FloatArray) -> None:
-        """Put the arm where `distances_of` is to look at it in this thread, (dof,) joint angles."""
+        """Place the arm for `distances_of` in this thread, (dof,) joint angles."""
         query = self._query
         single = query.single
-        if single is not None:  # one call in place of two
+        if single is not None:  # One call instead of two.
             arm, part = single
             pin.updateGeometryPlacements(self._model, arm, self._geometries[0], part.geometry, q)
             part.placed = query.placed
@@ -178,9 +191,9 @@ class GeometryPairs:
         query.placed = object()
 
     def put(self, places: Iterable[tuple[int, pin.SE3]]) -> None:
-        """Put obstacles, by number, elsewhere in this thread, until they are put again.
+        """Move obstacles, by index, in this thread until the next call.
 
-        The arm is to be placed next.
+        The caller must place the arm next.
         """
         elsewhere: dict[int, list[tuple[int, pin.SE3]]] = {}
         for obstacle, place in places:
@@ -202,10 +215,10 @@ class GeometryPairs:
         return found
 
     def distances_of(self, pairs: IntArray) -> FloatArray:
-        """Signed distances of some pairs where the arm was last placed, (k,) numbers -> (k,) [m]."""
+        """Signed distances of (k,) pairs at the last placement, (k,) [m]."""
         query, geometries = self._query, self._geometries
         single = query.single
-        if single is not None:  # as almost always: no look-up of where a pair is
+        if single is not None:  # The common case: no lookup of the pair's model.
             geometry, data = geometries[0], single[1].geometry
             return np.array([pin.computeDistance(geometry, data, pair).min_distance for pair in pairs.tolist()])
         found = []
@@ -219,7 +232,10 @@ class GeometryPairs:
         return np.array(found, dtype=np.float64)
 
     def in_collision(self, configurations: FloatArray, margins: FloatArray) -> BoolArray:
-        """True where any pair is nearer than its margin, (n, dof) configurations, (count,) margins [m] -> (n,)."""
+        """(n,) mask of configurations that violate some pair's margin.
+
+        `configurations` is (n, dof), `margins` (count,) [m].
+        """
         q = np.asfortranarray(configurations.T)
         found = np.zeros(q.shape[1], dtype=np.bool_)
         for geometry, numbers in zip(self._geometries, self._numbers, strict=True):
@@ -227,8 +243,8 @@ class GeometryPairs:
             requests = pool.getGeometryDatas()[0].collisionRequests
             for request, margin in zip(requests, margins[numbers].tolist(), strict=True):
                 request.security_margin = margin
-                # Asked for yes or no alone, coal 3.0 misses deep collisions of boxes, cylinders and hulls where one
-                # shape stands symmetrically in the other or its core touches a face; with contacts it does not.
+                # In queries without contacts coal 3.0 misses deep collisions of boxes, cylinders and hulls if one shape
+                # lies symmetrically inside the other or its core touches a face; with contacts it does not.
                 request.enable_contact = True
             found |= np.asarray(pin.computeCollisionsInParallel(1, pool, q, True, False), dtype=np.bool_)
         if self._clouds:
@@ -239,7 +255,7 @@ class GeometryPairs:
         return found
 
     def _cloud_distance(self, query: _QueryData, local: int) -> float:
-        """Signed distance of a pair of a cloud where the arm was last placed [m]."""
+        """Signed distance of a cloud pair at the last placement [m]."""
         mover, cloud = divmod(local, len(self._clouds))
         place = self._placed(query, 0).oMg[mover]
         if cloud in query.clouds:
@@ -247,7 +263,7 @@ class GeometryPairs:
         return self._clouds[cloud][1].distance(self._movers[mover], place)
 
     def _placed(self, query: _QueryData, part: int) -> pin.GeometryData:
-        """The data of a model, its shapes where the arm was last placed."""
+        """Return a model's data with its shapes at the last placement."""
         data = query.parts[part]
         if data.placed is not query.placed:
             pin.updateGeometryPlacements(self._model, query.arm, self._geometries[part], data.geometry)
@@ -262,16 +278,16 @@ def _add_pairs(
     movers: Sequence[pin.GeometryObject],
     pairs: Sequence[tuple[pin.GeometryObject, pin.GeometryObject]],
 ) -> None:
-    """Add pairs of shapes to a model that has the movers first."""
+    """Add pairs of shapes to a model that starts with the movers."""
     places = {id(shape): number for number, shape in enumerate(movers)}
     for shape in itertools.chain(*pairs):
-        if id(shape) not in places:  # the same shape is added once
+        if id(shape) not in places:  # The same shape is added once.
             places[id(shape)] = geometry.addGeometryObject(shape)
     for first, second in pairs:
         geometry.addCollisionPair(pin.CollisionPair(places[id(first)], places[id(second)]))
 
 
 def _put(part: _PartData, places: Sequence[tuple[int, pin.SE3]]) -> None:
-    """Put shapes elsewhere, by number, after Pinocchio has put them where the model has them."""
+    """Move shapes, by index, after Pinocchio has placed them by the model."""
     for number, place in places:
         part.geometry.oMg[number] = place

@@ -1,4 +1,4 @@
-r"""Kernels for arms of any kind: how much of a motion, before and after, one configuration verifies as collision-free.
+r"""Kernels for the segment of a motion verified by one configuration.
 
 Let joints move with rates :math:`\dot q` at a configuration that the motion passes at time 0. A body lies in a ball;
 its points have the velocities :math:`v + \omega \times x` there, :math:`x` from its centre. Let a plane with unit
@@ -8,15 +8,15 @@ body has come nearer to the plane than
 .. math:: d - s \, \max_x \left(-n \cdot (v + \omega \times x)\right) - \tfrac{1}{2} s^2 A,
     \qquad \max_x \left(-n \cdot (v + \omega \times x)\right) \le -n \cdot v + |n \times \omega| \, r,
 
-by Taylor's theorem along :math:`n`, where :math:`A` bounds the accelerations of the body's points all along the motion
-(`hplan.collision.twists.motion_bends`) and :math:`r` is the ball's radius, of a body with a rounding that of its core:
-the rounding adds the same to all distances from planes. So until that, less half of the margin, is used up the two stay
-half of the margin apart; and for the time before, the same holds with the velocities reversed. Nor do points move
-farther than the reaches of joints allow (`hplan.collision.reach`), in whichever direction. What moves along a surface,
-or away from it, has far to go by the first bound; what is far away has by the second.
+by Taylor's theorem along :math:`n`. :math:`A` bounds the accelerations of the body's points over the whole motion
+(`hplan.collision.twists.motion_bends`) and :math:`r` is the ball's radius, for a rounded body the radius of its core's
+ball: the rounding adds the same to all distances from planes. So until this bound, minus half of the margin, is used
+up, the two stay half of the margin apart; for the time before, the same holds with reversed velocities. Points also
+move no farther, in any direction, than the motion-bound coefficients of the joints allow (`hplan.collision.reach`).
+The first bound is strong for bodies that move along a surface or away from it, the second for bodies that are far away.
 
-A pair of the arm's own bodies is seen from the inner one, in whose frame only the joints between them move the
-other. Where neither carries the other, the reaches alone are made use of.
+A self-collision pair is expressed in the inner body's frame, in which only the joints between the two bodies move the
+outer one. If neither body carries the other, only the motion-bound coefficients are used.
 """
 
 from __future__ import annotations
@@ -51,19 +51,20 @@ from hplan.collision.vectors import Vector, cross, dot, sub, turned_back
 
 _FIRST_ROW = any_int(0)
 
-#: By which fraction of itself a distance may be given too small.
+#: Relative tolerance: a distance may be returned too small by this fraction of itself.
 _ROUGH = 2e-2
 
-#: A shown distance is near enough to the distance where its square is at least so many times the vector's.
+#: The lower bound is close enough to the distance if its square is at least this multiple of the vector's squared
+#: length.
 _SURELY = (1.0 - _ROUGH) ** 2
 
 
 class Part(NamedTuple):
-    """A part of a motion, before a configuration and after it.
+    """Segment of a motion around a configuration.
 
     Attributes:
-        back: How much of the motion before.
-        forward: How much of it after; both below 0 where the configuration itself is not clear.
+        back: Length of the segment before the configuration, in the motion's parameter.
+        forward: Length of the segment after it; both are negative if the configuration itself violates the margin.
     """
 
     back: float
@@ -74,8 +75,9 @@ class Moving(NamedTuple):
     """An arm in motion.
 
     Attributes:
-        bends: (bodies, 2) how fast points of each moving body move at most, and what their acceleration is at most.
-        margin: Clearance asked for [m].
+        arm: The arm among obstacles.
+        bends: (bodies, 2) upper bounds of the speed and of the acceleration of each moving body's points.
+        margin: Required clearance [m].
     """
 
     arm: BodyArrays
@@ -85,7 +87,7 @@ class Moving(NamedTuple):
 
 @kernel
 def moving_arm(field: FieldArrays, dof: int, bends: FloatArray, margin: float) -> Moving:
-    """An arm in motion, nowhere yet."""
+    """Prepare an arm in motion, not placed yet."""
     placed, frames = np.empty((int(field.numbers[flat.BODIES]), PLACED)), np.empty((dof + 1, MOVING))
     arm = BodyArrays(field.movers, field.numbers, field.solids, field.data, placed, frames, np.empty(WORK + 6))
     return Moving(arm, bends, margin)
@@ -93,13 +95,14 @@ def moving_arm(field: FieldArrays, dof: int, bends: FloatArray, margin: float) -
 
 @kernel
 def part_shown_clear(q: FloatArray, rates: FloatArray, moving: Moving, back: float, forward: float) -> Part:
-    """How much of a motion, before and after a configuration, cannot use up any moving body's clearance there.
+    """Segment of a motion that cannot use up any moving body's clearance.
 
     Args:
         q: (dof,) configuration.
-        rates: (dof,) rates of the joints there.
-        back: No more is asked for of the motion before.
-        forward: The same after.
+        rates: (dof,) joint rates there.
+        moving: The arm in motion.
+        back: Requested length of the segment before; the result is no longer.
+        forward: Requested length of the segment after; the result is no longer.
     """
     arm, bends = moving.arm, moving.bends
     movers, solids, placed, margin = arm.movers, arm.solids, arm.placed, moving.margin
@@ -107,12 +110,13 @@ def part_shown_clear(q: FloatArray, rates: FloatArray, moving: Moving, back: flo
     find_twists(rates, arm.numbers, arm.frames)
     bodies = placed.shape[0]
     part = Part(back, forward)
-    # From the tip on: what is carried by more joints moves farther, and is in contact more often.
+    # From the tip on: bodies carried by more joints move farther and are in contact more often.
     for turn in range(movers.shape[0]):
         k = bodies - 1 - turn if turn < bodies else turn
         if k < bodies:
             if movers[k, flat.MEETS] > 0.0:
-                # The first row whose ball comes near. (Here, as a call with all arrays costs more than a few rows.)
+                # The first row whose ball comes near. (Inlined, because a call with all arrays costs more than a few
+                # rows.)
                 x, y, z = placed[k, CENTRE], placed[k, CENTRE + 1], placed[k, CENTRE + 2]
                 ball, axis = movers[k, flat.BALL_RADIUS], movers[k, flat.AXIS_RADIUS]
                 lasts = margin + max(part.back, part.forward) * bends[k, 0]
@@ -155,15 +159,18 @@ def _drift(frames: FloatArray, joint: int) -> Vector:
 
 
 class _Motion(NamedTuple):
-    """How a moving body moves: numbers alone, as arrays taken out of tuples cost more than what is done with them.
+    """Velocities of a moving body.
+
+    Plain numbers only, because arrays taken out of tuples cost more than the computation on them.
 
     Attributes:
-        velocity: Of the centre of the body's ball.
+        velocity: Velocity of the centre of the body's ball.
         spin: Angular velocity.
         core: Radius of the ball without the body's rounding [m].
-        speed: How fast points move now at most.
-        bend: What their acceleration is at most.
-        margin: Clearance asked for [m].
+        speed: Upper bound of the points' speed now.
+        most: Upper bound of the points' speed over the whole motion.
+        bend: Upper bound of the points' acceleration.
+        margin: Required clearance [m].
     """
 
     velocity: Vector
@@ -177,7 +184,7 @@ class _Motion(NamedTuple):
 
 @kernel
 def _farthest(motion: _Motion, part: Part) -> float:
-    """The distance that lasts for a part, however a moving body's points move [m]."""
+    """Distance sufficient for a segment in any direction of motion [m]."""
     back, forward, bend = part.back, part.forward, 0.5 * motion.bend
     after = min(forward * motion.most, forward * motion.speed + forward * forward * bend)
     before = min(back * motion.most, back * motion.speed + back * back * bend)
@@ -196,7 +203,7 @@ def _sweep(motion: _Motion, part: Part) -> Sweep:
 
 @kernel
 def _lasting(clear: float, speed: float, most: float, bend: float, asked: float) -> float:
-    """How long a clearance lasts, no longer than is asked."""
+    """Duration that a clearance lasts, at most the requested one."""
     lasts: float = asked
     if clear < most * lasts:
         root = math.sqrt(speed * speed + 2.0 * bend * clear)
@@ -211,7 +218,7 @@ def _lasting(clear: float, speed: float, most: float, bend: float, asked: float)
 
 @kernel
 def _left(motion: _Motion, direction: Vector, distance: float, part: Part) -> Part:
-    """What is left of a part where two bodies are apart by a distance along a direction."""
+    """Part of a segment verified by two bodies' separation along a direction."""
     if not distance >= motion.margin:
         return Part(-1.0, -1.0)
     length = math.sqrt(dot(direction, direction))
@@ -228,7 +235,10 @@ def _left(motion: _Motion, direction: Vector, distance: float, part: Part) -> Pa
 
 @kernel
 def _of_body(moving: Moving, b: int, first: int, part: Part) -> Part:
-    """What is left of a part that a body's clearance from obstacles, from some row on, lasts for."""
+    """Part of a segment verified by a body's clearance from obstacles.
+
+    Rows before `first` are known to be far.
+    """
     arm = moving.arm
     movers, solids, placed, frames = arm.movers, arm.solids, arm.placed, arm.frames
     centre = (placed[b, CENTRE], placed[b, CENTRE + 1], placed[b, CENTRE + 2])
@@ -256,7 +266,7 @@ def _of_body(moving: Moving, b: int, first: int, part: Part) -> Part:
         if kind < row.NODE:
             clear, is_known = 0.0, False
             if kind != row.HULL:
-                # From the solid's core to the segment that the body is about.
+                # Vector from the solid's core to the body's axis segment.
                 x, y, z, _, shown = off_row(placed, b, solids, s)
                 if shown > 0.0:
                     away, clear = (x, y, z), shown - solids[s, row.RADIUS] - thickness
@@ -280,7 +290,7 @@ def _of_body(moving: Moving, b: int, first: int, part: Part) -> Part:
 
 @kernel
 def _off_axis(placed: FloatArray, b: int, point: Vector) -> Vector:
-    """From a point to the nearest one of the segment about which a body is."""
+    """Vector from a point to its nearest point on a body's axis."""
     start, along = segment_of(placed, b)
     start = sub(start, point)
     square, t = dot(along, along), 0.0
@@ -291,7 +301,10 @@ def _off_axis(placed: FloatArray, b: int, point: Vector) -> Vector:
 
 @kernel
 def _is_apart(motion: _Motion, part: Part, away: Vector, radii: float) -> bool:
-    """True if two balls, or what is about segments, keep clear for all of a part, by how far apart their cores are."""
+    """Early-out: True if the core distance alone guarantees clearance over a segment.
+
+    Holds for two balls, or for bodies inside capsules, with the sum of radii `radii`.
+    """
     length = math.sqrt(dot(away, away))
     apart: bool = length > radii and length - radii >= used_up(_sweep(motion, part), away, length)
     return apart
@@ -299,7 +312,7 @@ def _is_apart(motion: _Motion, part: Part, away: Vector, radii: float) -> bool:
 
 @kernel
 def _of_hull(moving: Moving, k: int, other: tuple[FloatArray, Span, float], motion: _Motion, part: Part) -> Part:
-    """As `_of_body`, of a hull grown by a radius."""
+    """Part of a segment verified by the clearance from a rounded hull."""
     arm = moving.arm
     points, other_span, radius = other
     work, radii = arm.work, radius + arm.movers[k, flat.ROUNDING]
@@ -314,7 +327,12 @@ def _of_hull(moving: Moving, k: int, other: tuple[FloatArray, Span, float], moti
 
 @kernel
 def _of_row(moving: Moving, place: tuple[int, int], away: Vector, motion: _Motion, part: Part) -> Part:
-    """As `_of_body`, of the solid of a row: places of both, and a direction from the solid to the body."""
+    """Part of a segment verified by the clearance from one primitive.
+
+    Args:
+        place: Indices of the body and of the primitive.
+        away: A direction from the primitive to the body.
+    """
     (k, s), arm = place, moving.arm
     solids, data, work = arm.solids, arm.data, arm.work
     work[NEAREST], work[NEAREST + 1], work[NEAREST + 2] = away
@@ -325,7 +343,10 @@ def _of_row(moving: Moving, place: tuple[int, int], away: Vector, motion: _Motio
 
 @kernel
 def _of_lot(moving: Moving, place: tuple[int, int], motion: _Motion, part: Part) -> Part:
-    """As `_of_body`, of the balls of a leaf: places of both."""
+    """Part of a segment verified by the clearance from a leaf's balls.
+
+    `place` are the indices of the body and of the leaf.
+    """
     (k, s), arm = place, moving.arm
     solids, data, placed, work = arm.solids, arm.data, arm.placed, arm.work
     radius = solids[s, row.RADIUS]
@@ -345,7 +366,7 @@ def _of_lot(moving: Moving, place: tuple[int, int], motion: _Motion, part: Part)
 
 @kernel
 def _of_pair(moving: Moving, k: int, part: Part) -> Part:
-    """What is left of a part that the clearance of a pair of the arm's own bodies lasts for."""
+    """Part of a segment verified by the clearance of a self-collision pair."""
     arm = moving.arm
     movers, numbers, placed, frames, work = arm.movers, arm.numbers, arm.placed, arm.frames, arm.work
     j, i, touching = int(movers[k, flat.OUTER]), int(movers[k, flat.INNER]), movers[k, flat.TOUCHING]
@@ -369,7 +390,7 @@ def _of_pair(moving: Moving, k: int, part: Part) -> Part:
             return part
         if is_thin(movers, i) and is_thin(movers, j) and shown * shown >= _SURELY * length * length:
             return _left(seen, away, clear, part)
-    # As seen from the inner body.
+    # Expressed in the inner body's frame.
     pose = pose_of(frames, inner)
     work[NEAREST], work[NEAREST + 1], work[NEAREST + 2] = turned_back(pose, away)
     motion = _Motion(turned_back(pose, velocity), turned_back(pose, spin), core, most, most, bend, moving.margin)

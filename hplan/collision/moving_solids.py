@@ -1,4 +1,4 @@
-"""Obstacles that move, for a collision checker: where they are at a time, and how far any point of them travels."""
+"""Moving obstacles of a collision checker: their poses and their travel."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from hplan.scene.obstacles import Solid
 from hplan.scene.solids import Cloud
 from hplan.scene.tracks import Movement
 
-#: What turns no axis away from the vertical by more than this keeps heights.
+#: Rotations that tilt no axis from the vertical by more than this keep heights.
 _UPRIGHT = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
 class MovingSolids(Record):
-    """Obstacles, some of which move.
+    """All obstacles of a scene and their movements.
 
     Attributes:
-        solids: All obstacles, where the scene lists them.
-        movements: How each of them moves; None for one that stands still.
+        solids: All obstacles at their listed poses.
+        movements: Movement of each obstacle; None for a static one.
     """
 
     solids: tuple[Solid, ...]
@@ -33,19 +33,19 @@ class MovingSolids(Record):
 
     @classmethod
     def of(cls, solids: Sequence[Solid], movements: Sequence[Movement | None]) -> MovingSolids | None:
-        """The obstacles with their movements; None where none of them moves."""
+        """Combine obstacles and movements; None if all obstacles are static."""
         if all(movement is None for movement in movements):
             return None
         return cls(tuple(solids), tuple(movements))
 
     @cached_property
     def numbers(self) -> tuple[int, ...]:
-        """Which of the obstacles move."""
+        """Indices of the moving obstacles."""
         return tuple(number for number, movement in enumerate(self.movements) if movement is not None)
 
     @cached_property
     def _distinct(self) -> tuple[tuple[Movement, tuple[tuple[int, pin.SE3], ...]], ...]:
-        """The movements, each with the obstacles that move by it and where these are listed."""
+        """The distinct movements, each with its obstacles and their listed poses."""
         found: dict[int, tuple[Movement, list[tuple[int, pin.SE3]]]] = {}
         for number, (solid, movement) in enumerate(zip(self.solids, self.movements, strict=True)):
             if movement is not None:
@@ -55,11 +55,11 @@ class MovingSolids(Record):
 
     @cached_property
     def breaks(self) -> FloatArray:
-        """(m,) times at which speeds may change [s]; before the first and after the last nothing moves."""
+        """(m,) times of possible speed changes [s]; obstacles rest outside them."""
         return frozen(np.unique(np.concatenate([movement.breaks for movement, _ in self._distinct])))
 
     def places(self, time_s: float) -> list[tuple[int, pin.SE3]]:
-        """Number and place of each obstacle that moves, as coal takes it, at a time [s]."""
+        """Index and coal pose of each moving obstacle at a time [s]."""
         found = []
         for movement, listed in self._distinct:
             rotation, shift = movement.at(np.array([time_s]))
@@ -68,14 +68,14 @@ class MovingSolids(Record):
         return found
 
     def travels(self, clock: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """How far any point of the obstacles travels at most between times, at each interval's largest speed.
+        """Upper bound of the obstacles' travel between times, from their maximum speeds.
 
         Args:
-            clock: (n + 1,) times that do not decrease [s].
+            clock: (n + 1,) non-decreasing times [s].
 
         Returns:
-            (groups, n) largest speed within each interval times its length [m], and (obstacles,) the group of each, -1
-            for one that stands still.
+            (groups, n) maximum speed within each interval times its length [m], and (obstacles,) the group of each
+            obstacle, -1 for a static one.
         """
         rows: dict[bytes, int] = {}
         found: list[FloatArray] = []
@@ -92,9 +92,10 @@ class MovingSolids(Record):
         return np.array(found), frozen(group_of)
 
     def keep_below(self, below: BoolArray, height: float) -> BoolArray:
-        """(obstacles,) mask of those that stay below a height, from that of those that are there where they are listed.
+        """(obstacles,) mask of the obstacles that always stay below a height [m].
 
-        Of those that move only such as keep upright are.
+        `below` is the mask of the obstacles that are below it at their listed pose. A moving obstacle qualifies only if
+        its movement keeps it upright.
         """
         kept = below.copy()
         for number in self.numbers:
@@ -109,17 +110,19 @@ class MovingSolids(Record):
 
 
 def largest_rates(breaks: FloatArray, rates: FloatArray, clock: FloatArray) -> FloatArray:
-    """Largest value within each interval of a function that is constant between its breaks, and 0 outside them.
+    """Maximum of a piecewise constant function within each interval.
+
+    The function is constant between its breaks and 0 outside them.
 
     Args:
-        breaks: (m,) increasing places.
-        rates: (m - 1,) values between them, none negative.
-        clock: (n + 1,) ends of the intervals, not decreasing.
+        breaks: (m,) increasing positions.
+        rates: (m - 1,) non-negative values between them.
+        clock: (n + 1,) non-decreasing ends of the intervals.
 
     Returns:
-        (n,) values; of an interval without length that of the two parts that meet there.
+        (n,) values; for an interval of zero length the maximum of the two pieces that meet there.
     """
-    # Parts 0 and m are before the first and after the last break.
+    # Pieces 0 and m are before the first and after the last break.
     padded = np.concatenate([[0.0], rates, [0.0]])
     first = np.searchsorted(breaks, clock[:-1], side="left")
     last = np.searchsorted(breaks, clock[1:], side="right")

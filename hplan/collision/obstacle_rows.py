@@ -1,8 +1,8 @@
-"""Obstacles as rows of numbers for the kernels of clearance.
+"""Obstacles as rows of numbers for the clearance kernels.
 
-The rows of a cloud are the nodes of its tree: where a node's bounding ball is farther than the nearest solid so far,
-all rows below it are skipped. So are those of many solids that are a row each, which stand below nodes by
-neighbourhood. What only some links keep clear of stands below a range of the joints that carry these.
+The rows of a cloud are the nodes of its tree: if a node's bounding ball is farther than the nearest solid found before
+it, all rows below it are skipped. Many obstacles with one row each are grouped by neighbourhood below nodes and skipped
+in the same way. Obstacles that concern only some links are below a range of the joints that carry these links.
 """
 
 from __future__ import annotations
@@ -21,36 +21,37 @@ from hplan.scene.corner_table import corner_table
 from hplan.scene.obstacles import Box, Capsule, Solid, Sphere
 from hplan.scene.solids import Cloud, whole_hull
 
-#: Kinds of rows. Nodes and leaves are those of a cloud's tree, a leaf has some points; what is below a joint range is
-#: for what these joints carry alone.
+#: Kinds of rows. Nodes and leaves belong to the tree of a cloud, and a leaf has points; rows below a joint range
+#: concern only the bodies that these joints carry.
 POINT, SEGMENT, BOX, HULL, NODE, LEAF, JOINT_RANGE = 0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0
 
-#: Columns of every row: its kind, the radius about its core, its bounding ball (centre (3) and radius), and the row to
-#: go on with where that ball is too far.
+#: Columns of every row: its kind, the radius around its core, its bounding ball (centre (3) and radius), and the row to
+#: continue with if that ball is too far.
 KIND, RADIUS, CENTRE, BOUND, NEXT = 0, 1, 2, 5, 20
 _COLUMNS = 21
 
-#: Owner of rows that say for which joints the rows below them are.
+#: Owner of joint-range rows.
 RANGE = -2
 
-#: Columns of one kind, from `SHAPE` on. Point: its place (3). Segment: its two ends (3 each). Box: its half sizes (3),
-#: then its axes (3 rows of 3). Hull, of `solid_rows` alone: where its facets begin in the data, where its edges begin
-#: and end. Leaf: where its points begin and end there.
+#: Columns of one kind, from `SHAPE` on. Point: its position (3). Segment: its two ends (3 each). Box: its half sizes
+#: (3), then its axes (3 rows of 3). Hull (only in `solid_rows`): start of its facets in the data, start and end of its
+#: edges. Leaf: start and end of its points there.
 SHAPE, SECOND_END, AXES, _FACETS, _EDGES, _EDGES_END, POINTS, POINTS_END = 6, 9, 9, 6, 7, 8, 6, 7
 
-#: Of `rows_of`, every kind that is one hull also has the place of its corners in the data. Two numbers stand before
-#: them: the place of their end, and that of their table (`hplan.scene.corner_table`) behind them, 0 for none.
+#: In `rows_of`, every kind that is a single hull also has the index of its corners in the data. Two numbers precede the
+#: corners: the index of their end, and the index of their table (`hplan.scene.corner_table`) after them, 0 for no
+#: table.
 CORNERS = 18
 
 #: Joint range: its first and its last joint.
 FIRST_JOINT, LAST_JOINT = 6, 7
 
-#: Balls and capsules. (Of hundreds of solids the very type is compared here: `isinstance` of pydantic's models takes
+#: Balls and capsules. (Exact types are compared because for hundreds of obstacles `isinstance` of pydantic models takes
 #: ten times as long, and longer for several types.)
 _ROUND = (Sphere, Capsule)
 
-#: So many solids that are a row each are put into groups of neighbours, and these into larger ones, `_SIZE` at a time;
-#: not those whose balls are larger than so many times the median.
+#: From `_MANY` single-row obstacles on, they are put into groups of `_SIZE` neighbours, and these into larger groups of
+#: `_SIZE`; obstacles with a ball larger than `_LARGE` times the median stay outside.
 _MANY, _SIZE, _LARGE = 32, 8, 4.0
 
 _Lengths = TypeVar("_Lengths", float, FloatArray)
@@ -59,7 +60,7 @@ _Lengths = TypeVar("_Lengths", float, FloatArray)
 class FieldArrays(NamedTuple):
     """The arrays of a `hplan.collision.clearance_field.ClearanceField` that kernels read.
 
-    And how long they may take (`hplan.base.deadline`): what is verified by then is; after it nothing is.
+    `until` is their deadline (`hplan.base.deadline`): results reached before it hold; after it nothing is verified.
     """
 
     movers: FloatArray
@@ -73,7 +74,7 @@ class _Stack:
     """Blocks of rows, one below the other, and their data.
 
     Attributes:
-        numbers: How many numbers of data there are so far.
+        numbers: Number of data values added.
     """
 
     def __init__(self) -> None:
@@ -82,7 +83,13 @@ class _Stack:
         self._count = self.numbers = 0
 
     def add(self, rows: FloatArray, owner: int | IntArray, data: FloatArray | None = None) -> None:
-        """Add rows that were made as if they were the first, who owns them all, or each, and their data."""
+        """Add rows with their owner and data.
+
+        Args:
+            rows: Rows with indices that start at 0.
+            owner: Owner of all the rows, or of each.
+            data: Data of the rows; None for no data.
+        """
         rows[:, NEXT] += self._count
         self._rows.append(rows)
         self._owner.append(np.full(len(rows), owner, dtype=np.int64))
@@ -98,7 +105,10 @@ class _Stack:
 
 
 def solid_rows(obstacles: Sequence[Solid], clearance: float) -> tuple[FloatArray, FloatArray]:
-    """Rows of obstacles grown by a clearance [m], with the facets of hulls as their data, for distances of points."""
+    """Rows of obstacles grown by a clearance [m], for distances of points.
+
+    The data are the facets and edges of the hulls.
+    """
     stack = _Stack()
     for index, obstacle in enumerate(obstacles):
         rows, more = _rows(obstacle, clearance, stack.numbers)
@@ -112,8 +122,9 @@ def rows_of(
     """Rows of obstacles, with the corners of each.
 
     Args:
-        clearance: By how much each of them is grown [m], one number or one for each.
-        joints: (obstacles, dof) for each whether what a joint carries keeps clear of it; None for all of all.
+        clearance: Growth of the obstacles [m], one number or one for each.
+        joints: (obstacles, dof) mask of the joints whose bodies keep clear of each obstacle; None for all joints and
+            obstacles.
 
     Returns:
         `solids`, `data` and `owner` of `hplan.collision.clearance_field.ClearanceField`.
@@ -136,7 +147,10 @@ def rows_of(
 
 
 def _solid_rows(obstacles: Sequence[Solid], clearances: Sequence[float], offset: int) -> tuple[FloatArray, FloatArray]:
-    """A row of each of some solids, as if it were the first, and their corners, from `offset` on."""
+    """One row for each obstacle, with indices from 0, and their corners.
+
+    The corners start at index `offset` of the data.
+    """
     rows, data = np.zeros((len(obstacles), _COLUMNS)), [np.zeros(0)]
     is_round = [type(solid) in _ROUND for solid in obstacles]
     if any(is_round):
@@ -159,10 +173,10 @@ def _solid_rows(obstacles: Sequence[Solid], clearances: Sequence[float], offset:
 
 
 def _round_rows(obstacles: Sequence[Sphere | Capsule], clearances: Sequence[float]) -> FloatArray:
-    """The rows of balls and capsules grown by clearances [m], each as if it were the first."""
+    """Rows of balls and capsules grown by clearances [m], indices from 0."""
     rows = np.zeros((len(obstacles), _COLUMNS))
     radius = np.array([obstacle.radius for obstacle in obstacles]) + clearances
-    # A ball is read as a segment without a length, of which its row has the first end.
+    # A ball is read as a segment of zero length; its row holds the first end only.
     is_ball = np.array([type(obstacle) is Sphere for obstacle in obstacles], dtype=np.bool_)
     ends = [(o.center, o.center) if isinstance(o, Sphere) else (o.start, o.end) for o in obstacles]
     start, end = np.array(ends).transpose(1, 0, 2)
@@ -177,14 +191,14 @@ def _round_rows(obstacles: Sequence[Sphere | Capsule], clearances: Sequence[floa
 
 
 def grouped(rows: FloatArray, owner: IntArray) -> tuple[FloatArray, IntArray]:
-    """Rows of solids, one each, below nodes whose bounding balls hold those of neighbours.
+    """Arrange single rows of obstacles below nodes with bounding balls of neighbours.
 
     Args:
-        rows: (n, columns) rows, each as if it were the first.
-        owner: (n,) whose they are.
+        rows: (n, columns) rows, each with indices from 0.
+        owner: (n,) owners of the rows.
 
     Returns:
-        The rows in another order, those of the nodes among them, and whose they are: nodes are nobody's, -1.
+        The reordered rows, with the nodes among them, and their owners: -1 for a node.
     """
     if len(rows) < _MANY:
         rows[:, NEXT] += np.arange(len(rows))
@@ -200,7 +214,7 @@ def grouped(rows: FloatArray, owner: IntArray) -> tuple[FloatArray, IntArray]:
     nodes[:, KIND] = NODE
     balls = rows[ordered, CENTRE : BOUND + 1]
     nodes[:, CENTRE : BOUND + 1] = np.concatenate([_around(balls, large), _around(balls, small)])
-    # Sorted by the first solid of each, the larger group before the smaller one before the solid.
+    # Sorted by the first obstacle of each: the larger group before the smaller one before the obstacle.
     order = np.argsort(firsts, kind="stable")
     found = np.concatenate([rows[alone], np.concatenate([nodes, rows[ordered]])[order]])
     found[: len(alone), NEXT] = np.arange(1, len(alone) + 1)
@@ -212,7 +226,7 @@ def grouped(rows: FloatArray, owner: IntArray) -> tuple[FloatArray, IntArray]:
 
 
 def _by_neighbourhood(centres: FloatArray, chosen: BoolArray) -> IntArray:
-    """Numbers of the chosen ones of (n, 3) points along a curve that stays long where it is: by bits of all axes."""
+    """Indices of the chosen (n, 3) points along a Morton curve."""
     numbers = np.flatnonzero(chosen)
     points = centres[numbers]
     low, size = points.min(axis=0), float(np.ptp(points, axis=0).max())
@@ -225,7 +239,10 @@ def _by_neighbourhood(centres: FloatArray, chosen: BoolArray) -> IntArray:
 
 
 def _around(balls: FloatArray, firsts: IntArray) -> FloatArray:
-    """(k, 4) balls that hold (n, 4) others, from one of `firsts` to the next, never too small by rounding errors."""
+    """(k, 4) balls around groups of (n, 4) balls.
+
+    Never too small by rounding errors. A group extends from one of `firsts` to the next.
+    """
     low = np.minimum.reduceat(balls[:, :3] - balls[:, 3:], firsts)
     high = np.maximum.reduceat(balls[:, :3] + balls[:, 3:], firsts)
     centres = 0.5 * (low + high)
@@ -235,12 +252,15 @@ def _around(balls: FloatArray, firsts: IntArray) -> FloatArray:
 
 
 def _bounding(reach: _Lengths, radius: _Lengths) -> _Lengths:
-    """Radius of a bounding ball, or of several, never too small by rounding errors [m]."""
+    """Radius of a bounding ball, never too small by rounding errors [m]."""
     return (reach + radius) * (1.0 + 1e-12)
 
 
 def _rows(obstacle: Solid, clearance: float, offset: int) -> tuple[FloatArray, FloatArray]:
-    """Rows of an obstacle, its first one number 0, and the data that they point to from `offset` on."""
+    """Rows of an obstacle with indices from 0, and their data.
+
+    The rows refer to the data from index `offset` on.
+    """
     if isinstance(obstacle, Cloud):
         return _cloud_rows(obstacle, clearance, offset), obstacle.core.ravel()
     if isinstance(obstacle, Sphere | Capsule):
@@ -251,7 +271,7 @@ def _rows(obstacle: Solid, clearance: float, offset: int) -> tuple[FloatArray, F
     radius = obstacle.rounding + clearance
     if isinstance(obstacle, Box):
         first[KIND], first[SHAPE : SHAPE + 3] = BOX, 0.5 * np.array(obstacle.size)
-        first[AXES : AXES + 9] = obstacle.rotation.T.ravel()  # rows: the box's axes in base_link
+        first[AXES : AXES + 9] = obstacle.rotation.T.ravel()  # Rows: the box's axes in base_link.
         centre, reach = obstacle.center, 0.5 * math.hypot(*obstacle.size)
     else:
         flat = obstacle.hull
@@ -267,14 +287,15 @@ def _rows(obstacle: Solid, clearance: float, offset: int) -> tuple[FloatArray, F
 
 
 def _concerned(count: int, joints: BoolArray | None) -> list[bytes]:
-    """Of each of some obstacles, what which joints carry keeps clear of it, as a word."""
+    """For each obstacle, the joints that concern it, as a hashable word."""
     return [b""] * count if joints is None else [row.tobytes() for row in joints]
 
 
 def _for_joints(rows: FloatArray, owner: IntArray, joints: BoolArray | None) -> tuple[FloatArray, IntArray]:
-    """Rows, and whose they are, once below each range of the (dof,) joints that they are for; None for all.
+    """Rows and owners below each range of the joints they concern.
 
-    The ranges are `RANGE`.
+    The rows are repeated below each range of the (dof,) mask `joints`. Joint-range rows have the owner `RANGE`. With
+    `joints` None they concern all joints.
     """
     if joints is None or joints.all():
         return rows, owner
@@ -292,7 +313,10 @@ def _for_joints(rows: FloatArray, owner: IntArray, joints: BoolArray | None) -> 
 
 
 def convex_solid(name: str, core: FloatArray, rounding: float) -> Solid:
-    """The hull of (k, 3) points grown by a radius, as the simplest solid that it is; flat ones are made thicker."""
+    """A rounded hull of (k, 3) points as the simplest exact solid.
+
+    A flat hull is thickened.
+    """
     _, spread, directions = np.linalg.svd(core - core.mean(axis=0), full_matrices=False)
     flat = np.count_nonzero(spread > 1e-9)
     if flat == 0:
@@ -306,10 +330,10 @@ def convex_solid(name: str, core: FloatArray, rounding: float) -> Solid:
 
 
 def _cloud_rows(cloud: Cloud, clearance: float, offset: int) -> FloatArray:
-    """The nodes of a cloud's tree."""
+    """Rows of the nodes of a cloud's tree."""
     tree = cloud.tree
     rows = np.zeros((len(tree), _COLUMNS))
-    rows[:, KIND] = np.where(tree[:, 2] == np.arange(len(tree)) + 1, LEAF, NODE)  # what has nothing below it is a leaf
+    rows[:, KIND] = np.where(tree[:, 2] == np.arange(len(tree)) + 1, LEAF, NODE)  # A leaf has no descendants.
     rows[:, RADIUS] = cloud.rounding + clearance
     rows[:, CENTRE:BOUND] = tree[:, 3:6]
     rows[:, BOUND] = tree[:, 6] * (1.0 + 1e-12) + rows[:, RADIUS]

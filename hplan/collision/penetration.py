@@ -1,11 +1,11 @@
-r"""How deep the hull of some points is in that of others: the least shift that takes them apart.
+r"""Penetration depth of two convex hulls: the minimum translation that separates them.
 
-In every direction `n` a shift by :math:`h(n)`, how far the differences of their points reach in it, takes them apart;
-the depth is the least of these numbers. Directions are the normals of a polytope of corners of :math:`A - B` that
-grows by the corner farthest beyond its face nearest to the origin (the expanding polytope algorithm, van den Bergen
-2001), begun with any tetrahedron: the origin need not be inside. What is returned is the least :math:`h` of all
-normals that were tried, so it is never less than the depth, and it is the depth where the polytope was finished within
-`_MOST` corners.
+For every direction `n`, a translation by the support :math:`h(n)` of the differences of their points separates them;
+the depth is the minimum of these numbers. The directions are the face normals of a polytope of corners of :math:`A - B`
+that grows by the corner farthest beyond its face nearest to the origin (the expanding polytope algorithm, van den
+Bergen 2001). It starts from any tetrahedron: the origin need not be inside. The result is the minimum :math:`h` of all
+normals tried, so it is never less than the depth, and it equals the depth if the polytope was finished within `_MOST`
+corners.
 """
 
 from __future__ import annotations
@@ -20,13 +20,14 @@ from hplan.base.kernels import any_int, kernel
 from hplan.collision.convex_distance import NEAREST, ON_FIRST, Span, farthest_corner, on_triangle
 from hplan.collision.vectors import Pose, Vector, cross, dot, placed_point, sub, turned_back
 
-#: Two hulls: the coordinates of points, which of them are of the first, where that is; and of the other.
+#: Two hulls: point coordinates, range and pose of the first; point coordinates and range of the other.
 Hulls: TypeAlias = tuple[FloatArray, Span, Pose, FloatArray, Span]
 
-#: Most corners of the polytope, and faces that are ever made.
+#: Maximum number of corners of the polytope, and of faces ever created.
 _MOST, _FACES, _NONE_YET = any_int(64), any_int(1024), any_int(0)
 
-#: What is no farther off than this fraction of the polytope's size is on a face, on a line, in a place.
+#: Points within this fraction of the polytope's size lie on a face; edges and volumes below the second fraction are
+#: degenerate.
 _ON_FACE, _FLAT = 1e-12, 1e-9
 
 #: Columns of a face: its corners, and 1 while no corner is beyond it.
@@ -35,12 +36,14 @@ _STANDS = any_int(3)
 
 @kernel
 def penetration(hulls: Hulls, work: FloatArray) -> float:
-    """Depth of a hull in another that it shares points with; 0 where the differences of their points have no volume.
+    """Penetration depth of two overlapping hulls.
+
+    0 if the differences of their points span no volume.
 
     Args:
         hulls: The two, as for `hplan.collision.convex_distance.core_distance`.
-        work: (WORK,) numbers. Into those of the nearest points are written the shift of the other hull that takes the
-            two apart soonest, and the point of the first one that is deepest in the other.
+        work: (WORK,) buffer. In the entries of the nearest points it receives the shortest translation of the other
+            hull that separates the two, and the first hull's point that is deepest in the other.
     """
     corners, of_first, planes = np.empty((_MOST, 3)), np.empty((_MOST, 3)), np.empty((_FACES, 4))
     faces, edges = np.empty((_FACES, 4), dtype=np.int64), np.empty((_FACES, 2), dtype=np.int64)
@@ -76,9 +79,9 @@ def penetration(hulls: Hulls, work: FloatArray) -> float:
 def _find_deepest(
     corners: FloatArray, of_first: FloatArray, planes: FloatArray, faces: IntArray, depth: float, work: FloatArray
 ) -> None:
-    """Write the point of the first hull that is deepest in the other: where the nearest face is nearest.
+    """Write the first hull's point that is deepest in the other.
 
-    Several triangles may be that face.
+    It is the point of the nearest face that is nearest to the origin; several triangles may form that face.
     """
     least = math.inf
     for f in range(faces.shape[0]):
@@ -102,7 +105,10 @@ def _corner_of(corners: FloatArray, i: int) -> Vector:
 
 @kernel
 def _difference(hulls: Hulls, direction: Vector) -> tuple[Vector, Vector]:
-    """The corner of A - B farthest in a direction, and the point of A behind it."""
+    """Support corner of A - B in a direction.
+
+    Also returns the corner's point of A.
+    """
     shape, span, pose, other, other_span = hulls
     p = farthest_corner(shape, span, turned_back(pose, direction))
     o = farthest_corner(other, other_span, (-direction[0], -direction[1], -direction[2]))
@@ -112,7 +118,10 @@ def _difference(hulls: Hulls, direction: Vector) -> tuple[Vector, Vector]:
 
 @kernel
 def _tetrahedron(hulls: Hulls, corners: FloatArray, of_first: FloatArray) -> float:
-    """Write four corners of A - B that span a volume, and points of A; the size is returned, 0 where there are none."""
+    """Write four corners of A - B that span a volume.
+
+    Also writes their points of A. Returns the size, 0 if all corners lie in a plane.
+    """
     size = 0.0
     first, point = _difference(hulls, (1.0, 0.0, 0.0))
     corners[0, 0], corners[0, 1], corners[0, 2] = first
@@ -129,7 +138,7 @@ def _tetrahedron(hulls: Hulls, corners: FloatArray, of_first: FloatArray) -> flo
             elif count == 3:
                 direction = (sign * normal[0], sign * normal[1], sign * normal[2])
             if dot(direction, direction) <= 1e-4:
-                continue  # across what is along the axis
+                continue  # Perpendicular to a segment along this axis.
             w, a = _difference(hulls, direction)
             off = sub(w, first)
             if count == 1:
@@ -159,7 +168,10 @@ def _tetrahedron(hulls: Hulls, corners: FloatArray, of_first: FloatArray) -> flo
 def _add_face(
     corners: FloatArray, triangle: tuple[int, int, int], planes: FloatArray, faces: IntArray, made: int
 ) -> int:
-    """Write a face whose plane has the first tetrahedron's middle behind it; the number of faces is returned."""
+    """Write a face and return the number of faces.
+
+    The centre of the first tetrahedron lies behind its plane. A degenerate face is not written.
+    """
     i, j, k = triangle
     a, b, c = _corner_of(corners, i), _corner_of(corners, j), _corner_of(corners, k)
     normal = cross(sub(b, a), sub(c, a))
@@ -179,7 +191,7 @@ def _add_face(
 
 @kernel
 def _nearest_face(planes: FloatArray, faces: IntArray, made: int) -> int:
-    """The face whose plane has the least offset; -1 without any."""
+    """Index of the face with the minimum plane offset; else -1."""
     nearest, least = -1, math.inf
     for f in range(made):
         if faces[f, _STANDS] == 1 and planes[f, 3] < least:
@@ -191,7 +203,7 @@ def _nearest_face(planes: FloatArray, faces: IntArray, made: int) -> int:
 def _grow(
     corners: FloatArray, count: int, rounding: float, planes: FloatArray, faces: IntArray, edges: IntArray, made: int
 ) -> int:
-    """Take the faces away that a corner is beyond, and join it to the edges that are left open."""
+    """Replace the faces that a corner lies beyond by faces with it."""
     new, open_edges = _corner_of(corners, count), 0
     for f in range(made):
         if faces[f, _STANDS] == 0 or dot((planes[f, 0], planes[f, 1], planes[f, 2]), new) <= planes[f, 3] + rounding:

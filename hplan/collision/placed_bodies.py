@@ -1,4 +1,4 @@
-"""Where the bodies of a robot are at a configuration: forward kinematics in one compiled call."""
+"""Body placements at a configuration: forward kinematics in one compiled call."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from hplan.base.arrays import FloatArray
 from hplan.base.kernels import kernel
 from hplan.collision import flat_bodies as flat
 
-#: Numbers of a placed body: from `CENTRE` on the centre of its ball, from `START` and `ALONG` on start and vector of
-#: its axis; how many there are.
+#: Columns of a placed body: centre of its ball from `CENTRE` on, start and vector of its axis from `START` and `ALONG`
+#: on; and the number of columns.
 CENTRE, START, ALONG, PLACED = 0, 3, 6, 9
 
 
 @kernel
 def place_joints(q: FloatArray, numbers: FloatArray, frames: FloatArray) -> None:
-    """Write the frames of joints and base, (dof + 1, 12) or wider, at a configuration.
+    """Write the frames of joints and base at a configuration.
 
-    Of each its turn, row by row, and its place.
+    (dof + 1, 12) or wider: for each frame its rotation, row by row, and its position.
     """
     dof, joints = int(numbers[flat.DOF]), int(numbers[flat.JOINTS])
     for c in range(12):
@@ -27,7 +27,7 @@ def place_joints(q: FloatArray, numbers: FloatArray, frames: FloatArray) -> None
         below, here = frames[int(numbers[at + flat.PARENT])], frames[j]
         cos, sin, value = math.cos(q[j]), math.sin(q[j]), q[j]
         for c in range(3):
-            # A column of the joint's turn in its parent's frame, turned on.
+            # A column of the joint's rotation in its parent's frame, then rotated by the parent.
             x, y, z = (
                 numbers[at + c] + cos * numbers[at + 9 + c] + sin * numbers[at + 18 + c],
                 numbers[at + 3 + c] + cos * numbers[at + 12 + c] + sin * numbers[at + 21 + c],
@@ -46,7 +46,10 @@ def place_joints(q: FloatArray, numbers: FloatArray, frames: FloatArray) -> None
 def place_bodies(
     q: FloatArray, movers: FloatArray, numbers: FloatArray, frames: FloatArray, placed: FloatArray
 ) -> None:
-    """Write the (dof + 1, 12) frames of joints and base at a configuration, and where every body is."""
+    """Write the (dof + 1, 12) frames and the body placements.
+
+    The frames of all joints and, last, of the base.
+    """
     place_joints(q, numbers, frames)
     for b in range(placed.shape[0]):
         frame, body = frames[int(movers[b, flat.JOINT])], movers[b]

@@ -1,4 +1,4 @@
-"""By how much a body that moves for a while can come nearer to another, along one direction."""
+"""Upper bound of a moving body's approach to another along one direction."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from hplan.collision.vectors import Vector, cross, dot
 
 
 class Sweep(NamedTuple):
-    """How the first of two bodies moves as seen from the other, for some time before and after now.
+    """Motion of a body relative to another one, around now.
 
-    It lies in a ball, whose centre has a velocity, and which turns with a spin; what its points' velocities change by
-    is bounded.
+    The body lies in a ball whose centre has a velocity and which rotates with a spin; the change of its points'
+    velocities is bounded.
 
     Attributes:
-        velocity: Of the ball's centre.
+        velocity: Velocity of the ball's centre.
         spin: Angular velocity.
-        radius: Of the ball [m].
-        back: How long before now, >= 0.
-        forward: How long after now, >= 0.
-        bend_back: By how much more than by its velocity now a point may move in that time [m].
-        bend_forward: The same of the time after.
-        speed: How fast its points ever move at most.
-        least: Distance that is asked for now; half of it is for all of the time [m].
+        radius: Radius of the ball [m].
+        back: Duration before now, >= 0.
+        forward: Duration after now, >= 0.
+        bend_back: Upper bound of a point's displacement beyond constant velocity during `back` [m].
+        bend_forward: The same bound during `forward` [m].
+        speed: Upper bound of its points' speed at all times.
+        least: Distance required now; half of it is required over the whole time [m].
     """
 
     velocity: Vector
@@ -38,16 +38,16 @@ class Sweep(NamedTuple):
     least: float
 
 
-#: Nothing is asked of directions.
+#: A sweep that no direction satisfies: it disables the early exit of distance queries.
 STILL = Sweep((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0, 0.0, 0.0, math.inf, math.inf, math.inf, 0.0)
 
 
 @kernel
 def used_up(sweep: Sweep, direction: Vector, length: float) -> float:
-    """By how much a sweep brings the first body nearer to the other along a direction, the other's to it [m].
+    """Upper bound of the clearance used up along a direction [m].
 
-    With `n` the direction's unit vector, a point at `x` from the ball's centre moves by `n . (v + w x x)` along it, and
-    `n . (w x x) = x . (n x w)` is `|n x w|` times the radius at most.
+    `direction` points from the other body to the first. With `n` its unit vector, a point at `x` from the ball's centre
+    moves by `n . (v + w x x)` along it, and `n . (w x x) = x . (n x w)` is at most `|n x w|` times the radius.
     """
     if sweep.speed == math.inf:
         return math.inf

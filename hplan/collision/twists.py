@@ -1,4 +1,4 @@
-"""Velocities of what joints carry, and bounds of the velocities and accelerations of all points of a body."""
+"""Twists of joint frames, and speed and acceleration bounds of body points."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from hplan.base.kernels import kernel
 from hplan.collision import flat_bodies as flat
 from hplan.collision.vectors import cross
 
-#: Numbers of a frame that moves: behind the frame the angular velocity of what its joint carries, and the velocity of
-#: the point of that which is at the origin.
+#: Columns of a moving frame: after the pose the angular velocity of the bodies that the joint carries, and the velocity
+#: of their point at the origin; and the number of columns.
 TWIST, MOVING = 12, 18
 
-#: Stands for an acceleration that nothing bounds.
+#: Represents an unbounded acceleration.
 _UNBOUNDED = 1e300
 
 
@@ -19,19 +19,22 @@ _UNBOUNDED = 1e300
 def motion_bends(
     rates: FloatArray, changes: FloatArray, movers: FloatArray, numbers: FloatArray, bends: FloatArray
 ) -> None:
-    r"""Write how fast points of each moving body move at most, and what their acceleration is at most.
+    r"""Write upper bounds of moving bodies' point speeds and accelerations.
 
     A point at :math:`p` has :math:`\ddot p = \sum_j \partial_j p \, \ddot q_j + \sum_{ij} \partial_{ij} p \, \dot q_i
     \dot q_j`. Of two joints let j be the one nearer to the body. The velocity :math:`\partial_j p`, no longer than j's
-    reach, is turned with the axis of i, at unit rate: :math:`\partial_{ij} p = a_i \times \partial_j p` is no longer
-    either, and zero where i slides. As seen from a body that carries another, the joints between them are all there
-    are.
+    motion-bound coefficient, is rotated about the axis of i at unit rate: :math:`\partial_{ij} p = a_i \times
+    \partial_j p`
+    is no longer either, and zero if i is prismatic. Relative to a body that carries another, only the joints between
+    them
+    count.
 
     Args:
-        rates: (dof,) how fast joints move at most.
-        changes: (dof,) how fast these rates change at most.
-        movers: As `hplan.collision.flat_bodies.FlatBodies`.
-        bends: (bodies, 2) written.
+        rates: (dof,) upper bounds of the joint rates.
+        changes: (dof,) upper bounds of the joint accelerations.
+        movers: Moving bodies, as in `hplan.collision.flat_bodies.FlatBodies`.
+        numbers: Joint and hull data, as in `hplan.collision.flat_bodies.FlatBodies`.
+        bends: (bodies, 2) output.
     """
     at, first, dof = int(numbers[flat.REACHES]), int(numbers[flat.JOINTS]), len(rates)
     for k in range(movers.shape[0]):
@@ -54,7 +57,7 @@ def motion_bends(
 
 @kernel
 def _is_carried(movers: FloatArray, numbers: FloatArray, k: int) -> bool:
-    """True if what carries the inner body of a pair carries the outer one too."""
+    """True if the joint of a pair's inner body carries the outer."""
     dof, joints = int(numbers[flat.DOF]), int(numbers[flat.JOINTS])
     inner = int(movers[int(movers[k, flat.INNER]), flat.JOINT])
     j = int(movers[int(movers[k, flat.OUTER]), flat.JOINT])
@@ -65,7 +68,10 @@ def _is_carried(movers: FloatArray, numbers: FloatArray, k: int) -> bool:
 
 @kernel
 def find_twists(rates: FloatArray, numbers: FloatArray, frames: FloatArray) -> None:
-    """Write, behind the (dof + 1, MOVING) frames, the twists of joints that move at some rates; the base has zeros."""
+    """Write the twists of the joints behind their frames.
+
+    `frames` is (dof + 1, MOVING). `rates` are the (dof,) joint rates; the base has a zero twist.
+    """
     for c in range(TWIST, MOVING):
         frames[len(rates), c] = 0.0
     joints = int(numbers[flat.JOINTS])

@@ -1,4 +1,4 @@
-"""Three coordinates as tuples, which stay in registers: products, and what a pose does to them."""
+"""Operations on three coordinates and poses as tuples, which stay in registers."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from hplan.base.kernels import kernel
 #: Three coordinates.
 Vector: TypeAlias = tuple[float, float, float]
 
-#: A turn, three rows of three numbers, and a shift [m].
+#: A rotation, three rows of three numbers, and a translation [m].
 Pose: TypeAlias = tuple[float, float, float, float, float, float, float, float, float, float, float, float]
 
 
@@ -28,7 +28,7 @@ def cross(a: Vector, b: Vector) -> Vector:
 
 @kernel
 def sub(a: Vector, b: Vector) -> Vector:
-    """The difference a - b: the vector from b to a."""
+    """The difference a - b, the vector from b to a."""
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
@@ -40,7 +40,7 @@ def moved_on(a: Vector, b: Vector, factor: float) -> Vector:
 
 @kernel
 def turned(pose: Pose, d: Vector) -> Vector:
-    """A direction turned by the pose."""
+    """Rotate a direction by the pose."""
     return (
         pose[0] * d[0] + pose[1] * d[1] + pose[2] * d[2],
         pose[3] * d[0] + pose[4] * d[1] + pose[5] * d[2],
@@ -50,7 +50,7 @@ def turned(pose: Pose, d: Vector) -> Vector:
 
 @kernel
 def turned_back(pose: Pose, d: Vector) -> Vector:
-    """A direction as seen from what the pose places."""
+    """Rotate a direction by the inverse of the pose."""
     return (
         pose[0] * d[0] + pose[3] * d[1] + pose[6] * d[2],
         pose[1] * d[0] + pose[4] * d[1] + pose[7] * d[2],
@@ -60,7 +60,7 @@ def turned_back(pose: Pose, d: Vector) -> Vector:
 
 @kernel
 def placed_point(pose: Pose, points: FloatArray, p: int) -> Vector:
-    """A point where the pose puts it."""
+    """Transform a point by the pose."""
     x, y, z = points[p], points[p + 1], points[p + 2]
     return (
         pose[0] * x + pose[1] * y + pose[2] * z + pose[9],

@@ -1,1 +1,1 @@
-"""Inverse kinematics: any robot's from many starts, the planar family's in closed form; straight lines of the tool."""
+"""Inverse kinematics: numerical, closed-form for planar arms, straight tool motions."""

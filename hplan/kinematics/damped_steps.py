@@ -1,12 +1,11 @@
-"""Configurations with a frame at a pose by damped least squares, from many starts in one compiled call.
+"""Multi-start inverse kinematics by damped least squares, in one compiled call.
 
-The error is that of the place and the vector of the turn that is left, both in `base_link`; of a free turn only what
-brings the frame's z axis to that of the pose. A step solves the normal equations with damping after Levenberg and
-Marquardt, which grows where a step makes the error larger; joints at a limit that would be passed keep still in it.
+The error consists of the position error and the rotation vector of the remaining rotation, both in `base_link`; with a
+free rotation, only the rotation that aligns the z axes. Each step solves the normal equations with Levenberg-Marquardt
+damping, which increases if a step makes the error larger. Joints at a limit that a step would exceed are fixed in it.
 
-Where there is more than one configuration, the one that is found is near the start: steps lie in the space of the rows
-of the Jacobian, but for the damping. So a frame that is drawn along a line by short steps takes the joints with it
-without a jump (`follow`).
+If the solution is not unique, the result is near the start: up to the damping, steps lie in the row space of the
+Jacobian. Tracking a frame along a line in short steps therefore moves the joints without a jump (`follow`).
 """
 
 from __future__ import annotations
@@ -21,38 +20,38 @@ from hplan.base.kernels import kernel
 from hplan.collision import flat_bodies as flat
 from hplan.collision.placed_bodies import place_joints
 
-#: Errors at which a pose counts as reached [m, rad].
+#: Tolerances of a reached pose [m, rad].
 PLACE_M, TURN_RAD = 1e-7, 1e-7
 
-#: Most steps from one start.
+#: Maximum number of steps from one start.
 _STEPS = 100
 
-#: Damping at first, and its factors after a step that helps and one that does not; beyond the last there is no more.
+#: Initial damping, its factors after a step that helps and one that does not, and the maximum before a start fails.
 _DAMPING, _LESS, _MORE, _MOST = 1e-3, 0.2, 8.0, 1e9
 
-#: The least damping, against a singular matrix.
+#: Minimum damping, against a singular matrix.
 _LEAST = 1e-12
 
-#: What of a frame's pose is given: all of it, all but the turn about its z axis, its place alone, or the direction of
-#: its z axis alone, up to an angle.
+#: Constrained components of a frame's pose: all; all but the rotation about its z axis; position only; or only the
+#: direction of its z axis, up to an angle.
 KEPT, ABOUT_Z, ANY_TURN, UPRIGHT = 0.0, 1.0, 2.0, 3.0
 
-#: What is farther from upright is brought to this fraction of the angle that is allowed.
+#: A frame tilted too far is brought to within this fraction of the permitted angle.
 _INSIDE = 0.9
 
 
 class Chain(NamedTuple):
-    """A robot and what is asked of it, as arrays.
+    """Robot and pose constraint, as arrays.
 
     Attributes:
-        numbers: Flat: head and joints as in `hplan.collision.flat_bodies`.
+        numbers: Flat array: head and joints as in `hplan.collision.flat_bodies`.
         moves: (dof,) 1 for joints that may move and carry the frame, else 0.
         lower: (dof,) lower limits.
         upper: (dof,) upper limits.
-        carrier: (1,) the joint that carries the frame; `dof` for the base.
-        placement: (12,) the frame on its joint: a turn, row by row, and a place.
-        pose: (12,) where the frame is to be in `base_link`.
-        free_turn: (2,) `KEPT`, `ABOUT_Z`, `ANY_TURN` or `UPRIGHT`; how far the z axis of the last may lean [rad].
+        carrier: (1,) index of the joint that carries the frame; `dof` for the base.
+        placement: (12,) the frame on its joint: rotation matrix, row by row, and position [m].
+        pose: (12,) target pose in `base_link`, in the same format.
+        free_turn: (2,) `KEPT`, `ABOUT_Z`, `ANY_TURN` or `UPRIGHT`; maximum tilt of the z axis for the last one [rad].
     """
 
     numbers: FloatArray
@@ -67,7 +66,14 @@ class Chain(NamedTuple):
 
 @kernel
 def solve_all(starts: FloatArray, chain: Chain, solutions: FloatArray, found: BoolArray) -> None:
-    """Write for each of (k, dof) starts where it leads, and whether the pose is reached there."""
+    """Solve from each of (k, dof) starts.
+
+    Args:
+        starts: (k, dof) start configurations.
+        chain: Robot and target pose.
+        solutions: (k, dof) final configurations; written.
+        found: (k,) whether the pose is reached; written.
+    """
     for row in range(starts.shape[0]):
         write(starts[row], solutions[row])
         found[row] = solve(chain, solutions[row])
@@ -75,7 +81,15 @@ def solve_all(starts: FloatArray, chain: Chain, solutions: FloatArray, found: Bo
 
 @kernel
 def solve_each(starts: FloatArray, poses: FloatArray, chain: Chain, solutions: FloatArray, found: BoolArray) -> None:
-    """As `solve_all`, with a pose for each start, (k, 12); the chain's pose is overwritten."""
+    """Solve from each start with a pose of its own.
+
+    Args:
+        starts: (k, dof) start configurations.
+        poses: (k, 12) target poses.
+        chain: The robot; its pose is overwritten.
+        solutions: (k, dof) final configurations; written.
+        found: (k,) whether the pose is reached; written.
+    """
     for row in range(starts.shape[0]):
         write(poses[row], chain.pose)
         write(starts[row], solutions[row])
@@ -86,16 +100,17 @@ def solve_each(starts: FloatArray, poses: FloatArray, chain: Chain, solutions: F
 def draw_back(
     goals: FloatArray, distances: FloatArray, most: FloatArray, chain: Chain, rows: FloatArray, reached: IntArray
 ) -> None:
-    """Draw the frame from (k, dof) configurations straight back along its z axis there, by short steps.
+    """Retract the frame from configurations along its z axis, by short steps.
 
-    The frame keeps its turn about the axis or not, as the chain has it, whose pose is overwritten.
+    The chain defines whether the frame keeps its rotation about the axis; its pose is overwritten.
 
     Args:
         goals: (k, dof) configurations.
-        distances: (m,) how far the frame is drawn back, increasing from 0 [m].
-        most: (m, dof) the most that each joint may change in the step up to each distance.
-        rows: (k, m, dof) the configurations; those beyond `reached` are as the last one.
-        reached: (k,) how many of the distances are reached.
+        distances: (m,) distances of retraction, increasing from 0 [m].
+        most: (m, dof) maximum change of each joint in the step up to each distance.
+        chain: The robot.
+        rows: (k, m, dof) the configurations; those beyond `reached` repeat the last one.
+        reached: (k,) number of reached distances.
     """
     frames, tool, back = np.empty((goals.shape[1] + 1, 12)), np.empty(12), np.empty(3)
     poses = np.empty((distances.shape[0], 12))
@@ -115,13 +130,18 @@ def draw_back(
 def follow(
     poses: FloatArray, most: FloatArray, towards: FloatArray, drawn: float, chain: Chain, rows: FloatArray
 ) -> int:
-    """Take a frame from pose to pose, each configuration found from the one before; how many are reached.
+    """Track a sequence of poses; return the number of reached poses.
+
+    Each configuration is solved from the previous one.
 
     Args:
-        poses: (m, 12) poses, as the chain's, which is overwritten.
-        most: (m, dof) the most that each joint may change in the step up to each pose.
-        towards: (dof,) where joints go beside, if `drawn` is 1: by an even part of the rest with each step.
-        rows: (m, dof) the configurations, of which the first is given; those not reached are as the last one that is.
+        poses: (m, 12) poses, in the format of the chain's pose, which is overwritten.
+        most: (m, dof) maximum change of each joint in the step up to each pose.
+        towards: (dof,) configuration that joints also move to if `drawn` is 1, by an equal part of the rest with each
+            step.
+        drawn: 1 to move towards that configuration, 0 not to.
+        chain: The robot.
+        rows: (m, dof) the configurations; the first is the input, those not reached repeat the last reached one.
     """
     count = len(poses)
     reached = count
@@ -144,14 +164,20 @@ def follow(
 
 @kernel
 def write(source: FloatArray, target: FloatArray) -> None:
-    """Write numbers over others; an assignment of slices would have numba compile what it says of their shapes."""
+    """Copy numbers, without an assignment of slices.
+
+    Numba would compile the shape check of the assignment, with its message, which takes time.
+    """
     for i in range(len(source)):
         target[i] = source[i]
 
 
 @kernel
 def solve(chain: Chain, q: FloatArray) -> bool:
-    """Move a (dof,) configuration until the frame is at the pose; whether that was done."""
+    """Move a (dof,) configuration until the frame is at the pose.
+
+    Returns whether the pose was reached.
+    """
     dof = q.shape[0]
     lower, upper = chain.lower, chain.upper
     frames, error, jacobian = np.empty((dof + 1, 12)), np.empty(6), np.empty((6, dof))
@@ -192,7 +218,7 @@ def solve(chain: Chain, q: FloatArray) -> bool:
 
 @kernel
 def is_there(error: FloatArray) -> bool:
-    """Whether the (6,) error is none."""
+    """True if the (6,) error is within the tolerances."""
     place = error[0] * error[0] + error[1] * error[1] + error[2] * error[2]
     turn = error[3] * error[3] + error[4] * error[4] + error[5] * error[5]
     return bool(place <= PLACE_M * PLACE_M and turn <= TURN_RAD * TURN_RAD)
@@ -200,7 +226,7 @@ def is_there(error: FloatArray) -> bool:
 
 @kernel
 def squared(error: FloatArray) -> float:
-    """The sum of the squares of (6,) numbers."""
+    """Sum of the squares of (6,) numbers."""
     total = 0.0
     for r in range(6):
         total += error[r] * error[r]
@@ -222,7 +248,10 @@ def normal_matrix(jacobian: FloatArray, damping: float, matrix: FloatArray) -> N
 
 @kernel
 def cholesky_solve(matrix: FloatArray, right: FloatArray, solution: FloatArray) -> None:
-    """Solve a symmetric positive definite system; the matrix is overwritten by its Cholesky factor."""
+    """Solve a symmetric positive definite system.
+
+    The matrix is overwritten by its Cholesky factor.
+    """
     count = matrix.shape[0]
     for i in range(count):
         for j in range(i + 1):
@@ -244,7 +273,7 @@ def cholesky_solve(matrix: FloatArray, right: FloatArray, solution: FloatArray) 
 
 @kernel
 def linearise(chain: Chain, q: FloatArray, frames: FloatArray, error: FloatArray, jacobian: FloatArray) -> None:
-    """Write the frames of all joints, the (6,) error of the pose and how joints change the frame, (6, dof)."""
+    """Write joint frames, the (6,) pose error and the (6, dof) Jacobian."""
     numbers, moves, pose = chain.numbers, chain.moves, chain.pose
     given, joints = chain.free_turn[0], int(numbers[flat.JOINTS])
     free, turned, placed = given in (ABOUT_Z, UPRIGHT), given != ANY_TURN, given != UPRIGHT
@@ -288,7 +317,14 @@ def linearise(chain: Chain, q: FloatArray, frames: FloatArray, error: FloatArray
 
 @kernel
 def leaning(configurations: FloatArray, chain: Chain, cosines: FloatArray, slopes: FloatArray) -> None:
-    """Write for each of (k, dof) configurations the cosine of how far the tool leans, and, (k, dof), its gradient."""
+    """Write the cosine of the tool's tilt, and its gradient.
+
+    Args:
+        configurations: (k, dof) configurations.
+        chain: The robot and the upright direction.
+        cosines: (k,) cosines; written.
+        slopes: (k, dof) gradients; written.
+    """
     dof, pose = configurations.shape[1], chain.pose
     frames, tool, error, jacobian = np.empty((dof + 1, 12)), np.empty(12), np.empty(6), np.empty((6, dof))
     for row in range(configurations.shape[0]):
@@ -304,7 +340,7 @@ def leaning(configurations: FloatArray, chain: Chain, cosines: FloatArray, slope
 
 @kernel
 def place_frame(chain: Chain, q: FloatArray, frames: FloatArray, tool: FloatArray) -> None:
-    """Write the frames of all joints and, (12,), where the chain's frame is."""
+    """Write the frames of all joints and the chain's (12,) pose."""
     placement = chain.placement
     place_joints(q, chain.numbers, frames)
     carrier = frames[int(chain.carrier[0])]
@@ -322,15 +358,24 @@ def place_frame(chain: Chain, q: FloatArray, frames: FloatArray, tool: FloatArra
 
 @kernel
 def turn_left(tool: FloatArray, pose: FloatArray, free: bool, error: FloatArray) -> None:
-    """Write to the last three of (6,) numbers the vector of the turn, in `base_link`, from one frame to another."""
+    """Write the rotation vector from one frame to another, in `base_link`.
+
+    It is written to the last three of the (6,) numbers of `error`.
+
+    Args:
+        tool: (12,) present pose.
+        pose: (12,) target pose.
+        free: Whether only the z axes are to be aligned.
+        error: (6,) numbers; changed.
+    """
     if free:
-        # The shortest turn of one z axis to the other.
+        # The shortest rotation of one z axis to the other.
         x = tool[5] * pose[8] - tool[8] * pose[5]
         y = tool[8] * pose[2] - tool[2] * pose[8]
         z = tool[2] * pose[5] - tool[5] * pose[2]
         cosine = tool[2] * pose[2] + tool[5] * pose[5] + tool[8] * pose[8]
         sine = math.sqrt(x * x + y * y + z * z)
-        if sine < 1e-12 and cosine < 0.0:  # opposite: about any axis across
+        if sine < 1e-12 and cosine < 0.0:  # opposite: rotate about any perpendicular axis
             error[3], error[4], error[5] = math.pi * tool[0], math.pi * tool[3], math.pi * tool[6]
             return
         angle = math.atan2(sine, cosine)
@@ -344,7 +389,7 @@ def turn_left(tool: FloatArray, pose: FloatArray, free: bool, error: FloatArray)
             trace += pose[c] * tool[c] + pose[3 + c] * tool[3 + c] + pose[6 + c] * tool[6 + c]
         sine = math.sqrt(x * x + y * y + z * z)
         angle = math.atan2(sine, 0.5 * (trace - 1.0))
-        if sine < 1e-12 and trace < 0.0:  # half a turn: about any of the axes, to be nearer next time
+        if sine < 1e-12 and trace < 0.0:  # half a turn: about any axis, to be nearer in the next step
             error[3], error[4], error[5] = math.pi * tool[0], math.pi * tool[3], math.pi * tool[6]
             return
     scale = angle / sine if sine > 1e-12 else 1.0

@@ -1,5 +1,6 @@
-"""Planning while a controller runs: frames of a depth camera come in, the scene changes, the arm moves.
+"""Planning while a controller runs.
 
-`planner` plans again when the scene changes, `splice` while a motion runs; `frame` and `scene_cloud` are the camera's
-points: cropped, thinned, without the arm and what is known, remembered where hidden.
+Camera frames arrive, the scene changes, the arm moves. `planner` replans when the scene changes, `splice` replans
+during a motion. `frame` and `scene_cloud` process camera points: crop, thin, remove the arm and known objects, and
+remember hidden points.
 """

@@ -1,4 +1,4 @@
-"""Distances of points from solids, compiled: from the arm as it stood, and from what is to be ignored."""
+"""Compiled distances of points from solids: the arm's bodies and ignored objects."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from hplan.collision.distances import Vector, point_hull, point_segment
 
 
 class Bodies(NamedTuple):
-    """Solids grown by a padding, as `hplan.collision.obstacle_rows.solid_rows` gives them."""
+    """Solids grown by a padding, from `hplan.collision.obstacle_rows.solid_rows`."""
 
     rows: FloatArray
     data: FloatArray
@@ -22,7 +22,10 @@ class Bodies(NamedTuple):
 
 @kernel
 def distance_from_bodies(point: Vector, rows: FloatArray, data: FloatArray, enough: float) -> float:
-    """Distance of a point from the nearest solid, negative in its rounding; infinite where it is above `enough`."""
+    """Distance of a point from the nearest solid [m].
+
+    Negative inside its rounding; infinite above `enough`.
+    """
     least, still, following = math.inf, (0.0, 0.0, 0.0), 0
     limit = enough
     while following < rows.shape[0]:
@@ -50,7 +53,7 @@ def distance_from_bodies(point: Vector, rows: FloatArray, data: FloatArray, enou
         elif kind == row.HULL:
             most = limit + rows[s, row.RADIUS]
             apart = point_hull(point, data, int(ax), int(ay), int(az), most)
-            if apart >= most and apart > 0.0:  # it may be farther than that number
+            if apart >= most and apart > 0.0:  # The distance may exceed this number.
                 continue
         elif kind == row.LEAF:
             for p in range(int(rows[s, row.POINTS]), int(rows[s, row.POINTS_END]), 3):
@@ -62,7 +65,10 @@ def distance_from_bodies(point: Vector, rows: FloatArray, data: FloatArray, enou
 
 @kernel
 def _box_distance(offset: Vector, solid: FloatArray) -> float:
-    """Distance of a point, seen from the box's middle, from a row that is a box."""
+    """Distance of a point from a box [m].
+
+    `offset` is the point relative to the box's centre.
+    """
     square, (x, y, z) = 0.0, offset
     for axis in range(3):
         a = row.AXES + 3 * axis
@@ -83,9 +89,9 @@ def _distances_from_bodies(
 def distances_from_bodies(
     points: FloatArray, rows: FloatArray, data: FloatArray, enough: float = math.inf
 ) -> FloatArray:
-    """(n,) distances of (n, 3) points from the nearest solid, negative in its rounding [m].
+    """(n,) distances of (n, 3) points from the nearest solid [m].
 
-    Infinite above `enough`, and without any solid.
+    Negative inside its rounding. Infinite above `enough`, and without any solid.
     """
     found = np.empty(len(points))
     _distances_from_bodies(np.array(points, dtype=np.float64, order="C"), rows, data, enough, found)

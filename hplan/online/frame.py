@@ -1,11 +1,11 @@
-"""From the points of a depth camera to the balls that the arm keeps clear of.
+"""Converts the points of a depth camera to balls as obstacles.
 
-A frame's points are put into `base_link`, as it is when the frame is taken. In turn those are left out that are not
-finite or stand for no return, that the arm cannot come near at any configuration, wherever its base comes on its track,
-that are of the arm itself as it stood when the frame was taken, and that belong to what is to be ignored. What is left
-goes into voxels; each becomes one point, the middle of the box about its points, and all balls grow by the largest
-distance of a point from the one that stands for it. So every point that stays is inside its ball, grown by the radius
-asked for. All of it is counted.
+A frame's points are transformed to `base_link` at the time of the frame. Then points are removed in this order: rows
+that are not finite or mean no return; points that the arm cannot come near at any configuration, anywhere on its base's
+track; points of the arm itself as it was at the time of the frame; and points of ignored objects. The remaining points
+are binned into voxels; each voxel becomes one point, the centre of its points' bounding box, and all balls grow by the
+maximum distance of a point from its voxel's point. So every remaining point, with a ball of the requested radius, is
+inside a ball of the result. All removed points are counted.
 """
 
 from __future__ import annotations
@@ -54,31 +54,35 @@ _Length: TypeAlias = Annotated[float, Field(ge=0.0, le=FARTHEST_M)]
 
 @dataclass(frozen=True)
 class CloudOptions(Options):
-    """How frames become obstacles.
+    """Options for converting camera frames into obstacles.
 
     Attributes:
-        growth_m: Most by which a ball may grow where points become one; the voxels' edge is 1.15 times that.
-        arm_padding_m: Points so near to the arm are taken for its own, where the joints are given: noise, calibration
-            and what the arm moved since. Nothing farther from it is taken away. An obstacle as near as that is not
-            seen, and only kept if it was seen before (`keep_s`).
-        ignore_padding_m: Points so near to what is to be ignored are left out, whatever they are of: the sensor's
-            largest error, and no more. A branch as near as that is not seen, and no certificate covers it.
-        reach_margin_m: Points are left out that nothing of the arm can come nearer to than this, beyond the clearance
-            to keep. Distances shown are right up to there.
-        least_points: Points are left out, as outliers, that have fewer than this about them, themselves counted; 1
-            leaves out none. So is what is thin or far, where the camera's pixels are too far apart for it.
-        neighbour_m: How far about a point others count for that: whatever has `least_points` within it stays. Three
-            times the distance of two pixels on what is to be seen is a good choice.
-        most_remembered: Most hidden points that are kept; the oldest go first.
-        unseen_edge_m: Edge of the voxels by which unknown space is solid (`hplan.online.seen_space`), where it is; that
-            of the first frame holds.
-        allow_empty: Accept a frame that leaves no obstacle, although no ignored point is in view either: the camera may
-            see nothing within reach. Otherwise such a frame is refused, and the obstacles of the last one stay.
-        max_lost: Acceptable loss of returns, as a share of those of earlier frames of the cloud: a frame in which fewer
-            rows have a return is refused. With `allow_empty`, 1 accepts frames without any return, as of the sky.
+        growth_m: Maximum growth of a ball that merges several points; the voxels' edge is 1.15 times that [m].
+        arm_padding_m: Points within this distance of the arm are removed as its own if the joints are given: noise,
+            calibration error and motion of the arm since then [m]. Points farther away are never removed as the arm's.
+            An obstacle within it is not detected, and only kept if it was seen before (`keep_s`).
+        ignore_padding_m: Points within this distance of an ignored object are left out, even if they belong to other
+            objects: use the sensor's maximum error and no more [m]. A branch within it is not detected, and no
+            certificate covers it.
+        reach_margin_m: Points farther from all positions of the arm than this plus the required clearance are left out
+            [m]. Reported distances are correct up to there.
+        least_points: Points with fewer points than this in their neighbourhood, themselves included, are left out as
+            outliers; 1 leaves out none. This also removes thin or far objects if the camera's pixel spacing is too
+            large for it.
+        neighbour_m: Radius of that neighbourhood: any point with `least_points` points within it remains [m]. Three
+            times the pixel spacing on the objects to be detected is a good choice.
+        most_remembered: Maximum number of hidden points that are kept; the oldest are dropped first.
+        unseen_edge_m: Edge of the voxels of unknown space, if that is solid (`hplan.online.seen_space`); the value of
+            the first frame is used [m].
+        allow_empty: Accept a frame that leaves no obstacle although no ignored point is visible either, because the
+            camera may see nothing within range. Otherwise such a frame is refused, and the obstacles of the last one
+            stay.
+        max_lost: Acceptable loss of returns, as a share of the returns in earlier frames of the cloud: a frame with
+            fewer is refused. With `allow_empty`, 1 accepts frames without any return, for example of the sky.
         max_age_s: Age limit for plans that rely on the frame; None for no limit [s].
-        known_free: Shapes in which space is known to be free without being seen, where unknown space is solid, as the
-            lane that the machine has driven in: of voxels whose middles are in one. No meshes, and no clouds.
+        known_free: Shapes of space known to be free without being seen, if unknown space is solid, for example the lane
+            that the machine has driven in: they free the voxels whose centres they contain. Meshes and clouds are not
+            accepted.
     """
 
     growth_m: Annotated[float, Field(ge=1e-4, le=1.0)] = 5e-3
@@ -97,7 +101,7 @@ class CloudOptions(Options):
 
 @dataclass(frozen=True)
 class FrameReport:
-    """What became of a frame's points.
+    """Numbers of points and balls from a frame, by outcome.
 
     Attributes:
         given: Points of the frame.
@@ -105,14 +109,14 @@ class FrameReport:
         no_return: Rows (0, 0, 0) in the camera's frame, which depth cameras write for pixels without a return.
         out_of_reach: Points that the arm cannot come near.
         of_arm: Points of the arm itself.
-        ignored: Points of what was to be ignored.
-        isolated: Points with too few about them.
-        kept: Balls that the others became.
-        remembered: Balls of earlier frames that are hidden now and were kept.
-        forgotten: Hidden points that were too many to be kept.
-        growth_m: By how much all balls grew, for the points that became one.
-        radius_m: Radius of the balls, their growth in it.
-        far: Points out of reach that are more than 100 m from the camera.
+        ignored: Points of ignored objects.
+        isolated: Points with too few neighbours.
+        kept: Balls that represent the remaining points.
+        remembered: Balls kept from earlier frames because they are hidden now.
+        forgotten: Hidden points dropped because there were too many.
+        growth_m: Growth of all balls due to merged points [m].
+        radius_m: Radius of the balls, growth included [m].
+        far: Points out of range that are more than 100 m from the camera.
     """
 
     given: int
@@ -132,18 +136,18 @@ class FrameReport:
 
 @dataclass(frozen=True, eq=False)
 class Frame(Record):
-    """A frame as it was given, checked.
+    """A validated frame.
 
     Attributes:
         points: (n, 3) points in the camera's frame, float32 or float64; any of them may be not finite [m].
-        radius: Radius of the ball about each point [m].
+        radius: Radius of the ball around each point [m].
         rotation: (3, 3) camera to `base_link`.
-        position: (3,) of the camera [m].
-        joints: (dof,) configuration of the arm when the frame was taken; None where it is not to be looked for.
-        keep_s: How long points are kept that were seen and are hidden [s].
-        time_s: When the frame was taken [s].
-        base_track: How the base moves; None for one that stands still. The points are seen from where it is at
-            `time_s`, and listed where it has no shift, as obstacles of a scene are.
+        position: (3,) position of the camera [m].
+        joints: (dof,) configuration of the arm at the time of the frame; None to remove no points of the arm.
+        keep_s: Hidden points are remembered this long [s].
+        time_s: Time of the frame [s].
+        base_track: Motion of the base; None for a fixed base. The points are seen from the base at `time_s`, and listed
+            at zero displacement of the base, like obstacles of a scene.
     """
 
     points: FloatArray
@@ -168,16 +172,16 @@ class Frame(Record):
         time_s: float = 0.0,
         base_track: Track | None = None,
     ) -> Frame:
-        """Check what a frame is made of; arguments are the attributes.
+        """Validate the parts of a frame; the arguments are the attributes.
 
         Args:
             points: (n, 3), or (rows, columns, 3); no points are allowed.
             pose: Camera to `base_link`: a (4, 4) matrix, or six numbers, x, y, z [m] and roll, pitch, yaw about fixed
-                axes [deg]; None where the points are in `base_link`.
+                axes [deg]; None if the points are in `base_link`.
 
         Raises:
-            InputError: Points, a pose or joints that are none; a pose that is no rigid motion.
-            OptionError: A radius that is not positive, or a time that is none.
+            InputError: Points, pose or joints are invalid; for example the pose is not a rigid transform.
+            OptionError: `radius` is not positive, or a time is invalid.
         """
         rotation, position = rigid(pose)
         return cls(
@@ -192,7 +196,7 @@ class Frame(Record):
         )
 
     def listed(self, points: FloatArray) -> FloatArray:
-        """(n, 3) points that the base sees, where they are listed [m]."""
+        """(n, 3) listed positions of points in the base frame [m]."""
         if self.base_track is None:
             return points
         rotation, shift = self.base_track.pose_at(self.time_s)
@@ -200,7 +204,7 @@ class Frame(Record):
         return found
 
     def seen(self, points: FloatArray) -> FloatArray:
-        """(n, 3) listed points, where the base sees them [m]."""
+        """(n, 3) base-frame positions of listed points [m]."""
         if self.base_track is None:
             return points
         rotation, shift = self.base_track.pose_at(self.time_s)
@@ -210,15 +214,15 @@ class Frame(Record):
 
 @dataclass(frozen=True, eq=False)
 class SeenPoints(Record):
-    """Points that some frame has seen.
+    """Points seen in earlier frames.
 
     Attributes:
-        points: (n, 3) in `base_link`, where they are listed [m].
-        seen_s: (n,) when each was last seen [s].
-        growth_m: What is to be added to their balls: the largest growth of the frames that they are from [m].
-        time_s: When the last frame was taken [s].
+        points: (n, 3) listed positions in `base_link` [m].
+        seen_s: (n,) time of each point's last sighting [s].
+        growth_m: Growth of their balls: the maximum over their frames [m].
+        time_s: Time of the last frame [s].
         radius: Radius of the last frame's balls, without growth [m].
-        kept_m: The least `FilteredFrame.kept_m` of the frames that they are from [m].
+        kept_m: The minimum `FilteredFrame.kept_m` of their frames [m].
     """
 
     points: FloatArray = field(default_factory=lambda: readonly(np.zeros((0, 3))))
@@ -229,19 +233,19 @@ class SeenPoints(Record):
     kept_m: float = math.inf
 
     def growth_with(self, radius: float) -> float:
-        """What is to be added to balls of another radius, so that these points keep theirs [m]."""
+        """Growth for balls of another radius that preserves these points' balls [m]."""
         return self.growth_m + max(0.0, self.radius - radius)
 
 
 @dataclass(frozen=True, eq=False)
 class FilteredFrame(Record):
-    """What is left of a frame, and of those before it.
+    """Remaining points of a frame and of the frames before it.
 
     Attributes:
-        points: (n, 3) centres of the balls, in `base_link`, where they are listed [m].
-        report: How many points became what.
-        seen: What the next frame needs.
-        kept_m: All balls are there that the arm can come so near to [m].
+        points: (n, 3) centres of the balls, listed positions in `base_link` [m].
+        report: Numbers of points by outcome.
+        seen: Input for the next frame.
+        kept_m: All balls are present that the arm can come this near to [m].
     """
 
     points: FloatArray
@@ -260,13 +264,13 @@ def filter_frame(
     before: SeenPoints | None = None,
     scratch: Scratch | None = None,
 ) -> FilteredFrame:
-    """Make a frame's points few, and leave out what is no obstacle.
+    """Reduce a frame to the balls of its obstacles.
 
     Args:
         ignored: Solids whose points are left out.
-        clearance_m: Clearance that the arm will keep: so much farther points matter [m].
-        before: What the frames before it have seen; None for nothing.
-        scratch: Memory of the frames before it; None for new one.
+        clearance_m: Required clearance of the arm; it extends the range of relevant points [m].
+        before: Points seen in earlier frames; None for the first frame.
+        scratch: Buffers shared with earlier frames; None to allocate new ones.
 
     Raises:
         OptionError: The voxels are far too small.
@@ -284,7 +288,8 @@ def filter_frame(
         mark_isolated(voxels, placement, options.least_points, options.neighbour_m, isolated)
     points, growth_m = middles(staying, in_voxel, voxels, isolated)
     if swept is not None:
-        # The ball about all that is swept holds more than that; a point is no farther from that of its voxel than this.
+        # The ball around the swept volume is larger than the volume; a point is within this distance of its voxel's
+        # point.
         near = swept.comes_near(frame.listed(points), growth_m)
         tally[OUT_OF_REACH] += int(voxels[~isolated, COUNT][~near].sum())
         points = points[near]
@@ -322,9 +327,9 @@ def filter_frame(
 def _still_hidden(
     frame: Frame, before: SeenPoints, bodies: tuple[Bodies, Bodies], options: CloudOptions
 ) -> tuple[SeenPoints, int]:
-    """What was seen before and cannot be seen in this frame, and how many points were too many.
+    """Points seen before and hidden now, and the number of dropped points.
 
-    So near to the arm that its padding hides it, a point stays, unless the arm stands in its ball: then it is gone.
+    A point that the arm's padding hides remains, unless the arm is in its ball: then it is gone.
     """
     arm, ignored = bodies
     young = frame.time_s - before.seen_s <= frame.keep_s
@@ -346,7 +351,10 @@ def _still_hidden(
 def _reach(
     robot: Robot, frame: Frame, options: CloudOptions, clearance_m: float
 ) -> tuple[FloatArray, SweptReach | None]:
-    """(4,) a ball about where points matter, as the base sees it [m]; and what is swept where it moves."""
+    """Ball of relevant points in the base frame, and the swept ball.
+
+    (4,) centre and radius [m]; the swept ball is None for a fixed base.
+    """
     reach = reach_ball(robot).copy()
     reach[3] += frame.radius + options.growth_m + options.reach_margin_m + clearance_m
     if frame.base_track is None:
@@ -356,7 +364,7 @@ def _reach(
 
 
 def _placement(frame: Frame, options: CloudOptions, reach: FloatArray) -> Placement:
-    # Of a voxel of this edge half the diagonal is the growth allowed.
+    # Half the diagonal of a voxel with this edge is the allowed growth.
     edge = np.array([2.0 * options.growth_m / math.sqrt(3.0)])
     if not reach[3] < (MIDDLE - 2) * edge[0]:
         least = 0.5 * math.sqrt(3.0) * float(reach[3]) / (MIDDLE - 2)
@@ -369,7 +377,7 @@ def _is_size(value: float) -> bool:
 
 
 def _points(points: ArrayLike) -> Any:
-    """(n, 3) float32 or float64 points in one piece, not to be written to."""
+    """(n, 3) float32 or float64 points, contiguous and read-only."""
     expected = "(n, 3) or (rows, columns, 3) numbers"
     try:
         array = as_array(points)
@@ -381,14 +389,14 @@ def _points(points: ArrayLike) -> Any:
         raise InputError(f"points: expected {expected}, got {array.dtype}", option="points")
     if array.ndim not in (2, 3) or array.shape[-1] != 3:
         raise InputError(f"points has shape {array.shape}, expected {expected}", option="points")
-    # Most points of a frame.
+    # Maximum number of points in a frame.
     most_frame_points = 20_000_000
     if array.size > 3 * most_frame_points:
         raise InputError(f"points: {array.size // 3:,} are more than {most_frame_points:,}", option="points")
     kind = array.dtype if array.dtype in (np.float32, np.float64) else np.float64
-    with np.errstate(over="ignore"):  # of longer floats
+    with np.errstate(over="ignore"):  # Longer floats may overflow.
         found = np.ascontiguousarray(array.reshape(-1, 3), dtype=kind).view()
-    found.setflags(write=False)  # kernels are compiled for one kind of array
+    found.setflags(write=False)  # Kernels are compiled for one array type.
     return found
 
 
@@ -396,7 +404,7 @@ def rigid(pose: ArrayLike | None) -> tuple[FloatArray, FloatArray]:
     """Rotation and position of a pose.
 
     Raises:
-        InputError: It is none.
+        InputError: `pose` is not a rigid transform.
     """
     if pose is None:
         return readonly(np.eye(3)), readonly(np.zeros(3))
@@ -409,9 +417,9 @@ def rigid(pose: ArrayLike | None) -> tuple[FloatArray, FloatArray]:
         return readonly(rpy_rotation(*map(math.radians, angles))), readonly([x, y, z])
     matrix = numbers("pose", pose, (4, 4))
     rotation = matrix[:3, :3]
-    with np.errstate(over="ignore", invalid="ignore"):  # of huge numbers the products are inf or NaN
+    with np.errstate(over="ignore", invalid="ignore"):  # Products of huge numbers are inf or NaN.
         off, volume = float(np.abs(rotation @ rotation.T - np.eye(3)).max()), float(np.linalg.det(rotation))
-    # By how much a rotation may fail to be one.
+    # Tolerance of a rotation matrix.
     most = 1e-5
     if not (off <= most and volume > 0.0) or np.abs(matrix[3] - (0.0, 0.0, 0.0, 1.0)).max() > most:
         raise InputError(

@@ -1,6 +1,6 @@
-"""Checks whether a camera frame may replace the frame before it, and whether plans may still rely on it.
+"""Checks of a camera frame: acceptance on arrival, and age for plans.
 
-A frame that is refused changes nothing: the obstacles of the last good frame stay in the scene.
+A refused frame changes nothing: the obstacles of the last good frame stay in the scene.
 """
 
 from __future__ import annotations
@@ -36,11 +36,17 @@ class AcceptedFrame:
     max_age_s: float | None
 
     def age_s(self, now: float | None) -> float:
-        """Age on the controller's clock, or since the call if one of the times is unknown [s]."""
+        """Age on the controller's clock [s].
+
+        Since the call if one of the times is unknown.
+        """
         return time.monotonic() - self.received_s if now is None or self.time_s is None else now - self.time_s
 
     def age_fault(self, name: str, now: float | None) -> FrameError | None:
-        """The error for a frame that is too old, or stamped that far in the future; None if plans may rely on it."""
+        """The error for a frame too old or too new, if any.
+
+        None means that plans may rely on the frame. A stamp may be as far in the future as `max_age_s`.
+        """
         age_s = self.age_s(now)
         if self.max_age_s is None or abs(age_s) <= self.max_age_s:
             return None
@@ -51,7 +57,7 @@ class AcceptedFrame:
 
 
 def check_order(name: str, time_s: float | None, before: AcceptedFrame | None) -> None:
-    """Refuse a frame that is older than the last accepted one of the same cloud.
+    """Refuse a frame older than the last accepted one of its cloud.
 
     Raises:
         FrameError: The frame is older, or only one of both frames has a time stamp.
@@ -77,7 +83,9 @@ def check_order(name: str, time_s: float | None, before: AcceptedFrame | None) -
 def check_content(
     name: str, report: FrameReport, options: CloudOptions, time_s: float | None, before: AcceptedFrame | None
 ) -> AcceptedFrame:
-    """Refuse a frame that shows a failing camera, a wrong unit or a wrong pose, or that leaves no obstacle.
+    """Refuse a frame from a failing camera, or one without obstacles.
+
+    Wrong units and wrong poses are detected too.
 
     Args:
         name: Name of the cloud.
@@ -86,9 +94,12 @@ def check_content(
         time_s: Time stamp of the frame; None if it has none [s].
         before: The last frame that was accepted; None for the first.
 
+    Returns:
+        The accepted frame, for the checks of the next one.
+
     Raises:
         FrameError: Most returns are farther than a depth camera can see; too few rows have a return; or no obstacle is
-            left, no point to ignore was seen, and `allow_empty` is not set.
+            left, no ignored point was seen, and `allow_empty` is not set.
     """
     counts = {
         "given": report.given,

@@ -1,9 +1,10 @@
-"""Kernels of `hplan.online.frame`: a frame's points that stay, put into voxels of a regular grid in `base_link`.
+"""Kernels of `hplan.online.frame`: bin a frame's points into voxels.
 
-Voxels stand in blocks of 4 x 4 x 4. A block is made when the first point falls into it. Then it is decided, by the
-distance of its middle from a body, whether all its points are in the body, none, or some: only of the last kind every
-point is asked. What stays is sorted by blocks, so that a block's voxels are filled one after another: what a point
-changes is in the processor's cache, in whatever order points come, and voxels near to one another are listed so.
+The voxels form a regular grid in `base_link`, in blocks of 4 x 4 x 4. A block is created when the first point falls
+into it. The distance of its centre from a body then decides whether all its points are in the body, no points, or some
+points: only in the last case each point is tested. The remaining points are sorted by blocks and the voxels filled
+block by block, so all data that a point changes is in the processor's cache for any order of the points, and
+neighbouring voxels are listed near each other.
 """
 
 from __future__ import annotations
@@ -18,41 +19,42 @@ from hplan.base.kernels import any_int, inlined, kernel
 from hplan.collision.distances import Vector
 from hplan.online.body_distances import Bodies, distance_from_bodies
 
-#: Places in a tally: rows that are not finite, points out of reach, points of the arm, ignored points, rows (0, 0, 0)
-#: that depth cameras write for pixels without a return, and points out of reach that are `FAR_M` from the camera.
+#: Indices of a tally: rows that are not finite, points out of range, points of the arm, ignored points, rows (0, 0, 0)
+#: that depth cameras write for pixels without a return, and points out of range that are `FAR_M` from the camera.
 NOT_FINITE, OUT_OF_REACH, OF_ARM, IGNORED, NO_RETURN, FAR = range(6)
 
-#: Maximum plausible range of a depth camera [m]: farther points are taken for millimetres if they are the majority.
+#: Maximum plausible range of a depth camera [m]: if most points are farther, they are probably in millimetres.
 FAR_M = 100.0
 
-#: How much of a block is in a body.
+#: Fraction of a block inside a body.
 _NONE, _ALL, _SOME = 0, 1, 2
 
-#: Columns of the hash table, which has open addressing and is as large as a power of two: the packed place of a block,
-#: -1 where there is none, and its number.
+#: Columns of the hash table (open addressing, size a power of two): the packed position of a block, -1 for an empty
+#: slot, and the block's index.
 _KEY, _VALUE = 0, 1
 
-#: Columns of a block: how much of it is in the arm, and four times how much in what is ignored; how many points it has.
+#: Columns of a block: its fraction in the arm, plus four times its fraction in ignored objects; its number of points.
 _PART, _POINTS = 0, 1
 
-#: A block has so many voxels along each side, a power of two by so many bits.
+#: Voxels along each side of a block, a power of two: its exponent and its value.
 _BITS = any_int(2)
 _SIDE = any_int(4)
 
-#: Column of a voxel with how many points it has, behind the least and largest coordinates of its points.
+#: Column of a voxel for its number of points, after the minimum and maximum coordinates of its points.
 COUNT = 6
 
-#: Places along an axis are counted from the middle of reach, this much added; so three fit one number.
+#: Positions along an axis are counted in voxels from the centre of the ball of interest. Bits of a packed position, and
+#: the offset that makes positions non-negative; three positions fit one integer.
 BITS, MIDDLE = 21, 2**20
 
 
 class Placement(NamedTuple):
-    """Where a frame is seen from, and what of it matters.
+    """Camera pose and range of interest of a frame.
 
     Attributes:
         rotation: (3, 3) camera to `base_link`.
-        position: (3,) of the camera [m].
-        reach: (4,) centre and radius of a ball [m].
+        position: (3,) position of the camera [m].
+        reach: (4,) centre and radius of the ball of interest [m].
         edge: (1,) edge of a voxel [m].
     """
 
@@ -64,7 +66,10 @@ class Placement(NamedTuple):
 
 @kernel
 def _part_inside(middle: Vector, rows: FloatArray, data: FloatArray, half: float) -> int:
-    """How much of a block of half a diagonal can be in a body."""
+    """Fraction of a block inside a body: `_NONE`, `_ALL` or `_SOME`.
+
+    `half` is half the diagonal of the block [m].
+    """
     if rows.shape[0] == 0:
         return _NONE
     apart = distance_from_bodies(middle, rows, data, half)
@@ -83,9 +88,9 @@ def _transformed(x: float, y: float, z: float, rotation: FloatArray, position: F
 
 
 class Scratch:
-    """Arrays that one frame leaves for the next: fresh memory costs as much time as the points.
+    """Buffers that successive frames share, because allocation costs as much as processing.
 
-    They are as large as the largest frame has needed. One frame at a time may use them.
+    They are as large as the largest frame required. Only one frame at a time may use them.
     """
 
     def __init__(self) -> None:
@@ -98,18 +103,18 @@ class Scratch:
     def put_into_voxels(
         self, points: FloatArray, placement: Placement, arm: Bodies, ignored: Bodies
     ) -> tuple[FloatArray, FloatArray, ShortArray, IntArray]:
-        """Put the points of a frame that stay into voxels.
+        """Bin the points of a frame that remain into voxels.
 
         Args:
             points: (n, 3) points in the camera's frame, float32 or float64 [m].
-            placement: Where the camera is, and what is within reach: fewer than `MIDDLE` voxels to either side.
-            arm: The arm, grown by its padding.
-            ignored: What is to be left out, grown by its padding.
+            placement: Camera pose and ball of interest, with a radius of fewer than `MIDDLE` voxels.
+            arm: The arm's bodies, grown by their padding.
+            ignored: Objects to leave out, grown by their padding.
 
         Returns:
-            (m, 7) the voxels that hold points which stay: least and largest coordinates of their points [m], and how
-            many; (k, 3) these points in `base_link` [m]; (k,) the voxel of each; (6,) the tally of the other points, by
-            the reason. All but the last until the next frame is put.
+            (m, 7) the voxels that contain remaining points: minimum and maximum coordinates of their points [m], and
+            their number; (k, 3) these points in `base_link` [m]; (k,) the voxel of each; (6,) the tally of the other
+            points, by reason. All but the last are valid until the next call.
         """
         if self._rows.shape[1] < len(points):
             self._rows = np.empty((2, len(points)), dtype=np.int32)
@@ -129,13 +134,13 @@ class Scratch:
             self._placed, self._voxels = np.empty((kept, 3)), np.empty((kept, COUNT + 1))
         blocks, placed = self._blocks[:count], self._placed[:kept]
         _sort_by_block(points, placement, found, blocks, placed)
-        # Of the sorted points the blocks are known: voxels are numbered where these stood.
+        # Sorted points belong to known blocks, so the voxel indices may overwrite the block indices.
         voxels = _fill(placed, placement, blocks, self._voxels, numbers)
         return self._voxels[:voxels], placed, numbers[:kept], found.tally
 
 
 def _room_for(count: int) -> tuple[IntArray, IntArray]:
-    """Room for so many blocks, and a table with none in it."""
+    """Buffers for a number of blocks, and an empty hash table."""
     return np.empty((count, 2), dtype=np.int64), np.full((4 * count, 2), -1, dtype=np.int64)
 
 
@@ -146,9 +151,9 @@ def _packed(i: int, j: int, k: int) -> int:
 
 @kernel
 def _place(key: int, table: IntArray) -> int:
-    """Where a key stands in a table, or where it belongs: there stands -1.
+    """Slot of a key in a table, or its free slot (-1).
 
-    Four cells in a row have places in a row: going to memory takes as long as all the rest.
+    Four adjacent cells have adjacent slots, because a memory access takes as long as all the rest.
     """
     mask = len(table) - 1
     row: int = np.int64((np.uint64(key >> 2) * np.uint64(0x9E3779B97F4A7C15)) >> np.uint64(38))  # type: ignore[assignment]
@@ -167,13 +172,13 @@ def _copy_table(smaller: IntArray, table: IntArray) -> None:
 
 
 class Found(NamedTuple):
-    """What `_find_blocks` has found so far.
+    """Intermediate results of `_find_blocks`.
 
     Attributes:
-        done: How many points were looked at, how many blocks there are, how many points stay.
-        rows: The rows of the points that stay.
-        in_block: The block of each of these.
-        tally: How many points do not stay, by the reason.
+        done: Number of points processed, of blocks, and of remaining points.
+        rows: Rows of the remaining points.
+        in_block: Block of each remaining point.
+        tally: Number of removed points, by reason.
     """
 
     done: IntArray
@@ -182,13 +187,17 @@ class Found(NamedTuple):
     tally: IntArray
 
 
-# The arrays stay the same in here: where a loop makes larger ones, numba counts all of them at every turn, 200 ns.
+# The arrays are never replaced in here: if a loop allocates larger ones, numba counts references of all arrays in every
+# iteration, 200 ns.
 @kernel
 def _find_blocks(
     points: FloatArray, placement: Placement, arm: Bodies, ignored: Bodies, blocks: IntArray, table: IntArray,
     found: Found,
 ) -> None:  # fmt: skip
-    """Find the blocks of the points that stay until all are, or there is no room for another block."""
+    """Find the blocks of the remaining points.
+
+    Returns early if there is no space for another block.
+    """
     rotation, position, reach, edge = placement.rotation, placement.position, placement.reach, placement.edge[0]
     done, rows, in_block, tally = found.done, found.rows, found.in_block, found.tally
     arm_rows, arm_data, ignored_rows, ignored_data = arm.rows, arm.data, ignored.rows, ignored.data
@@ -205,7 +214,7 @@ def _find_blocks(
             continue
         x, y, z = _transformed(u, v, w, rotation, position)
         dx, dy, dz = x - reach[0], y - reach[1], z - reach[2]
-        if not dx * dx + dy * dy + dz * dz <= square:  # sums of what is huge may be no number
+        if not dx * dx + dy * dy + dz * dz <= square:  # Sums of huge values may be NaN.
             tally[OUT_OF_REACH] += 1
             if u * u + v * v + w * w > FAR_M * FAR_M:
                 tally[FAR] += 1
@@ -213,7 +222,7 @@ def _find_blocks(
         i, j, k = math.floor(dx * per_metre), math.floor(dy * per_metre), math.floor(dz * per_metre)
         i, j, k = i >> _BITS, j >> _BITS, k >> _BITS
         key = _packed(i, j, k)
-        if key != last:  # neighbours in a frame are often in one block
+        if key != last:  # Neighbours in a frame are often in one block.
             place = _place(key, table)
             if table[place, _KEY] < 0:
                 if count == len(blocks):
@@ -243,7 +252,10 @@ def _find_blocks(
 
 @kernel
 def _parts_inside(middle: Vector, arm: Bodies, ignored: Bodies, side: float) -> int:
-    """How much of a block is in the arm, and four times how much in what is ignored."""
+    """Fractions of a block inside arm and ignored objects, packed.
+
+    The first plus four times the second.
+    """
     half = 0.5 * math.sqrt(3.0) * side
     of_arm = _part_inside(middle, arm.rows, arm.data, half)
     return of_arm + 4 * _part_inside(middle, ignored.rows, ignored.data, half)
@@ -253,7 +265,10 @@ def _parts_inside(middle: Vector, arm: Bodies, ignored: Bodies, side: float) -> 
 def _sort_by_block(
     points: FloatArray, placement: Placement, found: Found, blocks: IntArray, placed: FloatArray
 ) -> None:
-    """Write the points that stay in the order of their blocks; a block gets where those after it begin."""
+    """Write the remaining points in the order of their blocks.
+
+    On return each block holds the end of its points.
+    """
     rotation, position, rows, in_block = placement.rotation, placement.position, found.rows, found.in_block
     begin = 0
     for number in range(len(blocks)):
@@ -271,9 +286,12 @@ def _sort_by_block(
 
 @kernel
 def _fill(placed: FloatArray, placement: Placement, blocks: IntArray, voxels: FloatArray, numbers: ShortArray) -> int:
-    """Write the voxels of points sorted by their blocks, and the voxel of each; return how many voxels there are."""
+    """Write the voxels of points sorted by blocks.
+
+    Also writes the voxel of each point, and returns the number of voxels.
+    """
     reach, per_metre, within = placement.reach, 1.0 / placement.edge[0], _SIDE - 1
-    # The voxels of a block, -1 where there is none.
+    # The voxels of a block, -1 for an empty one.
     known = np.empty(_SIDE * _SIDE * _SIDE, dtype=np.int64)
     count, begin = 0, 0
     for block in range(len(blocks)):
@@ -310,19 +328,20 @@ def _fill(placed: FloatArray, placement: Placement, blocks: IntArray, voxels: Fl
 
 @kernel
 def mark_isolated(voxels: FloatArray, placement: Placement, least: int, distance: float, isolated: BoolArray) -> None:
-    """Mark voxels with few points about them: in voxels whose boxes are within a distance of theirs.
+    """Mark voxels with few points in their neighbourhood.
 
-    Voxels stand in larger cells, by the first corners of their boxes: those within the distance of one are in two cells
-    along each axis at most.
+    The neighbourhood are the voxels whose point boxes are within a distance. Voxels are binned into larger cells by the
+    minimum corners of their boxes; the neighbours of a voxel are then in at most two cells along each axis.
 
     Args:
-        distance: A point with so many within this distance, itself among them, stays [m].
-        isolated: (m,) written.
+        least: Minimum number of points.
+        distance: A point remains if at least `least` points are within this distance, itself included [m].
+        isolated: (m,) output.
     """
-    # The points of a voxel may be farther apart than its edge by what is rounded.
+    # Rounding may place the points of a voxel farther apart than its edge.
     middle, edge = placement.reach, (1.0 + 1e-9) * placement.edge[0]
     side, square = 2.0 * (distance + edge), distance * distance
-    # Of each voxel its cell; there are no more cells than times that this changes.
+    # Cell of each voxel; the number of changes bounds the number of cells.
     keys, changes, size = np.empty(len(voxels), dtype=np.int64), 0, 64
     for number in range(len(voxels)):
         i, j, k = _cells_at(voxels[number, 0], voxels[number, 1], voxels[number, 2], middle, side)
@@ -330,7 +349,7 @@ def mark_isolated(voxels: FloatArray, placement: Placement, least: int, distance
         changes += number == 0 or keys[number] != keys[number - 1]
     while size < 2 * changes:
         size *= 2
-    # The last voxel of each cell, and of each voxel the one before it in its cell.
+    # The last voxel of each cell, and for each voxel the previous one in its cell.
     cells = np.full((size, 2), -1, dtype=np.int64)
     before = np.empty(len(voxels), dtype=np.int32)
     place = 0
@@ -366,7 +385,10 @@ def _cells_at(x: float, y: float, z: float, middle: FloatArray, side: float) -> 
 
 @kernel
 def _has_enough(voxels: FloatArray, number: int, least: int, square: float) -> bool:
-    """Whether there is enough about a voxel in the few that are listed beside it, which are most often near."""
+    """True if the voxels adjacent in the list hold enough near points.
+
+    These are most often the near ones.
+    """
     near = voxels[number, COUNT]
     for step in range(1, 5):
         before, after = number - step, number + step
@@ -381,7 +403,7 @@ def _has_enough(voxels: FloatArray, number: int, least: int, square: float) -> b
 
 @inlined
 def _are_near(voxels: FloatArray, a: int, b: int, square: float) -> bool:
-    """Whether the square of the distance between the boxes of two voxels is at most that."""
+    """True if the squared distance between two voxels' boxes is <= `square`."""
     x = max(0.0, max(voxels[a, 0] - voxels[b, 3], voxels[b, 0] - voxels[a, 3]))
     y = max(0.0, max(voxels[a, 1] - voxels[b, 4], voxels[b, 1] - voxels[a, 4]))
     z = max(0.0, max(voxels[a, 2] - voxels[b, 5], voxels[b, 2] - voxels[a, 5]))
@@ -392,15 +414,16 @@ def _are_near(voxels: FloatArray, a: int, b: int, square: float) -> bool:
 def middles(
     points: FloatArray, numbers: ShortArray, voxels: FloatArray, dropped: BoolArray
 ) -> tuple[FloatArray, float]:
-    """One point for each voxel: the middle of the box about its points.
+    """One point for each voxel: the centre of its points' bounding box.
 
     Args:
         points: (n, 3) points [m].
-        numbers: (n,) the voxel of each.
-        dropped: (m,) voxels that do not stay.
+        numbers: (n,) the voxel of each point.
+        voxels: (m, 7) the voxels, from `Scratch.put_into_voxels`.
+        dropped: (m,) mask of the voxels to remove.
 
     Returns:
-        (k, 3) points, and the largest distance of a point from the one of its voxel [m].
+        (k, 3) points, and the maximum distance of a point from its voxel's point [m].
     """
     found, halves = np.empty((len(voxels), 3)), np.empty(len(voxels))
     for number in range(len(voxels)):
@@ -410,7 +433,7 @@ def middles(
             found[number, axis] = low if low == high else 0.5 * (low + high)
             square += 0.25 * (high - low) * (high - low)
         halves[number] = square if voxels[number, COUNT] > 1 and not dropped[number] else -1.0
-    # No point is farther than half the diagonal of its box: most voxels need no second look.
+    # No point is farther than half the diagonal of its box, so most voxels are decided by their box alone.
     growth = 0.0
     for place in range(len(numbers)):
         number = numbers[place]

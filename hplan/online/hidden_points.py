@@ -1,15 +1,16 @@
-"""What was seen earlier and is hidden now: remembered for a time, forgotten where the camera looks through it.
+"""Memory of points seen earlier and hidden in the current frame.
 
-The directions about the camera are cut into cells on the six sides of a cube, each about half a degree wide. In every
-cell the shortest range of a frame is noted, of the arm and of what is out of reach too. A remembered point in a cell
+Points are kept for a limited time, and removed when the camera looks through them. The directions around the camera are
+divided into cells on the six sides of a cube, each about half a degree wide. For every cell the minimum range in the
+frame is recorded, of the arm and of points out of range as well. A remembered point in a cell
 
-- in which something nearer was measured is hidden: it stays;
-- in which nothing was measured is out of view, or in a direction without a return: it stays;
-- in which everything that was measured is as far away as the point, or farther, is seen: the frame says what is there.
+- with a nearer measurement is hidden: it remains;
+- without measurements is out of view, or in a direction without a return: it remains;
+- with all measurements at the point's range or beyond is visible: the frame decides.
 
-What is within the arm's padding cannot be told from the arm, and stays too, unless the arm stands in it
-(`hplan.online.frame`). So nothing is taken away that the camera does not see to be gone, but for its age. An
-outlier in front keeps what is behind it for as long. A point at the edge of something nearer counts as hidden with the
+Points within the arm's padding cannot be distinguished from the arm, and remain too, unless the arm is in their ball
+(`hplan.online.frame`). So a point is removed only if the camera sees that it is gone, or by its age. A measured outlier
+in front of a point keeps the point for as long. A point next to the edge of a nearer object counts as hidden over the
 whole of its cell.
 """
 
@@ -30,7 +31,10 @@ _CELLS: Final = any_int(CELLS)
 
 @inlined
 def side_of_cube(x: float, y: float, z: float) -> tuple[int, float, float, float]:
-    """The side of the cube that a direction meets, by its longest coordinate; that one's length, and the others."""
+    """Side of the cube that a direction meets, and its coordinates there.
+
+    The side is given by the longest coordinate; its length and the other two coordinates follow.
+    """
     ax, ay, az = abs(x), abs(y), abs(z)
     if az >= ax and az >= ay:
         found = ((0 if z > 0.0 else 1), az, x, y)
@@ -43,7 +47,7 @@ def side_of_cube(x: float, y: float, z: float) -> tuple[int, float, float, float
 
 @inlined
 def _direction(x: float, y: float, z: float) -> int:
-    """Number of the cell in which a direction lies."""
+    """Index of the cell of a direction."""
     side, longest, u, v = side_of_cube(x, y, z)
     scale = 0.5 * CELLS / max(longest, 1e-300)
     column = min(int(u * scale + 0.5 * CELLS), CELLS - 1)
@@ -53,10 +57,11 @@ def _direction(x: float, y: float, z: float) -> int:
 
 @kernel
 def cells_about(x: float, y: float, z: float, radius: float, cells: int) -> tuple[int, int, int, int, int]:
-    """The cells of all directions to a ball: the side's first cell, first and last column, first and last line.
+    """Cells of all directions to a ball: a rectangle on one side.
 
-    Sides are cut into so many cells each way. There is no column (the last before the first) where the ball is about
-    the camera, or on more than one side of the cube.
+    Sides are divided into `cells` cells along each axis. Returns the first cell of the side, first and last column, and
+    first and last line. The range of columns is empty (the last before the first) if the ball contains the camera, or
+    extends over more than one side of the cube.
     """
     side, longest, u, v = side_of_cube(x, y, z)
     near, far = longest - radius, longest + radius
@@ -75,9 +80,10 @@ def cells_about(x: float, y: float, z: float, radius: float, cells: int) -> tupl
 
 @kernel
 def _note_ranges(points: FloatArray, balls: FloatArray, ranges: FloatArray) -> None:
-    """Write the least squared range of each direction, of points in the camera's frame.
+    """Write the minimum squared range of each direction.
 
-    A point on the way through a ball, (k, 4) centres and radii, counts as where the ray comes out of it.
+    `points` are in the camera's frame. A point inside one of the balls, (k, 4) centres and radii, counts as the exit
+    point of its ray from the ball.
     """
     meets = np.zeros(ranges.shape[0], dtype=np.bool_)
     for b in range(balls.shape[0]):
@@ -106,7 +112,7 @@ def _note_ranges(points: FloatArray, balls: FloatArray, ranges: FloatArray) -> N
         ranges[cell] = min(ranges[cell], square)
 
 
-# (A product with so thin a matrix may wait for all processors.)
+# (A product with such a thin matrix may wait for all processors.)
 @kernel
 def _mark_hidden(
     points: FloatArray, pose: tuple[FloatArray, FloatArray], ranges: FloatArray, tolerance: float, hidden: BoolArray
@@ -123,11 +129,13 @@ def _mark_hidden(
 
 
 def shortest_ranges(frame: FloatArray, through: FloatArray | None = None) -> FloatArray:
-    """(6 CELLS^2,) least squared range of each direction of (n, 3) points in the camera's frame; infinite for none.
+    """(6 CELLS^2,) minimum squared range of each direction; infinite without measurements.
+
+    `frame` is (n, 3) in the camera's frame [m].
 
     Args:
-        through: (k, 4) centres and radii of balls in the camera's frame: a point in one counts as where the ray through
-            it comes out of the ball [m].
+        through: (k, 4) centres and radii of balls in the camera's frame: a point in a ball counts as the exit point of
+            its ray [m].
     """
     ranges = np.full(6 * CELLS * CELLS, np.inf)
     _note_ranges(frame, np.zeros((0, 4)) if through is None else through, ranges)
@@ -135,16 +143,16 @@ def shortest_ranges(frame: FloatArray, through: FloatArray | None = None) -> Flo
 
 
 def hidden(points: FloatArray, frame: FloatArray, pose: tuple[FloatArray, FloatArray]) -> BoolArray:
-    """(k,) mask of the points that a frame does not see, being behind something or out of view.
+    """(k,) mask of the points behind something or out of view.
 
     Args:
         points: (k, 3) points [m].
-        frame: (n, 3) the frame's points in the camera's frame; not finite ones are no measurements [m].
-        pose: (3, 3) rotation and (3,) position of the camera, as the points are given [m].
+        frame: (n, 3) the frame's points in the camera's frame; points that are not finite are no measurements [m].
+        pose: (3, 3) rotation and (3,) position of the camera, in the frame of `points` [m].
     """
     ranges = shortest_ranges(frame)
     found = np.zeros(len(points), dtype=np.bool_)
-    # A point counts as seen where what was measured in its cell is nearer by less than this [m]: noise, and the size
-    # of a voxel, do not hide a point behind itself.
+    # A point counts as visible if the measurement in its cell is nearer by less than this [m]: noise, and the size of a
+    # voxel, do not hide a point behind itself.
     _mark_hidden(points, pose, ranges, 0.03, found)
     return found

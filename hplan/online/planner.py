@@ -1,8 +1,8 @@
-"""A planner that lives as long as the scene changes: obstacles come, move and go, and the motion is planned anew.
+"""A planner that replans as the scene changes.
 
-What does not change is kept from plan to plan: the robot's planar layers (a layer is computed again only if what the
-arm plane cuts there has changed), and the motion itself, as long as it can still be certified. Every motion that is
-handed out was certified among the obstacles as they are now.
+Obstacles appear, move and disappear. State that does not change is reused between plans: the robot's planar layers (a
+layer is recomputed only if the obstacle cross-section in the arm plane has changed), and the motion itself while it can
+still be certified. Every returned motion is certified among the current obstacles.
 """
 
 from __future__ import annotations
@@ -51,36 +51,49 @@ from hplan.scene.tracks import Track
 
 
 class Planner:
-    """Plans again and again for one robot.
+    """Replans for one robot while its scene changes.
 
-    **One clock.** Times that a planner is given are on the controller's clock, any clock that does not go back: when a
-    motion begins (`begins_s`), what time it is (`now`), when a new motion may take over (`at`), when a frame was taken,
-    and the times of the scene's tracks. What it hands out counts from its own first row, which is at its `begins_s` on
+    **One clock.** All times in arguments are on the controller's clock, any clock that does not run backward: the start
+    of a motion (`begins_s`), the current time (`now`), the takeover by a new motion (`at`), the time of a frame, and
+    the times of the scene's tracks. A returned motion counts time from its own first sample, which is at `begins_s` on
     the controller's clock; at a time t the controller follows `motion.trajectory.state_at(t - motion.begins_s)`. A
-    planner that was never given a time takes the clock to begin with its first motion. One that was given one wants to
-    know when each motion begins that is planned from rest: `plan(begins_s=)`, or `began` once it has.
+    planner that has never received a time assumes that the clock starts with its first motion. After it has received
+    one, it requires the start time of each motion that is planned from rest: `plan(begins_s=)`, or `began` once the
+    motion has started.
 
-    Several threads may use one planner. One plan at a time is made, and the next waits for it; changes, frames and
-    stops do not wait. A plan is of the scene, and the options, that there were when its turn came. A child that is
-    forked meanwhile may use it too, by itself. A planner can be pickled; its memory of layers and frames stays behind.
+    Several threads may use one planner. It computes one plan at a time and further calls wait; changes, frames and
+    stops do not wait. A plan uses the scene and the options at the time when its turn came. A forked child process may
+    use the planner too, independently. A planner can be pickled, without its memory of layers and frames.
 
     Attributes:
         robot: The arm.
-        options: How to plan.
-        scene: The scene as it is now; its tracks count on the controller's clock.
-        last: The last plan, taken to be what runs; None before the first.
+        options: Planning options.
+        scene: The current scene; its tracks are on the controller's clock.
+        last: The last plan, assumed to be the running one; None before the first.
+
+    Examples:
+        >>> from hplan import Planner, load_robot, load_scene
+        >>> from hplan.scene import Sphere
+        >>> planner = Planner(load_robot(), load_scene())
+        >>> planner.add(Sphere(name="post", center=(1.5, 0.0, 1.0), radius=0.05))
+        >>> planner.move("post", center=(1.5, 0.2, 1.0))
+        >>> planner.scene.obstacles[-1].center
+        (1.5, 0.2, 1.0)
+        >>> planner.remove("post")
+        >>> print(planner.last)
+        None
     """
 
     def __init__(self, robot: Robot, scene: Scene, options: PlanOptions | None = None) -> None:
-        """Begin with a scene.
+        """Start with a scene.
 
         Args:
             robot: The arm.
             scene: Obstacles and task.
-            options: How to plan.
+            options: Planning options; None for the defaults.
 
         Raises:
-            OptionError: One of them is none.
+            OptionError: An argument has the wrong type.
         """
         check_task(robot, scene, options)
         self.robot = robot
@@ -93,7 +106,7 @@ class Planner:
         self._make_ready()
 
     def _make_ready(self) -> None:
-        """Begin with no memory of earlier plans and frames."""
+        """Start without memory of earlier plans and frames."""
         self._planning, self._changing, self._filtering = (renewed_in_children(RLock()) for _ in range(3))
         self._seen: dict[str, SeenPoints] = {}
         self._scratch = Scratch()
@@ -101,7 +114,7 @@ class Planner:
         self._known_since_s = -math.inf
 
     def __getstate__(self) -> dict[str, Any]:
-        """The attributes that a user sees, whether a time was given, and what there is to know of clouds."""
+        """Return the public attributes and the state of clock and clouds."""
         return {
             key: vars(self)[key] for key in ("robot", "scene", "options", "last", "_is_told", "_cropped", "_closing")
         }
@@ -111,17 +124,19 @@ class Planner:
         self._make_ready()
 
     def plan(self, *, begins_s: float | None = None, cancel: Cancel | None = None) -> PlanResult:
-        """Plan as `hplan.plan` does, whatever was planned before.
+        """Plan as `hplan.plan` does, independent of earlier plans.
 
         Args:
-            begins_s: When the motion is to begin, on the controller's clock [s]; what moves is seen from then on. None
-                where no time was given yet: at 0; else it is not known, which only a scene where nothing moves allows.
-            cancel: As for `hplan.plan`.
+            begins_s: Start time of the motion on the controller's clock [s]; moving obstacles are considered from then
+                on. None for 0 if the planner has never received a time; otherwise for an unknown start, which is
+                allowed only in a static scene.
+            cancel: Cancels the plan, as for `hplan.plan`.
 
         Raises:
-            OptionError: A time that is none, or none where one is needed.
+            OptionError: `begins_s` is not a time, or is missing although something moves.
+            InputError: The start is in unknown space, and unknown space is solid.
             FrameError: A frame is older than its `max_age_s`.
-            HplanError: As `hplan.plan`.
+            HplanError: Any error of `hplan.plan`.
         """
         with self._turn(cancel):
             return self._from_rest(begins_s, None)
@@ -148,36 +163,38 @@ class Planner:
         begins_s: float | None = None,
         cancel: Cancel | None = None,
     ) -> PlanResult | SplicedResult:
-        """Plan again after a change, before the motion is begun or while it runs.
+        """Replan after a change, before the motion starts or while it runs.
 
-        The last motion stays if it can be certified among the obstacles as they are now, and is repaired if it cannot.
-        A new one is searched for where that fails too, where a straight motion has become possible, where start or goal
-        has changed, and to a fruit or a point. So the result depends on what was planned before; `plan` gives the one
-        that does not.
+        The last motion is kept if it can be certified among the current obstacles, and repaired otherwise. A new one is
+        planned if the repair fails, if a straight motion has become possible, if start or goal has changed, and always
+        for a fruit or point goal. So the result depends on earlier plans; `plan` gives a result that does not.
 
-        With `at`, the last motion is taken to run. It stays as it is up to the first row at or after that time, and up
-        to its end where it still solves the task and is certified from now on among the obstacles as they are now; a
-        new motion takes over else, without a jump of position, velocity or acceleration. What is returned is a
-        `SplicedResult`: its trajectory is the running one from now on and, from `seam_s`, the new one, certified as a
-        whole; it begins at `begins_s`, where the last row up to now is, and runs from then on.
+        With `at`, the last motion is assumed to be running. It stays unchanged up to the first sample at or after that
+        time, and up to its end if it still solves the task and is certified from now on among the current obstacles;
+        otherwise a new motion takes over with continuous position, velocity and acceleration. The returned
+        `SplicedResult` contains the running motion from now on and, from `seam_s`, the new one, certified as a whole.
+        It starts at `begins_s`, the time of the last sample at or before now, and counts as the running motion from
+        then on.
 
         Args:
-            at: When the new motion may take over, on the controller's clock [s]; None before the motion is begun.
-            now: The time on that clock [s]; without it the whole motion up to `at` has to be clear.
-            measured: (dof,) where the arm is now [rad, m where a joint slides]: a motion that it is not on, as far as
-                the tracking error covers that certificates are for, is not taken over. None to take it to be there.
-            begins_s: As for `plan`, without `at`.
-            cancel: As for `hplan.plan`.
+            at: Takeover time of the new motion on the controller's clock [s]; None if the motion has not started.
+            now: Current time on that clock [s]; without it the whole motion up to `at` must be collision-free.
+            measured: (dof,) current configuration of the arm [rad, m for a prismatic joint]. A motion is not taken over
+                if the arm is farther from it than the tracking error that certificates cover. None to assume that the
+                arm is on the motion.
+            begins_s: Start time of the motion, as for `plan`; only without `at`.
+            cancel: Cancels the plan, as for `hplan.plan`.
 
         Raises:
-            InputError: There is no motion that could run, or it is not known when it began.
-            NotOnMotionError: The arm is not where the running motion has it.
+            InputError: There is no motion that could be running, or its start time is unknown; without `at`, the start
+                is in unknown space, and unknown space is solid.
+            NotOnMotionError: The arm is not on the running motion.
             FrameError: A frame is older than its `max_age_s`.
-            OptionError: A time before the motion or after it, or before now; `now` or `measured` without what they
-                belong to.
-            RunningMotionBlockedError: The running motion is not clear until then, or cannot be left without contact; it
-                carries the stop on its path, where one is certified.
-            HplanError: As `hplan.plan`.
+            OptionError: A time is before the motion, after it, or before now; `now` or `measured` is given without
+                `at`, `measured` without `now`, or `begins_s` with `at`.
+            RunningMotionBlockedError: The running motion is not collision-free until then, or cannot be left without
+                contact; the error carries the stop on its path if that is certified.
+            HplanError: Any error of `hplan.plan`.
         """
         if at is None:
             for option, value in (("now", now), ("measured", measured)):
@@ -198,22 +215,23 @@ class Planner:
             return self.last
 
     def stop_at(self, t: float, *, now: float | None = None, measured: ArrayLike | None = None) -> CertifiedMotion:
-        """The last motion with the quickest stop on its path from the first row at or after a time on.
+        """Return the last motion with the fastest stop on its path.
 
-        It is certified from now on among the obstacles as they are now; read `certificate.verified`. Among what moves
-        `certificate.clear_until_s` says how long the arm may rest where it stops. Its trajectory begins, as its
-        `begins_s` says, when the last motion did, and all its times count from there. The planner goes on to take the
-        last motion for what runs.
+        The stop starts at the first sample at or after `t`. It is certified from now on among the current obstacles;
+        read `certificate.verified`. Among moving obstacles `certificate.clear_until_s` is the time until which the arm
+        may rest at the stop. The trajectory starts with the last motion, at its `begins_s`, and all its times count
+        from there. The planner still assumes that the last motion is running.
 
         Args:
-            t: The time, on the controller's clock [s].
-            now: The time on that clock from which on it has to be clear [s]; None for when the motion began.
-            measured: As for `replan`.
+            t: Start of the stop on the controller's clock [s].
+            now: Current time on that clock [s]; the motion must be collision-free from then on. None for the start
+                of the motion.
+            measured: (dof,) current configuration of the arm, as for `replan`.
 
         Raises:
-            InputError: There is no motion that could run, or it is not known when it began.
-            NotOnMotionError: The arm is not where the running motion has it.
-            OptionError: A time before the motion or after it, or before now; `measured` without `now`.
+            InputError: There is no motion that could be running, or its start time is unknown.
+            NotOnMotionError: The arm is not on the running motion.
+            OptionError: A time is before the motion, after it, or before now; `measured` is given without `now`.
         """
         scene, options = self.scene, self.options
         found = self._running(scene, options, now, measured).stop_at(t)
@@ -221,18 +239,20 @@ class Planner:
         return replace(found, certificate=with_violations(found.certificate, faults))
 
     def began(self, at_s: float) -> PlanResult:
-        """Say when the motion that was planned last, from rest and among what stands still, has begun.
+        """Set the actual start time of the last motion.
+
+        For a motion planned from rest in a static scene.
 
         Args:
-            at_s: The time, on the controller's clock [s].
+            at_s: Start time on the controller's clock [s].
 
         Returns:
-            The plan, which begins there.
+            The plan with this start time.
 
         Raises:
-            InputError: There is no such motion: among what moves it begins when it was planned for, and a splice when
-                it says.
-            OptionError: No time.
+            InputError: There is no motion, or the start time is fixed: a motion among moving obstacles starts at its
+                planned time, a spliced one at its own `begins_s`.
+            OptionError: `at_s` is not a time.
         """
         number("at_s", at_s, "a time on the controller's clock in seconds")
         with self._changing:
@@ -247,7 +267,7 @@ class Planner:
             return self.last
 
     def _from_rest(self, begins_s: float | None, before: Transit | None) -> PlanResult:
-        """A plan of a motion that has not begun."""
+        """Plan a motion that has not started."""
         scene, options = self.scene, self.options
         begin = self._begin_of(begins_s, scene)
         self._check_clouds(scene, options, begins_s)
@@ -257,10 +277,12 @@ class Planner:
         return self.last
 
     def _begin_of(self, begins_s: float | None, scene: Scene) -> float:
-        """When a motion begins, on the controller's clock [s]; NaN where that is not known.
+        """Start time of a motion [s]; NaN if unknown.
+
+        On the controller's clock.
 
         Raises:
-            OptionError: No time; or none where one is needed.
+            OptionError: `begins_s` is not a time, or is missing although something moves.
         """
         expected = "a time on the controller's clock in seconds"
         if begins_s is not None:
@@ -285,21 +307,21 @@ class Planner:
 
     @contextmanager
     def _turn(self, cancel: Cancel | None) -> Iterator[None]:
-        """Wait for the turn of a plan, whose time counts from now.
+        """Wait for this plan's turn; its deadline counts from now.
 
         Raises:
-            NotInTimeError: Time is up before, or before the plan is begun.
-            PlanCancelledError: It was cancelled.
+            NotInTimeError: The deadline is over before the plan starts.
+            PlanCancelledError: The plan was cancelled.
         """
         with time_limit(self.options.deadline_s, cancel) as limit:
-            # A plan that waits for another one checks this often whether it is cancelled [s].
+            # A waiting plan checks for cancellation at this interval [s].
             wait_s = 0.01
             while not self._planning.acquire(timeout=min(wait_s, max(limit.left_s, 0.0))):
                 if limit.is_up:
                     raise limit.error(["another plan of the same planner is under way"])
             try:
                 yield
-            except TimeIsUpError:  # before the plan itself, which says what it tried
+            except TimeIsUpError:  # Before the plan itself, which reports its own attempts.
                 raise limit.error(["the running motion up to where a new one may take over"]) from None
             finally:
                 self._planning.release()
@@ -308,7 +330,7 @@ class Planner:
         """Add an obstacle.
 
         Raises:
-            InputError: There is one of that name, or it is no obstacle.
+            InputError: The name is taken, or `obstacle` is not an obstacle.
         """
         _check_kind(obstacle)
         with self._changing:
@@ -319,10 +341,10 @@ class Planner:
             warn_of_far_obstacles(self.robot, self.scene)
 
     def remove(self, name: str) -> None:
-        """Take an obstacle or a fruit away.
+        """Remove an obstacle or a fruit.
 
         Raises:
-            InputError: There is none of that name, or it is the fruit that is the goal.
+            InputError: There is no such name, or it is the goal fruit.
         """
         with self._changing:
             if any(fruit.name == name for fruit in self.scene.fruits):
@@ -338,11 +360,11 @@ class Planner:
             self._cropped.pop(name, None)
 
     def move(self, name: str, **changes: Any) -> None:
-        """Give an obstacle other values, as `move("post", center=(1, 0, 1))`.
+        """Change values of an obstacle, for example `move("post", center=(1, 0, 1))`.
 
         Raises:
-            InputError: There is none of that name, or it has no such value, or cannot have it; it is a cloud that
-                `set_cloud` has cropped to what is within reach where it was seen.
+            InputError: There is no such obstacle; it has no such value, or the value is invalid; or it is a cloud that
+                `set_cloud` has cropped to the workspace at its observed pose.
         """
         with self._changing:
             index, cropped = self._index(name), self._cropped.get(name)
@@ -351,7 +373,7 @@ class Planner:
             moved = _changed(self.scene.obstacles[index], changes)
             self._change((*self.scene.obstacles[:index], moved, *self.scene.obstacles[index + 1 :]))
 
-    # Eleven parameters: a frame has many sides, and callers name them by keyword.
+    # Eleven parameters: a frame has many aspects, and callers name them by keyword.
     def set_cloud(
         self,
         name: str,
@@ -367,38 +389,43 @@ class Planner:
         yields: float = 0.0,
         unknown: Unknown = "free",
     ) -> FrameReport:
-        """Take a frame of a depth camera for the obstacle of a name, in place of the last one.
+        """Replace the obstacle `name` by a frame of a depth camera.
 
-        Left out are rows that are not finite, points that the arm cannot come near, its own, and those of what is to be
-        ignored; the others become balls, fewer than points (`hplan.online.frame`). A frame that a failing camera, a
-        wrong unit or a wrong pose may have made is refused (`hplan.online.frame_check`), and the obstacle of the last
-        good frame stays; `CloudOptions` says what is acceptable. Where the base moves, the points stand where they were
-        seen, from where it was then, and those count that come within reach anywhere on its track. What is left out
-        could matter for a larger clearance, larger tracking errors or another track of the base: plans are refused then
-        until the next frame.
+        Left out are rows that are not finite, points that the arm cannot come near, points of the arm, and points of
+        ignored objects; the others become balls, fewer than points (`hplan.online.frame`). A frame that indicates a
+        failing camera, a wrong unit or a wrong pose is refused (`hplan.online.frame_check`), and the obstacle of the
+        last good frame stays; `CloudOptions` sets the limits. If the base moves, the points keep their position as seen
+        from the base at that time, and points within range anywhere on its track count. Points left out could matter
+        for a larger clearance, larger tracking errors or another track of the base: plans are then refused until the
+        next frame.
 
         Args:
             name: Name of the cloud.
             points: (n, 3) or (rows, columns, 3) points in the camera's frame [m]; best float32 or float64.
-            radius: Radius of the ball about each point [m].
+            radius: Radius of the ball around each point [m].
             pose: Camera to `base_link`: a (4, 4) matrix, or x, y, z [m], roll, pitch, yaw about fixed axes [deg]; None
-                where the points are in `base_link`, the camera then taken to be at its origin. Where the base moves,
-                it is `base_link` as it is when the frame is taken.
-            joints: (dof,) configuration of the arm when the frame was taken, so that its own points are left out [rad].
-            ignore: Names of fruits and other obstacles whose points are left out: the fruit to pick, what stands in the
-                scene already.
-            keep_s: How long points are kept that were seen and are hidden now (`hplan.online.hidden_points`) [s].
-            time_s: When the frame was taken, on the controller's clock [s]; it is needed where the base moves, or what
-                is to be ignored does. None, else, for now.
-            options: Voxels, paddings, outliers.
-            yields: How deep the links that may push may be in the cloud [m].
-            unknown: `solid`: space that no frame with this has seen through in the last `keep_s`, and where the arm has
-                not been, is an obstacle of the name `unseen` (`hplan.online.seen_space`), as of this frame. It needs
-                `joints`, and a base that stands still. `free`: it counts as free, and an obstacle of that name stays.
+                if the points are in `base_link`, with the camera assumed at its origin. If the base moves, `base_link`
+                at the time of the frame.
+            joints: (dof,) configuration of the arm at the time of the frame, to remove its own points [rad]; None to
+                remove no points of the arm.
+            ignore: Names of fruits and other obstacles whose points are left out: the fruit to pick, and objects
+                already in the scene.
+            keep_s: Hidden points are remembered this long (`hplan.online.hidden_points`) [s].
+            time_s: Time of the frame on the controller's clock [s]; required if the base or an ignored object moves.
+                None for now otherwise.
+            options: Voxels, paddings, outliers; None for the defaults.
+            yields: Maximum deflection of the cloud by the links that may touch it [m].
+            unknown: `solid`: space that no such frame has seen through in the last `keep_s`, and where the arm has not
+                been, becomes an obstacle named `unseen` (`hplan.online.seen_space`) with this frame. Requires `joints`
+                and a fixed base. `free`: unknown space counts as free, and an existing `unseen` obstacle stays.
+
+        Returns:
+            The numbers of points and balls.
 
         Raises:
-            InputError: Points, a pose or joints that are none; a name of what is no cloud; nothing of a name to ignore.
-            OptionError: A radius, a time, a depth or options that cannot be.
+            InputError: Points, pose or joints are invalid; an obstacle other than a cloud has the name; or an ignored
+                name is unknown.
+            OptionError: A radius, time, depth or option is invalid.
             FrameError: The frame is older than the last one, has too few returns, is in millimetres, or leaves no
                 obstacle. The scene is unchanged.
         """
@@ -407,7 +434,7 @@ class Planner:
         options = CloudOptions() if options is None else options
         if unknown == "solid" and joints is None:
             raise OptionError("joints", None, "those of the arm: unknown space is solid but for where it stands")
-        with self._filtering:  # nothing else waits for it
+        with self._filtering:  # Only other frames wait for this lock.
             scene, planning = self.scene, self.options
             check_cloud_name(scene, name)
             if scene.base_track is not None and time_s is None:
@@ -445,10 +472,12 @@ class Planner:
         return found.report
 
     def _unseen(self, scene: Scene, frame: Frame, options: CloudOptions, ignore: Sequence[str]) -> PointCloud | None:
-        """What closes off the space that was not seen, a frame having been taken; None where all is known.
+        """Obstacle that closes off unknown space; None if all is known.
+
+        It includes the given frame.
 
         Raises:
-            OptionError: The base moves; or voxels far too small.
+            OptionError: The base moves; or the voxels are far too small.
         """
         if frame.base_track is not None or frame.joints is None:
             raise OptionError("unknown", "solid", "'free' where the base moves")
@@ -457,7 +486,7 @@ class Planner:
         space, now_s = self._space, frame.time_s
         names = [fruit.name for fruit in scene.fruits if fruit.name in ignore]
         fruits = solids_named(scene, names, UNSEEN, now_s)
-        # One that sways is no ball.
+        # A swaying fruit is not a ball.
         balls = [
             (*fruit.core[0], fruit.rounding + options.ignore_padding_m) for fruit in fruits if len(fruit.core) == 1
         ]
@@ -470,7 +499,10 @@ class Planner:
         return PointCloud.thinned(UNSEEN, border, space.radius) if len(border) else None
 
     def _check_known(self, scene: Scene) -> None:
-        """Refuse a start that is not in known space, where unknown space is solid: nothing closes it off from there."""
+        """Refuse a start in unknown space if unknown space is solid.
+
+        Nothing closes off unknown space from there.
+        """
         if all(item is not self._closing for item in scene.obstacles):
             return
         start = self.robot.check_configuration(self.robot.joints_of(scene.start, "start"), "start")
@@ -488,32 +520,32 @@ class Planner:
         mount: ArrayLike | None = None,
         cancel: Cancel | None = None,
     ) -> NextView | None:
-        """From which of some views a camera would see most of what keeps the arm from its goal, not being known.
+        """Choose the camera view that reveals the most relevant unknown space.
 
-        A motion to the goal is planned past what is known to be there, as if all unknown space were free. Of the voxels
-        that it sweeps and that are not known those count that a view would look through: in its field of view, and
-        nothing known in front of them, the arm among it. What is not known hides nothing here, so a view may show less
-        than it promises; leave out what was looked from already.
+        A motion to the goal is planned around the known obstacles, with all unknown space free. The unknown voxels
+        swept by this motion are counted for each view that would look through them: they lie in its field of view, with
+        no known object in front of them, the arm included. Unknown space hides nothing here, so a view may reveal less
+        than promised; leave out views that were used already.
 
         Args:
-            views: Poses of the camera, camera to `base_link` as for `set_cloud`; z looks ahead, x to the right, y down.
-                With `carried_by`: (dof,) configurations at which the arm may look.
-            field_of_view_deg: Width and height of what the camera sees [deg].
-            farthest_m: How far it measures [m].
-            carried_by: The frame of the arm that carries the camera. Then the view is proposed that shows most of those
-                to which a motion through known space is certified.
-            mount: Camera to that frame, a pose as above; None where they are the same.
-            cancel: As for `hplan.plan`.
+            views: Camera poses, camera to `base_link` as for `set_cloud`; z points forward, x to the right, y down.
+                With `carried_by`: (dof,) configurations of the arm.
+            field_of_view_deg: Width and height of the field of view [deg].
+            farthest_m: Maximum range of the camera [m].
+            carried_by: Frame of the arm that carries the camera; None for a camera off the arm. With it, the best view
+                among the ones that a motion certified through known space can reach is chosen.
+            mount: Camera to that frame, a pose as above; None if they coincide.
+            cancel: Cancels the plan, as for `hplan.plan`.
 
         Returns:
-            None where the motion would sweep known space alone, or no view shows any of the other.
+            The chosen view; None if the motion sweeps only known space, or if no view reveals any unknown voxel.
 
         Raises:
-            InputError: No frame was taken with `unknown="solid"`; views or a mount that are none, or a frame that the
-                arm does not have.
-            OptionError: Angles not within 0 and 180 degrees, or no distance.
+            InputError: No frame was given with `unknown="solid"`; views or mount are invalid, or the arm has no such
+                frame.
+            OptionError: An angle is outside 1 to 179 degrees, or the distance is invalid.
             FrameError: A frame is older than its `max_age_s`.
-            HplanError: As `plan`: what is known is in the way already.
+            HplanError: Any error of `plan`: known obstacles alone block the goal.
         """
         wide, high = (between("field_of_view_deg", angle, 1.0, 179.0) for angle in field_of_view_deg)
         between("farthest_m", farthest_m, 0.0, FARTHEST_M)
@@ -532,7 +564,7 @@ class Planner:
                 arm = [
                     body
                     for body in arm_solids(self.robot, path[0] if joints is None else joints)
-                    # What the camera is in hides nothing.
+                    # A body that contains the camera hides nothing.
                     if distances_from_bodies(pose[None, :3, 3], *solid_rows([body], 0.0))[0] > 0.0
                 ]
                 solids = [*known.solids_with_goal, *arm]
@@ -558,7 +590,7 @@ class Planner:
     def _view(
         self, view: ArrayLike, carried_by: str | None, mount: ArrayLike | None
     ) -> tuple[FloatArray | None, FloatArray]:
-        """The joints of a view where the arm carries the camera, and its pose."""
+        """Joints (if the arm carries the camera) and pose of a view."""
         rotation, position = rigid(view if carried_by is None else mount)
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = rotation, position
@@ -568,27 +600,27 @@ class Planner:
         return joints, self.robot.forward_kinematics(joints, carried_by) @ pose
 
     def aim(self, *, start: Start | None = None, goal: Goal | None = None) -> None:
-        """Begin elsewhere, or go elsewhere.
+        """Change start or goal.
 
         Raises:
-            SceneError: A fruit that the scene does not have.
+            SceneError: The goal is a fruit that the scene does not have.
         """
         changes: dict[str, Any] = {key: value for key, value in (("start", start), ("goal", goal)) if value is not None}
         with self._changing:
             self.scene = _changed(self.scene, changes)
 
     def _room_m(self, scene: Scene, options: PlanOptions) -> float:
-        """How near to where the arm is sent things matter: the clearance, and what tracking errors may take [m]."""
+        """Distance within which points matter: clearance plus tracking displacement bound [m]."""
         deviations = options.certified_tracking.deviations(self.robot.velocity_limit)
         return scene.clearance + float(largest_sway(self.robot, deviations))
 
     def _check_clouds(self, scene: Scene, options: PlanOptions, now: float | None) -> None:
-        """Refuse clouds that lack points that matter now, or whose frame is too old."""
+        """Refuse clouds without points that matter, or with old frames."""
         for fault in self._cloud_faults(scene, options, now):
             raise fault
 
     def _cloud_faults(self, scene: Scene, options: PlanOptions, now: float | None) -> list[InputError]:
-        """Errors for clouds of the scene that lack points that matter now, or whose frame is too old."""
+        """Errors for clouds without points that matter, or with old frames."""
         room_m, faults = self._room_m(scene, options), list[InputError]()
         for name, frame in self._frames(scene).items():
             fault = frame.age_fault(name, now)
@@ -610,7 +642,7 @@ class Planner:
         return faults
 
     def _frames(self, scene: Scene) -> dict[str, AcceptedFrame]:
-        """The frames on which a plan in the scene relies, by the names of their clouds."""
+        """Frames that a plan in the scene relies on, by cloud name."""
         held = {id(obstacle) for obstacle in scene.obstacles}
         clouds = dict(self._cropped)
         return {name: last.frame for name, last in clouds.items() if last.cloud is None or id(last.cloud) in held}
@@ -633,12 +665,12 @@ class Planner:
 
 
 class _Cropped(NamedTuple):
-    """A cloud as `set_cloud` has left it.
+    """State of a cloud after `set_cloud`.
 
     Attributes:
-        cloud: The cloud; None where nothing was left of it.
-        kept_m: All is in it that the arm can come so near to [m].
-        base_track: On which track of the base.
+        cloud: The cloud; None if the frame left no points.
+        kept_m: The cloud contains all points that the arm can come this near to [m].
+        base_track: The base's track at that time.
         frame: The frame that it is from.
     """
 
@@ -649,14 +681,14 @@ class _Cropped(NamedTuple):
 
 
 def _route(track: Track | None) -> tuple[Any, ...]:
-    """Where a track leads, whenever."""
+    """Poses of a track, without its times."""
     return () if track is None else (track.shifts_m, track.rpy_deg, track.about)
 
 
-#: What space counts as that was not seen.
+#: How unknown space counts.
 Unknown: TypeAlias = Literal["free", "solid"]
 
-#: Differences of lengths that are none [m].
+#: Differences of lengths up to this count as zero [m].
 _SAME_M = 1e-9
 
 _Model = TypeVar("_Model", bound=StrictModel)
@@ -664,18 +696,18 @@ _Result = TypeVar("_Result", bound=PlanResult)
 
 
 def _check_kind(item: object) -> None:
-    """Refuse what is no obstacle."""
+    """Refuse an object that is not an obstacle."""
     if not isinstance(item, KINDS):
         kinds = ", ".join(kind.__name__ for kind in KINDS)
         raise InputError(f"expected one of {kinds}, got {type(item).__name__} {item!r}")
 
 
 def _changed(item: _Model, changes: Mapping[str, Any]) -> _Model:
-    """A checked copy with other values.
+    """Return a checked copy with other values.
 
     Raises:
-        InputError: A value that it does not have.
-        SceneError: A value that it cannot have, or values that contradict each other.
+        InputError: A key is unknown.
+        SceneError: A value is invalid, or values contradict each other.
     """
     fields = type(item).model_fields
     unknown = [key for key in changes if key not in fields]

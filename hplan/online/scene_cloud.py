@@ -1,4 +1,4 @@
-"""A cloud of a scene that is replaced frame by frame."""
+"""A point cloud of a scene that is replaced frame by frame."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from hplan.scene.obstacles import PointCloud, Solid
 
 
 def check_cloud_name(scene: Scene, name: str) -> None:
-    """Refuse the name of what is no cloud.
+    """Refuse a cloud name that an obstacle or fruit already has.
 
     Raises:
-        InputError: There is such an obstacle, or a fruit of that name.
-        OptionError: It is no name.
+        InputError: An obstacle that is not a cloud, or a fruit, has that name.
+        OptionError: `name` is not a name.
     """
     text("name", name, "the name of the cloud")
     taken = [item for item in (*scene.obstacles, *scene.fruits) if item.name == name]
@@ -25,15 +25,17 @@ def check_cloud_name(scene: Scene, name: str) -> None:
 
 
 def solids_named(scene: Scene, names: Sequence[str], cloud: str, time_s: float | None) -> tuple[Solid, ...]:
-    """The solids of fruits and obstacles of some names, where they are at a time as the base sees them.
+    """Solids of named fruits and obstacles in the base frame.
+
+    Moving ones are placed at `time_s`.
 
     Args:
-        cloud: The name that stands for the cloud itself, which none of them may be.
-        time_s: The time, as the tracks of the scene count it [s]; None where none of them moves.
+        cloud: Name of the cloud itself, which must not be among `names`.
+        time_s: Time on the clock of the scene's tracks [s]; None if the named items are static.
 
     Raises:
-        InputError: There is nothing of that name, or it is the cloud.
-        OptionError: They are no names; or they move, and no time is given.
+        InputError: A name is unknown, or it is the cloud's name.
+        OptionError: A value of `names` is not a name; or a named item moves and `time_s` is missing.
     """
     wanted = list_of("ignore", names, str, "names of fruits and obstacles")
     if not wanted:
@@ -56,7 +58,7 @@ def solids_named(scene: Scene, names: Sequence[str], cloud: str, time_s: float |
 
 
 def with_cloud(scene: Scene, name: str, cloud: PointCloud | None) -> Scene:
-    """The scene with the cloud of a name replaced or added; where there is none, taken away."""
+    """Return the scene with a cloud replaced or added; None removes it."""
     obstacles = list(scene.obstacles)
     place = next((number for number, obstacle in enumerate(obstacles) if obstacle.name == name), len(obstacles))
     obstacles[place : place + 1] = [] if cloud is None else [cloud]

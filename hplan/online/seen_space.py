@@ -1,19 +1,21 @@
-"""Space that a camera has seen through, or where the arm has been: all other counts as solid where that is asked for.
+"""Free space known from the camera and the arm.
 
-A grid of voxels about all that the arm can reach notes when each was last known to be free. A frame frees a voxel that
-lies wholly in view: the directions about the camera are cut into cells (`hplan.online.hidden_points`), and in each one
-that the ball about the voxel covers something was measured, all of it farther off than the ball. What ends in a fruit
-whose points are to be ignored counts as measured where the ray comes out of the fruit, for there is no wood in it. The
-arm frees where it stands, and what is as near to it as its padding: nothing else can be seen there. Voxels that such a
-fruit is in are free too, else no hand came to it.
+Unknown space counts as solid on request.
 
-What is not known is closed off by the voxels that border on what is, a ball about each: from where the arm is known to
-be it cannot get past them. They are an obstacle as any other, so motions are planned and certified past them.
+A grid of voxels around the arm's workspace records when each was last known to be free. A frame frees a voxel that lies
+wholly in view: the directions around the camera are divided into cells (`hplan.online.hidden_points`), and in each cell
+covered by the ball around the voxel all measurements exist and are farther away than the ball. A ray that ends in a
+fruit whose points are ignored counts as measured at its exit from the fruit, because there is no wood in it. The arm
+frees the space that it occupies, and everything within its padding, because nothing else can be seen there. Voxels that
+contain such a fruit are free too, otherwise no gripper could reach it.
 
-Not covered: what is thinner than the pixels are apart, for a cell with one return counts as looked through; a return
-that is missing beside others in its cell; what comes into space that was seen free, for as long as that is kept; what
-is in one voxel with a fruit to be picked. A direction without any return frees nothing, and an outlier in front hides
-what is behind it.
+Unknown space is closed off by its voxels next to known space, each represented by a ball: from the known space around
+the arm, no motion gets past them. They are an ordinary obstacle, so motions are planned and certified around them.
+
+Not covered: objects thinner than the pixel spacing, because a cell with one return counts as seen through; a missing
+return next to other returns in its cell; objects that enter space seen as free, for as long as that is remembered;
+objects in a voxel shared with a fruit to be picked. A direction without any return frees nothing, and an outlier in
+front hides everything behind it.
 """
 
 from __future__ import annotations
@@ -35,33 +37,36 @@ from hplan.online.hidden_points import CELLS, cells_about, shortest_ranges
 from hplan.robot.model import Robot
 from hplan.scene.obstacles import Solid
 
-#: Name of the obstacle that closes off what is not known.
+#: Name of the obstacle that closes off unknown space.
 UNSEEN: Final = "unseen"
 
-#: Most voxels of a grid; how many on each side of a block are looked at together first, by cells so much wider.
+#: Maximum number of voxels of a grid; voxels along each side of a block that is checked as a whole first; the factor by
+#: which the direction cells of that check are wider.
 _MOST: Final = 20_000_000
 _BLOCK: Final = 4
 _TOGETHER: Final = 4
 
 
 class SeenSpace:
-    """When each voxel within the arm's reach was last known to be free.
+    """Last time that each voxel was known to be free.
+
+    The voxels cover the arm's workspace.
 
     Attributes:
         edge: Edge of a voxel [m].
-        radius: Radius of the ball about a voxel [m].
-        times: (n, n, n) when each was last known to be free; minus infinity for never [s].
+        radius: Radius of the ball around a voxel [m].
+        times: (n, n, n) last time that each voxel was known to be free; minus infinity for never [s].
     """
 
     def __init__(self, robot: Robot, edge: float) -> None:
-        """Know nothing.
+        """Create a grid in which all space is unknown.
 
         Raises:
-            OptionError: Voxels that are too small for the arm's reach.
+            OptionError: The voxels are too small for the arm's range.
         """
         self.edge, self.radius = edge, 0.5 * math.sqrt(3.0) * edge
         *centre, reach = reach_ball(robot).tolist()
-        # A voxel more on each side: what borders on space within reach is in the grid.
+        # One voxel more on each side: the border of space within range is then in the grid.
         count = _BLOCK * math.ceil((2.0 * reach / edge + 4.0) / _BLOCK)
         if count**3 > _MOST:
             least = 2.0 * reach / (_MOST ** (1.0 / 3.0) - 8.0)
@@ -73,15 +78,15 @@ class SeenSpace:
         self, points: FloatArray, pose: tuple[FloatArray, FloatArray], time_s: float, margin_m: float,
         through: FloatArray | None = None,
     ) -> None:  # fmt: skip
-        """Take a frame: free what it has looked through.
+        """Free the voxels that a frame looks through.
 
         Args:
-            points: (n, 3) in the camera's frame; not finite ones are no measurements [m].
+            points: (n, 3) in the camera's frame; points that are not finite are no measurements [m].
             pose: (3, 3) rotation and (3,) position of the camera in `base_link` [m].
-            time_s: When it was taken [s].
-            margin_m: So much nearer than measured something may be [m].
-            through: (k, 4) centres and radii of balls in `base_link` with nothing in them but what may be ignored: a
-                ray that ends in one goes on to its other side [m].
+            time_s: Time of the frame [s].
+            margin_m: An object may be nearer than measured by this [m].
+            through: (k, 4) centres and radii of balls in `base_link` that contain only ignored objects: a ray that ends
+                in one continues to its other side [m].
         """
         rotation, position = pose
         if through is not None:
@@ -94,24 +99,36 @@ class SeenSpace:
         _see(self.times, self._corner, self.edge, both, rotation, position, np.array([time_s, margin_m]))
 
     def free(self, solids: Iterable[Solid], time_s: float, within_m: float) -> None:
-        """Take as free, at a time [s], the voxels whose middles are in some solids or so near to them [m]."""
+        """Mark the voxels in or near some solids as free.
+
+        They are free at `time_s` [s]. A voxel counts if its centre is within `within_m` of a solid [m].
+        """
         for place, inside in self._about(solids, within_m):
             part = self.times[place]
             part[inside] = np.maximum(part[inside], time_s)
 
     def holds(self, solids: Iterable[Solid], since_s: float) -> bool:
-        """True if all that some solids touch was known to be free since a time [s]."""
+        """True if all voxels that some solids touch are known free.
+
+        Known since the time `since_s` [s].
+        """
         return not len(self.unknown(solids, since_s))
 
     def unknown(self, solids: Iterable[Solid], since_s: float) -> FloatArray:
-        """(k, 3) middles of the voxels that some solids touch and that were not known to be free since a time [m]."""
+        """(k, 3) centres of the unknown voxels that some solids touch [m].
+
+        Unknown are voxels not known to be free since the time `since_s` [s].
+        """
         found = np.zeros(self.times.shape, dtype=np.bool_)
         for place, inside in self._about(solids, self.radius):
             found[place] |= inside & ~(self.times[place] >= since_s)
         return self._middles(np.argwhere(found))
 
     def border(self, since_s: float) -> FloatArray:
-        """(k, 3) middles of the voxels not known to be free since a time that border on such as are [m]."""
+        """(k, 3) centres of the unknown voxels next to known ones [m].
+
+        Known are voxels that were free since the time `since_s` [s].
+        """
         known = self.times >= since_s
         beside = np.zeros_like(known)
         for axis in range(3):
@@ -126,7 +143,10 @@ class SeenSpace:
         return middles
 
     def _about(self, solids: Iterable[Solid], within_m: float) -> Iterator[tuple[tuple[slice, ...], BoolArray]]:
-        """For each solid a part of the grid, and the voxels in it whose middles are so near to it."""
+        """Grid part and voxel mask for each solid.
+
+        The mask selects voxels whose centres are within `within_m` of the solid [m].
+        """
         for solid in solids:
             away = solid.rounding + within_m
             low = np.floor((solid.core.min(axis=0) - away - self._corner) / self.edge).astype(np.int64)
@@ -145,12 +165,15 @@ class SeenSpace:
 def _looks_through(
     x: float, y: float, z: float, radius: float, away: float, nearest: float, ranges: FloatArray
 ) -> tuple[bool, bool]:
-    """Whether all that was measured in the directions to a ball is at least so far away, and whether any is farther.
+    """Whether all measurements toward a ball are far, and whether any is.
 
     Args:
-        away: How far everything has to be for the first [m].
-        nearest: And anything for the second, which is True where not all of the directions are looked at [m].
-        ranges: (2, 6 n^2) least and largest squared range of each cell of directions, zero where there is none.
+        x: Position of the ball in the camera's frame, with `y` and `z` [m].
+        radius: Radius of the ball [m].
+        away: Minimum range of all measurements for the first result [m].
+        nearest: Minimum range of any measurement for the second result, which is True if not all of the directions are
+            checked [m].
+        ranges: (2, 6 n^2) minimum and maximum squared range of each direction cell, zero without measurements.
     """
     cells = int(math.sqrt(ranges.shape[1] / 6.0) + 0.5)
     begin, first, last, top, bottom = cells_about(x, y, z, radius, cells)
@@ -170,10 +193,12 @@ def _see(
     times: FloatArray, corner: FloatArray, edge: float, ranges: tuple[FloatArray, FloatArray], rotation: FloatArray,
     position: FloatArray, frame: FloatArray,
 ) -> None:  # fmt: skip
-    """Write the frame's time to the voxels that it looks through: by blocks where all or none of one are.
+    """Write the frame's time to the voxels that it looks through.
+
+    Blocks are checked first; their voxels one by one only if the block is undecided.
 
     Args:
-        ranges: Of the cells of directions, and of coarser ones, as `_looks_through` has them.
+        ranges: Ranges of the direction cells, and of coarser cells, as in `_looks_through`.
         frame: (2,) time [s] and margin [m].
     """
     radius, time_s, margin = 0.5 * math.sqrt(3.0) * edge, frame[0], frame[1]
@@ -182,7 +207,7 @@ def _see(
         i0, j0, k0 = block[0] * _BLOCK, block[1] * _BLOCK, block[2] * _BLOCK
         x, y, z = _seen_at(corner, edge, (i0 + 0.5 * _BLOCK, j0 + 0.5 * _BLOCK, k0 + 0.5 * _BLOCK), rotation, position)
         away = math.sqrt(x * x + y * y + z * z)
-        # Voxels' middles are nearer than the block's by the difference of the radii at most.
+        # Voxel centres are nearer than the block's by at most the difference of the radii.
         free, any_free = _looks_through(
             x, y, z, all_of, away + all_of + margin, away - all_of + 2.0 * radius + margin, coarse
         )
@@ -203,7 +228,7 @@ def _see(
 
 @inlined
 def _seen_at(corner: FloatArray, edge: float, place: Vector, rotation: FloatArray, position: FloatArray) -> Vector:
-    """A place in the grid, counted in voxels, in the camera's frame."""
+    """Grid position, counted in voxels, in the camera's frame [m]."""
     dx, dy, dz = (
         corner[0] + place[0] * edge - position[0],
         corner[1] + place[1] * edge - position[1],

@@ -1,12 +1,12 @@
-"""A new motion spliced into a running one, at a time in the near future.
+"""Splices a new motion into a running one in the near future.
 
-What runs until then stays as it is, and is certified again among the obstacles as they are now. From the state of
-motion at the seam a new motion goes on (`hplan.planning.start_in_motion`): position, velocity and acceleration have no
-jump there, as both motions have that very row.
+The running motion stays unchanged up to the seam, and is certified again among the current obstacles. The new motion
+continues from the state at the seam (`hplan.planning.start_in_motion`): position, velocity and acceleration are
+continuous there, because both motions contain that very sample.
 
-Times given are on the controller's clock, and so are tracks of the scene; within, all is counted from the begin
-of the running motion. The new motion is planned in the scene with times since the seam, and what is handed out is
-certified in the scene with times since its own begin (`Scene.since`), which it tells on the controller's clock.
+Times in arguments are on the controller's clock, and so are the tracks of the scene; internally all times count from
+the start of the running motion. The new motion is planned in the scene with times since the seam. The returned motion
+is certified in the scene with times since its own start (`Scene.since`), which it reports on the controller's clock.
 """
 
 from __future__ import annotations
@@ -37,11 +37,12 @@ from hplan.trajectory.trajectory import SAME_TIME, Phase, Retimed, Trajectory, j
 
 @dataclass(frozen=True, eq=False)
 class SplicedResult(PlanResult):
-    """A plan whose motion begins as the one before it runs.
+    """A plan whose motion starts while the previous motion runs.
 
     Attributes:
-        seam_s: When the new motion takes over, since the trajectory begins [s]; its end where nothing is new.
-        is_kept: True where nothing is new: the motion before it goes on.
+        seam_s: Start of the new motion, from the start of the trajectory [s]; the trajectory's end if the motion is
+            kept.
+        is_kept: True if there is no new motion: the previous motion continues.
     """
 
     seam_s: float = 0.0
@@ -49,7 +50,7 @@ class SplicedResult(PlanResult):
 
 
 def _state_at(trajectory: Trajectory, row: int) -> Start:
-    """The state at a row as the start of a scene."""
+    """The state at a sample as the start of a scene."""
     return Start(
         joints_rad=tuple(trajectory.position[row].tolist()),
         velocity_rad_s=tuple(trajectory.velocity[row].tolist()),
@@ -58,7 +59,10 @@ def _state_at(trajectory: Trajectory, row: int) -> Start:
 
 
 def _since(certificate: Certificate, time_s: float) -> Certificate:
-    """The certificate with all times counted from a time on; of contacts that are over by then none is left."""
+    """Return the certificate with all times counted from a time [s].
+
+    Contacts that end before that time are dropped.
+    """
     nearest_s, clear_until_s = (
         None if when is None else when - time_s for when in (certificate.nearest_s, certificate.clear_until_s)
     )
@@ -71,11 +75,11 @@ def _since(certificate: Certificate, time_s: float) -> Certificate:
 
 
 class RunningMotion:
-    """A motion that runs, among obstacles as they are now.
+    """A running motion among the current obstacles.
 
     Attributes:
-        row: The last row up to now.
-        begins_s: When that row is, since the motion began [s].
+        row: Index of the last sample at or before now.
+        begins_s: Time of that sample since the start of the motion [s].
     """
 
     def __init__(
@@ -86,17 +90,19 @@ class RunningMotion:
         now: float | None,
         measured: ArrayLike | None,
     ) -> None:
-        """Take it up now.
+        """Take over a running motion now.
 
         Args:
-            scene: Obstacles and task as they are now; its tracks count on the controller's clock.
-            now: The time on the controller's clock; None for when the motion began [s].
-            measured: (dof,) where the arm is then; None where it is taken to be on the motion.
+            plan: Plan of the running motion.
+            scene: Current obstacles and task; its tracks are on the controller's clock.
+            options: Planning options.
+            now: Time on the controller's clock [s]; None for the start of the motion.
+            measured: (dof,) current configuration of the arm; None to assume that it is on the motion.
 
         Raises:
-            InputError: It is not known when the motion began, or joints that are none.
-            NotOnMotionError: The arm is elsewhere.
-            OptionError: A time before the motion or after it.
+            InputError: The start time of the motion is unknown, or `measured` is not a configuration.
+            NotOnMotionError: The arm is not on the motion.
+            OptionError: `now` is before or after the motion.
         """
         if math.isnan(plan.begins_s):
             raise InputError("it was not told when the motion began: plan(begins_s=), or began(at_s) afterwards")
@@ -112,11 +118,15 @@ class RunningMotion:
         still = without_moving(scene.since(self.begins_s)) if scene.moves else scene
         self._world = World.of_scene(plan.robot, still, options)
         self._checker = checker_in_time(plan.robot, scene, options.sigmas) if scene.moves else self._world.checker
-        # What it may touch are the fruits that were there when it was planned, not others of their names.
+        # Contact is allowed with the fruits that existed at planning time, not with different ones of the same names.
         self._contacts = tuple(each for each in plan.certificate.contacts if each.fruit in scene.fruits)
 
     def _since_begin(self, option: str, value: float, low: float) -> float:
-        """A time on the controller's clock as one since the motion began, refused before `low` of these [s]."""
+        """Convert a controller time to one since the motion's start.
+
+        Raises:
+            OptionError: The result is before `low` or after the end of the motion [s].
+        """
         began_s, end = self.plan.begins_s, self.plan.trajectory.duration
         expected = (
             f"a time from {began_s + low:.10g} s to {began_s + end:.10g} s on the controller's clock, on which the "
@@ -127,7 +137,10 @@ class RunningMotion:
         return min(max(value - began_s, 0.0), end)
 
     def _check_measured(self, measured: ArrayLike) -> None:
-        """Refuse an arm that is not on the motion, as far as certificates cover."""
+        """Refuse an arm that is off the motion.
+
+        The tolerance is the tracking error that certificates cover.
+        """
         robot = self.plan.robot
         q, velocity, _ = self.plan.trajectory.state_at(self._now)
         found = np.asarray(robot.turned_near(numbers("measured", measured, (robot.dof,)), q), dtype=np.float64)
@@ -139,12 +152,15 @@ class RunningMotion:
             raise NotOnMotionError(robot.joint_names[joint], float(off[joint]), float(covered[joint]), at_s, unit)
 
     def spliced(self, at: float) -> SplicedResult:
-        """The running motion with a new one from the first row at or after a time on, or as it is where it may stay.
+        """Splice a new motion into the running one, or keep it.
+
+        The new motion starts at the first sample at or after `at`, on the controller's clock [s].
 
         Raises:
-            OptionError: A time before now or after the motion's end.
-            RunningMotionBlockedError: The running motion is not clear until then, or cannot be left without contact.
-            HplanError: As `hplan.plan`.
+            OptionError: `at` is before now or after the end of the motion.
+            RunningMotionBlockedError: The running motion is not collision-free until then, or cannot be left without
+                contact.
+            HplanError: Any error of `hplan.plan`.
         """
         time = self.plan.trajectory.time
         seam = int(np.searchsorted(time, self._since_begin("at", at, self._now) - self._same_s))
@@ -167,11 +183,14 @@ class RunningMotion:
         return self._joined(seam, until, new)
 
     def stop_at(self, t: float) -> CertifiedMotion:
-        """The quickest stop on the motion's path from the first row at or after a time on; certified from now on."""
+        """Return the fastest stop on the motion's path, certified from now on.
+
+        It starts at the first sample at or after `t`, on the controller's clock [s].
+        """
         return self._stop_at(self._since_begin("t", t, self._now))
 
     def _stop_at(self, t: float) -> CertifiedMotion:
-        """The stop from a time since the motion began."""
+        """Return the stop that starts a time after the motion's start."""
         retimed = stopped(self.plan.trajectory, t, self.plan.robot)
         motion = retimed.trajectory
         certificate = self._certificate(retimed, min(self.row, motion.samples - 1), rest=True)
@@ -181,13 +200,16 @@ class RunningMotion:
         return CertifiedMotion(motion, certificate, parts_s, retimed.off_path_m, robot, self._scene, begins_s)
 
     def _may_stay(self) -> bool:
-        """True if the motion solves the task as it is now."""
+        """True if the motion solves the current task."""
         before, now = self.plan.scene, self._scene
         same = before.goal == now.goal and before.locked_joints == now.locked_joints
         return same and before.goal_fruit == now.goal_fruit
 
     def _certificate(self, retimed: Retimed, row: int, *, rest: bool = False) -> Certificate:
-        """What is shown of a motion along the running one's path from a row on, among the obstacles as they are now."""
+        """Certify a motion on the running path among the current obstacles.
+
+        Samples from `row` on are certified; with `rest`, the motion must also end at rest.
+        """
         robot, among, tracking = self.plan.robot, (self._scene, self._checker), self._options.certified_tracking
         found = certified_from(robot, among, self._contacts, retimed, row, tracking=tracking)
         found = with_violations(found, rest_violations(robot, retimed.trajectory, {"ends": -1}) if rest else ())
@@ -195,14 +217,17 @@ class RunningMotion:
         return replace(found, goal_contact=goal_contact, contacts=later(retimed, self._contacts))
 
     def _blocked(self, reasons: Sequence[str]) -> HplanError:
-        """The error that the running motion cannot be taken over, with the stop from now on where it is certified."""
+        """Return the error for a running motion that cannot be taken over.
+
+        It carries the stop from now on if that is certified.
+        """
         found, begins_s = self._stop_at(self.begins_s), self.plan.begins_s + self.begins_s
         certificate = _since(found.certificate, self.begins_s)
         stop = found.trajectory.since(self.row) if certificate.verified else None
         return RunningMotionBlockedError(reasons, stop, certificate, begins_s)
 
     def _kept(self, certificate: Certificate) -> SplicedResult:
-        """The running motion from now on."""
+        """Return the running motion from now on."""
         begins_s = self.begins_s
         phases = [
             Phase(phase.name, max(phase.start_s - begins_s, 0.0), max(phase.end_s - begins_s, 0.0))
@@ -213,7 +238,7 @@ class RunningMotion:
         return self._result(self.plan, phases, left, certificate, left.duration, is_kept=True)
 
     def _joined(self, seam: int, until: Certificate, new: PlanResult) -> SplicedResult:
-        """The running motion until the seam and the new one as one."""
+        """Return the running motion until the seam joined with the new one."""
         before = self.plan.trajectory.until(seam).since(self.row)
         seam_s = before.duration
         whole = joined([before, new.trajectory]) if before.samples > 1 else new.trajectory
@@ -234,7 +259,7 @@ class RunningMotion:
         *,
         is_kept: bool,
     ) -> SplicedResult:
-        """A plan with another trajectory, which begins in the state of the running motion now."""
+        """Return a plan with another trajectory from the current state."""
         begins_s = self.begins_s
         state = _state_at(self.plan.trajectory, self.row)
         scene = self._scene.since(begins_s).copy_unchecked({"start": state})

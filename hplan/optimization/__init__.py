@@ -1,1 +1,1 @@
-"""Faster motions: paths shortened and made smooth, then the timed motion itself by linear programs in sequence."""
+"""Path shortcutting and smoothing, then time optimization by sequential linear programming."""

@@ -1,6 +1,6 @@
-r"""About the fastest motion along a spline, for an optimiser to begin with.
+r"""Approximate time-optimal motion along a spline, used as an optimizer's initial guess.
 
-The estimate is the classic two-pass time-optimal parameterisation on a coarse grid (Bobrow et al. 1985; Pham and Pham
+The estimate is the classic two-pass time-optimal parameterization on a coarse grid (Bobrow et al. 1985; Pham and Pham
 2018): with :math:`x = \dot s^2` and :math:`u = \ddot s`, each joint demands
 :math:`|q' u + q'' x| \le a` and :math:`|q'|^2 x \le v^2`.
 """
@@ -18,14 +18,14 @@ from hplan.trajectory.cubics import bezier_piece
 from hplan.trajectory.speed_profile import SpeedProfile
 from hplan.trajectory.spline import SplinePath
 
-#: Points at which a piece's speed is estimated.
+#: Number of intervals of each spline piece on which speeds are estimated.
 _PER_PIECE = 8
 
 
 def coarse_profile(spline: SplinePath, options: PostprocessOptions) -> SpeedProfile:
-    """About the fastest motion along a spline under velocity and acceleration limits, in a tenth of a millisecond.
+    """Approximate time-optimal motion along a spline under velocity and acceleration limits.
 
-    Between the points of its grid the limits are passed by a little.
+    Takes about 0.1 ms. The limits hold at the grid points and may be exceeded slightly between them.
     """
     pieces = len(spline.control) - 3
     grid = _grid_of(spline.knots, pieces)
@@ -33,17 +33,19 @@ def coarse_profile(spline: SplinePath, options: PostprocessOptions) -> SpeedProf
     demands, square = np.empty((points, 2 * len(options.movable) + 1)), np.empty(points)
     _demands(np.array(spline.control), grid, options.joints, demands)
     _fastest(grid.parameter, demands, square)
-    with np.errstate(divide="ignore"):  # where the path has a cusp the arm stops, for ever
+    with np.errstate(divide="ignore"):  # at a cusp of the path the arm stops, which takes infinite time
         return SpeedProfile.of(spline, frozen(grid.parameter), frozen(np.sqrt(square)))
 
 
 class _Grid(NamedTuple):
-    """Points of the path at which speeds are estimated: each inner end of a piece belongs to the piece after it.
+    """Path grid for the speed estimate.
+
+    An inner break point belongs to the piece that starts there.
 
     Attributes:
         parameter: (points,) path parameters.
         first: (points, 4) weights of the piece's control points in the first derivative.
-        second: (points, 4) and in the second.
+        second: (points, 4) weights of the piece's control points in the second derivative.
     """
 
     parameter: FloatArray
@@ -53,7 +55,7 @@ class _Grid(NamedTuple):
 
 @kernel
 def _grid_of(knots: FloatArray, pieces: int) -> _Grid:
-    """The grid of a spline with these knots."""
+    """Compute the grid of a spline with these knots."""
     points = pieces * _PER_PIECE + 1
     grid, first, second = np.empty(points), np.empty((points, 4)), np.empty((points, 4))
     unit, piece = np.zeros((pieces + 3, 1)), np.empty((4, 1))
@@ -76,10 +78,10 @@ def _grid_of(knots: FloatArray, pieces: int) -> _Grid:
 
 @kernel
 def _demands(control: FloatArray, grid: _Grid, joints: JointArrays, demands: FloatArray) -> None:
-    """Write what the limits demand at the grid points.
+    """Write the velocity and acceleration constraints at the grid points.
 
-    Written into the rows of `demands` are, with q' taken positive, push = a / q' and bend = q'' / q' for each movable
-    joint, so that -push <= u + bend x <= push, and last the largest x at which some u remains.
+    With q' taken positive, each row of `demands` holds push = a / q' and bend = q'' / q' for each movable joint, so
+    that -push <= u + bend x <= push; its last entry is the maximum x within the velocity limits that has a feasible u.
     """
     _, first, second = grid
     _, _, velocity, acceleration, movable = joints
@@ -115,7 +117,7 @@ def _demands(control: FloatArray, grid: _Grid, joints: JointArrays, demands: Flo
 
 @kernel
 def _fastest(grid: FloatArray, demands: FloatArray, square: FloatArray) -> None:
-    """Write the largest squared path speeds, by one pass forward and one back."""
+    """Write the maximum squared path speeds: one forward, one backward pass."""
     points, most = demands.shape[0], demands.shape[1] - 1
     last = points - 1
     square[0] = 0.0

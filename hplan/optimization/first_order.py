@@ -1,15 +1,15 @@
-r"""Limits and clearance to first order about a timed spline, as rows of a linear program.
+r"""First-order limits and clearances of a timed spline, as linear program rows.
 
-Unknown are the changes of the inner control points, :math:`\Delta c`, and the time scale :math:`s` by which all times
-are multiplied. Velocity, acceleration and jerk of a spline are linear in its control points, and over :math:`s`,
-:math:`s^2` and :math:`s^3` in time:
+The unknowns are the changes of the inner control points, :math:`\Delta c`, and the time scale :math:`s`, which
+multiplies all times. Velocity, acceleration and jerk of a spline are linear in its control points and scale with
+:math:`1/s`, :math:`1/s^2` and :math:`1/s^3`:
 
 .. math:: |V(c)| \le \bar v s, \quad |A(c)| \le \bar a s^2, \quad |J(c)| \le \bar\jmath s^3.
 
-The powers are convex, and replaced by their tangents at :math:`s = 1`, which lie below them. What keeps the program's
-limits therefore keeps the true ones, and where the motion before a step kept them, so does every part of the step.
-`A` at the knots and `J` in the pieces are exact; `V` are the control points of the velocity, which hold it in their
-hull.
+The powers are convex, and replaced by their tangents at :math:`s = 1`, which are lower bounds. A solution of the
+program therefore satisfies the true limits, and if the motion before a step satisfied them, so does every fraction of
+the step. `A` at the knots and `J` in the pieces are exact; `V` are the control points of the velocity, whose convex
+hull contains it.
 """
 
 from __future__ import annotations
@@ -26,25 +26,24 @@ from hplan.collision.body_kernels import body_slopes
 from hplan.collision.obstacle_rows import FieldArrays
 from hplan.optimization.interior_point import ProgramRows
 
-#: Places in each piece where the clearance is kept.
+#: Number of clearance constraints in each piece, at sample points.
 PLACES = any_int(3)
 
-#: Bodies farther than this from everything are left out of a program; its rows of clearances are in multiples of the
-#: other length [m].
+#: Bodies with more clearance than `NEAR` are left out of a program; its clearance rows are scaled by 1 / `SCALE` [m].
 NEAR, SCALE = 0.06, 0.15
 
-#: Kinematic rows of a joint that the states at the ends have a part in: one, two and three at each end.
+#: Number of kinematic rows of a joint that depend on the end states: one, two and three at each end.
 DRIFTING = any_int(12)
 
 
 class MotionArrays(NamedTuple):
-    """A timed spline, for kernels.
+    """Timed spline, for kernels.
 
     Attributes:
         control: (n, dof) control points.
         knots: (n + 4,) clamped knots [s].
-        drift: (n, dof) changes of the control points with the time scale, which leave the states at both ends as they
-            are.
+        drift: (n, dof) derivatives of the control points with respect to the time scale that keep the states at both
+            ends fixed.
     """
 
     control: FloatArray
@@ -53,15 +52,15 @@ class MotionArrays(NamedTuple):
 
 
 class MotionLimits(NamedTuple):
-    """What a motion has to keep, for kernels.
+    """Limits of a motion, for kernels.
 
     Attributes:
-        lower: (dof,) joint limits.
-        upper: (dof,) joint limits.
-        rates: (3, dof) largest velocity [rad/s], acceleration [rad/s^2] and jerk [rad/s^3]; infinite for none.
-        movable: (k,) joints that may move.
-        sway: (links, dof) by how much tracking errors bring each link nearer to obstacles for a unit of each joint's
-            speed [m s/rad]; no rows where they do not grow with speed.
+        lower: (dof,) lower joint limits.
+        upper: (dof,) upper joint limits.
+        rates: (3, dof) maximum velocity [rad/s], acceleration [rad/s^2] and jerk [rad/s^3]; infinite for no limit.
+        movable: (k,) indices of the joints that may move.
+        sway: (links, dof) loss of each link's clearance by tracking errors, per unit of each joint's speed [m s/rad];
+            empty if tracking errors do not depend on speed.
     """
 
     lower: FloatArray
@@ -73,7 +72,10 @@ class MotionLimits(NamedTuple):
 
 @inlined
 def _difference_weights(knots: FloatArray, first: int, order: int, weight: FloatArray) -> None:
-    """Weights of control points `first` to `first + order` in a control point of a derivative of a cubic B-spline."""
+    """Write the weights of control points in a derivative's control point.
+
+    The control points are `first` to `first + order` of a cubic B-spline.
+    """
     d0 = 3.0 / (knots[first + 4] - knots[first + 1])
     weight[0], weight[1] = -d0, d0
     if order > 1:
@@ -90,7 +92,10 @@ def _difference_weights(knots: FloatArray, first: int, order: int, weight: Float
 
 @kernel
 def basis(knots: FloatArray, piece: int, t: float, weight: FloatArray) -> None:
-    """Weights of control points `piece` to `piece + 3` at a fraction of a piece, by the Cox-de Boor recursion."""
+    """Weights of control points `piece` to `piece + 3` at parameter t.
+
+    `t` is the fraction of the piece; computed by the Cox-de Boor recursion.
+    """
     span = piece + 3
     x = knots[span] + t * (knots[span + 1] - knots[span])
     weight[0] = 1.0
@@ -109,7 +114,7 @@ def basis(knots: FloatArray, piece: int, t: float, weight: FloatArray) -> None:
 
 @kernel
 def least_time_scale(control: FloatArray, knots: FloatArray, limits: MotionLimits) -> float:
-    """By what all times have to be multiplied for the limits of velocity, acceleration and jerk to be just kept."""
+    """Minimum time-scaling factor within the velocity, acceleration and jerk limits."""
     n = control.shape[0]
     time_scale, weight = 0.0, np.empty(4)
     for order in range(1, 4):
@@ -129,13 +134,16 @@ def least_time_scale(control: FloatArray, knots: FloatArray, limits: MotionLimit
 def first_order(
     motion: MotionArrays, limits: MotionLimits, field: FieldArrays, margin: float, trust: float
 ) -> ProgramRows:
-    """The program of a step from a motion.
+    """Linear program of one step from a motion.
 
     Args:
-        motion: The motion; the outer three control points at each end move with the time scale alone. Unknowns are the
-            changes of the others in the movable joints, one control point after the other.
-        margin: Clearance asked for at `PLACES` of each piece, or a little more than there is if that is less [m].
-        trust: Largest change of a control point in a joint [rad].
+        motion: The motion; the outer three control points at each end change with the time scale only. The unknowns are
+            the changes of the other control points in the movable joints, one control point after the other.
+        limits: Limits of the motion.
+        field: Obstacles and bodies.
+        margin: Required clearance at `PLACES` sample points of each piece, or slightly more than the present clearance
+            if that is less [m].
+        trust: Maximum change of a control point in a joint [rad].
     """
     control, knots, drift = motion
     n, joints = control.shape[0], len(limits.movable)
@@ -170,7 +178,7 @@ def first_order(
 
 @inlined
 def _drift_of(drift: FloatArray, weight: FloatArray, first: int, order: int, joint: int) -> float:
-    """By how much a control point of a derivative changes with the time scale."""
+    """Derivative of a derivative's control point with respect to the time scale."""
     change = 0.0
     for c in range(order + 1):
         change += weight[c] * drift[first + c, joint]
@@ -179,16 +187,16 @@ def _drift_of(drift: FloatArray, weight: FloatArray, first: int, order: int, joi
 
 @kernel
 def _add_kinematics(rows: ProgramRows, motion: MotionArrays, limits: MotionLimits) -> int:
-    """Velocity, acceleration and jerk, divided by their limits; the number of rows is returned.
+    """Add velocity, acceleration and jerk rows, normalized; return the row count.
 
-    Without those that change with the time scale beyond the limits themselves.
+    Rows whose left-hand side depends on the time scale are left out (`_add_drifting` adds them).
     """
     control, knots, drift = motion
     n, movable = control.shape[0], limits.movable
     joints = len(movable)
     row, entry, weight = 0, 0, np.empty(4)
     for order in range(1, 4):
-        for k in range(max(0, 3 - order), min(n - order, n - 3)):  # those that rest does not fix
+        for k in range(max(0, 3 - order), min(n - order, n - 3)):  # without rows that are fixed by rest
             _difference_weights(knots, k, order, weight)
             for m in range(joints):
                 limit, value = limits.rates[order - 1, movable[m]], 0.0
@@ -209,9 +217,9 @@ def _add_kinematics(rows: ProgramRows, motion: MotionArrays, limits: MotionLimit
 
 @kernel
 def _add_drifting(rows: ProgramRows, row: int, motion: MotionArrays, limits: MotionLimits) -> int:
-    """Both sides of kinematic rows that change with the time scale, as rows of one side; returns the number so far.
+    """Add kinematic rows that drift with time scale; return the row count.
 
-    The state at an end stays what it is at any time scale: the pieces there change with it.
+    Each becomes two one-sided rows. The states at the ends are fixed, so the pieces there change with the time scale.
     """
     control, knots, drift = motion
     n, movable = control.shape[0], limits.movable
@@ -244,7 +252,10 @@ def _add_drifting(rows: ProgramRows, row: int, motion: MotionArrays, limits: Mot
 
 @kernel
 def _add_bounds(rows: ProgramRows, row: int, control: FloatArray, limits: MotionLimits, trust: float) -> int:
-    """Joint limits and the largest change, in multiples of that; the number of rows so far is returned."""
+    """Add joint limits and trust region; return the row count.
+
+    The rows are scaled by the trust.
+    """
     joints, entry = len(limits.movable), rows.starts[row]
     for unknown in range(joints * (control.shape[0] - 6)):
         joint = limits.movable[unknown % joints]
@@ -259,15 +270,15 @@ def _add_bounds(rows: ProgramRows, row: int, control: FloatArray, limits: Motion
 
 
 class _Places(NamedTuple):
-    """Places of a motion.
+    """Sample points of a motion.
 
     Attributes:
-        configuration: (places, dof) the configurations there.
-        weight: (places, 4) weights of the control points, the first of which is that of the place's piece.
+        configuration: (places, dof) configurations.
+        weight: (places, 4) weights of the control points; the first control point has the index of the piece.
         speed: (places, 4) weights of the control points in the velocity [1/s].
-        clear: (places, links) clearances, less what tracking errors take of them [m].
-        gradient: (places, links, joints) how they change with the joints that may move [m/rad], for arms that are no
-            planar chain; empty for others.
+        clear: (places, links) clearances minus the tracking displacement bounds [m]; infinite if the row cannot become
+            active.
+        gradient: (places, links, joints) derivatives of the clearances with respect to the movable joints [m/rad].
     """
 
     configuration: FloatArray
@@ -281,15 +292,15 @@ class _Places(NamedTuple):
 def _places(
     control: FloatArray, knots: FloatArray, limits: MotionLimits, field: FieldArrays, matters: tuple[float, float]
 ) -> _Places:
-    """`PLACES` of each piece.
+    """Evaluate `PLACES` sample points of each piece.
 
-    What cannot come below a margin while no joint changes by more than a trust, as the gradient tells, counts as far:
-    its row would never be active.
+    A link whose clearance cannot fall below the margin within the trust region, to first order, counts as far: its row
+    would never be active.
 
     Args:
         control: (n, dof) control points.
         knots: (n + 4,) knots.
-        matters: The margin, and the trust.
+        matters: The margin [m] and the trust [rad].
     """
     (margin, trust), movable = matters, limits.movable
     n, dof = control.shape
@@ -326,9 +337,10 @@ def _places(
 
 @kernel
 def _velocity_weights(knots: FloatArray, piece: int, t: float, weight: FloatArray) -> None:
-    """Weights of control points `piece` to `piece + 3` in the velocity at a fraction of a piece [1/s].
+    """Write the weights of a piece's control points in its velocity [1/s].
 
-    A quadratic B-spline of the velocity's control points, which are differences of the motion's.
+    The control points are `piece` to `piece + 3`; `t` is the fraction of the piece. The velocity is a quadratic
+    B-spline; its control points are differences of the motion's.
     """
     span = piece + 3
     x = knots[span] + t * (knots[span + 1] - knots[span])
@@ -351,13 +363,15 @@ def _add_clearances(
     field: FieldArrays,
     margin: float,
 ) -> int:
-    """A row for each link that is near something, in multiples of `SCALE`; the number of rows so far is returned.
+    """Add a clearance row for each near link; return the row count.
+
+    The rows are scaled by 1 / `SCALE`.
 
     Args:
-        row: Number of rows so far.
-        places: Where clearance is kept, (n, dof) changes of the control points with the time scale, and (n, dof)
+        row: Number of rows already present.
+        places: Sample points, (n, dof) derivatives of the control points with respect to the time scale, and (n, dof)
             control points.
-        margin: Clearance asked for.
+        margin: Required clearance [m].
     """
     (_, weight, speed, clear, slopes), drift, control = places
     (count, links), sways = clear.shape, limits.sway.shape[0] > 0
@@ -380,7 +394,7 @@ def _add_clearances(
             if not distance < NEAR:
                 continue
             free, time_scale = 0.0, 0.0
-            if sways:  # slower motions sway less
+            if sways:  # slower motions have smaller tracking errors
                 for m in range(joints):
                     time_scale -= limits.sway[link, limits.movable[m]] * abs(velocity[m]) / SCALE
             for c in range(4):
@@ -398,8 +412,8 @@ def _add_clearances(
                         entry += 1
             if entry > rows.starts[row]:
                 rows.time_scale[row] = time_scale
-                # By how much a step has to add to a clearance that is less than the margin, where all control points
-                # may move [m].
+                # If the clearance is below the margin, a step must increase it by this amount where all control points
+                # are free [m].
                 rows.upper[row] = (distance - min(margin, distance + free * 5e-4)) / SCALE + time_scale
                 row += 1
                 rows.starts[row] = entry

@@ -1,14 +1,14 @@
-r"""A linear program over a spline's control points and one more unknown, by an interior-point method.
+r"""Interior-point solver for linear programs over a spline and time scale.
 
 With :math:`y` the changes of the control points and :math:`s` the time scale,
 
 .. math:: \min_{y, s} \; s + \tfrac \varepsilon 2 |y|^2 \quad \text{with} \quad
-    g_r y + p_r s \le u_r \;\; \text{for all rows}, \quad -g_r y + p_r s \le l_r \;\; \text{for the first of them}.
+    g_r y + p_r s \le u_r \;\; \text{for all rows}, \quad -g_r y + p_r s \le l_r \;\; \text{for two-sided rows}.
 
-A row touches the control points of one piece, so that with the joints of a control point side by side the normal
-equations are banded, but for the row and column of the time scale. They are factored in time linear in the number of
-pieces; general sparse solvers take several times as long (piqp 2.5, Clarabel 15, HiGHS 40 times). The method is
-Mehrotra's predictor and corrector (SIAM J. Optim. 2, 1992).
+A row involves the control points of one piece only. With the joints of a control point adjacent to each other, the
+normal equations are therefore banded, except for the row and column of the time scale, and are factored in time linear
+in the number of pieces. General sparse solvers take several times as long (piqp 2.5, Clarabel 15, HiGHS 40 times). The
+method is Mehrotra's predictor-corrector (SIAM J. Optim. 2, 1992).
 """
 
 from __future__ import annotations
@@ -22,27 +22,27 @@ from hplan.base.arrays import FloatArray, ShortArray
 from hplan.base.deadline import is_up
 from hplan.base.kernels import any_int, inlined, kernel
 
-#: Weight of the squares of the changes: of motions that take the same time, the nearest one.
+#: Weight of the squared changes: selects the nearest among motions of equal duration.
 NEARBY = 1e-4
 
-#: Largest residual of a solution, in multiples of the accuracy asked for; and residual and accuracy of one where
-#: rounding leaves no further step.
+#: Maximum residual of a solution, as a multiple of the required accuracy; and the residual and accuracy accepted if
+#: rounding permits no further step.
 _RESIDUAL, _NEARLY = 0.1, 1e-5
 
-#: Rows of more entries than this are looked at for columns without gaps.
+#: Rows with more entries than this are checked for consecutive columns.
 _MANY = any_int(8)
 
-#: Part of the longest step that keeps slacks and multipliers positive.
+#: Fraction of the longest step that keeps slacks and multipliers positive.
 _INSIDE = 0.995
 
 
 class ProgramRows(NamedTuple):
-    """Inequalities of a program; those that hold in both directions come first.
+    """Inequalities of a program; the two-sided rows come first.
 
     Attributes:
-        starts: (rows + 1,) where the entries of each row begin.
-        columns: (entries,) the unknowns, ascending within a row and within `band` of each other.
-        entries: (entries,) their coefficients g.
+        starts: (rows + 1,) index of the first entry of each row.
+        columns: (entries,) indices of the unknowns, ascending within a row and within `band` of each other.
+        entries: (entries,) coefficients g.
         time_scale: (rows,) coefficients p of the time scale.
         upper: (rows,) right-hand sides u.
         lower: (two_sided,) right-hand sides l.
@@ -57,7 +57,7 @@ class ProgramRows(NamedTuple):
 
 
 class _Point(NamedTuple):
-    """An iterate or a direction: unknowns, and slacks and multipliers of the upper sides, then of the lower ones.
+    """Iterate or direction: unknowns, slacks, multipliers; upper sides before lower ones.
 
     Attributes:
         x: (count + 1,) unknowns, the time scale last.
@@ -74,9 +74,9 @@ class _Normal(NamedTuple):
     """Factored normal equations.
 
     Attributes:
-        factor: (count, band + 1) Cholesky's factor of the band.
+        factor: (count, band + 1) Cholesky factor of the band.
         border: (count,) column of the time scale.
-        solved: (count,) the band's solution for that column.
+        solved: (count,) solution of the band for that column.
     """
 
     factor: FloatArray
@@ -86,16 +86,17 @@ class _Normal(NamedTuple):
 
 @kernel
 def solve(rows: ProgramRows, count: int, band: int, accuracy: float, until: FloatArray) -> tuple[bool, FloatArray]:
-    """The solution of a program.
+    """Solve a linear program.
 
     Args:
-        count: Number of unknowns besides the time scale.
-        band: Largest difference between columns of a row.
-        accuracy: Largest gap between the program and its dual; rows are kept to a tenth of it.
-        until: How long it may take (`hplan.base.deadline`).
+        rows: Inequalities of the program.
+        count: Number of unknowns without the time scale.
+        band: Maximum difference between the columns of a row.
+        accuracy: Maximum duality gap; rows are satisfied to a tenth of it.
+        until: Deadline (`hplan.base.deadline`).
 
     Returns:
-        Whether it was found, and (count + 1,) the unknowns, the time scale last.
+        Whether a solution was found, and (count + 1,) the unknowns, the time scale last.
     """
     sides = len(rows.upper) + len(rows.lower)
     point = _Point(np.zeros(count + 1), np.empty(sides), np.empty(sides))
@@ -106,7 +107,7 @@ def solve(rows: ProgramRows, count: int, band: int, accuracy: float, until: Floa
     x, slack, dual = point
     _begin(rows, point, value, residual)
     worst, gap = math.inf, math.inf
-    # Most iterations; of those that succeed nearly all take 8 to 20.
+    # Maximum number of iterations; nearly all successful solves take 8 to 20.
     for _ in range(60):
         worst = max(_residuals(rows, point, value, residual), _gradient(rows, point, gradient))
         gap = 0.0
@@ -117,7 +118,7 @@ def solve(rows: ProgramRows, count: int, band: int, accuracy: float, until: Floa
         if is_up(until):
             break
         corner = _normal_equations(rows, slack, dual, normal.factor, normal.border)
-        # A residual beyond which nothing will be found any more.
+        # Beyond this residual the iteration does not recover.
         if not (worst < 1e12 and _factored(normal.factor)):
             break
         for i in range(count):
@@ -125,7 +126,7 @@ def solve(rows: ProgramRows, count: int, band: int, accuracy: float, until: Floa
         _substitute(normal.factor, normal.solved)
         for i in range(count):
             corner -= normal.border[i] * normal.solved[i]
-        # The predictor goes for complementarity zero; how far it gets says what the corrector goes for.
+        # The predictor aims at zero complementarity; its progress sets the target of the corrector.
         for side in range(sides):
             product[side] = slack[side] * dual[side]
         _direction(rows, point, (residual, product, gradient, value), normal, corner, step)
@@ -148,7 +149,10 @@ def solve(rows: ProgramRows, count: int, band: int, accuracy: float, until: Floa
 
 @kernel
 def _begin(rows: ProgramRows, point: _Point, value: FloatArray, residual: FloatArray) -> None:
-    """No change, at a time scale that the sides with one allow, and multipliers whose gradient is that of it."""
+    """Write the initial point: no change, and its minimum time scale.
+
+    The multipliers are scaled so that their gradient with respect to the time scale does not exceed the objective's.
+    """
     x, slack, dual = point
     total, last = len(rows.upper), len(x) - 1
     for r in range(total):
@@ -160,7 +164,7 @@ def _begin(rows: ProgramRows, point: _Point, value: FloatArray, residual: FloatA
     _residuals(rows, point, value, residual)
     slope = 0.0
     for side in range(len(slack)):
-        # Slacks begin with at least this.
+        # Minimum initial slack.
         slack[side] = max(0.1, -residual[side])
         dual[side] = 1.0 / slack[side]
         slope += max(0.0, -rows.time_scale[side if side < total else side - total]) * dual[side]
@@ -170,7 +174,7 @@ def _begin(rows: ProgramRows, point: _Point, value: FloatArray, residual: FloatA
 
 @kernel
 def _residuals(rows: ProgramRows, point: _Point, value: FloatArray, residual: FloatArray) -> float:
-    """By what each side, with its slack, is off its right-hand side; the largest is returned."""
+    """Write the residual of each side, slack included; return the maximum magnitude."""
     total, time_scale = len(rows.upper), point.x[-1]
     _products(rows, point.x, value)
     worst = 0.0
@@ -185,7 +189,7 @@ def _residuals(rows: ProgramRows, point: _Point, value: FloatArray, residual: Fl
 
 @kernel
 def _gradient(rows: ProgramRows, point: _Point, gradient: FloatArray) -> float:
-    """Gradient of the Lagrangian; its largest component is returned."""
+    """Write the gradient of the Lagrangian; return its maximum magnitude."""
     count = len(gradient) - 1
     for i in range(count):
         gradient[i] = NEARBY * point.x[i]
@@ -206,12 +210,13 @@ def _direction(
     corner: float,
     step: _Point,
 ) -> None:
-    """Newton's direction towards residuals and complementarity zero, written into `step`.
+    """Write the Newton direction towards zero residuals and complementarity into `step`.
 
     Args:
-        point: Where it begins.
-        known: Residuals, products of slack and multiplier to be taken away, gradient; and room for a value of each row.
-        corner: What is left of their last equation when the others are solved.
+        point: The current iterate.
+        known: Residuals; products of slack and multiplier to be removed; gradient; and workspace of one value per row.
+        normal: Factored normal equations.
+        corner: Schur complement of the time scale: the coefficient of the last equation after eliminating the others.
     """
     residual, product, gradient, move = known
     count, total = len(gradient) - 1, len(rows.upper)
@@ -240,7 +245,7 @@ def _direction(
 
 @kernel
 def _longest(values: FloatArray, step: FloatArray) -> float:
-    """The part of a step, at most 1, that leaves all values positive."""
+    """Largest step fraction that keeps all values positive; at most 1."""
     part = 1.0
     for i in range(len(values)):
         if values[i] + part * step[i] < (1.0 - _INSIDE) * values[i]:
@@ -250,21 +255,24 @@ def _longest(values: FloatArray, step: FloatArray) -> float:
 
 @inlined
 def _is_gapless(columns: ShortArray, first: int, end: int) -> bool:
-    """True if a row has many entries, with columns one after the other, as of clearances: they need no look-up."""
+    """True if a row has many entries in consecutive columns.
+
+    Clearance rows are of this kind; their columns need no look-up.
+    """
     gapless: bool = end - first > _MANY and columns[end - 1] - columns[first] == end - 1 - first
     return gapless
 
 
 @kernel
 def _products(rows: ProgramRows, x: FloatArray, value: FloatArray) -> None:
-    """Each row's sum over the unknowns but the time scale."""
+    """Write each row's product with the unknowns, time scale excluded."""
     starts, columns, entries = rows.starts, rows.columns, rows.entries
     for r in range(len(value)):
         first, end = starts[r], starts[r + 1]
         total = 0.0
         if _is_gapless(columns, first, end):
             j = columns[first]
-            # Sums that do not wait for each other.
+            # Four independent sums, so that additions do not wait for each other.
             a, b, c, d = 0.0, 0.0, 0.0, 0.0
             while first + 4 <= end:
                 a += entries[first] * x[j]
@@ -281,7 +289,7 @@ def _products(rows: ProgramRows, x: FloatArray, value: FloatArray) -> None:
 
 @kernel
 def _add_transposed(rows: ProgramRows, weights: FloatArray, result: FloatArray) -> None:
-    """Add the rows, each with the weights of its two sides."""
+    """Add the transposed rows, weighted by both of their sides, to `result`."""
     starts, columns, entries, time_scale = rows.starts, rows.columns, rows.entries, rows.time_scale
     total, both, last = len(rows.upper), len(rows.lower), len(result) - 1
     for r in range(total):
@@ -304,7 +312,7 @@ def _add_transposed(rows: ProgramRows, weights: FloatArray, result: FloatArray) 
 def _normal_equations(
     rows: ProgramRows, slack: FloatArray, dual: FloatArray, factor: FloatArray, border: FloatArray
 ) -> float:
-    """Write band and border of the normal equations; the corner is returned.
+    """Write the band and border of the normal equations; return the corner.
 
     Row j of `factor` is column j of the lower triangle, from the diagonal downward.
     """
@@ -329,8 +337,8 @@ def _normal_equations(
                     factor[j, columns[f] - j] += weight * entries[e] * entries[f]
             r += 1
             continue
-        # Clearances of several bodies at one place have the same columns: with two rows at a time the factor is read
-        # and written half as often, which takes most of the time.
+        # Clearance rows of several bodies at one sample point have the same columns. Two rows at a time halve the reads
+        # and writes of the factor, which dominate the run time.
         start, row, second, other, rise = columns[first], entries[first:end], entries[first:end], 0.0, 0.0
         if (
             both <= r < total - 1
@@ -353,7 +361,7 @@ def _normal_equations(
 
 @kernel
 def _factored(factor: FloatArray) -> bool:
-    """Cholesky's factor of a banded matrix, in its place; False where it is not positive definite."""
+    """Cholesky-factor a banded matrix in place; False if not positive definite."""
     count, width = factor.shape
     for j in range(count):
         if not factor[j, 0] > 0.0:

@@ -1,8 +1,9 @@
-"""The fastest motion near a given one, by linear programs in sequence over a spline in time.
+"""Minimizes a motion's duration by sequential linear programming over a timed spline.
 
-A motion at its limits everywhere on its path is not the fastest: another path may allow more. Here path and timing move
-together. Each step is the best one to first order (`hplan.optimization.first_order`), or as much of it as is shown
-clear; the last has its pieces meet at rows, so that the rows are the motion exactly.
+A motion that is time-optimal on its path is not the fastest: another path may allow higher speeds. Here path and timing
+are optimized together. Each step is optimal to first order (`hplan.optimization.first_order`), or the largest fraction
+of it that is verified collision-free. In the last step the spline's pieces meet at samples, so the samples represent
+the motion exactly.
 """
 
 from __future__ import annotations
@@ -28,43 +29,44 @@ from hplan.optimization.torque_rows import ALLOWED
 from hplan.trajectory.cubics import accelerations, hermite_pieces
 from hplan.trajectory.retime import KEPT
 
-#: How near to the best time scale the last step comes; others come as near as this part of the gain that is too little
-#: to go on: with more, of motions that take the same time one on a longer path may be found.
+#: Accuracy of the time scale in the last step, and in other steps as a fraction of the gain below which a level ends. A
+#: coarser accuracy can select a longer path among motions of equal duration.
 _EXACT, _NEAR = 1e-6, 0.02
 
-#: Largest change of a control point in a joint where pieces come to meet at rows [rad]; and what a step that was not
-#: clear as a whole leaves of it for the next.
+#: Initial trust region when pieces are moved to meet at samples [rad], and the factor that shrinks it after a step that
+#: is not collision-free as a whole.
 _SMALL_TRUST, _SHRINK = 0.03, 0.5
 
-#: Steps of which no more than this part is clear, or nothing, are stalled; after so many no more are tried.
+#: A step is stalled if at most this fraction of it is collision-free; a level ends after `_STALLS` stalled steps.
 _STALLED, _STALLS = 1.0 / 8.0, 2
 
-#: Longest motion that is looked at; longer ones begin on a path on which the arm has to stop [s].
+#: Maximum duration of an optimized motion; longer ones start from a path on which the arm has to stop [s].
 LONGEST_S = 600.0
 
-#: How often the rows of a motion are counted anew until they are enough.
+#: Maximum number of times the number of samples is recomputed.
 _TRIES = 4
 
-#: Of a motion at its limits of torque pieces need not meet at rows where it takes no more than so many times as long.
+#: A torque-limited motion is accepted with pieces that do not meet at samples if its duration is within this factor of
+#: the fastest.
 _AS_QUICK = 1.01
 
-#: Where an end is in motion, more than this much slower is no remedy for a step that passes limits: the next step is.
+#: If an end state is in motion, larger time-scaling factors are not applied; the next step restores the limits.
 _REPAIRED = 1.02
 
 
 @dataclass(frozen=True)
 class Level:
-    """How fine a spline is, and what may be spent on it.
+    """Resolution of the spline and optimization budget of one level.
 
     Attributes:
-        piece_s: About how long a piece lasts [s].
-        pieces: Fewest and most pieces.
-        steps: Most steps.
-        gain: The last step is the first one that makes the motion quicker by less than this part; in proportion where
-            only a part of a step was clear.
-        trust: Largest change of a control point in a joint in the first step [rad].
-        enough: The last step is one that leaves no more than this part to what pieces this long allow at best
-            (`TimeProblem.least_duration`); 0 where that is not looked at.
+        piece_s: Approximate duration of a piece [s].
+        pieces: Minimum and maximum number of pieces.
+        steps: Maximum number of steps.
+        gain: The level ends after the first step that shortens the motion by less than this fraction, scaled by the
+            fraction of the step that was collision-free.
+        trust: Maximum change of a control point in a joint in the first step [rad].
+        enough: The level ends when the duration is within this fraction of the lower bound for pieces of this length
+            (`TimeProblem.least_duration`); 0 to ignore the lower bound.
     """
 
     piece_s: float
@@ -75,38 +77,42 @@ class Level:
     enough: float = 0.0
 
     def pieces_of(self, duration_s: float, rate_hz: float) -> int:
-        """Number of pieces of a motion; no more than half as many as it has rows."""
+        """Number of pieces; at most half the number of samples."""
         wanted = min(max(round(duration_s / self.piece_s), self.pieces[0]), self.pieces[1])
         return min(wanted, int(duration_s * rate_hz) // 2)
 
 
 @dataclass(frozen=True)
 class Effort:
-    """What may be spent on a motion.
+    """Optimization budget of a motion.
 
     Attributes:
-        levels: From coarse to fine; the last has its pieces meet at rows.
+        levels: Levels from coarse to fine; in the last level the pieces meet at samples.
     """
 
     levels: tuple[Level, ...]
 
 
 class TimedMotion(Protocol):
-    """A motion that an optimiser may begin with."""
+    """Motion that an optimizer can start from."""
 
     @property
     def duration(self) -> float:
-        """How long it takes [s]."""
+        """Duration [s]."""
 
     def positions(self, clock: FloatArray) -> FloatArray:
-        """(k, dof) configurations at times."""
+        """(k, dof) configurations at (k,) times [s]."""
 
 
 def rough_motion(start: TimedMotion, problem: TimeProblem, effort: Effort) -> TimedSpline | None:
-    """The motion of the first level, whose torques and rows are not looked at; None where none was found.
+    """Optimize a motion on the first level only; None if not found.
+
+    Torques are not limited, and pieces need not meet at samples.
 
     Args:
-        start: A clear motion from rest to rest, about within the limits.
+        start: Collision-free motion from rest to rest, approximately within the limits.
+        problem: Constraints of the motion.
+        effort: Optimization budget.
     """
     return _of_level(start, _without_torque(problem), effort.levels[0])
 
@@ -114,16 +120,18 @@ def rough_motion(start: TimedMotion, problem: TimeProblem, effort: Effort) -> Ti
 def minimize_time(
     start: TimedMotion, problem: TimeProblem, effort: Effort, *, rough: TimedSpline | None = None
 ) -> TimedSpline | None:
-    """The fastest motion near a given one, clear and within all limits.
+    """Fastest motion near a given one, collision-free and within all limits.
 
-    Its pieces meet at rows, unless it is at its limits of torque and as quick without.
+    Its pieces meet at samples, unless the motion is torque-limited and about as fast without this condition.
 
     Args:
-        start: A clear motion from rest to rest, about within the limits, between the same positions.
-        rough: What `rough_motion` makes of the start, if that is known.
+        start: Collision-free motion from rest to rest with the same start and goal, approximately within the limits.
+        problem: Constraints of the motion.
+        effort: Optimization budget.
+        rough: Result of `rough_motion` for the start; None if not computed.
 
     Returns:
-        The motion, or None where none was found.
+        The motion, or None if none was found.
     """
     levels = effort.levels if rough is None else effort.levels[1:] or effort.levels
     found = _minimized(start if rough is None else rough, problem, levels, _without_torque(problem))
@@ -139,13 +147,13 @@ def _without_torque(problem: TimeProblem) -> TimeProblem:
 def _minimized(
     start: TimedMotion, problem: TimeProblem, levels: Sequence[Level], programs: TimeProblem
 ) -> TimedSpline | None:
-    """As `minimize_time`, level by level.
+    """Optimize level by level, adding torque limits when they are violated.
 
-    Between ends at rest limits of torque are in the programs from where a motion passes them. Between others they may
-    be passed in the end.
+    Between states of rest, the programs include torque limits as soon as a motion exceeds them. Otherwise the final
+    motion may exceed them.
 
     Args:
-        programs: What the first programs ask for: the problem, or that without the limits of torque.
+        programs: Problem of the first programs: the full problem, or the one without torque limits.
     """
     found: TimedSpline | None = start if isinstance(start, TimedSpline) else None
     quickest = found
@@ -173,14 +181,18 @@ def _minimized(
 
 
 def _torque_scale(spline: TimedSpline, problem: TimeProblem) -> float:
-    """By what times have to be multiplied for the limits of torque; 1 where they are kept, or an end is in motion."""
+    """Time-scaling factor required by the torque limits.
+
+    1 if they hold or if a boundary velocity is nonzero.
+    """
     return 1.0 if problem.ends is not None else problem.torque_scale(spline, ALLOWED)
 
 
 def _between_rows(spline: TimedSpline | None, problem: TimeProblem) -> TimedSpline | None:
-    """The motion in a whole number of rows, wherever its pieces meet; None where that passes limits.
+    """Motion with a whole number of samples whose pieces meet anywhere.
 
-    Between two rows it is not one cubic then: what a certificate takes it for is another motion by a little.
+    None if limits are exceeded. Between two samples this motion is not a single cubic: the certificate is computed for
+    the slightly different motion that the samples define.
     """
     if spline is None:
         return None
@@ -196,7 +208,7 @@ def _between_rows(spline: TimedSpline | None, problem: TimeProblem) -> TimedSpli
 
 
 def _use_between_rows(spline: TimedSpline, problem: TimeProblem) -> float:
-    """By what the times of the cubics between a spline's rows have to be multiplied to keep the limits there."""
+    """Time-scaling factor required by the cubics between a spline's samples."""
     step_s, (speed, push, jerk) = 1.0 / problem.rate_hz, problem.arrays.rates
     clock = np.linspace(0.0, spline.duration, round(spline.duration * problem.rate_hz) + 1)
     velocity = spline.path.evaluate(clock, 1)
@@ -208,7 +220,7 @@ def _use_between_rows(spline: TimedSpline, problem: TimeProblem) -> float:
 
 
 def _of_level(start: TimedMotion, problem: TimeProblem, level: Level) -> TimedSpline | None:
-    """The fastest motion near a given one with the pieces of a level; None where no step was clear."""
+    """Optimize a motion on one level; None if no step is collision-free."""
     if not start.duration < LONGEST_S:
         return None
     pieces = level.pieces_of(start.duration, problem.rate_hz)
@@ -226,9 +238,9 @@ def _of_level(start: TimedMotion, problem: TimeProblem, level: Level) -> TimedSp
             if spline.ends is not None and time_scale > _REPAIRED:
                 spline = step.spline
                 continue
-            # Faster than its program says it would sway into what is near.
+            # Running faster than the program assumed would increase the tracking error and could cause a collision.
             moved = step.spline.at_time_scale(time_scale if problem.sway is None else max(time_scale, 1.0))
-            # Torques beyond their limits are the next program's, which loses less time than slower times would.
+            # The next program corrects torques beyond their limits, which costs less time than slowing down.
             over = _torque_scale(moved, problem)
             kept = moved if over == 1.0 else moved.at_time_scale(over)
             before = math.inf if best is None else best.duration
@@ -242,7 +254,7 @@ def _of_level(start: TimedMotion, problem: TimeProblem, level: Level) -> TimedSp
 
 
 def _enough(spline: TimedSpline, problem: TimeProblem, level: Level) -> float:
-    """The duration that leaves no more than a level's `enough` to be gained [s]; 0 where that is not looked at."""
+    """Duration that ends a level [s]; 0 without a lower bound."""
     if level.enough == 0.0 or spline.ends is not None:
         return 0.0
     turn = spline.control[-1] - spline.control[0]
@@ -250,8 +262,12 @@ def _enough(spline: TimedSpline, problem: TimeProblem, level: Level) -> float:
 
 
 def _first(start: TimedMotion, problem: TimeProblem, breaks: FloatArray) -> TimedSpline:
-    """The spline to begin with: between states of motion one that leaves the start no farther than is clear."""
-    # A motion that sways into what is near is slowed down so much, so often at most, before the first step.
+    """Initial spline of a level.
+
+    With a velocity-dependent tracking error, it is slowed down until it is collision-free. Between states in motion, it
+    leaves the start's path over the longest blending time that is collision-free.
+    """
+    # If tracking errors cause contact, the motion is slowed down by this factor, at most this many times.
     slower, slowed = 1.5, 9
     if problem.ends is None or (isinstance(start, TimedSpline) and start.ends is not None):
         spline = TimedSpline.near(start.positions, breaks, problem.ends)
@@ -260,8 +276,8 @@ def _first(start: TimedMotion, problem: TimeProblem, breaks: FloatArray) -> Time
                 break
             spline = spline.at_time_scale(slower)
         return spline
-    # Within these times, tried in turn, a motion is blended into the state of motion at its end: with more it leaves
-    # its path for a longer distance, with less it is farther beyond the limits [s].
+    # Times, tried in order, within which a motion is blended into its boundary state: a longer time leaves the path for
+    # a longer distance, a shorter time exceeds the limits more [s].
     for within_s in (0.2, 0.1, 0.05):
         between = MotionBetween(start.positions, start.duration, problem.ends, within_s)
         spline = TimedSpline.near(between.positions, breaks, problem.ends)
@@ -271,7 +287,7 @@ def _first(start: TimedMotion, problem: TimeProblem, breaks: FloatArray) -> Time
 
 
 def _on_rows(spline: TimedSpline, problem: TimeProblem, level: Level) -> TimedSpline | None:
-    """The fastest motion near a given one with pieces that meet at rows; None where none was found."""
+    """Optimize a motion whose pieces meet at samples; None if not found."""
     pieces = level.pieces_of(spline.duration, problem.rate_hz)
     if pieces < 2 * RESTING:
         return None
@@ -300,7 +316,7 @@ def _on_rows(spline: TimedSpline, problem: TimeProblem, level: Level) -> TimedSp
             trust *= _SHRINK
         if spline.ends is not None and time_scale > 1.0 + kept:
             time_scale = max(step.time_scale, 1.0 + KEPT)
-        # The next step takes account of torques: half of what they ask for is enough.
+        # The next step includes the torques, so half of the required slow-down suffices.
         rows = math.ceil(rows * (math.sqrt(over) if over > 1.0 else time_scale) - 1e-6)
         if rows >= most or rows <= failed or most <= enough_rows:
             break
@@ -308,10 +324,12 @@ def _on_rows(spline: TimedSpline, problem: TimeProblem, level: Level) -> TimedSp
 
 
 class _Step(NamedTuple):
-    """A motion after a step.
+    """Motion after a step.
 
     Attributes:
-        time_scale: The time scale that its program gives.
+        spline: The motion.
+        part: Fraction of the step that was taken.
+        time_scale: Time scale of the program's solution.
     """
 
     spline: TimedSpline
@@ -322,21 +340,23 @@ class _Step(NamedTuple):
 def _step(
     spline: TimedSpline, problem: TimeProblem, trust: float, gap: float, *, on_rows: bool = False
 ) -> _Step | None:
-    """The best step, or as much of it as is clear; None where there is none.
+    """Optimal step, or the largest collision-free fraction of it.
 
-    The time scale is left as it was, unless an end is in motion, which changes the pieces there with the time scale, or
-    tracking errors grow with speed.
+    None if the program has no solution or no tried fraction is collision-free.
+
+    The time scale is left unchanged, unless a boundary velocity is nonzero, so that the pieces there change with the
+    time scale, or tracking errors depend on speed.
     """
     free = spline.ends is None and problem.sway is None
-    # Least time scale of a step where an end is in motion, or tracking errors grow with speed: neither is linear in the
-    # time scale.
+    # Minimum time scale of a step if a boundary velocity is nonzero or tracking errors depend on speed: neither is
+    # linear in the time scale.
     least = None if free else 1.0 if on_rows else 0.75
     found = problem.step(spline, trust, gap, least=least)
     if found is None:
         return None
     change = np.zeros_like(spline.control)
     change[RESTING:-RESTING, problem.options.movable], time_scale = found
-    # A step is halved so often at most until it is clear.
+    # A step is halved at most this many times until it is collision-free.
     parts = (0.5**halving for halving in range(5 + 1))
     tried = (
         _Step(
@@ -348,6 +368,6 @@ def _step(
 
 
 def _taken(spline: TimedSpline, change: FloatArray, time_scale: float) -> TimedSpline:
-    """The motion after a change of its control points and of its time scale."""
+    """Motion after changing its control points and its time scale."""
     moved = TimedSpline(frozen(spline.control + change), spline.knots, spline.ends)
     return moved if time_scale == 1.0 else moved.at_time_scale(time_scale)

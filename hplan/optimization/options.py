@@ -1,4 +1,4 @@
-"""Limits of post-processing."""
+"""Joint limits and clearance margin of post-processing."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from hplan.base.arrays import FloatArray, IntArray
 
 
 class JointArrays(NamedTuple):
-    """The arrays of `PostprocessOptions` that kernels read: limits of all joints, and the joints that may move."""
+    """Arrays of `PostprocessOptions` that kernels read."""
 
     lower: FloatArray
     upper: FloatArray
@@ -21,14 +21,15 @@ class JointArrays(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class PostprocessOptions:
-    """Limits of post-processing.
+    """Joint limits and clearance margin of post-processing.
 
     Attributes:
-        lower: (dof,) joint limits.
-        upper: (dof,) joint limits.
+        lower: (dof,) lower joint limits.
+        upper: (dof,) upper joint limits.
         velocity: (dof,) velocity limits [rad/s].
         acceleration: (dof,) acceleration limits [rad/s^2].
-        margin: Clearance asked for wherever a motion is evaluated [m].
+        movable: (k,) indices of the joints that may move.
+        margin: Required clearance at each evaluated configuration [m].
     """
 
     lower: FloatArray

@@ -1,8 +1,9 @@
-"""Classes of paths: which of several paths between the same ends can be moved into each other.
+"""Groups paths into approximate homotopy classes.
 
-Where the straight motions between corresponding points of two paths are clear, each can be moved into the other without
-contact (the visibility deformation of Jaillet and Simeon 2008, "Path deformation roadmaps"). Here few points are looked
-at: paths of one class lead to about the same fastest motion, and one of them will do. Nothing is shown by it.
+If the straight motions between corresponding points of two paths are collision-free, each path can be deformed into the
+other without contact (the visibility deformation of Jaillet and Simeon 2008, "Path deformation roadmaps"). Only a few
+points are checked: paths of one class lead to about the same time-optimal motion, so one of them suffices. The result
+is a heuristic and certifies nothing.
 """
 
 from __future__ import annotations
@@ -16,18 +17,18 @@ from hplan.collision.body_kernels import least_body_clearance
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.obstacle_rows import FieldArrays
 
-#: Where paths are compared, as fractions of their times.
+#: Points of comparison, as fractions of the paths' durations.
 PARTS = frozen(np.linspace(0.0, 1.0, 14)[1:-1])
 
-#: Points looked at between corresponding points of two paths.
+#: Number of points checked between corresponding points of two paths.
 BETWEEN = any_int(3)
 
 
 def class_numbers(paths: FloatArray, field: ClearanceField) -> IntArray:
-    """(n,) the class of each path: the number of the first path that it can be moved into.
+    """(n,) class numbers: index of the first path each one deforms into.
 
     Args:
-        paths: (n, k, dof) corresponding points of the paths, between the same ends.
+        paths: (n, k, dof) corresponding points of the paths, which share their start and goal.
     """
     number = _class_numbers(np.array(paths), field.arrays)
     check_deadline()
@@ -36,7 +37,7 @@ def class_numbers(paths: FloatArray, field: ClearanceField) -> IntArray:
 
 @kernel
 def _class_numbers(paths: FloatArray, field: FieldArrays) -> IntArray:
-    """Each path is compared with the first of every class, in their order."""
+    """Compare each path with the first member of every class, in order."""
     count = paths.shape[0]
     number, q = np.arange(count), np.empty(paths.shape[2])
     for path in range(count):
@@ -51,7 +52,7 @@ def _class_numbers(paths: FloatArray, field: FieldArrays) -> IntArray:
 
 @kernel
 def _may_be_moved(path: FloatArray, other: FloatArray, field: FieldArrays, q: FloatArray) -> bool:
-    """True if no contact is seen between corresponding points."""
+    """True if no contact is detected between corresponding points."""
     points, dof = path.shape
     for k in range(1, BETWEEN + 1):
         part = k / (BETWEEN + 1)

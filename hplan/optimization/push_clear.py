@@ -1,7 +1,8 @@
-"""A spline of few control points, pushed out of the obstacles.
+"""Pushes a spline with few control points out of the obstacles.
 
-Pushing moves the control points of a piece that is not clear along the gradient of the clearance at its worst point.
-It looks at samples; the proof follows, with half the margin, so that what samples missed does not refuse it.
+For each piece in collision, the control points move along the gradient of the clearance at its worst point. Pushing
+checks samples only. The exact check afterwards requires half the margin, so that small violations between samples do
+not reject the spline.
 """
 
 from __future__ import annotations
@@ -22,26 +23,27 @@ from hplan.optimization.options import JointArrays, PostprocessOptions
 from hplan.trajectory.cubics import bezier_piece
 from hplan.trajectory.spline import STRIDE, MovableSpline, SplinePath
 
-#: Rounds of pushing.
+#: Maximum number of rounds of pushing.
 _ROUNDS = 40
 
-#: Pushing is given up after so many rounds in which what is missing in clearance, over all pieces, did not shrink to
-#: this part of the least before.
+#: Pushing is abandoned after `_STALLED` rounds in which the total clearance deficit did not fall below `_SHRUNK` times
+#: its previous minimum.
 _STALLED, _SHRUNK = 8, 0.9
 
 
 def clear_spline(
     path: FloatArray, field: ClearanceField, options: PostprocessOptions, *, count: int, margin: float
 ) -> SplinePath | None:
-    """A spline of few control points along a clear polyline, pushed out of the obstacles that its corners cut.
+    """Fit a spline to a collision-free polyline and push it off obstacles.
 
     Args:
-        path: (m, dof) waypoints, clear.
+        path: (m, dof) waypoints, collision-free.
         count: Number of control points, >= 4.
-        margin: Clearance asked for at the samples [m]; half of it wherever the proof evaluates it.
+        margin: Required clearance at the samples [m]; the exact check requires half of it at each evaluated
+            configuration.
 
     Returns:
-        The spline, verified collision-free, or None where pushing did not succeed.
+        The spline, verified collision-free, or None if pushing did not succeed.
     """
     station = stations(path)
     even = np.linspace(0.0, station[-1], count)
@@ -56,7 +58,10 @@ def clear_spline(
 
 @kernel
 def _worst_point(piece: FloatArray, field: FieldArrays, movable: IntArray, gradient: FloatArray) -> tuple[float, float]:
-    """Least clearance at samples of a Bezier piece, the parameter there, and, written, its gradient in the joints."""
+    """Minimum sampled clearance of a Bezier piece, and its parameter.
+
+    The gradient of that clearance with respect to the joints is written into `gradient`.
+    """
     dof, movers = piece.shape[1], field.movers.shape[0]
     q, worst = np.empty(dof), piece[0].copy()
     clear, slopes = np.empty(movers), np.empty((movers, len(movable)))
@@ -84,7 +89,7 @@ def _worst_point(piece: FloatArray, field: FieldArrays, movable: IntArray, gradi
 
 @kernel
 def push_out(spline: MovableSpline, field: FieldArrays, joints: JointArrays, margin: float) -> bool:
-    """Move control points along the gradient of the clearance until all pieces seem clear."""
+    """Push control points along the clearance gradient until all pieces seem clear."""
     control, knots = spline
     count, dof = control.shape
     lower, upper, movable = joints.lower, joints.upper, joints.movable
@@ -106,7 +111,7 @@ def push_out(spline: MovableSpline, field: FieldArrays, joints: JointArrays, mar
             if square < 1e-8:
                 return False
             missing += margin - least
-            # The step is divided among the four control points about as they weigh on the curve there.
+            # Divide the step among the four control points about in proportion to their weights on the curve there.
             u = 1.0 - at
             weight[0] = u * u * u / 6.0
             weight[3] = at * at * at / 6.0

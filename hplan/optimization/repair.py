@@ -1,7 +1,7 @@
-"""Repair of motions between free nodes that cannot be verified collision-free themselves: replaced by motions that can.
+"""Repairs motions between collision-free nodes that cannot be verified themselves.
 
-First the joints move one after the other, in any order that will do. Then the middle of the motion is pushed out of
-the obstacles, along the gradient of the clearance, and the two halves are repaired likewise.
+First the joints move one after the other, in any order that works. Otherwise the midpoint of the motion is pushed out
+of the obstacles along the gradient of the clearance, and the two halves are repaired recursively.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from hplan.base import ties
 from hplan.base.arrays import FloatArray, frozen
 from hplan.collision.clearance_field import ClearanceField
 
-#: How often a motion is halved.
+#: Maximum recursion depth of halving a motion.
 _HALVINGS = 3
 
-#: Largest push [rad], and the difference that the gradient is taken with.
+#: Maximum step of one push [rad], and the step of the finite differences for the gradient.
 _LARGEST_PUSH, _DIFFERENCE = 0.1, 1e-4
 
-#: What a push aims at beyond the margin [m].
+#: Target clearance of a push in excess of the margin [m].
 _BEYOND = 2e-3
 
 
@@ -32,16 +32,16 @@ def repaired(
     upper: FloatArray,
     margin: float,
 ) -> tuple[FloatArray, list[int]]:
-    """A polyline whose motions are verified collision-free, as far as they can be repaired.
+    """Replace unverified motions of a polyline by verified ones, if possible.
 
     Args:
         path: (m, dof) configurations.
         lower: (dof,) joint limits.
         upper: (dof,) joint limits; equal to `lower` for a joint that may not move.
-        margin: Clearance asked for wherever a motion is evaluated [m].
+        margin: Required clearance at each evaluated configuration [m].
 
     Returns:
-        The polyline, and the motions of the one given, by number, that could not be repaired.
+        The polyline, and the indices of the given motions that could not be repaired.
     """
     pieces, contacts = [path[:1]], []
     for i in range(len(path) - 1):
@@ -57,16 +57,16 @@ def repaired(
 def pushed_clear(
     path: FloatArray, field: ClearanceField, lower: FloatArray, upper: FloatArray, margin: float
 ) -> tuple[FloatArray, list[int]]:
-    """A polyline near one that comes too near to something: waypoints and middles of motions are pushed away from it.
+    """Push waypoints and midpoints of a polyline away from nearby obstacles.
 
     Args:
         path: (m, dof) configurations; the first and the last stay.
         lower: (dof,) joint limits.
         upper: (dof,) joint limits; equal to `lower` for a joint that may not move.
-        margin: Clearance asked for wherever a motion is evaluated [m].
+        margin: Required clearance at each evaluated configuration [m].
 
     Returns:
-        The polyline, and the motions of the one given, by number, that it could not be found for.
+        The polyline, and the indices of the given motions that could not be repaired.
     """
     points = path.copy()
     for number in (np.flatnonzero(field.along(path[1:-1]).min(axis=1) < margin) + 1).tolist():
@@ -90,19 +90,21 @@ def pushed_clear(
 def leave_contact(
     q: FloatArray, field: ClearanceField, lower: FloatArray, upper: FloatArray, margin: float
 ) -> Iterator[FloatArray]:
-    """Paths out of a tight place along the gradient of the clearance, each longer than the one before.
+    """Yield successively longer paths out of a narrow place.
+
+    Each step follows the gradient of the clearance.
 
     Args:
         q: (dof,) configuration.
         lower: (dof,) joint limits.
         upper: (dof,) joint limits; equal to `lower` for a joint that may not move.
-        margin: Clearance asked for wherever a motion is evaluated [m].
+        margin: Required clearance at each evaluated configuration [m].
 
     Yields:
-        (k, dof) configurations from `q` on, the motions between them verified collision-free.
+        (k, dof) configurations starting at `q`; the motions between them are verified collision-free.
     """
     path = q[None]
-    # Clearances aimed at in turn when leaving a tight place [m].
+    # Target clearances, in order, when leaving a narrow place [m].
     for wanted in (5e-3, 0.01, 0.02, 0.04, 0.08):
         if field.clearance(path[-1]) >= wanted:
             continue
@@ -116,7 +118,10 @@ def leave_contact(
 def _between(
     first: FloatArray, last: FloatArray, field: ClearanceField, lower: FloatArray, upper: FloatArray, margin: float
 ) -> FloatArray | None:
-    """Configurations between two by which the motion is verified collision-free; none where it is as it stands."""
+    """Intermediate configurations that make the motion verifiably collision-free.
+
+    Empty if the direct motion is already collision-free; None if no repair is found.
+    """
     if field.is_clear(np.stack([first, last]), margin):
         return np.empty((0, len(first)))
     inner = _in_turn(first, last, field, margin)
@@ -124,7 +129,10 @@ def _between(
 
 
 def _in_turn(first: FloatArray, last: FloatArray, field: ClearanceField, margin: float) -> FloatArray | None:
-    """Configurations between two at which one joint stops and another sets out."""
+    """Intermediate configurations of a motion that moves one joint at a time.
+
+    None if no order of the joints is verified collision-free.
+    """
     for order in itertools.permutations(np.flatnonzero(first != last)):
         inner = np.repeat(first[None], max(0, len(order) - 1), axis=0)
         for k, joint in enumerate(order[:-1]):
@@ -143,7 +151,10 @@ def _pushed(
     margin: float,
     halvings: int,
 ) -> FloatArray | None:
-    """Configurations between two, each the middle of its neighbours pushed out of the obstacles."""
+    """Intermediate configurations, each a midpoint pushed out of the obstacles.
+
+    None if the motion cannot be repaired with `halvings` further subdivisions.
+    """
     middle = _out(0.5 * (first + last), field, lower, upper, margin + _BEYOND)
     if middle is None:
         return None
@@ -164,14 +175,15 @@ def _pushed(
 def _out(
     q: FloatArray, field: ClearanceField, lower: FloatArray, upper: FloatArray, wanted: float
 ) -> FloatArray | None:
-    """A configuration nearby that has the clearance wanted.
+    """Find a nearby configuration with the required clearance; None if not found.
 
-    All links that are too near are pushed at once, by the least step that would put them right if clearances were
-    linear: where two are held from different sides, going after the nearer one alone leads to and fro.
+    All links that are too near are corrected together, by the minimum-norm step that would restore their clearance if
+    clearances were linear. Correcting only the nearest link oscillates if two links are constrained from opposite
+    sides.
     """
     movable = np.flatnonzero(upper > lower)
     probe = _DIFFERENCE * np.eye(len(q))[movable]
-    # Steps along the gradient for one middle.
+    # Maximum number of gradient steps for one midpoint.
     for _ in range(8):
         clearances = field.link_clearances(q)
         near = np.flatnonzero(clearances < wanted)
@@ -183,7 +195,8 @@ def _out(
             return None
         push = np.zeros(len(q))
         push[movable] = np.linalg.pinv(gradients, rcond=1e-2) @ (wanted + 0.5 * _BEYOND - clearances[near])
-        # Heuristic, so it need not have all its digits, and the last ones are not the same on every processor.
+        # The step is heuristic and does not need full precision; rounding it removes last digits that differ between
+        # processors.
         push = ties.on_raster(push * min(1.0, _LARGEST_PUSH / max(float(np.abs(push).max()), 1e-12)))
         q = np.clip(q + push, lower, upper)
     return q if field.clearance(q) >= wanted else None

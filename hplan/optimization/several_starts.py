@@ -1,8 +1,8 @@
-"""The fastest of the motions near several paths: estimated, then made roughly, and the best of them to the end.
+"""Optimizes motions near several paths and returns the fastest ones.
 
-An optimiser finds the fastest motion near the one that it begins with: on the other side of an obstacle there may be a
-faster one. Paths that can be moved into each other lead to about the same one, so that only the quickest
-of every class is looked at.
+An optimizer finds the fastest motion near its initial guess; on the other side of an obstacle there may be a faster
+one. Durations are first estimated, then optimized coarsely, and only the best motions are optimized fully. Paths that
+deform into each other lead to about the same motion, so only the fastest path of each homotopy class is optimized.
 """
 
 from __future__ import annotations
@@ -28,20 +28,22 @@ from hplan.trajectory.speed_profile import SpeedProfile
 NEAR = 0.4
 
 
-#: Pairs of the arm's own bodies that do not touch near a motion whose joints turn by so much are left out of programs
-#: [rad]: about as much as a step changes at most.
+#: Pairs of the arm's own bodies are left out of programs if they do not touch within this joint displacement of the
+#: motion [rad]: about the maximum change in one step.
 _TURN = 0.6
 
 
 @dataclass(frozen=True)
 class StartsEffort:
-    """What may be spent on the motions near several paths.
+    """Optimization budget for motions near several paths.
 
     Attributes:
-        optimization: Of one motion.
-        rough: So many rough motions are made, of the paths with the quickest splines, one of each class.
-        others: So many, if there are fewer classes, with other paths.
-        finished: So many of them, the quickest, are optimised to the end.
+        optimization: Budget of one motion.
+        rough: Maximum number of coarsely optimized motions; they start from the paths with the fastest splines, one of
+            each homotopy class.
+        others: Minimum number of coarsely optimized motions if paths suffice; with fewer classes, further paths of the
+            same classes fill up.
+        finished: Maximum number of these motions, the fastest, that are optimized fully.
     """
 
     optimization: Effort
@@ -51,11 +53,12 @@ class StartsEffort:
 
 
 class OptimizationStart(NamedTuple):
-    """What an optimiser begins with.
+    """Initial guess of an optimizer.
 
     Attributes:
-        number: Of the path.
-        profile: About the fastest motion along a smooth path near it.
+        number: Index of the path.
+        problem: The time problem, with the obstacles near this path.
+        profile: Approximate time-optimal motion along a smooth path near it.
     """
 
     number: int
@@ -64,11 +67,14 @@ class OptimizationStart(NamedTuple):
 
 
 def optimization_starts(paths: Sequence[FloatArray], problem: TimeProblem) -> list[OptimizationStart]:
-    """Smooth paths near some polylines, about the quickest first; without those where none is found clear at once.
+    """Smooth paths near given polylines, sorted by estimated duration, fastest first.
+
+    A path is left out if no collision-free spline is found near it, or if its estimated duration is too long to
+    optimize.
 
     Args:
-        paths: (m, dof) clear polylines between the same ends.
-        problem: What is to be kept; what is near is chosen for each path.
+        paths: (m, dof) collision-free polylines that share their start and goal.
+        problem: Limits and clearance constraints; its nearby obstacles are selected for each path.
     """
     found: list[OptimizationStart] = []
     for number, path in enumerate(paths):
@@ -81,7 +87,7 @@ def optimization_starts(paths: Sequence[FloatArray], problem: TimeProblem) -> li
                 along = profile.positions(PARTS * profile.duration)
                 near = near.without_idle_pairs(along, problem.options.movable, NEAR, _TURN)
                 found.append(OptimizationStart(number, replace(problem, near=near), profile))
-    # Another path than the first is preferred to it only where its smooth path is quicker by more than this part.
+    # The first path is preferred unless another path's smooth motion is faster by more than this fraction.
     times = [start.profile.duration * (1.0 - 0.03 * (start.number == 0)) for start in found]
     return [found[k] for k in ties.argsort(times).tolist()]
 
@@ -89,15 +95,16 @@ def optimization_starts(paths: Sequence[FloatArray], problem: TimeProblem) -> li
 def fastest_motions(
     starts: Sequence[OptimizationStart], effort: StartsEffort, *, quicker_than_s: float = math.inf
 ) -> list[tuple[int, TimedSpline]]:
-    """The fastest motions that come of some starts, each with the number of its path; the fastest first.
+    """Optimized motions with the index of their path, fastest first.
 
     Args:
-        starts: The starts, in the order of `optimization_starts`.
-        quicker_than_s: Longest duration of a motion that is of use [s].
+        starts: Initial guesses, in the order of `optimization_starts`.
+        quicker_than_s: Maximum useful duration of a motion [s].
     """
     several = starts if len(starts) < 2 else [starts[k] for k in _promising(starts, effort).tolist()]
     chosen: list[tuple[OptimizationStart, TimedSpline | None]] = [(start, None) for start in several]
-    # A rough motion comes out quicker by no more than about this part of a motion that is known, and of another one.
+    # Full optimization shortens a coarsely optimized motion by at most about the first fraction relative to a known
+    # motion, and by the second relative to other coarse motions.
     left_to_gain, among_rough = 0.1, 0.05
     if len(several) > 1 or math.isfinite(quicker_than_s):
         chosen = [(start, rough_motion(start.profile, start.problem, effort.optimization)) for start in several]
@@ -114,7 +121,7 @@ def fastest_motions(
 
 
 def _promising(starts: Sequence[OptimizationStart], effort: StartsEffort) -> IntArray:
-    """Numbers of the starts that have rough motions: the first of each class, and others if these are few."""
+    """Indices of the starts to optimize coarsely: class representatives, then others."""
     paths = np.stack([start.profile.positions(PARTS * start.profile.duration) for start in starts])
     first = class_numbers(paths, starts[0].problem.field) == np.arange(len(starts))
     count = min(max(int(first.sum()), effort.others), effort.rough)

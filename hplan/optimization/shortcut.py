@@ -1,8 +1,8 @@
-"""Shortcuts: the path pulled taut among the obstacles, every piece of it verified collision-free.
+"""Shortens paths by shortcuts; every segment is verified collision-free.
 
-Pairs of points on the path come from a low-discrepancy sequence, not from chance: the same path always gives the same
-result. Between two points either all joints or only one of them goes straight (the others keep their motion), which
-also shortens where a joint turns back and forth while others must move around something.
+Pairs of points on the path come from a low-discrepancy sequence, not from a random generator: the same path always
+gives the same result. Between two points either all joints or only one of them moves in a straight line (the others
+keep their motion), which also removes the detour of one joint while the others must avoid an obstacle.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from hplan.collision.body_motions import segment_is_clear
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.obstacle_rows import FieldArrays
 
-#: Waypoints nearer than this to each other are one [rad].
+#: Waypoints closer to each other than this are merged [rad].
 _MERGE = 1e-9
 
 
 def without_twins(path: FloatArray) -> FloatArray:
-    """The waypoints that differ from the one before; the last one stays in any case."""
+    """Remove waypoints that equal their predecessor; the last waypoint always stays."""
     if (np.linalg.norm(np.diff(path, axis=0), axis=1) > _MERGE).all():
         return np.array(path)
     kept = [path[0]]
@@ -34,11 +34,12 @@ def without_twins(path: FloatArray) -> FloatArray:
 
 
 def shorten(path: FloatArray, field: ClearanceField, *, margin: float, rounds: int = 300) -> FloatArray:
-    """Shorten a path that is clear.
+    """Shorten a collision-free path.
 
     Args:
         path: (m, dof) waypoints, verified collision-free.
-        margin: Clearance asked of shortcuts wherever they are evaluated [m]; what stays of the path keeps its own.
+        margin: Required clearance of shortcuts at each evaluated configuration [m]; the remaining parts of the path
+            keep their own clearance.
 
     Returns:
         (k, dof) waypoints from the same start to the same goal, verified collision-free, never longer.
@@ -53,7 +54,10 @@ def shorten(path: FloatArray, field: ClearanceField, *, margin: float, rounds: i
 
 @kernel
 def _skip_visible(path: FloatArray, field: FieldArrays, margin: float) -> FloatArray:
-    """Keep only waypoints that are needed: from each, go to the farthest that galloping and bisection find clear."""
+    """Skip waypoints: connect each to the farthest visible one.
+
+    The search gallops and then bisects.
+    """
     kept = [0]
     last = path.shape[0] - 1
     here = 0
@@ -89,7 +93,7 @@ def _skip_visible(path: FloatArray, field: FieldArrays, margin: float) -> FloatA
 
 @kernel
 def _distance(first: FloatArray, i: int, second: FloatArray, j: int) -> float:
-    """Distance of row i of one array from row j of another."""
+    """Distance between row i of one array and row j of another."""
     square = 0.0
     for joint in range(first.shape[1]):
         square += (first[i, joint] - second[j, joint]) ** 2
@@ -98,7 +102,7 @@ def _distance(first: FloatArray, i: int, second: FloatArray, j: int) -> float:
 
 @kernel
 def _place(path: FloatArray, station: FloatArray, at: float, point: FloatArray) -> int:
-    """Write the point at a station of the path; returns the segment it lies in."""
+    """Write the point at a station of a path; return its segment."""
     i = 0
     while i < path.shape[0] - 2 and station[i + 1] <= at:
         i += 1
@@ -110,7 +114,11 @@ def _place(path: FloatArray, station: FloatArray, at: float, point: FloatArray) 
 
 @kernel
 def _join(path: FloatArray, i: int, bypass: FloatArray, inner: int, j: int) -> FloatArray:
-    """The path up to segment i, the first `inner` + 2 points of the bypass, the path after segment j; no twins."""
+    """Replace segments i to j of a path by a bypass.
+
+    The result is the path up to segment i, the first `inner` + 2 points of the bypass, and the path after segment j,
+    without duplicate points.
+    """
     count, dof = path.shape
     joined = np.empty((i + 1 + inner + 2 + count - 1 - j, dof))
     size = 0
@@ -130,7 +138,7 @@ def _join(path: FloatArray, i: int, bypass: FloatArray, inner: int, j: int) -> F
 
 @kernel
 def _shortcut(path: FloatArray, field: FieldArrays, margin: float, rounds: int) -> FloatArray:
-    """Try shortcuts between pairs of points of a low-discrepancy sequence."""
+    """Try shortcuts between pairs of points from a low-discrepancy sequence."""
     dof = path.shape[1]
     for attempt in range(rounds):
         count = path.shape[0]
@@ -140,7 +148,8 @@ def _shortcut(path: FloatArray, field: FieldArrays, margin: float, rounds: int) 
         for m in range(1, count):
             station[m] = station[m - 1] + _distance(path, m, path, m - 1)
         whole = station[count - 1]
-        # The R2 sequence (generalised golden ratio); the reach of a shortcut shrinks in turn from all to 1/8.
+        # The R2 sequence (generalized golden ratio); the maximum length of a shortcut cycles from the whole path to 1/8
+        # of it.
         first = (0.5 + (attempt + 1) * 0.7548776662466927) % 1.0
         reach = ((0.5 + (attempt + 1) * 0.5698402909980532) % 1.0) / (1 << (attempt % 4))
         low, high = first * whole, min(whole, (first + reach) * whole)
@@ -151,12 +160,12 @@ def _shortcut(path: FloatArray, field: FieldArrays, margin: float, rounds: int) 
         j = _place(path, station, high, bypass[1])
         if i == j:
             continue
-        joint = attempt % (dof + 1) - 1  # -1: all joints go straight
+        joint = attempt % (dof + 1) - 1  # -1: all joints move in a straight line
         inner = j - i if joint >= 0 else 0
         for k in range(dof):
             bypass[inner + 1, k] = bypass[1, k]
         for m in range(inner):
-            # The other joints keep their motion; this one goes straight along the stations.
+            # The other joints keep their motion; this joint moves linearly with the stations.
             fraction = (station[i + 1 + m] - low) / (high - low)
             for k in range(dof):
                 bypass[1 + m, k] = path[i + 1 + m, k]

@@ -1,4 +1,4 @@
-"""Post-processing: from a polyline to smooth paths near it."""
+"""Post-processing: smooth paths near a polyline."""
 
 from __future__ import annotations
 
@@ -16,40 +16,43 @@ from hplan.robot.limits import least_duration, rest_to_rest
 from hplan.trajectory.corner_rounding import clear_rounding
 from hplan.trajectory.spline import SplinePath
 
-#: Numbers of control points of a spline for an optimiser to begin with, tried in turn: as few as will do.
+#: Numbers of control points of the optimizer's initial spline, tried in order: as few as suffice.
 _FAST_CONTROL_POINTS = (6, 8, 7, 9, 10, 12, 14, 17, 20, 25, 30, 44)
 
-#: Shortcuts tried before an optimiser begins: what is less taut has more room.
+#: Number of shortcuts tried before an optimization: a less taut path has more clearance.
 START_SHORTCUTS = 25
 
-#: Ends nearer to each other than this are one [rad].
+#: A start and goal closer to each other than this coincide [rad].
 _NO_MOTION = 1e-9
 
 #: Obstacles farther than this from the grid path are left out while the spline is moved [m].
 NEAR = 0.3
 
-#: With no more rows in the field than this none are left out.
+#: Up to this number of primitives, skip culling.
 FEW = 20
 
-#: Fraction of the margin that is still asked for where the full one cannot be kept.
+#: Fraction of the margin that is still required if the full margin is infeasible.
 SMALLEST_FRACTION = 0.05
 
 
 def clear_path(path: FloatArray, field: ClearanceField, options: PostprocessOptions) -> SplinePath:
-    """The first smooth path near a clear polyline that is verified collision-free; straight where that is as fast.
+    """First smooth path near a collision-free polyline, verified collision-free.
+
+    The straight motion is returned if it is as fast.
 
     Args:
         path: (m, dof) waypoints, m >= 2.
 
     Raises:
-        InputError: The path ends where it begins.
-        CertificationError: Its motions cannot be verified, or its corners cannot be rounded.
+        InputError: Start and goal of the path coincide.
+        CertificationError: The motions of the path cannot be verified, or its corners cannot be rounded.
     """
     smallest = _smallest_margin(path, field, options)
     if is_straight(path, field, options):
         return SplinePath.through(np.linspace(path[0], path[-1], 4))
     near = near_field(path, field, NEAR)
-    # Where any clear spline will do: a number that fails takes milliseconds, and more points succeed more often.
+    # Any collision-free spline suffices here: a failed attempt costs milliseconds, and more control points succeed more
+    # often.
     found = clear_start(path, near, options, (6, 10, 14, 20, 30, 44, 8, 12))
     if found is not None and (near is field or found.is_clear(field, 0.5 * smallest)):
         return found
@@ -57,10 +60,18 @@ def clear_path(path: FloatArray, field: ClearanceField, options: PostprocessOpti
 
 
 def short_path(path: FloatArray, field: ClearanceField, options: PostprocessOptions) -> SplinePath:
-    """A short smooth path: pulled taut, a spline along it. Arguments and errors are those of `clear_path`."""
+    """Short smooth path: a spline along the shortened polyline.
+
+    Args:
+        path: (m, dof) waypoints, m >= 2.
+
+    Raises:
+        InputError: Start and goal of the path coincide.
+        CertificationError: The motions of the path cannot be verified, or its corners cannot be rounded.
+    """
     smallest = _smallest_margin(path, field, options)
     taut = shorten(path, field, margin=smallest)
-    # For a short path many, so that the spline can follow the obstacles closely.
+    # A short path needs many control points, so that the spline can follow the obstacles closely.
     for count in (44, 64):
         spline = clear_spline(taut, field, options, count=count, margin=smallest)
         if spline is not None:
@@ -69,7 +80,12 @@ def short_path(path: FloatArray, field: ClearanceField, options: PostprocessOpti
 
 
 def _smallest_margin(path: FloatArray, field: ClearanceField, options: PostprocessOptions) -> float:
-    """The least clearance that a path may have, if its ends differ and it has that."""
+    """Minimum required clearance of a path [m].
+
+    Raises:
+        InputError: Start and goal of the path coincide.
+        CertificationError: The path does not have this clearance.
+    """
     if np.linalg.norm(path[-1] - path[0]) < _NO_MOTION:
         raise InputError("the path ends where it begins; there is no motion to make")
     smallest = SMALLEST_FRACTION * options.margin
@@ -79,15 +95,18 @@ def _smallest_margin(path: FloatArray, field: ClearanceField, options: Postproce
 
 
 def is_straight(path: FloatArray, field: ClearanceField, options: PostprocessOptions) -> bool:
-    """True if the fastest motion between the ends of a path is the straight one, which is verified collision-free."""
+    """True if the straight motion is collision-free and about time-optimal."""
     least = least_duration(path[0], path[-1], options.velocity, options.acceleration)
     straight = straight_duration(path[0], path[-1], options)
-    # A motion that takes no longer than so many times the least duration of its ends is as good as the fastest.
+    # A motion within this factor of the lower bound on the duration counts as time-optimal.
     return straight <= 1.005 * least and field.is_clear(path[[0, -1]], options.margin)
 
 
 def near_field(path: FloatArray, field: ClearanceField, distance: float) -> ClearanceField:
-    """The field without what is far from a path, which does not matter to optimisers; proofs do not leave it out."""
+    """Clearance field without obstacles far from a path, for optimizers only.
+
+    Exact checks use the full field.
+    """
     return field.near(path, distance) if len(field.solids) > FEW else field
 
 
@@ -97,11 +116,13 @@ def clear_start(
     options: PostprocessOptions,
     counts: Sequence[int] = _FAST_CONTROL_POINTS,
 ) -> SplinePath | None:
-    """A spline along a clear path for an optimiser to begin with, verified collision-free; None where none is found.
+    """Collision-free spline along a path, as an optimizer's initial guess.
+
+    None if no number of control points succeeds.
 
     Args:
-        path: (m, dof) waypoints, clear, m >= 2; what is made of it is verified, not the path.
-        counts: Numbers of control points tried in turn.
+        path: (m, dof) waypoints, collision-free, m >= 2. The resulting spline is verified, the path is not.
+        counts: Numbers of control points, tried in order.
     """
     if np.linalg.norm(path[-1] - path[0]) < _NO_MOTION:
         return None
@@ -115,7 +136,10 @@ def clear_start(
 
 
 def straight_duration(start: FloatArray, goal: FloatArray, options: PostprocessOptions) -> float:
-    """Duration of the straight motion, all joints in proportion, under velocity and acceleration limits [s]."""
+    """Duration of the straight motion under velocity and acceleration limits [s].
+
+    All joints move in proportion.
+    """
     turn = np.abs(goal - start)
     moves = turn > 0.0
     speed = (options.velocity[moves] / turn[moves]).min()

@@ -1,4 +1,4 @@
-"""What a fastest motion has to keep: limits and clearance, the step that is best to first order, the least duration."""
+"""Time-optimal motion problem: constraints, first-order step, lower bound on the duration."""
 
 from __future__ import annotations
 
@@ -24,23 +24,27 @@ from hplan.robot.limits import Limits, rest_to_rest
 from hplan.trajectory.retime import KEPT, torque_excess
 from hplan.trajectory.spline import MovableSpline, pieces_are_clear
 
-#: Fraction of the margin asked for wherever the proof of a step looks; the programs ask for all of it at their places.
+#: Fraction of the margin that the exact check of a step requires; the programs require all of it at their sample
+#: points.
 _PROVED = 0.05
 
 
 @dataclass(frozen=True, eq=False)
 class TimeProblem(Record):
-    """What a fastest motion has to keep.
+    """Constraints of a time-optimal motion.
 
     Attributes:
-        near: What is near the motion to begin with.
+        field: Clearances to all obstacles.
+        near: Clearances to the obstacles near the initial motion, used by the programs.
         options: Joint limits, movable joints and margin.
         limits: Velocity, acceleration, torque and jerk limits.
-        rate_hz: Rows per second.
-        ends: The states in which it begins and ends; None where both are at rest.
-        sway: (links, dof) by how much tracking errors bring each link nearer to obstacles for a unit of each joint's
-            speed [m s/rad]; None where they do not grow with speed.
-        upright: What the tool is to stay, between ends at rest; None where it may lean.
+        dynamics: Inverse dynamics of the arm.
+        rate_hz: Samples per second.
+        ends: States at the start and at the end; None if both are at rest.
+        sway: (links, dof) loss of each link's clearance by tracking errors, per unit of each joint's speed [m s/rad];
+            None if tracking errors do not depend on speed.
+        upright: Kinematic chain with the permitted tilt of the tool, for motions from rest to rest; None if the tool
+            may tilt freely.
     """
 
     field: ClearanceField
@@ -63,9 +67,9 @@ class TimeProblem(Record):
         return MotionLimits(options.lower, options.upper, rates, options.movable, sway)
 
     def is_clear(self, spline: TimedSpline) -> bool:
-        """True if the whole motion is verified collision-free, with tracking errors that grow with its speed.
+        """True if the whole motion is verified collision-free, tracking errors included.
 
-        The tool is to be upright, too, wherever that is looked at.
+        With an upright constraint, the tilt of the tool is checked at sample points, too.
         """
         if self.upright is not None and not Leaning.of(spline, self.upright).is_upright:
             return False
@@ -77,7 +81,10 @@ class TimeProblem(Record):
         return bool(clear)
 
     def _is_clear_swaying(self, spline: TimedSpline, sway: FloatArray) -> bool:
-        """As `is_clear`: each piece with bodies that are thicker by what its largest velocity takes."""
+        """True if each piece is clear with bodies inflated by tracking errors.
+
+        The bodies grow by the tracking displacement bound at the piece's maximum velocity.
+        """
         pieces, arrays = spline.path.pieces, self.field.arrays
         velocity = 3.0 * np.abs(np.diff(pieces, axis=1)) / np.diff(spline.path.breaks)[:, None, None]
         swayed = (velocity @ sway.T).max(axis=1)
@@ -91,14 +98,14 @@ class TimeProblem(Record):
         return True
 
     def time_scale(self, spline: TimedSpline) -> float:
-        """By what the motion's times have to be multiplied to keep velocity, acceleration and jerk."""
+        """Time-scaling factor required by the velocity, acceleration and jerk limits."""
         time_scale = float(least_time_scale(np.array(spline.control), spline.knots, self.arrays))
         if spline.ends is None:
             return time_scale
-        # The states at the ends stay as they are: with the time scale the pieces there change their shape. That may
-        # take more time scale than it gives, so that only what has to be slower is slowed down.
+        # The states at both ends are fixed, so the pieces there change their shape with the time scale. A factor below
+        # 1 may therefore violate limits: only slowing down is applied.
         total, more = 1.0, time_scale
-        # How often the time scale of a motion is looked at anew whose ends do not slow down with it.
+        # Maximum number of times the time scale is recomputed if the end states do not scale with it.
         for _ in range(4):
             if more <= 1.0:
                 break
@@ -108,29 +115,35 @@ class TimeProblem(Record):
         return total * max(1.0, more)
 
     def least_duration(self, turn: FloatArray, pieces: int) -> float:
-        """Duration that no spline of so many equal pieces can fall below, between ends at rest [s].
+        """Lower bound on a rest-to-rest spline's duration with equal pieces [s].
 
-        Its accelerations are linear within a piece and begin at 0, so that none grows to its limit in less than the
-        first piece: a motion of least duration with that jerk is no slower.
+        Its accelerations are linear within a piece and start at 0, so none reaches its limit before the end of the
+        first piece:
+        a minimum-time motion with the corresponding jerk limit is at least as fast.
 
         Args:
-            turn: (dof,) by how far joints turn.
+            turn: (dof,) joint displacements.
+            pieces: Number of pieces, all of the same duration.
         """
         limits, seconds = self.limits, 0.0
         jerk = self.arrays.rates[2]
-        # Rounds in which the least duration of a spline and its pieces' come to agree.
+        # Fixed-point iterations between the minimum duration of a spline and the duration of its pieces.
         for _ in range(4):
             growing = jerk if seconds == 0.0 else np.minimum(jerk, limits.acceleration * pieces / seconds)
             seconds = float(rest_to_rest(np.abs(turn), limits.velocity, limits.acceleration, growing).max())
         return seconds
 
     def torque_use(self, spline: TimedSpline) -> TorqueUse | None:
-        """The use of the torque limits; None without any."""
+        """Use of the torque limits; None without torque limits."""
         limit = self.limits.torque
         return None if limit is None else TorqueUse.of(spline, self.dynamics, limit)
 
     def torque_scale(self, spline: TimedSpline, allowed: float = 1.0) -> float:
-        """By what times have to be multiplied for a part of the torque limits to be kept; 1 at least."""
+        """Time-scaling factor required by the torque limits, at least 1.
+
+        Args:
+            allowed: The fraction of the torque limits that may be used.
+        """
         use = self.torque_use(spline)
         if use is None or use.largest <= allowed:
             return 1.0
@@ -139,11 +152,12 @@ class TimeProblem(Record):
     def step(
         self, spline: TimedSpline, trust: float, gap: float, *, least: float | None = None
     ) -> tuple[FloatArray, float] | None:
-        """The step that is best to first order; None where none is found.
+        """Optimal step to first order; None if the program has no solution.
 
         Args:
-            trust: Largest change [rad].
-            least: Least time scale; None where there is none.
+            trust: Maximum change of a control point [rad].
+            gap: Accuracy of the solution.
+            least: Minimum time scale; None for no minimum.
 
         Returns:
             (inner, movable) changes of the inner control points, and the time scale.
@@ -167,7 +181,7 @@ class TimeProblem(Record):
 
 
 def _at_least(time_scale: float) -> ProgramRows:
-    """The row of a program that asks for a time scale."""
+    """Constraint row that requires a minimum time scale."""
     nothing = np.zeros(0, dtype=np.int32)
     alone = np.array([-1.0])
     return ProgramRows(np.zeros(2, dtype=np.int32), nothing, np.empty(0), alone, time_scale * alone, np.empty(0))

@@ -1,4 +1,4 @@
-"""The timed motion as an optimiser moves it: a clamped cubic B-spline over time."""
+"""Timed motion of an optimizer: a clamped cubic B-spline over time."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from hplan.robot.dynamics import InverseDynamics, joints_that_slide
 from hplan.trajectory.spline import SplinePath
 from hplan.trajectory.trajectory import Trajectory
 
-#: Control points at each end that the state there decides: equal where the motion is at rest, without acceleration.
+#: Number of control points at each end fixed by the boundary state; at rest they are equal.
 RESTING = 3
 
 
@@ -22,7 +22,7 @@ class BoundaryState(Record):
     """Position, velocity and acceleration at one end of a motion.
 
     Attributes:
-        position: (dof,).
+        position: (dof,) [rad].
         velocity: (dof,) [rad/s].
         acceleration: (dof,) [rad/s^2].
     """
@@ -33,20 +33,21 @@ class BoundaryState(Record):
 
     @classmethod
     def at_rest(cls, position: FloatArray) -> BoundaryState:
-        """Standing still."""
+        """State of rest at a configuration."""
         still = frozen(np.zeros_like(position))
         return cls(position, still, still)
 
     @classmethod
     def of_row(cls, trajectory: Trajectory, row: int) -> BoundaryState:
-        """The state at a row of a motion."""
+        """State at a sample of a trajectory."""
         return cls(trajectory.position[row], trajectory.velocity[row], trajectory.acceleration[row])
 
     def controls(self, widths: FloatArray) -> FloatArray:
-        r"""(`RESTING`, dof) outer control points of a spline that begins in this state.
+        r"""(`RESTING`, dof) outer control points of a spline starting in this state.
 
-        Over the first two pieces, of durations :math:`h_1, h_2`, they are :math:`q, \; q + h_1 v / 3` and, from there,
-        :math:`(h_1 + h_2) (v + h_1 a / 2) / 3` farther. For the end of a motion the durations are negative.
+        With the durations :math:`h_1, h_2` of the first two pieces, they are :math:`q, \; q + h_1 v / 3` and, from
+        there,
+        :math:`(h_1 + h_2) (v + h_1 a / 2) / 3` farther. At the end of a motion the durations are negative.
 
         Args:
             widths: (2,) durations of the first pieces, the outer one first [s].
@@ -57,7 +58,13 @@ class BoundaryState(Record):
         return np.stack([self.position, near, far])
 
     def drifts(self, widths: FloatArray) -> FloatArray:
-        """(`RESTING`, dof) derivatives of the outer control points by the time scale, at time scale 1."""
+        """(`RESTING`, dof) derivatives of the outer control points at time scale 1.
+
+        The derivatives are with respect to the time scale.
+
+        Args:
+            widths: (2,) durations of the first pieces, the outer one first [s].
+        """
         first, second = widths.tolist()
         near = (first / 3.0) * self.velocity
         far = near + ((first + second) / 3.0) * (self.velocity + first * self.acceleration)
@@ -66,12 +73,12 @@ class BoundaryState(Record):
 
 @dataclass(frozen=True, eq=False)
 class TimedSpline(Record):
-    """A motion from rest to rest, or between states of motion.
+    """Motion from rest to rest, or between states in motion.
 
     Attributes:
-        control: (n, dof) control points; the first `RESTING` are decided by the state there, and so are the last.
+        control: (n, dof) control points; the boundary states fix the first and the last `RESTING` of them.
         knots: (n + 4,) clamped knots [s].
-        ends: The states at begin and end; None where both are at rest.
+        ends: States at the start and at the end; None if both are at rest.
     """
 
     control: FloatArray
@@ -85,17 +92,19 @@ class TimedSpline(Record):
         breaks: FloatArray,
         ends: tuple[BoundaryState, BoundaryState] | None = None,
     ) -> TimedSpline:
-        """A spline near a motion, off it by the fourth power of the pieces' duration.
+        """Approximate a motion by a spline, with fourth-order accuracy.
 
-        Between states of motion it goes through the motion at the means of the knots of its control points.
+        The error decreases with the fourth power of the pieces' duration.
 
-        The control points are taken from the motion at the means of their knots, less a sixth of their second
-        differences: for equal pieces the quasi-interpolant of de Boor and Fix (J. Approx. Theory 8, 1973).
+        The control points are samples of the motion at the means of their knots, minus a sixth of their second
+        differences:
+        for equal pieces the quasi-interpolant of de Boor and Fix (J. Approx. Theory 8, 1973). With boundary states in
+        motion, the spline interpolates the motion at the means of the knots of its control points.
 
         Args:
             positions: The motion, (k,) times -> (k, dof) configurations.
-            breaks: (pieces + 1,) increasing times from 0 at which pieces meet [s], at least 2 * `RESTING` pieces.
-            ends: The states in which the spline begins and ends, of the motion or not; None for rest where it does.
+            breaks: (pieces + 1,) increasing break times of the pieces, from 0 [s], at least 2 * `RESTING` pieces.
+            ends: Boundary states of the spline, which may differ from the motion's; None for rest at the motion's ends.
         """
         knots = np.concatenate([np.zeros(3), breaks, np.full(3, breaks[-1])])
         means = (knots[1:-3] + knots[2:-2] + knots[3:-1]) / 3.0
@@ -107,7 +116,7 @@ class TimedSpline(Record):
         return cls(frozen(control), frozen(knots))
 
     def _through(self, points: FloatArray, clock: FloatArray) -> TimedSpline:
-        """The spline with the same ends whose inner control points lead it through (inner, dof) points."""
+        """Interpolate (inner, dof) points with the inner control points; ends stay fixed."""
         from scipy.interpolate import BSpline
 
         inner = slice(RESTING, -RESTING)
@@ -118,7 +127,7 @@ class TimedSpline(Record):
         return TimedSpline(frozen(control), self.knots, self.ends)
 
     def between(self, ends: tuple[BoundaryState, BoundaryState] | None) -> TimedSpline:
-        """The spline with the outer control points that begin and end in some states; as it is where there are none."""
+        """Spline with outer control points for given boundary states; unchanged for None."""
         if ends is None:
             return self
         control, (first, last) = np.array(self.control), self._widths
@@ -127,12 +136,18 @@ class TimedSpline(Record):
 
     @property
     def _widths(self) -> tuple[FloatArray, FloatArray]:
-        """(2,) durations of the outer pieces at both ends, the outermost first, those at the end negative [s]."""
+        """(2,) durations of the outer pieces at both ends [s].
+
+        The outermost piece comes first; durations at the end are negative.
+        """
         return np.diff(self.knots[3:6]), np.diff(self.knots[-6:-3])[::-1] * -1.0
 
     @property
     def drift(self) -> FloatArray:
-        """(n, dof) derivatives of the control points by the time scale: the states at the ends stay as they are."""
+        """(n, dof) derivatives of the control points with respect to time scale.
+
+        The states at the ends stay fixed.
+        """
         drift = np.zeros_like(self.control)
         if self.ends is not None:
             first, last = self._widths
@@ -141,42 +156,54 @@ class TimedSpline(Record):
 
     @property
     def duration(self) -> float:
-        """How long the motion takes [s]."""
+        """Duration of the motion [s]."""
         return float(self.knots[-1])
 
     @property
     def path(self) -> SplinePath:
-        """The curve as a path; its parameter is the time."""
+        """The curve as a path whose parameter is the time."""
         return SplinePath(self.control, self.knots)
 
     def positions(self, clock: FloatArray) -> FloatArray:
-        """(k, dof) configurations at times."""
+        """(k, dof) configurations at (k,) times [s]."""
         return self.path.evaluate(clock)
 
     def at_time_scale(self, time_scale: float) -> TimedSpline:
-        """The motion with all times multiplied by a number; its ends keep their states."""
+        """Scale all times by a factor; the boundary states stay fixed."""
         return TimedSpline(self.control, frozen(self.knots * time_scale)).between(self.ends)
 
     def clock(self, count: int) -> FloatArray:
-        """(pieces * count,) so many times of each piece, evenly from its begin on [s]."""
+        """(pieces * count,) sample times: `count` in each piece, equally spaced [s].
+
+        The first sample of a piece is its start.
+        """
         breaks = self.knots[3:-3]
         return frozen((breaks[:-1, None] + np.diff(breaks)[:, None] * (np.arange(count) / count)).ravel())
 
     def weights(self, clock: FloatArray, order: int = 0) -> FloatArray:
-        """(times, n) weights of the control points in the position at some times, or in a derivative of it."""
+        """(times, n) weights of the control points at given times.
+
+        Args:
+            clock: (times,) times [s].
+            order: 0 for the position, or the order of the derivative.
+        """
         from scipy.interpolate import BSpline
 
         return np.asarray(BSpline(self.knots, np.eye(len(self.control)), 3)(clock, nu=order))
 
     def trajectory(self, dynamics: InverseDynamics, rate_hz: float) -> Trajectory:
-        """Rows of the motion.
+        """Sample the motion for a controller.
 
-        Where pieces meet at rows alone the rows are the motion exactly: between two of them it is one cubic, which the
-        rows' positions and velocities give.
+        If pieces meet at samples only, the samples represent the motion exactly: between two samples it is a single
+        cubic, determined by their positions and velocities.
+
+        Args:
+            dynamics: Inverse dynamics of the arm, for the torques.
+            rate_hz: Samples per second.
         """
         clock = np.arange(math.floor(self.duration * rate_hz + 1e-6) + 1, dtype=np.float64) / rate_hz
         position, velocity, acceleration = (self.path.evaluate(clock, derivative) for derivative in range(3))
-        still = np.ptp(self.control, axis=0) <= 1e-12  # but for rounding
+        still = np.ptp(self.control, axis=0) <= 1e-12  # up to rounding
         position[:, still], velocity[:, still], acceleration[:, still] = self.control[0, still], 0.0, 0.0
         for end, state in zip((0, -1), self.ends or (None, None), strict=True):
             position[end], velocity[end], acceleration[end] = self.control[end], 0.0, 0.0
@@ -189,13 +216,13 @@ class TimedSpline(Record):
 
 @dataclass(frozen=True, eq=False)
 class MotionBetween(Record):
-    """A motion that is blended into states of motion at its ends.
+    """Motion blended into nonzero boundary states at its ends.
 
     Attributes:
-        positions_at_rest: The motion, from rest to rest, (k,) times -> (k, dof) configurations.
-        duration: How long it takes [s].
-        ends: The states; their positions are those of the motion.
-        within_s: For how long at most the motion is another one at each end [s].
+        positions_at_rest: The motion from rest to rest, (k,) times -> (k, dof) configurations.
+        duration: Duration [s].
+        ends: Boundary states, with the motion's own positions.
+        within_s: Maximum blending time at each end [s].
     """
 
     positions_at_rest: Callable[[FloatArray], FloatArray]
@@ -204,7 +231,7 @@ class MotionBetween(Record):
     within_s: float
 
     def positions(self, clock: FloatArray) -> FloatArray:
-        """(k, dof) configurations at times."""
+        """(k, dof) configurations at (k,) times [s]."""
         q, span = np.array(self.positions_at_rest(clock)), min(self.within_s, 0.5 * self.duration)
         for state, sign, since in ((self.ends[0], 1.0, clock), (self.ends[1], -1.0, self.duration - clock)):
             left = np.clip(1.0 - since / span, 0.0, 1.0)
@@ -214,10 +241,20 @@ class MotionBetween(Record):
 
 
 def even_breaks(duration: float, pieces: int) -> FloatArray:
-    """(pieces + 1,) times where pieces of equal duration meet [s]."""
+    """(pieces + 1,) break times of pieces of equal duration [s].
+
+    Examples:
+        >>> even_breaks(2.0, 4).tolist()
+        [0.0, 0.5, 1.0, 1.5, 2.0]
+    """
     return frozen(np.linspace(0.0, duration, pieces + 1))
 
 
 def breaks_at_rows(intervals: int, pieces: int, rate_hz: float) -> FloatArray:
-    """(pieces + 1,) times where pieces meet that are as equal as whole numbers of rows allow [s]."""
+    """(pieces + 1,) break times at samples, nearly evenly spaced [s].
+
+    Examples:
+        >>> breaks_at_rows(5, 2, 10.0).tolist()
+        [0.0, 0.2, 0.5]
+    """
     return frozen((np.arange(pieces + 1, dtype=np.int64) * intervals // pieces) / rate_hz)

@@ -1,4 +1,4 @@
-"""How far a tool leans along a timed spline, to first order as rows of a linear program."""
+"""First-order constraint rows on the tool's tilt along a timed spline."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from hplan.optimization.interior_point import ProgramRows
 from hplan.optimization.timed_spline import RESTING, TimedSpline
 from hplan.optimization.torque_rows import rows_of
 
-#: Times looked at in each piece.
+#: Number of sample times in each piece.
 _TIMES = 3
 
-#: Times at which the tool leans by less than this part of what it may are left out of a program.
+#: A program leaves out sample times with a tilt below this fraction of the maximum.
 LEANING = 0.3
 
 
 @dataclass(frozen=True, eq=False)
 class Leaning:
-    """How far the tool leans at some times of a motion.
+    """Tilt of the tool at sample times of a motion.
 
     Attributes:
         clock: (times,) the times [s].
-        cosines: (times,) of the angles.
-        slopes: (times, dof) how the cosines change with the joints.
-        most_rad: How far it may lean.
+        cosines: (times,) cosines of the tilt angles.
+        slopes: (times, dof) derivatives of the cosines with respect to the joints [1/rad].
+        most_rad: Maximum permitted tilt [rad].
     """
 
     clock: FloatArray
@@ -38,7 +38,7 @@ class Leaning:
 
     @classmethod
     def of(cls, spline: TimedSpline, upright: Chain) -> Leaning:
-        """At `_TIMES` of each piece."""
+        """Tilt at `_TIMES` sample times of each piece."""
         clock = spline.clock(_TIMES)
         configurations = np.ascontiguousarray(spline.positions(clock))
         cosines, slopes = np.empty(len(clock)), np.empty(configurations.shape)
@@ -47,11 +47,14 @@ class Leaning:
 
     @property
     def is_upright(self) -> bool:
-        """Whether it leans by no more than it may."""
+        """True if the tilt stays within its maximum at all sample times."""
         return bool(self.cosines.min() >= math.cos(self.most_rad))
 
     def rows(self, spline: TimedSpline, movable: IntArray) -> ProgramRows:
-        """A row for each time at which it leans: by no more than it may, or than it does."""
+        """One constraint row for each tilted sample: stay within the maximum tilt.
+
+        A sample that already exceeds the maximum must not tilt further.
+        """
         near = np.flatnonzero(self.cosines < math.cos(LEANING * self.most_rad))
         weights = spline.weights(self.clock[near])[:, RESTING:-RESTING]
         blocks = -weights[:, :, None] * self.slopes[near][:, None, movable]

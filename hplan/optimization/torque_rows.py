@@ -1,4 +1,4 @@
-"""Torque limits to first order about a timed spline, as rows of a linear program."""
+"""First-order torque constraints of a timed spline, as linear program rows."""
 
 from __future__ import annotations
 
@@ -15,28 +15,28 @@ from hplan.robot.dynamics import InverseDynamics
 #: Torques below this fraction of their limits are left out of a program.
 NEAR_LIMIT = 0.75
 
-#: Fraction of the limits that may be used: between the times looked at, torque is a little higher.
+#: Usable fraction of the torque limits: between the sample times torque is slightly higher.
 ALLOWED = 0.995
 
-#: Fraction of the limits that is left for motion where gravity takes all of it, so that there is a slow one.
+#: Fraction of the limits left for motion if gravity uses all of them, so that a slow motion exists.
 _LEFT = 0.05
 
-#: Times looked at in each piece.
+#: Number of sample times in each piece.
 _TIMES = 2
 
-#: Step of the differences, in rad, rad/s and rad/s^2.
+#: Step of the finite differences, in rad, rad/s and rad/s^2.
 _DIFFERENCE = 1e-5
 
 
 @dataclass(frozen=True, eq=False)
 class TorqueUse:
-    """Torques of a motion at some times.
+    """Torques of a motion at sample times.
 
     Attributes:
         clock: (times,) the times [s].
         states: (3, times, dof) positions, velocities and accelerations.
         use: (times, dof) torques as fractions of their limits.
-        limit: (dof,) the limits [N m].
+        limit: (dof,) torque limits [N m].
     """
 
     clock: FloatArray
@@ -46,19 +46,19 @@ class TorqueUse:
 
     @classmethod
     def of(cls, spline: TimedSpline, dynamics: InverseDynamics, limit: FloatArray) -> TorqueUse:
-        """The torques at `_TIMES` of each piece."""
+        """Torques at `_TIMES` sample times of each piece."""
         clock = spline.clock(_TIMES)
         states = np.stack([spline.path.evaluate(clock, order) for order in range(3)])
         return cls(clock, states, dynamics.torques(*states) / limit, limit)
 
     @property
     def largest(self) -> float:
-        """Largest use of a limit."""
+        """Maximum use of a torque limit, as a fraction."""
         return float(np.abs(self.use).max(initial=0.0))
 
 
 def torque_rows(found: TorqueUse, spline: TimedSpline, dynamics: InverseDynamics, limits: MotionLimits) -> ProgramRows:
-    """A row for each torque near its limit: `ALLOWED` of it may be used."""
+    """One constraint row for each torque near its limit: at most `ALLOWED`."""
     limit = found.limit
     times, joints = np.nonzero(np.abs(found.use) > NEAR_LIMIT)
     movable = limits.movable
@@ -74,8 +74,8 @@ def torque_rows(found: TorqueUse, spline: TimedSpline, dynamics: InverseDynamics
     basis = [spline.weights(found.clock[times], order) for order in range(3)]
     blocks = sum(picked[order].T[:, None, :] * basis[order][:, RESTING:-RESTING, None] for order in range(3))
     drift = spline.drift[:, movable]
-    # Slower by the time scale s, what is not gravity's is over s^2: times s^2, the torque is kept where that part is at
-    # most s^2 times what gravity leaves; the tangent at s = 1 lies below.
+    # With the time scale s, the part of the torque without gravity scales by 1/s^2. Multiplied by s^2, the limit holds
+    # if that part is at most s^2 times the torque that gravity leaves; the tangent at s = 1 is a lower bound on it.
     gravity = sign * (dynamics.gravity(states[0]) / limit)[which, joints]
     room = np.maximum(ALLOWED - gravity, _LEFT)
     by_time_scale = -2.0 * room
@@ -86,7 +86,7 @@ def torque_rows(found: TorqueUse, spline: TimedSpline, dynamics: InverseDynamics
 
 
 def rows_of(blocks: FloatArray, by_time_scale: FloatArray, upper: FloatArray) -> ProgramRows:
-    """Rows of one side, by (rows, inner, movable) entries of the changes of the inner control points."""
+    """One-sided constraint rows from (rows, inner, movable) coefficients."""
     from scipy import sparse
 
     matrix = sparse.csr_matrix(blocks.reshape(len(blocks), blocks.shape[1] * blocks.shape[2]))
@@ -94,7 +94,7 @@ def rows_of(blocks: FloatArray, by_time_scale: FloatArray, upper: FloatArray) ->
 
 
 def with_rows(rows: ProgramRows, more: ProgramRows) -> ProgramRows:
-    """A program with more rows, all of one side, at its end."""
+    """Append one-sided constraint rows to a program."""
     return ProgramRows(
         np.concatenate([rows.starts, rows.starts[-1] + more.starts[1:]]),
         np.concatenate([rows.columns, more.columns]),

@@ -83,8 +83,9 @@ def count_nodes(problem: Problem, attempt: GridAttempt) -> float:
     return float(count)
 
 
-def fitting_attempt(problem: Problem, attempt: GridAttempt, most_cells: float = MOST_CELLS) -> GridAttempt | None:
-    """The attempt with the smallest larger step whose grid has at most so many nodes; None if there is none."""
+def fitting_attempt(problem: Problem, attempt: GridAttempt, most_cells: float | None = None) -> GridAttempt | None:
+    """The attempt with the smallest larger step whose grid has at most `most_cells` nodes; None if there is none."""
+    most_cells = MOST_CELLS if most_cells is None else most_cells
     coarsest = max(attempt.step_factor, COARSEST_DEG / problem.options.step_deg)
     factors = (factor for factor in _STEP_FACTORS if attempt.step_factor <= factor <= coarsest)
     larger = (replace(attempt, step_factor=factor) for factor in factors)

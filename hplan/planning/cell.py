@@ -458,8 +458,11 @@ def certify_cell(
         files = {name: cell.own_motion(name, own) for name, own in motion.items()}
     else:
         raise OptionError("motion", motion, "a trajectory of all joints, or one of each arm by its name")
-    for name in (*(goal_contact or {}), *(contacts or {})):
-        cell.arm(name)
+    for option, by_arm in (("goal_contact", goal_contact), ("contacts", contacts)):
+        if not isinstance(by_arm, Mapping | None):
+            raise OptionError(option, by_arm, "a mapping by the names of arms")
+        for name in by_arm or {}:
+            cell.arm(name)
     files = {arm.name: files.get(arm.name) or _standing_still(arm) for arm in cell.arms}
     arms, end_s = {}, max(own.duration for own in files.values())
     for arm in cell.arms:

@@ -1,4 +1,4 @@
-"""Robots: URDF and limits read strictly, Pinocchio's model, dynamics, collision bodies, self-contact, tracking error.
+"""Robots: URDF, limits, kinematics, dynamics, collision bodies, self-contact and tracking error.
 
-Knows nothing of joint grids; `family` makes new members of the harvester family.
+Files are read strictly. Joint grids belong to `hplan.grid`; `family` generates members of the harvester family.
 """

@@ -1,4 +1,4 @@
-"""Links that are drawn but that the collision geometry does not cover.
+"""Finds drawn links that the collision geometry does not cover.
 
 A certificate holds for the collision geometry. If a link has a `<visual>` and no `<collision>`, or a collision mesh in
 other units than the drawn one, the certificate says nothing about the link that the user sees.
@@ -24,38 +24,39 @@ from hplan.robot.urdf_xml import line_of
 from hplan.scene.convex_shape import convex_shape
 from hplan.scene.solids import CUBE_CORNERS, whole_hull
 
-#: A link without shapes of its own counts as covered if it stands out of its neighbours' by at most this [m].
+#: A link without its own shapes counts as covered if it protrudes from its neighbours' shapes by at most this [m].
 _COVERED_M: Final = 1e-3
 
-#: A collision shape smaller than the visuals by this factor covers nothing of the link.
+#: A collision shape smaller than the visuals by this factor does not cover the link.
 _SMALLER: Final = 10.0
 
-#: A collision shape larger than the visuals by this factor is in other units, unless the visuals are dummies [m].
+#: A collision shape larger than the visuals by this factor is in other units, unless the visuals are smaller than
+#: `_DUMMY_M` [m].
 _LARGER: Final = 100.0
 _DUMMY_M: Final = 0.01
 
 #: Shapes thinner than this fraction of the drawn link are flat.
 _FLAT: Final = 1e-2
 
-#: A drawn link stands out of the shapes around it if it does by this fraction of its size, and by this [m].
+#: A drawn link protrudes from the shapes around it if it does by both this fraction of its size and this distance [m].
 _STANDS_OUT: Final = 0.25
 _STANDS_OUT_M: Final = 0.03
 
-#: A mesh that fills less of its convex hull than this does not cover the whole hull.
+#: A mesh that fills less than this fraction of its convex hull is not replaced by the hull.
 _FILLED: Final = 0.8
 
-#: Directions in which the drawn link is compared with the shapes of its neighbours.
+#: Directions for comparing the drawn link with the shapes of its neighbours.
 _DIRECTIONS: Final = np.array([d for d in np.ndindex(3, 3, 3) if d != (1, 1, 1)], dtype=np.float64) - 1.0
 
 
 @dataclass(frozen=True)
 class ShapeFault:
-    """A drawn link whose collision shapes do not fit what is drawn.
+    """Drawn link whose collision shapes do not match its visuals.
 
     Attributes:
-        link: Its name.
-        reason: Why not, as part of a sentence.
-        is_covered: True if the shapes hold the drawn link, but are far larger.
+        link: Name of the link.
+        reason: The mismatch, as part of a sentence.
+        is_covered: True if the shapes contain the drawn link, but are far larger.
     """
 
     link: str
@@ -72,11 +73,14 @@ def find_shape_faults(
     visual_model: pin.GeometryModel,
     undrawn: Iterable[str] = (),
 ) -> tuple[ShapeFault, ...]:
-    """List the drawn links whose collision shapes do not fit, base first.
+    """List the drawn links with mismatched collision shapes, base first.
 
     A link without collision shapes is covered if it lies within the shapes of other links on the same joint.
 
     Args:
+        model: Pinocchio's kinematic model.
+        collision_model: Pinocchio's collision model.
+        visual_model: Pinocchio's visual model.
         undrawn: Names of links whose visual meshes are missing.
     """
     drawn, shapes = _by_link(model, visual_model), _by_link(model, collision_model)
@@ -112,11 +116,11 @@ def shape_links_from_visuals(path: Path, root: ET.Element, links: Collection[str
 
     Args:
         path: The file, for messages.
-        root: The root element of a URDF; it is changed.
+        root: Root element of a URDF; changed in place.
         links: Names of the links.
 
     Raises:
-        RobotFileError: The robot has no link of that name, or the link has no visual whose file exists.
+        RobotFileError: A link does not exist, or has no visual whose file exists.
     """
     elements = {str(link.get("name")): link for link in root.findall("link")}
     for name in links:
@@ -146,9 +150,10 @@ def _by_link(model: pin.Model, geometry: pin.GeometryModel) -> Mapping[str, list
 
 
 def _points_around(model: pin.Model, geometry: pin.GeometryModel, joint: int) -> FloatArray:
-    """(n, 3) points, in a joint's frame, of the shapes on it and on the joints next to it.
+    """(n, 3) points of the shapes on a joint and its neighbours.
 
-    Links next to each other often share the shape about their joint. All joints are in their neutral position.
+    The points are in the joint's frame. Adjacent links often share the shape around their joint. All joints are in
+    their neutral position.
     """
     data = model.createData()
     pin.forwardKinematics(model, data, pin.neutral(model))
@@ -162,12 +167,13 @@ def _points_around(model: pin.Model, geometry: pin.GeometryModel, joint: int) ->
 
 
 def _misfit(link: str, drawn: FloatArray, shape: FloatArray, around: FloatArray) -> ShapeFault | None:
-    """Fault of the collision shapes of a link; None if they can be the drawn link.
+    """Mismatch of a link's collision shapes; None if they match.
 
     Args:
+        link: Name of the link.
         drawn: (m, 3) points of its visuals.
         shape: (n, 3) points of its collision shapes.
-        around: (k, 3) points of all collision shapes on its joint and the joints next to it.
+        around: (k, 3) points of all collision shapes on its joint and the adjacent joints.
     """
     if not len(drawn):
         return None
@@ -191,12 +197,15 @@ def _diagonal(points: FloatArray) -> float:
 
 
 def _thickness(points: FloatArray) -> float:
-    """Standard deviation of points (n, 3) in the direction in which it is smallest [m]."""
+    """Minimum standard deviation of (n, 3) points over all directions [m]."""
     return float(np.sqrt(max(0.0, np.linalg.eigvalsh(np.cov(points.T, bias=True))[0])))
 
 
 def _points(shapes: Iterable[pin.GeometryObject]) -> FloatArray:
-    """(n, 3) points, in the joint's frame, whose bounding box and thickness are about those of some shapes."""
+    """(n, 3) points with about some shapes' bounding box and thickness.
+
+    The points are in the joint's frame.
+    """
     placed = [_corners(s.geometry) @ s.placement.rotation.T + s.placement.translation for s in shapes]
     return np.concatenate([*placed, np.empty((0, 3))])
 
@@ -211,7 +220,13 @@ def _corners(geometry: coal.CollisionGeometry) -> FloatArray:
 
 
 def _is_within(drawn: FloatArray, geometry: pin.GeometryModel, joint: int) -> bool:
-    """True if the outermost of visual points (n, 3) lie within the collision shapes of a joint."""
+    """True if the outermost visual points lie within a joint's collision shapes.
+
+    Args:
+        drawn: (n, 3) visual points.
+        geometry: Pinocchio's collision model.
+        joint: Index of the joint.
+    """
     bodies = [shape for shape in geometry.geometryObjects if shape.parentJoint == joint]
     if not bodies or not len(drawn):
         return False
@@ -228,7 +243,11 @@ def _is_within(drawn: FloatArray, geometry: pin.GeometryModel, joint: int) -> bo
 
 
 def _solids(geometry: coal.CollisionGeometry) -> Iterator[coal.CollisionGeometry]:
-    """The shape if it is convex, or the hull of a mesh that nearly fills it; nothing for another mesh."""
+    """Convex solids of a shape.
+
+    A convex shape is returned itself; a mesh that nearly fills its hull is replaced by the hull; other meshes give
+    nothing.
+    """
     if not isinstance(geometry, coal.BVHModelBase):
         yield geometry
         return

@@ -1,16 +1,17 @@
-r"""Torques of whole motions in one compiled call: the recursive Newton-Euler algorithm for Pinocchio's models.
+r"""Inverse dynamics of whole motions in one compiled call (recursive Newton-Euler).
 
-Outward from the base, each body's angular velocity :math:`\omega`, angular acceleration :math:`\alpha` and the
-acceleration :math:`a` of its joint (gravity taken as an acceleration of the base) follow from those of its parent.
-Force and moment at the joint are
+The algorithm runs on Pinocchio's models. Outward from the base, each body's angular velocity :math:`\omega`, angular
+acceleration :math:`\alpha` and the acceleration :math:`a` of its joint (gravity taken as an acceleration of the base)
+follow from the parent's motion. Force and moment at the joint are
 
 .. math:: f = m (a + \alpha \times c + \omega \times (\omega \times c)), \quad
     n = I \alpha + \omega \times I \omega + c \times f,
 
-with mass m, centre c and inertia I about it; inward, each body's are added to its parent's, and the torque is their
-component along the joint's axis. Everything is in the frame of the body's own joint, as Pinocchio gives it.
+with mass m, centre c and inertia I about it; inward, each body's force and moment are added to its parent's, and the
+torque is their component along the joint's axis. All quantities are in the frame of the body's own joint, as in
+Pinocchio.
 
-`pin.rnea` answers the same for one state; from Python the call costs more than the answer.
+`pin.rnea` computes the same for one state; called from Python, the call costs more than the computation.
 """
 
 from __future__ import annotations
@@ -24,39 +25,40 @@ import pinocchio as pin
 from hplan.base.arrays import FloatArray, Record, readonly
 from hplan.base.kernels import kernel
 
-#: Pinocchio's joints of one axis, fixed in the joint's own frame.
+#: Pinocchio's joints with one axis that is fixed in the joint's own frame.
 TURNING = ("JointModelRX", "JointModelRY", "JointModelRZ", "JointModelRevoluteUnaligned")
 SLIDING = ("JointModelPX", "JointModelPY", "JointModelPZ", "JointModelPrismaticUnaligned")
 
-# Rows of a body. In its parent's frame a joint at q is turned by FIXED + cos(q) EVEN + sin(q) ODD and stands at
-# PLACE + q SHIFT.
+# Layout of a body's rows. In its parent's frame, a joint at q has the rotation FIXED + cos(q) EVEN + sin(q) ODD and the
+# position PLACE + q SHIFT.
 _FIXED = 0  # three rows
 _EVEN = 3  # three rows
 _ODD = 6  # three rows
 _PLACE = 9
 _SHIFT = 10
-_TURN = 11  # axis about which it turns, or zeros
-_SLIDE = 12  # direction in which it slides, or zeros
+_TURN = 11  # rotation axis, or zeros
+_SLIDE = 12  # sliding direction, or zeros
 _CENTRE = 13  # the body's centre of mass
 _INERTIA = 14  # three rows: inertia about the centre
-_NUMBERS = 17  # mass, inertia of the rotor, parent's row (-1 for the base)
+_NUMBERS = 17  # mass, rotor inertia, parent's index (-1 for the base)
 
 
 def joints_that_slide(model: pin.Model) -> tuple[bool, ...]:
-    """Of each joint of a model whether it slides: its values are metres, its force newtons."""
+    """Whether each joint of a model is prismatic: in metres, with forces."""
     return tuple(joint.shortname() in SLIDING for joint in model.joints.tolist()[1:])
 
 
 @dataclass(frozen=True, eq=False)
 class InverseDynamics(Record):
-    """Pinocchio's model, and its joints and bodies as one flat array.
+    """Pinocchio's model, with its joints and bodies as one flat array.
 
     Attributes:
-        bodies: (nv, 18, 3) each joint and its body; None where the model has joints other than of one fixed axis, for
-            which Pinocchio is asked.
-        sizes: (nv, 7) of each body the distance of its joint from its parent's (of one that slides, at 0) and of its
-            centre from its joint, its mass, the largest eigenvalue of its inertia about the centre, its parent's row
-            (nv for the base), 1 where its joint slides, else 0, and its rotor's inertia; None where `bodies` is.
+        model: Pinocchio's model.
+        bodies: (nv, 18, 3) each joint and its body; None if the model has joints without a single fixed axis; Pinocchio
+            then computes the torques.
+        sizes: (nv, 7) for each body: distance from its parent's joint to its own (at 0 if prismatic), distance of its
+            centre from its joint, its mass, the maximum eigenvalue of its inertia about the centre, its parent's index
+            (nv for the base), 1 if its joint is prismatic, else 0, and its rotor inertia; None together with `bodies`.
     """
 
     model: pin.Model
@@ -65,7 +67,7 @@ class InverseDynamics(Record):
 
     @classmethod
     def of(cls, model: pin.Model) -> InverseDynamics:
-        """The inverse dynamics of a model."""
+        """Build the inverse dynamics of a model."""
         joints = model.joints.tolist()[1:]
         if any(joint.shortname() not in TURNING + SLIDING for joint in joints):
             return cls(model, None, None)
@@ -74,7 +76,13 @@ class InverseDynamics(Record):
         return cls(model, rows, _sizes(rows))
 
     def torques(self, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
-        """(n, nv) torques of (n, nq) positions, (n, nv) velocities and accelerations [N m]."""
+        """Inverse dynamics: (n, nv) torques [N m].
+
+        Args:
+            q: (n, nq) positions.
+            v: (n, nv) velocities.
+            a: (n, nv) accelerations.
+        """
         if self.bodies is None:
             data = self.model.createData()
             found = [pin.rnea(self.model, data, *row) for row in zip(q, v, a, strict=True)]
@@ -97,7 +105,7 @@ def _body(model: pin.Model, number: int, joint: pin.JointModel) -> FloatArray:
     slide, turn = np.array(data.S).reshape(2, 3)
     place, inertia = model.jointPlacements[number], model.inertias[number]
     rows = np.zeros((18, 3))
-    # Rodrigues' formula; without a turn, what is left of it is the rotation as it stands.
+    # Rodrigues' formula; for a prismatic joint it reduces to the fixed rotation.
     along = np.outer(turn, turn) if turn.any() else np.eye(3)
     rows[_FIXED : _FIXED + 3] = place.rotation @ along
     rows[_EVEN : _EVEN + 3] = place.rotation @ (np.eye(3) - along)
@@ -110,7 +118,7 @@ def _body(model: pin.Model, number: int, joint: pin.JointModel) -> FloatArray:
 
 
 def _sizes(bodies: FloatArray) -> FloatArray:
-    """`InverseDynamics.sizes` of its `bodies`."""
+    """Compute `InverseDynamics.sizes` from its `bodies`."""
     parent = bodies[:, _NUMBERS, 2]
     columns = (
         np.linalg.norm(bodies[:, _PLACE], axis=1),
@@ -128,11 +136,11 @@ def _sizes(bodies: FloatArray) -> FloatArray:
 def newton_euler(
     q: FloatArray, v: FloatArray, a: FloatArray, bodies: FloatArray, gravity: FloatArray, torque: FloatArray
 ) -> None:
-    """Fill in the (n, nv) torques of (n, nv) positions, velocities and accelerations."""
+    """Write the (n, nv) torques of (n, nv) positions, velocities and accelerations."""
     count = bodies.shape[0]
-    turn = np.empty((count, 3, 3))  # to the parent's frame
+    turn = np.empty((count, 3, 3))  # rotation to the parent's frame
     arm = np.empty((count, 3))  # from the parent's joint to this one, in the parent's frame
-    # Of each body, and last of the base: angular velocity and acceleration, acceleration; then force and moment.
+    # Per body, with the base last: angular velocity, angular acceleration, acceleration; then force and moment.
     motion = np.empty((count + 1, 3, 3))
     load = np.empty((count, 2, 3))
     given, swing, momentum = np.empty((3, 3)), np.empty(3), np.empty(3)
@@ -146,7 +154,7 @@ def newton_euler(
                 arm[i, r] = body[_PLACE, r] + q[row, i] * body[_SHIFT, r]
                 for c in range(3):
                     turn[i, r, c] = body[_FIXED + r, c] + cos * body[_EVEN + r, c] + sin * body[_ODD + r, c]
-            # The parent's motion where this joint is, turned into this joint's frame.
+            # The parent's motion at this joint, rotated into this joint's frame.
             for c in range(3):
                 d, e = (c + 1) % 3, (c + 2) % 3
                 swing[c] = above[0, d] * arm[i, e] - above[0, e] * arm[i, d]
@@ -158,7 +166,7 @@ def newton_euler(
             for k in range(3):
                 for c in range(3):
                     own[k, c] = turn[i, 0, c] * given[k, 0] + turn[i, 1, c] * given[k, 1] + turn[i, 2, c] * given[k, 2]
-            # The joint's own.
+            # Contribution of the joint itself.
             for c in range(3):
                 own[0, c] += speed * body[_TURN, c]
             for c in range(3):

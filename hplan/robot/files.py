@@ -1,6 +1,7 @@
-"""The files of a robot, read and checked: URDF, and in the same folder a limits YAML for what URDF cannot say.
+"""Finds, reads and checks the files of any robot.
 
-Any robot's, and where the files of the robots are that have a name (extra `robots`).
+A robot has a URDF and, in the same folder, a limits YAML for limits that URDF cannot express. Robots of the package
+example-robot-data are found by name (extra `robots`).
 """
 
 from __future__ import annotations
@@ -29,18 +30,18 @@ from hplan.robot.urdf_xml import URDF_TEXT, is_urdf_text, line_of, read_urdf_xml
 from hplan.scene.fault import StrictModel
 from hplan.scene.file import read_model
 
-#: Key `format` of a limits file.
+#: Value of the key `format` in a limits file.
 LIMITS_FORMAT = "hplan-limits/1"
 
 
 @dataclass(frozen=True)
 class NamedRobot:
-    """A robot of the package example-robot-data that has a name here.
+    """Robot of the package example-robot-data that hplan knows by name.
 
     Attributes:
-        urdf: Its URDF in that package's folder of robots.
+        urdf: Path of its URDF in that package's folder of robots.
         tool_frame: Frame at the end of the arm.
-        srdf: Its SRDF there, where it says which links may touch, and why.
+        srdf: Path of its SRDF there, if it declares links that may touch, with reasons; else None.
     """
 
     urdf: str
@@ -48,7 +49,7 @@ class NamedRobot:
     srdf: str | None = None
 
 
-#: Robots by name. Their limits files, NAME.limits.yaml, lie with the robots that ship.
+#: Robots by name. Their limits files, NAME.limits.yaml, are in the folder of the shipped robots.
 NAMED_ROBOTS: Final = {
     "panda": NamedRobot("panda_description/urdf/panda.urdf", "panda_hand_tcp", "panda_description/srdf/panda.srdf"),
     "ur3": NamedRobot("ur_description/urdf/ur3_robot.urdf", "tool0"),
@@ -59,12 +60,13 @@ NAMED_ROBOTS: Final = {
 
 @dataclass(frozen=True)
 class RobotFiles:
-    """Where the files of a robot are.
+    """Paths of a robot's files.
 
     Attributes:
+        urdf: The URDF.
         tool_frame: Frame at the end of the arm.
-        srdf: The SRDF, if there is one.
-        limits: The limits file, where it is not the one in the folder of the URDF.
+        srdf: The SRDF; None if there is no SRDF.
+        limits: The limits file; None for the default one in the URDF's folder.
         package_dirs: Folders of its meshes.
     """
 
@@ -76,10 +78,10 @@ class RobotFiles:
 
 
 def named_robot(name: str) -> RobotFiles:
-    """Where the files of a robot of `NAMED_ROBOTS` are.
+    """Locate the files of a robot in `NAMED_ROBOTS`.
 
     Raises:
-        InputError: The package that holds them is not installed.
+        InputError: The package example-robot-data is not installed.
     """
     robot, cmeel = NAMED_ROBOTS[name], find_spec("cmeel")
     roots = [] if cmeel is None else [Path(place).parent for place in cmeel.submodule_search_locations or ()]
@@ -97,10 +99,13 @@ def named_robot(name: str) -> RobotFiles:
 
 
 def robot_files(path: Path | str | None) -> RobotFiles:
-    """The files of a URDF, of its text, or of a robot by its name, as far as that says where they are.
+    """Locate the files of a robot by URDF path, text or name.
+
+    Args:
+        path: Path, text or name; None for the harvester.
 
     Raises:
-        InputError: The package that holds those of a robot by name is not installed.
+        InputError: The package of the named robot is not installed.
     """
     if isinstance(path, str) and is_urdf_text(path):
         return RobotFiles(URDF_TEXT)
@@ -114,15 +119,17 @@ def robot_files(path: Path | str | None) -> RobotFiles:
 
 
 def read_srdf(path: Path, links: Collection[str] | None = None) -> tuple[tuple[str, str, str], ...]:
-    """Pairs of links that may touch by an SRDF, and its reason (`by the SRDF` where it gives none).
+    """Read the pairs of links that may touch from an SRDF.
 
-    Pairs that it leaves out because they were never seen to touch are not among them.
+    Pairs that the SRDF disables because they were never seen to touch are left out: they are checked. A pair without a
+    reason gets `by the SRDF`.
 
     Args:
-        links: Names of the robot's links; None where it is not known whose file it is.
+        path: The SRDF.
+        links: Names of the robot's links; None if the robot is unknown.
 
     Raises:
-        RobotFileError: Missing or malformed file, a pair without two names, or no pair of the robot's links.
+        RobotFileError: The file is missing or malformed, a pair lacks a name, or no pair is of the robot's links.
     """
     root = read_urdf_xml(path)
     if root.find("link") is not None:
@@ -134,7 +141,7 @@ def read_srdf(path: Path, links: Collection[str] | None = None) -> tuple[tuple[s
             raise RobotFileError(path, f"{line_of(element)}<disable_collisions> names no two links")
         named.append(pair)
         reason = (element.get("reason") or "by the SRDF").strip()
-        # Links that were never seen to touch are checked all the same.
+        # A pair that was never seen to touch may still touch, so it is checked.
         if reason.lower().replace(" ", "") not in ("never", "notinsampling"):
             found.append((str(pair[0]), str(pair[1]), reason))
     if links is not None and named and not any(set(pair) <= set(links) for pair in named):
@@ -145,11 +152,13 @@ def read_srdf(path: Path, links: Collection[str] | None = None) -> tuple[tuple[s
 
 
 def filtered_links(path: Path, root: ET.Element, links: Collection[str]) -> tuple[tuple[str, str, str], ...]:
-    """Pairs of links that may touch by the collision filter groups that a URDF has for Drake, as `read_srdf` has them.
+    """Pairs of links that may touch by Drake's collision filter groups.
+
+    The result has the format of `read_srdf`.
 
     Args:
         path: The file, for messages.
-        root: Its root element.
+        root: Root element of the URDF.
         links: Names of the robot's links.
 
     Raises:
@@ -182,7 +191,7 @@ def filtered_links(path: Path, root: ET.Element, links: Collection[str]) -> tupl
 
 
 def neighbouring_links(model: pin.Model) -> tuple[tuple[str, str, str], ...]:
-    """Pairs of links with one joint between them, as `read_srdf` has pairs that may touch."""
+    """Pairs of links with one joint between them, as in `read_srdf`."""
     links = [(frame.name, frame.parentJoint) for frame in model.frames if frame.type == pin.FrameType.BODY]
     return tuple(
         (first, second, "neighbours")
@@ -192,14 +201,15 @@ def neighbouring_links(model: pin.Model) -> tuple[tuple[str, str, str], ...]:
 
 
 def read_models(urdf_path: Path) -> tuple[pin.Model, pin.GeometryModel, pin.GeometryModel]:
-    """Read a URDF of serial joints with Pinocchio: kinematic, collision and visual model.
+    """Read a URDF's kinematic, collision and visual model with Pinocchio.
 
-    Pinocchio raises one ValueError for every fault and writes the reason to the terminal, and passes over much that it
-    cannot read; so the file is read by itself first, strictly, and what Pinocchio has is compared with it.
+    Joints must not mimic others. Pinocchio raises one ValueError for every fault, writes the reason to the terminal,
+    and ignores much that it cannot read. Therefore the file is first read strictly, and Pinocchio's model is compared
+    with it.
 
     Raises:
-        RobotFileError: Missing or unreadable file, malformed XML, content that `hplan.robot.urdf_file` or Pinocchio
-            refuses, or that Pinocchio reads otherwise.
+        RobotFileError: The file is missing, unreadable or malformed XML, `hplan.robot.urdf_file` or Pinocchio refuses
+            its content, or Pinocchio reads it differently.
     """
     return build_models(urdf_path, read_urdf(urdf_path, read_urdf_xml(urdf_path)))
 
@@ -207,14 +217,15 @@ def read_models(urdf_path: Path) -> tuple[pin.Model, pin.GeometryModel, pin.Geom
 def build_models(
     urdf_path: Path, urdf: Urdf, text: str | None = None
 ) -> tuple[pin.Model, pin.GeometryModel, pin.GeometryModel]:
-    """Kinematic, collision and visual model of a URDF that was read strictly.
+    """Build the kinematic, collision and visual model of a strictly read URDF.
 
     Args:
-        urdf_path: The file, in whose folder meshes are.
-        text: Its XML where that is not the file's.
+        urdf_path: The file; its folder contains the meshes.
+        urdf: Its content.
+        text: The XML to build from; None for the file's.
 
     Raises:
-        RobotFileError: Content that Pinocchio refuses, or reads otherwise.
+        RobotFileError: Pinocchio refuses the content, or reads it differently.
     """
     _check_moving_joints(urdf_path, urdf)
     models: tuple[pin.Model, pin.GeometryModel, pin.GeometryModel]
@@ -237,7 +248,11 @@ def build_models(
 
 
 def _check_moving_joints(path: Path, urdf: Urdf) -> None:
-    """Refuse what a file may say but no robot here can have: joints that mimic, limits of zero."""
+    """Check that no joint mimics another and that all limits are positive.
+
+    Raises:
+        RobotFileError: A joint mimics another, or a moving joint has a limit that is not positive.
+    """
     for joint in urdf.joints.values():
         where = f"{line_of(joint.element)}joint {joint.name!r}"
         if joint.kind != "fixed" and joint.element.find("mimic") is not None:
@@ -251,7 +266,7 @@ def _check_moving_joints(path: Path, urdf: Urdf) -> None:
 
 
 class _LimitsFile(StrictModel):
-    """The limits YAML: what URDF has no word for, by joint name."""
+    """Limits YAML: limits that URDF cannot express, by joint name."""
 
     format: Literal["hplan-limits/1"]
     acceleration_rad_s2: dict[str, Positive] | None = None
@@ -263,16 +278,21 @@ class _LimitsFile(StrictModel):
 def find_limits(
     urdf_path: Path, urdf: Urdf, joint_names: tuple[str, ...], given: Path | None, held: Iterable[str]
 ) -> tuple[FloatArray, FloatArray | None]:
-    """Acceleration and jerk limits as `read_limits`: from a file, else from the URDF (1.2).
+    """Find acceleration and jerk limits in a limits file or URDF 1.2.
 
     Args:
-        urdf_path: The URDF; the limits file is `NAME.limits.yaml` in its folder, of `NAME.urdf.xacro` too.
-        given: The limits file, where it is another one.
-        held: Joints that the file may name too.
+        urdf_path: The URDF; the default limits file is `NAME.limits.yaml` in its folder, also for `NAME.urdf.xacro`.
+        urdf: Its content.
+        joint_names: Names of the joints, in the order of the result.
+        given: The limits file; None for the default one.
+        held: Names of further joints that the file may contain.
+
+    Returns:
+        (dof,) acceleration [rad/s^2, m/s^2] and jerk limits [rad/s^3, m/s^3]; None for no jerk limits.
 
     Raises:
-        RobotFileError: As `read_limits`; no file, and a joint of which the URDF has no acceleration, or of which it has
-            no jerk as it has of others.
+        RobotFileError: The limits file is invalid (`read_limits`); or there is no file and the URDF lacks the
+            acceleration of a joint, or the jerk of some joints only.
     """
     name = urdf_path.name.removesuffix(".xacro").removesuffix(".urdf") if urdf_path.suffix == ".xacro" else None
     default = urdf_path.with_suffix(LIMITS_SUFFIX) if name is None else urdf_path.with_name(name + LIMITS_SUFFIX)
@@ -294,7 +314,7 @@ def find_limits(
     return listed("acceleration"), listed("jerk") if any("jerk" in limit for limit in limits) else None
 
 
-#: How limits are given.
+#: Advice on how to specify limits.
 _LIMITS_ADVICE = (
     "write acceleration (and jerk) into every <limit> (URDF 1.2), or give a limits file (limits, --limits), or the "
     f"name of a robot whose limits ship: {', '.join(robot_names())}"
@@ -302,23 +322,31 @@ _LIMITS_ADVICE = (
 
 
 def limits_file(given: Path) -> Path:
-    """The limits file of a path, or of the name of a robot whose limits ship."""
+    """Path of a limits file, given by path or robot name.
+
+    A name must be of a robot whose limits ship with hplan.
+    """
     return shipped_limits(str(given)) if not is_file(given) and str(given) in robot_names() else given
 
 
 def read_limits(
     path: Path, joint_names: Sequence[str], slides: Sequence[bool], others: Iterable[str] = ()
 ) -> tuple[FloatArray, FloatArray | None]:
-    """Read acceleration [rad/s^2, m/s^2] and, where given, jerk limits [rad/s^3, m/s^3] in the order of `joint_names`.
+    """Read acceleration and jerk limits from a limits file.
 
     Args:
-        slides: Of each of them whether it slides: its limits are in metres, and may stand in `acceleration_m_s2` and
+        path: The limits file.
+        joint_names: Names of the joints, in the order of the result.
+        slides: Whether each joint is prismatic: its limits are in metres, and may be in `acceleration_m_s2` and
             `jerk_m_s3`.
-        others: Joints that the file may name too, in either.
+        others: Names of further joints that either table may contain.
+
+    Returns:
+        (dof,) acceleration [rad/s^2, m/s^2] and jerk limits [rad/s^3, m/s^3]; None for no jerk limits.
 
     Raises:
-        RobotFileError: Missing or malformed file, a joint missing, unknown, in both units, or that turns and is in
-            metres; a limit that is not positive.
+        RobotFileError: The file is missing or malformed; a joint is missing, unknown or in both units, or is revolute
+            but in metres; or a limit is not positive.
     """
     try:
         limits = read_model(_LimitsFile, path)

@@ -1,4 +1,4 @@
-"""Input of timing: a geometric path, and the limits of a motion along it."""
+"""Input of path timing: a geometric path, and motion limits."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from hplan.base.arrays import FloatArray, Record, readonly
 
 
 def check_rate(rate_hz: float) -> None:
-    """Refuse a rate of rows that no controller has.
+    """Check the sampling rate of a controller.
 
     Raises:
-        OptionError: It is not between 1 and 100000.
+        OptionError: `rate_hz` is not between 1 and 100000.
     """
     number(
         "rate_hz", rate_hz, "a number of rows per second between 1 and 100000", lambda rate: 1.0 <= rate <= 100_000.0
@@ -24,10 +24,10 @@ def check_rate(rate_hz: float) -> None:
 
 
 def check_speed(speed: float) -> None:
-    """Refuse a fraction of full speed that is none.
+    """Check a fraction of full speed.
 
     Raises:
-        OptionError: It is not in (0, 1].
+        OptionError: `speed` is not in (0, 1].
     """
     number("speed", speed, "a factor in (0, 1]", lambda factor: 0.0 < factor <= 1.0)
 
@@ -35,26 +35,32 @@ def check_speed(speed: float) -> None:
 def rest_to_rest(
     distance: FloatArray, velocity: ArrayLike, acceleration: ArrayLike, jerk: ArrayLike | None = None
 ) -> FloatArray:
-    r"""Durations of the fastest motions over distances, each from rest to rest on its own.
+    r"""Minimum durations of independent rest-to-rest motions over given distances.
 
-    With a jerk limit j the acceleration takes time to grow: over distance d, at most at speed v and acceleration a,
+    With maximum speed v, acceleration a and jerk j, the duration over distance d is
 
     .. math::
         T = d / v + v / a + a / j, \quad T = a / j + \sqrt{(a / j)^2 + 4 d / a}, \quad T = \sqrt[3]{32 d / j}
 
-    where v is reached, where only a is, where neither is.
+    if v is reached, if only a is reached, or if neither is reached.
 
     Args:
         distance: (...) distances >= 0.
-        jerk: Largest jerks; None where there is no limit.
+        velocity: (...) maximum speeds.
+        acceleration: (...) maximum accelerations.
+        jerk: (...) maximum jerks; None for no limit.
 
     Returns:
         (...) durations [s]; 0 for a distance of 0.
+
+    Examples:
+        >>> rest_to_rest(np.array([0.0, 1.0]), 1.0, 1.0).tolist()
+        [0.0, 2.0]
     """
     v, a = np.asarray(velocity, dtype=np.float64), np.asarray(acceleration, dtype=np.float64)
     j = np.full(1, np.inf) if jerk is None else np.asarray(jerk, dtype=np.float64)
-    a = np.minimum(a, np.sqrt(v * j))  # where the speed is reached before the acceleration
-    growth = a / j  # until the acceleration is reached [s]
+    a = np.minimum(a, np.sqrt(v * j))  # if the speed is reached before the acceleration
+    growth = a / j  # time until the acceleration is reached [s]
     durations = np.where(
         distance >= v * (v / a + growth),
         distance / v + v / a + growth,
@@ -68,23 +74,29 @@ def rest_to_rest(
 
 
 def least_duration(start: FloatArray, goal: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> float:
-    """Lower bound of the duration between two configurations, from rest to rest [s]: that of the slowest joint alone.
+    """Lower bound on the rest-to-rest duration between two configurations [s].
+
+    It is the minimum duration of the slowest joint alone.
 
     Args:
         start: (dof,) configuration.
         goal: (dof,) configuration.
-        velocity: (dof,) largest speeds.
-        acceleration: (dof,) largest accelerations.
+        velocity: (dof,) maximum speeds.
+        acceleration: (dof,) maximum accelerations.
+
+    Examples:
+        >>> least_duration(np.zeros(2), np.array([1.0, 4.0]), np.ones(2), np.ones(2))
+        5.0
     """
     return float(rest_to_rest(np.abs(goal - start), velocity, acceleration).max())
 
 
 class GeometricPath(Protocol):
-    """A twice differentiable curve in joint space over [0, end]."""
+    """Twice differentiable curve in joint space over [0, end]."""
 
     @property
     def breaks(self) -> FloatArray:
-        """Increasing parameters where pieces meet, the ends among them."""
+        """Increasing break parameters of the pieces, both ends included."""
 
     def evaluate(self, s: ArrayLike, derivative: int = 0) -> FloatArray:
         """Points or derivatives at (...) parameters, as (..., dof)."""
@@ -95,10 +107,10 @@ class Limits(Record):
     """Limits of a motion, one entry for each joint.
 
     Attributes:
-        velocity: (dof,) [rad/s].
-        acceleration: (dof,) [rad/s^2].
-        torque: (dof,) [N m], or None where torque is not limited.
-        jerk: (dof,) [rad/s^3], or None where jerk is not limited.
+        velocity: (dof,) maximum velocity [rad/s].
+        acceleration: (dof,) maximum acceleration [rad/s^2].
+        torque: (dof,) maximum torque [N m]; None for no limit.
+        jerk: (dof,) maximum jerk [rad/s^3]; None for no limit.
     """
 
     velocity: FloatArray
@@ -107,12 +119,16 @@ class Limits(Record):
     jerk: FloatArray | None = None
 
     def scaled(self, speed: float) -> Limits:
-        """The limits for motions run `speed` times as fast.
+        """Scale the limits for motions at a fraction of full speed.
 
-        Torque stays, as gravity does not slow down.
+        Torque limits are unchanged, because gravity torques do not scale with speed.
 
         Raises:
-            OptionError: The speed is not in (0, 1].
+            OptionError: `speed` is not in (0, 1].
+
+        Examples:
+            >>> Limits(np.ones(1), np.ones(1)).scaled(0.5).acceleration.tolist()
+            [0.25]
         """
         check_speed(speed)
         jerk = None if self.jerk is None else readonly(self.jerk * speed**3)

@@ -1,7 +1,7 @@
-"""Several robots on one base as one robot, a tree of joints with an arm on each branch.
+"""Joins several robots into one tree of joints, one arm per branch.
 
-What is planned and certified for any tree of joints so holds for arms beside one another: every body of one against
-every body of the others is a pair of the robot's own, over continuous time and with both in motion.
+Planning and certification for any tree of joints therefore cover multi-arm robots: every body of one arm against every
+body of the others is a pair of the robot's own, in continuous time and with both in motion.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from hplan.robot.urdf_adaptation import set_origin
 from hplan.robot.urdf_xml import read_urdf_xml
 from hplan.scene.cell import ArmLink
 
-#: The root, in whose frame all bases stand.
+#: Root link, the common frame of all bases.
 _ROOT: Final = "base_link"
 
 
@@ -31,18 +31,19 @@ def joined_robots(
     *,
     may_touch: Iterable[tuple[ArmLink, ArmLink, str]] = (),
 ) -> Robot:
-    """Join several robots; prefix joints, links and frames with the robot's name and `_`.
+    """Join several robots; prefix joints, links and frames with robot names.
 
-    The tool frame is that of the first arm; the joints of each arm stay together, in their own order. Each link knows
-    its arm (`Robot.owner_of`).
+    The prefix is the robot's name and `_`. The tool frame belongs to the first arm; the joints of each arm stay
+    together, in their own order. `Robot.owner_of` gives the arm of each link.
 
     Args:
-        arms: The robots by name, and the poses of their bases.
+        arms: Robots by name, with the poses of their bases.
+        name: Name of the joined robot.
         may_touch: Pairs of links of different arms that may touch, each with the reason. All other pairs of bodies of
             different arms keep the full clearance.
 
     Raises:
-        InputError: No robot; or `may_touch` names an unknown arm or link, or two links of one arm.
+        InputError: `arms` is empty, or `may_touch` names an unknown arm or link, or two links of one arm.
         RobotFileError: A robot's URDF can no longer be read, or two names make the same joint or link.
     """
     if not arms:
@@ -56,7 +57,7 @@ def joined_robots(
         ET.SubElement(mount, "parent", link=_ROOT)
         ET.SubElement(mount, "child", link=links)
         set_origin(mount, placement)
-    ordered = sorted(arms, key=lambda each: f"{each}_mount")  # as URDF readers order the branches of a link
+    ordered = sorted(arms, key=lambda each: f"{each}_mount")  # as URDF readers sort the branches of a link
     joints = [f"{each}_{joint}" for each in ordered for joint in arms[each][0].joint_names]
     first, (robot, _) = next(iter(arms.items()))
     found = read_robot(ET.tostring(root, encoding="unicode"), joints=joints, tool_frame=f"{first}_{robot.tool_frame}")
@@ -77,7 +78,11 @@ def joined_robots(
 def _declared(
     arms: Mapping[str, tuple[Robot, pin.SE3]], pairs: Iterable[tuple[ArmLink, ArmLink, str]]
 ) -> Iterator[tuple[str, str, str]]:
-    """Pairs of links of different arms, by their names in the joined robot, checked."""
+    """Validate pairs of links of different arms; yield their joined names.
+
+    Raises:
+        InputError: An arm or link is unknown, or both links belong to one arm.
+    """
     for first, second, reason in pairs:
         for arm, link in (first, second):
             if arm not in arms:
@@ -98,18 +103,21 @@ def _link_names(robot: Robot) -> tuple[str, ...]:
 
 
 def _renamed(name: str, robot: Robot, into: ET.Element, *, jerk: bool) -> str:
-    """Put a robot's links, joints and materials under names of its own into a URDF; returns the name of its root."""
+    """Copy a robot into a URDF with prefixed names; return its root.
+
+    Links, joints and materials are prefixed.
+    """
     own, children = read_urdf_xml(robot.urdf_path, robot.urdf_text), set[str]()
     rows = {joint: row for row, joint in enumerate(robot.joint_names)}
     for element in own:
         row = rows.get(element.get("name", "")) if element.tag == "joint" else None
         for each in element.iter():
-            if each.tag == "mesh":  # they are looked for beside the URDF
+            if each.tag == "mesh":  # relative mesh paths refer to the URDF's folder
                 each.set("filename", str(robot.urdf_path.parent.resolve() / each.get("filename", "")))
             elif each.tag == "limit" and row is not None:
                 each.set("acceleration", repr(float(robot.acceleration_limit[row])))
                 if jerk:
-                    # Joints without a jerk limit: the whole acceleration within far less than a row.
+                    # For joints without a jerk limit, this one reaches the full acceleration in far less than a sample.
                     each.set("jerk", repr(1e6 if robot.jerk_limit is None else float(robot.jerk_limit[row])))
             for key, tags in (("name", ("link", "joint", "material")), ("link", ("parent", "child"))):
                 if each.tag in tags and each.get(key):

@@ -1,12 +1,11 @@
-r"""Model of the tracking error: largest distance of a controlled arm from its trajectory.
+r"""Tracking error model: maximum deviation of a controlled arm from its trajectory.
 
-Errors of tracking grow with speed: what is commanded comes late, and feed-forward is wrong by a fraction of it. So each
-joint is taken to deviate from its commanded position :math:`q_j(t)` by no more than
+Tracking errors grow with speed: commands take effect with a delay, and feed-forward has a relative error. The deviation
+of each joint from its commanded position :math:`q_j(t)` is therefore bounded by
 
 .. math:: e_j(t) = \text{still} + \text{delay} \cdot |\dot q_j(t)|.
 
-Configurations at rest need room for the first part alone. Of a joint that slides the same numbers count as metres, and
-metres per second.
+At rest only the first term applies. For prismatic joints the same numbers are in metres and metres per second.
 """
 
 from __future__ import annotations
@@ -23,17 +22,21 @@ from hplan.base.arrays import FloatArray
 from hplan.base.units import joint_unit
 from hplan.errors import HplanError
 
-#: How exactly the largest tracking error is found that would do, as a fraction of the one asked for.
+#: Accuracy of the maximum permitted tracking error, as a fraction of the requested one.
 _FRACTION_ERROR = 1e-3
 
 
 @dataclass(frozen=True)
 class TrackingModel:
-    """Largest deviation of each joint from the commanded motion.
+    """Maximum deviation of each joint from the commanded motion.
 
     Attributes:
-        still_rad: Deviation at rest [rad; of joints that slide, m].
-        delay_s: What comes to it for each rad/s, or m/s, of the joint's commanded velocity [s].
+        still_rad: Deviation at rest [rad; m for prismatic joints].
+        delay_s: Additional deviation per unit of the joint's commanded velocity, rad/s or m/s [s].
+
+    Examples:
+        >>> TrackingModel(still_rad=0.01, delay_s=0.02).deviations([0.0, 1.0]).tolist()
+        [0.01, 0.03]
     """
 
     still_rad: float = 0.0
@@ -43,7 +46,7 @@ class TrackingModel:
         """Check the values.
 
         Raises:
-            OptionError: One that is negative or not finite.
+            OptionError: A value is negative or not finite.
         """
         for field, option, unit in (
             ("still_rad", "tracking_error", "radians"),
@@ -55,21 +58,25 @@ class TrackingModel:
 
     @property
     def is_exact(self) -> bool:
-        """True if there is no deviation at all."""
+        """True if the deviation is always zero."""
         return self.still_rad == 0.0 and self.delay_s == 0.0
 
     def deviations(self, velocity: ArrayLike) -> FloatArray:
-        """Largest deviations at joint velocities [rad/s], of the same shape [rad]."""
+        """Maximum deviations [rad] at joint velocities [rad/s], of the same shape."""
         with np.errstate(over="ignore"):
             deviations: FloatArray = self.still_rad + self.delay_s * np.abs(np.asarray(velocity, dtype=np.float64))
         return deviations
 
     def scaled(self, fraction: float) -> TrackingModel:
-        """The model with a fraction of both deviations."""
+        """Scale both deviations by a fraction."""
         return TrackingModel(fraction * self.still_rad, fraction * self.delay_s)
 
     def summary(self, slides: Sequence[bool]) -> str:
-        """Summary of the model, for joints of which some slide: in degrees, in millimetres, or both."""
+        """Describe the model in words.
+
+        Args:
+            slides: Whether each joint is prismatic; the text uses degrees, millimetres, or both.
+        """
         kinds = [joint_unit(kind).error(self.still_rad) for kind in sorted(set(slides) or {False})]
         error = f"{kinds[0]}, {kinds[1]} where a joint slides" if len(kinds) > 1 else kinds[0]
         return f"{error} + {1e3 * self.delay_s:.4g} ms of velocity" if self.delay_s else error
@@ -78,11 +85,15 @@ class TrackingModel:
 def name_margin(
     error: HplanError, asked: TrackingModel, slides: Sequence[bool], fraction: float, enough: str = "what would do is"
 ) -> None:
-    """Let an error say that what it refuses was refused for a tracking error, and the largest that would do.
+    """Add the tracking error, and the maximum possible one, to an error.
 
     Args:
-        slides: Of each joint whether it slides.
-        fraction: Fraction of it that would do; where none would, the error has another reason and is left as it is.
+        error: The error; changed.
+        asked: The requested tracking error.
+        slides: Whether each joint is prismatic.
+        fraction: Fraction of the requested tracking error that would succeed. If 0, the error has another cause and is
+            left unchanged.
+        enough: Phrase before the maximum in the message.
     """
     if not fraction > 0.0:
         return
@@ -97,13 +108,19 @@ def name_margin(
 
 
 def largest_fraction(would_do: Callable[[float], bool]) -> float:
-    """The largest fraction of a tracking error that would do, of which smaller ones would then do too, by bisection.
+    """Maximum fraction of a tracking error that succeeds, by bisection.
+
+    Smaller fractions are assumed to succeed, too.
 
     Args:
-        would_do: True for a fraction that would do.
+        would_do: True for a fraction that succeeds.
 
     Returns:
-        A fraction that does, less than `_FRACTION_ERROR` below the largest; 0 where none does.
+        A fraction that succeeds, less than `_FRACTION_ERROR` below the maximum; 0 if no fraction succeeds.
+
+    Examples:
+        >>> round(largest_fraction(lambda fraction: fraction <= 0.5), 2)
+        0.5
     """
     if not would_do(0.0):
         return 0.0

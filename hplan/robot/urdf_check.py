@@ -1,7 +1,7 @@
-"""Comparison of Pinocchio's models with the URDF, element by element.
+"""Compares Pinocchio's models with the URDF, element by element.
 
-The reference is the strict reading of `hplan.robot.urdf_file`. Fixed joints fuse links: their inertias add up in the
-joint that moves them, and their shapes move with it.
+The reference is the strict reading of `hplan.robot.urdf_file`. Fixed joints merge links: their inertias are added to
+the joint that moves them, and their shapes move with it.
 """
 
 from __future__ import annotations
@@ -22,21 +22,26 @@ from hplan.robot.urdf_xml import line_of
 
 
 def frame_number(model: pin.Model, name: str) -> int:
-    """Number of the frame of a name, of the link where a joint has it too; `nframes`, as with Pinocchio, for none."""
+    """Index of a named frame; links take precedence over joints.
+
+    Pinocchio's `nframes` if there is no such frame.
+    """
     is_link = model.existFrame(name, pin.FrameType.BODY)
     return int(model.getFrameId(name, pin.FrameType.BODY) if is_link else model.getFrameId(name))
 
 
 def check_models(path: Path, urdf: Urdf, model: pin.Model, collision_model: pin.GeometryModel | None = None) -> None:
-    """Compare what Pinocchio read with what the file says.
+    """Compare Pinocchio's models with the content of the URDF.
 
-    Joints, their placements, axes and limits; where links are; inertias, those of links that move together as a whole;
-    and, if there is a collision model, kinds, sizes and places of shapes (of a mesh its scale, and that it is not
-    empty).
+    Compared are joints with their placements, axes and limits; placements of links; total inertias of links that move
+    together; and, with a collision model, kinds, sizes and placements of shapes (for a mesh, its scale and that it is
+    not empty).
 
     Args:
+        path: The file, for messages.
+        urdf: Its content.
         model: Pinocchio's kinematic model, not reduced.
-        collision_model: Its collision model, if it is to be compared.
+        collision_model: Pinocchio's collision model; None to skip the shapes.
 
     Raises:
         RobotFileError: They differ; names the element, and both values.
@@ -69,7 +74,7 @@ def check_models(path: Path, urdf: Urdf, model: pin.Model, collision_model: pin.
 
 
 def _placed_links(check: _Check, urdf: Urdf) -> Iterator[tuple[Link, int, pin.SE3]]:
-    """Each link, the joint of the model that carries it, and its placement there, from the root on."""
+    """Yield each link, its carrying joint and its placement there, root first."""
     below: dict[str, list[Joint]] = {}
     for joint in urdf.joints.values():
         below.setdefault(joint.parent, []).append(joint)
@@ -88,22 +93,26 @@ def _placed_links(check: _Check, urdf: Urdf) -> Iterator[tuple[Link, int, pin.SE
 
 
 class _Check:
-    """Compares elements with one model."""
+    """Compares elements of a URDF with one model."""
 
     def __init__(self, path: Path, model: pin.Model) -> None:
         self._path = path
         self._model = model
 
     def same(self, element: ET.Element | None, name: str, what: str, found: ArrayLike, said: ArrayLike) -> None:
-        """Refuse numbers that differ."""
+        """Check that two readings of a number agree.
+
+        Raises:
+            RobotFileError: They differ; names the element, and both values.
+        """
         ours, theirs = np.asarray(said, dtype=np.float64), np.asarray(found, dtype=np.float64)
-        # How far two readings of one number may be apart, as a fraction of one plus its size.
+        # Maximum difference between two readings of one number, relative to one plus its magnitude.
         if ours.shape == theirs.shape and np.abs(ours - theirs).max() <= 1e-9 * (1.0 + np.abs(ours).max()):
             return
         raise self._fault(element, f"{name}: Pinocchio reads {what} as {_short(theirs)}, the file says {_short(ours)}")
 
     def joint(self, joint: Joint, carrier: int, placement: pin.SE3) -> int:
-        """Compare a moving joint; returns its number."""
+        """Compare a moving joint; return its index."""
         model, name = self._model, f"joint {joint.name!r}"
         if not model.existJointName(joint.name):
             raise self._fault(joint.element, f"{name}: Pinocchio reads no joint of that name")
@@ -125,7 +134,7 @@ class _Check:
         return number
 
     def _axis(self, joint: Joint, name: str, number: int) -> None:
-        """Compare the axis of a joint, which is of no length only in a robot that is refused elsewhere."""
+        """Compare the axis of a joint; zero axes are refused elsewhere."""
         length = float(np.linalg.norm(joint.axis))
         if length == 0.0:
             return
@@ -137,7 +146,7 @@ class _Check:
         self.same(joint.element, name, "its axis", motion[rows], joint.axis / length)
 
     def link(self, link: Link, carrier: int, placement: pin.SE3) -> None:
-        """Compare where a link is."""
+        """Compare the placement of a link."""
         model, name = self._model, f"link {link.name!r}"
         if not model.existBodyName(link.name):
             raise self._fault(link.element, f"{name}: Pinocchio reads no link of that name")
@@ -166,7 +175,7 @@ class _Check:
 
 
 def _kind_and_size(shape: pin.GeometryObject) -> tuple[str, tuple[float, ...]]:
-    """Kind and size of Pinocchio's shape, as `hplan.robot.urdf_file.CollisionShape` has them."""
+    """Kind and size of Pinocchio's shape, in the format of `hplan.robot.urdf_file.CollisionShape`."""
     geometry = shape.geometry
     if isinstance(geometry, coal.Box):
         return "box", tuple(2.0 * np.asarray(geometry.halfSide))
@@ -180,7 +189,13 @@ def _kind_and_size(shape: pin.GeometryObject) -> tuple[str, tuple[float, ...]]:
 
 
 def _spatial_inertia(mass: float, placement: pin.SE3, inertia: FloatArray) -> FloatArray:
-    """(6, 6) inertia of a body about the origin of the frame in which its centre of mass is placed."""
+    """(6, 6) spatial inertia about the origin of a body's reference frame.
+
+    Args:
+        mass: Mass [kg].
+        placement: Centre of mass and axes of the inertia, in that frame.
+        inertia: (3, 3) inertia about the centre of mass [kg m^2].
+    """
     x, y, z = placement.translation
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     about = placement.rotation @ inertia @ placement.rotation.T - mass * cross @ cross

@@ -1,8 +1,8 @@
-"""The content of a URDF, read strictly: links, joints, inertia and collision geometry as numbers.
+"""Strictly reads a URDF: links, joints, inertia and collision geometry as numbers.
 
-`urdfdom`, which Pinocchio reads with, passes over much that it cannot read: a mass whose origin has a decimal comma is
-no mass, an element whose name is misspelled is not there. Here all of that is a fault with its line and element.
-Whether Pinocchio reads the same is shown in `hplan.robot.urdf_check`.
+`urdfdom`, which Pinocchio uses, ignores much that it cannot read: it drops a mass whose origin has a decimal comma and
+an element whose name is misspelled. Here each of these is an error with its line and element. `hplan.robot.urdf_check`
+verifies that Pinocchio reads the same.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from hplan.robot.urdf_xml import line_of
 from hplan.scene.limits import FARTHEST_M
 from hplan.scene.solids import rpy_rotation
 
-#: Elements and the attributes and elements that each may have; none means any. What has another name is an extension,
-#: unless it looks like a misspelling; of these `_ACCELERATION` alone is read.
+#: Permitted attributes and child elements of each element; a missing entry permits any. Other names are extensions,
+#: unless they look like a misspelling; of the extensions only `_ACCELERATION` is read.
 _ATTRIBUTES: Final[Mapping[str, frozenset[str]]] = {
     "origin": frozenset({"xyz", "rpy"}),
     "mass": frozenset({"value"}),
@@ -57,7 +57,7 @@ _CHILDREN: Final[Mapping[str, frozenset[str]]] = {
 }
 _ELEMENTS: Final = frozenset(_ATTRIBUTES).union(_CHILDREN, *_CHILDREN.values())
 
-#: The limit that URDF has from 1.2 on, as files for Drake name it; where both are there, URDF's own counts.
+#: Acceleration limit as Drake's files name it; URDF has its own since 1.2, which takes precedence.
 _ACCELERATION: Final = "drake:acceleration"
 
 
@@ -66,9 +66,9 @@ class Inertial:
     """Mass and inertia of a link.
 
     Attributes:
-        mass: [kg].
-        placement: The centre of mass, and the axes of the inertia, in the link's frame.
-        inertia: (3, 3) about the centre of mass [kg m^2].
+        mass: Mass [kg].
+        placement: Centre of mass and axes of the inertia, in the link's frame.
+        inertia: (3, 3) inertia about the centre of mass [kg m^2].
     """
 
     mass: float
@@ -78,13 +78,13 @@ class Inertial:
 
 @dataclass(frozen=True, eq=False)
 class CollisionShape:
-    """A collision geometry.
+    """Collision geometry of a link.
 
     Attributes:
-        element: Its `<collision>`.
+        element: Its `<collision>` element.
         kind: `box`, `sphere`, `cylinder` or `mesh`.
         size: Edges of a box; radius of a sphere; radius and length of a cylinder; scale of a mesh [m].
-        placement: In the link's frame.
+        placement: Placement in the link's frame.
     """
 
     element: ET.Element
@@ -95,11 +95,13 @@ class CollisionShape:
 
 @dataclass(frozen=True, eq=False)
 class Link:
-    """A link.
+    """Link of a robot.
 
     Attributes:
-        element: Its `<link>`.
-        inertial: Mass and inertia, where the file gives them.
+        element: Its `<link>` element.
+        name: Its name.
+        inertial: Mass and inertia; None if the file has no `<inertial>`.
+        shapes: Its collision geometries.
     """
 
     element: ET.Element
@@ -110,17 +112,18 @@ class Link:
 
 @dataclass(frozen=True, eq=False)
 class Joint:
-    """A joint.
+    """Joint of a robot.
 
     Attributes:
-        element: Its `<joint>`.
+        element: Its `<joint>` element.
+        name: Its name.
         kind: `revolute`, `continuous`, `prismatic`, `fixed`, `floating` or `planar`.
         parent: Name of the link that carries it.
         child: Name of the link that it moves.
-        placement: In the parent link's frame.
-        axis: (3,) axis as the file gives it, of any length.
-        limits: `lower`, `upper`, `velocity`, `effort`, and of URDF 1.2 `acceleration`, `jerk`, those that the file
-            gives [rad, m, s, N, N m].
+        placement: Placement in the parent link's frame.
+        axis: (3,) axis as in the file, not normalized.
+        limits: `lower`, `upper`, `velocity`, `effort`, and from URDF 1.2 `acceleration` and `jerk`, as far as the file
+            has them [rad, m, s, N, N m].
     """
 
     element: ET.Element
@@ -135,7 +138,7 @@ class Joint:
 
 @dataclass(frozen=True, eq=False)
 class Urdf:
-    """A robot as its file describes it."""
+    """Robot as described by its URDF."""
 
     links: Mapping[str, Link]
     joints: Mapping[str, Joint]
@@ -145,12 +148,14 @@ def read_urdf(path: Path, root: ET.Element, *, any_robot: bool = False) -> Urdf:
     """Read the content of a URDF.
 
     Args:
-        any_robot: Whether it is a robot of others, for its joints and inertias alone: shapes are not read.
+        path: The file, for messages.
+        root: Its root element.
+        any_robot: Whether only joints and inertias are needed: shapes are not read.
 
     Raises:
-        RobotFileError: A name missing, repeated or unprintable; a joint to a link that does not exist; an element or
-            attribute that is missing, unknown, or there twice; a number that is none, or out of range. Names line and
-            element.
+        RobotFileError: A name is missing, repeated or unprintable, a joint refers to a link that does not exist, an
+            element or attribute is missing, unknown or duplicated, or a number is malformed or out of range; names line
+            and element.
     """
     reader = _Reader(path, any_robot)
     reader.check_name(root, "the robot")
@@ -168,12 +173,14 @@ def read_urdf(path: Path, root: ET.Element, *, any_robot: bool = False) -> Urdf:
 
 
 def check_inertias(path: Path, urdf: Urdf) -> None:
-    """Refuse inertias that no body has, of links that joints move: on those of others nothing depends.
+    """Check that inertias of moving links are physically possible.
+
+    Inertias of other links have no effect.
 
     Raises:
-        RobotFileError: There is one. Names line and link.
+        RobotFileError: A principal moment is negative, or larger than the sum of the others; names line and link.
     """
-    # Part of the largest principal moment by which an inertia may miss what a body can have: CAD programs round.
+    # Tolerance as a fraction of the maximum principal moment: CAD programs round.
     inertia_tolerance = 1e-3
     carrying = {joint.child: joint for joint in urdf.joints.values()}
     for link in urdf.links.values():
@@ -191,7 +198,7 @@ def check_inertias(path: Path, urdf: Urdf) -> None:
 
 
 def _is_moved(link: str, carrying: Mapping[str, Joint]) -> bool:
-    """Whether a joint moves a link, or may in what is no tree."""
+    """True if a joint moves a link, or joints form a cycle."""
     for _ in carrying:
         if link not in carrying:
             return False
@@ -258,7 +265,7 @@ class _Reader:
         )
 
     def _end(self, joint: ET.Element, end: str, links: Mapping[str, Link], where: str) -> str:
-        """The link at the `parent` or `child` end of a joint."""
+        """Link at the `parent` or `child` end of a joint."""
         part = joint.find(end)
         link = None if part is None else part.get("link")
         if link is None or link not in links:
@@ -316,7 +323,7 @@ class _Reader:
                 raise self._bad_number(shape, "scale", where, "3 finite numbers that are not 0")
             return "mesh", scale
         size: list[float] = []
-        # Attributes that give the size of a shape.
+        # Attributes that specify the size of a shape.
         for attribute in {"box": ("size",), "sphere": ("radius",), "cylinder": ("radius", "length")}[shape.tag]:
             numbers = self._numbers(shape, attribute, where, 3 if attribute == "size" else 1)
             if not all(0.0 < number <= FARTHEST_M for number in numbers):
@@ -326,12 +333,12 @@ class _Reader:
         return shape.tag, tuple(size)
 
     def _placement(self, element: ET.Element, where: str) -> pin.SE3:
-        """Placement by the `<origin>` of an element."""
+        """Placement given by the `<origin>` of an element."""
         xyz, rpy = self._origin_of(element, where)
         return pin.SE3(rpy_rotation(*rpy), np.array(xyz))
 
     def _origin_of(self, element: ET.Element, where: str) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """The numbers `xyz` and `rpy` of the `<origin>` of an element."""
+        """Numbers `xyz` and `rpy` of the `<origin>` of an element."""
         origin, none = element.find("origin"), (0.0, 0.0, 0.0)
         if origin is None:
             return none, none
@@ -342,7 +349,7 @@ class _Reader:
         return xyz, rpy
 
     def _numbers(self, element: ET.Element, attribute: str, where: str, count: int) -> tuple[float, ...]:
-        """The numbers of an attribute, with spaces between."""
+        """Numbers of an attribute, separated by spaces."""
         text = element.get(attribute)
         if text is None:
             raise self.fault(element, f"{where}: <{element.tag}> has no {attribute}")
@@ -358,12 +365,18 @@ class _Reader:
         return self.fault(element, reason)
 
     def _check_parts(self, element: ET.Element, where: str) -> None:
-        """Refuse what readers of URDF pass over: unknown elements and attributes, and a second one of its kind."""
+        """Check for unknown elements or attributes and for duplicates.
+
+        URDF readers ignore these silently.
+
+        Raises:
+            RobotFileError: An element or attribute is unknown or duplicated.
+        """
         known = _CHILDREN[element.tag]
         seen: set[str] = set()
         for part in element:
             if part.tag not in known:
-                # A link has no origin of its own; one that is its frame does no harm.
+                # A link has no origin of its own; an identity origin has no effect and is accepted.
                 is_frame = part.tag == "origin" and not any(map(any, self._origin_of(element, where)))
                 if is_frame or self._is_extension(part.tag, known):
                     continue
@@ -374,14 +387,17 @@ class _Reader:
             seen.add(part.tag)
             attributes = _ATTRIBUTES.get(part.tag, frozenset(part.attrib))
             for attribute in sorted(part.attrib.keys() - attributes):
-                # Elements that no program adds attributes to.
+                # Elements without known extensions.
                 closed = part.tag in ("origin", "mass", "inertia", "axis", "parent", "child")
                 if closed or not self._is_extension(attribute, attributes):
                     raise self.fault(part, f"{where}: {attribute} of <{part.tag}> means nothing")
 
     def _is_extension(self, name: str, known: frozenset[str]) -> bool:
-        """True if an unknown name is no misspelling of a known one, no element at a wrong place, and no shape."""
-        # Likeness from which on an unknown name is a misspelling (`difflib.SequenceMatcher.ratio`).
+        """True if an unknown name is a deliberate extension.
+
+        It is not if it resembles a known name, is a known element at a wrong place, or is a shape.
+        """
+        # Minimum similarity for a misspelling (`difflib.SequenceMatcher.ratio`).
         alike = 0.8
         shortened = any(word.startswith(name.lower()) for word in known)
         misspelt = shortened or get_close_matches(name.lower(), known, 1, alike)

@@ -1,4 +1,4 @@
-"""A URDF's XML, with the line of every element."""
+"""Reads a URDF's XML with the line number of every element."""
 
 from __future__ import annotations
 
@@ -13,31 +13,34 @@ from hplan.base.files import ByteBudget
 from hplan.base.lazy_import import extra
 from hplan.errors import RobotFileError
 
-#: Most bytes of a URDF.
+#: Maximum size of a URDF [bytes].
 _MOST_BYTES: Final = 16_000_000
 
 
 class Element(ET.Element):
-    """An element that knows its line; 0 where it is from no file."""
+    """XML element with its line number; 0 if not from a file."""
 
     line = 0
 
 
-#: Stands for the file of a URDF that is given as a text.
+#: Path of a URDF that is given as text.
 URDF_TEXT: Final = Path("URDF text")
 
 
 def read_urdf_xml(path: Path, text: str | None = None, package_dirs: Sequence[Path] = ()) -> ET.Element:
-    """Read a URDF's XML and nothing more: its root element; all elements are `Element`.
+    """Read a URDF's XML and return its root element.
+
+    All elements are `Element`; the content is not checked further.
 
     Args:
-        path: The file; one that ends in `.xacro` is expanded first.
-        text: Its content, where there is no file.
+        path: The file; xacro expands it first if it ends in `.xacro`.
+        text: The content; None to read the file.
         package_dirs: Folders in which xacro looks for packages first.
 
     Raises:
-        RobotFileError: Missing or unreadable file, too large, malformed XML, a document type, or no robot.
-        InputError: It is xacro, which `xacrodoc` is missing for.
+        RobotFileError: The file is missing, unreadable, too large, malformed XML, has a document type, or its root is
+            not `<robot>`.
+        InputError: The file is xacro, and `xacrodoc` is not installed.
     """
     content = _content(path, package_dirs) if text is None else text.lstrip().encode("utf-8", "surrogatepass")
     if len(content) > _MOST_BYTES:
@@ -49,7 +52,12 @@ def read_urdf_xml(path: Path, text: str | None = None, package_dirs: Sequence[Pa
 
 
 def is_urdf_text(source: object) -> bool:
-    """True if what is given for a path is a URDF itself."""
+    """True if a source is URDF text instead of a path.
+
+    Examples:
+        >>> is_urdf_text("<robot/>"), is_urdf_text("arm.urdf")
+        (True, False)
+    """
     return isinstance(source, str) and source.lstrip().startswith("<")
 
 
@@ -69,7 +77,7 @@ def _content(path: Path, package_dirs: Sequence[Path]) -> bytes:
 
 
 def _expanded(path: Path, package_dirs: Sequence[Path]) -> str:
-    """The URDF that a xacro file stands for; its packages are looked for later, with those of any URDF."""
+    """Expand a xacro file to URDF text; package paths are resolved later."""
     with extra("xacro", f"robot file {path}: xacro needs xacrodoc", path=str(path)):
         import xacrodoc
     try:
@@ -95,7 +103,7 @@ def _parsed(path: Path, content: bytes) -> ET.Element:
         builder.start(tag, attributes).line = parser.CurrentLineNumber  # type: ignore[attr-defined]
 
     def declaration(_version: str, encoding: str | None, _standalone: int) -> None:
-        # Encodings that all readers of URDF understand alike: they take the bytes for UTF-8, whatever is declared.
+        # Only encodings that all URDF readers interpret alike: they decode as UTF-8 regardless of the declaration.
         if encoding is not None and encoding.lower() not in ("utf-8", "us-ascii", "ascii"):
             raise RobotFileError(path, f"malformed XML: unknown encoding {encoding!r}; URDF is read as UTF-8")
 

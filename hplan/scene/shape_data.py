@@ -277,13 +277,17 @@ def _xyz_fault(content: bytes, comments: Sequence[str]) -> str:
 def _check_ply_rows(content: bytes, name: str) -> None:
     """Refuse an ASCII PLY file whose rows contradict its header.
 
-    trimesh truncates rows that are too long, and reads a file that ends early as a smaller one.
+    trimesh truncates rows that are too long, reads a file that ends early as a smaller one, and reads text as binary
+    numbers if the second line is not the format.
 
     Raises:
-        ValueError: The number of rows is wrong, or a vertex row has a wrong length; names its number after the header.
+        ValueError: The number of rows is wrong, a vertex row has a wrong length (names its number after the header), or
+            the second line is not the format.
     """
     head, mark, body = content.partition(b"end_header")
     words = [line.split() for line in head.decode("latin-1").splitlines()]
+    if words[1:] and words[1][:1] != ["format"]:  # trimesh would read text as binary numbers
+        raise ValueError(f"{name}, line 2: expected the format of the PLY file, got {' '.join(words[1])[:40]!r}")
     if not mark or ["format", "ascii"] not in [line[:2] for line in words]:
         return
     counts, columns = list[int](), list[int]()

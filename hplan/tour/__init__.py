@@ -1,1 +1,1 @@
-"""Picking tours: motions between fruits and the order of the fruits that takes the least time."""
+"""Picking tours: motions between fruits and the fastest picking order."""

@@ -1,12 +1,13 @@
-"""Arms that pick together: the fruits shared out, each arm's own tour, and who waits for whom.
+"""Plans picking tours of several arms: fruit allocation, tours, schedule.
 
-Who reaches a fruit alone picks it; the others are shared out so that all arms are done soonest (`hplan.tour.sharing`).
-Each arm's tour is planned by itself, past others where they begin, with all fruits hanging that are not its own; fruit
-to which it finds no motion goes to another that can pick it. What is found of motions makes the next shares better
-known. Tours are run as they are or reversed, each arm waiting where it rests, as all are done soonest so.
+A fruit that only one arm can pick is assigned to it; the others are allocated to minimize the time until all arms are
+done (`hplan.tour.sharing`). Each arm's tour is planned on its own, with the other arms as obstacles at their starts,
+and with all fruits of other arms as obstacles. A fruit without a motion is reassigned to another arm that can pick it.
+The motions found improve the cost estimates of the next allocation. Tours run forward or reversed, with waits at rests,
+so that all of them finish as early as possible.
 
-There is no deadlock: at worst one goes after the other, past those that stand where they begin and end. In the end all
-arms against one another are certified as one motion.
+There is no deadlock: in the worst case the arms run one after the other, past the starts of the others, where they also
+end. Finally all arms are certified against one another as one motion.
 """
 
 from __future__ import annotations
@@ -38,28 +39,28 @@ from hplan.tour.sharing import Share, exchanged, first_share, nearness
 from hplan.tour.tour import TourOptions, TourPlanner
 from hplan.trajectory.trajectory import Phase, Trajectory
 
-#: An arm that moves no faster rests [rad/s, m/s]; times so near are the same [s].
+#: An arm is at rest below this speed [rad/s, m/s]; times closer than `_SAME_S` are equal [s].
 _AT_REST: Final = 1e-9
 _SAME_S: Final = 1e-6
 
-#: The tour of each arm, and why fruits are not in any.
+#: Tour of each arm, and the reason for each fruit that is in no tour.
 _Shared: TypeAlias = tuple[dict[str, TourResult], dict[str, HplanError]]
 
 
 @dataclass(frozen=True, eq=False)
 class CellTour(Record, InNotebook):
-    """Arms that pick together.
+    """Picking tours of several arms on one clock.
 
     Attributes:
-        cell: The arms.
+        cell: The workcell.
         trajectory: All joints on one clock.
-        between: What was shown of the arms against one another.
-        tours: Each arm's own, by name, certified among obstacles and fruits, on a clock of its own: from rest to rest
-            it is run as it is, at rests the arm may wait.
-        phases: The parts of each arm's motion that are run, by name; in between it waits.
-        picked: For each fruit that is picked when a tool is at it [s].
-        dropped: For each fruit that is let go at a drop-off when [s].
-        unreached: The fruits that are not picked, and why.
+        between: Certificate of the arms against one another.
+        tours: Tours of each arm, by name, certified against obstacles and fruits, on a clock of its own. Segments from
+            rest to rest are run unchanged; the arm may wait at rests.
+        phases: Phases of each arm's motion, by name; between them it waits.
+        picked: Picking time of each picked fruit [s].
+        dropped: Release time of each fruit brought to a drop-off [s].
+        unreached: Fruits that are not picked, with the reason.
     """
 
     cell: Cell
@@ -78,17 +79,17 @@ class CellTour(Record, InNotebook):
 
     @property
     def verified(self) -> bool:
-        """True if everything was shown: every arm among the obstacles, and all against one another."""
+        """True if all certificates hold: arms against obstacles, and against one another."""
         return all(part.verified for part in self.parts)
 
     @property
     def trajectories(self) -> dict[str, Trajectory]:
-        """The motion of each arm in its own joints, by name, all on one clock."""
+        """Trajectory of each arm, by name, on one clock."""
         return self.cell.apart(self.trajectory)
 
     @property
     def report(self) -> dict[str, Any]:
-        """The numbers of `tour.json`."""
+        """Contents of `tour.json`."""
         makespan, apart = self.trajectory.duration, 1e3 * self.between.min_clearance_m
         busy = {name: sum(phase.end_s - phase.start_s for phase in own) for name, own in self.phases.items()}
         return {
@@ -114,19 +115,21 @@ def plan_cell_tour(
     progress: Progress = no_progress,
     cancel: Cancel | None = None,
 ) -> CellTour:
-    """Plan picking tours of all arms of a cell from their starts, where they end.
+    """Plan picking tours of all arms of a workcell.
+
+    Each arm starts and ends at its own start configuration.
 
     Args:
-        cell: Arms, obstacles and fruits; goals do not matter.
-        options: How to plan.
-        progress: Called with what is being done.
-        cancel: As for `hplan.plan`.
+        cell: Arms, obstacles and fruits; goals are ignored.
+        options: Planning options; None for the defaults.
+        progress: Called with the name of each step.
+        cancel: Cancels the planning when set, as for `hplan.plan`; None for no cancellation.
 
     Raises:
-        HplanError: As `plan_tour`.
-        ConfigurationInCollisionError: The arms touch where they start.
-        TourError: No arm can pick anything.
-        CertificationError: The motions of all arms together could not be certified.
+        HplanError: An error of `plan_tour` for one of the arms.
+        ConfigurationInCollisionError: The arms touch at their starts.
+        TourError: No arm can pick any fruit.
+        CertificationError: The motions of all arms together cannot be certified.
     """
     instance("cell", cell, Cell, "load_cell")
     options = PlanOptions() if options is None else instance("options", options, PlanOptions)
@@ -141,7 +144,7 @@ def plan_cell_tour(
 def _planned(cell: Cell, options: PlanOptions, progress: Progress) -> CellTour:
     carry = [arm.tool_frame for arm in cell.arms if arm.drop_off is not None]
     thickest = max((fruit.radius for fruit in cell.scene.fruits), default=0.0)
-    # Whoever ever carries has the room that it then takes all along.
+    # An arm that carries fruit at any time keeps clearance for it at all times.
     cell = replace(cell, robot=carrying(cell.robot, thickest, carry)) if carry and thickest else cell
     World.of(cell.robot, (), clearance=cell.scene.clearance).check_clear(cell.configuration({}), "start")
     apart = replace(cell, arms=tuple(_among_others(cell, arm) for arm in cell.arms))
@@ -164,19 +167,28 @@ def _planned(cell: Cell, options: PlanOptions, progress: Progress) -> CellTour:
 
 
 def _at_best(shared: _Shared) -> tuple[int, float]:
-    """What `_Schedule.ends` is at best, where nobody waits."""
+    """Number of unpicked fruits, and lower bound on the finishing time [s].
+
+    The bound assumes that no arm waits.
+    """
     tours, reasons = shared
     return len(reasons), round(max(tour.duration for tour in tours.values()), 6)
 
 
 def _among_others(cell: Cell, arm: CellArm) -> CellArm:
-    """An arm to which the others are obstacles where they begin, thicker than samples of a timetable have to keep."""
+    """Add the other arms, at their starts, to an arm's obstacles.
+
+    They are thicker than the clearance that samples of a timetable must keep.
+    """
     others = standing(cell, arm.name, SPARES[1] + 5e-4)
     return replace(arm, scene=arm.scene.with_obstacles([*arm.scene.obstacles, *others]))
 
 
 def _able(cell: Cell, options: PlanOptions) -> tuple[dict[str, list[str]], dict[str, HplanError]]:
-    """Who can pick each fruit, the nearest first, and why others are nobody's."""
+    """Arms that can pick each fruit, and reasons for the others.
+
+    The nearest arm comes first.
+    """
     reach = {arm.name: reachable(arm.robot, arm.scene, options) for arm in cell.arms}
     bases = {arm.name: np.array(arm.position) for arm in cell.scene.robots}
     able: dict[str, list[str]] = {}
@@ -192,13 +204,15 @@ def _able(cell: Cell, options: PlanOptions) -> tuple[dict[str, list[str]], dict[
 
 
 class _Picker:
-    """Tours of an arm, what one finds of motions kept for the others."""
+    """Plans tours of one arm; motions are cached and shared between tours."""
 
     def __init__(self, arm: CellArm, options: PlanOptions, able: Sequence[str]) -> None:
-        """Begin without any.
+        """Start without tours.
 
         Args:
-            able: The fruits that it may pick.
+            arm: The arm.
+            options: Planning options.
+            able: Names of the fruits that it may pick.
         """
         self._arm, self._options, self._able = arm, options, able
         self._tours: dict[frozenset[str], TourResult | TourError] = {}
@@ -210,7 +224,11 @@ class _Picker:
         return TourPlanner(arm.robot, arm.scene, self._options, tour, self._able)
 
     def share(self, tour: TourResult | None = None) -> Share:
-        """What it can pick, and what it does in a tour."""
+        """Allocation of the fruits of a tour, with the arm's costs.
+
+        Args:
+            tour: The tour; None for no fruits.
+        """
         share = Share(*self._planner.costs(self._able))
         if tour is None:
             return share
@@ -218,14 +236,16 @@ class _Picker:
         return replace(share, more_s=tour.duration - share.seconds)
 
     def reversed(self, tour: TourResult) -> TourResult | None:
-        """The reversed tour; None where that is not known to be one."""
+        """The reversed tour; None if it is not known to be valid."""
         return self._planner.reversed(tour)
 
     def tour(self, fruits: Sequence[str]) -> TourResult:
-        """The tour through fruits and home.
+        """Plan the tour through some fruits and back.
+
+        The tour ends at the start; results are cached.
 
         Raises:
-            TourError: It can pick none of them.
+            TourError: The arm cannot pick any of them.
         """
         key = frozenset(fruits)
         if key not in self._tours:
@@ -246,7 +266,10 @@ def _tours(
     reasons: dict[str, HplanError],
     progress: Progress,
 ) -> dict[str, TourResult]:
-    """The tour of each arm; fruit to which one finds no motion goes to the next that can pick it."""
+    """Plan each arm's tour.
+
+    A fruit without a motion is reassigned to the next arm that can pick it.
+    """
     tours, missed_by = dict[str, TourResult](), dict[str, set[str]]()
     changed = {name for name, share in shares.items() if share}
     while changed:
@@ -278,24 +301,25 @@ def _soonest(
     cell: Cell, options: PlanOptions, spare: float, pickers: Mapping[str, _Picker], able: Mapping[str, Sequence[str]],
     reasons: Mapping[str, HplanError], progress: Progress,
 ) -> _Schedule | None:  # fmt: skip
-    """The schedule that ends soonest, of shares that promise to be done sooner by what is known of motions by then.
+    """The schedule that ends first, over several fruit allocations.
 
-    None where arms that go one after the other would be too near to one another.
+    Each next allocation uses the costs of the motions known by then. None if arms that run one after the other would
+    come too near to one another.
 
     Raises:
-        TourError: No arm can pick anything.
+        TourError: No arm can pick any fruit.
     """
     every = {name: picker.share() for name, picker in pickers.items()}
     known = {fruit: [name for name in names if fruit in every[name].grasps] for fruit, names in able.items()}
     late = {name: [f for f, names in able.items() if names[:1] == [name] and not known[f]] for name in every}
     near, names, soonest = nearness(cell, every), list(pickers), None
-    tried, most = list[dict[str, set[str]]](), 8  # shares that are planned from each first one
+    tried, most = list[dict[str, set[str]]](), 8  # maximum number of allocations planned from each initial one
     for lowest in ((),) if options.effort == "quick" else ((), names, names[::-1]):
         weight, kept, first = 1.0, dict[str, TourResult](), first_share(cell, known, lowest)
         shares = exchanged({name: every[name].over(first[name]) for name in names}, near, weight)
         for _ in range(most):
             fruits = {name: set(share.order) for name, share in shares.items()}
-            waits = fruits in tried  # once more the same would be of no use
+            waits = fruits in tried  # planning the same allocation again would give the same tours
             if not waits:
                 tried.append(fruits)
                 without = dict(reasons)
@@ -307,7 +331,7 @@ def _soonest(
                 found = _together(cell, options, spare, pickers, (tours, without), soonest)
                 kept, soonest = tours if found or not kept else kept, found or soonest
                 waits = found is None or found.ends[1] > 1.01 * _at_best((tours, without))[1]
-            # Where arms wait less of the next shares is to be where another is.
+            # The less the arms wait, the less the next allocation avoids fruits close to another arm's.
             weight *= 1.5 if waits else 0.7
             if kept:
                 shares = {name: picker.share(kept.get(name)) for name, picker in pickers.items()}
@@ -319,12 +343,15 @@ def _together(
     cell: Cell, options: PlanOptions, spare: float, pickers: Mapping[str, _Picker], shared: _Shared,
     sooner: _Schedule | None,
 ) -> _Schedule | None:  # fmt: skip
-    """The schedule of tours, some of them reversed, that ends soonest; None where another one ends as soon."""
+    """The fastest schedule of tours, some of them possibly reversed.
+
+    None if it is not faster than `sooner`.
+    """
     found, (tours, reasons), distances = None, shared, dict[tuple[str, str], FloatArray]()
     if sooner is not None and _at_best(shared) >= sooner.ends:
         return None
     both = [(None, pickers[name].reversed(tour)) for name, tour in tours.items()]
-    # With more than two arms not all that may be reversed are tried.
+    # With more than two arms, only some of the combinations of reversed tours are tried.
     for choice in itertools.islice(itertools.product(*both), 4):
         backward = {name: tour for name, tour in zip(tours, choice, strict=True) if tour is not None}
         missed, before_s = (math.inf, math.inf) if sooner is None else sooner.ends
@@ -338,14 +365,14 @@ def _together(
 
 
 class _Part(NamedTuple):
-    """A part of a tour from rest to rest, as from fruit to fruit: when it begins in the tour [s], and its motion."""
+    """Tour segment from rest to rest: start time [s] and motion."""
 
     begin_s: float
     motion: Trajectory
 
 
 def _parts(tour: TourResult) -> list[_Part]:
-    """A tour, cut wherever the arm rests."""
+    """Split a tour wherever the arm is at rest."""
     rows = tour.trajectory.rows
     rests = [row for row in range(len(rows.time)) if not np.abs(rows.velocity[row]).max() > _AT_REST]
     spans = itertools.pairwise(rests)
@@ -353,7 +380,13 @@ def _parts(tour: TourResult) -> list[_Part]:
 
 
 class _Schedule(NamedTuple):
-    """Tours whose parts are set out, and why fruits are in none of them."""
+    """Scheduled tours, and the reasons for unpicked fruits.
+
+    Attributes:
+        table: Start times of all segments.
+        tours: Tour of each arm, by name.
+        unreached: Error of each fruit in no tour.
+    """
 
     table: Timetable
     tours: Mapping[str, TourResult]
@@ -361,11 +394,11 @@ class _Schedule(NamedTuple):
 
     @property
     def ends(self) -> tuple[int, float]:
-        """How many fruits are not picked, and when the last arm is done [s], rounded."""
+        """Number of unpicked fruits and finishing time of all arms [s], rounded."""
         return len(self.unreached), round(self.table.duration, 6)
 
     def result(self, cell: Cell, options: PlanOptions) -> CellTour:
-        """The tours on one clock, the arms certified against one another."""
+        """Combine the tours on one clock; certify arms against each other."""
         phases, picked, dropped = dict[str, list[Phase]](), dict[str, float](), dict[str, float]()
         for name, tour in self.tours.items():
             for part, (begin, motion) in zip(_parts(tour), self.table.legs[name], strict=True):

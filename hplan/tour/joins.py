@@ -1,6 +1,7 @@
-"""The quickest ways between stops, over other stops where that is quicker, as motions are found one after the other.
+"""Shortest connections between stops, updated incrementally as motions are found.
 
-A motion that is found makes some ways quicker and none slower: each way is compared with the one over it.
+A connection may pass other stops if that is faster. A new motion shortens some connections and lengthens none: each
+connection is compared with the one through the new motion.
 """
 
 from __future__ import annotations
@@ -12,28 +13,34 @@ import numpy as np
 
 from hplan.base.arrays import FloatArray, IntArray
 
-#: By less than this a joined motion is not quicker than another [s]; motions last whole periods.
+#: Minimum gain for a joined motion to replace another one [s]; durations are whole numbers of periods.
 GAIN_S = 1e-6
 
 
 class Joins:
-    """Ways from stop to stop, there and back alike."""
+    """Symmetric shortest connections from stop to stop."""
 
     def __init__(self, may_pass: Callable[[int], bool]) -> None:
-        """Begin without motions.
+        """Start without motions.
 
         Args:
-            may_pass: Whether the arm may stop at a stop on its way to another.
+            may_pass: Whether the arm may pause at a stop on its way to another.
         """
         self._may_pass = may_pass
         self._stops: list[int] = []
-        self._place = np.full(0, -1)  # of each stop among these
+        self._place = np.full(0, -1)  # index of each stop in `_stops`
         self._passes = np.zeros(0, dtype=np.bool_)
-        # From place to place, with room for more: duration, and the place before the end.
+        # Durations from stop to stop and the last stop but one, with spare capacity.
         self._seconds, self._before = np.zeros((0, 0)), np.zeros((0, 0), dtype=np.int32)
 
     def add(self, a: int, b: int, seconds: float) -> None:
-        """Take in a motion between two stops, by its duration; infinite where there is none [s]."""
+        """Add a motion between two stops.
+
+        Args:
+            a: First stop.
+            b: Second stop.
+            seconds: Duration of the motion; infinite if there is no motion [s].
+        """
         i, j = self._place_of(a), self._place_of(b)
         if math.isinf(seconds):
             return
@@ -49,7 +56,7 @@ class Joins:
             np.copyto(before, np.broadcast_to(last, before.shape), where=better)
 
     def seconds(self, a: IntArray, b: IntArray) -> FloatArray:
-        """(k,) durations between stops; infinite where there is no way [s]."""
+        """(k,) durations between stops [s]; infinite without a connection."""
         longest = int(max(a.max(initial=-1), b.max(initial=-1)))
         place = np.append(self._place, np.full(max(0, longest + 1 - len(self._place)), -1))
         i, j = place[a], place[b]
@@ -59,11 +66,19 @@ class Joins:
         return found
 
     def between(self, a: int, b: int) -> float:
-        """The duration between two stops; infinite where there is no way [s]."""
+        """Duration between two stops [s]; infinite without a connection."""
         return float(self.seconds(np.array([a]), np.array([b]))[0])
 
     def way(self, a: int, b: int) -> list[int] | None:
-        """The stops of the quickest way between two; None where there is none."""
+        """Stops of the fastest connection between two stops; None without a connection.
+
+        Examples:
+            >>> joins = Joins(lambda stop: True)
+            >>> joins.add(0, 1, 1.0)
+            >>> joins.add(1, 2, 1.0)
+            >>> joins.way(0, 2), joins.between(0, 2)
+            ([0, 1, 2], 2.0)
+        """
         i, j = self._place_of(a), self._place_of(b)
         if not math.isfinite(self._seconds[i, j]):
             return None
@@ -74,7 +89,7 @@ class Joins:
         return way[::-1]
 
     def _place_of(self, stop: int) -> int:
-        """The place of a stop, a new one unless it has one."""
+        """Index of a stop in `_stops`; a new stop is added."""
         if stop >= len(self._place):
             self._place = np.append(self._place, np.full(stop + 1, -1))
         if self._place[stop] < 0:

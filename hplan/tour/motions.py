@@ -1,20 +1,20 @@
-"""The places that a tour picks from, and what it costs to go from one to another.
+"""Picking configurations of a tour, and the costs of motions between them.
 
-Until a motion is looked for its cost is what no motion can undercut: the slowest joint on its own. A tour that is the
-best by such bounds has its motions planned, their durations put in place of the bounds, and is sought anew, until
-nothing in it is a bound. Motions are planned quickly then (`hplan.tour.moves`); those of the tour that last much longer
-than their bounds are sought thoroughly, and if any becomes quicker the tour is sought anew. Most motions are never
-planned, and few thoroughly.
+The cost of an unplanned motion is a lower bound: the duration of the slowest joint on its own. If a tour is optimal for
+these bounds, its motions are planned, their durations replace the bounds, and the tour is optimized again until it
+contains no bound. These motions are planned quickly (`hplan.tour.moves`); those much slower than their bounds are then
+planned thoroughly, and if any becomes faster the tour is optimized again. Most motions are never planned, and few
+thoroughly.
 
-All fruits stay obstacles all along, also those that would have been picked by then: what is shown holds in any order.
-From a hub (the start, or the drop-off where there is one) a motion to every fruit is shown; where no direct motion is
-found between two places, the arm moves by others.
+All fruits remain obstacles throughout, including those already picked: the certificate then holds for any order. A
+motion from a hub (the start, or the drop-off if there is one) to every fruit is certified; if no direct motion between
+two places is found, the arm moves through other stops.
 
-Once the tour is found, motions are blended: where that is quicker, the arm does not stop at stand-offs. The order is
-found by durations with stops.
+Once the tour is found, motions are blended: the arm does not stop at stand-offs if that is faster. The order is
+optimized with durations that include the stops.
 
-What is carried to a drop-off is in the arm's way from the stand-off before a fruit to the drop-off, with the thickness
-of the thickest fruit (`hplan.tour.carried`). The motions of the empty arm are planned as it is.
+Carried fruit is part of the arm's collision geometry from the stand-off before a fruit to the drop-off, with the size
+of the largest fruit (`hplan.tour.carried`). The motions of the empty arm are planned without it.
 """
 
 from __future__ import annotations
@@ -45,24 +45,25 @@ from hplan.scene.model import Fruit, Goal
 from hplan.tour.moves import Moves, Stop
 from hplan.tour.ordering import Costs, Visits, along
 
-#: Finds a tour, given costs, the order of the fruits in the tour it found before, and whether to look far, as nothing
-#: else moves any more.
+#: Optimizes a tour from the costs, the fruit order of the previous tour, and whether to search globally because the
+#: tour no longer changes.
 Solver: TypeAlias = Callable[[Costs, IntArray | None, bool], Visits]
 
-#: The fruit and how it is taken, neither for the leg back, and the motions.
+#: Fruit and grasp, both None for the leg back, and the motions.
 LegMotions: TypeAlias = tuple[str | None, Grasp | None, list[Motion]]
 
-#: A retreat, a motion without a stop after it, and the approach after that; None for those that it is not blended with.
+#: Retreat, transit without a stop after it, and the approach after that; None for a motion that it is not blended with.
 _Blended: TypeAlias = tuple[Motion | None, Motion, Motion | None]
 
 
 class _Step(NamedTuple):
-    """A step of a tour: at a place, or from stop to stop.
+    """Step of a tour: at a place, or from stop to stop.
 
     Attributes:
-        name: The name of its phase; that of its motions where it is empty.
-        place: The place that it approaches and retreats from; None from stop to stop.
-        loaded: Whether the arm carries something.
+        name: Name of its phase; the motions' own names if empty.
+        place: Place of the approach and the retreat; None for a step from stop to stop.
+        stops: First and last stop.
+        loaded: Whether the arm carries fruit.
     """
 
     name: str = ""
@@ -72,28 +73,32 @@ class _Step(NamedTuple):
 
 
 class Motions:
-    """Places to pick from, and the motions between them: what one tour has found others over more or less fruit have.
+    """Places to pick from and the motions between them, shared between tours.
+
+    Tours over other sets of fruits reuse the motions.
 
     Attributes:
-        fruits: The fruits of the tour, in the order in which they were first added.
+        fruits: Fruits of the tour, in the order in which they were first added.
     """
 
     def __init__(
         self, empty: Problem, loaded: Problem | None, *, here: Stop, home: Stop,
         drop: Transit | None, every: int, back: bool,
     ) -> None:  # fmt: skip
-        """Begin without fruits.
+        """Start without fruits.
 
         Args:
-            empty: The arm as it is, among the obstacles and all fruits that hang among them.
-            loaded: The arm as it carries; None where nothing is carried.
-            drop: The drop-off, and how to get there from `home`; None where nothing is carried.
-            every: How many fruits are carried at most.
+            empty: The arm without load, among the obstacles and all fruits.
+            loaded: The arm with its load; None if nothing is carried.
+            here: Stop at the start of the tour.
+            home: Last stop of a tour that goes back.
+            drop: Transit from `home` to the drop-off; None if nothing is carried.
+            every: Maximum number of fruits carried to the drop-off.
             back: True if the tour goes back.
         """
         self.fruits = list[str]()
         problem = empty if loaded is None else loaded
-        # Most nodes of the grids that show that no path leads to a fruit: finer ones take hundreds of megabytes.
+        # Maximum number of nodes of the grids that prove infeasibility: finer ones take hundreds of megabytes.
         nodes = min(problem.effort.proof_nodes, 2e7)
         self._problem = replace(problem, effort=replace(problem.effort, proof_nodes=nodes))
         self._moves = Moves(empty, loaded)
@@ -103,9 +108,9 @@ class Motions:
         self._moves.drop_at(self._hub)
         self._begin, self._names, self._numbers = [0], list[str](), np.zeros(0, dtype=np.int64)
         self._failed: dict[str, HplanError] = {}
-        self._first = len(self._moves.stops)  # stop of the first place
+        self._first = len(self._moves.stops)  # first stop that belongs to a place
         self._places: list[Approach] = []
-        self._pick_s: list[float] = []  # of each place the least duration of approach and retreat, or the true one [s]
+        self._pick_s: list[float] = []  # per place, duration of approach and retreat or a lower bound [s]
         self._active: list[list[int]] = []
         self._picks: dict[int, tuple[Motion, ...] | None] = {}
         self._blended: dict[tuple[_Step, int | None, int | None], _Blended | None] = {}
@@ -115,18 +120,21 @@ class Motions:
 
     @property
     def planned(self) -> int:
-        """How many motions between stops were planned, those among them that were not found."""
+        """Number of planned motions between stops, failed ones included."""
         return self._sought + self._moves.planned
 
     def add(self, fruit: Fruit, keep: int) -> None:
-        """Find grasps of a fruit, once: one that the hub is shown to lead to, and others by their bounds alone.
+        """Find the grasps of a fruit and certify a motion to one.
+
+        The motion starts at the hub; the other grasps have lower bounds only. Results are cached.
 
         Args:
-            keep: Among how many grasps the best is sought at a time.
+            fruit: The fruit.
+            keep: Number of grasps compared at a time.
 
         Raises:
-            UnreachableError: No configuration has the tool there.
-            HplanError: One of `NO_MOTION`: it is blocked, or no certified motion leads there.
+            UnreachableError: Inverse kinematics has no solution at the fruit.
+            HplanError: One of `NO_MOTION`: the fruit is blocked, or no certified motion to it was found.
         """
         if fruit.name in self._failed:
             raise self._failed[fruit.name]
@@ -134,17 +142,17 @@ class Motions:
             try:
                 self._add(fruit, keep)
             except (UnreachableError, *NO_MOTION) as error:
-                error.__context__ = None  # which keeps grids in memory, as the traceback does
+                error.__context__ = None  # the context keeps grids in memory, as the traceback does
                 self._failed[fruit.name] = error
                 raise
 
     def choose(self, fruits: Collection[str]) -> None:
-        """Say which of the fruits that were added the tour is over."""
+        """Select the fruits of the tour among those added."""
         self.fruits = [name for name in self._names if name in fruits]
         self._numbers = np.flatnonzero([name in fruits for name in self._names])
 
     def costs(self) -> tuple[dict[str, FloatArray], Costs]:
-        """The (k, dof) configurations at each fruit of the tour that are looked at, and what it costs to go there."""
+        """(k, dof) candidate configurations at each fruit, and the costs between them."""
         goals = {
             self._names[fruit]: np.array([self._places[place].grasp.goal for place in self._active[fruit]])
             for fruit in self._numbers.tolist()
@@ -152,7 +160,11 @@ class Motions:
         return goals, self._costs(self._active_places)
 
     def through(self, grasps: Sequence[Grasp]) -> Visits | None:
-        """The tour by some grasps one after the other; None where one is not of its places, or there is none."""
+        """The tour through some grasps, in the given order.
+
+        None if a grasp is not a place of this tour, the arm carries fruit, or a motion between two grasps was not
+        found.
+        """
         numbers = {id(place.grasp): number for number, place in enumerate(self._places)}
         places = [numbers[id(grasp)] for grasp in grasps if id(grasp) in numbers]
         if len(places) < len(grasps) or self._carries:
@@ -183,10 +195,10 @@ class Motions:
         self._names.append(fruit.name)
 
     def settle(self, solve: Solver) -> Visits:
-        """The tour that a solver finds by true durations."""
+        """Optimize the tour until all its durations are actual ones."""
         visits: Visits | None = None
         widened, cost, last = 0, math.inf, False
-        # Other grasps are tried so many times, as long as the tour becomes shorter by this fraction.
+        # Maximum number of rounds with other grasps, and the minimum relative gain of a round to continue.
         widenings, least_gain = 8, 5e-3
         while True:
             before, visits = visits, self._solved(solve, visits, last)
@@ -209,7 +221,7 @@ class Motions:
             widened, cost = widened + 1, visits.cost
 
     def _solved(self, solve: Solver, before: Visits | None, last: bool) -> Visits:
-        """The tour over active places that a solver finds."""
+        """Optimize the tour over the active places."""
         places = self._active_places
         found = solve(self._costs(places), None if before is None else self.fruits_at(before.places), last)
         return replace(found, places=places[found.places])
@@ -219,7 +231,10 @@ class Motions:
         return np.array([place for fruit in self._numbers.tolist() for place in self._active[fruit]], dtype=np.int64)
 
     def _widened(self, visits: Visits) -> bool:
-        """True if other grasps promise a quicker tour in the same order: they become active, in place of others."""
+        """True if other grasps may shorten the tour in the same order.
+
+        These grasps become active and replace others.
+        """
         order = self.fruits_at(visits.places)
         likely = self._likely(visits)
         promised = likely[along(self._costs(likely), order).places].tolist()
@@ -232,7 +247,7 @@ class Motions:
         return wider
 
     def _likely(self, visits: Visits) -> IntArray:
-        """The active places, and of each fruit those with the least bounds to where the arm is before and after it."""
+        """Active places, and further ones with low bounds to their tour neighbours."""
         numbers = self._numbers
         found, around = {place for fruit in numbers.tolist() for place in self._active[fruit]}, [self._here]
         for place, dropped in zip(visits.places.tolist(), visits.dropped.tolist(), strict=True):
@@ -243,18 +258,19 @@ class Motions:
             beside = [around[number - 1], *around[number + 1 : number + 2]]
             whole = np.arange(self._begin[fruit], self._begin[fruit + 1])
             bounds = self._moves.least(np.concatenate([beside, self._first + whole]))[: len(beside), len(beside) :]
-            # So many grasps of all fruits are looked at for that, about, besides those that a tour may take already.
+            # Approximate maximum number of additional grasps of all fruits.
             found |= set(whole[ties.argsort(bounds.sum(axis=0))[: 1200 // len(fruits)]].tolist())
         return np.array(sorted(found))
 
     def fruits_at(self, places: IntArray) -> IntArray:
-        """The numbers, among those of the tour, of the fruits at places."""
+        """Indices, within the tour, of the fruits at places."""
         return np.searchsorted(self._numbers, np.searchsorted(self._begin, places, side="right") - 1)
 
     def legs(self, visits: Visits, *, back: bool, stops: bool) -> list[LegMotions]:
-        """The legs of a tour: the fruit's name, how it is taken, the motions there and, if it is, to the drop-off.
+        """Legs of a tour: fruit, grasp and motions, drop-off included.
 
         Args:
+            visits: The tour.
             back: True if a leg back follows, without a fruit.
             stops: True if the arm stops between legs.
         """
@@ -275,14 +291,14 @@ class Motions:
         return [(*name, leg) for name, leg in zip(names, motions, strict=True)]
 
     def _motions_of(self, step: _Step) -> list[tuple[_Step, Motion]]:
-        """The motions of a step, planned if need be, each with what it is of."""
+        """Motions of a step, planned if necessary, each with its step."""
         if step.place is not None:
             return [(step, motion) for motion in self._pick(step.place) or ()]
         taken = self._moves.take(*step.stops, step.loaded) or ()
         return [(step._replace(stops=stops), replace(motion, name=step.name)) for stops, motion in taken]
 
     def _without_stops(self, driven: Sequence[tuple[_Step, Motion]]) -> list[Motion]:
-        """The motions, without stops at stand-offs where that is quicker."""
+        """Remove stops at stand-offs if that is faster."""
         found = [motion for _, motion in driven]
         places = {(number, motion.name): step.place for number, (step, motion) in enumerate(driven)}
         for number, (step, motion) in enumerate(driven):
@@ -304,7 +320,14 @@ class Motions:
         return found
 
     def _blend(self, motion: Motion, step: _Step, leaving: int | None, coming: int | None) -> _Blended | None:
-        """A motion blended with the retreat from a place, or with the approach to one; None for stops."""
+        """Blend a transit with the adjacent retreat and approach; None for stops.
+
+        Args:
+            motion: The transit.
+            step: Its step.
+            leaving: Place of the retreat; None for no retreat.
+            coming: Place of the approach; None for no approach.
+        """
         if leaving is None and coming is None:
             return None
         with suppress(*NO_MOTION):
@@ -313,15 +336,15 @@ class Motions:
         return None
 
     def end(self, visits: Visits) -> Stop:
-        """The end of a tour's last leg."""
+        """Stop at the end of a tour's last leg."""
         return self._moves.stops[self._end(visits)]
 
     def _end(self, visits: Visits) -> int:
-        """The stop at which a tour's last leg ends."""
+        """Index of the stop at the end of a tour's last leg."""
         return self._hub if self._carries else self._first + int(visits.places[-1])
 
     def _pick(self, place: int) -> tuple[Motion, ...] | None:
-        """Approach and retreat at a place, planned if they are not there yet; None where there are none."""
+        """Approach and retreat at a place, planned once; None if not found."""
         if place not in self._picks:
             self._keep_pick(place, None)
             with suppress(*NO_MOTION):
@@ -329,12 +352,12 @@ class Motions:
         return self._picks[place]
 
     def _keep_pick(self, place: int, motions: tuple[Motion, ...] | None) -> None:
-        """Keep approach and retreat at a place, or that there are none."""
+        """Store approach and retreat at a place; None if not found."""
         self._picks[place] = motions
         self._pick_s[place] = math.inf if motions is None else seconds(motions)
 
     def _steps(self, visits: Visits) -> list[list[_Step]]:
-        """For each fruit of a tour the steps to it and on to the drop-off, and those back."""
+        """Steps of each leg: to the fruit, to the drop-off, and back."""
         found = []
         here = self._here
         end = len(visits.places) - 1
@@ -355,9 +378,9 @@ class Motions:
         return self._moves.is_known(*step.stops, step.loaded) if step.place is None else step.place in self._picks
 
     def _costs(self, places: IntArray) -> Costs:
-        """Costs of going to some places: true durations where they are known, else bounds.
+        """Costs between some places: actual durations if known, otherwise lower bounds.
 
-        They are on a raster, so that equal sums of them are equal.
+        They are rounded to a raster, so that equal sums of them are equal.
         """
         ends = np.concatenate([[self._here, self._hub, self._home], self._first + places])
         empty = self._moves.seconds(ends, False)
@@ -380,24 +403,25 @@ class Motions:
 
 
 def _reversed(found: _Blended) -> _Blended:
-    """A blended motion reversed."""
+    """Reverse a blended motion."""
     leaving, motion, coming = found
     before = None if coming is None else retreat_of(coming)
     return before, motion.reversed, None if leaving is None else replace(leaving.reversed, name="approach")
 
 
 def drop_off(goal: Goal, empty: Problem, loaded: Problem, start: FloatArray) -> Transit:
-    """The motion from the start to the drop-off, which is clear also as the arm carries.
+    """Motion from the start to the drop-off, collision-free with load, too.
 
     Args:
-        goal: Joints, a position or a pose.
-        loaded: The arm as it carries.
-        start: (dof,) configuration from which it comes.
+        goal: Joint values, a position or a pose.
+        empty: The arm without load.
+        loaded: The arm with its load.
+        start: (dof,) start configuration.
 
     Raises:
-        UnreachableError: No configuration has the tool there.
-        HplanError: One of `NO_MOTION`: it is blocked, or no certified motion from the start leads there.
-        InputError: Joints that are no configuration, or in collision.
+        UnreachableError: Inverse kinematics has no solution at the drop-off.
+        HplanError: One of `NO_MOTION`: the drop-off is blocked, or no certified motion from the start to it was found.
+        InputError: The joint values of `goal` are not a valid configuration, or in collision.
     """
     world = loaded.world
     joints = world.robot.joints_of(goal, "drop_off")

@@ -1,20 +1,20 @@
-r"""The order of a tour over fruits, each of which can be taken at several places, with a drop-off in between.
+r"""Optimizes the order of fruits with alternative grasps and a drop-off.
 
-A *place* is one grasp of one fruit. A tour takes each fruit at one of its places. From one place it goes to the next
-directly, or over the drop-off; directly at most as often as the arm can carry. For a given order of the fruits the
-best places and drop-offs follow by dynamic programming over the order: with :math:`V_i(v, l)` the least cost of having
-taken the first i fruits, the last of them at v and carrying l since the drop-off,
+A *place* is one grasp of one fruit. A tour visits each fruit at one of its places. It goes from place to place directly
+or through the drop-off; the number of direct moves in a row is limited by the load capacity. For a given order of the
+fruits the optimal places and drop-offs follow by dynamic programming over the order: with :math:`V_i(v, l)` the minimum
+cost of having taken the first i fruits, the last of them at v and carrying l since the drop-off,
 
 .. math::
     V_{i+1}(w, l + 1) &= \min_v V_i(v, l) + c(v, w), \\
     V_{i+1}(w, 1) &= \min_{v, l} (V_i(v, l) + d(v)) + a(w).
 
-The order itself is exact for few fruits (the same over all subsets), else a local optimum: no reversal of a segment
-and no move of up to three fruits, turned round or not, makes the tour shorter; kicks from a fixed seed look further.
-Where no more than one fruit is carried, the least costs along all segments of the order are kept, from each place at
-one end to each at the other, so that a change is judged by the few segments that it is made of; most changes by the
-least cost of each segment and of the steps between them, whatever the places, which is no more than what they cost.
-Costs may be infinite, and need not be symmetric.
+The order itself is exact for few fruits (dynamic programming over all subsets), otherwise a local optimum: no reversal
+of a segment and no move of up to three fruits, reversed or not, makes the tour shorter; kicks from a fixed seed widen
+the search. If at most one fruit is carried, the minimum costs along all segments of the order are stored, from each
+place at one end to each at the other, so that a change is evaluated from the few segments that compose it. Most changes
+are rejected by a lower bound: the sum of the minimum costs of its segments and of the steps between them, over all
+places. Costs may be infinite, and need not be symmetric.
 """
 
 from __future__ import annotations
@@ -30,27 +30,27 @@ from hplan.base import ties
 from hplan.base.arrays import BoolArray, FloatArray, IntArray, frozen, readonly
 from hplan.base.kernels import inlined, kernel
 
-#: Up to so many fruits, and so many numbers in its table, the order is exact.
+#: Maximum number of fruits, and of entries of the table, for the exact order.
 EXACT, _MOST_STATES = 11, 4_000_000
 
-#: How many fruits are moved together at most.
+#: Maximum number of fruits that are moved together.
 SEGMENT = 3
 
-#: Relative gain from which on a change counts.
+#: Minimum relative gain of a change.
 _GAIN = 1e-12
 
 
 class Costs(NamedTuple):
-    """Costs from place to place, those of taking the fruit there included, as the kernels take them.
+    """Costs between places, picking at the destination included, for kernels.
 
     Attributes:
-        begin: (n + 1,) where the places of each of the n fruits begin, and the number of places m.
-        first: (m,) from the start.
+        begin: (n + 1,) index of the first place of each of the n fruits, and the number of places m.
+        first: (m,) from the start to a place.
         onward: (m, m) from place to place directly.
-        drop: (m,) from a place to the drop-off; infinite where there is none.
+        drop: (m,) from a place to the drop-off; infinite without a drop-off.
         away: (m,) from the drop-off to a place.
         last: (m,) from a place to the end of the tour.
-        capacity: How many fruits are carried at most; 0 where they are not carried.
+        capacity: Maximum number of fruits carried; 0 if fruits are not carried.
     """
 
     begin: IntArray
@@ -68,11 +68,11 @@ class Costs(NamedTuple):
 
     @property
     def fruit_of(self) -> IntArray:
-        """(m,) the fruit of each place."""
+        """(m,) index of the fruit of each place."""
         return np.repeat(np.arange(self.fruits), np.diff(self.begin))
 
     def over(self, fruits: Sequence[int]) -> Costs:
-        """Those of some of the fruits, in that order."""
+        """Costs of a subset of the fruits, in the given order."""
         begin, onward = self.begin, self.onward
         places = np.concatenate([np.arange(begin[fruit], begin[fruit + 1]) for fruit in fruits])
         return Costs(
@@ -84,11 +84,13 @@ class Costs(NamedTuple):
 
 
 class Segments(NamedTuple):
-    """What it costs to go along an order of N fruits, start and end, where no more than one fruit is carried.
+    """Costs along all segments of an order, for loads of one.
+
+    At most one fruit is carried. The N fruits include the start and the end.
 
     Attributes:
-        costs: (2, N, N, places, places) from a place of the one at i to one of that at j >= i, and back.
-        least: (2, N, N) the least of each, whatever the places.
+        costs: (2, N, N, places, places) from a place of the fruit at i to one of that at j >= i, and backwards.
+        least: (2, N, N) minimum of each over all places.
     """
 
     costs: FloatArray
@@ -97,11 +99,11 @@ class Segments(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Visits:
-    """A tour as an order of places, and the drop-offs in between.
+    """Tour as an order of places, with the drop-offs between them.
 
     Attributes:
-        cost: Its cost; infinite where there is no tour.
-        places: (n,) the places in the order of the tour.
+        cost: Total cost; infinite if there is no feasible tour.
+        places: (n,) places in the order of the tour.
         dropped: (n,) True if the drop-off is visited between a place and the next one; the end is not included.
     """
 
@@ -111,7 +113,7 @@ class Visits:
 
 
 def along(costs: Costs, order: Sequence[int] | IntArray) -> Visits:
-    """The best tour that takes fruits in a given order, all or some of them."""
+    """Optimal tour in a given order of all or some fruits."""
     order = np.asarray(order, dtype=np.int64)
     if not len(order):
         return Visits(0.0, order, np.zeros(0, dtype=np.bool_))
@@ -120,7 +122,7 @@ def along(costs: Costs, order: Sequence[int] | IntArray) -> Visits:
 
 
 def nearest(costs: Costs) -> Visits:
-    """Greedy tour: from each place to the fruit taken soonest from there; over the drop-off only where it must be."""
+    """Greedy tour: always to the cheapest next fruit; drop-offs only if necessary."""
     fruit_of, left = costs.fruit_of, np.ones(len(costs.first), dtype=np.bool_)
     places: list[int] = []
     dropped: list[bool] = []
@@ -133,7 +135,7 @@ def nearest(costs: Costs) -> Visits:
         if places:
             dropped.append(full)
         place = int(np.argmin(np.where(left, legs, np.inf)))
-        if not left[place]:  # no place left can be gone to
+        if not left[place]:  # no place left is reachable
             place = int(np.argmax(left))
         load = 1 if full else load + 1
         places.append(place)
@@ -142,11 +144,12 @@ def nearest(costs: Costs) -> Visits:
 
 
 def best(costs: Costs, before: IntArray | None = None, kicked: bool = True) -> Visits:
-    """The best tour: exact for few fruits, else a local optimum.
+    """Optimal tour for few fruits, otherwise a local optimum.
 
     Args:
-        before: (n,) order of the fruits from which to go on.
-        kicked: True if disturbed orders are tried, where the order is the one from before.
+        costs: Costs between places.
+        before: (n,) initial order of the fruits; None for the greedy order.
+        kicked: True to try perturbed orders if the local search leaves the initial order unchanged.
     """
     n, m = costs.fruits, len(costs.first)
     if n <= 2 or (n <= EXACT and (m * max(1, min(costs.capacity, n))) << n <= _MOST_STATES):
@@ -157,9 +160,9 @@ def best(costs: Costs, before: IntArray | None = None, kicked: bool = True) -> V
     found = [_improved(np.array(order), costs) for order in orders]
     cost, order = found[ties.argmin([cost for cost, _ in found])]
     if before is None or not kicked or not np.array_equal(order, orders[0]):
-        return along(costs, order)  # there is time for kicks once nothing else moves
+        return along(costs, order)  # kicks follow once the order no longer changes
     random = np.random.default_rng(0)
-    # How often the search is begun anew from a disturbed order, before it ends.
+    # Number of restarts from a perturbed order.
     for _ in range(30):
         cuts = np.sort(random.choice(np.arange(1, n), size=3, replace=False))
         a, b, c, d = np.split(order, cuts)
@@ -170,7 +173,7 @@ def best(costs: Costs, before: IntArray | None = None, kicked: bool = True) -> V
 
 
 def _total(costs: Costs, places: Sequence[int], dropped: Sequence[bool]) -> float:
-    """The cost of a tour."""
+    """Cost of a tour."""
     total = costs.first[places[0]] + costs.last[places[-1]]
     for a, b, over in zip(places, places[1:], dropped, strict=False):
         total += costs.drop[a] + costs.away[b] if over else costs.onward[a, b]
@@ -179,7 +182,10 @@ def _total(costs: Costs, places: Sequence[int], dropped: Sequence[bool]) -> floa
 
 @kernel
 def _cost(order: IntArray, costs: Costs, table: FloatArray) -> float:
-    """The cost of the best tour in a given order; fills `table` (m, loads) with the least cost up to each place."""
+    """Minimum cost of a tour in a given order.
+
+    Fills `table` (m, loads) with the minimum cost up to each place.
+    """
     begin, first, onward, drop, away, last, capacity = costs
     loads = table.shape[1]
     for v in range(begin[order[0]], begin[order[0] + 1]):
@@ -211,7 +217,10 @@ def _cost(order: IntArray, costs: Costs, table: FloatArray) -> float:
 
 @kernel
 def _along(order: IntArray, costs: Costs) -> tuple[float, IntArray, BoolArray]:
-    """The best tour in a given order: cost, places, drop-offs; traced back through the values."""
+    """Cost, places and drop-offs of the optimal tour in a given order.
+
+    They are traced back through the table of minimum costs.
+    """
     begin, _, onward, drop, away, last, capacity = costs
     n, loads = len(order), max(1, min(capacity, len(order)))
     table = np.empty((len(last), loads))
@@ -238,14 +247,14 @@ def _along(order: IntArray, costs: Costs) -> tuple[float, IntArray, BoolArray]:
 
 @kernel
 def _improved(order: IntArray, costs: Costs) -> tuple[float, IntArray]:
-    """The order that no reversal of a segment and no move of a short one improves."""
+    """Improve an order by reversals of segments and moves of short segments."""
     n = len(order)
     loads, most = max(1, min(costs.capacity, n)), 1
     for f in range(n):
         most = max(most, costs.begin[f + 1] - costs.begin[f])
     table = np.empty((len(costs.first), loads))
     cost, by_segments = _cost(order, costs, table), loads == 1
-    # Start and end are fruits too, with a place each: n and n + 1.
+    # Start and end count as fruits with one place each: n and n + 1.
     ends = _with_ends(costs)
     whole, other = np.empty(n + 2, dtype=np.int64), np.empty(n + 2, dtype=np.int64)
     whole[0] = other[0] = n
@@ -259,7 +268,7 @@ def _improved(order: IntArray, costs: Costs) -> tuple[float, IntArray]:
     better = True
     while better:
         better = False
-        # Kinds of change: a segment reversed (0); one of `kind` fruits moved (1 to SEGMENT), or moved and reversed.
+        # Kinds of change: a segment reversed (0); `kind` fruits moved (1 to SEGMENT), or moved and reversed.
         for kind in range(2 * SEGMENT + 1):
             size = (kind - 1) % SEGMENT + 1
             turned = kind > SEGMENT
@@ -290,7 +299,10 @@ def _improved(order: IntArray, costs: Costs) -> tuple[float, IntArray]:
 
 @kernel
 def _change(order: IntArray, change: tuple[int, int, int], other: IntArray) -> None:
-    """Write an order with the segment from i to j reversed, or some fruits from i on moved to stand from j on."""
+    """Write an order with one segment reversed or moved.
+
+    The segment from i to j is reversed, or fruits from i on are moved to position j.
+    """
     kind, i, j = change
     size, turned, source = (kind - 1) % SEGMENT + 1, kind > SEGMENT, 0
     for k in range(len(order)):
@@ -306,11 +318,11 @@ def _change(order: IntArray, change: tuple[int, int, int], other: IntArray) -> N
 
 
 class Ends(NamedTuple):
-    """Costs with start and end as two more places, each a fruit of its own, as the kernels of segments take them.
+    """Costs with start and end as additional fruits, for segment kernels.
 
     Attributes:
-        begin: (N + 1,) where the places of each fruit begin.
-        step: (m, m) from place to place where no more than one fruit is carried; infinite to the start, from the end.
+        begin: (N + 1,) index of the first place of each fruit.
+        step: (m, m) from place to place, if at most one fruit is carried; infinite to the start and from the end.
     """
 
     begin: IntArray
@@ -319,7 +331,7 @@ class Ends(NamedTuple):
 
 @kernel
 def _with_ends(costs: Costs) -> Ends:
-    """The costs with start and end."""
+    """Costs with start and end as additional fruits."""
     m, n = len(costs.first), len(costs.begin) - 1
     begin, step = np.empty(n + 3, dtype=np.int64), np.full((m + 2, m + 2), math.inf)
     begin[: n + 1], begin[n + 1], begin[n + 2] = costs.begin, m + 1, m + 2
@@ -332,12 +344,13 @@ def _with_ends(costs: Costs) -> Ends:
 
 @kernel
 def _fill_segments(order: IntArray, ends: Ends, changed: tuple[int, int], known: Segments) -> None:
-    """Write what it costs to go along each segment of an order.
+    """Write the costs along each segment of an order.
 
     Args:
-        order: The fruits, start and end.
-        changed: From where to before where the order is another one than that of what is written already.
-        known: What is written.
+        order: The fruits, start and end included.
+        ends: Costs with start and end.
+        changed: First changed index, and the index after the last one, relative to the order of `known`.
+        known: The costs of the previous order; updated.
     """
     (low, end), begin = changed, ends.begin
     walk, least = known
@@ -363,7 +376,7 @@ def _fill_segments(order: IntArray, ends: Ends, changed: tuple[int, int], known:
 
 @kernel
 def _fill_steps(ends: Ends, steps: FloatArray) -> None:
-    """Write the least cost of a step from fruit to fruit, whatever the places: (N, N)."""
+    """Write (N, N) minimum costs from fruit to fruit over all places."""
     begin = ends.begin
     for f in range(len(begin) - 1):
         for g in range(len(begin) - 1):
@@ -377,7 +390,10 @@ _Part: TypeAlias = tuple[int, int, int]
 
 @inlined
 def _parts(change: tuple[int, int, int], count: int) -> tuple[_Part, _Part, _Part, _Part]:
-    """The segments that a change puts one after the other: from low (-1 for none) to high, there (0) or back (1)."""
+    """Segments of the order after a change.
+
+    Each has the first index (-1 for no segment), the last index, and 1 if it is reversed.
+    """
     kind, i, j = change
     size = (kind - 1) % SEGMENT + 1
     moved = (i, i + size - 1, 1 if kind > SEGMENT else 0)
@@ -391,14 +407,17 @@ def _parts(change: tuple[int, int, int], count: int) -> tuple[_Part, _Part, _Par
 
 @inlined
 def _after(change: tuple[int, int, int]) -> int:
-    """The place in the order behind what a change changes."""
+    """Index after the last position that a change affects."""
     kind, i, j = change
     return (j if kind == 0 else max(i, j) + (kind - 1) % SEGMENT) + 1
 
 
 @kernel
 def _bound(order: IntArray, change: tuple[int, int, int], steps: FloatArray, known: Segments) -> float:
-    """What the order that a change gives costs at least, by the least of each segment and of `_fill_steps`."""
+    """Lower bound on the cost of an order after a change.
+
+    It adds the minimum costs of the segments and of the steps between them.
+    """
     whole, at = 0.0, -1
     for low, high, back in _parts(change, len(order)):
         if low >= 0:
@@ -410,7 +429,10 @@ def _bound(order: IntArray, change: tuple[int, int, int], steps: FloatArray, kno
 
 @kernel
 def _trial(order: IntArray, ends: Ends, change: tuple[int, int, int], known: Segments, here: FloatArray) -> float:
-    """The cost of the order that a change gives, by its segments; `here` (2, places) is written."""
+    """Cost of the order after a change, from its segments.
+
+    `here` (2, places) is workspace.
+    """
     begin, at, now = ends.begin, -1, 0
     for low, high, back in _parts(change, len(order)):
         if low < 0:
@@ -433,12 +455,12 @@ def _trial(order: IntArray, ends: Ends, change: tuple[int, int, int], known: Seg
 
 @kernel
 def _exact(costs: Costs) -> IntArray:
-    """The best order, by the least cost of each set of fruits taken, place and load at its end."""
+    """Optimal order, by dynamic programming over subsets, last place and load."""
     begin, first, onward, drop, away, last, capacity = costs
     n, m = len(begin) - 1, len(first)
     loads = max(1, min(capacity, n))
     value = np.full((1 << n, m, loads), math.inf)
-    # Where each state comes from: the place before, and its load.
+    # Predecessor of each state: the previous place, and its load.
     before = np.full((1 << n, m, loads, 2), -1, dtype=np.int32)
     for f in range(n):
         for v in range(begin[f], begin[f + 1]):

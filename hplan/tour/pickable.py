@@ -1,4 +1,4 @@
-"""Which fruit can be picked from where the base stands, those that are in the way picked before."""
+"""Fruits that a base position can pick, in a feasible order."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from hplan.scene.model import Goal, Scene
 
 
 def within_reach(robot: Robot, scene: Scene) -> Scene:
-    """What a robot may come near to; fruit and what gives way is left out of its base.
+    """Crop a scene to the robot's workspace.
 
-    No fruit is the goal of what is returned.
+    Fruits and compliant obstacles inside the base are removed. The returned scene has no fruit as its goal.
 
     Raises:
-        InputError: Something that does not give way stands in the base.
+        InputError: A rigid obstacle is inside the base.
     """
     scene = scene.copy_unchecked({"goal": Goal(position=(0.0, 0.0, 0.0), approach_deg=scene.goal.approach_deg)})
     ball = reach_ball(robot)
@@ -30,15 +30,17 @@ def within_reach(robot: Robot, scene: Scene) -> Scene:
 
 
 def pickable(robot: Robot, scene: Scene, options: PlanOptions | None = None) -> dict[str, FruitReach]:
-    """The fruits that can be picked (`hplan.reachable`), in the order in which they can.
+    """The fruits that can be picked, in a feasible order (`hplan.reachable`).
 
-    Fruit that others are in the way of is looked at again once those are picked.
+    Fruits blocked by others are checked again once those are picked.
 
     Args:
-        scene: What is within reach (`within_reach`).
+        robot: The arm.
+        scene: Scene cropped to the workspace (`within_reach`).
+        options: Planning options; None for the defaults.
 
     Raises:
-        HplanError: As `hplan.reachable`.
+        HplanError: An error of `hplan.reachable`.
     """
     found: dict[str, FruitReach] = {}
     while scene.fruits:

@@ -1,4 +1,4 @@
-"""What comes of a picking tour: its legs, the fruits that are not picked, and the whole motion."""
+"""Results of a picking tour: legs, unpicked fruits, and the whole motion."""
 
 from __future__ import annotations
 
@@ -18,17 +18,18 @@ from hplan.trajectory.trajectory import Phase, Trajectory
 
 @dataclass(frozen=True, eq=False)
 class Leg(Record):
-    """A part of a tour: to a fruit and, where it is next, to the drop-off; or back to the start.
+    """Leg of a tour, to a fruit or back to the start.
 
-    It is at rest at both ends but where the retreat from a fruit is blended with the next leg.
+    A leg to a fruit may continue to the drop-off. It is at rest at both ends, unless the retreat from a fruit is
+    blended with the next leg.
 
     Attributes:
         fruit: Name of the fruit; None for the leg back.
-        grasp: How it is taken; None for the leg back.
-        begin_s: When it begins, in the tour [s].
-        phases: Its parts, by their times in the tour: `transit`, `approach`, `retreat`, `drop`, `return`.
-        trajectory: Its motion, from time 0 on.
-        certificate: What was shown of it.
+        grasp: Grasp of the fruit; None for the leg back.
+        begin_s: Start time in the tour [s].
+        phases: Its phases, at their times in the tour: `transit`, `approach`, `retreat`, `drop`, `return`.
+        trajectory: Its motion, starting at time 0.
+        certificate: Certificate of the motion.
     """
 
     fruit: str | None
@@ -40,13 +41,13 @@ class Leg(Record):
 
     @property
     def name(self) -> str:
-        """The fruit, or `return`."""
+        """Name of the fruit, or `return`."""
         return "return" if self.fruit is None else self.fruit
 
 
 @dataclass(frozen=True, eq=False)
 class Unreached:
-    """A fruit that is not picked."""
+    """Fruit that is not picked, with the error."""
 
     fruit: str
     error: HplanError
@@ -54,19 +55,19 @@ class Unreached:
 
 @dataclass(frozen=True, eq=False)
 class TourResult(Record, InNotebook):
-    """A tour.
+    """Picking tour of one arm.
 
     Attributes:
-        order: The fruits that are picked, in their order.
-        legs: One for each, and the leg back where there is one.
-        trajectory: The whole motion; the arm rests at the fruits, and wherever a stop is quicker.
-        certificate: What was shown of it.
-        picked: When the tool is at each fruit [s].
-        dropped: When each fruit is let go at the drop-off [s]; empty where there is none.
-        unreached: The fruits that are not picked.
-        report: The numbers of `tour.json`.
+        order: Names of the picked fruits, in order.
+        legs: One leg for each of them, and the leg back if there is one.
+        trajectory: The whole motion; the arm rests at the fruits, and wherever a stop is faster.
+        certificate: Certificate of the whole motion.
+        picked: Picking time of each fruit [s].
+        dropped: Release time of each fruit at the drop-off [s]; empty without a drop-off.
+        unreached: Fruits that are not picked.
+        report: Contents of `tour.json`.
         robot: The arm.
-        scene: Obstacles and fruits, as they were given.
+        scene: The given obstacles and fruits.
     """
 
     order: tuple[str, ...]
@@ -82,10 +83,10 @@ class TourResult(Record, InNotebook):
 
     @property
     def phases(self) -> tuple[Phase, ...]:
-        """The parts of all legs."""
+        """Phases of all legs."""
         return tuple(phase for leg in self.legs for phase in leg.phases)
 
     @property
     def duration(self) -> float:
-        """Of the whole tour [s]."""
+        """Duration of the whole tour [s]."""
         return self.trajectory.duration

@@ -1,9 +1,9 @@
-"""A row of trees picked from as few stops as can be: where the base stands, and a picking tour at each stop.
+"""Plans base stops along a tree row, and their picking tours.
 
-The row runs along y of the scene, which shows it as the base sees it at y = 0 on the first side: its line is `distance`
-ahead. Candidate stops lie on a grid along it, on one side or both and at each height. What can be picked at each is
-looked at, an integer program chooses among them, and a tour is planned at each, in the order of the drive. What a tour
-leaves behind later stops try, and further passes along the row.
+The row runs along y of the scene. The scene shows it as seen from the base at y = 0 on the first side: the row's line
+is `distance` ahead. Candidate stops lie on a grid along it, on one side or both and at each height. The pickable fruits
+of each are computed, an integer program selects the best stops (`RowOptions.objective`), and a tour is planned at each,
+in driving order. Fruits that a tour leaves are tried again at later stops, and in further passes along the row.
 """
 
 from __future__ import annotations
@@ -37,38 +37,42 @@ from hplan.tour.result import TourResult
 from hplan.tour.set_cover import cover
 from hplan.tour.tour import TourOptions, plan_tour
 
-#: Most candidate stops, passes along the row, and stops that a worker looks at in one go.
+#: Maximum number of candidate stops, of passes along the row, and of stops in one task of a worker.
 _MOST: Final = 20_000
 _WAYS: Final = 3
 _LOT: Final = 6
 
-#: How the parts of a tree are called in a row of several.
+#: Prefix of the parts of a tree in a scene with several trees.
 _TREE: Final = re.compile(r"tree \d+(?= )")
 
 Objective = Literal["stops", "time"]
 
-#: A speed or acceleration of the vehicle, and a time in which the arm waits [s].
+#: Speed or acceleration of the vehicle, and a time during which the arm waits [s].
 _Rate: TypeAlias = Annotated[float, Field(ge=0.001, le=100.0)]
 _Pause: TypeAlias = Annotated[float, Field(ge=0.0, le=3600.0)]
 
 
 @dataclass(frozen=True)
 class RowOptions(Options):
-    """Where the base may stand, and how it gets there.
+    """Permitted base stops, and the vehicle's motion between them.
 
     Attributes:
-        distance: Of the base's axis from the row's line, which the scene has at x = distance [m].
-        both: True to stop on both sides of the row; the other side is seen turned by half a turn.
+        distance: Distance of the base's axis from the row's line, which is at x = distance in the scene [m].
+        both: True to stop on both sides of the row; the other side is the scene rotated by half a turn.
         step: Spacing of the candidate stops [m].
-        heights: Heights of a lift or mast, above that of the scene [m].
-        objective: `stops`: as few as can be; `time`: least time, by the least durations of the motions to each fruit.
-        share: Share of the fruit that any stop can reach which has to be picked.
-        speed: Of the vehicle [m/s].
-        acceleration: Of the vehicle [m/s^2].
-        lift_speed: Of the lift, which moves while the vehicle does [m/s].
-        settling: From when the vehicle stands until the arm moves [s].
-        detaching: What the tool takes to detach a fruit [s].
-        carried: Names of obstacles that stand on the vehicle.
+        heights: Heights of a lift or mast, relative to the scene's [m].
+        objective: `stops`: minimum number of stops; `time`: minimum time, by lower bounds on the motions to each fruit.
+        share: Required fraction of the fruits that are reachable from any stop.
+        speed: Maximum speed of the vehicle [m/s].
+        acceleration: Maximum acceleration of the vehicle [m/s^2].
+        lift_speed: Speed of the lift, which moves together with the vehicle [m/s].
+        settling: Time from the vehicle's stop to the arm's start [s].
+        detaching: Time for the tool to detach a fruit [s].
+        carried: Names of obstacles that are mounted on the vehicle.
+
+    Examples:
+        >>> RowOptions(speed=0.5, acceleration=0.5).drive_s(2.0)
+        5.0
     """
 
     distance: Annotated[float, Field(ge=0.1, le=100.0)] = 1.4
@@ -85,10 +89,10 @@ class RowOptions(Options):
     carried: tuple[str, ...] = ()
 
     def drive_s(self, way: float, lift: float = 0.0) -> float:
-        """How long the vehicle takes from rest to rest, and the lift beside it [s].
+        """Driving time from rest to rest, the lift included [s].
 
         Args:
-            way: [m].
+            way: Distance along the row [m].
             lift: Change of height [m].
         """
         way, top = abs(way), self.speed**2 / self.acceleration
@@ -99,19 +103,28 @@ class RowOptions(Options):
 
     @property
     def cost_of_stop(self) -> float:
-        """What a stop costs beyond its motions [s]; infinite where it is the number of stops that counts."""
+        """Cost of a stop without its motions [s].
+
+        Infinite if the objective is the number of stops.
+        """
         return math.inf if self.objective == "stops" else self.settling + self.speed / self.acceleration
 
 
 class Place(NamedTuple):
-    """Where the base stands: on side 1 or 2 of the row, how far along it, and how high [m]."""
+    """Base stop.
+
+    Attributes:
+        side: Side 1 or 2 of the row.
+        along: Position along the row [m].
+        height: Height relative to the scene's [m].
+    """
 
     side: int
     along: float
     height: float
 
     def seen(self, scene: Scene, options: RowOptions) -> Scene:
-        """The scene as the base sees it from there."""
+        """The scene as seen from the base there."""
         stands = scene.copy_unchecked(
             {"obstacles": tuple(one for one in scene.obstacles if one.name not in options.carried)}
         )
@@ -125,13 +138,13 @@ class Place(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class RowStop(Record):
-    """A stop, and the tour at it.
+    """Stop of the base, with its picking tour.
 
     Attributes:
-        place: Where the base stands.
-        way: Number of the pass along the row, from 1 on: odd ones go towards larger y, even ones back.
-        arrival_s: Driving from the stop before, or from the row's end, and settling [s].
-        tour: The tour; its scene is what is within reach, without what was picked before.
+        place: Position of the base.
+        way: Number of the pass along the row, from 1 on: odd passes go towards larger y, even ones back.
+        arrival_s: Driving time from the previous stop, or from the row's end, plus settling [s].
+        tour: The tour; its scene is cropped to the workspace, without previously picked fruits.
     """
 
     place: Place
@@ -142,18 +155,18 @@ class RowStop(Record):
 
 @dataclass(frozen=True, eq=False)
 class RowResult(Record):
-    """A row, picked.
+    """Result of picking a tree row.
 
     Attributes:
-        stops: In the order of the drive.
-        candidates: What can be picked from each candidate stop alone; a stop where something that does not give way is
-            in the base, or in the way of the waiting arm, is none.
-        picked: The fruits picked, in their order.
-        reachable: Those that can be picked from any candidate, in the order of the scene.
-        report: The numbers of `row.json`.
+        stops: Stops in driving order.
+        candidates: Pickable fruits of each candidate stop on its own. Stops with a rigid obstacle in the base, or in
+            collision with the waiting arm, are left out.
+        picked: Names of the picked fruits, in order.
+        reachable: Names of the fruits that can be picked from any candidate, in the order of the scene.
+        report: Contents of `row.json`.
         robot: The arm.
-        scene: As it was given.
-        options: Where the base may stand.
+        scene: The given scene.
+        options: The given row options.
     """
 
     stops: tuple[RowStop, ...]
@@ -177,23 +190,27 @@ def plan_row(
     workers: int = 1,
     progress: Progress = no_progress,
 ) -> RowResult:
-    """Choose stops along a row of trees and plan a picking tour at each, from the start and back to it.
+    """Choose stops along a tree row and plan their picking tours.
+
+    Each tour starts at the scene's start and returns to it.
 
     Args:
         robot: The arm.
-        scene: The row, along y, as seen from the first side; of its goal only `approach_deg` counts.
-        options: How to plan; rows have no deadline.
-        row: Where the base may stand.
-        tour: Options of the tours.
-        executor: What looks at the candidates, as for `hplan.run_study`; tours are planned here.
-        workers: How many at once.
-        progress: Called with what is being done.
+        scene: The row, along y, as seen from the first side; of its goal only `approach_deg` is used.
+        options: Planning options; rows do not support a deadline. None for the defaults.
+        row: Permitted base stops; None for the defaults.
+        tour: Options of the tours; None for the defaults.
+        executor: Pool that evaluates the candidates, as for `hplan.run_study`; tours are planned in this process.
+        workers: Number of parallel workers.
+        progress: Called with the name of each step.
 
     Raises:
-        InputError: The scene does not fit the robot, or moves.
-        OptionError: Too many candidates, a deadline, an obstacle to be carried that is not there, no fruit.
+        InputError: The scene does not fit the robot.
+        MovingObstacleError: The scene has moving obstacles.
+        OptionError: There are too many candidates, a deadline is given, a carried obstacle does not exist, or the scene
+            has no fruit.
         TourError: No fruit is picked from any stop.
-        WorkersLostError: As of `hplan.run_study`.
+        WorkersLostError: A worker of the pool was lost, as in `hplan.run_study`.
     """
     check_task(robot, scene, options, progress)
     options = options or PlanOptions()
@@ -209,7 +226,7 @@ def plan_row(
     reachable = tuple(fruit.name for fruit in scene.fruits if fruit.name in names)
     first: dict[str, Any] = {}
     stops = list[RowStop]()
-    gone: dict[str, None] = {}  # in the order in which they are picked
+    gone: dict[str, None] = {}  # in picking order
     failed: dict[Place, set[str]] = {place: set() for place in costs}
     for way in range(1, _WAYS + 1):
         left = {p: {f: c for f, c in held.items() if f not in gone and f not in failed[p]} for p, held in costs.items()}
@@ -218,7 +235,7 @@ def plan_row(
         chosen, is_best = cover(list(left.values()), row.cost_of_stop, least)
         first = first or {"cover_stops": len(chosen), "cover_is_best": is_best}
         assigned = {list(left)[number]: names for number, names in chosen.items()}
-        due = list[str]()  # what stops before were to pick and did not
+        due = list[str]()  # fruits that earlier stops failed to pick
         for place in sorted(assigned, key=lambda place: (place.side, place.along * (-1) ** (way + 1), place.height)):
             wanted = [*assigned[place], *(name for name in due if name in left[place])]
             progress(f"pass {way}, stop {len(stops) + 1}: a tour over {len(wanted)} fruits")
@@ -241,7 +258,12 @@ def plan_row(
 
 
 def _check(scene: Scene, options: PlanOptions, row: RowOptions) -> None:
-    """Refuse what rows cannot have."""
+    """Check the scene and the options for tree rows.
+
+    Raises:
+        OptionError: A deadline is given, a carried obstacle does not exist, or the scene has no fruit.
+        MovingObstacleError: The scene has moving obstacles.
+    """
     if options.deadline_s is not None:
         raise OptionError("deadline_s", options.deadline_s, "None: rows have no deadline")
     if scene.moves:
@@ -254,7 +276,7 @@ def _check(scene: Scene, options: PlanOptions, row: RowOptions) -> None:
 
 
 def _candidates(robot: Robot, scene: Scene, row: RowOptions) -> list[Place]:
-    """All places on the grid that are no farther along the row from some fruit than the arm reaches."""
+    """Grid stops along the row within the arm's reach of a fruit."""
     y, reach = [fruit.center[1] for fruit in scene.fruits], float(reach_ball(robot)[3])
     first, last = math.ceil((min(y) - reach) / row.step), math.floor((max(y) + reach) / row.step)
     sides = (1, 2) if row.both else (1,)
@@ -273,7 +295,10 @@ def _costs(
     pool: tuple[Pool, int],
     progress: Progress,
 ) -> dict[Place, dict[str, float]]:
-    """What can be picked from each place where the base can stand, and the least duration to each fruit [s]."""
+    """Pickable fruits of each valid stop, with lower bounds [s].
+
+    The bounds are on the durations of the motions to the fruits.
+    """
     lots = [places[i : i + _LOT] for i in range(0, len(places), _LOT)]
     found: dict[Place, dict[str, float] | None] = {}
     for _, lot in outcomes(partial(_seen_from, robot, scene, options, row), lots, *pool):
@@ -290,7 +315,7 @@ def _seen_from(
         try:
             near = within_reach(robot, place.seen(scene, row))
             held = pickable(robot, near, options)
-        except InputError:  # something stands in the base, or in the way of the waiting arm
+        except InputError:  # a rigid obstacle is inside the base, or the waiting arm is in collision
             found[place] = None
         else:
             found[place] = {name: 0.0 if one.grasp is None else one.grasp.least_duration for name, one in held.items()}
@@ -303,7 +328,14 @@ def _tour_at(
     gone: Collection[str],
     wanted: Sequence[str],
 ) -> TourResult | None:
-    """The tour over some fruits from a place, others being gone; None where none of them can be picked."""
+    """Plan the tour at a stop; None if no fruit is picked.
+
+    Args:
+        place: The stop.
+        given: Robot, scene, and options of planning, row and tours.
+        gone: Names of the fruits already picked.
+        wanted: Names of the fruits to pick.
+    """
     robot, scene, options, row, tour = given
     near = within_reach(robot, place.seen(scene, row))
     hanging = tuple(fruit for fruit in near.fruits if fruit.name not in gone)
@@ -314,9 +346,11 @@ def _tour_at(
 
 
 def _driven(scene: Scene, row: RowOptions, stops: Sequence[RowStop]) -> tuple[list[RowStop], float]:
-    """The stops with their arrivals, and how long the vehicle drives and settles in all [s].
+    """The stops with their driving times, and the total one [s].
 
-    Each pass goes along all the fruit from one end to the other; how the vehicle comes to the other side is not in it.
+    Settling times are included.
+
+    Each pass covers all the fruit from one end to the other; the drive to the other side is not included.
     """
     y = [fruit.center[1] for fruit in scene.fruits]
     ends = min(y), max(y)
@@ -340,7 +374,7 @@ def _report(
     picked: Collection[str],
     reachable: Collection[str],
 ) -> dict[str, Any]:
-    """The numbers of `row.json`, but for the planner's own."""
+    """Contents of `row.json`, except for the planner's own numbers."""
     motion_s, detaching_s = sum(stop.tour.duration for stop in stops), row.detaching * len(picked)
     total_s = motion_s + driving_s + detaching_s
     tree = _trees(scene)
@@ -382,7 +416,7 @@ def _report(
 
 
 def _trees(scene: Scene) -> dict[str, str]:
-    """The tree of each fruit: that of its name, else the one whose trunk stands nearest along the row."""
+    """Tree of each fruit: by name, otherwise the nearest trunk."""
     trunks: dict[str, float] = {}
     for one in scene.obstacles:
         if (match := _TREE.match(one.name)) and isinstance(one, Capsule):

@@ -1,4 +1,4 @@
-"""Set cover, exactly: the stops from which all fruit can be picked, and which of them picks what."""
+"""Exact set cover: minimum-cost stops for all fruit, and their assignment."""
 
 from __future__ import annotations
 
@@ -13,18 +13,22 @@ from scipy.sparse import coo_array
 def cover(
     costs: Sequence[Mapping[str, float]], each: float, least: int | None = None
 ) -> tuple[dict[int, list[str]], bool]:
-    """Sets that together hold all elements that any holds, at the least cost.
+    """Minimum-cost selection of sets that covers the elements.
 
-    One integer program: set i is taken (y_i), element f by set i (x_fi <= y_i), every element once.
+    One integer program: set i is selected (y_i), element f is covered by set i (x_fi <= y_i), every element once.
 
     Args:
-        costs: For each set what it costs to take each of its elements in it.
-        each: What a set costs; infinite for as few sets as can be, the costs of their elements deciding among those.
-        least: How many elements have to be taken at least, of as many as there are; None for all.
+        costs: For each set, the cost of covering each of its elements.
+        each: Cost of a set; infinite to minimize their number first, and the costs of their elements second.
+        least: Minimum number of elements to cover, at most all; None for all.
 
     Returns:
-        Numbers of the sets and the elements that each takes, in the order of the set; and whether that is shown to be
-        the best.
+        Indices of the selected sets and the elements that each covers, in the order of the set; and whether this is
+        proved optimal.
+
+    Examples:
+        >>> cover([{"a": 1.0, "b": 1.0}, {"b": 0.5}], math.inf)
+        ({0: ['a', 'b']}, True)
     """
     pairs = [(i, name, cost) for i, held in enumerate(costs) for name, cost in held.items()]
     names = list(dict.fromkeys(name for _, name, _ in pairs))
@@ -35,7 +39,7 @@ def cover(
     element = np.array([number[name] for _, name, _ in pairs])
     owner = np.array([i for i, _, _ in pairs])
     weights = np.array([cost for _, _, cost in pairs])
-    if math.isinf(each):  # so small in all that one set less is worth more
+    if math.isinf(each):  # scaled so that the sum of all weights is worth less than one set
         each, weights = 1.0, weights * (0.5 / max(1e-9, len(names) * weights.max()))
     column, one = sets + np.arange(count), np.ones(count)
     taken = coo_array((one, (element, column)), (len(names), sets + count))
@@ -52,10 +56,10 @@ def cover(
             LinearConstraint(within.tocsr(), -np.inf, 0.0),
             LinearConstraint(enough.tocsr(), float(least), np.inf),
         ],
-        # How long the solver may look for a better cover [s].
+        # Time limit of the solver [s].
         options={"time_limit": 60.0},
     )
-    if found.x is None:  # no time for any: sets as they come
+    if found.x is None:  # the solver found no cover in time: assign each element to its cheapest set
         best: dict[str, tuple[float, int]] = {}
         for i, name, cost in pairs:
             best[name] = min(best.get(name, (math.inf, 0)), (cost, i))

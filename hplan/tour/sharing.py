@@ -1,8 +1,9 @@
-"""Fruit shared out among arms: so that all are done soonest, and seldom where another is.
+"""Allocates fruits to arms, to minimize the finishing time and mutual waiting.
 
-How long an arm takes for some fruits is known from the costs of its tours. From the fruits that are near an arm, or the
-lowest, fruit goes to another arm or is exchanged for one of its as long as all are done sooner. Where arms at two
-fruits would be near to each other, one may have to wait: the more of all such pairs there are, the longer.
+The duration of an arm's tour is computed from the costs of its motions. Starting from the fruits nearest to each arm,
+or the lowest ones, fruits are moved to another arm or exchanged as long as this reduces the finishing time of all. If
+two arms would be close to each other at two fruits, one may have to wait: the expected waiting time grows with the
+fraction of such pairs.
 """
 
 from __future__ import annotations
@@ -20,19 +21,19 @@ from hplan.base.arrays import FloatArray
 from hplan.planning.cell import Cell, between
 from hplan.tour.ordering import Costs, along, best
 
-#: Of an arm at a fruit and another at one how near they are: 0 from far to 1 for contact.
+#: Proximity of an arm at a fruit to another arm at another fruit: 0 if far, 1 for contact.
 Nearness: TypeAlias = Mapping[tuple[str, str, str, str], float]
 
 
 @dataclass(frozen=True, eq=False)
 class Share:
-    """What an arm picks of the fruits that it can reach, by what is known of its motions.
+    """Allocation of fruits to an arm, with its known motion costs.
 
     Attributes:
-        grasps: The (k, dof) configurations at each fruit that it can reach.
+        grasps: (k, dof) configurations at each fruit that the arm can reach.
         costs: Costs between them, in this order.
-        order: The fruits that it picks, in their order.
-        more_s: How much longer it takes than costs say [s].
+        order: Names of the allocated fruits, in picking order.
+        more_s: Excess of the actual duration over the costs [s].
     """
 
     grasps: Mapping[str, FloatArray]
@@ -42,17 +43,20 @@ class Share:
 
     @cached_property
     def numbers(self) -> dict[str, int]:
-        """The number of each fruit in the costs."""
+        """Index of each fruit in the costs."""
         return {fruit: number for number, fruit in enumerate(self.grasps)}
 
     @cached_property
     def seconds(self) -> float:
-        """How long it takes [s]."""
+        """Duration of the tour [s]."""
         return self._seconds(self.order)
 
     @cached_property
     def gains_s(self) -> dict[str, float]:
-        """How much sooner it is done without each fruit that it picks, or with one that it does not, about [s]."""
+        """Approximate time saved without each allocated fruit, or with another one [s].
+
+        Adding a fruit saves a negative time.
+        """
         order, gains = self.order, dict[str, float]()
         for fruit in self.grasps:
             if fruit in order:
@@ -63,7 +67,7 @@ class Share:
         return gains
 
     def over(self, fruits: Collection[str]) -> Share:
-        """A share of other fruits, in their best order."""
+        """Allocation of other fruits, in their optimal order."""
         order = [fruit for fruit in dict.fromkeys((*self.order, *self.grasps)) if fruit in fruits]
         if order:
             costs = self.costs.over([self.numbers[fruit] for fruit in order])
@@ -76,9 +80,9 @@ class Share:
 
 
 def nearness(cell: Cell, shares: Mapping[str, Share]) -> Nearness:
-    """How near arms are to each other at the fruits that they can reach."""
+    """Proximity of the arms to each other at their reachable fruits."""
     found = dict[tuple[str, str, str, str], float]()
-    # From where on arms are in each other's way on their motions [m].
+    # Distance below which arms are expected to block each other [m].
     far = 0.3
     for a, b in itertools.combinations(shares, 2):
         pairs = itertools.product(shares[a].grasps.items(), shares[b].grasps.items())
@@ -89,11 +93,14 @@ def nearness(cell: Cell, shares: Mapping[str, Share]) -> Nearness:
 
 
 def first_share(cell: Cell, able: Mapping[str, Sequence[str]], lowest: Sequence[str] = ()) -> dict[str, list[str]]:
-    """The fruits of each arm, about as many of each: those near it or, with names, the lowest for the first of them.
+    """Initial allocation with about the same number of fruits per arm.
+
+    Each arm gets the fruits near it or, if `lowest` is given, the first of these arms gets the lowest fruits.
 
     Args:
-        able: Who can pick each fruit, the nearest first.
-        lowest: Names of the arms.
+        cell: The workcell.
+        able: Arms that can pick each fruit, nearest first.
+        lowest: Names of the arms; empty to allocate by distance.
     """
     bases = {arm.name: np.array(arm.position) for arm in cell.scene.robots}
     shares: dict[str, list[str]] = {name: [] for name in bases}
@@ -106,21 +113,22 @@ def first_share(cell: Cell, able: Mapping[str, Sequence[str]], lowest: Sequence[
             near, far = (float(np.linalg.norm(fruit.center - bases[name])) for name in names[:2])
             shared.append((round(fruit.center[2] if lowest else near - far, 6), fruit.name, names))
     most = math.ceil((len(shared) + sum(map(len, shares.values()))) / len(shares))
-    for _, fruit_name, names in sorted(shared):  # who is far nearer than the others chooses first
+    for _, fruit_name, names in sorted(shared):  # fruits with the clearest preference are allocated first
         with_room = [name for name in names if len(shares[name]) < most]
         shares[(with_room or names)[0]].append(fruit_name)
     return shares
 
 
 def exchanged(shares: Mapping[str, Share], near: Nearness, weight: float) -> dict[str, Share]:
-    """Shares that are done sooner, by fruits that go to another arm or are exchanged for one of its.
+    """Improve an allocation by moving or exchanging fruits between arms.
 
     Args:
-        near: How near arms are to each other.
-        weight: Which part of the time arms wait that are always in each other's way.
+        shares: Allocation of each arm, by name.
+        near: Proximity of the arms to each other.
+        weight: Fraction of the time that arms wait if they always block each other.
     """
     found = dict(shares)
-    # So many changes are looked at that promise most.
+    # Maximum number of changes evaluated, the most promising first.
     most = 32
 
     def ends(seconds: Mapping[str, float], fruits: Mapping[str, Collection[str]]) -> tuple[float, float]:
@@ -131,7 +139,7 @@ def exchanged(shares: Mapping[str, Share], near: Nearness, weight: float) -> dic
         return round(max(seconds.values()) * (1.0 + weight * in_the_way), 6), round(sum(seconds.values()), 6)
 
     def changes() -> list[tuple[tuple[float, float], dict[str, list[str]]]]:
-        """When all are done at best after each change, and the fruits of those whom it is about."""
+        """Estimated finishing times after each change, with the changed allocations."""
         seconds = {n: share.seconds for n, share in found.items()}
         fruits = {n: share.order for n, share in found.items()}
         promised = []

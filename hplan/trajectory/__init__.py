@@ -1,6 +1,6 @@
-"""Time along a path: limits, toppra's passes, jerk, trajectories and their CSV; timing alone, for any URDF.
+"""Time-optimal path timing: limits, toppra's passes, jerk, trajectories and their CSV.
 
-The names here are those of timing alone: waypoints of any robot that Pinocchio reads, without a scene.
+The names exported here time waypoints of any robot that Pinocchio reads, without a scene.
 """
 
 from __future__ import annotations

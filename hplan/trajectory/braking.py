@@ -1,9 +1,10 @@
-r"""Stops that each joint makes on its own, from a state of motion: for where there is no path to stay on.
+"""Quickest stop of each joint on its own, leaving the path.
 
-The control points of the motion's uniform cubic B-spline (`hplan.trajectory.cubics`) begin with the three that give the
-state. Each next one changes the joint's step as far towards rest as second and third differences may be; a change that
-could no longer be brought to nothing in time is not begun. So the motion goes on from the state without a jump, up to
-the acceleration, and keeps velocity, acceleration and jerk at all times. It leaves the path that the arm was on.
+The control points of the motion's uniform cubic B-spline (`hplan.trajectory.cubics`) start with the three that define
+the state. Each next one changes the joint's step towards rest as far as the limits of second and third differences
+permit; a change that could no longer be reduced to zero in time is not started. The motion therefore continues from the
+state without a jump, up to the acceleration, and satisfies the velocity, acceleration and jerk limits at all times. It
+leaves the path of the arm.
 """
 
 from __future__ import annotations
@@ -19,14 +20,15 @@ from hplan.trajectory.trajectory import Trajectory
 def braking(
     robot: Robot, position: FloatArray, velocity: FloatArray, acceleration: FloatArray, period: float, push: FloatArray
 ) -> Trajectory | None:
-    """The quickest stop of each joint; None where it takes too many rows.
+    """Quickest stop of each joint; None if it takes too many samples.
 
     Args:
-        position: (dof,) where it is.
-        velocity: (dof,) [rad/s].
-        acceleration: (dof,) [rad/s^2].
-        period: Time between rows [s].
-        push: (dof,) largest accelerations [rad/s^2].
+        robot: The arm, for its jerk limits and its dynamics.
+        position: (dof,) current position [rad].
+        velocity: (dof,) current velocity [rad/s].
+        acceleration: (dof,) current acceleration [rad/s^2].
+        period: Time between samples [s].
+        push: (dof,) maximum accelerations [rad/s^2].
     """
     most = np.maximum(push, np.abs(acceleration)) * period**2
     jerk = np.full(robot.dof, np.inf) if robot.jerk_limit is None else robot.jerk_limit * period**3
@@ -34,7 +36,7 @@ def braking(
     change = acceleration * period**2
     step = period * velocity + 0.5 * change
     while (step != 0.0).any() or (change != 0.0).any():
-        # Most rows of a stop.
+        # Maximum number of samples of a stop.
         if len(points) > 20_000:
             return None
         change = _change(step, change, most, jerk)
@@ -50,9 +52,9 @@ def braking(
 
 
 def _change(step: FloatArray, change: FloatArray, most: FloatArray, jerk: FloatArray) -> FloatArray:
-    """(dof,) changes of the steps from one row to the next."""
+    """(dof,) changes of the steps from one sample to the next."""
     away = np.abs(step)
-    # Part of the jerk limit with which the end of a stop is planned ahead.
+    # Jerk used to plan the end of a stop ahead: this fraction of the limit.
     ahead = np.minimum(0.9 * jerk, 1e9)
     still = np.where(away > ahead, 0.5 * (np.sqrt(ahead**2 + 8.0 * ahead * np.minimum(away, 1e9)) - ahead), away)
     wanted = -np.sign(step) * np.minimum(np.where(np.isfinite(jerk), still, away), most)

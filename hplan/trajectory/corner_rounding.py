@@ -1,24 +1,24 @@
-r"""The polyline through waypoints with its corners rounded within a deviation, and how far a motion is from it.
+r"""Rounds the corners of a polyline within a deviation, and measures deviations.
 
-Let P be the polyline through the waypoints, s its length so far, and :math:`\Delta_k` the change of its unit direction
-at corner k, at :math:`s_k`. The path is the cubic spline
+Let P be the polyline through the waypoints, s its arc length, and :math:`\Delta_k` the change of its unit direction at
+corner k, at :math:`s_k`. The path is the cubic spline
 
 .. math::
     V(s) = \sum_i N_i(s)\, P(\xi_i), \qquad \xi_i = \tfrac13 (t_{i+1} + t_{i+2} + t_{i+3}),
 
 with simple knots :math:`s_k - h_k,\ s_k,\ s_k + h_k` at each corner (Schoenberg's operator; its control points are
-points of the polyline). V reproduces straight lines, parameter and all, and P is a straight line plus the terms
+points of the polyline). V reproduces straight lines, parameter included, and P is a straight line plus the terms
 :math:`\Delta_k (s - s_k)_+`. As :math:`s_k` is the middle of its knots, the first differences of such a term's
 control values step from 0 to 1 there; hence its second derivative is the tent of area 1 over
 :math:`[s_k - h_k, s_k + h_k]`, and it differs from the term itself by a function that is zero outside and reaches its
-largest value, :math:`h_k / 6`, at the corner. The intervals are kept apart, so
+maximum, :math:`h_k / 6`, at the corner. The intervals do not overlap, so
 
 .. math::
     |V(s) - P(s)| \le \tfrac16 h_k |\Delta_k| \quad \text{(Euclidean norm, at equal s)},
 
-which the choice of :math:`h_k` makes no more than the deviation allowed. The path is thus near the polyline
-everywhere, and passes near every waypoint in turn. Its second derivative is continuous, it runs at unit speed outside
-the corners, and it lies in the hull of the waypoints: joint limits that they keep, it keeps.
+and :math:`h_k` is chosen so that this is at most the permitted deviation. The path is thus near the polyline
+everywhere, and passes near every waypoint in turn. Its second derivative is continuous, it has unit speed outside the
+corners, and it lies in the convex hull of the waypoints: it satisfies joint limits that the waypoints satisfy.
 """
 
 from __future__ import annotations
@@ -33,40 +33,45 @@ from hplan.collision.clearance_field import ClearanceField
 from hplan.errors import CertificationError, InputError
 from hplan.trajectory.spline import SplinePath, first_contact
 
-#: Smallest deviation that can be asked for [rad]: sharper corners are too much for toppra's tolerances.
+#: Minimum deviation that can be requested [rad]: sharper corners exceed toppra's tolerances.
 LEAST_DEVIATION = 1e-4
 
-#: Distance up to which waypoints are the same [rad].
+#: Waypoints closer to each other than this coincide [rad].
 SAME = 1e-9
 
-#: Fraction of the deviation that leaving out waypoints may take.
+#: Fraction of the deviation used for leaving out waypoints.
 THINNING = 0.25
 
 
 def rounded_path(waypoints: ArrayLike, deviation_rad: float) -> SplinePath:
-    r"""The polyline through waypoints with its corners rounded (see the module's text).
+    """Polyline through waypoints with its corners rounded (formula: see the module).
 
-    Both run along each other, so that at no point they are further apart than `deviation_rad` in the Euclidean norm of
-    joint space: the path keeps to the polyline, and passes every waypoint in turn within the deviation. It begins and
-    ends at the first and the last of them (up to the rounding of the last digit), and stays in the hull of all.
+    At equal arc length, path and polyline are at most `deviation_rad` apart in the Euclidean norm of joint space: the
+    path follows the polyline, and passes every waypoint in turn within the deviation. It starts and ends at the first
+    and the last waypoint (up to rounding), and stays in the convex hull of all waypoints.
 
-    A quarter of the deviation goes into leaving out waypoints (equal ones, those in line, noise): a chord stands for
-    those between its ends if points of it, in the same order, are within that distance of them, and then by convexity
-    the segments between are too. The corners of the chords are rounded by what remains.
+    A quarter of the deviation is used to leave out waypoints (duplicates, collinear ones, noise): a chord replaces the
+    waypoints between its ends if points of it, in the same order, are within that distance of them; by convexity the
+    segments between them are, too. The corners of the chords are rounded by the remaining deviation.
 
     Args:
         waypoints: (n, dof), n >= 1.
-        deviation_rad: Largest distance from the polyline; at least 1e-4.
+        deviation_rad: Maximum distance from the polyline; at least 1e-4.
 
     Returns:
-        The path; constant where all waypoints are the same.
+        The path; constant if all waypoints are equal.
 
     Raises:
-        InputError: No waypoint, no list of equally many numbers each, or a value that is not finite.
-        OptionError: The deviation is too small or not finite.
+        InputError: `waypoints` is empty, its rows differ in length, or a value is not finite.
+        OptionError: The deviation is too small, too large or not finite.
+
+    Examples:
+        >>> path = rounded_path([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]], 0.01)
+        >>> path.evaluate([0.0, path.end]).tolist()
+        [[0.0, 0.0], [1.0, 1.0]]
     """
     points = as_waypoints(waypoints)
-    # Largest deviation: farther than any joint is asked to move [rad].
+    # Maximum deviation: farther than any joint moves [rad].
     most_deviation = 1e6
     expected = f"a number of radians >= {LEAST_DEVIATION:g} and <= {most_deviation:g}"
     number("deviation_rad", deviation_rad, expected, lambda given: LEAST_DEVIATION <= given <= most_deviation)
@@ -81,13 +86,14 @@ def rounded_path(waypoints: ArrayLike, deviation_rad: float) -> SplinePath:
 
 
 def clear_rounding(path: FloatArray, field: ClearanceField, *, margin: float) -> SplinePath:
-    """The polyline with its corners rounded as widely as is verified collision-free.
+    """Round a polyline's corners as widely as is verified collision-free.
 
     A corner that cannot be verified is rounded half as widely: in the limit the spline is the polyline.
 
     Args:
-        path: (m, dof) waypoints, m >= 2, clear at `margin`, no two neighbours equal.
-        margin: Clearance the polyline has wherever it was evaluated [m]; half of it is asked of the spline.
+        path: (m, dof) waypoints, m >= 2, collision-free at `margin`, no two neighbours equal.
+        field: Clearances to the obstacles.
+        margin: Clearance of the polyline at each evaluated configuration [m]; the spline must have half of it.
 
     Raises:
         CertificationError: No rounding of some corner can be verified.
@@ -107,29 +113,32 @@ def clear_rounding(path: FloatArray, field: ClearanceField, *, margin: float) ->
 
 
 def _widest(length: FloatArray) -> FloatArray:
-    """(m - 2,) largest half-widths of corners: none takes more than this part of a segment at one of its ends."""
+    """(m - 2,) maximum half-widths of corners.
+
+    A corner uses at most 0.4 of the shorter adjacent segment.
+    """
     widest: FloatArray = 0.4 * np.minimum(length[:-1], length[1:])
     return widest
 
 
 def _rounded(points: FloatArray, half: FloatArray) -> SplinePath:
-    """The polyline's spline with corners of some half-widths (see the module's text)."""
+    """Spline of the polyline with given corner half-widths (see the module)."""
     station = stations(points)
     inner = (station[1:-1, None] + half[:, None] * np.array([-1.0, 0.0, 1.0])).ravel()
     knots = np.concatenate([[0.0] * 4, inner, [station[-1]] * 4])
     greville = (knots[1:-3] + knots[2:-2] + knots[3:-1]) / 3.0
     control = np.stack([np.interp(greville, station, joint) for joint in points.T], axis=1)
     control[[0, -1]] = points[[0, -1]]
-    # Rounding must not take a control point out of the joint limits that the waypoints keep.
+    # Rounding errors must not move a control point out of joint limits that the waypoints satisfy.
     control = np.clip(control, points.min(axis=0), points.max(axis=0))
     return SplinePath(readonly(control), readonly(knots))
 
 
 def as_waypoints(waypoints: ArrayLike) -> FloatArray:
-    """Waypoints as a new (n, dof) array, n >= 1.
+    """Convert waypoints to a new (n, dof) array, n >= 1.
 
     Raises:
-        InputError: No waypoint, no list of equally many numbers each, or a value that is not finite.
+        InputError: `waypoints` is empty, its rows differ in length, or a value is not finite.
     """
     points = numbers("waypoints", waypoints, (None, None))
     if 0 in points.shape:
@@ -138,7 +147,7 @@ def as_waypoints(waypoints: ArrayLike) -> FloatArray:
 
 
 def _thinned(points: FloatArray, radius: float) -> FloatArray:
-    """Some of the points, the ends among them, each as far on as the chord from the one before may reach."""
+    """Subset of the points, ends included, connected by the longest permitted chords."""
     taken, low = [points[0]], 0
     while low < len(points) - 1:
         high = low + 1
@@ -153,7 +162,10 @@ def _thinned(points: FloatArray, radius: float) -> FloatArray:
 
 
 def _stands_for(points: FloatArray, radius: float) -> bool:
-    """True if the chord from first to last point has points in order within the radius of each in between."""
+    """True if the chord may replace the points between its ends.
+
+    It may if it has points, in order, within the radius of each point between.
+    """
     start, step = points[0], points[-1] - points[0]
     away = points[1:-1] - start
     squared = float(step @ step)
@@ -163,21 +175,27 @@ def _stands_for(points: FloatArray, radius: float) -> bool:
     offset = np.linalg.norm(away - middle[:, None] * step, axis=1)
     if (offset > radius).any():
         return False
-    # The part of the chord within the radius of each; going through them in order, each as early as it may be.
+    # Interval of the chord within the radius of each point; traverse them in order, each as early as possible.
     reach = np.sqrt((radius**2 - offset**2) / squared)
     earliest = np.maximum.accumulate(np.maximum(middle - reach, 0.0))
     return bool((earliest <= np.minimum(middle + reach, 1.0)).all())
 
 
 def largest_deviation(positions: ArrayLike, waypoints: ArrayLike) -> float:
-    """Largest distance of configurations from the polyline through waypoints, Euclidean norm [rad].
+    """Maximum distance of configurations from the polyline through waypoints [rad].
+
+    The distance is the Euclidean norm in joint space.
 
     Args:
         positions: (k, dof) configurations, k >= 1.
         waypoints: (n, dof).
 
     Raises:
-        InputError: One of them is no such array of finite numbers.
+        InputError: `positions` or `waypoints` is empty, has another number of joints, or a value is not finite.
+
+    Examples:
+        >>> largest_deviation([[0.5, 0.1]], [[0.0, 0.0], [1.0, 0.0]])
+        0.1
     """
     points = as_waypoints(waypoints)
     q = numbers("positions", positions, (None, points.shape[1]))

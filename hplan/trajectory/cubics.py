@@ -1,18 +1,18 @@
-r"""Piecewise polynomials: Bezier points from rows or from B-splines, values and derivatives, rows from control points.
+r"""Piecewise polynomials: Bezier points, values and derivatives, B-spline samples.
 
-A motion given by rows of positions and velocities is a cubic between each two of them. A motion made from control
-points that are a period h apart is a uniform cubic B-spline whose knots are its rows,
+A motion given by samples of position and velocity is a cubic between each two of them. A motion defined by control
+points a period h apart is a uniform cubic B-spline whose knots are its samples,
 
 .. math::
     x_k = \tfrac16 (q_{k-1} + 4 q_k + q_{k+1}), \quad
     \dot x_k = \frac{q_{k+1} - q_{k-1}}{2 h}, \quad
     \ddot x_k = \frac{q_{k+1} - 2 q_k + q_{k-1}}{h^2},
 
-so that between its rows it is the same cubics, with a continuous acceleration.
+so that between its samples it is the same cubics, with a continuous acceleration.
 
-A controller may follow other polynomials between the same rows (`Interpolation`): quintics that have the rows'
-accelerations too, or straight lines, which are cubics as well. Whatever reads segments takes Bezier points of degree 3
-or 5 (`cubic_at`), so one code holds for all three.
+A controller may follow other polynomials between the same samples (`Interpolation`): quintics, which match the samples'
+accelerations too, or straight lines, which are cubics as well. All functions that read segments take Bezier points of
+degree 3 or 5 (`cubic_at`), so one implementation covers all three.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike
 from hplan.base.arrays import FloatArray, frozen
 from hplan.base.kernels import inlined, kernel
 
-#: The curve between two rows: a cubic by positions and velocities, a quintic by accelerations too, a straight line.
+#: Curve between two samples: a cubic by positions and velocities, a quintic by accelerations too, or a straight line.
 Interpolation: TypeAlias = Literal["cubic", "quintic", "linear"]
 
 
@@ -35,7 +35,7 @@ class Rows(NamedTuple):
 
     Attributes:
         time: (n,) strictly increasing from 0 [s].
-        position: (n, dof).
+        position: (n, dof) [rad].
         velocity: (n, dof) [rad/s].
         acceleration: (n, dof) [rad/s^2].
         torque: (n, dof) [N m].
@@ -54,30 +54,39 @@ class Rows(NamedTuple):
 
     @property
     def pieces(self) -> tuple[FloatArray, FloatArray]:
-        """The cubics between the rows (`hermite_pieces`)."""
+        """The cubics between the samples (`hermite_pieces`)."""
         return hermite_pieces(self.time, self.position, self.velocity)
 
     def since(self, row: int) -> Rows:
-        """The motion from a row on."""
+        """The motion from a sample on; its time starts at 0.
+
+        Examples:
+            >>> zero = np.zeros((2, 1))
+            >>> Rows(np.array([0.0, 2.0]), zero, zero, zero, zero).since(1).time.tolist()
+            [0.0]
+        """
         return Rows(self.time[row:] - self.time[row], *(values[row:] for values in self[1:]))
 
     def until(self, row: int) -> Rows:
-        """The motion up to a row."""
+        """The motion up to a sample."""
         return Rows(*(values[: row + 1] for values in self))
 
     def is_at_rest(self, row: int) -> bool:
-        """True without speed and acceleration at a row, of 1e-6 rad/s and rad/s^2."""
+        """True if the motion is at rest at a sample.
+
+        Speeds and accelerations are at most 1e-6 rad/s and 1e-6 rad/s^2.
+        """
         return float(max(np.abs(self.velocity[row]).max(), np.abs(self.acceleration[row]).max())) <= 1e-6
 
     def positions(self, clock: FloatArray) -> FloatArray:
-        """(k, dof) configurations at (k,) times; before the motion and after it, at its ends."""
+        """(k, dof) configurations at (k,) times; clamped to the motion's ends."""
         if len(self.time) == 1:
             return np.repeat(self.position, len(clock), axis=0)
         return evaluate(self.pieces[0], self.time, clock)
 
 
 def joined_rows(parts: Sequence[Rows]) -> Rows:
-    """Motions one after the other; each begins in the state in which the one before it ends."""
+    """Concatenate motions; each must start in the final state of its predecessor."""
     begins = np.cumsum([0.0, *(part.duration for part in parts[:-1])])
     times = [parts[0].time, *(part.time[1:] + begin for part, begin in zip(parts[1:], begins[1:], strict=True))]
     others = zip(*(part[1:] for part in parts), strict=True)
@@ -85,11 +94,21 @@ def joined_rows(parts: Sequence[Rows]) -> Rows:
 
 
 def hermite_pieces(time: FloatArray, position: FloatArray, velocity: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The cubics between rows, with the rows' positions and velocities.
+    """Cubics between samples, with the samples' positions and velocities.
+
+    Args:
+        time: (n,) times [s].
+        position: (n, dof) [rad].
+        velocity: (n, dof) [rad/s].
 
     Returns:
-        (pieces, 4, dof) Bezier points [rad] and (pieces,) durations [s]; of a single row one constant piece of 1 s.
-        Points are not finite where numbers overflow.
+        (pieces, 4, dof) Bezier points [rad] and (pieces,) durations [s]; one constant piece of 1 s for a single sample.
+        Points are not finite if numbers overflow.
+
+    Examples:
+        >>> bezier, _ = hermite_pieces(np.array([0.0, 3.0]), np.array([[0.0], [1.0]]), np.array([[1.0], [0.0]]))
+        >>> bezier[0, :, 0].tolist()
+        [0.0, 1.0, 1.0, 1.0]
     """
     if len(position) == 1:
         return np.repeat(position[:, None, :], 4, axis=1), np.ones(1)
@@ -101,9 +120,10 @@ def hermite_pieces(time: FloatArray, position: FloatArray, velocity: FloatArray)
 
 
 def segments_between(rows: Rows, interpolation: Interpolation) -> tuple[FloatArray, FloatArray]:
-    """The polynomials between rows: (segments, 4 or 6, dof) Bezier points and (segments,) durations.
+    """Polynomials between samples, as Bezier points and durations.
 
-    Points are not finite if numbers overflow. A single row is one constant segment of 1 s.
+    Returns (segments, 4 or 6, dof) Bezier points [rad] and (segments,) durations [s]. Points are not finite if numbers
+    overflow. A single sample is one constant segment of 1 s.
     """
     if interpolation == "cubic" or len(rows.time) == 1:
         return rows.pieces
@@ -117,7 +137,10 @@ def segments_between(rows: Rows, interpolation: Interpolation) -> tuple[FloatArr
 
 
 def _quintics(rows: Rows) -> tuple[FloatArray, FloatArray]:
-    """Bezier points and durations of the quintics with the rows' positions, velocities and accelerations."""
+    """Bezier points and durations of the quintics through the samples' states.
+
+    A state is a position, a velocity and an acceleration.
+    """
     time, position, velocity, acceleration = rows[:4]
     duration = np.diff(time)
     fifth = duration[:, None] / 5.0
@@ -137,32 +160,49 @@ def _quintics(rows: Rows) -> tuple[FloatArray, FloatArray]:
 
 
 def accelerations(pieces: FloatArray, duration: FloatArray) -> FloatArray:
-    """(pieces, 2, dof) second derivatives of cubics at both of their ends, between which they are linear."""
+    """(pieces, 2, dof) second derivatives of cubics at both ends.
+
+    They are linear in between.
+    """
     bent: FloatArray = 6.0 * np.diff(pieces, n=2, axis=1) / duration[:, None, None] ** 2
     return bent
 
 
 def rows_of(points: FloatArray, period: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(n - 2, dof) positions, velocities and accelerations at the rows of (n, dof) control points a period apart."""
+    """Sample a uniform cubic B-spline at its knots.
+
+    Args:
+        points: (n, dof) control points, a period apart.
+        period: Time between control points [s].
+
+    Returns:
+        (n - 2, dof) positions [rad], velocities [rad/s] and accelerations [rad/s^2].
+    """
     change = np.diff(points, axis=0)
     position = (points[:-2] + 4.0 * points[1:-1] + points[2:]) / 6.0
     return position, 0.5 * (change[1:] + change[:-1]) / period, np.diff(change, axis=0) / period**2
 
 
 def points_of(position: FloatArray, velocity: FloatArray, acceleration: FloatArray, period: float) -> FloatArray:
-    """(3, dof) control points that give the state at a row."""
+    """(3, dof) control points that define the state at a sample.
+
+    Examples:
+        >>> points = points_of(np.array([1.0]), np.array([2.0]), np.array([3.0]), 0.1)
+        >>> [round(float(values[0, 0]), 9) for values in rows_of(points, 0.1)]
+        [1.0, 2.0, 3.0]
+    """
     middle = position - period**2 / 6.0 * acceleration
     aside = 0.5 * period**2 * acceleration
     return np.stack([middle - period * velocity + aside, middle, middle + period * velocity + aside])
 
 
 def evaluate(pieces: FloatArray, breaks: FloatArray, parameters: ArrayLike, derivative: int = 0) -> FloatArray:
-    """Points or derivatives of Bezier pieces; returns (..., dof) values.
+    """Evaluate Bezier pieces or their derivatives; returns (..., dof) values.
 
     Args:
         pieces: (pieces, 4 or 6, dof) Bezier points.
         breaks: (pieces + 1,) parameters where they meet.
-        parameters: (...) parameters; clipped to these.
+        parameters: (...) parameters; clipped to the range of `breaks`.
         derivative: 0, 1 or 2.
     """
     wanted = np.array(parameters, dtype=np.float64)
@@ -187,10 +227,11 @@ def bezier_slope(b0: float, b1: float, b2: float, b3: float, t: float) -> float:
 
 @inlined
 def cubic_at(bezier: FloatArray, piece: int, joint: int, t: float) -> tuple[float, float, float, float]:
-    """Bezier points of a cubic that has a segment's value at t in [0, 1].
+    """Bezier points of a cubic with a segment's value at t.
 
-    A cubic is itself. Of a quintic these are the points that two rounds of de Casteljau's algorithm at t leave. The
-    cubic's first derivative times degree / 3, and its second times degree (degree - 1) / 6, are the segment's.
+    `t` is in [0, 1]. A cubic is returned unchanged. For a quintic, these are the points after two rounds of de
+    Casteljau's algorithm at t. The cubic's first derivative times degree / 3, and its second times degree (degree - 1)
+    / 6, are the segment's.
     """
     b0, b1, b2, b3 = bezier[piece, 0, joint], bezier[piece, 1, joint], bezier[piece, 2, joint], bezier[piece, 3, joint]
     if bezier.shape[1] == 6:
@@ -204,12 +245,12 @@ def cubic_at(bezier: FloatArray, piece: int, joint: int, t: float) -> tuple[floa
 def _evaluate(
     pieces: FloatArray, breaks: FloatArray, parameters: FloatArray, derivative: int, values: FloatArray
 ) -> None:
-    """Points or derivatives of Bezier pieces, as `evaluate`."""
+    """Evaluate Bezier pieces or their derivatives into `values` (see `evaluate`)."""
     last, degree = len(pieces) - 1, pieces.shape[1] - 1
     i = 0
     for row in range(len(parameters)):
         s = min(breaks[last + 1], max(breaks[0], parameters[row]))
-        # The piece of the parameter before is most often this one's too, or the one before this one's.
+        # The piece of the previous parameter most often contains this one, too, or is adjacent.
         while i > 0 and s < breaks[i]:
             i -= 1
         while i < last and s >= breaks[i + 1]:
@@ -230,10 +271,10 @@ def _evaluate(
 
 @kernel
 def bezier_piece(control: FloatArray, knots: FloatArray, span: int, result: FloatArray) -> None:
-    """Bezier control points of the span between knots[span] and knots[span + 1], by blossoming.
+    """Write the Bezier control points of one B-spline span, by blossoming.
 
-    The blossom of a span is de Boor's recursion with another argument on each level; its values at the span's ends
-    taken 3, 2, 1, 0 times are the Bezier points.
+    The span lies between knots[span] and knots[span + 1]. The blossom of a span is de Boor's recursion with another
+    argument on each level; its values at the span's ends taken 3, 2, 1, 0 times are the Bezier points.
     """
     dof = control.shape[1]
     low, high = knots[span], knots[span + 1]
@@ -257,7 +298,7 @@ def bezier_piece(control: FloatArray, knots: FloatArray, span: int, result: Floa
 
 @kernel
 def bezier_pieces(control: FloatArray, knots: FloatArray) -> FloatArray:
-    """Bezier control points of all spans."""
+    """Bezier control points of all spans, (spans, 4, dof)."""
     spans = control.shape[0] - 3
     pieces = np.empty((spans, 4, control.shape[1]))
     for i in range(spans):

@@ -1,10 +1,11 @@
-"""Any robot's URDF, reduced to the joints that move, and the limits of a motion of theirs.
+"""Reads any robot's URDF, reduced to its moving joints, and their limits.
 
-Nothing here knows the family of `hplan.robot.model`; the robot is whatever Pinocchio reads.
+The robot need not be planar: any URDF that Pinocchio reads is supported.
 
-Revolute, prismatic and continuous joints can move. A continuous joint becomes a revolute one without ends: its
-waypoints are angles that count on past a whole turn, and nothing is wrapped. Floating, planar and other joints of
-several coordinates, and joints that mimic another or are mimicked, cannot move; they stand still, or are held.
+Revolute, prismatic and continuous joints can move. A continuous joint becomes a revolute one without limits: its
+waypoints are angles that count beyond a whole turn, and nothing is wrapped. Floating, planar and other joints with
+several coordinates, and joints that mimic another or are mimicked, cannot move; they keep their default position or a
+held one.
 """
 
 from __future__ import annotations
@@ -28,18 +29,18 @@ from hplan.robot.urdf_check import check_models
 from hplan.robot.urdf_file import Joint, read_urdf
 from hplan.robot.urdf_xml import read_urdf_xml
 
-#: End of a continuous joint's range [rad].
+#: Position limit that represents a continuous joint's endless range [rad].
 ENDLESS = 1e9
 
 
 @dataclass(frozen=True, eq=False)
 class Machine(Record):
-    """A robot reduced to the joints that move.
+    """Robot reduced to its moving joints.
 
     Attributes:
-        model: Pinocchio's model of the moving joints; nq = nv. A limit that the URDF does not give is inf.
-        held: Where the other joints stand, by name; joints of several coordinates stand at their neutral position
-            and are None.
+        model: Pinocchio's model of the moving joints; nq = nv. A limit missing in the URDF is inf.
+        held: Positions of the other joints by name [rad, m]; None for joints with several coordinates, which are at
+            their neutral position.
     """
 
     model: pin.Model
@@ -54,20 +55,19 @@ class Machine(Record):
 def read_machine(
     path: Path | str, joints: Sequence[str] | None = None, *, hold: Mapping[str, float] | None = None
 ) -> Machine:
-    """Read the kinematics and inertia of any robot from its URDF; geometry and meshes are not read.
+    """Read any robot's kinematics and inertia from its URDF, without geometry.
 
     Args:
-        path: URDF file, or the name of a robot as `load_robot` takes it.
-        joints: Names of the joints that move; None for all but those that mimic another or are mimicked.
-        hold: Positions of joints that do not move [rad]. Without one a joint stands at 0, or at the limit nearest to
-            it.
+        path: URDF file, or the name of a robot as for `load_robot`.
+        joints: Names of the moving joints; None for all joints that neither mimic another nor are mimicked.
+        hold: Positions of joints that do not move [rad, m]. Other fixed joints are at 0, or at the limit nearest to 0.
 
     Raises:
-        RobotFileError: Missing file, malformed XML, content that `hplan.robot.urdf_file` or Pinocchio refuses, or that
-            Pinocchio reads otherwise.
-        InputError: A joint that does not exist, or that cannot move; no joint at all; a robot by name without
-            example-robot-data.
-        JointLimitError: A joint held outside its limits.
+        RobotFileError: The file is missing or malformed XML, `hplan.robot.urdf_file` or Pinocchio refuses its content,
+            or Pinocchio reads it differently.
+        InputError: A named joint does not exist or cannot move, no joint moves, or example-robot-data is not installed
+            for a robot given by name.
+        JointLimitError: A joint is held outside its limits.
     """
     path = robot_files(file_path("path", path)).urdf
     if joints is not None:
@@ -114,7 +114,7 @@ def read_machine(
 
 
 def _tied(joints: Mapping[str, Joint]) -> dict[str, str]:
-    """Each joint that mimics or is mimicked, with the other one."""
+    """Map each joint that mimics or is mimicked to its counterpart."""
     tied: dict[str, str] = {}
     for follower, joint in joints.items():
         for mimic in joint.element.findall("mimic"):
@@ -135,7 +135,7 @@ def _immovable(path: Path, joint: str, what: str, reason: str) -> InputError:
 
 
 def _make_revolute(joint: ET.Element) -> list[str]:
-    """Turn a continuous joint into a revolute one without ends; returns which limits it does not give."""
+    """Make a continuous joint revolute without limits; return its missing limit attributes."""
     joint.set("type", "revolute")
     limit = joint.find("limit")
     if limit is None:
@@ -151,15 +151,16 @@ def _make_revolute(joint: ET.Element) -> list[str]:
 def limits_of(
     model: pin.Model, acceleration: ArrayLike, jerk: ArrayLike | None = None, *, torque: bool = True
 ) -> Limits:
-    """The model's velocity and torque limits, with those that URDF cannot give.
+    """Combine a model's velocity and torque limits with acceleration and jerk limits.
 
     Args:
-        model: Pinocchio's model; its limits are the URDF's, of which 0 is taken at its word.
-        acceleration: (dof,) or one for all [rad/s^2].
-        jerk: (dof,) or one for all [rad/s^3]; None leaves it unlimited.
+        model: Pinocchio's model; its limits are the URDF's. A limit of 0 is used as such.
+        acceleration: (dof,), or one value for all joints [rad/s^2].
+        jerk: (dof,), or one value for all joints [rad/s^3]; None for no limit.
+        torque: Whether torques are limited.
 
     Raises:
-        InputError: A limit that is not finite or negative, as where the URDF gives none; names the joint.
+        InputError: A limit is negative, not finite or missing in the URDF; names the joint.
     """
     instance("model", model, pin.Model, "read_machine")
     truth("torque", torque)

@@ -1,24 +1,24 @@
-r"""Time along a path: the fastest under velocity, acceleration and torque limits (toppra), sampled for a controller.
+r"""Time-optimal timing of a path (toppra), sampled for a controller.
 
-toppra finds the path speed on a grid of path parameters that holds the ends of the spline's pieces
-(`hplan.trajectory.topp`). The samples :math:`q_k = q(s(k h))` of that motion are then taken as control points of a
-uniform cubic B-spline in time, and the rows of the trajectory are its knots (`hplan.trajectory.cubics.rows_of`).
+toppra computes the path speed on a grid of path parameters that contains the ends of the spline's pieces
+(`hplan.trajectory.topp`). The samples :math:`q_k = q(s(k h))` of that motion are then the control points of a uniform
+cubic B-spline in time, and the samples of the trajectory are at its knots (`hplan.trajectory.cubics.rows_of`).
 
-These are averages of the motion's own position, velocity and acceleration over :math:`\pm h`, so its limits are kept.
-Between rows the acceleration is linear and the velocity lies in the hull of the differences
-:math:`(q_{k+1} - q_k) / h`, so limits on both, kept there, are kept in between; and a controller that interpolates with
-cubic (position and velocity) or quintic (acceleration as well) polynomials runs exactly this motion. It starts and
-ends with acceleration zero.
+These are averages of the motion's own position, velocity and acceleration over :math:`\pm h`, so its limits hold.
+Between samples the acceleration is linear and the velocity lies in the convex hull of the differences
+:math:`(q_{k+1} - q_k) / h`, so limits on both that hold there hold in between; and a controller that interpolates with
+cubic (position and velocity) or quintic (acceleration as well) polynomials runs exactly this motion. It starts and ends
+with zero acceleration.
 
-Jerk: where limits on it are given, each control point is first replaced by the mean of :math:`m` successive ones.
-The acceleration then changes by no more than :math:`2 a / m` from row to row, and velocity and acceleration are again
-averages within their limits. The smallest :math:`m` that keeps the jerk is taken. The price is :math:`(m - 1) h` of
-duration and a deviation from the path of at most :math:`a (m h)^2 / 24` a joint, which the certificate sees, as it
-judges the rows.
+With jerk limits, each control point is first replaced by the mean of :math:`m` successive ones. The acceleration then
+changes by at most :math:`2 a / m` from sample to sample, and velocity and acceleration are again averages within their
+limits. The minimum :math:`m` that satisfies the jerk limits is chosen. The cost is :math:`(m - 1) h` of duration and a
+deviation from the path of at most :math:`a (m h)^2 / 24` for each joint. The certificate accounts for this deviation,
+as it verifies the samples.
 
-In all the motion takes :math:`m + 1` to :math:`m + 2` periods longer than toppra's. What passes a limit all the same
-(a little, by the spacing of the grid, which `hplan.trajectory.speed_profile` refines where it is more; torque is no
-linear function of the motion) is taken back by slowing down.
+The motion takes :math:`m + 1` to :math:`m + 2` periods longer than toppra's. Remaining violations (small ones caused by
+the grid spacing, which `hplan.trajectory.speed_profile` refines if they are larger, and torque, which is not a linear
+function of the motion) are removed by slowing down.
 """
 
 from __future__ import annotations
@@ -47,19 +47,19 @@ from hplan.trajectory.speed_profile import (
 )
 from hplan.trajectory.trajectory import Trajectory
 
-#: Grid points of the path parameter, in addition to the knots.
+#: Number of grid points of the path parameter, in addition to the knots.
 GRID_POINTS = 400
 
-#: Fraction by which a limit may be passed before the motion is slowed down.
+#: A motion is slowed down if it exceeds a limit by more than this fraction.
 KEPT = 2e-4
 
-#: Where rows are farther apart than this, torque is kept at as many times between them [s].
+#: If samples are farther apart than this, torque limits are also enforced at this spacing between them [s].
 TORQUE_PERIOD_S = 0.01
 
-#: Numbers of control points to average that are tried one by one; of larger ones each is tried that is so much larger.
+#: Window sizes up to the first number are all tried; larger ones grow by the second factor.
 _ONE_BY_ONE, _GROWTH = 128, 1.02
 
-#: How often the motion may be slowed down.
+#: Maximum number of times a motion is slowed down.
 _MOST_SLOWINGS = 20
 
 
@@ -71,18 +71,19 @@ def time_path(
     rate_hz: float = 250.0,
     grid: FloatArray | None = None,
 ) -> Trajectory:
-    """The fastest motion along a path, from rest to rest.
+    """Time-optimal motion along a path, from rest to rest.
 
     Args:
-        path: The path; its parameter should run about as the joint-space length.
-        model: Pinocchio's model, for torques, or what was made from it; its joints are the path's.
-        limits: Velocity, acceleration and, where given, torque and jerk limits.
-        grid: (n,) increasing path parameters from 0 to the end at which the path speed is chosen; None for those that
-            suit any path.
+        path: The path; its parameter should be approximately the joint-space arc length.
+        model: Pinocchio's model, for torques, or its inverse dynamics; its joints are the path's.
+        limits: Velocity and acceleration limits, and optional torque and jerk limits.
+        rate_hz: Samples per second.
+        grid: (n,) increasing path parameters, from 0 to the end, of the grid for the path speed; None for a default
+            grid that suits any path.
 
     Raises:
         TimingError: No motion within the limits exists; names the joint and the cause.
-        OptionError: A rate that is not between 1 and 100000, more than `MOST_ROWS` rows.
+        OptionError: `rate_hz` is not between 1 and 100000, or the motion needs more than `MOST_ROWS` samples.
     """
     check_rate(rate_hz)
     dynamics = model if isinstance(model, InverseDynamics) else InverseDynamics.of(model)
@@ -99,8 +100,8 @@ def time_path(
             raise TimingError(message, cause="parameter")
     check_deadline()
     profile = SpeedProfile.along(path, dynamics, limits, whole)
-    # With fewer points than this for each row, what passes a limit between them slows the whole motion down;
-    # longer motions get more points, up to a number that takes a tenth of a second.
+    # With fewer grid points per sample than this, violations between them slow the whole motion down; longer motions
+    # get more points, up to a number that takes a tenth of a second.
     wanted = int(0.8 * profile.arrival[-1] * rate_hz)
     if grid is None and wanted > len(whole):
         profile = SpeedProfile.along(path, dynamics, limits, parameter_grid(path, min(wanted, MOST_POINTS)))
@@ -109,7 +110,7 @@ def time_path(
 
 
 def resting(model: pin.Model, q: FloatArray) -> Trajectory:
-    """The empty motion: one row at time 0, at rest."""
+    """Empty motion: a single sample at time 0, at rest."""
     zero = np.zeros((1, model.nv))
     torque = pin.rnea(model, model.createData(), q, zero[0], zero[0])
     return Trajectory(tuple(model.names)[1:], np.zeros(1), q[None], zero, zero, torque[None], joints_that_slide(model))
@@ -118,7 +119,11 @@ def resting(model: pin.Model, q: FloatArray) -> Trajectory:
 def _check_limits(
     path: GeometricPath, dynamics: InverseDynamics, limits: Limits, grid: FloatArray, names: tuple[str, ...]
 ) -> None:
-    """Say which joint and why before toppra can only say no."""
+    """Name the joint and the cause, because toppra reports only infeasibility.
+
+    Raises:
+        TimingError: A moving joint has a limit of zero, or gravity alone exceeds a torque limit.
+    """
     moves = np.abs(path.evaluate(grid, 1)).max(axis=0) > 1e-9
     for what, values in (
         ("velocity", limits.velocity),
@@ -148,7 +153,10 @@ def _check_limits(
 
 
 def _smoothing_window(profile: SpeedProfile, limits: Limits, period: float) -> int:
-    """The fewest control points to average that keep the jerk limits; 2 a / (m h) <= jerk always suffices."""
+    """Minimum number of control points to average that satisfies the jerk limits.
+
+    2 a / (m h) <= jerk is always sufficient.
+    """
     if limits.jerk is None:
         return 1
     jerk = limits.jerk
@@ -156,7 +164,7 @@ def _smoothing_window(profile: SpeedProfile, limits: Limits, period: float) -> i
     enough = int(np.ceil((2.0 * limits.acceleration[moves] / (jerk[moves] * period)).max(initial=1.0)))
     if enough == 1:
         return 1
-    # The mean of m control points changes its acceleration by the difference of two raw ones m rows apart, over m.
+    # The acceleration change of the mean of m control points is the difference of two raw ones m samples apart, over m.
     raw = _rows(profile, replace(limits, jerk=None), period, 1).acceleration[:, moves]
     padded = np.concatenate([np.zeros_like(raw[:1]), raw, np.zeros_like(raw[:1])])
     allowed = jerk[moves] * period * (1.0 + 1e-6)
@@ -167,7 +175,7 @@ def _smoothing_window(profile: SpeedProfile, limits: Limits, period: float) -> i
 
 
 def _windows(end: int) -> Iterator[int]:
-    """Numbers of control points below an end that are tried."""
+    """Window sizes below `end` to try."""
     window = 1
     while window < end:
         yield window
@@ -176,7 +184,7 @@ def _windows(end: int) -> Iterator[int]:
 
 @dataclass(frozen=True, eq=False)
 class _Rows:
-    """Position, velocity and acceleration at the rows, and the time-scaling factor of the profile."""
+    """Position, velocity and acceleration at the samples, and the profile's time-scaling factor."""
 
     position: FloatArray
     velocity: FloatArray
@@ -187,7 +195,13 @@ class _Rows:
 def _sample(
     profile: SpeedProfile, dynamics: InverseDynamics, names: tuple[str, ...], limits: Limits, period: float, window: int
 ) -> tuple[Trajectory, float]:
-    """The trajectory, slowed down where torque, which is no linear function of the motion, passes its limit."""
+    """Sample the trajectory, slowed down as required by the torque limits.
+
+    Torque is not a linear function of the motion, so the time-scaling factor is found iteratively.
+
+    Raises:
+        TimingError: No time-scaling factor satisfies the torque limits.
+    """
     factor = 1.0
     for _ in range(_MOST_SLOWINGS):
         check_deadline()
@@ -211,7 +225,10 @@ def _sample(
 def _sample_refined(
     profile: SpeedProfile, dynamics: InverseDynamics, names: tuple[str, ...], limits: Limits, period: float, window: int
 ) -> Trajectory:
-    """The trajectory from rest to rest; where it would be slowed down as a whole, on a grid that is refined there."""
+    """Sample the rest-to-rest trajectory; refine the grid before slowing down.
+
+    The grid is refined if the trajectory would otherwise be slowed down as a whole.
+    """
     coarse: HplanError | Trajectory
     try:
         coarse, factor = _sample(profile, dynamics, names, limits, period, window)
@@ -228,7 +245,7 @@ def _sample_refined(
 
 
 def _between(rows: _Rows, period: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Positions, velocities and accelerations between the rows, where the acceleration is linear."""
+    """Positions, velocities and accelerations between samples, where acceleration is linear."""
     parts = int(np.ceil(period / TORQUE_PERIOD_S - 1e-9))
     t = (np.arange(1, parts) * (period / parts))[:, None, None]
     a, jerk = rows.acceleration[:-1], np.diff(rows.acceleration, axis=0) / period
@@ -239,7 +256,10 @@ def _between(rows: _Rows, period: float) -> tuple[FloatArray, FloatArray, FloatA
 
 
 def torque_excess(dynamics: InverseDynamics, position: FloatArray, torque: FloatArray, limit: FloatArray) -> float:
-    """The time-scaling factor that the torque limits ask for; gravity's part does not shrink with the speed."""
+    """Time-scaling factor required by the torque limits; 0 if they hold.
+
+    Gravity torques do not decrease with speed.
+    """
     over = np.abs(torque) > limit * (1.0 + KEPT)
     if not over.any():
         return 0.0
@@ -249,9 +269,14 @@ def torque_excess(dynamics: InverseDynamics, position: FloatArray, torque: Float
 
 
 def _rows(profile: SpeedProfile, limits: Limits, period: float, window: int, factor: float = 1.0) -> _Rows:
-    """Rows at multiples of the period (see the module's text), `window` control points averaged.
+    """Samples at multiples of the period, with `window` control points averaged.
 
-    Between grid points the velocity and acceleration limits are passed by a little, which slows the motion down.
+    See the module's text. Between grid points velocity and acceleration exceed their limits slightly, which slows the
+    motion down.
+
+    Raises:
+        OptionError: The motion needs more than `MOST_ROWS` samples.
+        TimingError: No time-scaling factor satisfies the limits.
     """
     for _ in range(_MOST_SLOWINGS):
         duration = profile.arrival[-1] * factor
@@ -264,8 +289,8 @@ def _rows(profile: SpeedProfile, limits: Limits, period: float, window: int, fac
                 "a lower rate, or a higher speed",
             )
         steps = max(1, int(np.ceil(duration / period - 1e-9))) + window + 1
-        # Row i stands on control points i to i + window + 1; those of the first are all before the motion begins,
-        # those of the last all after it has ended.
+        # Sample i depends on control points i to i + window + 1. The first sample's control points all lie before the
+        # start of the motion, the last sample's all after its end.
         clock = (np.arange(steps + window + 2, dtype=np.float64) - (window + 1)) * (period / factor)
         control = profile.positions(clock)
         if window > 1:
@@ -290,7 +315,7 @@ def _rows(profile: SpeedProfile, limits: Limits, period: float, window: int, fac
 def _make_exact(
     position: FloatArray, velocity: FloatArray, acceleration: FloatArray, control: FloatArray, profile: SpeedProfile
 ) -> None:
-    """Take rounding out of what is known: joints that stay where they are, and rest at the ends."""
+    """Remove rounding errors from stationary joints and from rest at the ends."""
     still = np.ptp(control, axis=0) <= 1e-12
     position[:, still] = profile.ends[0, still]
     for end in (0, -1):
@@ -299,6 +324,6 @@ def _make_exact(
 
 
 def _largest_use(values: FloatArray, limit: FloatArray, joints: BoolArray) -> float:
-    """Largest use of a limit over the joints marked."""
+    """Maximum use of a limit over the selected joints."""
     use = np.abs(values).max(axis=0) / np.maximum(limit, 1e-12)
     return float(use[joints].max(initial=0.0))

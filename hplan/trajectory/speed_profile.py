@@ -1,7 +1,7 @@
-"""The fastest path speed on a grid of path parameters, and the motion in continuous time that it gives.
+"""Time-optimal path speed on a parameter grid, and its motion.
 
-toppra keeps the limits at grid points (`hplan.trajectory.topp`). Where the path bends sharply between two of them, the
-grid is refined there.
+toppra enforces the limits at grid points (`hplan.trajectory.topp`). The grid is refined wherever the path bends sharply
+between two of them.
 """
 
 from __future__ import annotations
@@ -16,32 +16,32 @@ from hplan.robot.dynamics import InverseDynamics
 from hplan.robot.limits import GeometricPath, Limits
 from hplan.trajectory.cubics import rows_of
 
-#: Longer motions get more points, up to a number that takes a tenth of a second.
+#: Maximum number of grid points of longer motions; this many take a tenth of a second.
 MOST_POINTS = 4000
 
-#: Paths on which no joint leaves its place by as much as this are no motion [rad].
+#: A path on which no joint moves farther than this is empty [rad].
 NO_MOTION = 1e-7
 
-#: Most rows of a motion: as many take 0.2 GB.
+#: Maximum number of samples of a motion; this many take 0.2 GB.
 MOST_ROWS = 400_000
 
-#: Where rows pass a limit by more than `LITTLE`, intervals of the grid about them are split into `_SPLIT`, so often at
-#: most, unless they are shorter than this fraction of the path.
+#: If samples exceed a limit by more than `LITTLE`, grid intervals around them are split into `_SPLIT`, at most
+#: `_MOST_REFINEMENTS` times, unless they are shorter than `_SHORTEST_INTERVAL` as a fraction of the path.
 LITTLE, _SPLIT, _MOST_REFINEMENTS, _SHORTEST_INTERVAL = 0.01, 4, 6, 1e-7
 
 
 def parameter_grid(path: GeometricPath, points: int) -> FloatArray:
-    """Path parameters, denser towards the ends, together with the ends of the pieces.
+    """Path parameters, denser towards the ends, including the pieces' break points.
 
-    From rest the parameter grows with the square of time; cosine spacing makes the first intervals as short in time
-    as the others.
+    From rest the parameter grows with the square of time; cosine spacing makes the first intervals as short in time as
+    the others.
     """
     last = float(path.breaks[-1])
     inner = path.breaks[(path.breaks > 0.0) & (path.breaks < last)]
     spaced = 0.5 * last * (1.0 - np.cos(np.linspace(0.0, np.pi, points)))
     if len(inner) == 0:
         return spaced
-    # Spaced points that stand close to a piece's end give way to it, so that few intervals become very short.
+    # Spaced points close to a piece's end are dropped in favour of it, so that few intervals become very short.
     following = np.searchsorted(inner, spaced)
     nearest = np.minimum(
         np.abs(spaced - inner[np.minimum(following, len(inner) - 1)]),
@@ -55,14 +55,15 @@ def parameter_grid(path: GeometricPath, points: int) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class SpeedProfile:
-    """The fastest motion along a path, in continuous time.
+    """Time-optimal motion along a path, in continuous time.
 
-    The path speed is linear in time between grid points; before the first and after the last the arm rests.
+    The path speed is linear in time between grid points; before the first and after the last the arm is at rest.
 
     Attributes:
+        path: The path.
         grid: (n,) path parameters.
-        speed: (n,) ds/dt there.
-        arrival: (n,) times.
+        speed: (n,) path speeds ds/dt at the grid points.
+        arrival: (n,) times at the grid points [s].
     """
 
     path: GeometricPath
@@ -72,25 +73,25 @@ class SpeedProfile:
 
     @classmethod
     def along(cls, path: GeometricPath, dynamics: InverseDynamics, limits: Limits, grid: FloatArray) -> SpeedProfile:
-        """By toppra, from rest to rest."""
+        """Compute the profile with toppra, from rest to rest."""
         from hplan.trajectory.topp import fastest_speed
 
         return cls.of(path, grid, fastest_speed(path, dynamics, limits, grid))
 
     @classmethod
     def of(cls, path: GeometricPath, grid: FloatArray, speed: FloatArray) -> SpeedProfile:
-        """From the path speed at the grid points."""
+        """Build the profile from the path speed at the grid points."""
         # The path acceleration is constant between grid points, so each interval takes 2 ds / (sum of its speeds).
         durations = 2.0 * np.diff(grid) / (speed[:-1] + speed[1:])
         return cls(path, grid, speed, np.concatenate([[0.0], np.cumsum(durations)]))
 
     @property
     def duration(self) -> float:
-        """How long the motion takes [s]."""
+        """Duration of the motion [s]."""
         return float(self.arrival[-1])
 
     def positions(self, clock: FloatArray) -> FloatArray:
-        """(k, dof) configurations at times."""
+        """(k, dof) configurations at (k,) times [s]."""
         time = np.clip(clock, 0.0, self.arrival[-1])
         interval = np.clip(np.searchsorted(self.arrival, time, side="right") - 1, 0, len(self.arrival) - 2)
         since = time - self.arrival[interval]
@@ -106,16 +107,16 @@ class SpeedProfile:
 
 
 def refined(profile: SpeedProfile, dynamics: InverseDynamics, limits: Limits, period: float) -> SpeedProfile:
-    """The profile with more grid points where the motion between them passes a limit by more than a little.
+    """Refine the grid wherever samples between grid points exceed a limit.
 
-    toppra keeps the limits at the grid points. Where the path bends sharply between two of them, rows in between may
-    pass a limit many times over; slowing the whole motion down for these few would be the wrong remedy.
+    toppra enforces the limits at the grid points. If the path bends sharply between two of them, samples in between may
+    exceed a limit many times over; slowing the whole motion down for these few samples would waste time.
     """
     for _ in range(_MOST_REFINEMENTS):
         over = _rows_over(profile, dynamics, limits, period)
         if len(over) == 0 or len(profile.grid) > MOST_POINTS:
             return profile
-        # Each row's control points average over a period on either side.
+        # Each sample's control points average over a period on either side.
         first = np.searchsorted(profile.arrival, over - 1.5 * period, side="right") - 1
         last = np.searchsorted(profile.arrival, over + 1.5 * period, side="left")
         split = np.zeros(len(profile.grid) - 1, dtype=np.bool_)
@@ -131,7 +132,7 @@ def refined(profile: SpeedProfile, dynamics: InverseDynamics, limits: Limits, pe
 
 
 def _rows_over(profile: SpeedProfile, dynamics: InverseDynamics, limits: Limits, period: float) -> FloatArray:
-    """Times at which rows of the profile, as it is, pass a limit by more than a little."""
+    """Times of samples that exceed a limit by more than `LITTLE` [s]."""
     steps = int(np.ceil(profile.arrival[-1] / period)) + 1
     if steps > MOST_ROWS:
         return np.empty(0)

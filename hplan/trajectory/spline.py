@@ -1,8 +1,8 @@
-"""The smooth path: a clamped cubic B-spline in joint space.
+"""Smooth path: a clamped cubic B-spline in joint space.
 
-Its second derivative is continuous, so no jump of acceleration comes from geometry. Every span is a cubic Bezier
-piece that lies in the hull of its four control points, and so the whole path is within the joint limits as soon as
-the control points are; the hull of a piece's derivative bounds its motion, which is what shows it clear.
+Its second derivative is continuous, so the geometry causes no jump of acceleration. Every span is a cubic Bezier piece
+that lies in the convex hull of its four control points. The whole path is therefore within the joint limits if the
+control points are; the hull of a piece's derivative bounds its motion, which the collision check uses.
 """
 
 from __future__ import annotations
@@ -24,16 +24,18 @@ from hplan.collision.obstacle_rows import FieldArrays
 from hplan.errors import InputError
 from hplan.trajectory.cubics import bezier_piece, bezier_pieces, evaluate
 
-#: Longest step along a piece with which an optimiser looks for contact before the proof.
+#: Longest step along a piece, as a fraction, of the optimizer's sampled contact check before the exact one.
 STRIDE = 1.0 / 16.0
 
-#: Panels of a piece, each with Gauss-Legendre quadrature, for its length: a path may have cusps.
+#: Number of panels of a piece, each with Gauss-Legendre quadrature, for its length: a path may have cusps.
 _PANELS = 6
 
 
 @dataclass(frozen=True, eq=False)
 class SplinePath(Record):
-    """A path from its first control point to its last; the parameter runs about as the joint-space length.
+    """Path from its first to its last control point.
+
+    The parameter is approximately the joint-space arc length.
 
     Attributes:
         control: (n, dof) control points, n >= 4.
@@ -45,12 +47,18 @@ class SplinePath(Record):
 
     @classmethod
     def through(cls, control: ArrayLike) -> SplinePath:
-        """The spline with these control points, its knots averaged from the control polygon's length.
+        """Spline with these control points and knots averaged along their polygon.
 
-        Averaging (de Boor, A Practical Guide to Splines, XIII) makes the parameter follow the length.
+        Averaging (de Boor, A Practical Guide to Splines, XIII) makes the parameter follow the arc length.
 
         Raises:
-            InputError: Fewer than 4 control points, the first two or the last two equal, or too many in between.
+            InputError: There are fewer than 4 control points, the first two or the last two are equal, or too many
+                coincide in between.
+
+        Examples:
+            >>> path = SplinePath.through([[0.0], [1.0], [2.0], [3.0]])
+            >>> path.evaluate(path.end).tolist(), round(path.length, 9)
+            ([3.0], 3.0)
         """
         points = readonly(control)
         station = stations(points)
@@ -64,7 +72,7 @@ class SplinePath(Record):
 
     @cached_property
     def breaks(self) -> FloatArray:
-        """(pieces + 1,) parameters where pieces meet."""
+        """(pieces + 1,) break parameters of the pieces."""
         return readonly(self.knots[3:-3])
 
     @cached_property
@@ -78,10 +86,12 @@ class SplinePath(Record):
         return float(self.knots[-1])
 
     def evaluate(self, s: ArrayLike, derivative: int = 0) -> FloatArray:
-        """Points or derivatives with respect to the parameter; returns (..., dof) values.
+        """Evaluate the path or its derivatives; returns (..., dof) values.
+
+        Derivatives are with respect to the parameter.
 
         Args:
-            s: (...) parameters in [0, end]; clipped to it.
+            s: (...) parameters; clipped to [0, end].
             derivative: 0, 1 or 2.
         """
         return evaluate(self.pieces, self.breaks, s, derivative)
@@ -95,7 +105,12 @@ class SplinePath(Record):
         return curve_length(lambda s: np.linalg.norm(self.evaluate(s, 1), axis=-1), panels)
 
     def is_clear(self, field: ClearanceField, margin: float) -> bool:
-        """True if the whole path is verified collision-free; `margin` [m] is asked for wherever it is evaluated."""
+        """True if the whole path is verified collision-free.
+
+        Args:
+            field: Clearances to the obstacles.
+            margin: Required clearance at each evaluated configuration [m].
+        """
         return bool(np.isfinite(self.control).all()) and not first_contact(self.pieces, field, margin).any()
 
 
@@ -107,7 +122,7 @@ def first_contact(pieces: FloatArray, field: ClearanceField, margin: float) -> B
 
 
 class MovableSpline(NamedTuple):
-    """A spline whose control points, (n, dof), an optimiser moves; its knots stay.
+    """Spline with fixed knots whose (n, dof) control points an optimizer moves.
 
     Its piece `i` depends on the control points `i` to `i + 3`.
     """
@@ -118,7 +133,7 @@ class MovableSpline(NamedTuple):
 
 @kernel
 def pieces_are_clear(spline: MovableSpline, field: FieldArrays, margin: float) -> bool:
-    """True if all pieces are clear in the sense of `piece_is_clear`."""
+    """True if `piece_is_clear` verifies all pieces."""
     control, knots = spline
     piece = np.empty((4, control.shape[1]))
     for i in range(3, control.shape[0]):

@@ -1,19 +1,22 @@
-r"""Other timings of a motion, on its path: stops at any instant, and speed factors while it runs.
+r"""Retimes a motion on its path: stops and speed factors.
 
-The motion :math:`q(\tau)` is run by a clock of its own, :math:`\tau(s)`. The points :math:`C(\tau_j)` that lie a period
-:math:`h` apart on the new clock are the control points of a uniform cubic B-spline whose knots are the new rows, as in
-`hplan.trajectory.cubics`: accelerations and velocities of the rows are differences of the points, so limits that hold
-for the differences hold at all times, and the acceleration is continuous. From row to row the step of the clock,
-:math:`\tau_{j+1} - \tau_j`, is the one nearest to what is wanted at which velocity, acceleration, jerk and torque keep
-their limits. A motion slowed down evenly keeps every limit that it keeps at full speed, so there is such a step; where
-jerk limits of several joints contradict one another, what was wanted before is taken back a little.
+Stops may start at any instant; speed factors may change while the motion runs.
 
-**Seam.** :math:`C = q + e`. Where the new timing begins, the first three points are those that give the motion's own
-position, velocity and acceleration there; :math:`e`, about :math:`-h^2 \ddot q / 6`, is faded out from there on.
+The motion :math:`q(\tau)` is driven by a clock of its own, :math:`\tau(s)`. The points :math:`C(\tau_j)` that lie a
+period :math:`h` apart on the new clock are the control points of a uniform cubic B-spline whose knots are the new
+samples, as in `hplan.trajectory.cubics`: accelerations and velocities of the samples are differences of the points, so
+limits that hold for the differences hold at all times, and the acceleration is continuous. From sample to sample the
+step of the clock, :math:`\tau_{j+1} - \tau_j`, is the one nearest to the requested step that satisfies the velocity,
+acceleration, jerk and torque limits. A motion slowed down uniformly satisfies every limit that it satisfies at full
+speed, so such a step exists. If the jerk limits of several joints contradict one another, earlier requested steps are
+reduced slightly.
 
-**Off the path.** A row is a mean of points of the path with weights of the variance :math:`\sigma^2 \le u^2 / 3`,
-:math:`u` the largest of their steps, so each joint is off it by at most :math:`|e| + u^2 \max |\ddot q| / 6`, at all
-times. Rows are made as dense as brings the arm to within `OFF_PATH`.
+**Seam.** :math:`C = q + e`. At the start of the new timing, the first three points reproduce the motion's own position,
+velocity and acceleration; :math:`e`, about :math:`-h^2 \ddot q / 6`, is then faded out.
+
+**Off the path.** A sample is a mean of points of the path with weights of the variance :math:`\sigma^2 \le u^2 / 3`,
+:math:`u` the maximum of their steps, so each joint is off it by at most :math:`|e| + u^2 \max |\ddot q| / 6`, at all
+times. Sampling is refined until the arm stays within `OFF_PATH`.
 """
 
 from __future__ import annotations
@@ -36,36 +39,41 @@ from hplan.trajectory.time_steps import FADED, Clocks, Kept, run_clock
 #: Speed factors over time: a number, (n, 2) rows of time and factor, or a function of the time.
 Profile: TypeAlias = "float | Sequence[tuple[float, float]] | FloatArray | Callable[[float], float]"
 
-#: How far the arm may leave the path [m], and how often rows may be made twice as dense for it.
+#: Maximum displacement of the arm off the path [m], and how often the sampling rate may be doubled for it.
 OFF_PATH, _DENSER = 1e-4, 8
 
-#: By so little a joint that comes to its limit may pass it [rad].
+#: A joint that reaches its limit may exceed it by this distance [rad].
 AT_LIMIT = 2e-7
 
-#: By so much of a limit rows may pass it where the motion itself does not, and at most unless it does: of velocity,
-#: acceleration and torque; and of jerk.
+#: Tolerances, as fractions: samples may exceed limits of velocity, acceleration and torque by the first, or by up to
+#: the second if the motion itself exceeds them; jerk limits by the third. A larger excess of the motion itself is
+#: permitted, but not increased.
 SPARE, _MOST_SPARE, _SPARE_JERK = 7e-4, 9.5e-4, 0.03
 
-#: Longest motion that a profile may lead to [s].
+#: Maximum duration of a retimed motion [s].
 _LONGEST_S = 3600.0
 
 
 def rescaled(
     motion: Rows, robot: Robot, row: int, wanted: Callable[[FloatArray], FloatArray], *, final_s: float
 ) -> tuple[Rows, FloatArray, FloatArray, float] | None:
-    """The motion at other speeds from a row on, its rows as dense as keeps it on the path.
+    """Retime a motion from a sample on.
+
+    Sampling is refined until the motion stays on its path.
 
     Args:
-        row: Where the new timing begins.
-        wanted: (n,) times since then -> (n,) speed factors.
-        final_s: From this time after the row on the motion is at its end as soon as it is at rest.
+        motion: The motion.
+        robot: The arm, for its limits.
+        row: Index of the first sample of the new timing.
+        wanted: (n,) times since that sample -> (n,) speed factors.
+        final_s: Later than this after that sample, the motion ends as soon as it is at rest [s].
 
     Returns:
-        None where none is found, else the motion; for each row the time at which the other one is there [s]; bounds of
-        how far each joint (dof,) [rad], and the arm [m], is off the path.
+        None if no timing is found. Otherwise the motion; for each sample its time in the original motion [s]; and upper
+        bounds on the displacement of each joint (dof,) [rad] and of the arm [m] off the path.
 
     Raises:
-        OptionError: Factors with which the motion does not end.
+        OptionError: The motion does not end with these factors.
     """
     rest = motion.since(row)
     period = float(rest.time[1])
@@ -86,7 +94,7 @@ def rescaled(
 def _with_period(
     rest: Rows, robot: Robot, period: float, wanted: Callable[[FloatArray], FloatArray], final_s: float
 ) -> tuple[Rows, FloatArray, FloatArray] | None:
-    """The motion at other speeds, with rows a period apart, from its first row on; None where no timing is found."""
+    """Retime a motion at a fixed sampling period; None if not found."""
     limits = _kept(rest, robot, period)
     rows = int((2.0 if final_s == 0.0 else 4.0) * rest.duration / period) + 64
     while True:
@@ -112,13 +120,13 @@ def _with_period(
 
 
 class _Begin(NamedTuple):
-    """The first points of a new timing.
+    """First control points of a new timing.
 
     Attributes:
         points: (3, dof) control points.
         clock: (3,) their times on the motion's own clock [s].
-        fade: (3, dof) the offset from the path at the last of them, its derivative by the time [rad/s], and, in the
-            first column of the last row, how long it is faded out [s].
+        fade: (3, dof) the offset from the path at the last of them, its derivative with respect to time [rad/s], and,
+            in the first column of the last row, the fading time [s].
     """
 
     points: FloatArray
@@ -127,7 +135,13 @@ class _Begin(NamedTuple):
 
     @classmethod
     def of(cls, rest: Rows, period: float, factor: float) -> _Begin:
-        """From the state at a motion's first row; the factor is that of its speed, 1 where it is in motion there."""
+        """Start from the state at a motion's first sample.
+
+        Args:
+            rest: The motion from that sample on.
+            period: Time between samples [s].
+            factor: Initial speed factor; 1 if the motion is not at rest there.
+        """
         q, v, a = rest.position[0], rest.velocity[0], rest.acceleration[0]
         points = points_of(q, v, a, period)
         clock = np.array([-1.0, 0.0, 1.0]) * (period * factor)
@@ -143,7 +157,7 @@ class _Begin(NamedTuple):
 
 
 def _kept(rest: Rows, robot: Robot, period: float) -> Kept:
-    """The limits that a new timing keeps: the robot's, or what the motion itself uses where that is more."""
+    """Limits of a new timing: the robot's, or the motion's if higher."""
     bezier, duration = rest.pieces
     bent = accelerations(bezier, duration)
     own = np.maximum(np.abs(bent).max(axis=(0, 1)), np.abs(rest.acceleration).max(axis=0))
@@ -152,10 +166,10 @@ def _kept(rest: Rows, robot: Robot, period: float) -> Kept:
     torque = _allowed(robot.torque_limit, np.abs(rest.torque).max(axis=0))
     jerk = np.full(robot.dof, np.inf)
     if robot.jerk_limit is not None:
-        # Where the acceleration jumps from one cubic to the next it changes within a period.
+        # A jump of the acceleration from one cubic to the next takes one period.
         jumps = np.abs(bent[1:, 0] - bent[:-1, 1]).max(axis=0, initial=0.0)
         own = (np.abs(bent[:, 1] - bent[:, 0]) / duration[:, None]).max(axis=0)
-        # A jump of the acceleration so small is none [rad/s^2].
+        # Smaller jumps of the acceleration are ignored [rad/s^2].
         smooth = 1e-4
         jerk = np.maximum(robot.jerk_limit, own + np.where(jumps > smooth, jumps, 0.0) / period) * (1.0 + _SPARE_JERK)
     dynamics = robot.dynamics
@@ -165,9 +179,9 @@ def _kept(rest: Rows, robot: Robot, period: float) -> Kept:
 
 
 def _allowed(limit: FloatArray, own: FloatArray) -> FloatArray:
-    """(dof,) what may be used of limits: a little more than the motion itself uses, if that stays within `_MOST_SPARE`.
+    """(dof,) usable limits: slightly above the motion's own use, within `_MOST_SPARE`.
 
-    So a stop of a motion that is a stop already keeps its limits too.
+    A stop of a motion that is already a stop therefore satisfies its limits, too.
     """
     most = np.maximum(own, limit * (1.0 + _MOST_SPARE))
     return np.maximum(limit * (1.0 + SPARE), np.minimum(own * (1.0 + SPARE), most))
@@ -176,7 +190,7 @@ def _allowed(limit: FloatArray, own: FloatArray) -> FloatArray:
 def _with_rows(
     rest: Rows, robot: Robot, period: float, clock: FloatArray, points: FloatArray
 ) -> tuple[Rows, FloatArray, FloatArray]:
-    """The motion with control points, the times at which the other one is there, how far each joint is off its path."""
+    """Motion with given control points, original times, joint displacements off path."""
     states = rows_of(points, period)
     ends = zip(states, rest[1:4], (points[-1], 0.0, 0.0), strict=True)
     for values, first, last in ends:
@@ -185,8 +199,8 @@ def _with_rows(
     torque[0] = rest.torque[0]
     rows = Rows(np.arange(len(torque), dtype=np.float64) * period, *states, torque)
     on_path = rest.positions(np.clip(clock, 0.0, None))
-    on_path += np.minimum(clock, 0.0)[:, None] * rest.velocity[0]  # before the seam, where the path goes on backwards
-    # Of the path itself: the column of accelerations may say anything.
+    on_path += np.minimum(clock, 0.0)[:, None] * rest.velocity[0]  # before the seam the path is extended backwards
+    # From the path itself: the column of accelerations need not agree with it.
     largest = np.abs(accelerations(*rest.pieces)).max(axis=(0, 1))
     step = float(np.diff(clock).max())
     off = np.abs(points - on_path)[1:].max(axis=0) + step**2 / 6.0 * largest
@@ -194,10 +208,19 @@ def _with_rows(
 
 
 def speed_factors(profile: Profile) -> tuple[Callable[[FloatArray], FloatArray], float, float]:
-    """A profile as a function of (n,) times, and the time and the factor of its last row, infinite and NaN if none.
+    """Convert a profile to a function of (n,) times.
+
+    Returns:
+        The function; the time and the factor of the profile's last row; infinite and NaN without rows.
 
     Raises:
-        OptionError: It is none.
+        OptionError: `profile` is not a positive factor, a nonempty (n, 2) array with nonnegative, nondecreasing times,
+            or a function; or a factor is negative or not finite.
+
+    Examples:
+        >>> factors, end_s, last = speed_factors([(0.0, 1.0), (2.0, 0.5)])
+        >>> factors(np.array([1.0, 3.0])).tolist(), end_s, last
+        ([0.75, 0.5], 2.0, 0.5)
     """
     expected = "a factor >= 0, (n, 2) rows of time and factor >= 0, or a function of the time that gives one"
     if is_number(profile):
@@ -224,10 +247,10 @@ def speed_factors(profile: Profile) -> tuple[Callable[[FloatArray], FloatArray],
 
 
 def check_factors(motion: Rows, robot: Robot, factor: float) -> None:
-    """Refuse a factor above 1 that the motion as a whole has no room for.
+    """Check that limits permit a factor above 1 for the whole motion.
 
     Raises:
-        OptionError: It has none; names the joint and its limit.
+        OptionError: The factor exceeds a limit; names the joint and its limit.
     """
     if factor <= 1.0:
         return

@@ -1,8 +1,8 @@
-"""The steps of the clock by which a motion is run, one for each new row (`hplan.trajectory.time_scaling`).
+"""Clock steps of a retimed motion, one per new sample (`hplan.trajectory.time_scaling`).
 
-A step has to keep bounds of the new control points' first, second and third differences and of the torques at the row.
-All are, to first order, linear in the step, so each gives an interval of steps; of their intersection the one nearest
-to the wanted one is taken, and the intervals are computed again there.
+A step must satisfy bounds on the first, second and third differences of the new control points and on the torques at
+the sample. All are, to first order, linear in the step, so each gives an interval of steps; the step in their
+intersection nearest to the requested one is taken, and the intervals are recomputed there.
 """
 
 from __future__ import annotations
@@ -17,29 +17,30 @@ from hplan.base.kernels import kernel
 from hplan.robot.dynamics import newton_euler
 from hplan.trajectory.cubics import bezier_slope, bezier_value
 
-#: Rows over which the offset at the seam is faded out.
+#: Number of samples over which the offset at the seam is faded out.
 FADED = 100
 
-#: Part of the jerk limit with which changes of the step are planned ahead.
+#: Changes of the step are planned ahead with this fraction of the jerk limit.
 AHEAD = 0.8
 
-#: How often a step is corrected, and differences that count as none [rad].
+#: Maximum number of corrections of a step, and differences that count as zero [rad].
 LOOKS, ROUNDING = 4, 1e-13
 
-#: Where no step keeps the limits, so many rows before are run again with this part of their changes; that many times.
+#: If no step satisfies the limits, this many previous samples are repeated with their changes scaled by `LESS`, twice
+#: as many after each further failure; at most `MOST_RETURNS` times.
 BACK, LESS, MOST_RETURNS = 6, 0.7, 200
 
 
 class Clocks(NamedTuple):
-    """A motion and what is wanted of it.
+    """Motion and requested speed factors.
 
     Attributes:
-        bezier: (pieces, 4, dof) its cubics.
-        time: (pieces + 1,) the times of its rows [s].
-        points: (3, dof) the first control points.
+        bezier: (pieces, 4, dof) cubics of the motion.
+        time: (pieces + 1,) times of its samples [s].
+        points: (3, dof) first control points.
         clock: (3,) their times [s].
-        fade: (3, dof) what is faded out (`hplan.trajectory.time_scaling`).
-        factors: (rows,) speed factors wanted from the second point on.
+        fade: (3, dof) offset at the seam and its fading time (`hplan.trajectory.time_scaling`).
+        factors: (rows,) requested speed factors, from the second point on.
     """
 
     bezier: FloatArray
@@ -51,13 +52,13 @@ class Clocks(NamedTuple):
 
 
 class Kept(NamedTuple):
-    """Limits.
+    """Limits of a retimed motion.
 
     Attributes:
-        steps: (3, dof) largest first, second and third differences of control points [rad].
-        torque: (dof,) [N m].
-        bodies: The arm's bodies as `newton_euler` takes them; empty where torque is not limited.
-        gravity: (3,) [m/s^2].
+        steps: (3, dof) maximum first, second and third differences of control points [rad].
+        torque: (dof,) torque limits [N m].
+        bodies: The arm's bodies as for `newton_euler`; empty if torque is not limited.
+        gravity: (3,) gravity [m/s^2].
     """
 
     steps: FloatArray
@@ -68,15 +69,17 @@ class Kept(NamedTuple):
 
 @kernel
 def run_clock(clocks: Clocks, kept: Kept, period: float, final: int) -> tuple[int, int, FloatArray, FloatArray]:
-    """Control points of the motion at other speeds.
+    """Compute the control points of a retimed motion.
 
     Args:
-        period: Time between rows [s].
-        final: From this row on the motion ends once it is at rest.
+        clocks: The motion and the requested factors.
+        kept: The limits.
+        period: Time between samples [s].
+        final: From this sample on the motion ends once it is at rest.
 
     Returns:
-        0 where it comes to its end, 1 where there are not rows enough, 2 where a step keeps no limits; how many points
-        there are; (rows,) their times on the motion's own clock [s]; (rows, dof) the points.
+        Status: 0 if it reaches its end, 1 if there are too few samples, 2 if no step satisfies the limits; the number
+        of points; (rows,) their times on the motion's own clock [s]; (rows, dof) the points.
     """
     rows, dof = len(clocks.factors), clocks.points.shape[1]
     end = clocks.time[len(clocks.time) - 1]
@@ -131,12 +134,13 @@ def run_clock(clocks: Clocks, kept: Kept, period: float, final: int) -> tuple[in
 
 @kernel
 def _towards(before: float, wanted: float, ahead: float, most: float) -> float:
-    """The step on the way from one to another whose changes can still be brought to nothing there.
+    """Next step towards a requested one, so that changes can end there.
 
     Args:
-        before: The step before.
-        ahead: By how much the change may itself change from row to row.
-        most: Largest change.
+        before: Previous step [s].
+        wanted: Requested step [s].
+        ahead: Maximum change of the change from sample to sample [s].
+        most: Maximum change [s].
     """
     left = abs(wanted - before)
     change = left
@@ -148,7 +152,7 @@ def _towards(before: float, wanted: float, ahead: float, most: float) -> float:
 
 @kernel
 def _at(clocks: Clocks, at: float, found: FloatArray) -> None:
-    """Fill in the point for a time of the motion, and its derivative."""
+    """Write the point at a time of the motion, and its derivative."""
     bezier, time, fade = clocks.bezier, clocks.time, clocks.fade
     last = len(time) - 1
     inside = 0.0 <= at < time[last]
@@ -176,7 +180,10 @@ def _at(clocks: Clocks, at: float, found: FloatArray) -> None:
 def _interval(
     points: FloatArray, i: int, found: FloatArray, kept: Kept, period: float, work: FloatArray
 ) -> tuple[float, float, float]:
-    """The changes of a step at which limits are kept, and by how much its change may change from row to row."""
+    """Interval of feasible step corrections, and the maximum change of their change.
+
+    The second value is per sample. The interval is empty if no correction satisfies the limits.
+    """
     dof = points.shape[1]
     low, high, ahead = -np.inf, np.inf, np.inf
     for j in range(dof):
@@ -213,7 +220,10 @@ def _interval(
 def _torque(
     points: FloatArray, i: int, found: FloatArray, more: float, kept: Kept, period: float, work: FloatArray
 ) -> None:
-    """Fill in, in the third row of `work`, the torques at a row whose next point is moved on by a part of a step."""
+    """Write the torques at a sample into the third row of `work`.
+
+    The next point is moved on by `more`, a part of a step.
+    """
     dof = points.shape[1]
     state = np.empty((4, 1, dof))
     for j in range(dof):

@@ -1,7 +1,7 @@
-"""Timing alone: any robot's URDF, waypoints, and the fastest motion through them with its corners rounded.
+"""Times waypoints of any robot's URDF: the fastest motion with rounded corners.
 
-The robot is one of `hplan.trajectory.machine`, the path one of `hplan.trajectory.corner_rounding`. For a prismatic
-joint read metres wherever radians are written; its columns say so.
+The robot is read by `hplan.trajectory.machine`, the path made by `hplan.trajectory.corner_rounding`. For prismatic
+joints, radians mean metres; the columns of their files are named accordingly.
 """
 
 from __future__ import annotations
@@ -29,29 +29,31 @@ from hplan.trajectory.speed_profile import NO_MOTION
 from hplan.trajectory.spline import SplinePath
 from hplan.trajectory.trajectory import Trajectory
 
-#: Deviation from the polyline at its corners, where none is given [rad].
+#: Default deviation from the polyline at its corners [rad].
 DEVIATION = math.radians(1.0)
 
-#: Grid points for half of a rounded corner: the fewest and the most; many corners have to share `_MOST_POINTS`.
+#: Minimum and maximum number of grid points for half of a rounded corner; many corners share `_MOST_POINTS`.
 _CORNER_POINTS, _MOST_POINTS = (10, 100), 60_000
 
-#: Use of a limit from which on a joint counts as the one that holds the motion back.
+#: A joint that uses at least this fraction of a limit counts as limiting the motion.
 AT_LIMIT = 0.99
 
 
 def read_waypoints(path: Path | str, joint_names: Sequence[str], slides: Sequence[bool] = ()) -> FloatArray:
-    """Read waypoints from a CSV: a header, then one line for each; returns (n, dof) waypoints, n >= 1.
+    """Read (n, dof) waypoints from a CSV file, n >= 1.
 
-    A joint's column is `NAME` or `NAME_pos_rad`, in radians, or where it slides `NAME_pos_m`, in metres; columns stand
-    in any order, others are ignored, and so are empty lines. A trajectory that hplan wrote can be read as well.
+    The file has a header and one line per waypoint. A joint's column is `NAME` or `NAME_pos_rad`, in radians, or
+    `NAME_pos_m`, in metres, if the joint is prismatic; columns may be in any order. Other columns and empty lines are
+    ignored. A trajectory written by hplan can be read as well.
 
     Args:
-        joint_names: The `dof` joints, in the order wanted.
-        slides: Of each of them whether it slides; empty where none does.
+        path: The file.
+        joint_names: Names of the `dof` joints, in the order of the result.
+        slides: Whether each joint is prismatic; empty if none is.
 
     Raises:
-        InputError: Missing or unreadable file, a joint without a column or with two, a line of another length, a value
-            that is no finite number, no waypoint at all; names the line.
+        InputError: The file is missing or unreadable, a joint has no column or two, a line has another length, a value
+            is not a finite number, or there is no waypoint; names the line.
     """
     joint_names = list_of("joint_names", joint_names, str, "names")
 
@@ -79,23 +81,24 @@ def time_waypoints(
     rate_hz: float = 250.0,
     speed: float = 1.0,
 ) -> Trajectory:
-    """The fastest motion through waypoints, from rest to rest, with corners rounded by `rounded_path`.
+    """Fastest rest-to-rest motion through waypoints, with corners rounded by `rounded_path`.
 
-    The rows are averages of the motion along the path over a period h (`hplan.trajectory.retime`), which takes them off
-    it by less than a h^2 / 6 a joint (a: acceleration; 3e-6 rad for 1 rad/s^2 at 250 Hz), more where jerk is limited.
-    They stay in the hull of the waypoints.
+    The samples are averages of the motion along the path over a period h (`hplan.trajectory.retime`). They are off the
+    path by less than a h^2 / 6 for each joint (a: acceleration; 3e-6 rad for 1 rad/s^2 at 250 Hz), and by more with
+    jerk limits. They stay in the convex hull of the waypoints.
 
     Args:
-        model: Pinocchio's model; all its joints have one coordinate (`read_machine` sees to that).
+        model: Pinocchio's model; all its joints have one coordinate (as from `read_machine`).
         waypoints: (n, dof) configurations within the joint limits; equal ones are an empty motion.
         limits: Limits of the motion, as from `limits_of`.
-        deviation_rad: Largest distance of path and polyline, Euclidean norm; at least 1e-4.
+        deviation_rad: Maximum distance between path and polyline, Euclidean norm; at least 1e-4.
+        rate_hz: Samples per second.
         speed: Fraction of full speed, in (0, 1].
 
     Raises:
-        InputError: A joint of several coordinates; waypoints that are no (n, dof) array of finite numbers.
-        JointLimitError: A waypoint outside the joint limits (by more than 1e-9 rad); counted from 1.
-        OptionError: A deviation, rate or speed out of range.
+        InputError: A joint has several coordinates, or `waypoints` is not an (n, dof) array of finite numbers.
+        JointLimitError: A waypoint is outside the joint limits (by more than 1e-9 rad); waypoints are counted from 1.
+        OptionError: The deviation, rate or speed is out of range.
         TimingError: No motion within the limits exists; names the joint and the cause.
     """
     instance("model", model, pin.Model, "read_machine")
@@ -130,17 +133,18 @@ def time_waypoints(
 
 
 def corner_grid(path: SplinePath) -> FloatArray:
-    """Path parameters that suit the corners of a `rounded_path`: many in each, however short it is, few in between.
+    """Path parameters for a `rounded_path`: many in each corner, few in between.
 
-    In a corner the joints that turn back pass a point at which the path acceleration does not move them; on a coarse
-    grid toppra lets it jump up and down there, and timing slows the whole motion to take that back.
+    The number per corner does not depend on its length. In a corner the joints that reverse pass a point where path
+    acceleration does not move them; on a coarse grid toppra lets it jump up and down there, and timing would slow the
+    whole motion down to remove that.
     """
     breaks = instance("path", path, SplinePath, "rounded_path").breaks
     corners = (len(breaks) - 2) // 3
     each = _MOST_POINTS // (3 * max(corners, 1))
     even = np.linspace(0.0, 1.0, int(np.clip(each, *_CORNER_POINTS)) + 1)
-    # Between corners, and from and to rest, dense at the ends; with no corner as many as for any path.
-    # Grid points between two corners.
+    # Between corners, and from and to rest, the grid is dense at the ends; without corners it has as many points as for
+    # any path.
     straight_points = (10, 60)
     count = int(np.clip(each, *straight_points)) if corners else timing.GRID_POINTS
     eased = 0.5 * (1.0 - np.cos(np.linspace(0.0, np.pi, count)))
@@ -154,15 +158,16 @@ def corner_grid(path: SplinePath) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class LimitShares(Record):
-    """Fractions of its limits that each joint uses.
+    """Use of each joint's limits, as fractions.
 
     Attributes:
-        velocity: (dof,) largest |velocity| / limit.
-        acceleration: (dof,) largest |acceleration| / limit.
-        torque: (dof,) largest |torque| / limit; None where torque is not limited.
-        jerk: (dof,) largest change of acceleration from row to row / limit; None where jerk is not limited.
-        binding: (dof,) fraction of the rows in which the joint uses `AT_LIMIT` or more of some limit other than jerk.
-        bound: Fraction of the rows in which any joint does.
+        velocity: (dof,) maximum |velocity| / limit.
+        acceleration: (dof,) maximum |acceleration| / limit.
+        torque: (dof,) maximum |torque| / limit; None if torque is not limited.
+        jerk: (dof,) maximum change of acceleration from sample to sample / limit; None if jerk is not limited.
+        binding: (dof,) fraction of the samples in which the joint uses `AT_LIMIT` or more of some limit other than
+            jerk.
+        bound: Fraction of the samples in which any joint does.
     """
 
     velocity: FloatArray
@@ -174,10 +179,18 @@ class LimitShares(Record):
 
 
 def limit_shares(trajectory: Trajectory, limits: Limits) -> LimitShares:
-    """Measure a trajectory's rows against limits; a joint at rest may have limits of zero.
+    """Compute the use of limits in a trajectory's samples.
+
+    A joint at rest may have limits of zero.
 
     Args:
-        limits: (dof,) limits; for `binding` to say what holds a slowed motion back, scaled like it.
+        trajectory: The motion.
+        limits: (dof,) limits; scale them like the motion, so that `binding` refers to its reduced limits.
+
+    Examples:
+        >>> motion = Trajectory(("q1",), [0.0, 2.0], [[0.0], [1.0]], [[0.0], [0.0]], [[0.0], [0.0]], [[0.0], [0.0]])
+        >>> limit_shares(motion, Limits(np.ones(1), np.ones(1))).bound
+        0.0
     """
     instance("trajectory", trajectory, Trajectory, "time_waypoints")
     instance("limits", limits, Limits, "limits_of")

@@ -1,18 +1,17 @@
-r"""toppra with limits at the middle of each grid interval, and its two passes compiled.
+r"""toppra with limits at grid interval midpoints, and its two passes compiled.
 
-Between grid points the path acceleration :math:`u = \ddot s` is constant and :math:`x = \dot s^2` linear in s. A
-limit of the form :math:`|a u + b x + c| \le g` enforced at grid points (collocation) is passed in between, and
-enforced at both ends of each interval (interpolation) leaves some of it unused everywhere; both errors are of the
-order of the spacing. Enforced at the middle, where :math:`x_m = x_i + \Delta s \, u`, the error alternates in sign
-and its average over an interval is of second order. The rows of a trajectory are such averages
-(`hplan.trajectory.retime`), so there the limits are used in full and kept to within a fraction that timing then takes
-back.
+Between grid points the path acceleration :math:`u = \ddot s` is constant and :math:`x = \dot s^2` linear in s. A limit
+of the form :math:`|a u + b x + c| \le g` enforced at grid points (collocation) is exceeded in between, and enforced at
+both ends of each interval (interpolation) leaves some of it unused everywhere; both errors are of the order of the
+spacing. Enforced at the middle, where :math:`x_m = x_i + \Delta s \, u`, the error alternates in sign and its average
+over an interval is of second order. The samples of a trajectory are such averages (`hplan.trajectory.retime`), so the
+limits are used fully and violated only by a fraction that timing then removes.
 
-toppra's constraints state the problem: in their canonical form they give half-planes of (u, x). From the end backward,
-the set of x from which the end can be reached is an interval, whose two ends are linear programs in two variables;
-forward, the largest u that stays in these intervals is taken. `toppra.algorithm.TOPPRA` does so with a call from Python
-for each program, which takes many times what solving it takes, and its constraint of torque with one for each point;
-here both passes are one compiled call, and torques come from one. The tests hold the passes against toppra's own.
+toppra's constraints define the problem: in their canonical form they give half-planes of (u, x). From the end backward,
+the set of x that can reach the end is an interval whose two ends are linear programs in two variables; forward, the
+maximum u that stays in these intervals is taken. `toppra.algorithm.TOPPRA` does so with a call from Python for each
+program, which takes many times longer than solving it, and its torque constraint with one for each point; here both
+passes are one compiled call, and all torques are computed in one call. The tests compare the passes with toppra's own.
 
 This module is imported lazily: toppra, with scipy, takes a quarter of a second.
 """
@@ -32,32 +31,35 @@ from hplan.errors import TimingError
 from hplan.robot.dynamics import InverseDynamics
 from hplan.robot.limits import GeometricPath, Limits
 
-with deferred("matplotlib", "matplotlib.pyplot"):  # toppra wants it for plots that nobody asks for here
+with deferred("matplotlib", "matplotlib.pyplot"):  # for toppra's plots only, which are not used here
     from toppra import constraint
 
 logging.getLogger("toppra").setLevel(logging.ERROR)
 
-#: What toppra is given for a limit of zero, which only joints that do not move may have.
+#: Replaces a limit of zero in toppra's constraints, which only joints that do not move may have.
 _TINY = 1e-9
 
-#: toppra's bounds of u and x, its tolerances of a half-plane and of parallel lines, its weight of u in the programs of
-#: the backward pass (of points with the same x, one with small u), what its forward pass takes from x at each step
-#: against rounding, by how much a start may miss its interval, and how often x is lowered where no u is found.
+#: Constants of toppra: its bounds of u and x; its tolerances for a half-plane and for parallel lines; its weight of u
+#: in the programs of the backward pass (among points with the same x, it selects a small u); the reduction of x in each
+#: step of its forward pass against rounding errors; the tolerance of a start outside its interval; and how often x is
+#: lowered if no u is found.
 _BOUND, _KEPT, _PARALLEL, _LEAN, _DROP, _NEAR, _TRIES = 1e8, 1e-10, 1e-8, 1e-9, 1e-8, 1e-5, 10
 
 
 def fastest_speed(path: GeometricPath, dynamics: InverseDynamics, limits: Limits, grid: FloatArray) -> FloatArray:
-    """Path speed ds/dt at the grid points of the fastest motion from rest to rest.
+    """Time-optimal path speed ds/dt at the grid points, from rest to rest.
 
     Args:
-        limits: Velocity, acceleration and, where given, torque limits.
+        path: The path.
+        dynamics: Inverse dynamics of the arm, for the torque limits.
+        limits: Velocity, acceleration and, if given, torque limits.
         grid: (n,) increasing path parameters.
 
     Raises:
-        TimingError: There is no motion within the limits; `cause` is toppra's code.
+        TimingError: No motion within the limits exists; `cause` is toppra's code.
     """
-    # toppra's tolerances are absolute; where a path is shorter than 0.01 rad, a longer parameter brings ds/dt to
-    # about 10.
+    # toppra's tolerances are absolute: for a path shorter than 0.01 rad, the parameter is scaled so that ds/dt is about
+    # 10.
     span = float(grid[-1] - grid[0])
     scale = 10.0 / np.sqrt(max(float(limits.acceleration.max()), _TINY) * span) if span < 0.01 else 1.0
     scaled = scale * grid
@@ -68,22 +70,27 @@ def fastest_speed(path: GeometricPath, dynamics: InverseDynamics, limits: Limits
 
 @dataclass(frozen=True)
 class PathView:
-    """A path as toppra's constraints ask for it; its parameter is the path's times `scale`."""
+    """Path with the interface of toppra's constraints.
+
+    Its parameter is the path's times `scale`.
+    """
 
     path: GeometricPath
     dof: int
     scale: float
 
     def __call__(self, positions: FloatArray, order: int = 0) -> FloatArray:
-        """Points or derivatives at (n,) parameters, (n, dof)."""
+        """(n, dof) points or derivatives at (n,) parameters."""
         return self.path.evaluate(positions / self.scale, order) / self.scale**order
 
 
 def half_planes(view: PathView, dynamics: InverseDynamics, limits: Limits, grid: FloatArray) -> FloatArray:
-    """(n, 6 + m, 3) half-planes a u + b x + c <= 0 at each grid point.
+    """Constraints as half-planes a u + b x + c <= 0.
 
-    Four are the bounds of u and x, two are left for the interval of the next grid point. The last grid point has no
-    interval after it, and so no limit of acceleration or torque.
+    Returns (n, 6 + m, 3) coefficients (a, b, c) at each grid point.
+
+    The first four are the bounds of u and x; two are reserved for the interval of the next grid point. The last grid
+    point has no interval after it, and therefore no limit of acceleration or torque.
     """
     half = 0.5 * np.diff(grid)
     middle = grid[:-1] + half
@@ -117,22 +124,28 @@ def half_planes(view: PathView, dynamics: InverseDynamics, limits: Limits, grid:
 def _constraints(
     velocity: bytes, acceleration: bytes
 ) -> tuple[constraint.JointVelocityConstraint, constraint.JointAccelerationConstraint]:
-    """Those of toppra for limits of velocity and acceleration; each writes a text of them, which takes long."""
+    """Velocity and acceleration constraints for toppra, cached.
+
+    Each constructor writes a description of the limits, which is slow.
+    """
     limits = [np.maximum(np.frombuffer(each), _TINY) for each in (velocity, acceleration)]
     collocation = constraint.DiscretizationType.Collocation
     return constraint.JointVelocityConstraint(limits[0]), constraint.JointAccelerationConstraint(limits[1], collocation)
 
 
 def passes(rows: FloatArray, steps: FloatArray, rates: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Both of toppra's passes: (n,) path speeds, (n - 1,) path accelerations and (n, 2) controllable sets of x.
+    """Run both passes of toppra.
 
     Args:
-        rows: (n, 6 + m, 3) half-planes, as `half_planes` gives them; two of each point are filled in.
+        rows: (n, 6 + m, 3) half-planes, as from `half_planes`; two of each point are filled in.
         steps: (n - 1,) lengths of the grid's intervals.
         rates: (2,) path speeds at the ends.
 
+    Returns:
+        (n,) path speeds, (n - 1,) path accelerations and (n, 2) controllable sets of x.
+
     Raises:
-        TimingError: There is no motion within the limits; `cause` is toppra's code.
+        TimingError: No motion within the limits exists; `cause` is toppra's code.
     """
     sets, x, u = np.full((len(rows), 2), np.nan), np.full(len(rows), np.nan), np.zeros(len(rows) - 1)
     start, end = (float(rate) ** 2 for rate in rates)
@@ -148,10 +161,13 @@ def passes(rows: FloatArray, steps: FloatArray, rates: FloatArray) -> tuple[Floa
 
 @kernel
 def _controllable(rows: FloatArray, steps: FloatArray, end: float, sets: FloatArray) -> None:
-    """Backward: the least and the largest x at each grid point from which x = end can be reached; else left as it is.
+    """Backward pass: write the controllable interval of x at each grid point.
 
-    Each is a linear program in (u, x), solved by taking in one half-plane after the other (Seidel): where the best
-    point so far is outside the next one, the best point lies on its border, between the half-planes before it.
+    An x in this interval can reach x = end.
+
+    The minimum and the maximum x at each grid point are linear programs in (u, x), solved by adding one half-plane
+    after the other (Seidel): if the current optimum is outside the next one, the new optimum lies on its border,
+    between the half-planes before it. If a program is infeasible, the remaining intervals are left unchanged.
     """
     last, count = rows.shape[0] - 1, rows.shape[1]
     sets[last, 0], sets[last, 1] = end, end
@@ -171,7 +187,7 @@ def _controllable(rows: FloatArray, steps: FloatArray, end: float, sets: FloatAr
                 square = a * a + b * b
                 if not square > 0.0:
                     return
-                # The border: its point nearest to the origin, and from there t times (-b, a).
+                # The border: its point nearest to the origin, plus t times (-b, a).
                 u0, x0 = -a * c / square, -b * c / square
                 low, high = -np.inf, np.inf
                 for j in range(k):
@@ -193,10 +209,10 @@ def _controllable(rows: FloatArray, steps: FloatArray, end: float, sets: FloatAr
 
 @kernel
 def greedy(rows: FloatArray, steps: FloatArray, sets: FloatArray, start: float, x: FloatArray, u: FloatArray) -> None:
-    """Forward: the largest u at each grid point that stays within the sets; where there is none, the rest of x is left.
+    """Forward pass: the maximum u at each grid point within the sets.
 
-    The half-planes are those the backward pass has completed. As in toppra, x is lowered a few times where rounding
-    leaves no u.
+    The half-planes are those the backward pass has completed. As in toppra, x is lowered a few times if rounding leaves
+    no feasible u. If none is found, the remaining x are left unchanged.
     """
     x[0] = start
     i, tries = 0, 0

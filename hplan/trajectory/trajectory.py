@@ -1,4 +1,4 @@
-"""A timed motion, sampled as the controller will run it, and its CSV."""
+"""Timed motion, sampled for a controller, and its CSV format."""
 
 from __future__ import annotations
 
@@ -33,21 +33,21 @@ from hplan.trajectory.time_scaling import Profile, check_factors, rescaled, spee
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-#: A row so little before a time is at it [s].
+#: A sample within this time before an instant counts as being at it [s].
 SAME_TIME = 1e-9
 
-#: Differences of a controller's times are no finer than this where it counts seconds since 1970 [s].
+#: Rounding of time differences in a controller that counts seconds since 1970 [s].
 _CLOCK_STEP = 1e-6
 
 
 @dataclass(frozen=True)
 class Phase:
-    """A part of a trajectory.
+    """Phase of a trajectory.
 
     Attributes:
-        name: `transit`, `approach` or `retreat`; of tours also `drop` and `return`.
-        start_s: When it begins [s].
-        end_s: When it ends [s].
+        name: `transit`, `approach` or `retreat`; in tours also `drop` and `return`.
+        start_s: Start time [s].
+        end_s: End time [s].
     """
 
     name: str
@@ -55,27 +55,41 @@ class Phase:
     end_s: float
 
     def later(self, seconds: float) -> Phase:
-        """The part of a motion that begins as much later [s]."""
+        """The phase, delayed by a time [s].
+
+        Examples:
+            >>> Phase("transit", 0.0, 1.0).later(2.0)
+            Phase(name='transit', start_s=2.0, end_s=3.0)
+        """
         return Phase(self.name, self.start_s + seconds, self.end_s + seconds)
 
 
 @dataclass(frozen=True, eq=False)
 class Trajectory(Record):
-    """Samples of a motion, at rest at both ends unless asked for otherwise.
+    """Samples of a motion, normally at rest at both ends.
 
     Attributes:
         joint_names: Names of the `dof` joints.
         time: (n,) strictly increasing from 0 [s].
-        position: (n, dof).
+        position: (n, dof) [rad], in metres for prismatic joints.
         velocity: (n, dof) [rad/s].
         acceleration: (n, dof) [rad/s^2].
-        torque: (n, dof) joint torques by inverse dynamics [N m], of joints that slide forces [N].
-        slides: Of each joint whether it slides, and is in metres; empty where that is not known.
-        interpolation: The curve that the controller follows between two rows: `cubic` has their positions and
-            velocities, as every motion of hplan, `quintic` their accelerations too, `linear` their positions alone.
-        takes_over_s: Of a motion that takes over from a running one, the time up to which its rows are those of the
-            running one and may be past when it is sent [s]; 0 if it begins where the arm is. A message of it needs a
-            start time. None for a motion that begins on its own.
+        torque: (n, dof) joint torques from inverse dynamics [N m]; forces for prismatic joints [N].
+        slides: Whether each joint is prismatic, and is in metres; empty if unknown.
+        interpolation: Curve that the controller follows between two samples: `cubic` matches their positions and
+            velocities, as every motion of hplan does, `quintic` their accelerations too, `linear` their positions only.
+        takes_over_s: For a motion that takes over from a running one, the time until it shares the running motion's
+            samples, which may be past when it is sent [s]; 0 if it starts at the arm's present state. Such a motion's
+            message needs a start time. None for a motion that starts on its own.
+
+    Examples:
+        >>> motion = Trajectory(("q1",), [0.0, 2.0], [[0.0], [1.0]], [[0.0], [0.0]], [[0.0], [0.0]], [[0.0], [0.0]])
+        >>> motion
+        <Trajectory: 2 s, 2 rows, joints q1>
+        >>> motion.positions([1.0]).tolist()
+        [[0.5]]
+        >>> motion.reversed.position[0].tolist()
+        [1.0]
     """
 
     joint_names: tuple[str, ...]
@@ -119,20 +133,21 @@ class Trajectory(Record):
 
     @property
     def rows(self) -> Rows:
-        """Its samples alone."""
+        """The samples without joint names and interpolation."""
         return Rows(self.time, self.position, self.velocity, self.acceleration, self.torque)
 
     @property
     def segments(self) -> tuple[FloatArray, FloatArray]:
-        """The polynomials between its rows: (segments, 4 or 6, dof) Bezier points and (segments,) durations.
+        """Polynomials between the samples, as Bezier points and durations.
 
-        Points are not finite if numbers overflow. A single row is one constant segment of 1 s.
+        Returns (segments, 4 or 6, dof) Bezier points and (segments,) durations [s]. Points are not finite if numbers
+        overflow. A single sample is one constant segment of 1 s.
         """
         return segments_between(self.rows, self.interpolation)
 
     @property
     def end_velocities(self) -> FloatArray:
-        """(2, dof) velocities with which the curve leaves the first row and reaches the last one."""
+        """(2, dof) velocities of the curve at the first and last sample."""
         bezier, duration = self.segments
         with np.errstate(over="ignore", invalid="ignore"):
             steps = np.stack([bezier[0, 1] - bezier[0, 0], bezier[-1, -1] - bezier[-1, -2]])
@@ -144,7 +159,10 @@ class Trajectory(Record):
 
     @property
     def reversed(self) -> Trajectory:
-        """The motion backwards. Torques stay as they are: inverse dynamics knows velocity only by its square."""
+        """The motion backwards.
+
+        Torques are unchanged: inverse dynamics depends on the square of velocity only.
+        """
         time, position, acceleration = self.time[-1] - self.time[::-1], self.position[::-1], self.acceleration[::-1]
         return self._with(Rows(time, position, -self.velocity[::-1], acceleration, self.torque[::-1]))
 
@@ -154,12 +172,15 @@ class Trajectory(Record):
         return len(self.time)
 
     def since(self, row: int) -> Trajectory:
-        """The motion from a row on; it begins in motion if it is in motion there.
+        """The motion from a sample on.
 
-        If it is in motion there, it takes over from the motion that runs until then (`takes_over_s`).
+        If it is not at rest there, it takes over from the motion that runs until then (`takes_over_s`).
+
+        Args:
+            row: Index of the sample.
 
         Raises:
-            OptionError: There is no such row.
+            OptionError: `row` is not the index of a sample.
         """
         row = whole("row", row, 0, self.samples - 1)
         if row == 0:
@@ -168,25 +189,34 @@ class Trajectory(Record):
         return self._with(self.rows.since(row), None if begins_alone else 0.0)
 
     def until(self, row: int) -> Trajectory:
-        """The motion up to a row; it ends in motion if it is in motion there.
+        """The motion up to a sample; it need not end at rest.
+
+        Args:
+            row: Index of the sample.
 
         Raises:
-            OptionError: It has no such row.
+            OptionError: `row` is not the index of a sample.
+
+        Examples:
+            >>> motion = Trajectory(("q1",), [0.0, 2.0], [[0.0], [1.0]], [[0.0], [0.0]], [[0.0], [0.0]], [[0.0], [0.0]])
+            >>> motion.until(0).duration
+            0.0
         """
         return self._with(self.rows.until(whole("row", row, 0, self.samples - 1)), self.takes_over_s)
 
     def stop_at(self, t: float, robot: Robot) -> Trajectory:
-        """The motion up to the first row at or after a time, and from there on the quickest stop on its path.
+        """The motion with the quickest stop on its path.
 
-        The path stays (to 0.1 mm): what was clear of obstacles on it is. `stopped` says more.
+        The stop begins at the first sample at or after the time `t`. The arm stays on the path (to 0.1 mm), so a
+        collision-free path remains collision-free. Details: function `stopped`.
 
         Args:
             t: The time, within the motion [s].
             robot: The arm, for its limits.
 
         Raises:
-            OptionError: A time before the motion or after it, or no robot.
-            TimingError: The motion neither ends at rest, nor was a stop found.
+            OptionError: `t` is outside the motion, or `robot` is not a robot.
+            TimingError: No stop was found, and the motion does not end at rest.
         """
         return stopped(self, t, robot).trajectory
 
@@ -195,26 +225,33 @@ class Trajectory(Record):
 
         Args:
             profile: Fraction of the motion's own speed over time: a number, (n, 2) rows of time [s] and factor, or a
-                function of the time (the function `scaled` says more).
+                function of the time (details: function `scaled`).
             robot: The arm, for its limits.
 
         Raises:
-            OptionError: Factors that are none, beyond what limits allow, or with which the motion does not end.
+            OptionError: `profile` is invalid, a factor exceeds the limits, or the motion does not end with these
+                factors.
             TimingError: No motion within the limits was found.
         """
         return scaled(self, profile, robot).trajectory
 
     def state_at(self, t: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Position, velocity and acceleration that a controller is to follow at a time, each (dof,).
+        """Reference position, velocity and acceleration at a time, each (dof,).
 
-        On the curve of `interpolation`; before the motion and after it, at rest where it begins and where it ends. A
-        time that rounding has put less than `_CLOCK_STEP` before the motion is its begin, which may be in motion.
+        The state is on the curve of `interpolation`; before and after the motion, at rest at its first and its last
+        position. A time that rounding has put less than `_CLOCK_STEP` before the motion counts as its start, which may
+        be in motion.
 
         Args:
             t: The time [s].
 
         Raises:
-            OptionError: No finite number.
+            OptionError: `t` is not a finite number.
+
+        Examples:
+            >>> motion = Trajectory(("q1",), [0.0, 2.0], [[0.0], [1.0]], [[0.0], [0.0]], [[0.0], [0.0]], [[0.0], [0.0]])
+            >>> [values.tolist() for values in motion.state_at(1.0)]
+            [[0.5], [0.75], [0.0]]
         """
         number("t", t, "a time in seconds")
         if -_CLOCK_STEP < t < 0.0:
@@ -230,13 +267,15 @@ class Trajectory(Record):
         return q[0], v[0], a[0]
 
     def plot(self, robot: Robot | None = None) -> Figure:
-        """Positions, velocities, accelerations and torques over time as matplotlib's figure (extra `figures`).
+        """Plot positions, velocities, accelerations and torques over time.
+
+        Requires the extra `figures`; returns a matplotlib figure.
 
         Args:
-            robot: The arm, to draw its limits.
+            robot: The arm, to draw its limits; None for no limits.
 
         Raises:
-            InputError: Matplotlib is not installed; a robot of other joints.
+            InputError: Matplotlib is not installed, or the robot has other joints.
         """
         figure: Figure = VIEWERS["draw_trajectory"](self, robot)
         return figure
@@ -255,14 +294,14 @@ class Trajectory(Record):
 
 @dataclass(frozen=True, eq=False)
 class Retimed(Record):
-    """A motion on the path of another one.
+    """Retimed motion on the path of another one.
 
     Attributes:
-        trajectory: The motion, on the same clock as the other one up to where they part.
-        row: The row at which they part.
-        clock: (samples,) for each row the time at which the other motion is there [s].
-        off_path: (dof,) bound of how far each joint is off the path at any time [rad].
-        off_path_m: Bound of how far the arm is off it [m].
+        trajectory: The motion, on the clock of the original one up to the sample where they part.
+        row: Index of that sample.
+        clock: (samples,) each sample's time in the original motion [s].
+        off_path: (dof,) upper bound on each joint's displacement off the path at any time [rad].
+        off_path_m: Upper bound on the arm's displacement off the path [m].
     """
 
     trajectory: Trajectory
@@ -273,15 +312,16 @@ class Retimed(Record):
 
     @classmethod
     def cut(cls, trajectory: Trajectory, row: int) -> Retimed:
-        """The motion itself, up to a row."""
+        """The original motion, up to a sample."""
         kept = trajectory if row == trajectory.samples - 1 else trajectory.until(row)
         return cls(kept, row, kept.time, np.zeros(len(trajectory.joint_names)), 0.0)
 
 
 def stopped(trajectory: Trajectory, t: float, robot: Robot) -> Retimed:
-    """The motion with the quickest stop on its path from the first row at or after a time on.
+    """The motion with the quickest stop on its path.
 
-    Where the motion itself comes to rest as early, that is the stop.
+    The stop begins at the first sample at or after the time. If the motion itself comes to rest as early, it is the
+    stop.
 
     Args:
         trajectory: The motion; its joints are the robot's.
@@ -289,9 +329,9 @@ def stopped(trajectory: Trajectory, t: float, robot: Robot) -> Retimed:
         robot: The arm, for its limits.
 
     Raises:
-        OptionError: A time before the motion or after it.
-        InputError: A motion of other joints.
-        TimingError: The motion neither ends at rest, nor was a stop found.
+        OptionError: `t` is outside the motion.
+        InputError: The motion has other joints than the robot, or its segments are not cubics.
+        TimingError: No stop was found, and the motion does not end at rest.
     """
     _check_kinds(trajectory, robot)
     number(
@@ -317,20 +357,20 @@ def stopped(trajectory: Trajectory, t: float, robot: Robot) -> Retimed:
 def scaled(trajectory: Trajectory, profile: Profile, robot: Robot) -> Retimed:
     """The motion at other speeds, on its path.
 
-    Factors are followed as closely as limits allow: what they ask for at once is reached over a ramp. A pause is a
-    factor of 0; where the last factor of rows is 0, the motion ends at rest when it gets there.
+    Factors are followed as closely as the limits permit: a step of the factor becomes a ramp. A factor of 0 is a pause;
+    if the last factor of an array is 0, the motion ends when it comes to rest.
 
     Args:
         trajectory: The motion; its joints are the robot's.
         profile: Fraction of the motion's own speed over the time of the new motion: a number, (n, 2) rows of time [s]
-            and factor, linear in between and constant after the last one (at a time given twice it steps), or a
-            function of the time [s]. More than 1 is taken where the whole motion has room for it.
+            and factor, linear in between and constant after the last one (a repeated time is a step), or a function of
+            the time [s]. Factors above 1 are accepted if the limits permit them for the whole motion.
         robot: The arm, for its limits.
 
     Raises:
-        OptionError: A factor that is negative, not finite or beyond what limits allow; times that decrease or are
-            negative; factors with which the motion does not end.
-        InputError: A motion of other joints.
+        OptionError: A factor is negative, not finite or beyond the limits, times decrease or are negative, or the
+            motion does not end with these factors.
+        InputError: The motion has other joints than the robot, or its segments are not cubics.
         TimingError: No motion within the limits was found.
     """
     _check_kinds(trajectory, robot)
@@ -368,15 +408,15 @@ def scaled(trajectory: Trajectory, profile: Profile, robot: Robot) -> Retimed:
 def _parted(
     robot: Robot, found: tuple[Rows, FloatArray, FloatArray, float], row: int, takes_over_s: float | None
 ) -> Retimed:
-    """A motion that leaves the timing of another one at a row."""
+    """Build the result of a motion retimed from a sample on."""
     return Retimed(Trajectory(robot.joint_names, *found[0], robot.slides, takes_over_s=takes_over_s), row, *found[1:])
 
 
 def _check_kinds(trajectory: Trajectory, robot: Robot) -> None:
-    """Check that a trajectory is one of cubics, of a robot.
+    """Check that a trajectory consists of cubics and has a robot's joints.
 
     Raises:
-        InputError: Its joints are not the robot's, or it is not made of cubics.
+        InputError: Its joints are not the robot's, or its segments are not cubics.
     """
     instance("trajectory", trajectory, Trajectory, "plan or read_csv")
     instance("robot", robot, Robot, "load_robot")
@@ -391,10 +431,10 @@ def _check_kinds(trajectory: Trajectory, robot: Robot) -> None:
 
 
 def check_joints(trajectory: Trajectory, robot: Robot) -> None:
-    """Refuse a trajectory of other joints than a robot's, or in other units.
+    """Check that a trajectory has a robot's joints and units.
 
     Raises:
-        InputError: It is one; names the joints of both, or the joint that slides in one of them alone.
+        InputError: The joints or the units differ; names the joints of both, or the joint with the other unit.
     """
     if trajectory.joint_names != robot.joint_names:
         raise InputError(
@@ -404,13 +444,14 @@ def check_joints(trajectory: Trajectory, robot: Robot) -> None:
 
 
 def check_units(slides: Mapping[str, bool], robot: Robot) -> None:
-    """Refuse a motion with a joint in metres that turns, or one in radians that slides.
+    """Check that prismatic joints are in metres and revolute ones in radians.
 
     Args:
-        slides: Of each joint, by name, whether it is in metres; those of which that is not known are left out.
+        slides: Whether each joint, by name, is in metres; joints with an unknown unit are left out.
+        robot: The arm.
 
     Raises:
-        InputError: There is one; names it and its columns.
+        InputError: A joint has the wrong unit; names it and its columns.
     """
     for joint, ours in zip(robot.joint_names, robot.slides, strict=True):
         if slides.get(joint, ours) != ours:
@@ -424,10 +465,18 @@ def check_units(slides: Mapping[str, bool], robot: Robot) -> None:
 
 
 def joined(parts: Sequence[Trajectory]) -> Trajectory:
-    """Motions one after the other; each begins where the one before it ends, and at its speed.
+    """Concatenate motions; each must start where its predecessor ends.
+
+    Position and velocity must match.
 
     Raises:
-        InputError: No motion, motions of other joints, or one that begins elsewhere or at another velocity.
+        InputError: `parts` is empty, or a motion has other joints or another interpolation, or starts at another
+            position or velocity.
+
+    Examples:
+        >>> motion = Trajectory(("q1",), [0.0, 2.0], [[0.0], [1.0]], [[0.0], [0.0]], [[0.0], [0.0]], [[0.0], [0.0]])
+        >>> joined([motion, motion.reversed]).duration
+        4.0
     """
     parts = list_of("parts", parts, Trajectory, "trajectories")
     if not parts:
@@ -455,13 +504,28 @@ def joined(parts: Sequence[Trajectory]) -> Trajectory:
 
 
 def csv_header(joint_names: tuple[str, ...], slides: Sequence[bool] = ()) -> list[str]:
-    """Column names: `time_s`, then four for each joint, in the units of one that turns or, where it slides, of that."""
+    """Column names: `time_s`, then four for each joint in its units.
+
+    Units are radians for revolute and metres for prismatic joints.
+
+    Examples:
+        >>> csv_header(("q1",))
+        ['time_s', 'q1_pos_rad', 'q1_vel_rad_s', 'q1_acc_rad_s2', 'q1_torque_nm']
+    """
     kinds = zip(joint_names, slides or [False] * len(joint_names), strict=True)
     return ["time_s", *(f"{joint}_{name}" for joint, slides in kinds for name in joint_unit(slides).columns)]
 
 
 def as_table(trajectory: Trajectory) -> FloatArray:
-    """(n, 1 + 4 dof) the rows of the trajectory's CSV, in the order of `csv_header`; no zero has a sign."""
+    """(n, 1 + 4 dof) table in the order of `csv_header`.
+
+    Negative zeros become zeros.
+
+    Examples:
+        >>> motion = Trajectory(("q1",), [0.0, 2.0], [[0.0], [1.0]], [[0.0], [0.0]], [[0.0], [0.0]], [[0.0], [0.0]])
+        >>> as_table(motion).tolist()
+        [[0.0, 0.0, 0.0, 0.0, 0.0], [2.0, 1.0, 0.0, 0.0, 0.0]]
+    """
     columns = np.stack(
         [trajectory.position, trajectory.velocity, trajectory.acceleration, trajectory.torque],
         axis=2,
@@ -471,21 +535,28 @@ def as_table(trajectory: Trajectory) -> FloatArray:
 
 
 def write_csv(trajectory: Trajectory, path: Path | str, robot: Robot | None = None, *, whole: bool = False) -> Path:
-    """Write the trajectory as RFC 4180 CSV: one header line, no comments, values that read back exactly.
+    """Write a trajectory as an RFC 4180 CSV file.
 
-    A file of that name is replaced, as by all functions that write a file.
+    Values read back exactly. The file has one header line and no comments. An existing file is replaced.
 
     Args:
-        trajectory: The motion. Where it does not say which joints slide, as those of hplan do, all count as turning.
+        trajectory: The motion. If it does not define `slides`, all joints count as revolute.
         path: The file.
-        robot: The robot that it is of, and that says which slide.
-        whole: Whether to write a stop, or other speeds, with the rows that the running motion has up to there, for an
-            arm that is at the first row and at rest.
+        robot: The motion's robot, which defines the prismatic joints; None to use the trajectory's `slides`.
+        whole: Whether to write a stopped or retimed motion with the running motion's samples up to the stop, for an arm
+            at rest at the first sample.
 
     Raises:
-        InputError: It is of another robot, or has a joint in other units; or it has rows of a running motion, which
-            would send the arm back, and `whole` is false.
+        InputError: The motion has another robot's joints, a joint has other units, or the motion contains samples of a
+            running motion, which would send the arm back, and `whole` is false.
         OutputError: The file cannot be written.
+
+    Examples:
+        >>> import tempfile
+        >>> motion = Trajectory(("q1",), [0.0, 2.0], [[0.0], [1.0]], [[0.0], [0.0]], [[0.0], [0.0]], [[0.0], [0.0]])
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     read_csv(write_csv(motion, f"{folder}/motion.csv"))
+        <Trajectory: 2 s, 2 rows, joints q1>
     """
     instance("trajectory", trajectory, Trajectory, "plan or read_csv")
     if not truth("whole", whole) and trajectory.takes_over_s:
@@ -503,7 +574,13 @@ def write_csv(trajectory: Trajectory, path: Path | str, robot: Robot | None = No
 
 
 def csv_text(trajectory: Trajectory) -> str:
-    """The text of the CSV that `write_csv` writes."""
+    """Text of the CSV that `write_csv` writes.
+
+    Examples:
+        >>> motion = Trajectory(("q1",), [0.0, 2.0], [[0.0], [1.0]], [[0.0], [0.0]], [[0.0], [0.0]], [[0.0], [0.0]])
+        >>> csv_text(motion).splitlines()[1]
+        '0.0,0.0,0.0,0.0,0.0'
+    """
     text = io.StringIO(newline="")
     writer = csv.writer(text)
     writer.writerow(csv_header(trajectory.joint_names, trajectory.slides))
@@ -512,15 +589,24 @@ def csv_text(trajectory: Trajectory) -> str:
 
 
 def read_csv(path: Path | str, *, interpolation: Interpolation = "cubic") -> Trajectory:
-    """Read a trajectory CSV, whoever wrote it.
+    r"""Read a trajectory from a CSV file, written by hplan or not.
 
     Args:
         path: The file.
-        interpolation: The curve that the controller runs between the rows; those that hplan wrote are cubics.
+        interpolation: Curve that the controller follows between the samples; motions of hplan are cubics.
 
     Raises:
-        InputError: Missing file, other columns than `csv_header` gives, a cell that is no finite number, time that
-            does not increase strictly from 0; names the line.
+        InputError: The file is missing, its columns are not those of `csv_header`, a cell is not a finite number, or
+            time does not increase strictly from 0; names the line.
+
+    Examples:
+        >>> import tempfile
+        >>> from pathlib import Path
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     path = Path(folder) / "motion.csv"
+        ...     _ = path.write_text("time_s,q1_pos_rad,q1_vel_rad_s,q1_acc_rad_s2,q1_torque_nm\n0,0,0,0,0\n2,1,0,0,0\n")
+        ...     read_csv(path).duration
+        2.0
     """
     file = CsvFile.read(path, "trajectory", "sample")
     joints, slides = joints_of_columns(file.header)
@@ -539,7 +625,7 @@ def read_csv(path: Path | str, *, interpolation: Interpolation = "cubic") -> Tra
 
 
 def joints_of_columns(header: Sequence[str]) -> tuple[tuple[str, ...], tuple[bool, ...]]:
-    """The joints that have a column of positions, in their order, and of each whether it is in metres."""
+    """Joints with a position column, and whether each is in metres."""
     ends = f"_{TURNING.columns[0]}", f"_{SLIDING.columns[0]}"
     found = [(name[: -len(end)], end == ends[1]) for name in header for end in ends if name.endswith(end)]
     return tuple(name for name, _ in found), tuple(slides for _, slides in found)

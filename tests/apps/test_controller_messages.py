@@ -172,6 +172,19 @@ def test_what_takes_over_needs_a_stamp_and_does_not_jump(robot: Robot, now: floa
         assert list(faults) == [], name
 
 
+def test_a_motion_that_began_at_0_is_sent_from_a_later_row(swing: PlanResult) -> None:
+    """ROS takes a stamp of 0 for the time of receipt, also where a simulated clock began at 0."""
+    stop = swing.stop_at(0.4).trajectory
+    with pytest.raises(OptionError, match=r"began at 0, send trajectory.since\(row\) with"):
+        to_joint_trajectory(stop, stamp_s=0.0)
+    row = int(np.searchsorted(stop.time, 0.35))
+    stamp_s = float(stop.time[row])
+    message = to_joint_trajectory(stop.since(row), stamp_s=stamp_s)
+    assert message["header"]["stamp"] == {"sec": 0, "nanosec": round(1e9 * stamp_s)}
+    here, _, _ = swing.trajectory.state_at(stamp_s)
+    np.testing.assert_allclose(message["points"][0]["positions"], here, atol=1e-9)
+
+
 def test_a_csv_of_a_stop_begins_where_the_arm_is(robot: Robot, tmp_path: Path) -> None:
     found = handed_out(robot, 100.4)
     for name in ("stop", "scaled", "planner stop"):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from array import array
 from decimal import Decimal
 from pathlib import Path
 from typing import Any
@@ -116,6 +117,15 @@ def test_joints_in_another_order_and_no_effort(robot: Robot, swing: Trajectory) 
     np.testing.assert_allclose(found.torque, expected)
     with pytest.raises(InputError, match=r"points\[0\].effort has 0 numbers"):
         from_joint_trajectory(message)
+
+
+def test_numbers_in_arrays_as_real_messages_have_them(swing: Trajectory) -> None:
+    message = to_joint_trajectory(swing, effort=True)
+    fields = ("positions", "velocities", "accelerations", "effort")
+    points = [point | {key: array("d", point[key]) for key in fields} for point in message["points"]]
+    found = from_joint_trajectory({**message, "points": points})
+    np.testing.assert_array_equal(found.position, swing.position)
+    assert found.interpolation == swing.interpolation
 
 
 def broken(message: dict[str, Any], **changes: Any) -> dict[str, Any]:

@@ -111,6 +111,27 @@ def test_a_tour_leaves_legs_of_others(tmp_path: Path) -> None:
     assert leg.read_text() == "mine"
 
 
+def test_a_changed_file_of_one_arm_is_not_replaced(tmp_path: Path) -> None:
+    """The changed file has the bytes that hplan would write; only the report shows that they are not its own."""
+    arms = "".join(
+        f"- {{name: {name}, robot: orchard_harvester, position: [0, {y}, 0], start: {{joints_deg: [0, 60, 20, 20]}}, "
+        "goal: {joints_deg: [10, 60, 20, 20]}}\n"
+        for name, y in (("left", 0), ("right", -4))
+    )
+    scene = tmp_path / "cell.yaml"
+    scene.write_text(f"format: hplan-scene/1\nname: c\nrobots:\n{arms}")
+    words = ["plan", str(scene), "--effort", "quick", "--out", str(tmp_path / "out"), "--quiet"]
+    assert main(words) == 0
+    assert main(words) == 0
+    path = tmp_path / "out" / "trajectory-left.csv"
+    motion = hplan.read_csv(path)
+    mine = hplan.write_csv(motion.until(motion.samples - 2), path).read_bytes()
+    assert main(words) == 2
+    assert path.read_bytes() == mine
+    assert main([*words, "--force"]) == 0
+    assert path.read_bytes() != mine
+
+
 def test_rows_of_others_are_not_cut(tmp_path: Path) -> None:
     """Not even the last line, which has no end."""
     from hplan.study.run import run_study

@@ -318,6 +318,7 @@ def test_objects_stand_in_fixed_frames() -> None:
     for wrong, reason in (
         (fixed("tray", "table", [0.0, 0.0, 0.0]), "is its own parent"),
         (fixed("map", "wall", [0.0, 0.0, 0.0]), "expected one root of all frames, got 'map', 'table'"),
+        (fixed("table", "tray", [1.0, 0.2, 0.3]), r"\[1\]: expected one transform of frame 'tray', got two"),
     ):
         with pytest.raises(SceneError, match=reason):
             read_planning_scene(echoed(fixed_frame_transforms=[transforms[0], wrong]))

@@ -7,8 +7,7 @@ import math
 
 import numpy as np
 import pytest
-from planned import frame_about_upper_arm, task
-from test_grid_route import posed
+from planned import frame_about_upper_arm, posed, task
 
 import hplan.planar.grids
 from hplan.collision.clearance_field import ClearanceField

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from planned import random_scene, task
+from planned import ABOVE, BAR, BELOW, posed, random_scene, task
 
 import hplan.planar.no_path_proof
 from hplan.errors import HplanError, OptionError
@@ -21,18 +21,8 @@ from hplan.planning.options import PlanOptions
 from hplan.planning.problem import Problem
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
-from hplan.scene.obstacles import Sphere
 
 MARGIN = 1e-4
-
-
-def posed(robot: Robot, scene: Scene, options: PlanOptions | None = None) -> Problem:
-    problem = Problem.of(robot, scene, PlanOptions() if options is None else options)
-    return problem.between(scene.start.configuration, scene.goal.configuration)
-
-
-BAR = [Sphere(name="ball", center=(1.3, 0.0, 1.6), radius=0.15)]
-BELOW, ABOVE = (0.0, 10.0, 10.0, 10.0), (0.0, 70.0, 10.0, 10.0)
 
 
 def shown_enclosed(one: Problem, attempt: GridAttempt) -> EnclosedError | None:

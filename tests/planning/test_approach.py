@@ -44,7 +44,7 @@ class Told:
 def plans(robot: Robot) -> dict[str, tuple[Scene, PlanResult, Told]]:
     """Plans of scenes, with what they would be with a stop."""
     found = {}
-    with pytest.MonkeyPatch.context() as patch:
+    with pytest.MonkeyPatch.problem() as patch:
         for name in SCENES:
             told = Told()
 
@@ -142,7 +142,7 @@ def test_where_the_stop_is_as_quick_the_arm_stops(plans: Any) -> None:
 def test_at_few_rows_a_second_approaches_in_motion_are_straight_too(robot: Robot, plans: Any) -> None:
     _, _, told = plans["dense-canopy"]
     pick = told.approach
-    slow = replace(pick, context=replace(pick.context, options=PlanOptions(rate_hz=25.0)))
+    slow = replace(pick, context=replace(pick.problem, options=PlanOptions(rate_hz=25.0)))
     found = [slow.non_stop(lead) for lead in LEADS]
     assert any(part is None for part in found)  # off their line by more, between rows
     for part in found:

@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from arm_variants import load_variant
-from planned import assert_sound, between_rows, frame_about_upper_arm, task
-from test_grid_route import posed
+from planned import assert_sound, between_rows, frame_about_upper_arm, posed, task
 
 import hplan.planning.plans
 import hplan.planning.tool_paths

@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from planned import at, between_rows, post, task
-from test_grid_route import ABOVE, BAR, BELOW, posed
+from planned import ABOVE, BAR, BELOW, at, between_rows, posed, post, task
 
 from hplan.certificate.certificate import certify
 from hplan.collision.coal_scene import CoalScene

@@ -17,6 +17,7 @@ from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.coal_scene import CoalScene, base_contacts
 from hplan.errors import ConfigurationInCollisionError, InputError
 from hplan.grid.sections import sections_at
+from hplan.planar.grids import prepared
 from hplan.planning.problem import Problem
 from hplan.planning.world import BASE_DEPTH, World, without_inside
 from hplan.robot.family.members import write_robot
@@ -78,8 +79,8 @@ def test_the_arm_keeps_the_clearance_from_itself_too(tmp_path: Path) -> None:
                 assert after < before
                 low, high = (ClearanceField.of(bendy, [], own_clearance=own).clearance(q) for own in (most, least))
                 assert low - 1e-12 <= after <= high + 1e-12
-        assert world.bodies(0.002).own_clearance == 0.032
-        sections = sections_at(bendy, world.bodies(0.002), 0.0)
+        assert prepared(world, 0.002).own_clearance == 0.032
+        sections = sections_at(bendy, prepared(world, 0.002), 0.0)
         np.testing.assert_allclose(sections.own_radii, 0.05 + 0.03 + keep + 0.002)
     assert seen > 20
 
@@ -91,7 +92,7 @@ def test_each_link_sways_by_its_own(robot: Robot) -> None:
     thicker = robot.with_arm(arm)
     world, same = World.of(robot, BALLS, tracking_error=error), World.of(thicker, BALLS)
     for yaw in (0.0, 0.1):
-        ours, theirs = (sections_at(one.robot, one.bodies(), yaw) for one in (world, same))
+        ours, theirs = (sections_at(one.robot, prepared(one), yaw) for one in (world, same))
         np.testing.assert_allclose(ours.radii, theirs.radii, rtol=1e-12)
         np.testing.assert_array_equal(ours.link_start, theirs.link_start)
     for q in rng.uniform(robot.lower, robot.upper, (20, 4)):
@@ -106,7 +107,7 @@ def test_each_link_sways_by_its_own(robot: Robot) -> None:
 
 def test_bodies_of_the_sections_are_grown_by_clearance_and_uncertainty(robot: Robot) -> None:
     world = World.of(robot, BALLS, clearance=0.01, tracking_error=0.002, sigmas=2.0)
-    bodies = world.bodies(0.003)
+    bodies = prepared(world, 0.003)
     assert bodies.deviation == 0.002
     radii = np.array([0.1, 0.12, 0.14]) + world.clearance + 0.003
     np.testing.assert_allclose(bodies.balls.radii, radii)
@@ -157,13 +158,13 @@ def test_the_last_link_alone_may_touch(robot: Robot) -> None:
         expected[-1] = without.field.link_clearances(q)[-1]
         np.testing.assert_allclose(near.field.link_clearances(q), expected, atol=1e-12)
     # The C-space knows the fruit for the other links.
-    some, every = (sections_at(robot, one.bodies(), 0.0, within_reach=False) for one in (near, world))
+    some, every = (sections_at(robot, prepared(one), 0.0, within_reach=False) for one in (near, world))
     for link in range(3):
         mine, all_ = (list(one.obstacle_of[one.link_start[link] : one.link_start[link + 1]]) for one in (some, every))
         assert 3 in all_
         assert mine == [number for number in all_ if number != 3 or link < 2]
     # What it was made from is as it was.
-    assert world.bodies().links is None
+    assert prepared(world).links is None
     assert world.checker.distances(np.zeros(4))[-1, 3] < np.inf
 
 

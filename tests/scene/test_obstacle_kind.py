@@ -214,6 +214,15 @@ def read(content: bytes, folder, entry="radius: 0.02", name="cloud.ply") -> Poin
     return cloud
 
 
+def test_a_comment_before_the_format_of_a_ply_file_is_refused(tmp_path):
+    """trimesh reads the text after such a header as binary numbers, all of them tiny."""
+    head = b"ply\n%sformat ascii 1.0\n%selement vertex 1\nproperty float x\nproperty float y\nproperty float z\n"
+    comment, rest = b"comment made by a scanner\n", b"end_header\n0.5 0 0.5\n"
+    assert read(head % (b"", comment) + rest, tmp_path).points.tolist() == [[0.5, 0.0, 0.5]]
+    with pytest.raises(SceneError, match=r"line 2: expected the format of the PLY file, got 'comment made by"):
+        read(head % (comment, b"") + rest, tmp_path)
+
+
 @pytest.mark.parametrize("colors", [False, True])
 @pytest.mark.parametrize("kind", ["double", "float"])
 @pytest.mark.parametrize("form", ["ascii", "binary_little_endian", "binary_big_endian"])

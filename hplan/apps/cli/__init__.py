@@ -1,6 +1,5 @@
-"""The `hplan` command: one file for each subcommand (plan, tour, time, certify, execute, orchard, view).
+"""The `hplan` command, one module for each subcommand of `main.COMMANDS`.
 
-`main` finds the subcommand; `options`, `terminal`, `job_folder` and `finished_job` are what they share. Heavy
-imports wait until the arguments are understood. Whatever is asked for wrongly is an `HplanError`, which `terminal`
-shows.
+`main` selects the subcommand; all subcommands share `options`, `terminal`, `job_folder` and `finished_job`. Heavy
+imports wait until the arguments have been parsed. Invalid requests raise an `HplanError`, which `terminal` prints.
 """

@@ -1,4 +1,4 @@
-"""`python -m hplan.apps.cli`, the same as `hplan`."""
+"""Entry point of `python -m hplan.apps.cli`; equivalent to `hplan`."""
 
 import sys
 

@@ -1,4 +1,7 @@
-"""What `hplan plan`, `tour` and `certify` do with a scene of several robots: one motion of all, and a CSV for each."""
+"""Subcommands `plan`, `tour` and `certify` for workcells, scenes with several robots.
+
+A plan or tour is one motion of all arms, written as one CSV of all joints and one CSV for each arm.
+"""
 
 from __future__ import annotations
 
@@ -39,7 +42,7 @@ if TYPE_CHECKING:
     from hplan.scene.cell import ArmLink
     from hplan.tour.cell_tour import CellTour
 
-#: Options that are of one robot, and what is said of one that is given.
+#: Options that apply to a single robot only, and the error text if one of them is given.
 _OF_ONE_ROBOT = (
     *("robot", "limits", "hold", "tool_frame", "srdf", "package_dir", "allow_neighbours", "drop_inside", "yield_links"),
     "collision_from_visual",
@@ -62,7 +65,16 @@ _REFUSED = "none: the scene has several robots, with their own"
 
 
 def run(arguments: argparse.Namespace, console: Console, errors: Console, *, tour: bool = False) -> int:
-    """Plan motions to goals, or tours; write, show what came of it; returns the exit status."""
+    """Plan a workcell's motions to goals or its tours.
+
+    Writes the files and prints a summary.
+
+    Args:
+        tour: Plan picking tours instead of motions to the goals.
+
+    Returns:
+        The exit status.
+    """
     refuse(arguments, _OF_ONE_ROBOT, _REFUSED)
     csv, name = (TOUR, TOUR_REPORT) if tour else (TRAJECTORY, REPORT)
     of_arm = csv.replace(".csv", "-{}.csv")
@@ -96,7 +108,10 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console, *, tou
 
 
 def certify(arguments: argparse.Namespace, console: Console) -> int:
-    """Certify a motion of all joints, or a folder with a `trajectory-NAME.csv` of each arm; returns the exit status."""
+    """Certify a motion of a workcell; return the exit status.
+
+    The motion is one CSV of all joints, or a folder with a `trajectory-NAME.csv` for each arm.
+    """
     refuse(arguments, _OF_ONE_ROBOT, _REFUSED)
     with loading():
         from hplan.planning.cell import certify_cell, load_cell, may_touch_report
@@ -140,7 +155,7 @@ def _show_certificate(console: Console, scene: str, found: CellCertificate) -> N
 
 
 def _may_touch(pairs: Sequence[tuple[ArmLink, ArmLink]]) -> Iterator[tuple[str, str]]:
-    """The pairs of links that were not checked, as a row of a summary."""
+    """Summary row of the link pairs that the scene exempts from checking."""
     if pairs:
         named = (" and ".join(f"{arm} {link!r}" for arm, link in pair) for pair in pairs)
         yield "may touch", escape("; ".join(named)) + ": not checked, as the scene says"

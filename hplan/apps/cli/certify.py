@@ -1,7 +1,9 @@
-"""Certify a trajectory in a scene: clearance, limits, start and goal, for all times.
+"""Certify a trajectory in a scene: clearance, limits, start and goal.
 
-Of a folder written by hplan its trajectory is certified, as its report says it was, and robot, scene and trajectory are
-compared with those of the report.
+The certificate holds for all times of the motion, not only at samples.
+
+Given a folder that hplan wrote, the command certifies its trajectory with the settings of its report, and compares
+robot, scene and trajectory with the digests in the report.
 """
 
 from __future__ import annotations
@@ -49,7 +51,7 @@ exit status:
 
 
 def parser(prog: str) -> argparse.ArgumentParser:
-    """The parser of the command's arguments."""
+    """Return the argument parser of the subcommand."""
     parser = command_parser(__doc__, _EXIT_STATUS, prog=prog)
     add = parser.add_argument
     add("trajectory", type=Path, help="CSV, or the folder of a job")
@@ -68,13 +70,13 @@ def parser(prog: str) -> argparse.ArgumentParser:
     add_shared(parser, "force")
     add("--json", action="store_true", help="print it as JSON instead of a summary")
     add("--quiet", action="store_true", help="no summary")
-    # A folder's report gives what is not given here.
+    # Settings that are omitted come from the report in the folder.
     parser.set_defaults(tracking_error=None, tracking_error_m=None, tracking_delay=None, sigmas=None)
     return parser
 
 
 def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int:
-    """Read, certify, compare, say; returns the exit status."""
+    """Certify, compare with the report and print; return the exit status."""
     if arguments.scene is not None and names_robots(arguments.scene):
         from hplan.apps.cli.cell import certify as certify_cell
 
@@ -132,7 +134,7 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int
 
 
 def _fill_in(arguments: argparse.Namespace, job: FinishedJob | None) -> None:
-    """Take what was not asked for from a job's report, else from the defaults."""
+    """Set omitted options from the job's report, or else to their defaults."""
     settings: dict[str, Any] = {"tracking_error_rad": 0.0, "tracking_delay_s": 0.0, "sigmas": 3.0}
     if job is not None:
         settings = job.report["certificate"]
@@ -151,7 +153,7 @@ def _fill_in(arguments: argparse.Namespace, job: FinishedJob | None) -> None:
 
 
 def _show(console: Console, report: dict[str, Any], error: str) -> None:
-    """Rows that fit 80 columns, unless names are long."""
+    """Print the certificate in at most 80 columns, unless names are long."""
     proof, table = report["certificate"], facts_table()
     clearance = "inf" if proof["nearest"] is None else at_least_mm(proof["min_clearance_m"], 3)
     table.add_row("certificate", certificate_words(proof["verified"]))

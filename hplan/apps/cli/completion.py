@@ -1,4 +1,4 @@
-"""Print a script that completes hplan's words in a shell, from the options that there are today."""
+"""Print a shell completion script, generated from the current commands and options."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ complete -o default -F _hplan hplan
 
 
 def run(_: argparse.Namespace, console: Console, __: Console) -> int:
-    """Print the script; returns the exit status."""
+    """Print the script; return the exit status."""
     console.file.write(_script())
     return 0
 
 
 def _script() -> str:
-    """The script, made from the parsers of all commands."""
+    """Generate the script from the parsers of all subcommands."""
     from hplan.apps.cli.main import COMMANDS
 
     cases = []
@@ -53,7 +53,7 @@ def _script() -> str:
 
 
 def parser(prog: str) -> argparse.ArgumentParser:
-    """The parser of the command's arguments."""
+    """Return the argument parser of the subcommand."""
     parser = command_parser(__doc__, _EPILOG, prog=prog)
     parser.add_argument("shell", choices=("bash",), help="the shell")
     return parser

@@ -1,8 +1,9 @@
-"""Run a trajectory in MuJoCo: the robot's own URDF with torque motors, the scene's obstacles as solid bodies.
+"""Run a trajectory in MuJoCo: a simulated arm among the scene's obstacles.
 
-A 1 kHz controller follows it (inverse dynamics ahead, PD on what is left). Takes trajectories of any planner. The
-masses may be others than the controller knows, and the controller late; with a tracking error it says whether that was
-kept.
+The arm is the robot's own URDF with torque motors; obstacles are solid bodies. A 1 kHz controller tracks the
+trajectory (inverse-dynamics feedforward, PD feedback). Trajectories of any planner are accepted. The simulated masses
+may differ from the controller's model, and its commands may be delayed. Given a tracking error, the command reports
+whether the joints stayed within it.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ exit status:
 
 
 def run(arguments: argparse.Namespace, console: Console, _: Console) -> int:
-    """Execute and show; returns the exit status."""
+    """Execute the motion and print the result; return the exit status."""
     from hplan.apps.execution.plant import Plant
     from hplan.apps.execution.recorded_motion import read_motion
     from hplan.apps.execution.simulation import execute
@@ -59,7 +60,7 @@ def run(arguments: argparse.Namespace, console: Console, _: Console) -> int:
 
 
 def parser(prog: str) -> argparse.ArgumentParser:
-    """The parser of the command's arguments."""
+    """Return the argument parser of the subcommand."""
     parser = command_parser(__doc__, _EPILOG, prog=prog)
     parser.add_argument("trajectory", type=Path, metavar="TRAJECTORY.csv", help="the motion")
     add_shared(parser, "scene", "robot", "parts")
@@ -74,7 +75,7 @@ def parser(prog: str) -> argparse.ArgumentParser:
 
 
 def _show(console: Console, path: Path, scene: Scene, result: Execution) -> None:
-    """Show what happened, joint by joint, and the verdict."""
+    """Print errors and torques of each joint, contacts and the verdict."""
     from hplan.base.units import joint_unit
 
     units = [joint_unit(slides) for slides in result.slides]

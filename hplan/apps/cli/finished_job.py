@@ -1,4 +1,4 @@
-"""A finished job in its folder: the report, and the motion that it is about."""
+"""A finished job in its folder: its report and its motion."""
 
 from __future__ import annotations
 
@@ -20,15 +20,24 @@ if TYPE_CHECKING:
 
 
 class FinishedJob:
-    """The report of a finished job, and where its motion is.
+    """The report of a finished job and the paths of its motion.
 
     Attributes:
-        report: Its content; `certificate` and the digests in it are there.
-        trajectory_paths: The files of its motion: one, or one for each leg of a tour.
+        path: Path of the report file.
+        report: Content of the report; it has a `certificate` with `digests`.
+        trajectory_paths: Files of the motion: one, or one for each leg of a tour.
     """
 
     def __init__(self, folder: Path, *, tours: bool = False) -> None:
-        """Read the report of a plan or, if `tours` are wanted too, that of a tour where it is the later one."""
+        """Read the report of the latest job in a folder.
+
+        Args:
+            folder: The folder that the job wrote.
+            tours: Accept a tour's report too, if it is newer than a plan's.
+
+        Raises:
+            InputError: The report is missing or malformed, or has no certificate with digests.
+        """
         self.path = max((folder / name for name in (REPORT, TOUR_REPORT)[: 1 + tours]), key=written_s)
         report = read_report(self.path)
         certificate = report.get("certificate")
@@ -51,9 +60,13 @@ class FinishedJob:
 
     @property
     def scene(self) -> str:
-        """The job's scene: of a given path the file that the job has left, else one that ships, by its name.
+        """File of the job's scene, or the name of a shipped scene.
 
-        The digest tells whether it is the same.
+        For a path that was given by the user (`hplan time --scene`), it is the scene file that the job wrote. The
+        digest in the report detects a scene that has changed since.
+
+        Raises:
+            InputError: The job's scene does not ship with hplan.
         """
         name = self.report.get("scene")
         if "given" in self.report:
@@ -64,20 +77,28 @@ class FinishedJob:
 
     @property
     def robot(self) -> str:
-        """Name of the job's robot; the digest tells whether it is the same."""
+        """Name of the job's robot; the digest detects whether it has changed.
+
+        Raises:
+            InputError: No robot of that name is known to hplan.
+        """
         name = self.report.get("robot")
         if name not in robot_names():
             raise self._fault(f"it is about the robot {name!r}, which has no name in hplan: give its URDF by --robot")
         return str(name)
 
     def trajectory(self) -> Trajectory:
-        """The job's motion; that of a tour is joined where there is a file for each leg."""
+        """Read the job's motion, joining the legs of a tour."""
         from hplan.trajectory.trajectory import joined, read_csv
 
         return joined([read_csv(path) for path in self.trajectory_paths])
 
     def playback(self, trajectory: Trajectory) -> Playback:
-        """The job's motion as the animated page shows it, with the times and phases of the report."""
+        """Return the motion, with the report's times and phases, for playback.
+
+        Raises:
+            InputError: The report does not have valid phases or legs.
+        """
         from hplan.apps.view.playback import Playback
         from hplan.trajectory.trajectory import Phase
 
@@ -103,7 +124,11 @@ class FinishedJob:
         return Playback(trajectory, picked, dropped, phases, certificate, curve)
 
     def certificate(self) -> Certificate:
-        """What the report says was shown of the motion."""
+        """Restore the certificate of the motion from the report.
+
+        Raises:
+            InputError: The certificate in the report is incomplete.
+        """
         from hplan.certificate.certificate import Certificate
         from hplan.certificate.limit_use import LimitUse
         from hplan.collision.coal_scene import Contact
@@ -123,7 +148,13 @@ class FinishedJob:
             raise self._fault("its certificate is not complete") from error
 
     def contacts(self, scene: Scene) -> tuple[FruitContact, ...]:
-        """Windows of time in which the last link may touch fruits of the job's scene, where not the goal alone."""
+        """Time windows in which the last link may touch fruits.
+
+        Empty if the report lists none, as for a motion that may touch its goal fruit only.
+
+        Raises:
+            InputError: A window names a fruit that is not in the scene, or its times are not numbers.
+        """
         from hplan.certificate.goal_contact import FruitContact
 
         fruits = {fruit.name: fruit for fruit in scene.fruits}
@@ -136,7 +167,11 @@ class FinishedJob:
             raise self._fault("its contacts are no times with fruits of the scene") from error
 
     def clearance_curve(self) -> ClearanceCurve | None:
-        """The clearance over time that the report has; None where it has none."""
+        """Clearance over time from the report; None if the report lacks it.
+
+        Raises:
+            InputError: The curve is malformed, or its lists differ in length.
+        """
         import numpy as np
 
         from hplan.base.arrays import readonly
@@ -147,7 +182,7 @@ class FinishedJob:
             return None
         try:
             time, distance = (readonly([_number(value) for value in curve[name]]) for name in ("time_s", "distance_m"))
-            # Nothing to meet, or nothing certain: both are null.
+            # A null clearance means inf without obstacles, and -inf if no clearance is certified.
             unknown = np.where(distance < np.inf, -np.inf, np.inf)
             values = zip(curve["clearance_m"], unknown.tolist(), strict=True)
             clearance = readonly([none if value is None else float(value) for value, none in values])
@@ -161,11 +196,11 @@ class FinishedJob:
         return ClearanceCurve(time, clearance, distance, nearest, pairs)
 
     def differing(self, digests: Digests | None) -> list[str]:
-        """Those of robot, scene and trajectory that are not the report's."""
+        """Names among robot, scene and trajectory whose digests differ from the report's."""
         saved = self.report["certificate"]["digests"]
         return [] if digests is None else [what for what, digest in vars(digests).items() if saved.get(what) != digest]
 
 
 def _number(value: float | None) -> float:
-    """A number of a report, where what was infinite is null."""
+    """Convert a number of a report; null, which encodes infinity, becomes inf."""
     return float("inf") if value is None else float(value)

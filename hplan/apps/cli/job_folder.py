@@ -1,11 +1,11 @@
-"""The folder that a planning command writes into: filled at once or not at all.
+"""The output folder of a planning command, written completely or never.
 
-A job begins when all that it reads has been read: before that no file is changed. Files are made in a folder of their
-own inside it and then moved, the report before any trajectory. So wherever a job ends, by a fault, a full disk or a
-signal, no trajectory stands there without the report that belongs to it.
+A job begins after all inputs have been read; no file changes before that. Files are written to a staging folder inside
+the output folder and then moved, the report before any trajectory. Therefore the folder never holds a trajectory
+without its report, even if the job ends by an error, a full disk or a signal.
 
-What hplan has not written stays (`own_files`), unless the user wants it replaced. An interrupted job leaves a report
-that says so, from the moment that the command knows its folder.
+Files that hplan did not write are kept (`own_files`) unless the user passes `--force`. As soon as the command knows its
+folder, an interruption leaves a report that says so.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import hplan
-from hplan.apps.cli.own_files import FORMAT_KEY, WRITTEN, check_own, digests_of, is_own
+from hplan.apps.cli.own_files import FORMAT_KEY, NOT_OURS, WRITTEN, check_own, digests_of, is_own
 from hplan.apps.cli.own_files import REPORT as REPORT
 from hplan.apps.cli.own_files import ROW_REPORT as ROW_REPORT
 from hplan.apps.cli.own_files import TOUR_REPORT as TOUR_REPORT
@@ -38,64 +38,71 @@ if TYPE_CHECKING:
     from hplan.apps.view.playback import Shown
     from hplan.trajectory.trajectory import Trajectory
 
-#: Files of a finished job besides its report: of one motion, of a tour, of all.
+#: Files of a finished job in addition to its report: the CSV of one motion, the CSV of a tour, the page.
 TRAJECTORY = "trajectory.csv"
 TOUR = "tour.csv"
 PAGE = "scene.html"
 
-#: The scene of a path that was given, with its ends as start and goal: what is certified is about this one.
+#: Scene of a user-supplied path, with the ends of the path as start and goal. The certificate refers to this scene.
 SCENE = "scene.yaml"
 
-#: The motion as messages of ROS 2, where it is asked for.
+#: The motion as ROS 2 messages, written on request.
 MCAP = "motion.mcap"
 
-#: Files of the joint space, where they are asked for.
+#: Page and figure of the joint space, written on request.
 CSPACE_PAGE, CSPACE_FIGURE = "cspace.html", "cspace.png"
 
-#: Files that go with the report of one motion, its trajectory first.
+#: Files that accompany the report of one motion; the trajectory comes first.
 PLAN_FILES = (TRAJECTORY, PAGE, MCAP, CSPACE_PAGE, CSPACE_FIGURE)
 
-#: Name of the folder in which a process makes its files.
+#: Name prefix of the staging folder of a process; its process number follows.
 _STAGING = ".hplan-job-"
 
 
-#: Files that a job writes only if they are requested, or if it can.
+#: Files that a job writes only on request, or only if an optional dependency is installed.
 _OPTIONAL = (MCAP, CSPACE_PAGE, CSPACE_FIGURE, "row.png")
 
-#: The folder of the command that runs.
+#: Output folder of the running command.
 _CURRENT: ContextVar[JobFolder | None] = ContextVar("job_folder", default=None)
 
 
 class JobFolder:
-    """A folder, and the files in it that are a job's."""
+    """An output folder and the names of the job's files in it."""
 
     def __init__(self, arguments: argparse.Namespace, files: Sequence[str], report: str) -> None:
-        """Change nothing yet.
+        """Register the folder of the running command; no file changes yet.
 
         Args:
-            arguments: The command's, with the folder `out` and `force`. Files that they name are inputs.
-            files: Names of a job's files, or patterns of them; first its trajectory.
+            arguments: Arguments of the command, with the folder `out` and the flag `force`. Files that they name are
+                registered as inputs.
+            files: Names or glob patterns of the job's files; the trajectory comes first.
+            report: Name of the job's report.
         """
         self.path: Path = arguments.out
         self._files = (*files, report)
         self._report = report
         self._force: bool = arguments.force
-        #: Whether a report stands here that says how the job has ended.
+        #: Names of files of others that the job might replace.
+        self._others: frozenset[str] = frozenset()
+        #: Whether the folder has a report of how this job ended.
         self._is_settled = False
         _note_inputs(arguments)
         _CURRENT.set(self)
 
     @contextmanager
     def job(self, scene: str, robot: str) -> Iterator[None]:
-        """Make the folder ready; should the job inside fail, leave nothing of it, or an earlier one, but its report.
+        """Create the folder; on failure leave only a report.
 
-        An option that does not fit robot or scene is no failed job: the folder stays as it is.
+        A failed job also removes the files of an earlier one. An `OptionError` (an option that does not fit robot or
+        scene) does not count as a failed job: the folder stays as it is.
 
         Args:
             scene: Name of the scene, for the report of a failure.
+            robot: Name of the robot, for the report of a failure.
 
         Raises:
-            OutputError: The folder cannot be written, or has a file that would be replaced and is not hplan's.
+            OptionError: The job would overwrite one of its inputs.
+            OutputError: The folder cannot be written, or the job would replace a file that hplan did not write.
         """
         for path in inputs():
             if path.parent == self.path.resolve() and any(path.match(pattern) for pattern in self._files):
@@ -103,7 +110,7 @@ class JobFolder:
         self._is_settled = False
         self._check_own()
         prepare_folder(self.path)
-        for staging in self.path.glob(f"{_STAGING}*"):  # of processes that were killed
+        for staging in self.path.glob(f"{_STAGING}*"):  # left behind by killed processes
             number = staging.name.removeprefix(_STAGING)
             if number.isdecimal() and not _runs(int(number)):
                 shutil.rmtree(staging, ignore_errors=True)
@@ -118,22 +125,25 @@ class JobFolder:
 
     @contextmanager
     def filling(self) -> Iterator[Path]:
-        """A folder to write files into, which are moved into this one when the block ends.
+        """Yield a staging folder; move its files into place on exit.
 
-        The report takes the SHA-256 of the others, by which they are known again.
+        The report receives the SHA-256 of the other files, so that hplan can later recognize them as its own.
+
+        Raises:
+            OutputError: A file cannot be written, or would replace one that hplan did not write.
         """
         staging = self.path / f"{_STAGING}{os.getpid()}"
         moved: list[Path] = []
         try:
             try:
                 with uninterrupted():
-                    self._clear()  # so that no trajectory is seen beside another's report
+                    self._clear()  # so that no trajectory is ever next to the report of another job
                 staging.mkdir()
                 yield staging
                 made = sorted(staging.iterdir(), key=lambda file: (file.suffix == ".csv", file.name))
                 for file in made:
                     check_replaceable(self.path / file.name, self.path / file.name)
-                    check_own(self.path / file.name, force=self._force)
+                    self._check_replaced(file.name)
                 report = staging / self._report
                 digests = digests_of([file for file in made if file != report])
                 if self._report in {file.name for file in made}:
@@ -157,9 +167,10 @@ class JobFolder:
                 shutil.rmtree(staging, ignore_errors=True)
 
     def interrupted(self, error: BaseException) -> None:
-        """Leave the report of a job that a signal has ended before it began; an earlier job's files go.
+        """Write the report of a job interrupted before it began.
 
-        If the folder has files of others in their place, or such that the command reads, nothing is changed.
+        The files of an earlier job are removed. Nothing changes if the job's files are inputs of the command or if
+        hplan did not write them.
         """
         if self._is_settled:
             return
@@ -178,21 +189,35 @@ class JobFolder:
         return any(path.parent == folder and path.match(pattern) for path in inputs())
 
     def _check_own(self) -> None:
-        """Refuse a folder in which a file would be replaced that is not hplan's.
+        """Check that the job replaces only files that hplan wrote.
 
         Raises:
-            OutputError: There is one; names it.
+            OutputError: The job would replace a file that hplan did not write; names the file.
         """
         for name in self._files:
             if name not in _OPTIONAL and "*" not in name:
                 check_own(self.path / name, force=self._force)
+        # Names that are known later only: by then the report, which tells whose they are, is removed.
+        later = [name for name in self._files if name in _OPTIONAL or "*" in name]
+        found = (file for name in later for file in self.path.glob(name) if file.is_file())
+        self._others = frozenset(file.name for file in found if not is_own(file))
+
+    def _check_replaced(self, name: str) -> None:
+        """Refuse to replace a file that is not hplan's now, or was not when the job began.
+
+        Raises:
+            OutputError: It is one.
+        """
+        check_own(self.path / name, force=self._force)
+        if name in self._others and not self._force:
+            raise OutputError(self.path / name, NOT_OURS)
 
     def _clear(self) -> None:
-        """Remove an earlier job's trajectory, report, and the files that came with it.
+        """Remove the trajectory, report and accompanying files of an earlier job.
 
-        Files that may be another kind of job's, or the user's own, stay: where the last report here is not of a
-        finished job of this kind, all but trajectory and report; and all that hplan did not write. What cannot be
-        removed (a folder of that name) cannot be written either, and is reported then.
+        Files that hplan did not write are kept. Unless the newest report in the folder is from a finished job of this
+        kind, only trajectory and report are removed, because the other files may belong to another kind of job. A name
+        that cannot be removed (a folder) is skipped; writing that file fails later with an error.
         """
         finished = []
         for name in (REPORT, TOUR_REPORT, ROW_REPORT):
@@ -200,7 +225,7 @@ class JobFolder:
                 if read_report(self.path / name, is_input=False).get("status") == "ok":
                     finished.append(name)
         is_ours = bool(finished) and max(finished, key=lambda name: written_s(self.path / name)) == self._report
-        for pattern in self._files:  # the report, by which the others are known, is the last
+        for pattern in self._files:  # the report comes last, because it identifies the other files
             if is_ours or pattern in (self._files[0], self._report):
                 for file in sorted(self.path.glob(pattern)):
                     with contextlib.suppress(OSError):
@@ -208,11 +233,14 @@ class JobFolder:
                             file.unlink(missing_ok=True)
 
     def _may_replace(self, file: Path) -> bool:
-        """True for hplan's own files, and with `--force` for those that have the name of a job's file."""
+        """True for hplan's own files; with `--force` for all job file names."""
         return is_own(file) or (self._force and file.name in self._files)
 
     def _fail(self, error: BaseException, scene: str | None, robot: str | None) -> None:
-        """Leave the report of a failed or interrupted job; after a fault of hplan's own, nothing at all."""
+        """Write the report of a failed or interrupted job.
+
+        After an internal error (neither an `HplanError` nor a signal) no report is written.
+        """
         with uninterrupted():
             self._clear()
             path = self.path / self._report
@@ -231,7 +259,7 @@ class JobFolder:
 
 @contextmanager
 def reporting_interrupts() -> Iterator[None]:
-    """Run a command inside: if a signal ends it, the report in its folder says so."""
+    """Context in which a signal leaves a report in the command's folder."""
     token = _CURRENT.set(None)
     try:
         yield
@@ -245,7 +273,7 @@ def reporting_interrupts() -> Iterator[None]:
 
 
 def _note_inputs(arguments: argparse.Namespace) -> None:
-    """Take files that the arguments name for inputs, before they are read."""
+    """Register files named by the arguments as inputs, before reading them."""
     for name, value in vars(arguments).items():
         if name not in ("out", "report"):
             for item in value if isinstance(value, list | tuple) else (value,):
@@ -255,7 +283,15 @@ def _note_inputs(arguments: argparse.Namespace) -> None:
 
 
 def read_report(path: Path, *, is_input: bool = True) -> dict[str, Any]:
-    """What a report holds."""
+    """Read a report file.
+
+    Args:
+        path: The report, a JSON file of at most 64 MB.
+        is_input: False if the running command may replace the file.
+
+    Raises:
+        InputError: The file is missing or too large, or does not hold a JSON object.
+    """
 
     def fault(reason: str) -> InputError:
         return InputError(f"report file {path}: {reason}", path=str(path))
@@ -272,7 +308,7 @@ def read_report(path: Path, *, is_input: bool = True) -> dict[str, Any]:
 
 
 def written_s(path: Path) -> float:
-    """When a file was written [s]; minus infinity if it is not there."""
+    """Modification time of a file [s]; minus infinity if missing."""
     try:
         return path.stat().st_mtime
     except OSError:
@@ -280,7 +316,11 @@ def written_s(path: Path) -> float:
 
 
 def needs_rosbags(arguments: argparse.Namespace) -> None:
-    """Refuse `--mcap`, before any work, where its messages cannot be written."""
+    """Check, before any work, that `--mcap` can write its messages.
+
+    Raises:
+        InputError: `--mcap` is given and rosbags is not installed.
+    """
     if arguments.mcap:
         from hplan.apps.ros.bag_writer import import_rosbags
 
@@ -290,10 +330,16 @@ def needs_rosbags(arguments: argparse.Namespace) -> None:
 def write_result(
     result: Shown, motions: Mapping[str, Trajectory], folder: Path, *, mcap: bool = False, page: str = PAGE
 ) -> list[str]:
-    """Write motions as CSV, the page of a result and, where that is wanted, its messages.
+    """Write a result's motions as CSV, its page and, optionally, its messages.
+
+    Args:
+        motions: Motions by the names of their CSV files.
+        folder: Folder to write into.
+        mcap: Also write the motion as ROS 2 messages.
+        page: File name of the page.
 
     Returns:
-        The names of the last two.
+        File names of the page and, if written, of the messages.
     """
     from hplan.apps.view.page import write_page
     from hplan.apps.view.playback import playable
@@ -311,7 +357,13 @@ def write_result(
 
 
 def write_figure(draw: Callable[[], Figure], path: Path, errors: Console) -> list[str]:
-    """Write a figure, or say why there is none, as where matplotlib is missing; gives the names of what is written."""
+    """Write a figure, or print why it is missing.
+
+    A figure is missing if, for example, matplotlib is not installed.
+
+    Returns:
+        The names of the files written: one or none.
+    """
     from hplan.apps.view.figure_style import write_png
 
     try:
@@ -322,7 +374,11 @@ def write_figure(draw: Callable[[], Figure], path: Path, errors: Console) -> lis
 
 
 def prepare_folder(folder: Path) -> None:
-    """Make a folder and see that it can be written, before any work."""
+    """Create a folder and check, before any work, that it is writable.
+
+    Raises:
+        OutputError: The path is a file, or the folder cannot be written.
+    """
     try:
         folder.mkdir(parents=True, exist_ok=True)
         probe = folder / f".hplan-{secrets.token_hex(8)}"
@@ -340,6 +396,6 @@ def _runs(process: int) -> bool:
         os.kill(process, 0)
     except ProcessLookupError:
         return False
-    except OSError:  # someone else's
+    except OSError:  # a process of another user
         return True
     return True

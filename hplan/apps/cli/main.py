@@ -7,8 +7,8 @@ from collections.abc import Callable, Sequence
 
 from hplan.base.interrupts import INTERRUPTS, handling_signals, leave, signal_of
 
-#: What each subcommand does. A file of its name in this folder has its `parser(prog)`, and `run(arguments, console,
-#: errors)`, which returns the exit status.
+#: Summary of each subcommand. The module of the same name in this package defines `parser(prog)` and
+#: `run(arguments, console, errors)`, which returns the exit status.
 COMMANDS = {
     "plan": "plan one motion; write trajectory.csv, report.json and scene.html",
     "tour": "plan a picking tour through the fruits of a scene",
@@ -27,16 +27,28 @@ _USAGE = "hplan COMMAND [options]\n       hplan [SCENE] [options]    short for h
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command line; returns the exit status. Without a subcommand a scene is planned."""
+    """Run the command line; return the exit status.
+
+    Without a subcommand the arguments go to `hplan plan`.
+
+    Args:
+        argv: The arguments; None for `sys.argv[1:]`, in which case a signal ends the process.
+    """
     words = list(sys.argv[1:] if argv is None else argv)
     return _ended_cleanly(lambda: _run_words(words), is_program=argv is None)
 
 
 def _ended_cleanly(work: Callable[[], int], *, is_program: bool) -> int:
-    """Do the work of a command line, and end without a traceback if a signal comes before the command takes it.
+    """Run a command line and end without a traceback on a signal.
+
+    This covers the time before the command installs its own signal handling.
 
     Args:
-        is_program: Whether the process ends with the work; an interrupted one then ends at once.
+        work: Runs the command line and returns the exit status.
+        is_program: Whether the process ends with the work. If so, an interrupted process exits immediately.
+
+    Returns:
+        The exit status of `work`, or 128 plus the number of the signal.
     """
     with handling_signals():
         try:
@@ -46,7 +58,7 @@ def _ended_cleanly(work: Callable[[], int], *, is_program: bool) -> int:
             if sys.stderr is not None:
                 sys.stderr.write("interrupted\n" if number.name == "SIGINT" else f"ended by {number.name}\n")
             status = 128 + number
-        # A signal may have left native code half done, which is not torn down then.
+        # The signal may have interrupted native code in an inconsistent state, so skip the normal teardown.
         if is_program and status > 128:
             leave(status)
     return status
@@ -70,7 +82,7 @@ def _run_words(words: list[str]) -> int:
 
 
 def _near_command(word: str) -> str | None:
-    """The command that a word is nearly, where it is neither an option nor a scene."""
+    """Subcommand with the most similar spelling; None for options and scenes."""
     import difflib
     import os
 
@@ -82,12 +94,12 @@ def _near_command(word: str) -> str | None:
 
 
 def run_subcommand(name: str, prog: str, argv: Sequence[str] | None = None) -> int:
-    """Run a subcommand on its arguments, or on the program's; returns the exit status.
+    """Run one subcommand; return the exit status.
 
     Args:
         name: One of `COMMANDS`.
-        prog: What it is called in its help and messages.
-        argv: The arguments; None for the program's own.
+        prog: Program name in help and messages.
+        argv: The arguments; None for `sys.argv[1:]`, in which case a signal ends the process.
     """
     return _ended_cleanly(lambda: _run_named(name, prog, argv), is_program=argv is None)
 

@@ -1,4 +1,4 @@
-"""Parsers and options that commands share, and what they say in hplan's own terms."""
+"""Parsers and options shared by subcommands, and their conversion to hplan's types."""
 
 from __future__ import annotations
 
@@ -25,14 +25,21 @@ if TYPE_CHECKING:
     from hplan.scene.model import Scene
 
 
-#: Where files go unless something else is said.
+#: Default output folder.
 OUT = Path("out")
 
 
 def command_parser(
     description: str | None, epilog: str, *, prog: str | None = None, usage: str | None = None
 ) -> argparse.ArgumentParser:
-    """A parser whose help gives the description, a docstring, in lines of 79 and the epilog as it stands."""
+    """Create a parser with hplan's help format.
+
+    Args:
+        description: A docstring; the help wraps it at 79 columns.
+        epilog: Printed verbatim at the end of the help.
+        prog: Program name; None for the script's name. Programs whose name begins with `hplan` have `--version`.
+        usage: Usage line; None for the generated one.
+    """
     parser = argparse.ArgumentParser(
         prog=prog,
         usage=usage,
@@ -45,10 +52,10 @@ def command_parser(
     return parser
 
 
-#: Options of `hplan plan` that are `PlanOptions`, of plans with one robot or several.
+#: Options of `hplan plan` that are fields of `PlanOptions`, for one robot or several.
 OF_PLANS = ("method", "step_deg", "objective", "effort", "link_model", "sigmas", "standoff", "capture_m")
 
-#: Options that several commands have: the group of each, its name and help, and what else argparse takes.
+#: Options shared by several commands: group, name, help text and other arguments of `add_argument`.
 _SHARED: tuple[tuple[str, str, str, dict[str, Any]], ...] = (
     ("scene", "scene", "scene file, or name of a shipped scene (default: {scene})", {"nargs": "?"}),
     ("out", "--out", "folder to write into (default: out)", {"type": Path, "default": OUT, "metavar": "DIR"}),
@@ -103,17 +110,26 @@ _SHARED: tuple[tuple[str, str, str, dict[str, Any]], ...] = (
 def add_shared(
     parser: argparse.ArgumentParser, *groups: str, scene: str = "the paper's reference scene, Table 1"
 ) -> None:
-    """Add groups of options that several commands have; `scene` says which one is taken by default."""
+    """Add groups of shared options.
+
+    Args:
+        groups: Groups of `_SHARED`.
+        scene: Description of the default scene in the help text.
+    """
     for group in groups:
         for name, words, settings in (row[1:] for row in _SHARED if row[0] == group):
             parser.add_argument(name, help=words.replace("{scene}", scene), **settings)
 
 
 def refuse(arguments: argparse.Namespace, names: Collection[str], expected: str) -> None:
-    """Refuse options that are given and have no effect.
+    """Refuse options that would have no effect.
 
     Args:
-        names: Their names in the arguments; such that the command does not have are left out.
+        names: Destinations of the options; names unknown to the command are skipped.
+        expected: The expected value in the error message.
+
+    Raises:
+        OptionError: One of the options differs from its default.
     """
     for action in arguments.parser._actions:
         if action.dest in names and getattr(arguments, action.dest) != action.default:
@@ -121,7 +137,10 @@ def refuse(arguments: argparse.Namespace, names: Collection[str], expected: str)
 
 
 def names_robots(scene: str) -> bool:
-    """True if a scene file has several robots (`robots`); False where it cannot be read, which loading it says."""
+    """True if a scene file has the key `robots`, a workcell.
+
+    False if the file cannot be read: loading it reports the error.
+    """
     try:
         with Path(scene).open(encoding="utf-8") as file:
             return any(re.match(r"\s*[\"']?robots[\"']?\s*:", line) for line in file)
@@ -132,7 +151,12 @@ def names_robots(scene: str) -> bool:
 def scene_among(
     arguments: argparse.Namespace, robot: Robot, scene: Scene, errors: Console
 ) -> tuple[Scene, dict[str, list[str]]]:
-    """The scene as `--yield-links` and `--drop-inside` want it, and for the report `left_out`, which is printed too."""
+    """Apply `--yield-links` and `--drop-inside` to a scene.
+
+    Returns:
+        The scene, and for the report `left_out`: the names of the obstacles and fruits that were removed because they
+        are inside the pedestal or turret. The names are printed too. Empty if nothing was removed.
+    """
     if arguments.yield_links is not None:
         scene = scene.with_(yield_links=tuple(arguments.yield_links))
     if not arguments.drop_inside:
@@ -149,7 +173,11 @@ def scene_among(
 
 
 def held_joints(arguments: argparse.Namespace) -> dict[str, float]:
-    """Joints and their positions, as `--hold` gives them."""
+    """Positions of the locked joints from `--hold` [rad, or m if prismatic].
+
+    Raises:
+        OptionError: A value is not of the form NAME=NUMBER with a finite number.
+    """
     held = {}
     for text in arguments.hold:
         name, _, value = text.partition("=")
@@ -163,13 +191,18 @@ def held_joints(arguments: argparse.Namespace) -> dict[str, float]:
 
 
 def from_visual(arguments: argparse.Namespace) -> bool | tuple[str, ...]:
-    """The links of `--collision-from-visual`; True for the option without names, False without the option."""
+    """Links of `--collision-from-visual`; True without names, False without the option."""
     names = getattr(arguments, "collision_from_visual", None)
     return names is not None and (tuple(names) or True)
 
 
 def robot_of(arguments: argparse.Namespace, scene: Scene | None = None, job: FinishedJob | None = None) -> Robot:
-    """The robot that `--robot` and its companions name, else the one that the scene is meant for, else the job's."""
+    """Load the robot of `--robot`, else the scene's, else the job's.
+
+    Raises:
+        OptionError: A tracking error that does not apply to the robot's joints (`check_tracking`).
+        HplanError: The robot cannot be loaded.
+    """
     from hplan.robot.model import load_robot
 
     hold = held_joints(arguments)
@@ -191,9 +224,12 @@ def robot_of(arguments: argparse.Namespace, scene: Scene | None = None, job: Fin
 
 
 def tracking_of(arguments: argparse.Namespace) -> TrackingModel:
-    """The tracking model of `--tracking-error`, `--tracking-error-m` and `--tracking-delay`.
+    """Tracking model of `--tracking-error`, `--tracking-error-m` and `--tracking-delay`.
 
-    The model has one number for radians and metres: the larger of both (`check_tracking`).
+    The model has a single number for radians and metres, the maximum of both (see `check_tracking`).
+
+    Raises:
+        OptionError: A value is negative or not finite.
     """
     from hplan.robot.tracking import TrackingModel
 
@@ -206,10 +242,11 @@ def tracking_of(arguments: argparse.Namespace) -> TrackingModel:
 
 
 def check_tracking(arguments: argparse.Namespace, robot: Robot) -> None:
-    """Refuse tracking errors that fit no joint of a robot.
+    """Check that the units of the tracking errors match the robot's joints.
 
     Raises:
-        OptionError: An error in metres and no joint slides; or only one unit is given, and a joint has the other one.
+        OptionError: An error in metres for a robot without prismatic joints, or an error in one unit only for a robot
+            that also has joints of the other unit.
     """
     degrees, metres = getattr(arguments, "tracking_error", None), getattr(arguments, "tracking_error_m", None)
     if metres and not any(robot.slides):
@@ -223,7 +260,12 @@ def check_tracking(arguments: argparse.Namespace, robot: Robot) -> None:
 
 
 def plan_options(arguments: argparse.Namespace, *options: str) -> PlanOptions:
-    """Options of a plan: tracking, speed, deadline, and the others of these names."""
+    """Build the plan options from the arguments.
+
+    Args:
+        arguments: The arguments; tracking, rate, speed, seed and deadline are always taken over.
+        options: Names of the other options to take over.
+    """
     from hplan.planning.options import PlanOptions
 
     tracking = tracking_of(arguments)
@@ -239,10 +281,16 @@ def plan_options(arguments: argparse.Namespace, *options: str) -> PlanOptions:
 
 
 def check_output_file(out: Path, option: str = "--out", *, force: bool) -> None:
-    """Refuse, before any work, a file to write that the command has read, that has no folder, or is not hplan's.
+    """Check, before any work, that an output file may be written.
 
     Args:
-        force: Whether a file that hplan did not write is replaced all the same.
+        out: The file to write.
+        option: Name of the option, for the error message.
+        force: Allow replacing a file that hplan did not write.
+
+    Raises:
+        OptionError: The file is an input of the command.
+        OutputError: Its folder does not exist, or hplan did not write the existing file.
     """
     if out.resolve() in inputs():
         raise OptionError(option, str(out), "another file than those that are read")

@@ -1,6 +1,7 @@
-"""Write a scene with a row of fruit trees in front of the arm.
+"""Write a scene with a tree row in front of the arm.
 
-The same options give the same file, byte for byte. Fruit is counted from the base outwards; the first is the goal.
+The same options give the same file, byte for byte. Fruits are numbered by distance from the base; the nearest is the
+goal by default.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ exit status:
   2  bad input
 """
 
-#: Options of both kinds of rows by their names here, those of grown ones, and those of measured ones.
+#: Destinations of the options of both kinds of tree rows, of generated rows only, and of measured rows only.
 _COMMON = (
     *("robot", "seed", "distance", "spacing", "clearance", "fruits", "fruit_radius", "goal"),
     *("wood_yields", "yields_below", "fruit_yields", "hangs_within"),
@@ -40,7 +41,7 @@ _MEASURED = ("turn", "height")
 
 
 def parser(prog: str) -> argparse.ArgumentParser:
-    """The parser of the command's arguments."""
+    """Return the argument parser of the subcommand."""
     parser = command_parser(__doc__, _EPILOG, prog=prog)
     source = parser.add_mutually_exclusive_group()
     source.add_argument("--import", nargs="+", type=Path, metavar="TREE.csv", dest="files", help="measured trees")
@@ -85,7 +86,7 @@ def parser(prog: str) -> argparse.ArgumentParser:
 
 
 def run(arguments: argparse.Namespace, console: Console, _: Console) -> int:
-    """Make the scene, write it and say what is in it; returns the exit status."""
+    """Generate and write the scene, print a summary; return the exit status."""
     from hplan.scene.file import save_scene
 
     out: Path = arguments.out
@@ -98,7 +99,11 @@ def run(arguments: argparse.Namespace, console: Console, _: Console) -> int:
 
 
 def _made(arguments: argparse.Namespace, console: Console) -> Scene:
-    """The scene that is asked for."""
+    """Generate the scene of the arguments.
+
+    Raises:
+        OptionError: An unknown shipped scene, or options that have no effect together.
+    """
     from hplan.scene.orchard import SHIPPED, FruitZone, MeasuredOptions, OrchardOptions, generate, measured_orchard
     from hplan.scene.orchard.options import REACHED
 
@@ -124,7 +129,7 @@ def _made(arguments: argparse.Namespace, console: Console) -> Scene:
 
 
 def _beside_base(scene: Scene, console: Console) -> Scene:
-    """The scene without the fruit that hangs in the robot's pedestal or turret, which the console prints."""
+    """Remove, and print, fruits that hang inside the robot's pedestal or turret."""
     from hplan.planning.world import without_inside
     from hplan.robot.model import load_robot
 
@@ -137,12 +142,12 @@ def _beside_base(scene: Scene, console: Console) -> Scene:
 
 
 def _given(options: dict[str, Any]) -> dict[str, Any]:
-    """Those that were given."""
+    """Options whose value is not None."""
     return {option: value for option, value in options.items() if value is not None}
 
 
 def _zone(arguments: argparse.Namespace, usual: FruitZone) -> FruitZone:
-    """Zone of the fruit: what was given, the usual for the rest."""
+    """Fruit zone of the arguments; omitted values come from `usual`."""
     from hplan.scene.orchard import FruitZone
 
     low, high = arguments.fruit_heights or (usual.low, usual.high)
@@ -150,7 +155,7 @@ def _zone(arguments: argparse.Namespace, usual: FruitZone) -> FruitZone:
 
 
 def _show(console: Console, scene: Scene, out: Path) -> None:
-    """Show what the scene holds; fits 80 columns, unless names are long."""
+    """Print a summary in at most 80 columns, unless names are long."""
     heights = [fruit.center[2] for fruit in scene.fruits]
     facts = (
         ("obstacles", f"{len(scene.obstacles):,}"),

@@ -1,7 +1,7 @@
 """Ownership of files: hplan replaces only files that it has written itself.
 
 A report names the files that were written with it, and their SHA-256. Pages and scenes carry the SHA-256 of their own
-text. A CSV without a report is hplan's if hplan would write its trajectory with the very same bytes.
+text. A CSV without a report belongs to hplan if hplan would write its trajectory with identical bytes.
 """
 
 from __future__ import annotations
@@ -14,40 +14,41 @@ from typing import Any, Final
 from hplan.base.files import REPORT_FORMAT, ByteBudget, is_marked, protecting_inputs
 from hplan.errors import HplanError, OutputError
 
-#: Files of a finished job: of one motion, of a tour, of a row, of a study, of all.
+#: Reports of a finished job: one motion, a tour, a tree row, a study.
 REPORT: Final = "report.json"
 TOUR_REPORT: Final = "tour.json"
 ROW_REPORT: Final = "row.json"
 STUDY_REPORT: Final = "study.json"
 
-#: The key of a report's format.
+#: Report key of the format.
 FORMAT_KEY: Final = "format"
 
-#: The key under which a report has the SHA-256 of each file that was written with it.
+#: Report key of the SHA-256 of each file that was written with the report.
 WRITTEN: Final = "written"
 
-#: The largest file that is read to find out whose it is.
+#: Maximum size of a file that is read to determine its owner [bytes].
 _MOST_BYTES: Final = 256_000_000
 
-#: The reason for which a file is not replaced.
+#: Reason in the error about a file that is not replaced.
 NOT_OURS: Final = "hplan did not write it, or it was changed since; name another place, or replace it by --force"
 
 
 def check_own(path: Path, *, force: bool) -> None:
-    """Refuse to replace a file that hplan has not written.
+    """Check that a file may be replaced.
 
     Args:
-        force: True to replace any file.
+        path: The file; it may be missing.
+        force: Allow replacing any file.
 
     Raises:
-        OutputError: hplan has not written it, or it was changed since.
+        OutputError: hplan has not written the file, or the file was changed since.
     """
     if not force and path.is_file() and not is_own(path):
         raise OutputError(path, NOT_OURS)
 
 
 def is_own(path: Path) -> bool:
-    """True if hplan has written the file, and it was not changed since."""
+    """True if hplan wrote the file and its content is unchanged."""
     try:
         content = ByteBudget(_MOST_BYTES).read(path, is_input=False)
     except (OSError, ValueError):
@@ -65,7 +66,7 @@ def is_own(path: Path) -> bool:
 
 
 def recorded_digests(folder: Path) -> dict[str, str]:
-    """The SHA-256 of files of a folder, by their names, as the reports in it have them."""
+    """SHA-256 of a folder's files by name, according to its reports."""
     found: dict[str, str] = {}
     for name in (REPORT, TOUR_REPORT, ROW_REPORT, STUDY_REPORT):
         try:
@@ -79,12 +80,12 @@ def recorded_digests(folder: Path) -> dict[str, str]:
 
 
 def digests_of(files: list[Path]) -> dict[str, str]:
-    """The SHA-256 of files by their names."""
+    """SHA-256 of files by name."""
     return {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in files}
 
 
 def _mapping(content: bytes) -> dict[str, Any]:
-    """The mapping of a JSON file; empty if it holds none."""
+    """Parse a JSON object; empty if the content is anything else."""
     try:
         found = json.loads(content.decode("utf-8-sig"))
     except (ValueError, RecursionError):
@@ -93,7 +94,7 @@ def _mapping(content: bytes) -> dict[str, Any]:
 
 
 def _is_report(report: dict[str, Any]) -> bool:
-    """True of a report of hplan, of earlier versions too, which named no format."""
+    """True for a report of hplan; early versions wrote no format key."""
     if FORMAT_KEY in report:
         return bool(report[FORMAT_KEY] == REPORT_FORMAT)
     versions = report.get("versions")
@@ -101,11 +102,11 @@ def _is_report(report: dict[str, Any]) -> bool:
 
 
 def _is_trajectory(path: Path, content: bytes) -> bool:
-    """True if hplan writes the trajectory of a CSV with the same bytes."""
+    """True if hplan would write this CSV's trajectory with identical bytes."""
     from hplan.trajectory.trajectory import csv_text, read_csv
 
     try:
-        with protecting_inputs():  # it is no input of the command
+        with protecting_inputs():  # so that the file does not count as an input of the command
             return csv_text(read_csv(path)).encode() == content
     except (HplanError, ValueError):
         return False

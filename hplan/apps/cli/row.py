@@ -1,7 +1,7 @@
-"""Choose the stops along a row of trees from which all fruit within reach is picked, and plan a tour at each.
+"""Choose stops along a tree row and plan a tour at each.
 
-Writes stop-NN.csv for the controller and stop-NN.html for each stop, scene.html with all of them, row.json and, where
-matplotlib is there, row.png.
+The stops together pick all reachable fruit, or the fraction --share of it. Writes stop-NN.csv for the controller and
+stop-NN.html for each stop, scene.html with all of them, row.json and, if matplotlib is installed, row.png.
 """
 
 from __future__ import annotations
@@ -32,15 +32,15 @@ exit status:
   5, 6  as of hplan tour
 """
 
-#: Its picture.
+#: File name of the figure.
 FIGURE = "row.png"
 
-#: Options of the command that are options of a row.
+#: Options of the command that are fields of `RowOptions` under the same name.
 _OPTIONS = ("distance", "step", "heights", "objective", "share", "lift_speed", "settling", "detaching", "carried")
 
 
 def parser(prog: str) -> argparse.ArgumentParser:
-    """The parser of the command's arguments."""
+    """Return the argument parser of the subcommand."""
     parser = command_parser(__doc__, _EPILOG, prog=prog)
     add = parser.add_argument
     add("scene", help="scene file, or name of a shipped scene")
@@ -63,7 +63,7 @@ def parser(prog: str) -> argparse.ArgumentParser:
 
 
 def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int:
-    """Plan, write, show what came of it; returns the exit status."""
+    """Plan, write the files and print a summary; return the exit status."""
     folder = JobFolder(arguments, ("stop-[0-9]*.csv", "stop-[0-9]*.html", PAGE, FIGURE), ROW_REPORT)
     with progress_line(errors, quiet=arguments.quiet) as progress:
         result, files = _made(arguments, folder, errors, progress)
@@ -75,7 +75,7 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int
 def _made(
     arguments: argparse.Namespace, folder: JobFolder, errors: Console, progress: Callable[[str], None]
 ) -> tuple[RowResult, list[str]]:
-    """Load, plan and write; gives the row and the names of its files."""
+    """Load, plan and write; return the result and its file names."""
     progress("reading robot and scene")
 
     from hplan.apps.view.row_figure import draw_row
@@ -108,7 +108,7 @@ def _made(
 
 
 def _index(result: RowResult, names: list[str]) -> str:
-    """A page that shows the page of one stop after the other."""
+    """HTML page with links to the pages of the stops."""
     links = "".join(
         f'<a href="{name}.html" target="stop">{number}<small> side {stop.place.side}, {stop.place.along:.1f} m, '
         f"{len(stop.tour.order)} fruits</small></a> "
@@ -125,7 +125,7 @@ def _index(result: RowResult, names: list[str]) -> str:
 
 
 def _show(console: Console, result: RowResult, files: str) -> None:
-    """The stops and the whole; fits 80 columns."""
+    """Print the stops and the totals in at most 80 columns."""
     report = result.report
     rows = []
     for number, stop in enumerate(report["stops"], start=1):

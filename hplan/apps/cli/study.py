@@ -1,7 +1,7 @@
-"""Measure every arm of a study before every tree, at every distance, height and turn.
+"""Evaluate every arm of a study with every tree and base placement.
 
-Writes study.csv, a row for each design as it comes, study.json and, where matplotlib is there, study.png. Called again
-it goes on where it was cut off.
+A placement is a distance, height and turn. Writes study.csv, one row for each design as soon as it is evaluated,
+study.json and, if matplotlib is installed, study.png. An interrupted study resumes when the command is run again.
 """
 
 from __future__ import annotations
@@ -45,12 +45,12 @@ exit status:
   6  designs whose worker processes were lost again and again; others are done
 """
 
-#: Files of a study beside its report: its rows, and a picture of what they say.
+#: Files of a study in addition to its report: the table of designs and the figure.
 ROWS, FIGURE = "study.csv", "study.png"
 
 
 def parser(prog: str) -> argparse.ArgumentParser:
-    """The parser of the command's arguments."""
+    """Return the argument parser of the subcommand."""
     parser = command_parser(__doc__, _EPILOG, prog=prog)
     add = parser.add_argument
     add("study", type=Path, metavar="STUDY.yaml", help="what to measure")
@@ -63,7 +63,7 @@ def parser(prog: str) -> argparse.ArgumentParser:
 
 
 def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int:
-    """Measure, write, show; returns the exit status."""
+    """Evaluate, write the files and print a summary; return the exit status."""
     with progress_line(errors, quiet=arguments.quiet) as progress:
         progress("reading the study")
 
@@ -86,7 +86,7 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int
                 progress=lambda done, of: progress(f"design {done} of {of}"),
             )
         except INTERRUPTS as error:
-            # The rows so far stay, and the study goes on with them.
+            # Keep the rows written until now: the next run resumes with them.
             with uninterrupted():
                 (out / FIGURE).unlink(missing_ok=True)
                 ended = {"status": "interrupted", "study": study.name, "signal": signal_of(error).name}
@@ -105,7 +105,11 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int
 
 
 def _executor(address: str | None) -> Pool | None:
-    """Dask's executor, where its scheduler is named."""
+    """Connect to Dask's executor; None without a scheduler address.
+
+    Raises:
+        InputError: Dask is not installed, or the scheduler cannot be reached.
+    """
     if address is None:
         return None
     with extra("cluster", "--scheduler needs Dask"):
@@ -119,7 +123,7 @@ def _executor(address: str | None) -> Pool | None:
 
 
 def _show(console: Console, result: StudyResult, files: str) -> None:
-    """A line for each choice, the best marked."""
+    """Print one line for each choice; a star marks the Pareto front."""
     console.print(f"\n[bold]{escape(result.name)}[/], {len(result.rows)} designs\n")
     cells: dict[str, Callable[[Choice], str]] = {
         "arm": lambda one: f"{'[bold green]*[/]' if one.is_best else ' '} {escape(one.arm)}",

@@ -1,4 +1,7 @@
-"""The terminal that a command runs at: signals, closed or full outputs, progress, facts and errors shown, statuses."""
+"""Terminal output of a command: progress, tables, errors, signals, exit status.
+
+Closed and full outputs do not end a command.
+"""
 
 from __future__ import annotations
 
@@ -25,29 +28,30 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-#: Exit status where what was checked is not in order.
+#: Exit status of a failed check.
 FAILED = 5
 
-#: Without a terminal there is a line of progress every so often [s]; on one, it has so many characters at most.
+#: Interval of the progress lines without a terminal [s], and maximum length of the status line on one [characters].
 _EVERY_S, _WIDTH = 10.0, 76
 
 
 class _Terminal:
-    """An output of which no fault ends the command: what cannot be shown is escaped, what cannot be written is dropped.
+    """An output stream whose faults do not end the command.
 
-    Results are in files and in the exit status. Whatever else is asked of it, the stream itself answers.
+    Characters that the encoding cannot represent are escaped; after the first write error all output is dropped. This
+    loses nothing, since results are in files and in the exit status. All other attributes are the stream's own.
     """
 
     def __init__(self, stream: Any) -> None:
         self._stream = stream
-        #: The first fault.
+        #: The first error; None if all writes succeeded.
         self.fault: OSError | ValueError | None = None
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._stream, name)
 
     def write(self, text: str) -> int:
-        """Write what can be written."""
+        """Write text, escaping characters that the encoding lacks."""
         encoding = self._stream.encoding or "utf-8"
         try:
             text.encode(encoding)
@@ -57,7 +61,7 @@ class _Terminal:
         return len(text)
 
     def flush(self) -> None:
-        """Write what is held back."""
+        """Flush the stream."""
         self._try(self._stream.flush)
 
     def _try(self, action: Callable[[], Any]) -> None:
@@ -65,22 +69,22 @@ class _Terminal:
             return
         try:
             action()
-        except (OSError, ValueError) as error:  # ValueError: it is closed
+        except (OSError, ValueError) as error:  # ValueError: the stream is closed
             self.fault = error
             with contextlib.suppress(OSError, ValueError):
-                # What it holds back would be a fault again when Python ends.
+                # Python flushes the stream's buffer at exit, which would fail again.
                 os.dup2(os.open(os.devnull, os.O_WRONLY), self._stream.fileno())
 
 
 def run_command(command: Callable[[Console, Console], int]) -> int:
-    """Run a command and show the error that ends it.
+    """Run a command and print the error that ends it.
 
     Args:
         command: Takes the consoles for results and for errors; returns the exit status.
 
     Returns:
-        The exit status: the command's, the error's, or 128 and the number of the signal that ended it (130 after
-        Ctrl-C). A terminal that cannot be written to changes nothing of it.
+        The exit status: the command's, the error's, or 128 plus the number of the signal that ended it (130 after
+        Ctrl-C). It does not depend on whether the terminal can be written.
     """
     _open_what_is_closed()
     from rich.console import Console
@@ -105,13 +109,16 @@ def run_command(command: Callable[[Console, Console], int]) -> int:
 
 
 def interrupt_words(error: BaseException) -> str:
-    """What is said when a signal has ended a command."""
+    """Message about a command ended by a signal."""
     number = signal_of(error)
     return "interrupted" if number == signal.SIGINT else f"ended by {number.name}"
 
 
 def _open_what_is_closed() -> None:
-    """Give closed standard streams a place to go; else the next file that is opened takes their place."""
+    """Open closed standard streams on the null device.
+
+    Otherwise the next file that is opened would get their file descriptor, and output would go into that file.
+    """
     for number, name in ((0, "stdin"), (1, "stdout"), (2, "stderr")):
         if getattr(sys, name) is None:
             with contextlib.suppress(OSError):
@@ -126,7 +133,7 @@ def _open_what_is_closed() -> None:
 
 @contextmanager
 def _warning_on(console: Console) -> Iterator[None]:
-    """Inside, hplan's own warnings are shown as a line, without the place in the code."""
+    """Context that prints hplan's own warnings without their code location."""
 
     def show(message: Any, category: type[Warning], *place: Any, **more: Any) -> None:
         if category.__module__.startswith("hplan."):
@@ -141,14 +148,17 @@ def _warning_on(console: Console) -> Iterator[None]:
 
 @contextmanager
 def loading() -> Iterator[None]:
-    """Run imports inside: what they make stays, and is left out of all collections of garbage, these and later ones."""
+    """Context for imports that keeps imported objects out of garbage collection.
+
+    Collection is off inside the block; afterwards the objects are frozen (`gc.freeze`), so later collections skip them.
+    """
     with without_garbage_collection():
         yield
         gc.freeze()
 
 
 def show_error(console: Console, error: HplanError) -> None:
-    """Say what went wrong and, where no path exists, the first of what is in the way."""
+    """Print an error and, if no path exists, the first five blockers."""
     console.print(f"[bold red]error[/] ({error.kind}): {escape(error.message)}", soft_wrap=True)
     for blocker in error.data.get("blockers", ())[:5]:
         low, high = blocker["slices_deg"]
@@ -161,12 +171,15 @@ def show_error(console: Console, error: HplanError) -> None:
 
 @contextmanager
 def progress_line(console: Console, *, quiet: bool, kernels: int | None = None) -> Iterator[Callable[[str], None]]:
-    """A status line on the terminal, set by what this gives; none where none is wanted.
+    """Context with a status line; yields the function that sets its text.
 
-    While kernels are compiled it tells how many of about how many; where there is no terminal, by a line now and then.
+    While kernels are being compiled, the line counts them. Without a terminal, this count is printed as a line every
+    `_EVERY_S` seconds.
 
     Args:
-        kernels: How many are called, about; None where that is not known.
+        console: Console of the status line.
+        quiet: Print nothing.
+        kernels: Approximate number of kernels that the command calls; None if unknown.
     """
     if quiet:
         yield lambda _: None
@@ -200,14 +213,14 @@ def progress_line(console: Console, *, quiet: bool, kernels: int | None = None) 
 
 
 def escape(text: object) -> str:
-    """A text that stands for itself among markup."""
+    """Escape a text so that rich prints it verbatim."""
     from rich.markup import escape as escaped
 
     return escaped(str(text))
 
 
 def facts_table(facts: Iterable[tuple[str, str]] = (), indent: int = 2) -> Table:
-    """A table of facts, each a name and what is said of it."""
+    """Create a table of (name, value) rows."""
     from rich.table import Table
 
     table = Table.grid(padding=(0, 2, 0, indent))
@@ -219,7 +232,13 @@ def facts_table(facts: Iterable[tuple[str, str]] = (), indent: int = 2) -> Table
 
 
 def number_table(headings: Iterable[str], rows: Iterable[Iterable[str]], *, texts: Collection[str] = ()) -> Table:
-    """A table of numbers with a line below its headings; columns of texts stand to the left, and may be wrapped."""
+    """Create a table of numbers with a line below its headings.
+
+    Args:
+        headings: Headings of the columns.
+        rows: Cells of each row, as text.
+        texts: Headings of text columns, which are left-aligned and may wrap.
+    """
     from rich import box
     from rich.table import Table
 
@@ -233,7 +252,14 @@ def number_table(headings: Iterable[str], rows: Iterable[Iterable[str]], *, text
 
 
 def show(console: Console, what: str, robot: str, *tables: Table) -> None:
-    """Show a summary: what it is about, a scene or file, and the robot in it; then its tables."""
+    """Print a summary: title line and tables.
+
+    Args:
+        console: Console for results.
+        what: Name of the scene or file.
+        robot: Name of the robot.
+        tables: The tables, printed in this order.
+    """
     console.print(f"\n[bold]{escape(what)}[/] with [bold]{escape(robot)}[/]\n")
     for table in tables:
         console.print(table)
@@ -241,7 +267,7 @@ def show(console: Console, what: str, robot: str, *tables: Table) -> None:
 
 
 def hand_out(arguments: argparse.Namespace, console: Console, report: dict[str, Any], show: Callable[[], None]) -> None:
-    """Write a report where `--report` says, and print it as JSON or show a summary."""
+    """Write the report to `--report`; print it as JSON or a summary."""
     from hplan.planning.report import report_text, write_report
 
     if arguments.report is not None:
@@ -253,7 +279,11 @@ def hand_out(arguments: argparse.Namespace, console: Console, report: dict[str, 
 
 
 def risk_words(risk: dict[str, Any]) -> str:
-    """How probable it is at most that a motion touches anything, who has most of it, and the estimate."""
+    """Words for the collision risk of a motion.
+
+    They give the upper bound on the probability of contact, the obstacle with the largest share of it, and the
+    Monte Carlo estimate.
+    """
     estimate, most = risk["estimate"], risk["shares"][:1]
     whose = "".join(f"; most of it {share['obstacle']!r}" for share in most)
     seen = f"{estimate['touching']} of {estimate['draws']:,} draws touch"
@@ -266,12 +296,18 @@ def certificate_words(verified: bool) -> str:
 
 
 def uncovered_rows(names: Collection[str]) -> list[tuple[str, str]]:
-    """The row about drawn links that a certificate does not cover, with markup; none if it covers all."""
+    """Summary row of drawn links that the certificate does not cover.
+
+    The list is empty if all links are covered. The words have markup.
+    """
     if not names:
         return []
     return [("not covered", f"[bold yellow]drawn, without a fitting collision shape: {escape(', '.join(names))}[/]")]
 
 
 def percent(fraction: float) -> str:
-    """A fraction in percent, without the sign; in powers of ten where it is beyond all use."""
+    """Format a fraction in percent, without the sign.
+
+    It has one decimal; from 1e4 on it has three significant digits.
+    """
     return f"{100.0 * fraction:{'.1f' if fraction < 1e4 else '.3g'}}"

@@ -1,7 +1,8 @@
-"""Time the fastest motion through waypoints, from rest to rest, under velocity, torque and acceleration limits.
+"""Compute the fastest motion through waypoints, from rest to rest.
 
-Corners are rounded within a guaranteed deviation. With --scene the path is verified collision-free, shortened (or
-kept), smoothed, timed and certified, or refused with the place where it is in contact.
+It respects velocity, acceleration and torque limits. Corners are rounded within a guaranteed deviation. With --scene
+the path is verified collision-free, shortened (or kept), smoothed, timed and certified, or refused with the location
+of the contact.
 """
 
 from __future__ import annotations
@@ -35,10 +36,10 @@ if TYPE_CHECKING:
     from hplan.trajectory import Machine
     from hplan.trajectory.trajectory import Trajectory
 
-#: Where the motion goes unless something else is said.
+#: Default output file.
 OUT = Path("timed.csv")
 
-#: Options that take a scene, and such that do not.
+#: Options that require `--scene`, and options that exclude it.
 _WITH_SCENE = (
     *("keep_path", "effort", "seed", "sigmas", "tracking_error", "tracking_error_m", "tracking_delay", "deadline_ms"),
     *("poses", "free", "tilt", "tool_frame", "srdf", "allow_neighbours", "package_dir"),
@@ -69,7 +70,7 @@ exit status:
 
 
 def parser(prog: str) -> argparse.ArgumentParser:
-    """The parser of the command's arguments."""
+    """Return the argument parser of the subcommand."""
     parser = command_parser(__doc__, _EPILOG, prog=prog)
     add = parser.add_argument
     add("urdf", type=Path, metavar="ROBOT", help="a URDF, or the name of a robot (panda, ur5 ...); meshes are "
@@ -112,7 +113,7 @@ def parser(prog: str) -> argparse.ArgumentParser:
 
 
 def _check_options(arguments: argparse.Namespace) -> None:
-    """Refuse options that do nothing with a scene, or without one."""
+    """Refuse options that have no effect with, or without, a scene."""
     if arguments.scene is None:
         refuse(arguments, _WITH_SCENE, "left out, or --scene")
     else:
@@ -124,7 +125,7 @@ def _check_options(arguments: argparse.Namespace) -> None:
 
 
 def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int:
-    """Read, time, write, and say how it went; returns the exit status."""
+    """Time the path, write and print the motion; return the exit status."""
     if arguments.scene is None:
         arguments.out = OUT if arguments.out is None else arguments.out
         return _timed(arguments, console)
@@ -139,9 +140,13 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int
 
 
 def _finished(arguments: argparse.Namespace, folder: JobFolder, errors: Console) -> tuple[PlanResult, list[str]]:
-    """Finish the path among the obstacles of the scene, and write what came of it; gives the names of its files."""
+    """Retime and certify the path in the scene; write the result.
+
+    Returns:
+        The result and the names of its files.
+    """
     _check_options(arguments)
-    # Columns of poses.
+    # Columns of a waypoint file of tool poses.
     pose = ("x", "y", "z", "qx", "qy", "qz", "qw")
     with progress_line(errors, quiet=arguments.quiet) as status:
         status("reading robot and scene")
@@ -173,13 +178,13 @@ def _finished(arguments: argparse.Namespace, folder: JobFolder, errors: Console)
             status("writing files")
             with folder.filling() as staging:
                 files = write_result(result, {TRAJECTORY: result.trajectory}, staging)
-                save_scene(result.scene, folder.path / SCENE)  # where it stands, for it may name files
+                save_scene(result.scene, folder.path / SCENE)  # not in staging: it may name files by relative paths
                 write_report(result.report | curve_report(result.certificate), staging / REPORT)
     return result, [TRAJECTORY, REPORT, *files, SCENE]
 
 
 def _timed(arguments: argparse.Namespace, console: Console) -> int:
-    """Time the path, whatever is in its way."""
+    """Time the path without checking collisions; write the motion."""
     from hplan.robot.dynamics import joints_that_slide
     from hplan.trajectory import read_machine, read_waypoints, time_waypoints
     from hplan.trajectory.trajectory import write_csv
@@ -204,7 +209,11 @@ def _timed(arguments: argparse.Namespace, console: Console) -> int:
 
 
 def _limits(arguments: argparse.Namespace, machine: Machine) -> Limits:
-    """The URDF's limits, with acceleration (and jerk) from the YAML or the number given."""
+    """Limits of the URDF, with acceleration (and jerk) limits from options.
+
+    Raises:
+        OptionError: The acceleration limits are missing or invalid.
+    """
     from hplan.base.data_files import LIMITS_SUFFIX
     from hplan.robot.dynamics import joints_that_slide
     from hplan.robot.files import limits_file, read_limits, robot_files
@@ -236,7 +245,7 @@ def _show(
     limits: Limits,
     trajectory: Trajectory,
 ) -> None:
-    """Facts, then a row for each joint; fits 80 columns, unless names are long."""
+    """Print a summary in at most 80 columns, unless names are long."""
     import numpy as np
 
     from hplan.base.units import joint_length

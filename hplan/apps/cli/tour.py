@@ -1,7 +1,7 @@
-"""Plan a picking tour through the fruits of a scene, from its start.
+"""Plan a picking tour through the fruits of a scene.
 
-The order is that in which the certified motions take the least time in all. Writes tour.csv, tour.json and an animated
-scene.html.
+The tour begins at the scene's start. The order minimizes the total duration of the certified motions. Writes tour.csv,
+tour.json and an animated scene.html.
 """
 
 from __future__ import annotations
@@ -53,12 +53,12 @@ exit status:
   6  no motion to the drop-off was found
 """
 
-#: So many kernels are called, about.
+#: Approximate number of kernels that the command calls.
 KERNELS = 80
 
 
 def parser(prog: str) -> argparse.ArgumentParser:
-    """The parser of the command's arguments."""
+    """Return the argument parser of the subcommand."""
     parser = command_parser(__doc__, _EPILOG, prog=prog)
     add_shared(parser, "scene", "out", "force", "robot", "parts", "contacts", scene="tour")
     add = parser.add_argument
@@ -89,7 +89,7 @@ def parser(prog: str) -> argparse.ArgumentParser:
 
 
 def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int:
-    """Plan, write, show what came of it; returns the exit status."""
+    """Plan, write the files and print a summary; return the exit status."""
     if arguments.scene is not None and names_robots(arguments.scene):
         from hplan.apps.cli.cell import run as run_cell
 
@@ -105,7 +105,7 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int
 def _made(
     arguments: argparse.Namespace, folder: JobFolder, errors: Console, progress: Callable[[str], None]
 ) -> tuple[TourResult, list[str]]:
-    """Load, plan and write; gives the tour and the names of its files."""
+    """Load, plan and write; return the tour and its file names."""
     progress("reading robot and scene")
 
     from hplan.base.data_files import shipped_scene
@@ -137,7 +137,11 @@ def _made(
 
 
 def _tour_options(arguments: argparse.Namespace) -> TourOptions:
-    """Options of the tour."""
+    """Build the tour options from the arguments.
+
+    Raises:
+        OptionError: Several drop-offs, or one that is not a valid position, pose or configuration.
+    """
     from hplan.scene.model import Goal
     from hplan.tour.tour import TourOptions
 
@@ -158,7 +162,7 @@ def _tour_options(arguments: argparse.Namespace) -> TourOptions:
     return TourOptions(drop_off=drop, stops=arguments.csv == "each", **chosen)
 
 
-#: The options of a drop-off, and what of a goal each gives.
+#: Options of a drop-off, and the fields of a `Goal` that each one sets.
 _DROP_OFFS = {
     "drop_off": ("position",),
     "drop_off_pose": ("position", "quaternion_xyzw"),
@@ -167,12 +171,15 @@ _DROP_OFFS = {
 
 
 def _file_word(name: str) -> str:
-    """A name as part of a file's name."""
+    """Convert a fruit's name to a part of a file name."""
     return cut(re.sub(r"[^A-Za-z0-9]+", "-", name).strip("-")) or "fruit"
 
 
 def _show(console: Console, result: TourResult, folder: Path, files: Sequence[str]) -> None:
-    """The legs, the whole, and what is not picked; fits 80 columns, unless names are long."""
+    """Print legs, totals and unpicked fruits.
+
+    The output fits 80 columns, unless names are long.
+    """
     kinds = [
         kind for kind in ("transit", "approach", "retreat", "drop") if any(_times(leg, kind) for leg in result.legs)
     ]
@@ -196,12 +203,12 @@ def _show(console: Console, result: TourResult, folder: Path, files: Sequence[st
 
 
 def _times(leg: Leg, kind: str) -> float:
-    """Duration of the phases of a kind in a leg [s]."""
+    """Total duration of a leg's phases of one kind [s]."""
     return sum(phase.end_s - phase.start_s for phase in leg.phases if phase.name == kind)
 
 
 def _facts(result: TourResult, folder: Path, files: Sequence[str]) -> Iterator[tuple[str, str]]:
-    """Facts of the whole tour."""
+    """Summary rows of the whole tour."""
     report = result.report
     fruits = len(result.order)
     yield "tour", f"[bold]{result.duration:.3f} s[/], {fruits} fruit{'s' if fruits != 1 else ''}"

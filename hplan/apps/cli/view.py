@@ -1,7 +1,7 @@
-"""Show a motion: write its animated page, and serve it live until interrupted.
+"""Show a motion: write its animated page and serve it until interrupted.
 
-Of a folder that `plan` or `tour` wrote the latest job's motion is shown, in the scene that its report names if that
-ships with hplan. The pages that `row` wrote are served as they are.
+Given a folder of `plan`, `tour` or `time --scene`, the command shows the latest job's motion in its own scene. A scene
+that neither ships with hplan nor is in the folder must be given. The pages written by `row` are served unchanged.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ exit status:
 
 
 def parser(prog: str) -> argparse.ArgumentParser:
-    """The parser of the command's arguments."""
+    """Return the argument parser of the subcommand."""
     parser = command_parser(__doc__, _EPILOG, prog=prog)
     add = parser.add_argument
     add("motion", type=Path, metavar="FOLDER_OR_CSV", help="the folder of a job, or a trajectory")
@@ -53,7 +53,7 @@ def parser(prog: str) -> argparse.ArgumentParser:
 
 
 def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int:
-    """Read, compare, write, serve; returns the exit status."""
+    """Compare with the report, write and serve; return the exit status."""
     from hplan.apps.view.page import write_page
     from hplan.apps.view.playback import Playback
     from hplan.certificate.digests import Digests
@@ -86,7 +86,7 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int
 
 
 def _view_row(arguments: argparse.Namespace, console: Console) -> int:
-    """Serve the pages of a row's stops as they were written."""
+    """Serve the pages written by `hplan row`; return the exit status."""
     from hplan.apps.view.server import LiveView
 
     folder: Path = arguments.motion
@@ -113,7 +113,7 @@ def serve_page(console: Console, robot: Robot, scene: Scene, playback: Playback)
 
 
 def wait_for(console: Console, view: LiveView) -> None:
-    """Say where a view is, and wait until interrupted."""
+    """Print the address of a view and wait until interrupted."""
     with view as server:
         console.print(f"serving the scene at {server.url} (interrupt to stop)")
         with contextlib.suppress(KeyboardInterrupt):

@@ -1,7 +1,7 @@
-"""Compile the numerical kernels for all that hplan does, and keep them, so that no later command waits for that.
+"""Compile and cache all numerical kernels of hplan.
 
-They are kept beside hplan, or where that cannot be written to in the user's cache folder (NUMBA_CACHE_DIR names
-another).
+Later commands then need not wait for compilation. The cache is next to hplan's modules or, if that folder is not
+writable, in the user's cache folder (NUMBA_CACHE_DIR selects another one).
 """
 
 from __future__ import annotations
@@ -39,20 +39,23 @@ exit status:
 
 
 def warm_up_controller() -> None:
-    """Compile for the default arm what a controller's program calls."""
+    """Compile the kernels that a controller program calls for the default arm."""
     hplan.warm_up(hplan.load_robot())
 
 
 def warm_up_any_arm() -> None:
-    """That for the default arm with its wrist turned: no planar arm, and nothing but its own file is needed."""
+    """Compile the same kernels for general (non-planar) arms.
+
+    The robot is the default arm with its wrist joint turned, which needs no files other than its URDF.
+    """
     from hplan.base.data_files import urdf_dir
 
     first, _, last = (urdf_dir() / "harvester.urdf").read_text(encoding="utf-8").rpartition('xyz="0 -1 0"')
     hplan.warm_up(hplan.load_robot(f'{first}xyz="1 0 0"{last}', limits="harvester"))
 
 
-#: What is done, commands or functions, each by a process of its own in a folder of its own. The first two compile most
-#: of what the others need, and go before them.
+#: Jobs, as commands or functions; each one runs in its own process and folder. The first `_FIRST` compile most of the
+#: kernels that the others share, and therefore run before them.
 JOBS = {
     "certified motion": "hplan.planning.compile_ahead:compile_from_postprocessing_on",
     "plan": "plan --out a; certify a",
@@ -65,18 +68,18 @@ JOBS = {
     "any arm": "hplan.apps.cli.warmup:warm_up_any_arm",
 }
 
-#: So many kernels are compiled, about: `scripts/build_wheel.py` holds that.
+#: Approximate number of kernels, checked by `scripts/build_wheel.py`.
 KERNELS = 250
 
-#: Jobs that go before the others.
+#: Number of jobs that run before the others.
 _FIRST = 2
 
-#: What a job says of a kernel that it has compiled.
+#: Prefix of the line that a job prints for each compiled kernel.
 _COMPILED = "compiled "
 
 
 def parser(prog: str) -> argparse.ArgumentParser:
-    """The parser of the command's arguments."""
+    """Return the argument parser of the subcommand."""
     parser = command_parser(__doc__, _EPILOG, prog=prog)
     parser.add_argument("--processes", type=int, metavar="N", help="how many at a time (default: one for each core)")
     add_shared(parser, "quiet")
@@ -84,7 +87,10 @@ def parser(prog: str) -> argparse.ArgumentParser:
 
 
 def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int:
-    """Compile; on a terminal with a line that tells how far that is, elsewhere with a line for each job."""
+    """Compile all kernels and print the progress; return the exit status.
+
+    On a terminal the progress is a status line, elsewhere one line for each finished job.
+    """
     processes = len(os.sched_getaffinity(0)) if arguments.processes is None else arguments.processes
     if processes < 1:
         raise OptionError("processes", processes, "a whole number of at least 1")
@@ -110,14 +116,16 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int
 def compile_all(
     processes: int, told: Callable[[str, str | None], None], environment: Mapping[str, str]
 ) -> dict[str, str]:
-    """Do all jobs, each in a process.
+    """Run all jobs, each in its own process.
 
     Args:
-        told: Called, by one thread at a time, with a job and a kernel that it has compiled, or None when it is done.
-        environment: Variables of theirs besides this process's.
+        processes: Maximum number of jobs that run at the same time.
+        told: Called, by one thread at a time, with a job and the kernel that it has compiled, or None when the job
+            has finished.
+        environment: Environment variables of the jobs in addition to this process's.
 
     Returns:
-        Of jobs that failed the last line that they wrote.
+        The last line of the error output of each failed job, by its name.
     """
     failed, lock = dict[str, str](), threading.Lock()
     running, is_ended = set[subprocess.Popen[str]](), threading.Event()
@@ -159,7 +167,11 @@ def compile_all(
 
 
 def _do(job: str) -> None:
-    """Do a job in this process, and say what was compiled."""
+    """Run a job in this process and print each kernel it compiles.
+
+    Raises:
+        SystemExit: A command of the job failed.
+    """
     from hplan.apps.cli.main import main
 
     LISTENERS.append(lambda kernel, _: print(f"{_COMPILED}{kernel}", file=sys.__stdout__, flush=True))

@@ -1,1 +1,4 @@
-"""Motions executed by a simulated arm (MuJoCo): a whole one, or one control period after the other."""
+"""Execution of motions on an arm simulated in MuJoCo.
+
+`simulation.execute` runs a whole motion; `SimulatedArm` advances by single control periods.
+"""

@@ -1,4 +1,7 @@
-"""A robot among a scene's obstacles as a model of MuJoCo, an extra that is imported on first use."""
+"""MuJoCo model of a robot among a scene's obstacles.
+
+MuJoCo is an optional dependency, imported on first use.
+"""
 
 from __future__ import annotations
 
@@ -18,15 +21,15 @@ from hplan.scene.model import Scene
 from hplan.scene.obstacles import Box, Capsule, Cylinder, Solid, Sphere
 from hplan.scene.solids import Cloud
 
-#: Bits of what meets links that may push what gives way, and all others.
+#: Contact bits of the links that may not push compliant obstacles, and of the links that may.
 _FIRM, _PUSHES = 1, 2
 
 
 def import_mujoco() -> ModuleType:
-    """The module `mujoco`.
+    """Import the module `mujoco`.
 
     Raises:
-        InputError: It is not installed.
+        InputError: MuJoCo is not installed.
     """
     with extra("execution", "executing a motion needs MuJoCo"):
         import mujoco
@@ -35,10 +38,20 @@ def import_mujoco() -> ModuleType:
 
 
 def mujoco_model(mujoco: ModuleType, robot: Robot, scene: Scene, *, timestep_s: float) -> tuple[Any, dict[int, str]]:
-    """The arm with motors among the obstacles, and the obstacle's name for each geometry that is one.
+    """Build the MuJoCo model of the arm, with motors, among the obstacles.
+
+    Args:
+        mujoco: The module.
+        robot: The arm; MuJoCo reads its URDF. Each joint gets a motor limited to the joint's torque limit.
+        scene: The obstacles.
+        timestep_s: Step of the simulation [s].
+
+    Returns:
+        The compiled `MjModel`, and the obstacle's name by the number of each of its geometries.
 
     Raises:
-        InputError: A cloud of more than 2,000 balls.
+        InputError: A cloud has more than 2,000 balls.
+        MovingObstacleError: An obstacle of the scene moves.
         RobotFileError: MuJoCo refuses the URDF.
     """
     try:
@@ -55,7 +68,8 @@ def mujoco_model(mujoco: ModuleType, robot: Robot, scene: Scene, *, timestep_s: 
     )
     pushing = () if depths is None else pushing_links(robot, scene.yield_links)
     for geom in spec.geoms:
-        # Two geometries meet where a bit is in the type of one and the affinity of the other: arm and obstacle only.
+        # MuJoCo checks two geometries if contype of one and conaffinity of the other share a bit. Links have a contype
+        # only and obstacles a conaffinity only, so contacts are between the arm and obstacles.
         meets = _PUSHES if geom.parent.name in pushing else _FIRM
         geom.contype, geom.conaffinity = meets if geom.contype or geom.conaffinity else 0, 0
     for name, limit in zip(robot.joint_names, robot.torque_limit.tolist(), strict=True):
@@ -63,8 +77,8 @@ def mujoco_model(mujoco: ModuleType, robot: Robot, scene: Scene, *, timestep_s: 
         motor.ctrllimited, motor.ctrlrange = True, [-limit, limit]
     names = {}
     for number, obstacle in enumerate(scene.solids):
-        # To links that may push it what gives way offers no resistance until it is as deep as it may be: geometries
-        # resist where they are nearer than their margin, and are told where they are nearer than that and their gap.
+        # A compliant obstacle resists a link that may push it only from the permitted depth on: MuJoCo applies forces
+        # at distances below the margin, and reports contacts at distances below margin + gap, which is 0 here.
         yields = 0.0 if depths is None else float(depths[number])
         sides = ((_FIRM | _PUSHES, 0.0),) if yields == 0.0 else ((_FIRM, 0.0), (_PUSHES, yields))
         for part, (shape, (meets, gap)) in enumerate(product(_shapes(mujoco, spec, obstacle, number), sides)):
@@ -79,7 +93,10 @@ def mujoco_model(mujoco: ModuleType, robot: Robot, scene: Scene, *, timestep_s: 
 
 
 def _mesh_file(name: str, folder: Path) -> str:
-    """A mesh of the URDF where Pinocchio finds it; MuJoCo knows no URLs, and has left one slash of theirs."""
+    """Path of a URDF mesh, resolved as Pinocchio does.
+
+    MuJoCo does not resolve URLs, and its parser keeps only one slash after the scheme.
+    """
     scheme, colon, rest = name.partition(":")
     if colon and scheme == "package":
         return str((folder / rest.lstrip("/")).resolve())
@@ -89,7 +106,7 @@ def _mesh_file(name: str, folder: Path) -> str:
 
 
 def _shapes(mujoco: ModuleType, spec: Any, obstacle: Solid, number: int) -> list[dict[str, Any]]:
-    """Arguments of MuJoCo's geometries for an obstacle."""
+    """Arguments of the MuJoCo geometries that represent an obstacle."""
     kinds = mujoco.mjtGeom
     if isinstance(obstacle, Sphere):
         return [{"type": kinds.mjGEOM_SPHERE, "pos": obstacle.center, "size": [obstacle.radius, 0.0, 0.0]}]
@@ -105,7 +122,7 @@ def _shapes(mujoco: ModuleType, spec: Any, obstacle: Solid, number: int) -> list
         else:
             kind, size = kinds.mjGEOM_CYLINDER, [obstacle.radius, 0.5 * obstacle.length, 0.0]
         return [{"type": kind, "pos": obstacle.center, "quat": [turn.w, turn.x, turn.y, turn.z], "size": size}]
-    # Most balls of a cloud that MuJoCo is given.
+    # Maximum number of balls of a cloud, which bounds the cost of the simulation.
     most_balls = 2_000
     if isinstance(obstacle, Cloud):
         if len(obstacle.core) > most_balls:
@@ -119,5 +136,5 @@ def _shapes(mujoco: ModuleType, spec: Any, obstacle: Solid, number: int) -> list
         return [{"type": kinds.mjGEOM_SPHERE, "pos": center, "size": size} for center in obstacle.core]
     name = f"obstacle:{number}"
     mesh = spec.add_mesh(name=name, uservert=obstacle.hull.grown_corners.ravel())
-    mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # small pieces have too little volume for it
+    mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # small hulls have too little volume for a solid inertia
     return [{"type": kinds.mjGEOM_MESH, "meshname": name}]

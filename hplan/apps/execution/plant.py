@@ -1,4 +1,4 @@
-"""Model of the simulated machine, and how it differs from what its controller believes."""
+"""Model of the simulated machine and its deviation from the controller's model."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from hplan.base.options import NotNegative, Options, Positive
 
 @dataclass(frozen=True)
 class Plant(Options):
-    """Parameters of the simulated machine that its controller does not know, and the stiffness of the controller.
+    """Model errors unknown to the controller, and the controller's gains.
 
     Attributes:
-        mass_factor: Masses and inertias of its bodies, as multiples of the URDF's.
-        command_delay_s: By how much the controller is late: it follows the reference of so long ago [s].
-        bandwidth: Natural frequency of its position loop [rad/s].
-        decoupled: Whether errors are fed back as accelerations, through the inertia matrix, and not joint by joint; a
-            stiff loop of joints that push one another does not come to rest.
+        mass_factor: Ratio of the true masses and inertias to the URDF's.
+        command_delay_s: Delay of the controller, which tracks the reference of this time before [s].
+        bandwidth: Natural frequency of the position loop [rad/s].
+        decoupled: Feed back errors as accelerations through the inertia matrix (computed torque), instead of joint by
+            joint. Stiff independent loops of strongly coupled joints may not come to rest.
     """
 
     mass_factor: Positive = 1.0

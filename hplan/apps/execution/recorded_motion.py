@@ -1,4 +1,4 @@
-"""Motions made by others: positions and velocities over time, and their CSV."""
+"""Motions from other planners: positions and velocities over time, and their CSV."""
 
 from __future__ import annotations
 
@@ -19,13 +19,14 @@ from hplan.trajectory.trajectory import Trajectory, joints_of_columns
 
 @dataclass(frozen=True, eq=False)
 class RecordedMotion(Record):
-    """Positions and velocities over time, from wherever they come.
+    """Positions and velocities over time, of any origin.
 
     Attributes:
+        joint_names: Names of the `joints` joints.
         time: (n,) strictly increasing [s].
-        position: (n, joints).
-        velocity: (n, joints) [rad/s].
-        slides: Of each joint whether it is in metres; empty where that is not known.
+        position: (n, joints) [rad, or m if prismatic].
+        velocity: (n, joints) [rad/s, or m/s if prismatic].
+        slides: For each joint whether it is prismatic; empty if unknown.
     """
 
     joint_names: tuple[str, ...]
@@ -36,16 +37,19 @@ class RecordedMotion(Record):
 
     @classmethod
     def from_positions(cls, joint_names: Sequence[str], time: FloatArray, position: FloatArray) -> RecordedMotion:
-        """The motion through positions, from rest to rest.
+        """Estimate velocities of a rest-to-rest motion through positions.
 
-        A row's velocity is that of the parabola through it and its neighbours; the first and last rows are at rest.
+        The velocity at a sample is the derivative of the parabola through it and its two neighbours. It is zero at the
+        first and last sample.
 
         Args:
-            time: (n,) strictly increasing [s].
-            position: (n, joints).
+            joint_names: Names of the `joints` joints.
+            time: (n,) strictly increasing [s], n >= 1.
+            position: (n, joints) [rad, or m if prismatic].
 
         Raises:
-            InputError: One of them is no such list of finite numbers, or time does not increase.
+            InputError: `time` or `position` has another shape or a value that is not finite, or `time` is empty or
+                does not increase.
         """
         joint_names = list_of("joint_names", joint_names, str, "names")
         time = numbers("time", time, (None,))
@@ -65,16 +69,16 @@ Movement: TypeAlias = Trajectory | RecordedMotion
 
 
 def read_motion(path: Path | str) -> RecordedMotion:
-    """Read a CSV of a motion, whoever wrote it.
+    """Read the CSV of a motion, written by any program.
 
-    One header line; needed are `time_s` and a column `NAME_pos_rad` (`NAME_pos_m` where it slides) for each joint, in
-    any order. Velocities are taken from columns `NAME_vel_rad_s` (`NAME_vel_m_s`) where every joint has one, else the
-    motion is that through the positions from rest to rest
-    (see `RecordedMotion.from_positions`). Other columns are ignored, so hplan's own files can be read.
+    The file has one header line. Required columns, in any order: `time_s`, and for each joint `NAME_pos_rad`
+    (`NAME_pos_m` if prismatic). Velocities come from the columns `NAME_vel_rad_s` (`NAME_vel_m_s`) if every joint has
+    one, and are otherwise estimated by `RecordedMotion.from_positions`. Other columns are ignored, so hplan's own
+    files can be read.
 
     Raises:
-        InputError: Missing file, missing or repeated columns, a cell that is no finite number, time that does not
-            increase strictly; names the line.
+        InputError: The file or a required column is missing, a column is repeated, a cell is not a finite number, or
+            time does not increase strictly; names the line.
     """
     file = CsvFile.read(path, "motion", "row")
     header = [name.strip() for name in file.header]

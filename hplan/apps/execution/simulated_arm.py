@@ -1,4 +1,4 @@
-"""A simulated arm with torque motors among a scene's obstacles (MuJoCo), advanced one control period at a time."""
+"""A torque-controlled arm among obstacles, simulated in MuJoCo step by step."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from hplan.scene.model import Scene
 #: Period of the controller [s].
 CONTROL_PERIOD = 1e-3
 
-#: Steps of the simulation for each of the controller's.
+#: Simulation steps for each control period.
 _SUBSTEPS = 4
 
 
@@ -30,10 +30,11 @@ class Touch:
     """Contact of a link and an obstacle in a simulation.
 
     Attributes:
-        time_s: When they first did [s].
-        link: The link, by its name in the URDF.
-        depth_m: Largest depth to which one was pushed into the other [m].
-        yields_m: How deep the link may push it [m].
+        time_s: Time of the first contact [s].
+        link: Name of the link in the URDF.
+        obstacle: Name of the obstacle.
+        depth_m: Maximum penetration depth [m].
+        yields_m: Permitted deflection of the obstacle by this link [m]; 0 if it is rigid.
     """
 
     time_s: float
@@ -44,19 +45,21 @@ class Touch:
 
     @property
     def is_push(self) -> bool:
-        """True if the obstacle gives way to the link, and was not pushed deeper than it may be."""
+        """True if the obstacle is compliant and its deflection stayed permitted."""
         return 0.0 < self.yields_m >= self.depth_m
 
 
 class SimulatedArm:
-    """An arm in MuJoCo among the obstacles and fruits of a scene; joints are in the robot's order.
+    """An arm in MuJoCo among the obstacles and fruits of a scene.
 
-    The motors give no more than their limits. Contacts with obstacles push back, and are noted; what gives way pushes
-    back where it is pushed deeper than it yields, what the scene's goal fruit hangs from at any time. The arm does not
-    touch itself or the ground. It stands at zero until it is placed.
+    Joints are in the robot's order. Torques saturate at the motors' limits. Contacts with obstacles exert forces and
+    are recorded. A compliant obstacle exerts forces only beyond its permitted deflection; the obstacles that the
+    scene's goal fruit hangs from are compliant at all times. The simulation has no self-collisions and no ground. The
+    arm is at the zero configuration until it is placed.
 
     Attributes:
-        plant: How the simulated machine differs from what its controller believes.
+        robot: The arm.
+        plant: Deviation of the simulated machine from the controller's model.
     """
 
     def __init__(self, robot: Robot, scene: Scene, plant: Plant | None = None) -> None:
@@ -64,11 +67,12 @@ class SimulatedArm:
 
         Args:
             robot: The arm; MuJoCo reads its URDF.
-            scene: The obstacles. The fruit that is its goal is left out.
-            plant: How the simulated machine differs; None where it does not.
+            scene: The obstacles. Its goal fruit is left out.
+            plant: Deviation of the simulated machine from the controller's model; None for an exact model.
 
         Raises:
-            InputError: MuJoCo is not installed, or a cloud has too many points for it.
+            InputError: MuJoCo is not installed, or a cloud has more than 2,000 balls.
+            MovingObstacleError: An obstacle of the scene moves.
             RobotFileError: MuJoCo refuses the URDF.
         """
         self.robot, self.plant = instance("robot", robot, Robot, "load_robot"), Plant() if plant is None else plant
@@ -92,38 +96,38 @@ class SimulatedArm:
 
     @property
     def position(self) -> FloatArray:
-        """(dof,) where the joints are."""
+        """(dof,) joint positions [rad, or m if prismatic]."""
         return np.array(self._data.qpos[self._q_at])
 
     @property
     def velocity(self) -> FloatArray:
-        """(dof,) how fast they turn [rad/s]."""
+        """(dof,) joint velocities [rad/s, or m/s if prismatic]."""
         return np.array(self._data.qvel[self._v_at])
 
     @property
     def is_finite(self) -> bool:
-        """False where the simulation ran away."""
+        """False if the simulation diverged."""
         return bool(np.isfinite(self.position).all() and np.isfinite(self.velocity).all())
 
     @property
     def contacts(self) -> tuple[Touch, ...]:
-        """Pairs that have touched so far, in the order of their first touch, but for those that are pushes."""
+        """Recorded contacts in order of first touch, without permitted deflections."""
         return tuple(touch for touch in self._touched.values() if not touch.is_push)
 
     @property
     def pushes(self) -> tuple[Touch, ...]:
-        """Links that have pushed what gives way to them so far, no deeper than it may be, in that order."""
+        """Recorded permitted deflections of compliant obstacles, in order of first touch."""
         return tuple(touch for touch in self._touched.values() if touch.is_push)
 
     def place(self, position: ArrayLike, velocity: ArrayLike | None = None) -> None:
-        """Put the arm somewhere, at rest unless a velocity is given.
+        """Set the state of the arm and record contacts there.
 
         Args:
-            position: (dof,) configuration.
-            velocity: (dof,) [rad/s].
+            position: (dof,) configuration [rad, or m if prismatic].
+            velocity: (dof,) joint velocities [rad/s, or m/s if prismatic]; None for rest.
 
         Raises:
-            InputError: Another number of joints, or values that are not finite.
+            InputError: `position` or `velocity` has another shape or a value that is not finite.
         """
         size = (self.robot.dof,)
         self._data.qpos[self._q_at] = numbers("position", position, size)
@@ -132,10 +136,10 @@ class SimulatedArm:
         self._note_contacts()
 
     def pass_through(self, names: Sequence[str]) -> None:
-        """Let the arm pass through the obstacles or fruits of some names: what it picks, or has picked.
+        """Disable contacts with obstacles or fruits, for example with a picked fruit.
 
         Raises:
-            InputError: There is none of that name.
+            InputError: The simulated scene has no obstacle or fruit of that name.
         """
         for name in names:
             geoms = [geom for geom, obstacle in self._obstacle_of.items() if obstacle == name]
@@ -144,17 +148,21 @@ class SimulatedArm:
             self._model.geom_conaffinity[geoms] = 0
 
     def take_away(self, names: Sequence[str]) -> None:
-        """Take obstacles or fruits of some names away: nothing touches them any more, and no ray meets them.
+        """Remove obstacles or fruits: contacts and rays ignore them.
 
         Raises:
-            InputError: There is none of that name.
+            InputError: The simulated scene has no obstacle or fruit of that name.
         """
         self.pass_through(names)
         gone = [geom for geom, obstacle in self._obstacle_of.items() if obstacle in names]
-        self._model.geom_rgba[gone, 3] = 0.0  # rays go through what cannot be seen
+        self._model.geom_rgba[gone, 3] = 0.0  # MuJoCo's rays ignore geometries of opacity 0
 
     def advance(self, torque: FloatArray) -> None:
-        """Go on for one control period with (dof,) torques, as far as the motors give them [N m]."""
+        """Simulate one control period with constant torques.
+
+        Args:
+            torque: (dof,) motor torques, clipped to the motors' limits [N m, or N if prismatic].
+        """
         limit = self.robot.torque_limit
         self._data.ctrl[self._motors] = np.clip(torque, -limit, limit)
         for _ in range(_SUBSTEPS):
@@ -162,42 +170,53 @@ class SimulatedArm:
             self._note_contacts()
 
     def follow(self, position: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> FloatArray:
-        """Go on for one control period as a computed-torque controller does that follows a (dof,) reference.
+        """Simulate one control period of a computed-torque controller.
+
+        Args:
+            position: (dof,) reference [rad, or m if prismatic].
+            velocity: (dof,) its velocity.
+            acceleration: (dof,) its acceleration.
 
         Returns:
-            (dof,) torques that it asks for [N m].
+            (dof,) commanded torques, before clipping to the limits [N m, or N if prismatic].
         """
         torque = self.feed_forward(position, velocity, acceleration) + self.feedback(position, velocity)
         self.advance(torque)
         return torque
 
     def feed_forward(self, position: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> FloatArray:
-        """(dof,) torques that a state needs by the controller's own model [N m]."""
+        """(dof,) inverse dynamics of a state in the controller's model [N m]."""
         return np.asarray(pin.rnea(self.robot.model, self._pin_data, position, velocity, acceleration))
 
     def feedback(self, position: FloatArray, velocity: FloatArray) -> FloatArray:
-        """(dof,) torques against the error, which is fed back as an acceleration through the inertia matrix [N m]."""
+        r"""(dof,) torques of the feedback through the inertia matrix [N m].
+
+        .. math::
+            \tau = M(q_d) \left( \omega^2 (q_d - q) + 2 \omega (\dot q_d - \dot q) \right)
+
+        with the plant's bandwidth :math:`\omega`.
+        """
         bandwidth = self.plant.bandwidth
         error = bandwidth * (position - self.position) + 2.0 * (velocity - self.velocity)
         return self.inertia(position) @ (bandwidth * error)
 
     def inertia(self, position: FloatArray) -> FloatArray:
-        """(dof, dof) inertia matrix that the controller knows, symmetric."""
+        """(dof, dof) symmetric inertia matrix of the controller's model."""
         upper = np.triu(pin.crba(self.robot.model, self._pin_data, position))
         return np.asarray(upper + np.triu(upper, 1).T)
 
     def cast_rays(self, origin: ArrayLike, directions: FloatArray) -> tuple[FloatArray, IntArray]:
-        """Distances along rays to whatever they meet first, the arm included.
+        """Distances along rays to the first hit, the arm included.
 
         Args:
-            origin: (3,) where all rays begin, in `base_link` [m].
-            directions: (n, 3) their directions, of any length.
+            origin: (3,) common origin of the rays, in `base_link` [m].
+            directions: (n, 3) directions, of any length.
 
         Returns:
-            (n,) distances [m], infinite where nothing is met, and (n,) 1 where it is an obstacle, else 0.
+            (n,) distances [m], infinite without a hit, and (n,) labels, 1 if the hit is an obstacle, else 0.
 
         Raises:
-            InputError: An origin that is no finite point, or directions of another shape.
+            InputError: `origin` or `directions` has another shape or a value that is not finite.
         """
         point = np.array(numbers("origin", origin, (3,)))
         rays = np.array(numbers("directions", directions, (None, 3)))
@@ -211,7 +230,7 @@ class SimulatedArm:
         return np.where(geoms >= 0, found, np.inf), is_obstacle
 
     def _note_contacts(self) -> None:
-        """Keep the first time and the largest depth of each pair that touches now."""
+        """Record the first time and the maximum depth of all current contacts."""
         for number in range(self._data.ncon):
             contact = self._data.contact[number]
             geoms = [int(geom) for geom in contact.geom]

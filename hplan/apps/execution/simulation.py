@@ -1,22 +1,21 @@
-r"""A motion, executed: tracked by a simulated arm with torque motors among the scene's obstacles (MuJoCo).
+r"""Execution of a motion by a torque-controlled arm simulated in MuJoCo.
 
-The certificate proves a curve; this shows how a machine follows it, whoever planned it. MuJoCo reads the same URDF,
-with the obstacles as solid bodies; it has no code in common with planner, certificate or coal. A thousand times a
-second the controller takes the reference between the rows as the cubic that has the rows' positions and velocities
-(cubic Hermite) and commands
+A certificate is a proof about a curve; the execution measures how a machine tracks this curve, for motions of any
+planner. MuJoCo reads the same URDF, with the obstacles as solid bodies, and shares no code with planner, certificate or
+coal. The controller runs at 1 kHz. Its reference is the curve of a `Trajectory`, and for a `RecordedMotion` the cubic
+Hermite interpolant of the samples' positions and velocities. It commands
 
 .. math::
     \tau = \mathrm{rnea}(q_d, \dot q_d, \ddot q_d) + K_p (q_d - q) + K_d (\dot q_d - \dot q)
 
-with gains for the plant's bandwidth and critical damping on each joint's largest inertia along the motion. The motors
-give no more than their limits. Contacts between the arm and an obstacle push back, and are reported; the arm does not
-touch itself or the ground here. After the last row the controller holds it for `HOLD` seconds, so that a motion that
-does not end at rest shows it.
+with gains for the plant's bandwidth and critical damping at each joint's maximum inertia along the motion. Torques
+saturate at the motors' limits. Contacts between the arm and an obstacle exert forces and are reported; there are no
+self-collisions and no ground. After the last sample the controller holds it for `HOLD` seconds, which reveals a motion
+that does not end at rest.
 
-The simulated arm has the URDF's masses and the controller knows them, so what is seen is the motion's own doing, not
-that of a wrong model, friction or flexing. A `Plant` may differ: its masses are others than the controller believes,
-and commands reach it late. How far the joints then are from the reference can be held against a model of tracking
-errors (`Execution.is_within`).
+By default the simulated masses are the URDF's, which the controller knows, so all errors are due to the motion itself,
+not to model errors, friction or flexibility. With a `Plant` the masses differ from the controller's model and its
+commands are delayed. `Execution.is_within` compares the resulting errors with a tracking model.
 
 MuJoCo comes with the extra `execution`: `pip install 'hplan[execution]'`.
 """
@@ -42,38 +41,40 @@ from hplan.scene.model import Scene
 from hplan.trajectory.cubics import evaluate, hermite_pieces
 from hplan.trajectory.trajectory import Trajectory, check_units
 
-#: How long the last row is held [s].
+#: Duration of the hold after the last sample [s].
 HOLD = 0.25
 
 
 @dataclass(frozen=True, eq=False)
 class Execution(Record):
-    """The result of executing a motion. Joints are in the robot's order.
+    """Result of executing a motion, with joints in the robot's order.
 
-    Of joints that slide what is named by radians and newton metres is metres and newtons.
+    For prismatic joints the units are m and N in place of rad and N m, despite the suffixes of the fields.
 
     Attributes:
         joint_names: Names of the `dof` joints.
-        slides: Of each of them whether it slides.
-        duration_s: Time of the last row, counted from the first [s].
-        contacts: Pairs that touched, in the order of their first touch, but for those that are pushes.
-        pushes: Links that pushed what gives way to them, no deeper than it may be.
-        start_error_rad: (dof,) difference between the first row and the scene's start; NaN where the scene gives no
-            joints.
-        max_tracking_error_rad: (dof,) largest deviation from the reference, the hold included.
-        final_error_rad: (dof,) largest deviation from the goal between the last row and the end of the hold. The goal
-            is the scene's where it gives joints, else the last row.
-        ended_at_goal: Whether that is at most 0.5 deg, or 5 mm, for every joint.
-        needed_torque_nm: (dof,) largest torque that the motion itself needs, by inverse dynamics [N m].
-        peak_torque_nm: (dof,) largest torque that the controller asked for [N m]; far more where the arm was held up.
-        torque_limit_nm: (dof,) the most that the motors give [N m].
-        saturated_s: Time during which some motor was asked for more than that [s].
-        nearest: Link and obstacle at the smallest distance at any of `time`, by coal with capsule links; None without
+        slides: (dof,) whether each joint is prismatic.
+        duration_s: Time from the first to the last sample [s].
+        contacts: Contacts in order of first touch, without `pushes`.
+        pushes: Permitted deflections of compliant obstacles, in order of first touch.
+        start_error_rad: (dof,) absolute difference between the first sample and the scene's start [rad]; NaN if the
+            start is not given by joints.
+        max_tracking_error_rad: (dof,) maximum deviation from the reference, the hold included [rad]; inf if the
+            simulation diverged.
+        final_error_rad: (dof,) maximum deviation from the goal between the last sample and the end of the hold [rad].
+            The goal is the scene's if that is given by joints, else the last sample.
+        ended_at_goal: True if `final_error_rad` is at most 0.5 deg, or 5 mm, for every joint.
+        needed_torque_nm: (dof,) maximum torque of the motion itself, by inverse dynamics [N m].
+        peak_torque_nm: (dof,) maximum torque that the controller commanded [N m]; much larger if an obstacle held up
+            the arm.
+        torque_limit_nm: (dof,) torque limits of the motors [N m].
+        saturated_s: Time during which a commanded torque exceeded its limit [s].
+        nearest: Link and obstacle at the minimum distance over all of `time`, by coal with capsule links; None without
             obstacles.
         time: (k,) instants of the controller [s].
-        position: (k, dof) where the joints were.
-        reference: (k, dof) where they should have been.
-        reference_velocity: (k, dof) the velocity that they should have had [rad/s].
+        position: (k, dof) measured joint positions [rad]; NaN after the simulation diverged.
+        reference: (k, dof) reference positions [rad].
+        reference_velocity: (k, dof) reference velocities [rad/s].
     """
 
     joint_names: tuple[str, ...]
@@ -96,36 +97,40 @@ class Execution(Record):
     reference_velocity: FloatArray
 
     def is_within(self, tracking: TrackingModel) -> bool:
-        """True if no joint was ever farther from its reference than a model of tracking errors allows."""
+        """True if all tracking errors are within a tracking model's bounds."""
         off = np.abs(self.position - self.reference)
         return bool((off <= tracking.deviations(self.reference_velocity)).all())
 
     @property
     def ok(self) -> bool:
-        """True if nothing was touched, or pushed deeper than it gives way, and the arm ended at the goal."""
+        """True if the arm ended at the goal without any of `contacts`."""
         return not self.contacts and self.ended_at_goal
 
     @property
     def torque_exceeded(self) -> tuple[str, ...]:
-        """Joints of which more torque was asked than their motors give."""
+        """Joints whose commanded torque exceeded the motor's limit."""
         both = zip(self.joint_names, self.peak_torque_nm, self.torque_limit_nm, strict=True)
         return tuple(name for name, peak, limit in both if peak > limit)
 
 
 def execute(robot: Robot, scene: Scene, motion: Movement, plant: Plant | None = None) -> Execution:
-    """Let a simulated arm run a motion among the obstacles of a scene.
+    """Execute a motion on a simulated arm among a scene's obstacles.
 
-    The arm starts in the motion's first row, at that row's velocity. What the planar joints do not move is executed
-    too: a turret that strikes an obstacle is a contact.
+    The arm starts at the position and velocity of the motion's first sample. All links take part, also links that no
+    planar joint moves: a turret that strikes an obstacle is a contact.
 
     Args:
         robot: The arm; MuJoCo reads its URDF.
+        scene: The obstacles, start and goal. The goal fruit is left out.
         motion: The motion; its joints are the robot's, in any order.
-        plant: How the simulated machine differs; None where it does not.
+        plant: Deviation of the simulated machine from the controller's model; None for an exact model.
 
     Raises:
         InputError: MuJoCo is not installed; the motion has other joints than the robot, time that does not increase
-            or values that are not finite; the scene's start or goal is not one of this robot.
+            or values that are not finite; the scene's start or goal does not fit the robot; a cloud has more than
+            2,000 balls.
+        MovingObstacleError: An obstacle of the scene moves.
+        OptionError: An argument of another type.
         RobotFileError: MuJoCo refuses the URDF.
     """
     instance("robot", robot, Robot, "load_robot")
@@ -140,7 +145,7 @@ def execute(robot: Robot, scene: Scene, motion: Movement, plant: Plant | None = 
 
 @dataclass(frozen=True, eq=False)
 class _Reference:
-    """A motion in the robot's order of joints, with time from 0."""
+    """A motion with joints in the robot's order and time from 0."""
 
     time: FloatArray
     position: FloatArray
@@ -171,7 +176,10 @@ class _Reference:
         return cls(time - time[0], position[:, order], velocity[:, order], bezier[:, :, order])
 
     def at(self, clock: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Position, velocity and acceleration at instants, (k,) -> three of (k, dof); after the end, at rest there."""
+        """Position, velocity and acceleration at (k,) times, each (k, dof).
+
+        After the end of the motion it is the last position at rest.
+        """
         if len(self.time) == 1:
             q = np.repeat(self.position, len(clock), axis=0)
             return q, np.zeros_like(q), np.zeros_like(q)
@@ -189,7 +197,7 @@ def _executed(
     ticks = math.ceil(duration / CONTROL_PERIOD - 1e-9) + math.ceil(HOLD / CONTROL_PERIOD)
     clock: FloatArray = CONTROL_PERIOD * np.arange(ticks + 1, dtype=np.float64)
     q_ref, v_ref, _ = reference.at(clock)
-    # What the controller follows comes late; before it comes the arm is held, or goes on, as it begins.
+    # The controller tracks the delayed reference. Until its first sample, extrapolate it at the initial velocity.
     late = clock - plant.command_delay_s
     q_late, v_late, a_late = reference.at(np.maximum(late, 0.0))
     q_late = q_late + np.minimum(late, 0.0)[:, None] * v_late
@@ -210,12 +218,12 @@ def _executed(
         else:
             torque[k] = feed[k] + stiffness * (q_late[k] - position[k]) + damping * (v_late[k] - arm.velocity)
         arm.advance(torque[k])
-    # A simulation that ran away counts as infinitely far off.
+    # A diverged simulation has infinite errors.
     error = np.nan_to_num(np.abs(position - q_ref), nan=np.inf).max(axis=0)
     resting = clock >= duration - 1e-9
     final = np.nan_to_num(np.abs(position[resting] - goal), nan=np.inf).max(axis=0)
     limit = robot.torque_limit
-    # Error of each joint that turns [rad], and of each that slides [m], up to which a configuration counts as reached.
+    # The goal counts as reached up to this error of a revolute [rad] or prismatic joint [m].
     goal_tolerance, goal_tolerance_m = math.radians(0.5), 0.005
     return Execution(
         joint_names=robot.joint_names,
@@ -240,8 +248,8 @@ def _executed(
 
 
 def _gains(arm: SimulatedArm, q: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Stiffness [N m/rad] and damping [N m s/rad] of each joint."""
-    # Rows at which inertias are evaluated for the gains.
+    """(dof,) stiffness [N m/rad] and damping [N m s/rad] of the joints."""
+    # The inertia is evaluated at no more than this number of samples, enough for its maximum along the motion.
     inertia_samples = 50
     rows = np.unique(np.linspace(0, len(q) - 1, inertia_samples).astype(np.int64))
     inertia = np.max([np.diag(arm.inertia(q[row])) for row in rows], axis=0)
@@ -250,7 +258,10 @@ def _gains(arm: SimulatedArm, q: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _joints(robot: Robot, scene: Scene, which: str, end: FloatArray) -> FloatArray | None:
-    """Start or goal of a scene; the goal at the turn at which the motion's end is."""
+    """Joints of a scene's start or goal; None if given otherwise.
+
+    Continuous joints of the goal are shifted by whole turns to the values nearest to the motion's end.
+    """
     joints = robot.joints_of(scene.start if which == "start" else scene.goal, which)
     if joints is None:
         return None
@@ -258,7 +269,10 @@ def _joints(robot: Robot, scene: Scene, which: str, end: FloatArray) -> FloatArr
 
 
 def _nearest(robot: Robot, scene: Scene, position: FloatArray) -> Contact | None:
-    """The smallest distance at any of the configurations that are finite."""
+    """Contact at the minimum distance over all finite configurations.
+
+    None without obstacles.
+    """
     checker = CoalScene(robot, scene.solids, yield_links=scene.yield_links)
     found = [contact for q in position if np.isfinite(q).all() and (contact := checker.nearest(q)) is not None]
     return found[ties.argmin([contact.distance_m for contact in found])] if found else None

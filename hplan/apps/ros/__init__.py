@@ -1,6 +1,7 @@
-"""ROS 2 without ROS: messages as plain dicts, MCAP files for Foxglove and RViz, obstacles out of MoveIt's scenes.
+"""ROS 2 messages, MCAP files and MoveIt scenes, without a ROS installation.
 
-Nothing of ROS needs to be installed. Files of messages need `rosbags` (the extra `ros`), loaded when one is written.
+Messages are plain dicts; MCAP files are for Foxglove and RViz; obstacles are read from MoveIt scenes. MCAP files need
+`rosbags` (the extra `ros`), imported when one is written.
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""Messages as a bag: dicts encoded by rosbags (an extra that is imported on first use) into one MCAP file."""
+"""Writer of MCAP files: encodes messages, plain dicts, by rosbags.
+
+rosbags is an optional dependency, imported on first use.
+"""
 
 from __future__ import annotations
 
@@ -16,11 +19,12 @@ from hplan.errors import InputError
 
 
 class Message(NamedTuple):
-    """A message of a topic.
+    """A message on a topic.
 
     Attributes:
-        time_ns: When it is sent [ns].
-        content: Its fields; those left out are zero or empty.
+        topic: Name of the topic.
+        time_ns: Time of sending [ns].
+        content: Fields of the message; omitted fields are zero or empty.
     """
 
     topic: str
@@ -29,10 +33,10 @@ class Message(NamedTuple):
 
 
 def import_rosbags() -> tuple[ModuleType, ModuleType, ModuleType]:
-    """The modules `rosbags.interfaces`, `rosbags.rosbag2` and `rosbags.typesys`.
+    """Import the modules `rosbags.interfaces`, `rosbags.rosbag2` and `rosbags.typesys`.
 
     Raises:
-        InputError: They are not installed.
+        InputError: rosbags is not installed.
     """
     with extra("ros", "an MCAP file needs rosbags"):
         import rosbags.interfaces
@@ -42,18 +46,23 @@ def import_rosbags() -> tuple[ModuleType, ModuleType, ModuleType]:
 
 
 def write_bag(path: Path, topics: Mapping[str, tuple[str, int]], messages: Iterable[Message]) -> Path:
-    """Write an MCAP file, whole or not at all.
+    """Write an MCAP file, completely or not at all.
 
     Args:
-        topics: For each topic the type of its messages, and how many are kept for those who come later.
-        messages: The messages, in the order of their times.
+        path: The file; an existing one is replaced.
+        topics: For each topic its message type, and the number of messages kept for late subscribers (transient local
+            durability; 0 for volatile).
+        messages: The messages, in order of time.
+
+    Returns:
+        The path of the file.
 
     Raises:
-        InputError: rosbags is not installed.
+        InputError: rosbags is not installed, or a message has a field that its type lacks.
         OutputError: The file cannot be written.
     """
     interfaces, bags, typesys = import_rosbags()
-    # rosbags writes a folder, and in it the file of the folder's name.
+    # rosbags writes a folder that holds a file of the folder's name.
     with replacing(path) as new, tempfile.TemporaryDirectory(dir=new.parent, prefix=".hplan-") as folder:
         store = typesys.get_typestore(typesys.Stores.ROS2_JAZZY)
         encoder = _Encoder(store)
@@ -79,7 +88,10 @@ def write_bag(path: Path, topics: Mapping[str, tuple[str, int]], messages: Itera
 
 
 def _offer(interfaces: ModuleType, kept: int) -> Any:
-    """How a topic is to be offered: reliably, and with so many messages kept."""
+    """Quality of service of a reliable topic.
+
+    It keeps `kept` messages for late subscribers (transient local durability), or is volatile if that is 0.
+    """
     durability = interfaces.QosDurability
     never = interfaces.QosTime(2147483647, 4294967295)
     return interfaces.Qos(
@@ -96,13 +108,17 @@ def _offer(interfaces: ModuleType, kept: int) -> Any:
 
 
 class _Encoder:
-    """Dicts as the objects that rosbags encodes."""
+    """Converts dicts to the message objects that rosbags encodes."""
 
     def __init__(self, store: Any) -> None:
         self._store = store
 
     def message(self, kind: str, content: Mapping[str, Any]) -> Any:
-        """An object of a type of message."""
+        """Convert a dict to a message object of type `kind`.
+
+        Raises:
+            InputError: The dict has a field that the type lacks.
+        """
         fields = dict(self._store.fielddefs[kind][1])
         unknown = content.keys() - fields.keys()
         if unknown:
@@ -111,7 +127,7 @@ class _Encoder:
         return self._store.types[kind](**values)
 
     def _value(self, field: Any, value: Any) -> Any:
-        """A value of a field; None where it is left out."""
+        """Convert the value of a field; None gives zero or empty."""
         node, what = field
         if node.name == "NAME":
             return self.message(what, {} if value is None else value)

@@ -1,16 +1,18 @@
-"""Motions as messages of joints: `trajectory_msgs/msg/JointTrajectory` and `sensor_msgs/msg/JointState`.
+"""Conversion of motions to and from `JointTrajectory` and `JointState` messages.
 
-A message is a plain dict with the fields of its definition, lists and numbers in it, ready for JSON, or for
-`rosidl_runtime_py.set_message_fields` where ROS is.
+A message (`trajectory_msgs/msg/JointTrajectory`, `sensor_msgs/msg/JointState`) is a plain dict with the fields of its
+definition, made of lists and numbers. It is ready for JSON or, with ROS, for `rosidl_runtime_py.set_message_fields`.
 
-`joint_trajectory_controller` chooses the curve between two points by their fields: a quintic for accelerations, a cubic
-for velocities alone, a straight line for positions alone. So a message has those fields that make the controller run
-the curve of `Trajectory.interpolation`, which the certificate is about; hplan's own have positions and velocities.
+`joint_trajectory_controller` chooses the curve between two points by their fields: a quintic if they have
+accelerations, a cubic if they have velocities only, a straight line if they have positions only. A message therefore
+has exactly the fields that make the controller run the certified curve, `Trajectory.interpolation`. Messages of hplan's
+own motions have positions and velocities.
 """
 
 from __future__ import annotations
 
 import json
+from array import array
 from collections.abc import Mapping, Sequence, Set, Sized
 from dataclasses import replace
 from itertools import pairwise
@@ -30,10 +32,10 @@ from hplan.robot.model import Robot
 from hplan.trajectory.cubics import Interpolation
 from hplan.trajectory.trajectory import Trajectory
 
-#: Fields of a point for each array of a trajectory.
+#: Fields of a message's points and the corresponding arrays of a trajectory.
 _FIELDS = {"positions": "position", "velocities": "velocity", "accelerations": "acceleration", "effort": "torque"}
 
-#: Fields by which a controller chooses each curve between points.
+#: Fields of the points that make a controller choose each curve.
 _FIELDS_OF: dict[Interpolation, tuple[str, ...]] = {
     "linear": ("positions",),
     "cubic": ("positions", "velocities"),
@@ -44,18 +46,20 @@ _FIELDS_OF: dict[Interpolation, tuple[str, ...]] = {
 def to_joint_trajectory(
     trajectory: Trajectory, *, prefix: str = "", frame_id: str = "", stamp_s: float = 0.0, effort: bool = False
 ) -> dict[str, Any]:
-    """The motion as a `trajectory_msgs/msg/JointTrajectory`, as `joint_trajectory_controller` takes it.
+    """Convert a motion to a `trajectory_msgs/msg/JointTrajectory` for `joint_trajectory_controller`.
 
     Args:
-        trajectory: The motion; each row becomes a point.
-        prefix: Put before every joint's name, such as "left_".
-        stamp_s: When the first row is, by the controller's clock [s]; 0 for as soon as the message is received.
-        effort: Whether to give torques; controllers without an effort interface refuse such goals.
+        trajectory: The motion; each sample becomes a point.
+        prefix: Prepended to every joint name, for example "left_".
+        frame_id: Frame in the header.
+        stamp_s: Time of the first sample on the controller's clock [s]; 0 to start on receipt.
+        effort: Include torques. Controllers without an effort interface refuse such goals.
 
     Raises:
-        OptionError: Text where none belongs, or a time that no message can hold; no `stamp_s` of a stop, a splice or
-            any other motion that takes over from a running one: begun on receipt it would send the arm back.
-        InputError: Two rows within a nanosecond.
+        OptionError: An argument of another type, or a time that a message cannot represent. Also `stamp_s` of 0 for a
+            stop, a splice or another motion that takes over from a running one: a controller that started it on receipt
+            would send the arm back.
+        InputError: Two samples are within a nanosecond.
     """
     instance("trajectory", trajectory, Trajectory, "plan or read_csv")
     stamp_ns = time_ns("stamp_s", stamp_s)
@@ -63,8 +67,10 @@ def to_joint_trajectory(
         raise OptionError(
             "stamp_s",
             stamp_s,
-            "the time of the first row by the controller's clock, such as the result's begins_s: the motion takes over "
-            "from a running one, and a controller that begins it on receipt would send the arm back",
+            "the time of the first row by the controller's clock, such as the result's begins_s, and not 0, which is "
+            "the time of receipt: the motion takes over from a running one, and a controller that begins it on receipt "
+            "would send the arm back. Of a motion that began at 0, send trajectory.since(row) with the time of that "
+            "row",
         )
     header = _header(frame_id, stamp_ns)
     given = (*_FIELDS_OF[trajectory.interpolation], *(["effort"] if truth("effort", effort) else []))
@@ -90,17 +96,22 @@ def to_joint_trajectory(
 
 
 def write_joint_trajectory(trajectory: Trajectory, file: Path | str, **options: Any) -> Path:
-    """Write the message of `to_joint_trajectory` as YAML, or as JSON if the file's name ends in `.json`.
+    """Write the message of `to_joint_trajectory` as YAML or JSON.
 
-    `ros2 topic pub --once --stdin TOPIC trajectory_msgs/msg/JointTrajectory < FILE` sends either (ROS 2 Jazzy and
-    later). As an argument of a command the message would be too long for most shells.
+    The format is JSON if the file's name ends in `.json`. `ros2 topic pub --once --stdin TOPIC
+    trajectory_msgs/msg/JointTrajectory < FILE` sends either format (ROS 2 Jazzy and later). As a command-line argument
+    the message would be too long for most shells.
 
     Args:
-        file: The file; replaced whole or not at all.
-        options: As of `to_joint_trajectory`.
+        trajectory: The motion.
+        file: The file; replaced completely or not at all.
+        options: Keyword arguments of `to_joint_trajectory`.
+
+    Returns:
+        The path of the file.
 
     Raises:
-        HplanError: As `to_joint_trajectory`.
+        HplanError: The motion has no message (`to_joint_trajectory`).
         OutputError: The file cannot be written.
     """
     path, message = file_path("file", file), to_joint_trajectory(trajectory, **options)
@@ -112,14 +123,18 @@ def write_joint_trajectory(trajectory: Trajectory, file: Path | str, **options: 
 def to_joint_state(
     trajectory: Trajectory, row: int, *, prefix: str = "", frame_id: str = "", stamp_s: float = 0.0
 ) -> dict[str, Any]:
-    """A row of the motion as a `sensor_msgs/msg/JointState`.
+    """Convert one sample of a motion to a `sensor_msgs/msg/JointState`.
 
     Args:
-        prefix: Put before every joint's name.
-        stamp_s: When the motion begins [s]; the row's own time is added.
+        trajectory: The motion.
+        row: Index of the sample.
+        prefix: Prepended to every joint name.
+        frame_id: Frame in the header.
+        stamp_s: Start time of the motion [s]; the sample's own time is added.
 
     Raises:
-        OptionError: No such row, text where none belongs, or a time that no message can hold.
+        OptionError: The sample does not exist, an argument is of another type, or a time cannot be represented in a
+            message.
     """
     instance("trajectory", trajectory, Trajectory, "plan or read_csv")
     row = whole("row", row, 0, trajectory.samples - 1)
@@ -140,21 +155,31 @@ def from_joint_trajectory(
     robot: Robot | None = None,
     interpolation: Interpolation | None = None,
 ) -> Trajectory:
-    """A motion out of a `trajectory_msgs/msg/JointTrajectory`, whoever wrote it; `certify` can then judge it.
+    """Convert a `trajectory_msgs/msg/JointTrajectory` to a trajectory, for example to certify it.
 
     Args:
-        message: The message as a dict; its first point is at time 0.
-        prefix: What stands before every joint's name, and is taken off.
-        robot: Gives the order of the joints, and the torques if the points have none.
-        interpolation: The curve that the controller runs between the points. None takes the one that
-            `joint_trajectory_controller` chooses: `quintic` for points with accelerations, `cubic` with velocities
-            alone, `linear` with positions alone.
+        message: The message as a dict, from any planner; its first point is at time 0.
+        prefix: Prefix to remove from every joint name.
+        robot: Robot that defines the order of the joints, and whose inverse dynamics gives the torques if the points
+            have no efforts. None keeps the order of the message.
+        interpolation: The curve that the controller runs between the points. None for the curve that
+            `joint_trajectory_controller` chooses: `quintic` for points with accelerations, `cubic` for points with
+            velocities only, `linear` for points with positions only.
 
     Raises:
         InputError: A field is missing or of another kind, lists differ in length, times do not increase from 0; points
-            without a field that other points have, or that the interpolation needs; without a robot, points without
-            efforts; other joints than the robot's.
-        OptionError: The message is no dict, the prefix no text, or there is no such interpolation.
+            lack a field that other points have or that the interpolation requires; without a robot, points lack
+            efforts; the joints are not the robot's.
+        OptionError: The message is not a dict, the prefix is not text, or the interpolation is unknown.
+
+    Examples:
+        >>> points = [
+        ...     {"positions": [0.0], "effort": [0.0], "time_from_start": {"sec": 0, "nanosec": 0}},
+        ...     {"positions": [0.5], "effort": [0.0], "time_from_start": {"sec": 2, "nanosec": 0}},
+        ... ]
+        >>> motion = from_joint_trajectory({"joint_names": ["left_elbow"], "points": points}, prefix="left_")
+        >>> motion.joint_names, motion.interpolation, motion.duration
+        (('elbow',), 'linear', 2.0)
     """
     if not isinstance(message, Mapping):
         raise OptionError("message", message, "a dict of a JointTrajectory")
@@ -182,11 +207,15 @@ def from_joint_trajectory(
 
 
 def _curve_of(given: Set[str], interpolation: Interpolation | None) -> Interpolation:
-    """The curve that a controller runs between points with some fields.
+    """Curve that a controller runs between points with these fields.
+
+    Args:
+        given: Fields of the points that have numbers.
+        interpolation: The curve to use; None for the controller's choice.
 
     Raises:
-        InputError: There are accelerations without velocities.
-        OptionError: There is no such interpolation.
+        InputError: The points have accelerations but no velocities.
+        OptionError: The interpolation is unknown.
     """
     if interpolation is not None:
         one_of("interpolation", interpolation, get_args(Interpolation))
@@ -200,9 +229,15 @@ def _curve_of(given: Set[str], interpolation: Interpolation | None) -> Interpola
 
 
 def _filled_in(motion: Trajectory, given: Set[str], robot: Robot | None) -> Trajectory:
-    """The motion with the velocities and accelerations that its curve has at the rows, and inverse dynamics.
+    """Fill in missing velocities, accelerations and torques of a motion.
 
-    At a row with a jump they are those after it; at the last one, of a straight line, rest.
+    Velocities and accelerations are the derivatives of the curve at the samples. At a jump it is the value after it;
+    the last velocity of straight lines is zero. Torques are inverse dynamics, if a robot is given.
+
+    Args:
+        motion: The motion, with zeros for the missing arrays.
+        given: Names of the arrays that the message has.
+        robot: The robot; None to leave the torques as they are.
     """
     bezier, duration = motion.segments
     degree, h = bezier.shape[1] - 1.0, duration[:, None]
@@ -220,16 +255,19 @@ def _filled_in(motion: Trajectory, given: Set[str], robot: Robot | None) -> Traj
 
 
 def _needs_stamp(trajectory: Trajectory) -> bool:
-    """True if the arm is in motion when the trajectory begins, or before that."""
+    """True if the trajectory takes over from a running motion.
+
+    It is marked so (`takes_over_s`), or begins with a nonzero velocity.
+    """
     if trajectory.takes_over_s is not None:
         return True
-    # The velocity of straight lines jumps at their first row, from rest.
+    # Straight lines start from rest: their velocity jumps at the first sample.
     moving = trajectory.interpolation != "linear" and np.abs(trajectory.velocity[0]).max(initial=0.0) > REST
     return bool(moving)
 
 
 def _is_empty(row: Any) -> bool:
-    """True for a list without numbers."""
+    """True for an empty list."""
     return isinstance(row, Sized) and len(row) == 0
 
 
@@ -248,7 +286,11 @@ def _text(option: str, value: str) -> str:
 
 
 def _list(message: Mapping[str, Any], key: str, kind: Any) -> tuple[Any, ...]:
-    """A list of a message, not empty."""
+    """Return a non-empty list of a message.
+
+    Raises:
+        InputError: The key is missing, or its value is empty or not a list of `kind`.
+    """
     if key not in message:
         raise InputError(f"the message has no {key}; expected a JointTrajectory", key=key)
     items = list_of(key, message[key], kind, "names" if kind is str else "points")
@@ -258,7 +300,11 @@ def _list(message: Mapping[str, Any], key: str, kind: Any) -> tuple[Any, ...]:
 
 
 def _order(names: Sequence[str], robot: Robot | None) -> list[int]:
-    """Which of the message's joints each of the robot's is."""
+    """Index in the message of each of the robot's joints.
+
+    Raises:
+        InputError: The joints of the message are not the robot's.
+    """
     if robot is None:
         return list(range(len(names)))
     expected = instance("robot", robot, Robot, "load_robot").joint_names
@@ -272,12 +318,16 @@ def _order(names: Sequence[str], robot: Robot | None) -> list[int]:
 
 
 def _array(points: Sequence[Mapping[str, Any]], field: str, joints: int) -> FloatArray:
-    """(points, joints) numbers of one field."""
+    """(points, joints) values of one field.
+
+    Raises:
+        InputError: A point has another number of values, or a value is not a finite number.
+    """
     rows = []
     for index, point in enumerate(points):
         row = point.get(field, ())
-        if not isinstance(row, (list, tuple, np.ndarray)) or len(row) != joints:
-            count = f"{len(row)} numbers" if isinstance(row, (list, tuple, np.ndarray)) else repr(row)
+        if not isinstance(row, list | tuple | array | np.ndarray) or len(row) != joints:
+            count = f"{len(row)} numbers" if isinstance(row, list | tuple | array | np.ndarray) else repr(row)
             raise InputError(
                 f"points[{index}].{field} has {count}, expected one for each of {joints} joints",
                 point=index,

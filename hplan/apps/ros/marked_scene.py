@@ -1,6 +1,7 @@
-"""A scene as `visualization_msgs/msg/Marker`s: obstacles by what they are made of, and fruit.
+"""Markers (`visualization_msgs/msg/Marker`) of a scene's obstacles and fruits.
 
-Numbers of markers go with their places in the scene, so that a marker sent again replaces the one before.
+Obstacles are coloured by their material. Marker numbers follow the order in the scene, so that a marker sent again
+replaces the previous one.
 """
 
 from __future__ import annotations
@@ -24,11 +25,21 @@ _OBSTACLES, FRUITS = "obstacles", "fruits"
 def scene_markers(scene: Scene, frame_id: str = "base_link") -> list[Marker]:
     """Markers of a scene, for the `markers` of a `visualization_msgs/msg/MarkerArray`.
 
-    What moves is in a frame of its own, `obstacle/NAME`, and stands in it where the scene lists it; `scene.poses_at`
-    gives the frame's place in the scene's over time.
+    Each moving obstacle or fruit has its own frame `obstacle/NAME`, in which its marker has the pose listed in the
+    scene. `scene.poses_at` gives the pose of that frame over time.
+
+    Args:
+        scene: The scene.
+        frame_id: Frame of everything that does not move.
 
     Raises:
-        OptionError: It is no scene, or the frame no text.
+        OptionError: `scene` is not a scene, or `frame_id` is not text.
+
+    Examples:
+        >>> from hplan.scene import load_scene
+        >>> markers = scene_markers(load_scene("table-1"))
+        >>> markers[0]["ns"], markers[0]["header"]["frame_id"]
+        ('obstacles', 'base_link')
     """
     instance("scene", scene, Scene, "load_scene")
     text("frame_id", frame_id)
@@ -44,17 +55,20 @@ def scene_markers(scene: Scene, frame_id: str = "base_link") -> list[Marker]:
 
 
 def frame_of(scene: Scene, item: Obstacle | Fruit, frame_id: str) -> str:
-    """The frame of an obstacle or fruit: its own where it, or the base, moves, else the scene's."""
+    """Frame of an obstacle or fruit.
+
+    It is the item's own frame if the item or the base moves, else `frame_id`.
+    """
     return frame_id if item.track is None and scene.base_track is None else moving_frame(item.name)
 
 
 def moving_frame(name: str) -> str:
-    """The frame of an obstacle or fruit that moves."""
+    """Frame name of a moving obstacle or fruit."""
     return f"obstacle/{name}"
 
 
 def fruit_marker(scene: Scene, fruit: Fruit, frame_id: str, *, is_goal: bool) -> Marker:
-    """The marker of a fruit where it hangs."""
+    """Marker of a fruit at its place on the tree."""
     number = scene.fruits.index(fruit)
     return (
         mark.ball(fruit.center, fruit.radius)
@@ -64,7 +78,7 @@ def fruit_marker(scene: Scene, fruit: Fruit, frame_id: str, *, is_goal: bool) ->
 
 
 def _parts(obstacle: Obstacle) -> list[Marker]:
-    """Shapes and places of the markers that make up an obstacle."""
+    """Shapes and poses of the markers that form an obstacle."""
     if isinstance(obstacle, PointCloud):
         return [_balls(solid.core, solid.rounding) for solid in obstacle.solids]
     if not isinstance(obstacle, Sphere | Capsule | Cylinder | Box):
@@ -86,6 +100,6 @@ def _parts(obstacle: Obstacle) -> list[Marker]:
 
 
 def _balls(centers: FloatArray, radius: float) -> Marker:
-    # Most balls of a cloud that are drawn; of more, every second, third, ... one.
+    # Draw at most 20,000 balls of a cloud: every k-th one of a larger cloud.
     some = mark.points(centers[:: -(-len(centers) // 20_000)])
     return {"type": mark.SPHERE_LIST, "pose": mark.pose(), "scale": xyz((2.0 * radius,) * 3), "points": some}

@@ -1,19 +1,23 @@
-"""Certified motions as an MCAP file of ROS 2 messages, for Foxglove, RViz and `ros2 bag`.
+"""MCAP files of certified motions, for Foxglove, RViz and `ros2 bag`.
+
+The messages are ROS 2 messages:
 
 | topic | type | when |
 |---|---|---|
-| `/robot_description` | `std_msgs/msg/String` | once, kept for those who come later |
-| `/tf_static`, `/tf` | `tf2_msgs/msg/TFMessage` | once and kept; with every joint state |
+| `/robot_description` | `std_msgs/msg/String` | once, latched |
+| `/tf_static`, `/tf` | `tf2_msgs/msg/TFMessage` | once, latched; with every joint state |
 | `/joint_trajectory` | `trajectory_msgs/msg/JointTrajectory` | once, the whole motion |
-| `/joint_states` | `sensor_msgs/msg/JointState` | at the rate asked for |
-| `/scene` | `visualization_msgs/msg/MarkerArray` | once and kept, and where a fruit is taken or let go |
-| `/certificate` | `visualization_msgs/msg/MarkerArray` | once and kept: the tool's path, what is certified |
+| `/joint_states` | `sensor_msgs/msg/JointState` | at the requested rate |
+| `/scene` | `visualization_msgs/msg/MarkerArray` | once, latched; when a fruit is picked or released |
+| `/certificate` | `visualization_msgs/msg/MarkerArray` | once, latched: the tool's path, the certificate |
 | `/nearest` | `visualization_msgs/msg/MarkerArray` | the nearest pair, with every joint state |
-| `/clearance` | `std_msgs/msg/Float64` | certain clearance [m], with every joint state |
+| `/clearance` | `std_msgs/msg/Float64` | certified clearance [m], with every joint state |
 
-Of a run of several motions what is said once is said as each begins, but for the robot, and what stood before is gone.
+Latched messages are kept for late subscribers (transient local durability). In a sequence of motions the messages sent
+once are repeated at the start of each motion, except for the robot and its static transforms; markers of the previous
+motion are deleted.
 
-The file is one that rosbags writes, so that `ros2 bag play` finds in it what is to be kept.
+rosbags writes the file, so that its metadata tells `ros2 bag play` which topics are latched.
 """
 
 from __future__ import annotations
@@ -49,7 +53,7 @@ if TYPE_CHECKING:
     from hplan.apps.view.playback import Shown
     from hplan.certificate.certificate import Certificate
 
-#: Types of the topics, and how many messages of each are kept for those who come later.
+#: Message type of each topic, and number of messages kept for late subscribers.
 TOPICS = {
     "/robot_description": ("std_msgs/msg/String", 1),
     "/tf_static": ("tf2_msgs/msg/TFMessage", 1),
@@ -66,19 +70,23 @@ TOPICS = {
 def write_mcap(
     result: Shown | Sequence[Shown], file: Path | str, *, rate_hz: float = 100.0, stamp_s: float = 1.0
 ) -> Path:
-    """Write a motion, or a run of motions, as an MCAP file.
+    """Write a motion, or a sequence of motions, as an MCAP file.
 
     Args:
-        result: A plan, a stop, a tour, a motion of several arms; or several of them in turn, all of one robot. Each
-            takes over at its `begins_s` from the one before, a stop where it leaves that one's; others follow.
-        file: The file; replaced whole or not at all. Its name should end in `.mcap`.
-        rate_hz: Joint states and transforms a second, as far as the trajectory has rows.
-        stamp_s: When the motion begins [s]; not 0, which ROS takes for the latest there is.
+        result: A plan, stop, tour or multi-arm motion, or a sequence of them for the same robot. Each motion takes over
+            from the previous one at its `begins_s`, and a stop where it leaves the previous motion (`parts_s`). A
+            motion without a later `begins_s` follows the end of the previous one.
+        file: The file; replaced completely or not at all. Its name should end in `.mcap`.
+        rate_hz: Rate of joint states and transforms [Hz]; at most the rate of the trajectory's samples.
+        stamp_s: Start time of the motion [s]. It should not be 0, which ROS interprets as the latest available time.
+
+    Returns:
+        The path of the file.
 
     Raises:
-        InputError: rosbags is not installed (the extra `ros`).
-        InputError: A run of motions of different robots, or of none.
-        OptionError: Something else than a result, a rate that is not positive, a time that no message can hold.
+        InputError: rosbags is not installed (the extra `ros`), or the sequence is empty or has different robots.
+        OptionError: `result` is not a result, `rate_hz` is not in [1e-3, 1e5], or a time cannot be represented in a
+            message.
         OutputError: The file cannot be written.
     """
     between("rate_hz", rate_hz, 1e-3, 1e5)
@@ -98,11 +106,14 @@ def write_mcap(
 
 
 def _spans(results: Sequence[Shown], durations: Sequence[float]) -> list[tuple[float, tuple[float, float]]]:
-    """When each motion of a run begins, counted from the first, and from when to when of its own time it runs [s]."""
+    """Start time and played interval of each motion in a sequence [s].
+
+    Start times are relative to the first motion; the interval (begin, end) is in the motion's own time.
+    """
     begins, firsts = [0.0], [0.0]
     clocks = [own if isinstance(own := getattr(each, "begins_s", 0.0), float) else 0.0 for each in results]
     for (before, own), duration, result in zip(pairwise(clocks), durations, results[1:], strict=False):
-        stops = own == before and isinstance(result, CertifiedMotion)  # on the path of the one before, by its clock
+        stops = own == before and isinstance(result, CertifiedMotion)  # on the previous motion's path and clock
         firsts.append(result.parts_s if isinstance(result, CertifiedMotion) and stops else 0.0)
         begins.append(begins[-1] + (0.0 if stops else own - before if own > before else duration))
     ends = [begin + first - before for before, begin, first in zip(begins, begins[1:], firsts[1:], strict=False)]
@@ -110,7 +121,10 @@ def _spans(results: Sequence[Shown], durations: Sequence[float]) -> list[tuple[f
 
 
 class _Recording:
-    """The messages of a motion, in the order of their times, from when to when it runs [s]."""
+    """Generates the messages of one motion in order of time.
+
+    `span_s` is the played interval of the motion's own time [s].
+    """
 
     def __init__(
         self, robot: Robot, scene: Scene, playback: Playback, rate_hz: float, begin_ns: int,
@@ -125,7 +139,7 @@ class _Recording:
         self.rows = rows[(times >= span_s[0]) & (times < span_s[1])]
 
     def messages(self) -> Iterator[Message]:
-        """All of them."""
+        """Generate all messages."""
         yield from self._at_first()
         yield from heapq.merge(self._fruits(), self._samples(), key=lambda message: message.time_ns)
 
@@ -187,6 +201,6 @@ class _Recording:
 
 
 def _rows(time: FloatArray, rate_hz: float) -> IntArray:
-    """Rows of a trajectory, about as many a second, the first and the last among them."""
+    """Indices of samples at about `rate_hz`, the first and last included."""
     ticks = np.arange(0.0, time[-1], 1.0 / rate_hz)
     return np.unique([*np.searchsorted(time, ticks), len(time) - 1])

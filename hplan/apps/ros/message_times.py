@@ -14,31 +14,48 @@ SECOND_NS: Final = 1_000_000_000
 
 
 def time_ns(option: str, seconds: Any) -> int:
-    """Seconds as whole nanoseconds: the nearest ones to the very number given.
+    """Convert seconds to the nearest whole nanoseconds, without intermediate rounding.
 
     Args:
-        option: What it is, for the error.
-        seconds: A time that a message can hold [s].
+        option: Name of the value, for the error.
+        seconds: The time [s].
 
     Raises:
-        OptionError: It is none.
+        OptionError: `seconds` is not a number in [0, 2^31 - 1], the range of a message's time.
+
+    Examples:
+        >>> time_ns("stamp_s", 0.1)
+        100000000
     """
-    # The latest time that a message can hold: its seconds are a 32 bit number [s].
+    # A message has its seconds in a signed 32-bit integer.
     latest_s = 2.0**31 - 1.0
     return round(Fraction(between(option, seconds, 0.0, latest_s)) * SECOND_NS)
 
 
 def message_time(nanoseconds: int) -> dict[str, int]:
-    """Nanoseconds as `builtin_interfaces/msg/Time`, and as `Duration`, which looks alike."""
+    """Convert nanoseconds to a `builtin_interfaces/msg/Time` or `Duration`.
+
+    Examples:
+        >>> message_time(1_500_000_000)
+        {'sec': 1, 'nanosec': 500000000}
+    """
     sec, nanosec = divmod(nanoseconds, SECOND_NS)
     return {"sec": sec, "nanosec": nanosec}
 
 
 def seconds_of(where: str, content: Any) -> float:
-    """Seconds of a `Time` or `Duration`.
+    """Convert a `Time` or `Duration` message to seconds.
+
+    Args:
+        where: Place of the value in the message, for the error.
+        content: The message as a dict.
 
     Raises:
-        InputError: It is none; names where it stands.
+        InputError: `content` is not a valid time with `sec` and `nanosec`; names its place.
+
+    Examples:
+        >>> seconds_of("header.stamp", {"sec": 1, "nanosec": 500_000_000})
+        1.5
     """
     parts = []
     for key, most in (("sec", 2**31 - 1), ("nanosec", SECOND_NS - 1)):

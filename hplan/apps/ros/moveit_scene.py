@@ -1,8 +1,8 @@
-"""Obstacles out of a `.scene` file, the text that MoveIt's `PlanningScene` saves and RViz's plugin exports.
+"""Reader of `.scene` files, written by MoveIt's `PlanningScene` and RViz's plugin.
 
-The first line is the scene's name. An object begins with `* NAME`; then come, since MoveIt of 2020, its pose; the
-number of its shapes; for each its kind, sizes, pose in the object's frame and colour; since then, too, subframes. A `.`
-ends the file. Words may be parted by blanks or lines, as MoveIt reads them.
+The first line is the scene's name. An object begins with `* NAME`. Then follow its pose (since MoveIt of 2020), the
+number of its shapes, for each shape its kind, sizes, pose in the object's frame and colour, and the subframes (since
+MoveIt of 2020). A `.` ends the file. Words are separated by spaces or line breaks, as in MoveIt's parser.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from hplan.errors import SceneError
 from hplan.scene.limits import MOST_SHAPE_BYTES, Vector
 from hplan.scene.obstacles import Obstacle
 
-#: Kinds that MoveIt knows and that are no obstacles here, and why.
+#: MoveIt's kinds of shapes that hplan refuses, and the reasons.
 _REFUSED: Final = {
     "plane": NO_PLANE,
     "octree": NO_OCTOMAP,
@@ -36,24 +36,25 @@ def read_moveit_scene(
     prefix: str = "",
     open_meshes: OpenMeshes = "refuse",
 ) -> tuple[Obstacle, ...]:
-    """Read the obstacles of a MoveIt scene file, of the older or the newer kind.
+    """Read the obstacles of a MoveIt scene file, old or new format.
 
-    Boxes, spheres and cylinders stay what they are; a cone becomes a pyramid about it, a mesh convex pieces that hold
-    it. Colours and subframes are left out.
+    Boxes, spheres and cylinders are kept as such. A cone becomes a circumscribed pyramid; a mesh is covered by convex
+    pieces. Colours and subframes are ignored.
 
     Args:
-        position: Where the origin of MoveIt's planning frame is in `base_link` [m].
-        rpy_deg: How that frame is turned: roll, pitch and yaw about fixed axes [deg].
-        prefix: Put before every name.
-        open_meshes: `refuse` meshes that are open or inside out, or take their convex `hull`.
+        path: The file.
+        position: Origin of MoveIt's planning frame in `base_link` [m].
+        rpy_deg: Orientation of that frame: roll, pitch and yaw about fixed axes [deg].
+        prefix: Prepended to every name.
+        open_meshes: `refuse` meshes that are open or inside out, or replace them by their convex `hull`.
 
     Returns:
-        The obstacles, called as the objects are; where one has several shapes, `NAME 1`, `NAME 2`, ... For a scene
-        file: `save_scene(scene.with_obstacles(obstacles), path)`.
+        The obstacles, named after the objects; an object with several shapes gives `NAME 1`, `NAME 2`, ... To write a
+        scene file: `save_scene(scene.with_obstacles(obstacles), path)`.
 
     Raises:
-        SceneError: Missing or malformed file, a shape that cannot be an obstacle; names the line.
-        OptionError: An option of the wrong kind.
+        SceneError: The file is missing or malformed, or a shape cannot be an obstacle; names the line.
+        OptionError: An option of the wrong type or range.
     """
     path = file_path("path", path)
     base = planning_frame(position, rpy_deg, prefix, open_meshes)
@@ -62,13 +63,13 @@ def read_moveit_scene(
 
 
 class _SceneText:
-    """The words of a file, one after the other, with their lines."""
+    """Parser of a scene file, word by word with line numbers."""
 
     def __init__(self, path: Path, text: str, open_meshes: OpenMeshes) -> None:
         self._path, self._open_meshes = path, open_meshes
         lines = text.splitlines()
         heads = [number for number, line in enumerate(lines) if number and line.startswith("*")]
-        # Where a pose follows an object's name, the line after it holds several numbers, else the number of shapes.
+        # The line after an object's name is a pose of several numbers, or in the old format the number of shapes.
         self._has_poses = bool(heads) and len("".join(lines[heads[0] + 1 : heads[0] + 2]).split()) > 1
         self._words = self._split(lines)
         self._last = len(lines)
@@ -76,7 +77,10 @@ class _SceneText:
 
     @staticmethod
     def _split(lines: list[str]) -> Iterator[tuple[int, str]]:
-        """Words with the numbers of their lines; of the first line of an object its `*`, then the name."""
+        """Split lines into words with line numbers.
+
+        The first line of an object gives two words, its `*` and its name.
+        """
         for number, line in enumerate(lines[1:], start=2):
             if line.startswith("*"):
                 yield number, "*"
@@ -85,11 +89,14 @@ class _SceneText:
                 yield from ((number, word) for word in line.split())
 
     def obstacles(self, base: pin.SE3, prefix: str) -> Iterator[Obstacle]:
-        """The obstacles of all objects.
+        """Parse the obstacles of all objects.
 
         Args:
-            base: Where the planning frame is.
-            prefix: Put before every name.
+            base: Pose of the planning frame in `base_link`.
+            prefix: Prepended to every name.
+
+        Raises:
+            SceneError: The file is malformed, or a shape cannot be an obstacle; names the line.
         """
         seen: dict[str, int] = {}
         while (marker := self._word("`*` and the name of an object, or `.` at the end")) != ".":
@@ -142,7 +149,7 @@ class _SceneText:
             raise self._fault(str(error)) from error
 
     def _numbers(self, count: int, what: str) -> list[float]:
-        """So many finite numbers."""
+        """Read `count` finite numbers; the second argument names them in the error."""
         values = []
         for _ in range(count):
             word = self._word(what)

@@ -1,4 +1,4 @@
-"""Shapes of MoveIt in their places as obstacles of a scene."""
+"""Conversion of MoveIt's shapes with poses to obstacles."""
 
 from __future__ import annotations
 
@@ -16,28 +16,29 @@ from hplan.scene.obstacles import Box, Cylinder, Mesh, Obstacle, Sphere
 from hplan.scene.prism import prism
 from hplan.scene.solids import hull_of
 
-#: What becomes of a mesh that is not closed: it is refused, or its convex hull is taken.
+#: Treatment of a mesh that is not closed: refuse it, or replace it by its convex hull.
 OpenMeshes: TypeAlias = Literal["refuse", "hull"]
 
-#: How many numbers give the size of each shape, in the order of a scene file of MoveIt's.
+#: Number of dimensions of each shape, in the order of MoveIt's scene files.
 SIZES: Final = {"sphere": 1, "box": 3, "cylinder": 2, "cone": 2}
 
-#: Why some of MoveIt's objects are no obstacles.
+#: Reasons why planes and octomaps are refused.
 NO_PLANE: Final = "a plane has no end; put a box in its place"
 NO_OCTOMAP: Final = "an octomap cannot be read; give its points as a point cloud"
 
 
 def planning_frame(position: Sequence[float], rpy_deg: Sequence[float], prefix: str, open_meshes: str) -> pin.SE3:
-    """Check the options of readers; returns where the frame is.
+    """Check the options of readers; return the pose of the planning frame.
 
     Args:
-        position: Where the origin of the objects' frame is in `base_link` [m].
-        rpy_deg: How that frame is turned: roll, pitch and yaw about fixed axes [deg].
-        prefix: What is put before every name.
-        open_meshes: What becomes of meshes that are not closed.
+        position: Origin of the objects' frame in `base_link` [m].
+        rpy_deg: Orientation of that frame: roll, pitch and yaw about fixed axes [deg].
+        prefix: Prefix of every name.
+        open_meshes: Treatment of meshes that are not closed.
 
     Raises:
-        OptionError: Not three numbers each, no text, or neither `refuse` nor `hull`.
+        OptionError: `position` or `rpy_deg` is not three numbers within their limits, `prefix` is not text, or
+            `open_meshes` is neither `refuse` nor `hull`.
     """
     if not isinstance(prefix, str):
         raise OptionError("prefix", prefix, "text")
@@ -51,13 +52,13 @@ def planning_frame(position: Sequence[float], rpy_deg: Sequence[float], prefix: 
 
 
 def pose(position: Sequence[float], quaternion_xyzw: Sequence[float]) -> pin.SE3:
-    """A pose by a position [m] and a quaternion.
+    """Build a pose from position [m] and quaternion (x, y, z, w).
 
     Raises:
-        ValueError: The quaternion is not of length 1.
+        ValueError: The quaternion's length differs from 1 by more than 1e-3.
     """
     length = math.hypot(*quaternion_xyzw)
-    # Quaternions are written with six digits or so; those farther than this from length 1 are none.
+    # Files have quaternions with about six digits, so a larger deviation from length 1 is a fault.
     unit = 1e-3
     if abs(length - 1.0) > unit:
         raise ValueError(f"the quaternion {list(quaternion_xyzw)} has the length {length:.4g}, expected 1")
@@ -66,12 +67,20 @@ def pose(position: Sequence[float], quaternion_xyzw: Sequence[float]) -> pin.SE3
 
 
 def shape(name: str, kind: str, sizes: Sequence[float], place: pin.SE3) -> Obstacle:
-    """A sphere (radius), box (three edges), cylinder or cone (radius, length along z; its tip is above) as an obstacle.
+    """Create an obstacle from a primitive shape.
 
-    A cone becomes a pyramid about it, which stands out by as much as the prism about a cylinder of its radius.
+    A cone becomes a circumscribed pyramid, which exceeds the cone by no more than `prism` exceeds a cylinder of the
+    same radius.
+
+    Args:
+        name: Name of the obstacle.
+        kind: `sphere`, `box`, `cylinder` or `cone`.
+        sizes: Radius of a sphere; three edge lengths of a box; radius and length along z of a cylinder or of a cone,
+            whose tip is at the upper end [m].
+        place: Pose of the shape's centre.
 
     Raises:
-        SceneError: A size that is not positive, or a place too far away.
+        SceneError: A size is not positive, or the place is too far away.
     """
     center = tuple(place.translation.tolist())
     if kind == "sphere":
@@ -90,10 +99,18 @@ def shape(name: str, kind: str, sizes: Sequence[float], place: pin.SE3) -> Obsta
 
 
 def mesh(name: str, vertices: Any, faces: Any, place: pin.SE3, open_meshes: OpenMeshes = "refuse") -> Mesh:
-    """A mesh in its place; of one that is not closed its convex hull, where that is wanted.
+    """Create a mesh obstacle, or the convex hull of an open mesh.
+
+    Args:
+        name: Name of the obstacle.
+        vertices: (n, 3) vertices [m].
+        faces: (m, 3) vertex indices of the triangles.
+        place: Pose of the mesh.
+        open_meshes: `hull` replaces a mesh that is open or inside out by its convex hull.
 
     Raises:
-        SceneError: It is open, empty, flat or inside out.
+        SceneError: The mesh is empty or flat, a face has an unknown vertex, or the mesh is open or inside out and
+            `open_meshes` is `refuse`.
     """
     placement = {"position": tuple(place.translation.tolist()), "rpy_deg": _rpy_deg(place)}
     try:

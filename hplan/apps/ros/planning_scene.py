@@ -1,8 +1,8 @@
-"""Obstacles out of a `moveit_msgs/msg/PlanningScene`: a dict of it, or YAML or JSON, as benchmarks keep their scenes.
+"""Reader of `moveit_msgs/msg/PlanningScene` messages: a dict, YAML or JSON.
 
-The message may be a dictionary of `rosidl_runtime_py.message_to_ordereddict` or the output of `ros2 topic echo`. Words
-and lists may replace numbers and named parts, as in the files of robowflex: `type: box`, `position: [x, y, z]`,
-`orientation: [x, y, z, w]`.
+The message may be a dictionary of `rosidl_runtime_py.message_to_ordereddict` or the output of `ros2 topic echo`. As in
+the benchmark files of robowflex, words and lists may replace numbers and named fields: `type: box`,
+`position: [x, y, z]`, `orientation: [x, y, z, w]`.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from hplan.errors import SceneError
 from hplan.scene.limits import MOST_SCENE_BYTES, Vector
 from hplan.scene.obstacles import Obstacle
 
-#: Values of `operation` that add an object: of the message, where it is a byte, and of files.
+#: Values of `operation` that add an object: the byte of a message in its forms, and the words of files.
 _ADDS: Final = (0, "\0", "add", "ADD")
 
 
@@ -57,25 +57,32 @@ def read_planning_scene(
 
     The objects of its world are read, in the planning frame or in a frame of `fixed_frame_transforms`. As in MoveIt, a
     missing pose is the identity, and a quaternion of zeros is no rotation. Attached objects, paddings and scales of
-    links, allowed collisions of objects, octomaps, planes and differences (`is_diff`) are refused. Collisions that are
-    allowed between links are for `load_robot`, and colours, subframes and joint states are not read.
+    links, allowed collisions of objects, octomaps, planes and differences (`is_diff`) are refused. Allowed collisions
+    between links are ignored, because `load_robot` takes them from the SRDF; colours, subframes and joint states are
+    ignored too.
 
     Args:
-        source: The message as a dict, or the YAML or JSON file that holds it, or its `world` alone.
-        position: Where the origin of the objects' frame is in `base_link` [m].
-        rpy_deg: How that frame is turned: roll, pitch and yaw about fixed axes [deg].
-        prefix: Put before every name.
-        open_meshes: `refuse` meshes that are open or inside out, or take their convex `hull`.
-        leave_out: Names of parts to leave out that are refused otherwise: `attached_collision_objects`,
+        source: The message or its `world` alone, as a dict or as the path of a YAML or JSON file.
+        position: Origin of the objects' frame in `base_link` [m].
+        rpy_deg: Orientation of that frame: roll, pitch and yaw about fixed axes [deg].
+        prefix: Prepended to every name.
+        open_meshes: `refuse` meshes that are open or inside out, or replace them by their convex `hull`.
+        leave_out: Names of parts to ignore that would otherwise be refused: `attached_collision_objects`,
             `link_padding`, `link_scale`, `allowed_collision_matrix`, `octomap`, `is_diff`.
 
     Returns:
-        The obstacles, called as the objects are; where one has several shapes, `NAME 1`, `NAME 2`, ...
+        The obstacles, named after the objects; an object with several shapes gives `NAME 1`, `NAME 2`, ...
 
     Raises:
-        SceneError: Missing or malformed file, an object that cannot be an obstacle, a part that is refused, an unknown
-            frame or key; names the key.
-        OptionError: An option of the wrong kind.
+        SceneError: The file is missing or malformed, an object cannot be an obstacle, a part is refused, or a frame or
+            key is unknown; names the key.
+        OptionError: An option of the wrong type or range.
+
+    Examples:
+        >>> ball = {"primitives": [{"type": "sphere", "dimensions": [0.1]}], "pose": {"position": [1.0, 0.0, 0.5]}}
+        >>> (obstacle,) = read_planning_scene({"world": {"collision_objects": [{"id": "ball", **ball}]}})
+        >>> obstacle.name, obstacle.center, obstacle.radius
+        ('ball', (1.0, 0.0, 0.5), 0.1)
     """
     base = planning_frame(position, rpy_deg, prefix, open_meshes)
     left_out = check_left_out(leave_out)
@@ -109,7 +116,7 @@ def _read(path: Path) -> Mapping[str, Any]:
 
 
 class _World:
-    """The world of a planning scene, and its place in the message."""
+    """The world of a planning scene, its key and its frames."""
 
     def __init__(self, message: Mapping[str, Any], leave_out: tuple[str, ...]) -> None:
         self.where = "world" if "world" in message else ""
@@ -158,7 +165,11 @@ def _obstacles(world: _World, base: pin.SE3, prefix: str, open_meshes: OpenMeshe
 def _placed(
     item: Mapping[str, Any], key: str, poses: str, where: str
 ) -> Iterator[tuple[Mapping[str, Any], pin.SE3, str]]:
-    """Shapes of one kind, their poses in the object's frame, and where they stand."""
+    """Shapes of one kind, their poses in the object's frame, their keys.
+
+    Raises:
+        SceneError: The numbers of shapes and poses differ, or a pose is malformed.
+    """
     shapes = sequence(or_else(item.get(key), ()), f"{where}.{key}")
     places = sequence(or_else(item.get(poses), ()), f"{where}.{poses}")
     if places and len(places) != len(shapes):
@@ -179,7 +190,7 @@ def _shape(name: str, content: Mapping[str, Any], place: pin.SE3, where: str, op
         faces = [row.get("vertex_indices") if isinstance(row, Mapping) else row for row in triangles]
         return mesh(name, vertices, [list(sequence(face, corners)) for face in faces], place, open_meshes)
     kind = content.get("type")
-    # Types of `shape_msgs/msg/SolidPrimitive`.
+    # Constants of `shape_msgs/msg/SolidPrimitive`.
     types = {1: "box", 2: "sphere", 3: "cylinder", 4: "cone"}
     kind = types.get(int(kind), kind) if isinstance(kind, int | np.integer) and not isinstance(kind, bool) else kind
     if not isinstance(kind, str) or kind not in SIZES:

@@ -1,6 +1,6 @@
-"""Parts of a `moveit_msgs/msg/PlanningScene` that are no world objects: its frames, and the parts that hplan refuses.
+"""Frames and refused parts of a `moveit_msgs/msg/PlanningScene`.
 
-A part that changes which motions are allowed is refused unless the caller leaves it out by name.
+Parts that change which motions are allowed are refused, unless the caller leaves them out by name.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ PARTS: Final = (
     "is_diff",
 )
 
-#: Fields of the messages.
+#: Fields of the messages `PlanningScene`, `PlanningSceneWorld` and `CollisionObject`.
 MESSAGE: Final = (
     *("name", "robot_state", "robot_model_name", "fixed_frame_transforms", "allowed_collision_matrix", "link_padding"),
     *("link_scale", "object_colors", "world", "is_diff"),
@@ -52,16 +52,16 @@ def check_left_out(leave_out: Any) -> tuple[str, ...]:
 
 
 def check_parts(message: Mapping[str, Any], world: Mapping[str, Any], where: str, leave_out: Collection[str]) -> None:
-    """Refuse parts that change which motions are allowed, but for those left out.
+    """Refuse parts that change which motions are allowed.
 
     Args:
-        message: The planning scene, or its world alone.
+        message: The planning scene; empty if only its world is given.
         world: Its world.
-        where: Place of the world in the message.
-        leave_out: Names of the parts to leave out.
+        where: Key of the world in the message.
+        leave_out: Names of the parts to ignore.
 
     Raises:
-        SceneError: A part that holds something; names the key.
+        SceneError: A part that is not empty and not left out; names the key.
     """
     names = {item.get("id") for item in sequence(or_else(world.get("collision_objects"), ()), where) if is_map(item)}
     for part, fault, key in (
@@ -91,7 +91,7 @@ def _attached_fault(message: Mapping[str, Any]) -> str:
 
 
 def _link_fault(message: Mapping[str, Any], key: str, field: str, neutral: float) -> str:
-    """Why a padding or a scale of links cannot be read; an empty text if all have the neutral value."""
+    """Fault of a link padding or scale; empty if all are neutral."""
     values = {}
     for index, item in enumerate(sequence(or_else(message.get(key), ()), key)):
         entry = mapping(item, f"{key}[{index}]")
@@ -108,7 +108,10 @@ def _link_fault(message: Mapping[str, Any], key: str, field: str, neutral: float
 
 
 def _allowed_fault(message: Mapping[str, Any], names: Collection[Any]) -> str:
-    """Why allowed collisions cannot be read: an object of the world may touch a link."""
+    """Fault of an allowed collision between a world object and a link.
+
+    Empty if no such collision is allowed.
+    """
     key = "allowed_collision_matrix"
     matrix = mapping(or_else(message.get(key), {}), key)
     entries = sequence(or_else(matrix.get("entry_names"), ()), f"{key}.entry_names")
@@ -147,16 +150,16 @@ def _diff_fault(message: Mapping[str, Any]) -> str:
 
 
 class FixedFrames:
-    """Frames of a planning scene by its fixed transforms.
+    """Frames of a planning scene, from its fixed transforms.
 
-    Without transforms the frame that is named first is the planning frame, and every other one is refused.
+    Without transforms the first frame named by an object is the planning frame, and all other frames are refused.
     """
 
     def __init__(self, message: Mapping[str, Any]) -> None:
         """Read the transforms of a message.
 
         Raises:
-            SceneError: Transforms that are malformed, or that have no common root.
+            SceneError: The transforms are malformed, have no common root or a cycle, or two are of one frame.
         """
         key = "fixed_frame_transforms"
         self._parents: dict[str, tuple[str, pin.SE3]] = {}
@@ -168,6 +171,8 @@ class FixedFrames:
             place = mapping(or_else(item.get("transform"), {}), f"{where}.transform")
             placed = pose_of(place, f"{where}.transform", ("translation", "rotation"))
             frames.append(parent)
+            if child in self._parents:
+                raise SceneError(f"expected one transform of frame {child!r}, got two", where=where, value=child)
             if child != parent:
                 self._parents[child] = parent, placed
         roots = {self._root(frame) for frame in frames}
@@ -184,12 +189,12 @@ class FixedFrames:
         raise SceneError(f"frame {frame!r} is its own parent", where="fixed_frame_transforms")
 
     def place(self, frame: str, name: str, where: str) -> pin.SE3:
-        """Where the frame of an object is in the planning frame.
+        """Pose of an object's frame in the planning frame.
 
         Args:
-            frame: Name of the frame; an empty one is the planning frame.
+            frame: Name of the frame; empty for the planning frame.
             name: Name of the object.
-            where: Its place in the message.
+            where: Key of the object in the message.
 
         Raises:
             SceneError: The frame is unknown.
@@ -213,20 +218,27 @@ class FixedFrames:
 
 
 def frame_of(item: Mapping[str, Any], where: str) -> str:
-    """Name of the frame in the header of an item."""
+    """Frame name in the header of an item."""
     return _plain(mapping(or_else(item.get("header"), {}), f"{where}.header").get("frame_id", ""))
 
 
 def _plain(frame: Any) -> str:
-    """A frame's name without the slash that it had in ROS 1."""
+    """Frame name without the leading slash of ROS 1."""
     return str(or_else(frame, "")).removeprefix("/")
 
 
 def pose_of(content: Any, where: str, keys: tuple[str, str] = ("position", "orientation")) -> pin.SE3:
-    """A pose; what is missing is zero, and a quaternion of zeros turns nothing.
+    """Convert a pose; missing numbers are zero.
+
+    A quaternion of zeros is the identity rotation.
+
+    Args:
+        content: The pose message; None for the identity.
+        where: Its key, for the error.
+        keys: Names of the fields of position [m] and orientation.
 
     Raises:
-        SceneError: Numbers of the wrong kind, or a quaternion that is not of length 1.
+        SceneError: A value is not a number, a key is unknown, or the quaternion's length is not 1.
     """
     content = mapping(or_else(content, {}), where)
     check_keys(content, keys, where)
@@ -239,7 +251,13 @@ def pose_of(content: Any, where: str, keys: tuple[str, str] = ("position", "orie
 
 
 def numbers_of(content: Any, keys: str, where: str) -> list[float]:
-    """Numbers by their keys, or as a list."""
+    """Convert numbers given as a list or by keys.
+
+    Missing keys are 0.
+
+    Raises:
+        SceneError: Another number of values, a value that is not a number, or an unknown key.
+    """
     if is_map(content):
         values = [content.get(key, 0.0) for key in keys]
         check_keys(content, keys, where)
@@ -251,10 +269,10 @@ def numbers_of(content: Any, keys: str, where: str) -> list[float]:
 
 
 def check_keys(content: Mapping[str, Any], known: Iterable[str], where: str) -> None:
-    """Refuse keys that the message does not have, unless they hold nothing.
+    """Refuse keys that the message type lacks, unless they are empty.
 
     Raises:
-        SceneError: Such a key, as a misspelling.
+        SceneError: A key is unknown, for example misspelt.
     """
     known = tuple(known)
     for key, value in content.items():
@@ -268,10 +286,10 @@ def is_map(content: Any) -> bool:
 
 
 def mapping(content: Any, where: str) -> Mapping[str, Any]:
-    """A mapping of keys.
+    """Check that a value is a mapping, and return it.
 
     Raises:
-        SceneError: Anything else.
+        SceneError: The value is not a mapping.
     """
     if not isinstance(content, Mapping):
         raise SceneError(f"expected a mapping of keys, got {content!r}", where=where or None)
@@ -279,10 +297,12 @@ def mapping(content: Any, where: str) -> Mapping[str, Any]:
 
 
 def sequence(content: Any, where: str) -> list[Any] | tuple[Any, ...]:
-    """A list, also from an array as messages hold it.
+    """Return a value if it is a list, tuple or array.
+
+    Arrays are converted to lists.
 
     Raises:
-        SceneError: Anything else.
+        SceneError: The value is anything else.
     """
     if isinstance(content, array | np.ndarray):
         return list(content.tolist())
@@ -292,10 +312,10 @@ def sequence(content: Any, where: str) -> list[Any] | tuple[Any, ...]:
 
 
 def below(where: str, key: str) -> str:
-    """The path of a key."""
+    """Dotted path of a key under another one."""
     return f"{where}.{key}" if where else key
 
 
 def or_else(content: Any, otherwise: Any) -> Any:
-    """The content, or a default in place of None."""
+    """Return the content, with None replaced by the default."""
     return otherwise if content is None else content

@@ -1,6 +1,6 @@
-"""The links of a robot as a tree of frames, for `tf2_msgs/msg/TFMessage`, and the URDF that names them.
+"""Link transforms (`tf2_msgs/msg/TFMessage`) and URDF text of a robot.
 
-What `robot_state_publisher` does where ROS is: a transform from each link's parent to the link.
+As published by ROS's `robot_state_publisher`, there is one transform from each link's parent to the link.
 """
 
 from __future__ import annotations
@@ -18,11 +18,16 @@ from hplan.robot.model import Robot
 
 
 def robot_description(robot: Robot) -> str:
-    """The URDF that the robot was built from, as the topic `/robot_description` has it.
+    """URDF of a robot, for the topic `/robot_description`.
 
     Raises:
-        RobotFileError: Its file cannot be read any more.
-        OptionError: It is no robot.
+        RobotFileError: The URDF file can no longer be read.
+        OptionError: `robot` is not a robot.
+
+    Examples:
+        >>> from hplan import load_robot
+        >>> "<robot name=" in robot_description(load_robot())
+        True
     """
     instance("robot", robot, Robot, "load_robot")
     if robot.urdf_text is not None:
@@ -34,12 +39,12 @@ def robot_description(robot: Robot) -> str:
 
 
 class LinkFrames:
-    """Places of a robot's links, each in the frame of its parent.
+    """Poses of a robot's links in the frames of their parents.
 
     Attributes:
-        root: Name of the link that everything is placed in.
-        moving: (link, parent) names of the links that joints move.
-        fixed: (link, parent) names of the others, the root left out.
+        root: Name of the root link.
+        moving: (link, parent) names of the links that a joint moves relative to their parent.
+        fixed: (link, parent) names of all other links except the root.
     """
 
     def __init__(self, robot: Robot) -> None:
@@ -61,16 +66,21 @@ class LinkFrames:
         self.fixed = tuple(pair for pair in pairs if joints[pair[0]] == joints[pair[1]])
 
     def place(self, q: ArrayLike) -> None:
-        """Put the robot into a configuration, (dof,)."""
+        """Set the configuration, (dof,) [rad, or m if prismatic]."""
         pin.framesForwardKinematics(self._model, self._data, np.asarray(q, dtype=np.float64))
 
     def pose(self, link: str) -> pin.SE3:
-        """Where a link is, in the root's frame."""
+        """Pose of a link in the root's frame."""
         found: pin.SE3 = self._data.oMf[self._numbers[self.root]].actInv(self._data.oMf[self._numbers[link]])
         return found
 
     def message(self, pairs: tuple[tuple[str, str], ...], stamp_ns: int) -> dict[str, Any]:
-        """A `tf2_msgs/msg/TFMessage` of some links in their parents' frames, as the robot was last placed."""
+        """Create a `tf2_msgs/msg/TFMessage` for the current configuration.
+
+        Args:
+            pairs: (link, parent) names, for example `moving`.
+            stamp_ns: Time of the transforms [ns].
+        """
         places = [(link, parent, self.pose(parent).actInv(self.pose(link))) for link, parent in pairs]
         return {
             "transforms": [
@@ -80,7 +90,15 @@ class LinkFrames:
 
 
 def transform(parent: str, child: str, rotation: ArrayLike, translation: ArrayLike, stamp_ns: int) -> dict[str, Any]:
-    """A `geometry_msgs/msg/TransformStamped`."""
+    """Create a `geometry_msgs/msg/TransformStamped`.
+
+    Args:
+        parent: Frame of the transform.
+        child: Frame that is located.
+        rotation: (3, 3) rotation of the child in the parent's frame.
+        translation: (3,) origin of the child in the parent's frame [m].
+        stamp_ns: Time of the transform [ns].
+    """
     return {
         "header": {"stamp": message_time(stamp_ns), "frame_id": parent},
         "child_frame_id": child,
@@ -89,11 +107,11 @@ def transform(parent: str, child: str, rotation: ArrayLike, translation: ArrayLi
 
 
 def xyz(point: ArrayLike) -> dict[str, float]:
-    """A `geometry_msgs/msg/Point` or `Vector3` of three numbers."""
+    """Convert (3,) numbers to a `geometry_msgs/msg/Point` or `Vector3`."""
     return dict(zip("xyz", np.asarray(point, dtype=np.float64).tolist(), strict=True))
 
 
 def quaternion(rotation: ArrayLike) -> dict[str, float]:
-    """A `geometry_msgs/msg/Quaternion` of a (3, 3) rotation."""
+    """Convert a (3, 3) rotation matrix to a `geometry_msgs/msg/Quaternion`."""
     turn = pin.Quaternion(np.asarray(rotation, dtype=np.float64)).normalized()
     return {"x": turn.x, "y": turn.y, "z": turn.z, "w": turn.w}

@@ -1,1 +1,4 @@
-"""Looking at the result: the animated page and the figures. Nothing here is imported before it is used."""
+"""Visualization of results: the animated page, the live view and the figures.
+
+Each module is imported on first use.
+"""

@@ -1,7 +1,7 @@
-"""Commands of meshcat's viewer, as plain dictionaries: objects, poses, properties, and what moves.
+"""Commands of meshcat's viewer as plain dictionaries: objects, poses, properties, animations.
 
-A node of the viewer is named by a path; what is set on it holds for all below it. Times of tracks are seconds, and all
-tracks of a page end together, so that its parts start again together.
+A path identifies a node of the viewer; settings of a node apply to all nodes below it. Times of tracks are in seconds.
+All tracks of a page end at the same time, so that its parts restart together.
 """
 
 from __future__ import annotations
@@ -15,17 +15,17 @@ from hplan.apps.view import three_js as three
 from hplan.apps.view.three_js import Body, Json
 from hplan.base.arrays import FloatArray
 
-#: Path of the node that holds all.
+#: Path of the root node.
 ROOT = "/hplan"
 
 
 def set_object(path: str, body: Body | Json) -> Json:
-    """Put an object at a node."""
+    """Set the object of a node."""
     return {"type": "set_object", "path": path, "object": body.json() if isinstance(body, Body) else body}
 
 
 def set_transform(path: str, matrix: FloatArray) -> Json:
-    """Place a node in its parent's frame by a (4, 4) matrix."""
+    """Set the (4, 4) pose of a node in its parent's frame."""
     return {"type": "set_transform", "path": path, "matrix": three.numbers(matrix.T)}
 
 
@@ -35,34 +35,54 @@ def set_property(path: str, name: str, value: Any) -> Json:
 
 
 def node(kind: str, name: str) -> str:
-    """A path element: the kind keeps names like `constructor` apart from JavaScript's own, a slash would part it."""
+    """Path element of a node of some kind and name.
+
+    The kind prevents clashes of names like `constructor` with JavaScript's own. A slash, which separates path elements,
+    is replaced by a similar character.
+    """
     return f"{kind} {name}".replace("/", "∕")  # noqa: RUF001
 
 
 def turning(times: ArrayLike, turns: ArrayLike) -> Json:
-    """A node turns: (k,) times, (k, 4) quaternions x, y, z, w."""
+    """Rotation track of a node.
+
+    Args:
+        times: (k,) times of the keyframes [s].
+        turns: (k, 4) quaternions (x, y, z, w) in the parent's frame.
+    """
     return _track(".quaternion", "quaternion", times, three.numbers(turns))
 
 
 def moving(times: ArrayLike, places: ArrayLike) -> Json:
-    """A node moves in its parent's frame: (k,) times, (k, 3) places [m]."""
+    """Translation track of a node.
+
+    Args:
+        times: (k,) times of the keyframes [s].
+        places: (k, 3) positions in the parent's frame [m].
+    """
     return _track(".position", "vector", times, three.numbers(places))
 
 
 def showing(since: float, until: float, end: float) -> Json:
-    """A node is seen from `since` on, and before `until`, of a motion that ends at `end`."""
+    """Visibility track: a node is visible in [since, until).
+
+    Args:
+        since: Time when the node appears [s].
+        until: Time when it disappears [s].
+        end: End of the animation [s].
+    """
     times = sorted({0.0, end, *(time for time in (since, until) if 0.0 < time < end)})
     return _track(".visible", "bool", times, [since <= time < until for time in times])
 
 
 def clip(path: str, *tracks: Json) -> Json:
-    """Tracks of a node over time."""
+    """Animation clip: the tracks of one node."""
     return {"path": path, "clip": {"name": "motion", "fps": 1, "tracks": list(tracks)}}
 
 
 def animation(clips: Sequence[Json]) -> Json:
-    """Play all clips, again and again."""
-    # The viewer takes no "for ever"; this is years.
+    """Command that plays all clips repeatedly."""
+    # The viewer has no infinite repetition; this number lasts for years.
     options = {"play": True, "repetitions": 1_000_000_000}
     return {"type": "set_animation", "path": "", "animations": list(clips), "options": options}
 

@@ -1,7 +1,7 @@
-"""One look for all figures, and how they are saved: colours, matplotlib's settings, an empty figure, the PNG.
+"""Common style of all figures: colours, matplotlib's settings, PNG output.
 
-Figures never touch pyplot, so they neither need nor open a display. Matplotlib is an extra and is imported on first
-use.
+Figures do not use pyplot, so they neither need nor open a display. Matplotlib is an optional dependency, imported on
+first use.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _R = TypeVar("_R")
 #: Resolution of the PNGs [dots per inch].
 _DPI = 160
 
-# Okabe and Ito's colours, told apart by colour-blind eyes, and tints of them.
+# Okabe and Ito's palette, which colour-blind readers can distinguish, and tints of it.
 INK = "#22303C"
 QUIET = "#7A8793"
 FAINT = "#D9DFE4"
@@ -36,7 +36,7 @@ START = "#009E73"
 GOAL = "#AA4488"
 LINKS = ("#34495E", "#5D7F9E", "#9DBBD3")
 
-#: One look for all figures.
+#: matplotlib's settings for all figures.
 _STYLE: dict[str, Any] = {
     "font.family": "DejaVu Sans",
     "font.size": 9.0,
@@ -69,17 +69,20 @@ _STYLE: dict[str, Any] = {
 
 
 def require_matplotlib() -> None:
-    """Make sure that matplotlib can be imported.
+    """Check that matplotlib can be imported.
 
     Raises:
-        InputError: It is not installed.
+        InputError: Matplotlib is not installed.
     """
     with extra("figures", "figures need matplotlib"):
         import matplotlib  # noqa: F401
 
 
 def styled(draw: Callable[_P, _R]) -> Callable[_P, _R]:
-    """Run a function under hplan's style, or say that matplotlib is missing."""
+    """Decorate a drawing function so that it uses hplan's style.
+
+    The decorated function raises an InputError if matplotlib is not installed.
+    """
 
     @functools.wraps(draw)
     def wrapper(*args: _P.args, **kwargs: _P.kwargs) -> _R:
@@ -94,7 +97,15 @@ def styled(draw: Callable[_P, _R]) -> Callable[_P, _R]:
 
 
 def new_figure(width: float, height: float, title: str) -> Figure:
-    """An empty figure [inch] with a title, which may be empty, and a canvas of its own; axes do not overlap."""
+    """Create an empty figure with its own canvas.
+
+    The layout keeps axes from overlapping, and notebooks show the figure as PNG.
+
+    Args:
+        width: Width [inch].
+        height: Height [inch].
+        title: Title; empty for a figure without one.
+    """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
     from matplotlib.layout_engine import ConstrainedLayoutEngine
@@ -109,13 +120,13 @@ def new_figure(width: float, height: float, title: str) -> Figure:
 
 @styled
 def png_bytes(figure: Figure, dpi: int = _DPI) -> bytes:
-    """A figure as PNG; the same figure gives the same bytes."""
+    """Render a figure as PNG; equal figures give equal bytes."""
     from PIL import Image  # comes with matplotlib
 
     rendered, stream = io.BytesIO(), io.BytesIO()
     figure.savefig(rendered, format="png", dpi=dpi)
     with Image.open(rendered) as image:
-        # 256 colours are enough for these drawings, and a third of the bytes.
+        # 256 colours suffice for these drawings and reduce the size to a third.
         few = image.convert("RGB").quantize(256, method=Image.Quantize.MAXCOVERAGE, kmeans=1, dither=Image.Dither.NONE)
         few.save(stream, format="png", optimize=True, dpi=(dpi, dpi))
     return stream.getvalue()

@@ -1,4 +1,7 @@
-"""Camera, lights and ground: all points are in the picture, and little stands before the arm."""
+"""Camera, lights and ground of the animated page.
+
+The camera is as close as possible with all points in the picture. `covered` measures how much a view direction hides.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +14,7 @@ from hplan.apps.view.commands import set_object, set_property
 from hplan.apps.view.three_js import Body, Json
 from hplan.base.arrays import FloatArray
 
-#: The picture is composed for windows at least this wide (width / height).
+#: Minimum aspect ratio (width / height) of the windows that the picture is composed for.
 ASPECT = 1.3
 #: Vertical field of view [deg].
 FIELD_OF_VIEW_DEG = 32.0
@@ -19,13 +22,13 @@ FIELD_OF_VIEW_DEG = 32.0
 
 @dataclass(frozen=True)
 class Frame:
-    """Place of the camera, and what it looks at.
+    """Position and target of the camera, and extent of the scene.
 
     Attributes:
         target: (3,) point in the middle of the picture [m].
         camera: (3,) camera position [m].
-        radius: Size of what is to be seen [m].
-        ground: (2,) middle of the ground [m].
+        radius: Half of the diagonal of the points' bounding box [m].
+        ground: (2,) centre of the ground [m].
     """
 
     target: FloatArray
@@ -35,12 +38,18 @@ class Frame:
 
 
 def frame(points: FloatArray, azimuth: float, elevation: float) -> Frame:
-    """The camera, looking from a direction, as near as all of (n, 3) points [m] are in the picture."""
+    """Place the camera as close as possible with all points in view.
+
+    Args:
+        points: (n, 3) points to show [m].
+        azimuth: Azimuth of the camera as seen from the scene [rad].
+        elevation: Elevation of the camera [rad].
+    """
     right, up, toward = view_axes(azimuth, elevation)
     # A camera at (a0, b0, d) in the axes (right, up, toward) sees the point (a, b, c) within half-angle tangents t, u
     # exactly if |a - a0| <= (d - c) t and |b - b0| <= (d - c) u: the smallest d has a closed form.
     a, b, c = points @ right, points @ up, points @ toward
-    u = np.tan(np.radians(0.5 * FIELD_OF_VIEW_DEG)) / 1.1  # a margin
+    u = np.tan(np.radians(0.5 * FIELD_OF_VIEW_DEG)) / 1.1  # leaves a margin at the border
     t = u * ASPECT
     left, rightmost = float((c * t - a).max()), float((c * t + a).max())
     low, high = float((c * u - b).max()), float((c * u + b).max())
@@ -57,12 +66,14 @@ def frame(points: FloatArray, azimuth: float, elevation: float) -> Frame:
 
 
 def covered(points: FloatArray, before: FloatArray, widths: FloatArray, azimuth: float, elevation: float) -> float:
-    """Fraction of (m, 3) points that others hide, seen from a direction and far away.
+    """Fraction of points hidden by others in a parallel projection.
 
     Args:
-        points: (m, 3) what is to be seen [m].
+        points: (m, 3) points to show [m].
         before: (n, 3) points that may hide them [m].
-        widths: (n,) radius of each [m].
+        widths: (n,) radii of these [m].
+        azimuth: Azimuth of the camera as seen from the scene [rad].
+        elevation: Elevation of the camera [rad].
     """
     if not len(before):
         return 0.0
@@ -70,13 +81,18 @@ def covered(points: FloatArray, before: FloatArray, widths: FloatArray, azimuth:
     flat = np.column_stack([right, up])
     seen, others = points @ flat, before @ flat
     apart = np.hypot(*(seen[:, None, axis] - others[None, :, axis] for axis in range(2)))
-    # What is so much nearer to the camera than a point, and so near to it in the picture, covers it [m].
+    # A point is hidden by another one that is 0.08 m closer to the camera and overlaps it, within 0.03 m, in the image.
     nearer = (before @ toward)[None] > (points @ toward)[:, None] + 0.08
     return float((nearer & (apart < 0.03 + widths)).any(axis=1).mean())
 
 
 def view_axes(azimuth: float, elevation: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Unit vectors to the right and up in the picture, and to the camera."""
+    """Unit vectors right and up in the picture, and towards the camera.
+
+    Args:
+        azimuth: Azimuth of the camera as seen from the scene [rad].
+        elevation: Elevation of the camera [rad].
+    """
     cos = np.cos(elevation)
     toward = np.array([np.cos(azimuth) * cos, np.sin(azimuth) * cos, np.sin(elevation)])
     right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
@@ -84,7 +100,10 @@ def view_axes(azimuth: float, elevation: float) -> tuple[FloatArray, FloatArray,
 
 
 def camera(view: Frame) -> list[Json]:
-    """Commands that place the camera; the world's origin must have been moved to the frame's target."""
+    """Commands that place the camera.
+
+    The world's origin must have been moved to `view.target` before.
+    """
     path = "/Cameras/default/rotated"
     lens = {
         "uuid": "camera",
@@ -97,13 +116,16 @@ def camera(view: Frame) -> list[Json]:
     x, y, z = view.camera - view.target
     return [
         set_object(path, {"metadata": {"version": 4.5, "type": "Object"}, "object": lens}),
-        # The camera's frame has y upwards.
+        # The camera's frame has y up.
         set_property(f"{path}/<object>", "position", three.numbers([x, z, -y])),
     ]
 
 
 def lights(view: Frame) -> list[Json]:
-    """A soft sky, a key light that throws shadows, a weak light from the other side; meshcat's own are put out."""
+    """Commands for sky light, key light with shadows, and fill light.
+
+    Meshcat's own lights, grid and axes are hidden.
+    """
     commands = [
         set_property(path, "visible", False)
         for path in (
@@ -155,7 +177,12 @@ def lights(view: Frame) -> list[Json]:
 
 
 def ground(view: Frame, floor: float) -> Body:
-    """Faint lines 0.5 m apart on the ground that fade with distance, and the shadows between them."""
+    """Ground with a fading grid, 0.5 m wide, and shadows.
+
+    Args:
+        view: The camera's frame, which gives centre and size of the ground.
+        floor: Height of the ground [m].
+    """
     body = Body()
     spacing = 0.5
     extent = spacing * np.ceil((2.2 * view.radius + 1.0) / spacing)
@@ -183,7 +210,7 @@ def ground(view: Frame, floor: float) -> Body:
         shadow=False,
         order=-1,
     )
-    # Only the shadows of this plane are drawn.
+    # This plane is invisible except for the shadows on it.
     catcher = three.material(0x1F2A3A, opacity=0.22, kind="ShadowMaterial", depthWrite=False)
     plane = {"type": "PlaneGeometry", "width": float(2.0 * extent), "height": float(2.0 * extent)}
     pose = three.transform(position=[*middle, floor])

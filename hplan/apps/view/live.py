@@ -1,7 +1,9 @@
-"""A live view in viser (extra `viser`): the arm among a scene, in a browser, put wherever a program says.
+"""Live view of arm and scene in a browser.
 
-The page of a motion needs neither server nor network; this is for looking on while a program runs. Pinocchio draws the
-arm (`pinocchio.visualize.ViserVisualizer`).
+The view uses viser (extra `viser`).
+
+It shows the state of a running program; the page of a finished motion needs neither server nor network. Pinocchio draws
+the arm (`pinocchio.visualize.ViserVisualizer`).
 """
 
 from __future__ import annotations
@@ -28,22 +30,26 @@ if TYPE_CHECKING:
 
 
 class LiveScene(AbstractContextManager["LiveScene"]):
-    """A viser server with an arm and a scene; `close` ends it, as does leaving a `with` block.
+    """A viser server with an arm and a scene.
+
+    `close`, or the end of a `with` block, stops the server.
 
     Attributes:
-        server: The `viser.ViserServer`, for whatever else is to be drawn.
-        url: Its address, for a browser on this machine.
+        server: The `viser.ViserServer`, to draw more objects.
+        url: Address of the server for a browser on this machine.
     """
 
     def __init__(self, robot: Robot, scene: Scene, *, port: int = 8080) -> None:
-        """Start the server and draw what stands still; the arm is at the scene's start.
+        """Start the server; draw the scene and the arm at its start.
 
         Args:
-            port: Where it listens, or at the next one that is free.
+            robot: The arm.
+            scene: The scene.
+            port: Port of the server; the next free one if it is in use.
 
         Raises:
             InputError: viser is not installed, or the start does not fit the robot.
-            OptionError: No robot, scene or port.
+            OptionError: An argument of another type, or a port outside 0 to 65535.
         """
         instance("robot", robot, Robot, "load_robot")
         instance("scene", scene, Scene, "load_scene")
@@ -63,13 +69,17 @@ class LiveScene(AbstractContextManager["LiveScene"]):
         self.show(start)
 
     def set_scene(self, scene: Scene, time_s: float = 0.0) -> None:
-        """Draw a scene in place of the one that is there.
+        """Draw a scene in place of the previous one.
 
         Args:
-            time_s: Time at which what moves is drawn, as its tracks count it [s].
+            scene: The scene.
+            time_s: Time of the moving obstacles, on the clock of their tracks [s].
+
+        Raises:
+            OptionError: `time_s` is not a number.
         """
         still, draw = scene.at(number("time_s", time_s, "a time in seconds")), self.server.scene
-        draw.remove_by_name("/scene")  # with all below it
+        draw.remove_by_name("/scene")  # and all nodes below it
         draw.add_frame("/scene", show_axes=False)
         for item in still.obstacles:
             look, name = scenery.look_of(item.name), f"/scene/{item.name.replace('/', ' ')}"
@@ -85,18 +95,22 @@ class LiveScene(AbstractContextManager["LiveScene"]):
             draw.add_icosphere(name, radius=fruit.radius, color=(215, 38, 61), position=fruit.center)
 
     def show(self, q: ArrayLike) -> None:
-        """Put the arm at a (dof,) configuration, wherever its joint limits are.
+        """Show the arm at a (dof,) configuration, without checking joint limits.
 
         Raises:
-            InputError: No list of as many finite numbers.
+            InputError: `q` does not have `dof` finite numbers.
         """
         self._arm.display(np.array(numbers("q", q, (self._robot.dof,))))
 
     def play(self, result: Shown, speed: float = 1.0) -> None:
-        """Run a motion once, in real time or so many times as fast; returns at its end.
+        """Play a motion once; return when it ends.
+
+        Args:
+            result: The result of a planner.
+            speed: Playback speed relative to real time.
 
         Raises:
-            OptionError: No result with a motion, or a speed that is not positive.
+            OptionError: `result` has no motion, or `speed` is not positive.
         """
         number("speed", speed, "a positive number", lambda value: value > 0.0)
         trajectory = playable(result)[2].trajectory
@@ -107,7 +121,7 @@ class LiveScene(AbstractContextManager["LiveScene"]):
         self.show(trajectory.position[-1])
 
     def close(self) -> None:
-        """End the server."""
+        """Stop the server."""
         self.server.stop()
 
     def __exit__(self, *_: object) -> None:

@@ -1,7 +1,7 @@
-"""A motion as the data of its page: charts as shares of limits, clearance over time, phases, and the certificate.
+"""Data of a motion for its page: charts, clearance, phases, certificate.
 
-Charts hold no more points than a screen shows; of each short stretch of time two rows are kept, the first one and that
-with the largest share, so no peak is lost.
+Charts show values as fractions of their limits, with no more points than a screen can show. Two samples of each short
+time interval are kept, the first one and the one with the largest fraction, so no peak is lost.
 """
 
 from __future__ import annotations
@@ -25,18 +25,20 @@ if TYPE_CHECKING:
     from hplan.certificate.certificate import Certificate
     from hplan.certificate.clearance_curve import ClearanceCurve
 
-#: Stretches of time of which a chart shows the largest shares.
+#: Number of time intervals of a chart.
 STRETCHES = 600
 
-#: Times that are nearer than this are one [s].
+#: Times closer than this are considered equal [s].
 _SAME_S = 1e-6
 
 
 def motion_data(robot: Robot, scene: Scene, playback: Playback) -> Json:
-    """What the page's script shows of a motion, as JSON values.
+    """Data of a motion for the page's script, as JSON values.
 
     Args:
-        scene: Its clearance is the one to keep.
+        robot: The arm, with the limits of the charts.
+        scene: The scene, with the required clearance.
+        playback: The motion.
     """
     trajectory = playback.trajectory
     arms = playback.arms or {"": playback.phases}
@@ -53,7 +55,7 @@ def motion_data(robot: Robot, scene: Scene, playback: Playback) -> Json:
 
 
 def _phases(phases: Sequence[Phase], playback: Playback, arm: str) -> list[Json]:
-    """Phases of one arm, and the fruit that each is about."""
+    """Phases of one arm, each with its fruit."""
     own = {fruit: time for fruit, time in playback.picked.items() if playback.pickers.get(fruit, "") == arm}
     return [
         {"name": phase.name, "start": round(phase.start_s, 6), "end": round(phase.end_s, 6), "fruit": fruit}
@@ -62,7 +64,10 @@ def _phases(phases: Sequence[Phase], playback: Playback, arm: str) -> list[Json]
 
 
 def _fruit_of_each(phases: Sequence[Phase], picked: Mapping[str, float]) -> list[str | None]:
-    """The fruit that is picked next in a phase or, in those that come after a pick, was picked last."""
+    """Fruit of each phase, or None.
+
+    It is the fruit picked last in phases after a pick (retreat, drop), else the fruit picked next.
+    """
     found: list[str | None] = []
     for phase in phases:
         if phase.name in ("retreat", "drop"):
@@ -75,7 +80,10 @@ def _fruit_of_each(phases: Sequence[Phase], picked: Mapping[str, float]) -> list
 
 
 def _legs(phases: Sequence[Json]) -> list[Json]:
-    """From when to when a tour is about each of its fruits, in order; None for the leg back."""
+    """Legs of a tour in order, with their fruits and times [s].
+
+    The return to the start has None for its fruit.
+    """
     spans: list[Json] = []
     for phase in phases:
         name = phase["fruit"]
@@ -87,7 +95,10 @@ def _legs(phases: Sequence[Json]) -> list[Json]:
 
 
 def _charts(robot: Robot, trajectory: Trajectory) -> list[Json]:
-    """Position, velocity, acceleration and torque over time as shares of their limits, in thousandths."""
+    """Charts of position, velocity, acceleration and torque.
+
+    Values are in thousandths of their limits; positions are relative to the middle of their range.
+    """
     middle, half = 0.5 * (robot.lower + robot.upper), 0.5 * (robot.upper - robot.lower)
     nothing = np.zeros(robot.dof)
     shown, efforts = [unit.shown for unit in robot.units], [unit.effort for unit in robot.units]
@@ -117,18 +128,24 @@ def _charts(robot: Robot, trajectory: Trajectory) -> list[Json]:
 
 
 def _shares(values: FloatArray, limit: FloatArray) -> FloatArray:
-    """(n, dof) values by their limits; what has no limit uses none of it, what may not move all and more."""
+    """(n, dof) values divided by their limits, clipped to +-9.99.
+
+    Values without a limit give 0, as do values below 1e-9; other values with a limit of 0 give the maximum.
+    """
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
         shares = values / limit
     shares = np.where(np.abs(values) <= 1e-9, 0.0, shares)
-    # Shares that are larger, or of no limit at all, are drawn here.
+    # Larger fractions, and fractions of a limit of 0, are drawn at this value.
     largest_share = 9.99
     kept: FloatArray = np.clip(np.nan_to_num(shares, nan=0.0), -largest_share, largest_share)
     return kept
 
 
 def _rows_kept(shares: FloatArray) -> list[int]:
-    """Rows of a chart: all of a few, else of each stretch the first and that with the largest share, and the last."""
+    """Indices of the samples that a chart shows.
+
+    All samples if they are few, else the first and the largest of each interval, and the last sample.
+    """
     samples = len(shares)
     if samples <= 2 * STRETCHES:
         return list(range(samples))
@@ -141,7 +158,7 @@ def _rows_kept(shares: FloatArray) -> list[int]:
 
 
 def _clearance(curve: ClearanceCurve, keep: float) -> Json:
-    """Clearance over time in millimetres; null where it is not finite."""
+    """Clearance over time [mm]; null if not finite."""
     return {
         "keep": round(1e3 * keep, 4),
         "time": np.round(curve.time, 4).tolist(),
@@ -153,13 +170,16 @@ def _clearance(curve: ClearanceCurve, keep: float) -> Json:
 
 
 def _millimetres(values: FloatArray, *, down: bool = False) -> list[float | None]:
-    """Lengths in millimetres to a hundredth, rounded, or rounded down; None where one is not finite."""
+    """Convert metres to millimetres with two decimals; None if not finite.
+
+    Values are rounded to nearest, or down for lower bounds (`down`).
+    """
     hundredths = np.floor(1e5 * values) if down else np.round(1e5 * values)
     return [value / 100.0 if math.isfinite(value) else None for value in hundredths.tolist()]
 
 
 def certificate_words(certificate: Certificate | None) -> tuple[str, str, list[str]]:
-    """The certificate as a kind (`ok`, `bad`, `none`), a sentence, and what was not shown."""
+    """Kind of the certificate (`ok`, `bad`, `none`), a sentence, and its violations."""
     if certificate is None:
         return "none", "It does not come with this motion.", []
     nearest, clearance = certificate.nearest, 1e3 * certificate.min_clearance_m

@@ -1,6 +1,6 @@
-"""The animated page: arm, scene and motion in one HTML file, or from a live server.
+"""The animated page: arm, scene and motion in HTML, written or served.
 
-The file holds meshcat's viewer and the commands that fill it; it needs no network and no server. Making it starts no
+The HTML holds meshcat's viewer and its commands, so the file needs neither network nor server. Rendering it starts no
 process.
 """
 
@@ -31,17 +31,20 @@ from hplan.scene.model import Scene
 if TYPE_CHECKING:
     from hplan.apps.view.playback import Shown
 
-#: Violations of a motion that is not certified which its page lists.
+#: Maximum number of certificate violations listed on a page.
 MOST_VIOLATIONS = 6
 
 
 def render_page(robot: Robot, scene: Scene, playback: Playback) -> str:
-    """The page as HTML text: self-contained, playing by itself in real time, again and again.
+    """Render a motion as a self-contained HTML page.
+
+    The page plays the motion in real time, repeatedly.
 
     Raises:
-        InputError: The trajectory is of other joints than the robot's; `picked` names a fruit that the scene does not
-            have, or a time outside the motion.
-        HplanError: meshcat, which brings the viewer, is not installed.
+        InputError: The joints of the trajectory are not the robot's; `picked` names a fruit that is not in the scene,
+            or a time outside the motion.
+        OptionError: An argument of another type.
+        HplanError: meshcat, which provides the viewer, is not installed.
     """
     instance("robot", robot, Robot, "load_robot")
     instance("scene", scene, Scene, "load_scene")
@@ -67,14 +70,17 @@ def render_page(robot: Robot, scene: Scene, playback: Playback) -> str:
 def document(
     title: str, subtitle: str, entries: Iterable[tuple[str, Sequence[int]]], commands: Sequence[Json], panel: str = ""
 ) -> str:
-    """A page of meshcat's viewer as HTML text, self-contained.
+    """Render a self-contained HTML page of meshcat's viewer.
 
     Args:
-        entries: Of the legend: what is shown, and in which colours.
-        panel: HTML below the picture; without it the picture fills the window.
+        title: Title of the page.
+        subtitle: Line below the title.
+        entries: Legend: label and colours of each entry.
+        commands: Commands that build the scene in the viewer.
+        panel: HTML below the picture; empty for a picture that fills the window.
 
     Raises:
-        HplanError: meshcat, which brings the viewer, is not installed.
+        HplanError: meshcat, which provides the viewer, is not installed.
     """
     dots = '<i style="background: #{:06x}"></i>'.format
     named = ((html.escape(text), "".join(map(dots, colors))) for text, colors in entries)
@@ -93,7 +99,7 @@ def document(
 
 
 def _panel(robot: Robot, scene: Scene, playback: Playback) -> str:
-    """Certificate, controls, time line and charts of a motion as HTML."""
+    """HTML of a motion's certificate, controls, time line and charts."""
     kind, words, violations = certificate_words(playback.certificate)
     title = {"ok": "certified", "bad": "not certified", "none": "no certificate"}[kind]
     listed = "".join(f"<li>{html.escape(violation)}</li>" for violation in violations[:MOST_VIOLATIONS])
@@ -110,16 +116,16 @@ def _panel(robot: Robot, scene: Scene, playback: Playback) -> str:
 
 
 def _json_text(value: Any) -> str:
-    """JSON for the inside of a script element, which "<" could end."""
+    """JSON for a script element, with "<" escaped, which could end it."""
     return json.dumps(value, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
 
 
 def notebook_html(result: Shown) -> str:
-    """The page of a result in a frame, for a notebook to show.
+    """Render the page of a result as a frame for notebooks.
 
     Raises:
-        OptionError: It is no result with a motion.
-        HplanError: meshcat, which brings the viewer, is not installed.
+        OptionError: `result` has no motion.
+        HplanError: meshcat, which provides the viewer, is not installed.
     """
     page = html.escape(render_page(*playable(result)))
     return f'<iframe srcdoc="{page}" width="100%" height="640" style="border: 0" allowfullscreen></iframe>'
@@ -128,30 +134,41 @@ def notebook_html(result: Shown) -> str:
 def write_page(robot: Robot, scene: Scene, playback: Playback, path: Path | str) -> Path:
     """Write the page of `render_page` to a file.
 
+    Returns:
+        The path of the file.
+
     Raises:
-        InputError: As `render_page`.
+        InputError: The motion does not fit robot or scene (`render_page`).
         OutputError: The file cannot be written.
-        HplanError: meshcat, which brings the viewer, is not installed.
+        HplanError: meshcat, which provides the viewer, is not installed.
     """
     return write_marked(path, render_page(robot, scene, playback), HTML_COMMENT)
 
 
 def serve(robot: Robot, scene: Scene, playback: Playback) -> LiveView:
-    """Start a server of the same page; prints nothing and opens no browser.
+    """Serve the page of `render_page` on this machine.
+
+    It prints nothing and opens no browser.
 
     Returns:
-        The running view; its `url` is for a browser on this machine, the only one that reaches it. The server ends
-        with `close`, and with this process.
+        The running view. Its `url` is accessible from this machine only. The server ends with `close` or with this
+        process.
 
     Raises:
-        InputError: As `render_page`.
-        HplanError: The server does not start.
+        InputError: The motion does not fit robot or scene (`render_page`).
+        HplanError: The server cannot start, or meshcat, which provides the viewer, is not installed.
     """
     return LiveView(render_page(robot, scene, playback).encode())
 
 
 def _viewer_source() -> str:
-    """Meshcat's viewer, one JavaScript file, found without importing meshcat (0.2 s)."""
+    """Read meshcat's viewer, a JavaScript file.
+
+    Meshcat itself is not imported, which would take 0.2 s.
+
+    Raises:
+        HplanError: meshcat is not installed.
+    """
     found: Any = importlib.util.find_spec("meshcat")
     for folder in [] if found is None else found.submodule_search_locations:
         path = Path(folder) / "viewer" / "dist" / "main.min.js"

@@ -1,4 +1,4 @@
-"""A motion to be shown: trajectory, picked fruits, phases, and its certificate."""
+"""A motion to visualize: trajectory, picked fruits, phases and certificate."""
 
 from __future__ import annotations
 
@@ -23,25 +23,27 @@ if TYPE_CHECKING:
     from hplan.tour.cell_tour import CellTour
     from hplan.tour.result import TourResult
 
-    #: What has a motion to be shown.
+    #: Results that have a motion to visualize.
     Shown: TypeAlias = PlanResult | CertifiedMotion | TourResult | CellResult | CellTour
 
 
 @dataclass(frozen=True, eq=False)
 class Playback:
-    """A motion to be shown.
+    """A motion to visualize.
 
     Attributes:
-        trajectory: The motion; with a single sample the arm stands still.
-        picked: Fruit and when the tool reaches it [s]; it changes its colour then, and moves with the tool.
-        dropped: Fruit and when the tool lets it go [s]; where it is not named, at the end of the retreat.
-        phases: Parts of the motion; `approach` is drawn in a colour of its own, `retreat` is its path backwards.
-        certificate: What was shown of it; None where that is not known.
-        clearance_curve: Its clearance over time; the certificate's own where this is None.
-        begin_s: Time at which it begins, as the tracks of the scene count it [s].
-        arms: Of several arms the parts of each one's motion, by its name.
-        frames: Of several arms the tool frame of each, by its name.
-        pickers: Of several arms the name of the one that picks each fruit.
+        trajectory: The motion; the arm is at rest if it has a single sample.
+        picked: Picking time of each picked fruit, by name [s]. From then on it has another colour and moves with the
+            tool.
+        dropped: Release time of picked fruits, by name [s]; a fruit that is not listed is released at the end of the
+            retreat.
+        phases: Segments of the motion. `approach` has its own colour; `retreat` is the approach reversed.
+        certificate: Certificate of the motion; None if unknown.
+        clearance_curve: Clearance over time; None for the certificate's own.
+        begin_s: Start time on the clock of the scene's tracks [s].
+        arms: For several arms, the phases of each arm, by name.
+        frames: For several arms, the tool frame of each arm, by name.
+        pickers: For several arms, the name of the arm that picks each fruit.
     """
 
     trajectory: Trajectory
@@ -70,31 +72,31 @@ class Playback:
 
     @classmethod
     def of(cls, result: Shown) -> Playback:
-        """The motion of a plan, a stop, a tour, or of several arms.
+        """Return the motion of a plan, stop, tour or multi-arm result.
 
         Raises:
-            OptionError: It is none of these.
+            OptionError: `result` has no motion.
         """
         return playable(result)[2]
 
     @property
     def every_phase(self) -> tuple[Phase, ...]:
-        """The parts of all motions."""
+        """Phases of all arms."""
         return (*self.phases, *itertools.chain(*self.arms.values()))
 
     @property
     def curve(self) -> ClearanceCurve | None:
-        """Clearance over time as it is to be shown; None where it is not known."""
+        """Clearance over time, thinned for display; None if unknown."""
         curve = self.clearance_curve
         if curve is None and self.certificate is not None:
             curve = self.certificate.clearance_curve
         return None if curve is None else curve.shown
 
     def check(self, robot: Robot) -> None:
-        """Check that the motion is one of a robot.
+        """Check that the trajectory has the robot's joints.
 
         Raises:
-            InputError: The trajectory is of other joints than the robot's.
+            InputError: The joints of the trajectory are not the robot's.
         """
         if self.trajectory.joint_names != robot.joint_names:
             got, expected = ", ".join(self.trajectory.joint_names), ", ".join(robot.joint_names)
@@ -106,10 +108,12 @@ class Playback:
 
 
 def playable(result: Shown) -> tuple[Robot, Scene, Playback]:
-    """Robot, scene and motion of a result; of several arms the robot of all their joints.
+    """Robot, scene and motion of a result.
+
+    For several arms it is the composite robot of all their joints.
 
     Raises:
-        OptionError: It is none of a plan, a stop, a tour, or of several arms.
+        OptionError: `result` has no motion: it is not a plan, stop, tour or multi-arm result.
     """
     given: Any = result
     shows = hasattr(result, "certificate") or hasattr(result, "between")
@@ -123,7 +127,7 @@ def playable(result: Shown) -> tuple[Robot, Scene, Playback]:
     tours = getattr(given, "tours", {})
     pickers = {fruit: name for name, own in tours.items() for tour in own for fruit in tour.order if fruit in picked}
     frames = {arm.name: arm.tool_frame for arm in given.cell.arms}
-    # What was shown of all arms, as one certificate, without its course over time.
+    # Merge the certificates of all arms into one, without clearance over time.
     least = min(given.parts, key=lambda part: part.min_clearance_m)
     violations = tuple(violation for part in given.parts for violation in part.violations)
     whole = replace(least, verified=all(part.verified for part in given.parts), violations=violations, subject=None)

@@ -1,4 +1,4 @@
-"""The figure of a row: stops, trees and fruit from above and from the front."""
+"""Figure of a tree row: stops, trees and fruit in two views."""
 
 from __future__ import annotations
 
@@ -13,13 +13,15 @@ from hplan.tour.row import Place, RowResult
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-#: Colours of the fruit of neighbouring stops.
+#: Colours of neighbouring stops and their fruits, used in turn.
 _STOPS = (PATH, START, RESTORED, LINKS[1])
 
 
 @styled
 def draw_row(result: RowResult) -> Figure:
-    """Draw where the base stops and what is picked from where; one colour for each of a few neighbouring stops.
+    """Draw the stops of the base and the fruits picked from each.
+
+    The views are from above and from the front. Neighbouring stops have different colours.
 
     Raises:
         InputError: Matplotlib is not installed.
@@ -33,7 +35,7 @@ def draw_row(result: RowResult) -> Figure:
     stands = [(place.along, _across(place, result)) for place, names in result.candidates.items() if names]
     fruit = np.array([fruit.center for fruit in scene.fruits])
     (y, x), z = np.concatenate([np.array(stands), fruit[:, 1::-1]]).T, fruit[:, 2]
-    # Room about what is shown [m], and the most that both views together may take [inch].
+    # Margin around the contents [m], and maximum size of both views together [inch].
     room_m, largest = 0.25, (9.0, 8.0)
     ends = [(float(values.min()) - room_m, float(values.max()) + room_m) for values in (y, x, z)]
     wide, deep, high = (end - begin for begin, end in ends)
@@ -56,14 +58,14 @@ def draw_row(result: RowResult) -> Figure:
 
 
 def _across(place: Place, result: RowResult) -> float:
-    """Where the base's axis is, across the row [m]."""
+    """Position of the base's axis across the tree row [m]."""
     return 2.0 * result.options.distance * (place.side - 1)
 
 
 def _draw(
     axes: Any, result: RowResult, axis: int, label: str, ends: tuple[tuple[float, float], tuple[float, float]]
 ) -> None:
-    """One view: along the row, and another coordinate over it."""
+    """Draw one view: y to the right, the coordinate `axis` upwards."""
     from matplotlib.collections import LineCollection
 
     wood = [one for one in result.scene.obstacles if isinstance(one, Capsule)]
@@ -86,7 +88,10 @@ def _draw(
 
 
 def _draw_stops(axes: Any, result: RowResult) -> None:
-    """Candidates as dots, larger the more can be picked from them, and the stops with their numbers."""
+    """Draw the candidate stops as dots and the stops with their numbers.
+
+    The area of a dot grows with the number of fruits that can be picked from it.
+    """
     some = {place: len(names) for place, names in result.candidates.items() if names}
     places = [(place.along, _across(place, result)) for place in some]
     sizes = [1.0 + 22.0 * count / max(some.values()) for count in some.values()]

@@ -1,7 +1,7 @@
-"""Obstacles and fruits of the page: their looks, the motion of what has a track, and of fruits that are picked.
+"""Obstacles and fruits of the page: appearance, tracks and picked fruits.
 
-What an obstacle is made of follows from the words of its name. All capsules of one look are drawn as copies of one
-shape: a tree of hundreds of pieces costs the viewer no more than one piece.
+The material of an obstacle is guessed from the words of its name. All capsules of one material are drawn as instances
+of one shape, so that a tree of hundreds of capsules costs the viewer no more than one.
 """
 
 from __future__ import annotations
@@ -31,11 +31,13 @@ from hplan.scene.tracks import Track
 
 @dataclass(frozen=True)
 class Look:
-    """Look of obstacles of a kind.
+    """Appearance of the obstacles of one material.
 
     Attributes:
-        words: Words in the name of such an obstacle.
-        opacity: 1 where nothing shows through.
+        label: Name of the material in the legend.
+        color: Colour, 0xrrggbb.
+        words: Words that identify the material in an obstacle's name.
+        opacity: Opacity; 1 is opaque.
     """
 
     label: str
@@ -61,24 +63,30 @@ OTHER = Look("Obstacles", 0x7B5EA7, frozenset(), 0.85)
 FRUIT_COLOR = 0xD7263D
 GOAL_FRUIT_COLOR = 0xFF3B2F
 HALO_COLOR = 0xFFC53D
-#: Lighter than the others too, for eyes that do not tell red from green.
+#: Also lighter than the other colours, for viewers who cannot distinguish red from green.
 PICKED_COLOR = 0x9BD84A
 
 
 def look_of(name: str) -> Look:
-    """The look of an obstacle, by the words of its name; an `s` at the end of a word does not count."""
+    """Appearance of an obstacle according to the words of its name.
+
+    A plural `s` at the end of a word is ignored.
+    """
     words = set(re.findall(r"[a-z]+", name.lower()))
     words |= {word.removesuffix("s") for word in words}
     return next((look for look in (LEAVES, WOOD, METAL, BULK) if words & look.words), OTHER)
 
 
 def looks(scene: Scene) -> list[Look]:
-    """The looks that a scene's obstacles have, each once."""
+    """Distinct appearances of a scene's obstacles."""
     return list(dict.fromkeys(look_of(item.name) for item in scene.obstacles))
 
 
 def obstacles(scene: Scene) -> list[Json]:
-    """Commands that draw the obstacles where they are listed: capsules by their looks, others one by one."""
+    """Commands that draw the obstacles at their listed poses.
+
+    Capsules are grouped by appearance; all other obstacles are separate objects.
+    """
     commands, capsules, movers = [], defaultdict(list), moving_nodes(scene)
     for item in scene.obstacles:
         look, top = look_of(item.name), movers.get(item.name, f"{ROOT}/obstacles")
@@ -98,20 +106,32 @@ def obstacles(scene: Scene) -> list[Json]:
 
 
 def moving_nodes(scene: Scene) -> dict[str, str]:
-    """The node of the viewer that each obstacle or fruit which moves stands in; those of one track share it."""
+    """Viewer node of each moving obstacle or fruit, by name.
+
+    Items with the same track share a node.
+    """
     items = [item for item in (*scene.obstacles, *scene.fruits) if scene.base_track is not None or item.track]
     numbers: dict[Track | None, int] = {}
     return {item.name: f"{ROOT}/moving {numbers.setdefault(item.track, len(numbers))}" for item in items}
 
 
 def _node_poses(scene: Scene, times: ArrayLike) -> dict[str, tuple[FloatArray, FloatArray]]:
-    """(k, 3, 3) rotations and (k, 3) shifts of each of these nodes at (k,) times, as tracks count them."""
+    """Poses of the moving nodes at (k,) times [s].
+
+    Times are on the clock of the tracks.
+
+    Returns:
+        (k, 3, 3) rotations and (k, 3) translations [m], by the path of the node.
+    """
     poses = scene.poses_at(times)
     return {path: poses[name] for name, path in moving_nodes(scene).items()}
 
 
 def placed_movers(scene: Scene, time_s: float) -> list[Json]:
-    """Commands that put what moves where it is at a time, as tracks count it [s]."""
+    """Commands that set the poses of moving obstacles and fruits.
+
+    `time_s` is on the clock of the tracks [s].
+    """
     return [
         set_transform(path, three.transform(turns[0], shifts[0]))
         for path, (turns, shifts) in _node_poses(scene, [time_s]).items()
@@ -119,12 +139,13 @@ def placed_movers(scene: Scene, time_s: float) -> list[Json]:
 
 
 def moving_clips(scene: Scene, times: FloatArray, begin_s: float, end: float) -> list[Json]:
-    """Animation of what has a track.
+    """Animation of moving obstacles and fruits.
 
     Args:
-        times: (k,) times of the motion at which poses are given; between them the viewer turns and shifts evenly [s].
-        begin_s: Time at which the motion begins, as tracks count it [s].
-        end: End of the animation; after the motion everything rests [s].
+        scene: The scene.
+        times: (k,) times of the keyframes, on the motion's clock; the viewer interpolates between them [s].
+        begin_s: Start time of the motion on the tracks' clock [s].
+        end: End of the animation; after the motion everything is at rest [s].
     """
     clock = [*times.tolist(), end]
     clips = []
@@ -140,13 +161,13 @@ def _surface(look: Look) -> Json:
 
 def _add(body: Body, item: AnyObstacle, look: Look) -> None:
     surface = _surface(look)
-    # Most points of a cloud that are drawn.
+    # Maximum number of points of a cloud that are drawn.
     most_points = 20_000
     match item:
         case PointCloud():
             for cloud in item.solids:
                 some = cloud.core[:: -(-len(cloud.core) // most_points)]
-                # The viewer takes a dot's size as if the field of view were 90 degrees.
+                # The viewer scales dots for a field of view of 90 degrees, independent of the camera.
                 wide = 2.0 * cloud.rounding / np.tan(np.radians(0.5 * FIELD_OF_VIEW_DEG))
                 dots = three.dots_material(look.color, float(wide))
                 body.add(three.points(some), dots, name=item.name, kind="Points", shadow=False)
@@ -158,7 +179,12 @@ def _add(body: Body, item: AnyObstacle, look: Look) -> None:
 
 
 def fruits(scene: Scene, goal: str | None) -> list[Json]:
-    """Commands that draw the fruits as they hang, that of one name so that it stands out."""
+    """Commands that draw the fruits on the trees.
+
+    Args:
+        scene: The scene.
+        goal: Name of the fruit to highlight; None for no highlight.
+    """
     commands, movers = [], moving_nodes(scene)
     for fruit in scene.fruits:
         path = f"{movers[fruit.name]}/{node('fruit', fruit.name)}" if fruit.name in movers else _fruit_path(fruit)
@@ -189,8 +215,9 @@ class Pick:
     """A fruit that is picked.
 
     Attributes:
-        since: When the tool takes it [s].
-        until: When it is put away [s]; inf where the tool keeps it.
+        fruit: The fruit.
+        since: Picking time [s].
+        until: Release time [s]; inf if the tool keeps it.
         tool: Name of the frame that holds it; None for the robot's tool frame.
     """
 
@@ -201,12 +228,13 @@ class Pick:
 
 
 def picks(scene: Scene, playback: Playback) -> list[Pick]:
-    """The picked fruits: the tool keeps each until it lets it go, or else until the retreat from it ends.
+    """Picked fruits in order of picking, with their release times.
 
-    Each tool holds one at a time, and what it holds in the end it keeps.
+    A fruit is released at its time in `dropped`, or else at the end of its retreat, and at the latest when the tool
+    picks the next one. A fruit not released before the end of the motion stays in the tool.
 
     Raises:
-        InputError: A fruit that the scene does not have; a time outside the motion.
+        InputError: A picked fruit is not in the scene, or its time is outside the motion.
     """
     known = {fruit.name: fruit for fruit in scene.fruits}
     retreats = [phase for phase in playback.every_phase if phase.name == "retreat"]
@@ -223,14 +251,17 @@ def picks(scene: Scene, playback: Playback) -> list[Pick]:
         until = float(playback.dropped.get(name, until))
         until = until if until < duration - 1e-9 else math.inf
         result.append(Pick(known[name], float(time), until, playback.frames.get(playback.pickers.get(name, ""))))
-    for number, pick in enumerate(result):  # a tool holds one fruit
+    for number, pick in enumerate(result):  # each tool holds one fruit at a time
         following = next((other.since for other in result[number + 1 :] if other.tool == pick.tool), math.inf)
         result[number] = replace(pick, until=min(pick.until, following))
     return result
 
 
 def picked_fruits(picks: Sequence[Pick]) -> list[Json]:
-    """Commands that draw picked fruits in another colour: in the tool, and faintly where they have hung."""
+    """Commands that draw picked fruits, initially hidden.
+
+    Each one is drawn in another colour in the tool, and translucent at its former place on the tree.
+    """
     commands = []
     for pick in picks:
         for top, opacity in (("picked", 1.0), ("places", 0.35)):
@@ -248,11 +279,12 @@ def picked_fruits(picks: Sequence[Pick]) -> list[Json]:
 def picked_clips(
     picks: Sequence[Pick], times: FloatArray, tools: Mapping[str | None, FloatArray], end: float
 ) -> list[Json]:
-    """Animation of picked fruits: their visibility over time, and their motion with the tool.
+    """Animation of picked fruits: visibility and motion with the tool.
 
     Args:
+        picks: The picked fruits.
         times: (k,) times of the keyframes [s].
-        tools: (k, 3) positions of the frame of each tool, by its name [m].
+        tools: (k, 3) positions of each tool's frame, by its name [m].
         end: End of the animation [s].
     """
     clips = []

@@ -1,4 +1,4 @@
-"""The live view: one page served on 127.0.0.1, by a thread of this process."""
+"""Local web server for pages, in a thread of this process."""
 
 from __future__ import annotations
 
@@ -14,20 +14,23 @@ from hplan.errors import HplanError
 
 
 class LiveView(AbstractContextManager["LiveView"]):
-    """A running server that shows a page and those it leads to; `close` ends it, as does leaving a `with` block.
+    """A running server of a page and the pages it links to.
+
+    It listens on 127.0.0.1. `close`, or the end of a `with` block, stops it.
 
     Attributes:
-        url: Its address, for a browser on this machine, the only one that reaches it.
+        url: Address of the page, accessible from this machine only.
     """
 
     def __init__(self, page: bytes, others: Mapping[str, bytes] = MappingProxyType({})) -> None:
         """Serve a page at a free port.
 
         Args:
-            others: Pages that it leads to, by the names of their files.
+            page: HTML of the page.
+            others: HTML of the pages that it links to, by file name.
 
         Raises:
-            HplanError: There is none.
+            HplanError: The server cannot start, for example if no port is free.
         """
         try:
             self._server = ThreadingHTTPServer(("127.0.0.1", 0), _handler({"": page, **others}))
@@ -39,15 +42,18 @@ class LiveView(AbstractContextManager["LiveView"]):
 
     @property
     def running(self) -> bool:
-        """True until the server has ended."""
+        """True until the server has stopped."""
         return self._thread.is_alive()
 
     def wait(self, timeout_s: float | None = None) -> None:
-        """Wait until the server ends (it does not by itself) or `timeout_s` seconds have passed."""
+        """Wait until the server stops, or at most `timeout_s` seconds.
+
+        Without a timeout, and unless another thread calls `close`, it waits until interrupted.
+        """
         self._thread.join(timeout_s)
 
     def close(self) -> None:
-        """End the server."""
+        """Stop the server and its thread."""
         self._server.shutdown()
         self._server.server_close()
         self._thread.join()
@@ -57,7 +63,10 @@ class LiveView(AbstractContextManager["LiveView"]):
 
 
 def _handler(pages: Mapping[str, bytes]) -> type[BaseHTTPRequestHandler]:
-    """Answers with the pages at `/` and their names, and with nothing elsewhere."""
+    """Create a request handler that serves pages by name.
+
+    The name of the main page is empty; other addresses give 404.
+    """
 
     class Handler(BaseHTTPRequestHandler):
         protocol_version = "HTTP/1.1"

@@ -1,4 +1,4 @@
-"""The figure of a study: share of the fruit picked over what it costs, and the choices that no other beats."""
+"""Figure of a study: share of fruit picked over cost, Pareto front."""
 
 from __future__ import annotations
 
@@ -11,13 +11,15 @@ from hplan.study.run import StudyResult
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-#: Choices on the front have a number beside their mark, and names below: so many, in lines of so many signs.
+#: Maximum number of choices on the front that are named below the figure, and line width of these names [characters].
 _NAMED, _WIDTH = 9, 84
 
 
 @styled
 def draw_study(result: StudyResult) -> Figure:
     """Draw the choices of a study and its Pareto front.
+
+    The cost is the time for each fruit [s] if it was measured, else the arm's reach [m].
 
     Raises:
         InputError: Matplotlib is not installed.

@@ -1,9 +1,9 @@
-"""Bodies, materials and lights in the JSON of three.js, which is what meshcat's viewer draws.
+"""Bodies, materials and lights in three.js's JSON format for meshcat's viewer.
 
-Written here as plain dictionaries, for three reasons: meshcat's own classes give every object a random identifier (a
-page would differ from run to run), cannot say half-spheres, shadows or stencils, and cost 0.2 s to import.
+They are plain dictionaries for three reasons: meshcat's own classes give every object a random identifier, so that a
+page would differ from run to run; they lack half-spheres, shadows and stencils; and their import takes 0.2 s.
 
-Lengths are in metres, colours `0xrrggbb`, placements 4x4 matrices.
+Lengths are in metres, colours are `0xrrggbb`, placements 4x4 matrices.
 """
 
 from __future__ import annotations
@@ -19,12 +19,15 @@ from hplan.base.arrays import FloatArray, IntArray
 
 Json: TypeAlias = dict[str, Any]
 
-#: Segments of a full turn of a round body.
+#: Number of segments around a round body.
 _SEGMENTS = 48
 
 
 def transform(rotation: ArrayLike | None = None, position: ArrayLike | None = None) -> FloatArray:
-    """The (4, 4) matrix of a (3, 3) rotation and a (3,) position [m]."""
+    """(4, 4) matrix of a (3, 3) rotation and (3,) position [m].
+
+    None gives the identity rotation, or the origin.
+    """
     matrix = np.eye(4)
     if rotation is not None:
         matrix[:3, :3] = rotation
@@ -34,44 +37,67 @@ def transform(rotation: ArrayLike | None = None, position: ArrayLike | None = No
 
 
 def numbers(values: ArrayLike) -> list[float]:
-    """The values as a flat list, rounded to 1e-6 (a micrometre); the page stays small and the same on every run."""
+    """Flatten values to a list, rounded to 1e-6.
+
+    Rounding to a micrometre keeps the page small and identical on every run.
+    """
     flat: list[float] = (np.round(np.ravel(np.asarray(values, dtype=np.float64)), 6) + 0.0).tolist()
     return flat
 
 
 def color_of(rgb: Sequence[float] | NDArray[np.float64]) -> int:
-    """A colour from red, green and blue in 0..1."""
+    """Colour 0xrrggbb of red, green and blue in [0, 1].
+
+    Examples:
+        >>> hex(color_of((1.0, 0.5, 0.0)))
+        '0xff8000'
+    """
     red, green, blue = (round(255.0 * min(max(float(value), 0.0), 1.0)) for value in rgb[:3])
     return (red << 16) | (green << 8) | blue
 
 
 def rgb(color: int) -> FloatArray:
-    """(3,) red, green and blue of a colour in 0..1."""
+    """(3,) red, green and blue in [0, 1] of a colour 0xrrggbb."""
     return np.array([(color >> shift & 0xFF) / 255.0 for shift in (16, 8, 0)])
 
 
 def material(color: int, *, opacity: float = 1.0, kind: str = "MeshStandardMaterial", **properties: Any) -> Json:
-    """A surface; anything of three.js's material can be added by its name there."""
+    """Create a material.
+
+    Args:
+        color: Colour, 0xrrggbb.
+        opacity: Opacity in [0, 1].
+        kind: Class of the material in three.js.
+        properties: Further properties of that class, by their names in three.js.
+    """
     see_through = {"transparent": True, "opacity": round(opacity, 3)} if opacity < 1.0 else {}
     gloss = {"roughness": 0.55, "metalness": 0.05} if kind == "MeshStandardMaterial" else {}
     return {"type": kind, "color": color, **gloss, **see_through, **properties}
 
 
 def dots_material(color: int, size: float) -> Json:
-    """Dots of one size [m] at a field of view of 90 degrees; the farther away, the smaller they look."""
+    """Create a material of dots whose apparent size decreases with distance.
+
+    Args:
+        color: Colour, 0xrrggbb.
+        size: Diameter of a dot [m], for a field of view of 90 degrees.
+    """
     return {"type": "PointsMaterial", "color": color, "size": round(size, 6), "sizeAttenuation": True}
 
 
 def ghost_material(color: int, opacity: float, layer: int) -> Json:
-    """A translucent surface that covers each pixel once, however many bodies of the same `layer` lie behind it."""
-    # Constants of three.js (and so of WebGL).
+    """Create a translucent material that covers each pixel only once.
+
+    Bodies with the same `layer` do not add up where they overlap in the image.
+    """
+    # Constants of three.js and WebGL.
     not_equal, replace = 517, 7681
     return material(
         color,
         opacity=opacity,
         kind="MeshLambertMaterial",
         depthWrite=False,
-        # An arm that stands in its ghost must not flicker: the ghost lies a little deeper.
+        # Offset the ghost in depth, so that an arm at the same pose does not flicker.
         polygonOffset=True,
         polygonOffsetFactor=1,
         polygonOffsetUnits=8,
@@ -83,7 +109,7 @@ def ghost_material(color: int, opacity: float, layer: int) -> Json:
 
 
 class Body:
-    """An object under construction: meshes that share geometries and materials, under one node of the viewer."""
+    """Builder of a viewer object: meshes that share geometries and materials."""
 
     def __init__(self) -> None:
         self._geometries: list[Json] = []
@@ -107,10 +133,13 @@ class Body:
         """Add a mesh.
 
         Args:
-            placement: (4, 4) pose in the node's frame; None for the node's own.
-            kind: `Mesh`, `LineSegments`, `Points`, or `InstancedMesh` by `add_copies`.
-            shadow: Throws a shadow.
-            order: Smaller is drawn first, among see-through meshes.
+            geometry: Geometry of the mesh, for example `box`.
+            surface: Its material.
+            placement: (4, 4) pose in the node's frame; None for the identity.
+            name: Name of the mesh.
+            kind: `Mesh`, `LineSegments`, `Points`, or, set by `add_copies`, `InstancedMesh`.
+            shadow: Cast a shadow.
+            order: Rendering order of translucent meshes; smaller values are drawn first.
         """
         mesh: Json = {
             "uuid": f"m{len(self._meshes)}",
@@ -129,14 +158,17 @@ class Body:
     def add_copies(
         self, geometry: Mapping[str, Any], surface: Mapping[str, Any], placements: FloatArray, *, name: str = ""
     ) -> None:
-        """Add one shape in many places, drawn at one go.
+        """Add n instances of one shape, drawn in a single call.
 
         Args:
-            placements: (n, 4, 4) poses in the node's frame; they may stretch the shape.
+            geometry: Geometry of the shape.
+            surface: Its material.
+            placements: (n, 4, 4) transforms in the node's frame; they may scale the shape.
+            name: Name of the mesh.
         """
         self.add(geometry, surface, name=name, kind="InstancedMesh")
         columns_first = np.swapaxes(placements, 1, 2)
-        # The viewer would look at the one shape to tell whether the copies are in the picture.
+        # Frustum culling would test the bounds of the shape itself, not of its instances.
         self._meshes[-1] |= {
             "count": len(placements),
             "instanceMatrix": {"array": numbers(columns_first)},
@@ -144,7 +176,7 @@ class Body:
         }
 
     def json(self) -> Json:
-        """The object as three.js's loader reads it."""
+        """Return the object in the format of three.js's loader."""
         return {
             "metadata": {"version": 4.5, "type": "Object"},
             "geometries": self._geometries,
@@ -161,18 +193,18 @@ class Body:
         return str(table[-1]["uuid"])
 
 
-#: three.js's cylinders and hemispheres stand on y; ours on z.
+#: Transform from three.js's cylinders and hemispheres, whose axis is y, to hplan's, whose axis is z.
 Z_UP = transform(np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]))
 
 
 def box(size: Sequence[float] | NDArray[np.float64]) -> Json:
-    """A block with full edge lengths `size`."""
+    """Box with full edge lengths `size` [m]."""
     width, height, depth = numbers(np.asarray(size))
     return {"type": "BoxGeometry", "width": width, "height": height, "depth": depth}
 
 
 def sphere(radius: float) -> Json:
-    """A ball."""
+    """Sphere of a radius [m]."""
     return {
         "type": "SphereGeometry",
         "radius": round(radius, 6),
@@ -182,7 +214,7 @@ def sphere(radius: float) -> Json:
 
 
 def cylinder(radius: float, length: float, *, open_ended: bool = False) -> Json:
-    """A cylinder about y, `length` long."""
+    """Cylinder of a radius and length [m] about the y axis."""
     return {
         "type": "CylinderGeometry",
         "radiusTop": round(radius, 6),
@@ -194,7 +226,7 @@ def cylinder(radius: float, length: float, *, open_ended: bool = False) -> Json:
 
 
 def facets(vertices: ArrayLike, faces: ArrayLike) -> Json:
-    """Flat triangles with sharp edges: (n, 3) vertices [m], (m, 3) indices."""
+    """Triangle mesh with flat shading: (n, 3) vertices [m], (m, 3) indices."""
     corners = np.asarray(vertices, dtype=np.float64)[np.asarray(faces, dtype=np.int64)]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.linalg.norm(normals, axis=1, keepdims=True) + 1e-30
@@ -202,7 +234,12 @@ def facets(vertices: ArrayLike, faces: ArrayLike) -> Json:
 
 
 def surface(vertices: FloatArray, faces: IntArray) -> Json:
-    """A smooth surface: (n, 3) vertices, (m, 4) quadrilaterals, counter-clockwise seen from outside."""
+    """Quadrilateral mesh with smooth shading.
+
+    Args:
+        vertices: (n, 3) vertices [m].
+        faces: (m, 4) vertex indices, counter-clockwise as seen from outside.
+    """
     corners = vertices[faces]
     normal = np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
     normals = np.zeros_like(vertices)
@@ -214,8 +251,13 @@ def surface(vertices: FloatArray, faces: IntArray) -> Json:
 
 
 def label(text: str, height: float) -> Json:
-    """A text that always faces the camera, as an object for a node; its letters are about `height` [m] tall."""
-    size = min(60, 420 // max(len(text), 1))  # a square of 256 px is to hold it
+    """Text object that always faces the camera.
+
+    Args:
+        text: The text.
+        height: Approximate height of its letters [m].
+    """
+    size = min(60, 420 // max(len(text), 1))  # the text must fit a square of 256 px
     texture = {"uuid": "text", "type": "_text", "text": text, "font_size": size, "font_face": "sans-serif"}
     look = {"uuid": "look", "type": "SpriteMaterial", "map": "text", "transparent": True, "depthWrite": False}
     side = round(height * 256.0 / (0.75 * size), 6)  # letters of 60 px are 45 px tall
@@ -234,12 +276,15 @@ def label(text: str, height: float) -> Json:
 
 
 def points(places: FloatArray) -> Json:
-    """Dots: (n, 3) places [m]."""
+    """Points at (n, 3) positions [m]."""
     return _buffers(np.arange(len(places)), position=places)
 
 
 def line_segments(points: FloatArray, pairs: IntArray, colors: FloatArray) -> Json:
-    """Lines: (n, 3) points [m], (m, 2) indices, (n, 4) colours and opacities in 0..1."""
+    """Line segments: (n, 3) points [m], (m, 2) indices, (n, 4) colours.
+
+    Colours are red, green, blue and opacity in [0, 1].
+    """
     return _buffers(pairs, position=points, color=np.round(colors, 3))
 
 
@@ -264,15 +309,20 @@ def _buffers(index: ArrayLike, **attributes: FloatArray) -> Json:
 def add_capsules(
     body: Body, starts: FloatArray, ends: FloatArray, radii: FloatArray, surface: Mapping[str, Any], *, name: str = ""
 ) -> None:
-    """Add capsules: open cylinders and half-spheres, so that no inner wall shows through.
+    """Add capsules as open cylinders with half-spheres.
+
+    Inner walls, which would be visible through translucent surfaces, are omitted.
 
     Args:
-        starts: (n, 3) one end of each axis [m].
-        ends: (n, 3) the other ends [m].
+        body: The object to add to.
+        starts: (n, 3) first end of each axis [m].
+        ends: (n, 3) second end of each axis [m].
         radii: (n,) radii [m].
+        surface: Material of the capsules.
+        name: Name of the meshes.
     """
     walls, caps = [], []
-    segments = 20  # of a full turn: there may be hundreds of such bodies
+    segments = 20  # around the axis, fewer than `_SEGMENTS` because there may be hundreds of capsules
     for start, end, radius in zip(starts, ends, radii, strict=True):
         length = float(np.linalg.norm(end - start))
         turn = _turn_y_to((end - start) / length) if length > 0.0 else np.eye(3)
@@ -288,7 +338,7 @@ def add_capsules(
 
 
 def _turn_y_to(direction: FloatArray) -> FloatArray:
-    """A (3, 3) rotation that takes y to the unit vector `direction`."""
+    """(3, 3) rotation that maps the y axis to a unit vector."""
     across = np.eye(3)[int(np.argmin(np.abs(direction)))]
     x = np.cross(direction, across)
     x /= np.linalg.norm(x)
@@ -296,17 +346,17 @@ def _turn_y_to(direction: FloatArray) -> FloatArray:
 
 
 def tube(points: FloatArray, radius: float, colors: FloatArray, *, sides: int = 10) -> Json:
-    """A round tube along a curve.
+    """Tube of circular cross-section along a curve.
 
     Args:
-        points: (n, 3) points, n >= 2, no two neighbours alike [m].
+        points: (n, 3) points, n >= 2; consecutive points differ [m].
         radius: Radius [m].
-        colors: (n, 3) colours along it, in 0..1.
-        sides: Corners of its section.
+        colors: (n, 3) colours along the curve, red, green and blue in [0, 1].
+        sides: Number of corners of the cross-section.
     """
     tangents = np.gradient(points, axis=0)
     tangents /= np.linalg.norm(tangents, axis=1, keepdims=True) + 1e-12
-    # The frame is carried along from ring to ring: the tube does not twist.
+    # Transport the normal from ring to ring, so that the tube does not twist.
     normal = np.cross(tangents[0], np.eye(3)[int(np.argmin(np.abs(tangents[0])))])
     normals = np.empty((len(points), sides, 3))
     angles = 2.0 * np.pi * np.arange(sides) / sides
@@ -334,12 +384,14 @@ def add_shape(
     placement: FloatArray,
     **settings: Any,
 ) -> None:
-    """Add a shape that a URDF can hold, as Pinocchio's geometry models have it.
+    """Add a shape of Pinocchio's geometry models, as read from a URDF.
 
     Args:
-        shape: Box, sphere, cylinder, capsule or mesh; others are left out.
+        body: The object to add to.
+        shape: Box, sphere, cylinder, capsule or mesh; other shapes are ignored.
+        surface: Material of the shape.
         placement: (4, 4) pose in the node's frame.
-        settings: As for `Body.add`.
+        settings: Keyword arguments of `Body.add`.
     """
 
     def add(geometry: Json, local: FloatArray | None = None) -> None:

@@ -1,4 +1,4 @@
-"""The figure of a trajectory: positions, velocities, accelerations and torques of all joints over time."""
+"""Figure of a trajectory: position, velocity, acceleration and torque of all joints."""
 
 from __future__ import annotations
 
@@ -21,10 +21,14 @@ _COLORS = (PATH, OBSTACLE, START, GOAL, INK, RESTORED, QUIET)
 
 @styled
 def draw_trajectory(trajectory: Trajectory, robot: Robot | None = None) -> Figure:
-    """Draw a trajectory; with a robot its limits too, dotted.
+    """Draw a trajectory over time.
+
+    Args:
+        trajectory: The trajectory.
+        robot: Robot whose limits are drawn as dotted lines; None for no limits.
 
     Raises:
-        InputError: Matplotlib is not installed; a robot of other joints.
+        InputError: Matplotlib is not installed, or the joints of the trajectory are not the robot's.
     """
     if robot is not None:
         check_joints(trajectory, robot)
@@ -54,7 +58,7 @@ def draw_trajectory(trajectory: Trajectory, robot: Robot | None = None) -> Figur
         low, high = axis.get_ylim()
         for joint, limit in itertools.product(range(len(units)), limits):
             axis.axhline(factor[joint] * limit[joint], ls=":", lw=0.8, color=_COLORS[joint % len(_COLORS)])
-        axis.set_ylim(low, high)  # limits that are far off are left out
+        axis.set_ylim(low, high)  # limits far outside the trajectory do not rescale the axis
     axes[-1].set_xlabel("time [s]")
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower left", ncols=4)
     return figure

@@ -1,0 +1,121 @@
+"""Distances of the round shapes of a planar arm's turret from obstacles.
+
+A turn about the yaw axis leaves such a shape as it is, so its distances depend on the obstacles alone, and the
+collision checker (`hplan.collision.coal_scene`) has no pairs of it. The base, which no joint moves, is not part of a
+reported clearance; the turret is.
+"""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+import numpy as np
+import pinocchio as pin
+
+from hplan.base.arrays import FloatArray
+from hplan.certificate.pair_rules import PairRule
+from hplan.collision.coal_accuracy import distance_errors, extents
+from hplan.collision.coal_cloud import distance_from
+from hplan.collision.coal_scene import CoalScene
+from hplan.robot.base_shapes import BASE_DEPTH, TURRET, BaseShape, base_joints, base_shapes
+from hplan.robot.model import Robot
+from hplan.scene.obstacles import Solid
+from hplan.scene.tracks import Movement
+
+#: Number of times at which distances from an obstacle that moves are computed.
+_TIMES: Final = 257
+
+#: The rules of pairs.
+_TURNS: Final = "they must not touch: no joint moves a round shape of the turret nearer to it"
+_TOUCHES: Final = f"a round shape of the turret is within {1e3 * BASE_DEPTH:g} mm of it, as the ground may be"
+
+
+class TurretClearance(NamedTuple):
+    """Distances of the turret's round shapes.
+
+    Attributes:
+        distance_m: Lower bound of all of them, but for those in `touching`; infinite without any below the limit [m].
+        rules: The pairs that are nearer than the clearance, each with its bound, and those that touch.
+    """
+
+    distance_m: float
+    rules: tuple[PairRule, ...]
+
+
+def turret_clearance(checker: CoalScene, span_s: tuple[float, float], clearance: float, most: float) -> TurretClearance:
+    """Distances of the turret's round shapes from obstacles, which are grown as the checker has them.
+
+    Args:
+        checker: The arm among the obstacles.
+        span_s: Time of the first and the last configuration, as the movements of obstacles count it [s].
+        clearance: Clearance that all other pairs keep [m].
+        most: Distances above this do not matter [m].
+    """
+    bounds = dict[tuple[str, str], float]()
+    for shape in _round_shapes(checker.robot):
+        for number in _near(shape, checker, most):
+            solid, growth = checker.grown_obstacles[number]
+            movement = None if checker.moving is None else checker.moving.movements[number]
+            off = growth + float(distance_errors(extents([shape.placed]), [solid], np.zeros((0, 2, 3)))[0])
+            if movement is None:
+                bound = distance_from(solid, most + off)(shape.placed.geometry, shape.placement)
+            else:
+                ball = checker.obstacle_balls[number] - np.array([0.0, 0.0, 0.0, growth])
+                bound = _lower_bound(shape, (solid, ball), movement, span_s, most + off)
+            key = shape.name, solid.name
+            bounds[key] = min(bound - off, bounds.get(key, np.inf))
+    rules, least = list[PairRule](), float("inf")
+    for (link, obstacle), bound in bounds.items():
+        if bound <= BASE_DEPTH:
+            rules.append(PairRule(link, obstacle, f"not checked: {_TOUCHES}"))
+        elif bound <= most:
+            least = min(least, bound)
+            if bound < clearance:
+                rules.append(PairRule(link, obstacle, _TURNS, 0.0, bound))
+    return TurretClearance(least, tuple(rules))
+
+
+def _round_shapes(robot: Robot) -> tuple[BaseShape, ...]:
+    """Shapes of a planar arm that turn with the yaw joint and are round about its axis."""
+    shapes = base_shapes(robot) if base_joints(robot) else ()
+    return tuple(shape for shape in shapes if shape.carrier == TURRET and shape.is_round)
+
+
+def _ball(shape: BaseShape) -> tuple[FloatArray, float]:
+    """Centre and radius of a ball about a shape [m]."""
+    low, high = shape.core.min(axis=0), shape.core.max(axis=0)
+    return 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low)) + shape.rounding
+
+
+def _near(shape: BaseShape, checker: CoalScene, most: float) -> list[int]:
+    """Numbers of the obstacles that may come within a distance of a shape [m]: of those that stand still, by balls."""
+    centre, radius = _ball(shape)
+    balls = checker.obstacle_balls
+    near = np.linalg.norm(balls[:, :3] - centre, axis=1) - balls[:, 3] - radius <= most
+    if checker.moving is not None:
+        near[list(checker.moving.numbers)] = True
+    found: list[int] = np.flatnonzero(near).tolist()
+    return found
+
+
+def _lower_bound(
+    shape: BaseShape, obstacle: tuple[Solid, FloatArray], movement: Movement, span_s: tuple[float, float], most: float
+) -> float:
+    """Lower bound of the distance of a shape from an obstacle that moves, within a span of time [m].
+
+    Args:
+        obstacle: The obstacle, and (4,) a ball about it.
+    """
+    solid, ball = obstacle
+    times = np.linspace(*span_s, _TIMES)
+    rotations, shifts = movement.at(times)
+    steps = movement.rates(solid.core, solid.rounding) * np.diff(movement.breaks)
+    travel = np.diff(np.interp(times, movement.breaks, np.concatenate([[0.0], np.cumsum(steps)])))
+    centre, radius = _ball(shape)
+    found = np.linalg.norm(rotations @ ball[:3] + shifts - centre, axis=1) - ball[3] - radius
+    distance = distance_from(solid)
+    for number in np.flatnonzero(found <= most + float(travel.max())).tolist():
+        place = pin.SE3(rotations[number], shifts[number]).inverse() * shape.placement
+        found[number] = distance(shape.placed.geometry, place)
+    # Between two times the obstacle comes nearer by no more than it travels.
+    return float((0.5 * (found[:-1] + found[1:] - travel)).min())

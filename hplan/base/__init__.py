@@ -1,4 +1,4 @@
-"""Tools of every room, without robots: arrays, checks of arguments, files, compiled kernels, plane geometry.
+"""Utilities without robots: arrays, argument checks, files, compiled kernels, planar geometry.
 
 Imports nothing of hplan but `hplan.errors`.
 """

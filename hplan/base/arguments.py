@@ -1,8 +1,8 @@
-"""Checks of what public functions are given: each returns the value as it is used, or raises an `OptionError`.
+"""Checks of public function arguments: each returns the value or raises `OptionError`.
 
-The error names the option, the value that it got and what it should be. Values, not calls: a wrong number of arguments
-is Python's own `TypeError`. Arrays are checked by `hplan.base.arrays.numbers`, as commands check paths before NumPy is
-loaded.
+The error names the option, its value and the expected value. These functions check values, not calls: a wrong number
+of arguments is Python's own `TypeError`. Arrays are checked by `hplan.base.arrays.numbers`; this module does not
+import NumPy, because commands check paths before NumPy is loaded.
 """
 
 from __future__ import annotations
@@ -25,34 +25,34 @@ DECIMAL: Final = re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]
 
 
 def nearest_name(name: str, known: Iterable[str]) -> str:
-    """The advice for a misspelt name: the nearest of the known ones, or all of them if none is near."""
+    """Return advice for a misspelt name: the closest known name, or all."""
     names = list(known)
     close = get_close_matches(name, names, 1)
     return f"did you mean {close[0]!r}?" if close else f"there are {', '.join(names)}"
 
 
 def is_number(value: object) -> bool:
-    """True for a finite real number; truth values are none."""
+    """True for a finite real number; False for a bool."""
     if isinstance(value, bool) or not isinstance(value, Real):
         return False
     try:
         return math.isfinite(value)
-    except OverflowError:  # a whole number beyond all floats
+    except OverflowError:  # an integer beyond the range of float
         return False
 
 
 def number(option: str, value: Any, expected: str, accepts: Callable[[float], bool] = lambda _: True) -> float:
-    """A finite number that `accepts` lets pass."""
+    """Return a finite number that satisfies `accepts`."""
     if not (is_number(value) and accepts(float(value))):
         raise OptionError(option, value, expected)
     return float(value)
 
 
 def by_name(option: str, value: Any, expected: str, accepts: Callable[[float], bool]) -> Any:
-    """A finite number that `accepts` lets pass, or such a number for each of some names.
+    """Return a finite number that satisfies `accepts`, or a mapping of them.
 
     Raises:
-        OptionError: It is none.
+        OptionError: `value` is neither.
     """
     if not isinstance(value, Mapping) or not value:
         return number(option, value, expected, accepts)
@@ -60,12 +60,12 @@ def by_name(option: str, value: Any, expected: str, accepts: Callable[[float], b
 
 
 def between(option: str, value: Any, low: float, high: float) -> float:
-    """A number in a range, its ends included."""
+    """Return a number in the closed interval [low, high]."""
     return number(option, value, f"a number between {low:g} and {high:g}", lambda value: low <= value <= high)
 
 
 def whole(option: str, value: Any, least: int, most: int | None = None) -> int:
-    """A whole number in a range."""
+    """Return an integer from `least` to `most`; None for no maximum."""
     is_whole = isinstance(value, Integral) and not isinstance(value, bool)
     if not is_whole or value < least or (most is not None and value > most):
         raise OptionError(option, value, f"a whole number >= {least}" + ("" if most is None else f" and <= {most}"))
@@ -73,42 +73,42 @@ def whole(option: str, value: Any, least: int, most: int | None = None) -> int:
 
 
 def truth(option: str, value: Any) -> bool:
-    """True or False."""
+    """Return a bool."""
     if not isinstance(value, bool):
         raise OptionError(option, value, "True or False")
     return bool(value)
 
 
 def text(option: str, value: Any, expected: str = "a text that is not empty") -> str:
-    """A text that is not empty."""
+    """Return a non-empty string."""
     if not (isinstance(value, str) and value):
         raise OptionError(option, value, expected)
     return value
 
 
 def one_of(option: str, value: Any, choices: Sequence[str]) -> str:
-    """One of a few words."""
+    """Return one of the strings in `choices`."""
     if not (isinstance(value, str) and value in choices):
         raise OptionError(option, value, f"one of {', '.join(choices)}")
     return value
 
 
 def instance(option: str, value: Any, kind: type[_T], where_from: str = "") -> _T:
-    """An object of a class; `where_from` says where one comes from."""
+    """Return an instance of `kind`; the error names its source, `where_from`."""
     if not isinstance(value, kind):
         raise OptionError(option, value, f"a {kind.__name__}{f', as from {where_from}' if where_from else ''}")
     return value
 
 
 def function(option: str, value: Any) -> Any:
-    """Something that can be called."""
+    """Return a callable."""
     if not callable(value):
         raise OptionError(option, value, "a function")
     return value
 
 
 def file_path(option: str, value: Any) -> Path:
-    """A path."""
+    """Return a path from a string or path-like object."""
     text = os.fspath(value) if isinstance(value, os.PathLike) else value
     if not isinstance(text, str) or not text or "\0" in text:
         raise OptionError(option, value, "the path of a file")
@@ -116,30 +116,33 @@ def file_path(option: str, value: Any) -> Path:
 
 
 def decimal(text: str) -> float | None:
-    """The finite number that a cell of a file holds, blanks about it allowed; None where it holds none."""
+    """Return the finite number in a text cell, or None; ignores blanks."""
     word = text.strip(" \t")
     value = float(word) if DECIMAL.fullmatch(word) else math.inf
     return value if math.isfinite(value) else None
 
 
 def each(option: str, values: Any, expected: str, check: Callable[[str, Any], _T]) -> tuple[_T, ...]:
-    """A list of values that `check` lets pass, each by its place; a text is not taken letter by letter."""
+    """Return a tuple of checked values; the error names the index.
+
+    A string is rejected, not split into letters.
+    """
     if isinstance(values, str | bytes) or not isinstance(values, Iterable):
         raise OptionError(option, values, expected)
     try:
         listed = list(values)
-    except Exception as error:  # an array of no axes, or whatever the object raises of its own
+    except Exception as error:  # a zero-dimensional array, or any exception of the object itself
         raise OptionError(option, values, expected) from error
     return tuple(check(f"{option}[{index}]", value) for index, value in enumerate(listed))
 
 
 def list_between(option: str, values: Any, low: float, high: float) -> tuple[float, ...]:
-    """A list of numbers in a range, its ends included."""
+    """Return numbers in the closed interval [low, high]."""
     return each(option, values, "a list of numbers", lambda name, value: between(name, value, low, high))
 
 
 def list_of(option: str, values: Any, kind: Any, what: str) -> tuple[Any, ...]:
-    """Several objects of a class."""
+    """Return several instances of a class."""
 
     def check(place: str, item: Any) -> Any:
         if not isinstance(item, kind):

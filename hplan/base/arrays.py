@@ -1,4 +1,4 @@
-"""Array types, read-only arrays, the base of frozen dataclasses that hold them, and the check of arrays given."""
+"""Array types, read-only arrays, frozen dataclasses with arrays, array checks."""
 
 from __future__ import annotations
 
@@ -22,28 +22,28 @@ ComplexArray: TypeAlias = NDArray[np.complex128]
 
 _T = TypeVar("_T", bound=np.generic)
 
-#: Arrays and lists of more items are shown by their sizes in a `repr`.
+#: A `repr` shows arrays and lists with more items by their sizes.
 MOST_SHOWN = 8
 
 
 def readonly(values: ArrayLike, dtype: Any = np.float64) -> NDArray[Any]:
-    """A contiguous read-only array of its own with the given values."""
+    """Return a contiguous read-only copy of the values."""
     array = np.array(values, dtype=dtype, order="C")
     array.setflags(write=False)
     return array
 
 
 def frozen(array: NDArray[_T]) -> NDArray[_T]:
-    """Make an array itself read-only; for results that nothing else holds."""
+    """Make an array itself read-only; for arrays without another owner."""
     array.setflags(write=False)
     return array
 
 
 def as_array(values: Any) -> NDArray[Any]:
-    """What is given as an array.
+    """Return `np.asarray(values)`.
 
     Raises:
-        ValueError: It is none: rows of different lengths, or whatever it raises of its own.
+        ValueError: `values` cannot become an array, for example rows of different lengths; any exception of the object.
     """
     try:
         return np.asarray(values)
@@ -54,10 +54,12 @@ def as_array(values: Any) -> NDArray[Any]:
 def numbers(
     option: str, values: Any, shape: tuple[int | EllipsisType | None, ...], *, most: float = np.inf
 ) -> FloatArray:
-    """A read-only array of finite numbers; None in the shape stands for any count, a leading `...` for any axes.
+    """Return a read-only array of finite numbers with the given shape.
+
+    In `shape`, None matches any length and a leading `...` any number of axes.
 
     Raises:
-        InputError: It is none, or one is larger than `most`.
+        InputError: `values` has another shape, or a value is not a finite number or has a magnitude above `most`.
     """
     words = ", ".join("n" if count is None else "..." if count is ... else str(count) for count in shape)
     expected = f"({words},), a list of finite numbers" if len(shape) == 1 else f"({words}) finite numbers"
@@ -73,7 +75,7 @@ def numbers(
     )
     if not fits:
         raise InputError(f"{option} has shape {array.shape}, expected {expected}", option=option)
-    with np.errstate(over="ignore"):  # of longer floats
+    with np.errstate(over="ignore"):  # float128 values may overflow float64
         result = readonly(array)
     if not np.isfinite(result).all():
         place = np.argwhere(~np.isfinite(result))[0].tolist()
@@ -93,7 +95,7 @@ def _short(value: object) -> str:
 
 
 class Unquoted(str):
-    """A text that `repr` gives without quotes: what stands for a value too long to be shown."""
+    """A string whose `repr` has no quotes: placeholder for a long value."""
 
     __slots__ = ()
 
@@ -102,7 +104,7 @@ class Unquoted(str):
 
 
 def _brief(value: object) -> str:
-    """A value in a few words: small ones as Python writes them, of others kind and size."""
+    """Short `repr`: small values as in Python, others by type and size."""
     if isinstance(value, np.ndarray):
         if value.ndim <= 1 and value.size <= MOST_SHOWN:
             return np.array2string(value, precision=6, separator=", ", max_line_width=10_000)
@@ -120,14 +122,14 @@ def _brief(value: object) -> str:
 
 
 class Record:
-    """Base of frozen dataclasses: pickled and copied by their fields, what was read-only is so again.
+    """Base of frozen dataclasses: pickles and copies fields, keeps arrays read-only.
 
-    NumPy forgets in a pickle that an array was read-only. Cached properties stay behind. `repr` is short, whatever the
-    fields hold: of arrays their shapes, of other objects their classes.
+    NumPy drops the read-only flag in a pickle; `__setstate__` restores it. Cached properties are not pickled. `repr` is
+    short for any field: arrays by their shapes, other objects by their classes.
     """
 
     def __init_subclass__(cls, **options: Any) -> None:
-        """Give the class its inherited `__repr__` as its own, where `@dataclass` would else write one of everything."""
+        """Set the inherited `__repr__` on the class, so that `@dataclass` keeps it."""
         super().__init_subclass__(**options)
         if "__repr__" not in vars(cls):
             cls.__repr__ = cls.__repr__  # type: ignore[method-assign]
@@ -137,7 +139,7 @@ class Record:
         return f"{type(self).__name__}({', '.join(f'{name}={_brief(getattr(self, name))}' for name in shown)})"
 
     def __getstate__(self) -> dict[str, tuple[Any, bool]]:
-        """The value of each field, and whether it is to be made read-only again."""
+        """Return each field's value and whether to make it read-only again."""
         state = {}
         for field in fields(self):  # type: ignore[arg-type]  # subclasses are dataclasses
             value = getattr(self, field.name)
@@ -149,7 +151,7 @@ class Record:
         return state
 
     def __setstate__(self, state: dict[str, tuple[Any, bool]]) -> None:
-        """Take the fields over as they are; they were checked when they were first given."""
+        """Restore the fields without checks; the constructor has checked them."""
         for name, (value, read_only) in state.items():
             if read_only:
                 if isinstance(value, tuple):

@@ -1,4 +1,7 @@
-"""Python processes that hplan starts: with the same packages, and nothing from the working directory."""
+"""Command and environment of Python subprocesses that import this hplan.
+
+They find the same packages, and nothing in the working directory.
+"""
 
 from __future__ import annotations
 
@@ -11,15 +14,18 @@ import hplan
 
 
 def python_module(name: str, *arguments: str) -> list[str]:
-    """The command that runs a module, unbuffered; modules in the working directory are not found (`-P`)."""
+    """Return the command that runs a module, unbuffered.
+
+    With `-P`, modules in the working directory are not found.
+    """
     return [sys.executable, "-P", "-u", "-m", name, *arguments]
 
 
 def import_environment() -> dict[str, str]:
-    """This process's environment, in which hplan is found where this process has found it."""
+    """Return this process's environment, with this hplan on `PYTHONPATH`."""
     parent = Path(hplan.__file__).resolve().parent.parent
     installed = {Path(folder).resolve() for folder in (*site.getsitepackages(), site.getusersitepackages())}
-    if parent in installed:  # found as it is; ahead of Python's own library it might hide some of that
+    if parent in installed:  # already importable; on PYTHONPATH its folder might shadow the standard library
         return dict(os.environ)
     known = os.environ.get("PYTHONPATH")
     return {**os.environ, "PYTHONPATH": str(parent) if not known else os.pathsep.join([str(parent), known])}

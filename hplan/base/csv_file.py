@@ -1,4 +1,4 @@
-"""CSV files of numbers: rows of text in memory, numbers out of them, and faults that name the line."""
+"""CSV files of numbers, with errors that name the line."""
 
 from __future__ import annotations
 
@@ -16,14 +16,15 @@ from hplan.errors import InputError
 
 @dataclass(frozen=True)
 class CsvFile:
-    """A CSV, whose rows are read one after the other.
+    """A CSV file whose rows are read one after the other.
 
     Attributes:
-        what: What it is, for messages: "motion".
-        row_word: What one of its rows is, for messages: "row".
-        first: Line of the header.
-        header: Its first row; empty where there is none.
-        rows: The others, each with the number of its (last) line; they can be read once.
+        path: The file.
+        what: Kind of the file in messages, for example "motion".
+        row_word: Kind of one row in messages, for example "row".
+        first: Line number of the header.
+        header: The first row; empty if the file is empty.
+        rows: Iterator over the other rows, each with the number of its last line; it can be read once.
     """
 
     path: Path
@@ -37,16 +38,17 @@ class CsvFile:
     def read(cls, path: Path | str, what: str, row_word: str, *, blank: bool = False) -> CsvFile:
         """Read a file, with or without a byte order mark.
 
+        Further arguments are the attributes of that name.
+
         Args:
-            what: What it is, for messages.
-            row_word: What one of its rows is, for messages.
-            blank: True to leave out rows of nothing but blanks.
+            path: The file.
+            blank: True to skip rows of blanks only.
 
         Raises:
-            InputError: Missing or unreadable file, too large, not UTF-8, or malformed.
+            InputError: The file is missing, unreadable, too large, not UTF-8 or malformed.
         """
         path = file_path("path", path)
-        # Some fifteen minutes of seven joints at 250 Hz.
+        # About fifteen minutes of seven joints at 250 Hz.
         text = ByteBudget(128_000_000).text(
             path, lambda reason: InputError(f"{what} file {path}: {reason}", path=str(path))
         )
@@ -57,20 +59,20 @@ class CsvFile:
         return cls(path, what, row_word, first, header, rows)
 
     def fault(self, line: int, reason: str) -> InputError:
-        """The error that names the file, a line and what is wrong there."""
+        """Return the error that names the file, a line and the fault."""
         return _fault(self.path, self.what, line, reason)
 
     def number_rows(self, columns: Sequence[int]) -> Iterator[tuple[int, list[str], list[float]]]:
-        """The rows one after the other, each checked before it is handed out.
+        """Iterate over the rows, checking each before yielding it.
 
         Args:
-            columns: Which columns hold the numbers wanted.
+            columns: Indices of the required number columns.
 
         Yields:
-            The row's line, the texts in all its columns and the numbers in those wanted.
+            Line number, text of all columns, numbers of the required columns.
 
         Raises:
-            InputError: No row, a row of another length than the header, a cell that is no finite number.
+            InputError: The file has no rows, a row differs in length from the header, or a cell is not a finite number.
         """
         names = [self.header[column].strip() for column in columns]
         line = None
@@ -82,10 +84,10 @@ class CsvFile:
             raise self.fault(self.first, f"no {self.row_word}s follow the header")
 
     def timed_rows(self, columns: Sequence[int]) -> Iterator[tuple[int, list[str], list[float]]]:
-        """As `number_rows`; the first column wanted is time.
+        """Iterate over the rows; the first required column is increasing time.
 
         Raises:
-            InputError: As there, and time no later than in the row before.
+            InputError: As `number_rows`, or time does not increase from one row to the next.
         """
         before = -math.inf
         for line, row, numbers in self.number_rows(columns):
@@ -103,10 +105,10 @@ class CsvFile:
 
 
 def _rows(path: Path, what: str, text: str) -> Iterator[tuple[int, list[str]]]:
-    """The rows of a text, each with the number of its last line."""
+    """Iterate over the rows of a text, with their last line numbers."""
     length = 0
 
-    # Most characters of a row.
+    # Maximum number of characters of a row.
     most_row = 1_000_000
 
     def lines() -> Iterator[str]:

@@ -1,17 +1,20 @@
-"""Folders of the files that ship with hplan, installed or in a checkout."""
+"""Folders of the files shipped with hplan, installed or in a checkout."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-#: What stands in a limits file's name in place of `.urdf`.
+#: Suffix of a limits file, in place of `.urdf`.
 LIMITS_SUFFIX = ".limits.yaml"
 
 _PACKAGE = Path(__file__).resolve().parents[1]
 
 
 def urdf_dir() -> Path:
-    """Folder of the shipped robots: inside the package in a wheel, next to it in a checkout."""
+    """Folder of the shipped robots.
+
+    It is in the package (wheel) or next to the package (checkout).
+    """
     installed = _PACKAGE / "urdf"
     return installed if installed.is_dir() else _PACKAGE.parent / "urdf"
 
@@ -22,12 +25,15 @@ def shipped_robots() -> list[str]:
 
 
 def robot_names() -> list[str]:
-    """Names of all robots that have one: those that ship, and those of example-robot-data, of which limits ship."""
+    """Names of all known robots.
+
+    These are the shipped robots and the robots of example-robot-data; for the latter only the limits files ship.
+    """
     return sorted(path.name.removesuffix(LIMITS_SUFFIX) for path in urdf_dir().glob(f"*{LIMITS_SUFFIX}"))
 
 
 def shipped_limits(name: str) -> Path:
-    """Limits file of a robot that has a name."""
+    """Limits file of a known robot."""
     return urdf_dir() / f"{name}{LIMITS_SUFFIX}"
 
 
@@ -47,5 +53,5 @@ def shipped_scene(name: str) -> Path:
 
 
 def view_asset(name: str) -> str:
-    """Text of a file of the animated page: its outline, its style or its script."""
+    """Text of a file of the animated page: HTML, style or script."""
     return (_PACKAGE / "apps" / "view" / "assets" / name).read_text(encoding="utf-8")

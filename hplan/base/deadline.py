@@ -1,13 +1,13 @@
 """Deadlines and cancellation, checked by Python code and by kernels.
 
-A limit belongs to the call that it was begun in, and to what that calls in its own thread (a context variable), so that
-it need not go through every function on the way. Python code calls `check_deadline` at its steps, which raises
-`TimeIsUpError` once time is up. Kernels that may take longer than a millisecond take the array `until()` and call
-`is_up` every so often; where it is, they return whatever they have, and **their caller calls `check_deadline` before it
-uses that**. `is_up` stays true as long as the limit lasts, so nothing that was cut short is ever taken for a result.
+A limit belongs to the call that starts it and to its callees in the same thread (a context variable), so functions
+need not pass it on. Python code calls `check_deadline` at its steps, which raises `TimeIsUpError` after the deadline.
+Kernels that may take longer than a millisecond take the array `until()` and call `is_up` regularly; if it is true,
+they return an incomplete result, and **their caller calls `check_deadline` before it uses that result**. `is_up` stays
+true until the limit ends, so an incomplete result is never used.
 
-Deadlines are compared with the clock, by kernels too. Whether a call is cancelled is polled by a thread of its own, as
-kernels release Python's lock while they run.
+Deadlines are compared with the clock, in kernels too. A separate thread polls for cancellation, which works because
+kernels release Python's global interpreter lock.
 """
 
 from __future__ import annotations
@@ -28,36 +28,39 @@ from hplan.base.arrays import FloatArray, frozen
 from hplan.base.kernels import inlined, kernel
 from hplan.errors import HplanError, NotInTimeError, OptionError, PlanCancelledError
 
-#: Says whether a call is cancelled: a function that returns a truth value, or an event that is set.
+#: Cancels a call: a function that returns a true value, or an event that is set.
 Cancel: TypeAlias = Callable[[], object] | threading.Event
 
-#: The clock that deadlines are on. (Studies on a machine that others use too take that of the process's own work.)
+#: The clock of deadlines. (Timing studies on a shared machine use the process's CPU clock instead.)
 CLOCK = time.CLOCK_MONOTONIC
 
-#: What kernels take where there is no limit: the time on the clock [s], 1 once cancelled, and the clock.
+#: Argument of kernels without a limit: deadline on the clock [s], 1 if cancelled, id of the clock.
 NEVER: FloatArray = frozen(np.array([np.inf, 0.0, float(CLOCK)]))
 
 _CURRENT: ContextVar[TimeLimit | None] = ContextVar("time_limit", default=None)
 
 
 class TimeIsUpError(Exception):
-    """Time is up, or the call is cancelled. It does not leave the call that began the limit."""
+    """The deadline has passed or the call is cancelled.
+
+    The call that starts the limit catches it.
+    """
 
 
 class TimeLimit:
-    """A deadline, and whether it was cancelled.
+    """A deadline with a cancellation flag.
 
     Attributes:
-        deadline_s: How long there is in all; None for as long as it takes [s].
-        until: (3,) what kernels take, as `NEVER`.
+        deadline_s: Duration of the limit [s]; None for no deadline.
+        until: (3,) array for kernels, as `NEVER`.
     """
 
     def __init__(self, deadline_s: float | None = None, *, until_cancelled: bool = False) -> None:
-        """Begin now.
+        """Start the limit now.
 
         Args:
-            deadline_s: How long there is; None for as long as it takes [s].
-            until_cancelled: True where it may be cancelled.
+            deadline_s: Duration of the limit [s]; None for no deadline.
+            until_cancelled: True if the call can be cancelled.
         """
         self._begin = clock_s()
         self.deadline_s = deadline_s
@@ -69,36 +72,36 @@ class TimeLimit:
 
     @property
     def elapsed_s(self) -> float:
-        """Time since it began [s]."""
+        """Time since the start [s]."""
         return clock_s() - self._begin
 
     @property
     def left_s(self) -> float:
-        """Time that is left, infinite without a deadline [s]."""
+        """Remaining time, infinite without a deadline [s]."""
         return float(self._values[0]) - clock_s()
 
     @property
     def is_up(self) -> bool:
-        """True once there is no time left, or it was cancelled."""
+        """True after the deadline or after cancellation."""
         deadline, cancelled, _ = self._values.tolist()
         return bool(cancelled > 0.0 or clock_s() >= deadline)
 
     @property
     def is_cancelled(self) -> bool:
-        """True once it was cancelled."""
+        """True after cancellation."""
         return bool(self._values[1] > 0.0)
 
     def cancel(self, failure: BaseException | None = None) -> None:
-        """Cancel the call; with an error, because the function that says whether to cancel has raised it."""
+        """Cancel the call; `failure` is the exception of the cancel function."""
         self._failure = failure
         self._values[1] = 1.0
 
     def check_cancelled(self) -> None:
-        """Return unless it was cancelled.
+        """Return unless the call is cancelled.
 
         Raises:
-            PlanCancelledError: It was.
-            BaseException: What the function raised that says whether it is.
+            PlanCancelledError: The call is cancelled.
+            BaseException: The cancel function has raised it.
         """
         if self._failure is not None:
             raise self._failure
@@ -106,28 +109,28 @@ class TimeLimit:
             raise PlanCancelledError(self.elapsed_s)
 
     def error(self, tried: Sequence[str]) -> HplanError:
-        """The error that says that time is up, and what was tried.
+        """Return the error for a passed deadline, with the methods tried.
 
         Raises:
-            PlanCancelledError: It was cancelled; time is not up.
-            BaseException: As `check_cancelled`.
+            PlanCancelledError: The call is cancelled; the deadline has not passed.
+            BaseException: The cancel function has raised it.
         """
         self.check_cancelled()
         return NotInTimeError(self.deadline_s or 0.0, self.elapsed_s, tried)
 
     def keep(self, seconds: float) -> None:
-        """Time is up as much sooner from now on, to have that long afterwards [s]."""
+        """Reserve time: the deadline moves to `seconds` before the original one."""
         if self.deadline_s is not None:
             self._values[0] = self._begin + self.deadline_s - seconds
 
 
 class _Garbage:
-    """Python's garbage, which is not collected while any thread is within a short deadline.
+    """Postpones Python's garbage collection while any thread has a short deadline.
 
-    What is allocated within one makes a collection due, which would run in the last lines of the call. So the last one
-    to leave collects the youngest itself, everything only where the time left is enough for that. What the call holds
-    until it returns is no garbage yet: the first one to begin collects it after the call before (0.1 ms), or it would
-    grow old, and the next collection of everything would take long.
+    Allocations during a call make a collection due, which would run in the last lines of the call. So the last call to
+    end collects the youngest generation itself, and everything only if its remaining time suffices. Objects that the
+    call holds until it returns are not garbage yet: the first call to start collects them after the call before (0.1
+    ms). Otherwise they would move to the oldest generation, and the next full collection would take long.
     """
 
     def __init__(self) -> None:
@@ -137,7 +140,7 @@ class _Garbage:
         self._all_s = 0.1
 
     def hold(self, limit: TimeLimit) -> None:
-        """A short deadline begins."""
+        """A short deadline starts."""
         with self._lock:
             if not self._inside:
                 self._was_enabled = gc.isenabled()
@@ -147,13 +150,13 @@ class _Garbage:
             self._inside.append(limit)
 
     def release(self, limit: TimeLimit) -> None:
-        """A short deadline is over."""
+        """A short deadline ends."""
         with self._lock:
             self._inside.remove(limit)
             if self._inside or not self._was_enabled:
                 return
             calls, begin = gc.get_count()[2], clock_s()
-            # A collection of all garbage that is due waits for a call with time left for it, for as many calls at most.
+            # A due full collection waits for a call with enough remaining time, for at most this number of calls.
             postponed = 1000
             if calls > postponed or (calls > gc.get_threshold()[2] and limit.left_s > 2.0 * self._all_s):
                 gc.collect()
@@ -163,7 +166,7 @@ class _Garbage:
             gc.enable()
 
     def begin_in_child(self) -> None:
-        """The process is a child: of the threads that were within a deadline only the one that forked is in it."""
+        """Reset in a forked child, which has only the thread that forked."""
         was_held, self._lock = bool(self._inside), threading.RLock()
         self._inside = [limit for limit in self._inside if limit is _CURRENT.get()]
         if was_held and not self._inside and self._was_enabled:
@@ -178,17 +181,17 @@ if hasattr(os, "register_at_fork"):
 
 @contextmanager
 def time_limit(deadline_s: float | None = None, cancel: Cancel | None = None) -> Iterator[TimeLimit]:
-    """Begin a limit, which lasts as long as what runs inside; within another one that one counts.
+    """Start a time limit for the block; an outer limit takes precedence.
 
     Args:
-        deadline_s: How long there is; None for as long as it takes [s].
-        cancel: Says whether the call is cancelled; asked about every millisecond by a thread of its own.
+        deadline_s: Duration of the limit [s]; None for no deadline.
+        cancel: Cancels the call; a separate thread polls it every millisecond.
 
     Raises:
         OptionError: `cancel` is neither a function nor an event.
-        PlanCancelledError: It is cancelled.
-        TimeIsUpError: Time is up.
-        BaseException: What the function has raised.
+        PlanCancelledError: The call is cancelled.
+        TimeIsUpError: The deadline has passed.
+        BaseException: `cancel` has raised it.
     """
     if cancel is not None and not (callable(cancel) or isinstance(cancel, threading.Event)):
         raise OptionError("cancel", cancel, "a function without arguments, or a threading.Event")
@@ -202,8 +205,7 @@ def time_limit(deadline_s: float | None = None, cancel: Cancel | None = None) ->
         _ask(limit, cancel)
         threading.Thread(target=_watch, args=(limit, cancel, done), daemon=True, name="hplan-cancel").start()
     token = _CURRENT.set(limit)
-    # Within shorter deadlines Python's garbage is not collected, which takes a tenth of a second where there are many
-    # objects (`_Garbage`) [s].
+    # Below this deadline garbage collection is postponed (`_Garbage`); with many objects it takes 0.1 s [s].
     uncollected_s = 1.0
     is_short = deadline_s is not None and deadline_s <= uncollected_s
     if is_short:
@@ -223,50 +225,50 @@ def time_limit(deadline_s: float | None = None, cancel: Cancel | None = None) ->
 
 
 def _ask(limit: TimeLimit, cancel: Cancel) -> None:
-    """Find out whether the call is cancelled."""
+    """Call the cancel function, and cancel the limit if it says so."""
     try:
         if cancel.is_set() if isinstance(cancel, threading.Event) else cancel():
             limit.cancel()
-    except BaseException as failure:  # whatever a foreign function raises belongs to the thread that plans
+    except BaseException as failure:  # an exception of the caller's function is raised in the planning thread
         limit.cancel(failure)
 
 
 def _watch(limit: TimeLimit, cancel: Cancel, done: threading.Event) -> None:
-    """Ask again and again, until the limit is over."""
-    # How often cancellation is polled [s].
+    """Poll the cancel function until the limit ends."""
+    # Polling period of cancellation [s].
     while not (limit.is_cancelled or done.wait(1e-3)):
         _ask(limit, cancel)
 
 
 def current() -> TimeLimit | None:
-    """The limit of the call that this belongs to; None for none."""
+    """Limit of the current call; None without a limit."""
     return _CURRENT.get()
 
 
 def until() -> FloatArray:
-    """(3,) what kernels take, for the limit of the call that this belongs to."""
+    """(3,) argument of kernels for the limit of the current call."""
     limit = _CURRENT.get()
     return NEVER if limit is None else limit.until
 
 
 def is_over() -> bool:
-    """True if there is no time left, or the call is cancelled: for what may end with less."""
+    """True after the deadline or cancellation; for optional work."""
     limit = _CURRENT.get()
     return limit is not None and limit.is_up
 
 
 def check_deadline() -> None:
-    """Return if there is time left, and the call is not cancelled.
+    """Return unless the deadline has passed or the call is cancelled.
 
     Raises:
-        TimeIsUpError: There is none, or it is.
+        TimeIsUpError: The deadline has passed, or the call is cancelled.
     """
     if is_over():
         raise TimeIsUpError
 
 
 def clock_s() -> float:
-    """Time on the clock that deadlines are on [s]."""
+    """Time on the clock of deadlines [s]."""
     return time.clock_gettime(CLOCK)
 
 
@@ -276,7 +278,7 @@ if nb.config.DISABLE_JIT:
         return time.clock_gettime(clock)
 
 else:
-    # By its name, not its address, so that kernels which ask it can be kept on disk.
+    # By its name, not its address, so that kernels that call it can be cached on disk.
     _clock_gettime = nb.types.ExternalFunction("clock_gettime", nb.int32(nb.int32, nb.types.voidptr))
 
     @kernel
@@ -290,13 +292,13 @@ else:
 
 @kernel
 def _is_up(until: FloatArray) -> bool:
-    """As `is_up` where there is a limit; takes 0.2 us."""
+    """True after the deadline or cancellation (finite limit; takes 0.2 us)."""
     up: bool = until[1] > 0.0 or _seconds(int(until[2])) >= until[0]
     return up
 
 
 @inlined
 def is_up(until: FloatArray) -> bool:
-    """True once there is no time left, or the call is cancelled."""
+    """True after the deadline or cancellation."""
     up: bool = until[0] < np.inf and _is_up(until)
     return up

@@ -1,8 +1,8 @@
-"""Functions of arrays that give the same last bit whatever vector instructions a processor has.
+"""Elementary functions with the same last bit for all vector instruction sets.
 
-NumPy's own arctan2, arccos, absolute value and product of complex numbers have code of their own for AVX2 and for
-AVX512, and so results of their own. These are the C library's, element by element. (NumPy's sine, cosine and complex
-exponential already are.)
+NumPy has separate AVX2 and AVX-512 code for arctan2, arccos, absolute value and complex products, with different
+results. These functions call the C library element by element. (NumPy's sine, cosine and complex exponential already
+agree.)
 """
 
 from __future__ import annotations
@@ -18,22 +18,22 @@ _ATAN2, _ACOS = np.frompyfunc(math.atan2, 2, 1), np.frompyfunc(math.acos, 1, 1)
 
 
 def arctan2(y: ArrayLike, x: ArrayLike) -> FloatArray:
-    """Angles of points (x, y), in [-pi, pi]; the arrays broadcast."""
+    """Angles of points (x, y) in [-pi, pi]; the arrays broadcast."""
     return np.asarray(_ATAN2(y, x), dtype=np.float64)
 
 
 def arccos(cosines: FloatArray) -> FloatArray:
-    """Angles in [0, pi]; what is beyond -1 or 1 counts as these."""
+    """Angles in [0, pi]; cosines outside [-1, 1] are clamped."""
     return np.asarray(_ACOS(np.minimum(np.maximum(cosines, -1.0), 1.0)), dtype=np.float64)
 
 
 def argument(points: ComplexArray) -> FloatArray:
-    """Angles of complex numbers, in [-pi, pi]."""
+    """Angles of complex numbers in [-pi, pi]."""
     return arctan2(points.imag, points.real)
 
 
 def modulus(points: ComplexArray) -> FloatArray:
-    """Absolute values of complex numbers (of a size whose square is a number)."""
+    """Absolute values of complex numbers; their squares must not overflow."""
     distances: FloatArray = np.sqrt(points.real * points.real + points.imag * points.imag)
     return distances
 

@@ -1,7 +1,7 @@
-"""Rooms at the edge of the package that add to those below them, loaded when they are first needed.
+"""Optional packages that register additions with lower packages, loaded on demand.
 
-A room below declares a table and never imports the room that fills it. The package's `__init__`, which is above all
-rooms, declares which rooms fill tables; `load_extensions` imports them, and they register what they add.
+A lower package declares a table and never imports the packages that fill it. The top-level `__init__` declares the
+modules that fill tables; `load_extensions` imports them, and they register their additions.
 """
 
 from __future__ import annotations
@@ -12,12 +12,12 @@ _MODULES: list[str] = []
 
 
 def declare_extension(module: str) -> None:
-    """Declare a module that registers additions when it is imported."""
+    """Declare a module that registers additions when imported."""
     if module not in _MODULES:
         _MODULES.append(module)
 
 
 def load_extensions() -> None:
-    """Import all declared modules; those that are loaded already cost nothing."""
+    """Import all declared modules; already loaded modules cost nothing."""
     for module in _MODULES:
         importlib.import_module(module)

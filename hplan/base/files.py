@@ -1,4 +1,4 @@
-"""Reading files up to a size, and writing them whole or not at all, never over what the same command has read."""
+"""Size-limited reading, atomic writing, protection of a command's own inputs."""
 
 from __future__ import annotations
 
@@ -15,25 +15,26 @@ from hplan.base.arguments import file_path, instance
 from hplan.base.interrupts import uninterrupted
 from hplan.errors import OutputError
 
-#: Files that were read since `protecting_inputs` began; None where none are noted.
+#: Files read since `protecting_inputs` began; None outside of it.
 _INPUTS: ContextVar[set[Path] | None] = ContextVar("inputs", default=None)
 
 
 class ByteBudget:
-    """Bytes that files may still have, one after the other."""
+    """Number of bytes that successive files may still contain."""
 
     def __init__(self, most: int) -> None:
         self.most = self._left = most
 
     def read(self, path: Path, *, is_input: bool = True) -> bytes:
-        """Read a file; of one that is too large, or a device without end, not more than is left.
+        """Read a file, at most the remaining bytes even of a device.
 
         Args:
-            is_input: False for what the command that runs may replace all the same.
+            path: The file.
+            is_input: False for a file that the running command may replace.
 
         Raises:
-            OSError: It cannot be read.
-            ValueError: It is too large, or its name cannot be that of a file; says the size and the limit.
+            OSError: The file cannot be read.
+            ValueError: The file is too large (the message has size and limit), or its name is invalid.
         """
         with path.open("rb") as file:
             content = file.read(self._left + 1)
@@ -48,11 +49,12 @@ class ByteBudget:
         return content
 
     def text(self, path: Path, fault: Callable[[str], Exception], *, is_input: bool = True) -> str:
-        """Read a file of UTF-8 text, with or without a byte order mark.
+        """Read a UTF-8 text file, with or without a byte order mark.
 
         Args:
-            fault: The error to raise, for a reason.
-            is_input: As for `read`.
+            path: The file.
+            fault: Makes the exception to raise from a reason.
+            is_input: False for a file that the running command may replace.
         """
         try:
             return self.read(path, is_input=is_input).decode("utf-8-sig")
@@ -66,7 +68,10 @@ class ByteBudget:
 
 @contextmanager
 def protecting_inputs() -> Iterator[None]:
-    """Inside, no file is written over that was read inside: a command replaces none of its inputs."""
+    """Protect the files read inside the block from being overwritten.
+
+    A command cannot replace its own inputs.
+    """
     token = _INPUTS.set(set())
     try:
         yield
@@ -75,19 +80,22 @@ def protecting_inputs() -> Iterator[None]:
 
 
 def note_input(path: Path) -> None:
-    """Take a file for an input of the command that runs."""
+    """Register a file as an input of the running command."""
     noted = _INPUTS.get()
     if noted is not None:
         noted.add(path.resolve())
 
 
 def inputs() -> frozenset[Path]:
-    """The files that the command has read, links followed."""
+    """Files that the command has read, symbolic links resolved."""
     return frozenset(_INPUTS.get() or ())
 
 
 def is_file(path: Path) -> bool:
-    """True if a file stands there; False for what cannot be the name of one (too long, a null character)."""
+    """True if a file exists; False for an invalid name.
+
+    Too long names and null characters are invalid.
+    """
     try:
         return path.is_file()
     except (OSError, ValueError):
@@ -95,7 +103,7 @@ def is_file(path: Path) -> bool:
 
 
 def is_folder(path: Path) -> bool:
-    """True if a folder stands there; False for what cannot be the name of one."""
+    """True if a folder exists; False for an invalid name."""
     try:
         return path.is_dir()
     except (OSError, ValueError):
@@ -103,13 +111,13 @@ def is_folder(path: Path) -> bool:
 
 
 def cut(name: str) -> str:
-    """A name, cut where it is too long to be part of a file's."""
-    # Most bytes that a part of a file's name has which follows from a name of the user's; file systems take 255 in all.
+    """Shorten a name to a length that fits into a file name."""
+    # Maximum number of bytes from a user's name in a file name; file systems allow 255 for the whole file name.
     return name.encode("utf-8", "replace")[:96].decode("utf-8", "ignore")
 
 
 def write_text(path: Path | str, text: str) -> Path:
-    """Write a text as UTF-8, as `write_bytes`.
+    """Write a text as UTF-8 with `write_bytes`.
 
     Raises:
         OutputError: The file cannot be written.
@@ -123,21 +131,23 @@ def write_text(path: Path | str, text: str) -> Path:
     return write_bytes(path, content)
 
 
-#: How comments begin and end, in pages and in YAML.
+#: Start and end of a comment, in HTML and in YAML.
 HTML_COMMENT, YAML_COMMENT = ("<!-- ", " -->"), ("# ", "")
 
-#: The format of reports, their first key.
+#: Format of reports, the value of their first key.
 REPORT_FORMAT = "hplan-report/1"
 
-#: The last line of a text that knows its own digest.
+#: Text of the last line of a file with its own digest.
 _MARK = "written by hplan; SHA-256 of all before this line: "
 
 
 def write_marked(path: Path | str, text: str, comment: tuple[str, str]) -> Path:
-    """Write a text, as `write_text`, and last a comment with its SHA-256, by which hplan knows it again (`is_marked`).
+    """Write a text, followed by a comment with its SHA-256 (`is_marked`).
 
     Args:
-        comment: How a comment begins and ends.
+        path: The file.
+        text: The text.
+        comment: Start and end of a comment.
 
     Raises:
         OutputError: The file cannot be written.
@@ -149,17 +159,17 @@ def write_marked(path: Path | str, text: str, comment: tuple[str, str]) -> Path:
 
 
 def is_marked(content: bytes) -> bool:
-    """True if a file was written by `write_marked`, and not changed since."""
+    """True if `write_marked` wrote the content and it is unchanged."""
     text, _, last = content.rstrip(b"\n").rpartition(b"\n")
     _, mark, rest = last.partition(_MARK.encode())
     return bool(mark) and rest[:64].decode("ascii", "replace") == hashlib.sha256(text + b"\n").hexdigest()
 
 
 def write_bytes(path: Path, content: bytes) -> Path:
-    """Write a file by a temporary one next to it, so that nothing half-written is ever seen.
+    """Write a file atomically, via a temporary file in the same folder.
 
-    A link is followed; what exists and is no ordinary file (a folder, a device) is left alone, and so is an input of
-    the command that runs. Who may read it follows the umask.
+    Symbolic links are followed. An existing target that is not a regular file (a folder, a device) and an input of the
+    running command are left alone. The permissions follow the umask.
 
     Raises:
         OutputError: The file cannot be written.
@@ -171,7 +181,9 @@ def write_bytes(path: Path, content: bytes) -> Path:
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """A new file beside `path` that takes its place when the block ends, and is gone where that fails.
+    """Yield a temporary file that replaces `path` after the block.
+
+    It is in the same folder, and deleted if the block fails.
 
     Raises:
         OutputError: The file cannot be written.
@@ -188,7 +200,7 @@ def replacing(path: Path) -> Iterator[Path]:
         with uninterrupted():
             new.replace(target)
             temporary = None
-    except (OSError, RuntimeError) as error:  # RuntimeError: links in a circle, before Python 3.13
+    except (OSError, RuntimeError) as error:  # RuntimeError: circular links, before Python 3.13
         raise OutputError(path, getattr(error, "strerror", None) or str(error)) from error
     except ValueError as error:
         raise OutputError(path, f"its name cannot be written: {error}") from error
@@ -199,10 +211,10 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def check_replaceable(target: Path, path: Path) -> None:
-    """Refuse to put a file where something else than a file is, or an input of the command.
+    """Refuse to replace an input of the command or a non-regular file.
 
     Raises:
-        OutputError: There is; names it as `path`.
+        OutputError: `target` is a folder, a device or an input; the message names `path`.
     """
     if target.exists() and not target.is_file():
         raise OutputError(path, "it is a folder" if target.is_dir() else "it is no ordinary file")

@@ -1,8 +1,8 @@
-"""Children forked while other threads of their parent work.
+"""Safe forks of a process with several threads.
 
-A forked child has one thread, and every lock as it stood: what another thread held is never given back. LLVM must not
-be cut in two either. So a fork waits until nobody compiles or loads a kernel, and hplan's own locks are new in the
-child.
+A forked child has one thread and a copy of every lock: a lock held by another thread is never released. A fork in the
+middle of an LLVM call would also corrupt LLVM. So a fork waits until no thread compiles or loads a kernel, and hplan's
+own locks are reset in the child.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _RENEWED: WeakSet[Any] = WeakSet()
 
 
 def renewed_in_children(lock: L) -> L:
-    """The lock (of `threading`), which nobody holds in a forked child."""
+    """Register a `threading` lock that is reset in forked children; returns it."""
     _RENEWED.add(lock)
     return lock
 
@@ -39,7 +39,7 @@ def _release() -> None:
 
 def _renew() -> None:
     _release()
-    # Before Python 3.12 a cached property is computed under a lock, one for all objects. What is frozen is not listed.
+    # Before Python 3.12 a cached property has one lock for all objects. `gc.get_objects` does not list frozen objects.
     was_frozen = gc.get_freeze_count() > 0
     gc.unfreeze()
     computing = [each.__dict__.get("lock") for each in gc.get_objects() if type(each) is cached_property]

@@ -1,8 +1,8 @@
-"""Signals that end a program, raised as exceptions only where Python code can be left.
+"""Termination signals, raised as exceptions only at safe points of Python code.
 
-Python runs a signal's handler between any two of its instructions. An exception that is raised there may leave a
-compiler, an import, a destructor or a callback of native code half done: it is lost, or the process crashes. So inside
-of these the handler waits, and asks again some milliseconds later. Other code that must run to its end is put into
+Python runs a signal handler between any two of its instructions. An exception raised there may interrupt a compiler,
+an import, a destructor or a callback of native code: the exception is lost, or the process crashes. So the handler
+waits while such code runs, and checks again some milliseconds later. Other code that must run to its end is put into
 `uninterrupted`.
 """
 
@@ -18,16 +18,16 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import Final, NoReturn, TypeAlias
 
-#: Ctrl-C, `kill`, and a terminal that is closed.
+#: Ctrl-C, `kill`, and a closed terminal.
 _ENDING: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
-#: While a signal waits, the code that runs is looked at this often [s].
+#: While a signal is pending, the running code is checked with this period [s].
 _POLL_S: Final = 0.01
 
-#: Signals that come within this time of the first are the same wish; a later one is urgent [s].
+#: Signals within this time of the first count as the same request; a later one is urgent [s].
 _SAME_S: Final = 1.0
 
-#: Packages in whose code no exception is raised, and functions.
+#: Packages, modules and functions that no exception may interrupt.
 _UNSAFE_PACKAGES: Final = frozenset(
     ("numba", "llvmlite", "importlib", "_frozen_importlib", "_frozen_importlib_external", "ctypes", "weakref", "cffi")
 )
@@ -40,10 +40,10 @@ _Handler: TypeAlias = Callable[[int, FrameType | None], object] | int | None
 
 
 class SignalError(BaseException):
-    """A signal other than that of Ctrl-C has ended the program; that one raises `KeyboardInterrupt`.
+    """A termination signal other than Ctrl-C, which raises `KeyboardInterrupt`.
 
     Attributes:
-        number: The signal's number.
+        number: Number of the signal.
     """
 
     def __init__(self, number: int) -> None:
@@ -51,24 +51,24 @@ class SignalError(BaseException):
         self.number = number
 
 
-#: Errors that signals raise.
+#: Exceptions raised by signals.
 INTERRUPTS: Final = (KeyboardInterrupt, SignalError)
 
 
 def signal_of(error: BaseException) -> signal.Signals:
-    """The signal that has raised an error of `INTERRUPTS`."""
+    """The signal that raised an exception of `INTERRUPTS`."""
     return signal.Signals(error.number) if isinstance(error, SignalError) else signal.SIGINT
 
 
 class _Waiting:
-    """The signal that has come, and whether it has been raised.
+    """The pending signal.
 
     Attributes:
-        depth: Number of blocks of `uninterrupted` that the main thread is in.
-        number: The signal; 0 for none.
-        first_s: When it came [s].
-        raised_s: When it was last raised; infinite if it has not been [s].
-        is_handled: Whether signals are handled by this module.
+        depth: Number of nested `uninterrupted` blocks of the main thread.
+        number: Number of the signal; 0 for none.
+        first_s: Time of its arrival [s].
+        raised_s: Time of the last raise [s]; infinite before the first.
+        is_handled: True if this module handles signals.
     """
 
     def __init__(self) -> None:
@@ -79,11 +79,15 @@ class _Waiting:
         self.is_handled = False
 
     def reset(self) -> None:
-        """Forget a signal that has come."""
+        """Forget the pending signal."""
         self.number, self.raised_s = 0, float("inf")
 
     def come(self, number: int, frame: FrameType | None) -> None:
-        """Take a signal: raise it, now or as soon as that is safe; at the third one end the process."""
+        """Handle a signal: raise it as soon as that is safe.
+
+        A second signal more than `_SAME_S` after the first raises it at once, except in `uninterrupted`. A signal more
+        than `_SAME_S` after the raise ends the process.
+        """
         now = time.monotonic()
         if not self.number:
             self.number, self.first_s = number, now
@@ -94,7 +98,7 @@ class _Waiting:
             self.throw()
 
     def look(self, frame: FrameType | None) -> None:
-        """Raise the signal if that is safe in the code that runs, else look again later."""
+        """Raise the signal if the running code allows it, else retry later."""
         if self.depth or not _is_safe(frame):
             signal.setitimer(signal.ITIMER_REAL, _POLL_S)
         else:
@@ -109,7 +113,7 @@ class _Waiting:
         raise SignalError(self.number)
 
     def look_again(self, _: int, frame: FrameType | None) -> None:
-        """The timer's handler."""
+        """Handler of the retry timer."""
         if self.number and self.raised_s == float("inf"):
             self.look(frame)
 
@@ -118,7 +122,10 @@ _WAITING = _Waiting()
 
 
 def _is_safe(frame: FrameType | None) -> bool:
-    """True if an exception may be raised in a frame: no caller of it is in code that must not be left."""
+    """True if an exception may be raised in a frame.
+
+    No caller of the frame may be code that must run to its end.
+    """
     while frame is not None:
         name = str(frame.f_globals.get("__name__", ""))
         if (
@@ -133,14 +140,14 @@ def _is_safe(frame: FrameType | None) -> bool:
 
 @contextmanager
 def handling_signals() -> Iterator[None]:
-    """Inside, signals that end the program are raised at safe places; other handlers stay in place."""
+    """Inside, termination signals are raised at safe points; custom handlers stay."""
     if threading.current_thread() is not threading.main_thread() or _WAITING.is_handled:
         yield
         return
     usual: tuple[_Handler, ...] = (signal.SIG_DFL, signal.default_int_handler)
     mine = {number: signal.getsignal(number) for number in (*_ENDING, signal.SIGALRM)}
     mine = {number: handler for number, handler in mine.items() if handler in usual}
-    if signal.SIGALRM not in mine:  # the caller's own timer
+    if signal.SIGALRM not in mine:  # the caller has a timer of its own
         yield
         return
     _WAITING.reset()
@@ -158,7 +165,10 @@ def handling_signals() -> Iterator[None]:
 
 @contextmanager
 def uninterrupted() -> Iterator[None]:
-    """Inside, no signal is raised in the main thread, if `handling_signals` handles them; it is raised afterwards."""
+    """Inside, `handling_signals` raises no signal in the main thread.
+
+    A pending signal is raised afterwards.
+    """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -171,7 +181,7 @@ def uninterrupted() -> Iterator[None]:
 
 @contextmanager
 def children_not_interrupted() -> Iterator[None]:
-    """Processes started inside are not interrupted by Ctrl-C at the terminal; their parent ends them."""
+    """Processes started inside ignore Ctrl-C at the terminal; their parent ends them."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
@@ -180,7 +190,10 @@ def children_not_interrupted() -> Iterator[None]:
 
 
 def leave(status: int) -> NoReturn:
-    """End the process at once: interrupted native code must not be torn down piece by piece."""
+    """End the process immediately, without cleanup.
+
+    Interrupted native code must not be torn down piece by piece.
+    """
     for stream in (sys.stdout, sys.stderr):
         try:
             stream.flush()

@@ -1,12 +1,12 @@
-"""What the machine code of a kernel depends on, as a digest: the code that runs is the code that stands there.
+"""Content hash of a compiled kernel and its dependencies, its cache key.
 
-numba puts into the machine code of a kernel those that it calls or has inlined, and the values of the constants that it
-reads. So the digest covers them, from one to the next: bytecode, options, defaults, what closures hold, constants,
-fields of named tuples. Nothing of it depends on where a file lies or when it was written, and comments do not count.
+numba compiles into a kernel's machine code the kernels that it calls or inlines, and the values of the constants that
+it reads. So the digest covers them, recursively: bytecode, options, defaults, closure values, constants, fields of
+named tuples. It does not depend on file locations, modification times or comments; docstrings are constants and count.
 
-What belongs to Python's library, to NumPy or numba goes by its name; `hplan.base.kernels` adds their versions. What is
-not understood is refused, never left out. The one thing unseen is an `overload` that numba has been given for a plain
-Python function somewhere else.
+Objects of Python's standard library, NumPy or numba count by name; `hplan.base.kernels` adds their versions. An
+unknown kind of object is refused, never ignored. One dependency is invisible: a numba `overload` of a plain Python
+function registered elsewhere.
 """
 
 from __future__ import annotations
@@ -24,35 +24,38 @@ from numba.core.dispatcher import Dispatcher
 from numba.core.typing.templates import Signature
 from numba.extending import _Intrinsic
 
-#: Packages whose version says what is in them.
+#: Packages whose version identifies their content.
 _VERSIONED = frozenset(sys.stdlib_module_names) | {"numpy", "numba", "llvmlite"}
 
-#: Values that their text tells from all others of their class.
+#: Types whose values are identified by their `repr`.
 _WRITTEN_OUT = frozenset((bool, int, float, complex, str, bytes, type(None), type(...)))
 
-#: What is known of a function: a digest of its own, and the functions that it refers to.
+#: Digest of a function itself, and the functions that it refers to.
 _Own = tuple[bytes, tuple[Any, ...]]
 
-#: Of functions seen before: their constants were frozen then.
+#: Known functions; their constants were frozen at the first visit.
 _SEEN: dict[Any, _Own] = {}
 
-#: Digests of what they and all that they refer to are.
+#: Digests of functions with all their dependencies.
 _DIGESTS: dict[Any, str] = {}
 
 
 class UnknownDependencyError(Exception):
-    """A kernel reads something of which nobody can say whether it is still the same."""
+    """A kernel reads an object whose identity cannot be verified."""
 
 
 def code_digest(kernel: Any, *, afresh: bool = False) -> str:
-    """Digest of all that a kernel's machine code depends on, but for types of arguments, processor and versions.
+    """Digest of a kernel's code and all its dependencies.
+
+    Argument types, processor and package versions are not included.
 
     Args:
-        kernel: What `numba.njit` returns.
-        afresh: Whether constants are read again that were read before.
+        kernel: Result of `numba.njit`.
+        afresh: True to read constants again that were read before.
 
     Raises:
-        UnknownDependencyError: It reads what is neither a number, a text, an array, a tuple, a function nor a class.
+        UnknownDependencyError: It reads an object that is neither a number, a string, an array, a tuple, a function nor
+            a class.
     """
     if afresh:
         return _digest([kernel], {})
@@ -62,26 +65,26 @@ def code_digest(kernel: Any, *, afresh: bool = False) -> str:
 
 
 def kernels_below(kernel: Any) -> list[Any]:
-    """The compiled functions that one refers to, directly or by way of others; itself first.
+    """Compiled functions that a kernel refers to, recursively; itself first.
 
     Raises:
-        UnknownDependencyError: As for `code_digest`.
+        UnknownDependencyError: It reads an object of unknown kind (`code_digest`).
     """
     found = dict.fromkeys(_reached([kernel], _SEEN))
     return [function for function in found if isinstance(function, Dispatcher)]
 
 
 def forget() -> None:
-    """Look at everything again, for whoever asks next."""
+    """Clear all cached digests."""
     _SEEN.clear()
     _DIGESTS.clear()
 
 
 def value_digest(value: Any) -> str:
-    """Digest of a value that a kernel could read, types of numba's among them.
+    """Digest of a value that a kernel may read, numba types included.
 
     Raises:
-        UnknownDependencyError: It is of no known kind.
+        UnknownDependencyError: The value is of unknown kind.
     """
     parts = _Parts()
     parts.add(value)
@@ -89,7 +92,7 @@ def value_digest(value: Any) -> str:
 
 
 def _digest(functions: Iterable[Any], seen: dict[Any, _Own]) -> str:
-    """Digest of functions and all that they refer to, in the order in which they are met; again met, by number."""
+    """Digest of functions and their dependencies in visiting order; repetitions by number."""
     whole, numbers = hashlib.sha256(), dict[Any, int]()
     for function in _reached(functions, seen):
         if function in numbers:
@@ -101,7 +104,7 @@ def _digest(functions: Iterable[Any], seen: dict[Any, _Own]) -> str:
 
 
 def _reached(functions: Iterable[Any], seen: dict[Any, _Own]) -> Iterator[Any]:
-    """Functions and all that they refer to, as often as they are met; what is known of them is then seen."""
+    """Iterate over functions and their dependencies, repetitions included; fills `seen`."""
     left, met = list(functions), set[Any]()
     while left:
         function = left.pop()
@@ -114,7 +117,7 @@ def _reached(functions: Iterable[Any], seen: dict[Any, _Own]) -> Iterator[Any]:
 
 
 def _own(function: Any) -> _Own:
-    """What is known of a function, or of numba's object for one."""
+    """Digest and references of a function or a numba dispatcher."""
     parts = _Parts()
     if isinstance(function, Dispatcher):
         parts.add(function.targetoptions)
@@ -134,7 +137,7 @@ def _own(function: Any) -> _Own:
 
 
 def _codes(code: CodeType) -> Iterator[CodeType]:
-    """A function's code, and that of the functions within it."""
+    """Iterate over the code of a function and of its inner functions."""
     yield code
     for constant in code.co_consts:
         if isinstance(constant, CodeType):
@@ -142,10 +145,11 @@ def _codes(code: CodeType) -> Iterator[CodeType]:
 
 
 class _Parts:
-    """What a function consists of, written so that different things never look alike.
+    """Unambiguous serialization of a function's parts.
 
     Attributes:
-        own: What was added, but for functions.
+        own: Serialized parts, without functions.
+        functions: Functions that were added.
     """
 
     def __init__(self) -> None:
@@ -161,7 +165,7 @@ class _Parts:
         """Add a value.
 
         Raises:
-            UnknownDependencyError: It is of no known kind.
+            UnknownDependencyError: The value is of unknown kind.
         """
         kind = type(value)
         self._write(kind.__module__, kind.__qualname__)
@@ -200,7 +204,7 @@ class _Parts:
         elif _has_fields(value):
             self._write(value.__module__, value.__qualname__)
             self.add((value._fields, getattr(value, "_field_defaults", {})))
-        elif isinstance(value, type) and issubclass(value, Exception):  # raised by its name
+        elif isinstance(value, type) and issubclass(value, Exception):  # identified by its name
             self._write(value.__module__, value.__qualname__)
         else:
             raise UnknownDependencyError(f"nothing is known of {value!r}")
@@ -212,17 +216,19 @@ class _Parts:
         self.add(code.co_consts)
 
     def add_read(self, code: CodeType, scope: dict[str, Any], by: tuple[str, ...], above: tuple[str, ...] = ()) -> None:
-        """Add what code reads, or seems to, of a module's names.
+        """Add the module-level values that code reads.
 
-        Whatever bears a name that the code mentions is added, be it read or not, if its kind is a simple one: that is
-        quick. For others the instructions are read.
+        Values of simple kinds are added if the code mentions their name, read or not, which is fast. For other values
+        the instructions are examined.
 
         Args:
-            by: Instructions that read them.
-            above: Modules that this one is examined for.
+            code: The code.
+            scope: Names of the module.
+            by: Instructions that read a name.
+            above: Modules whose examination led to this one.
 
         Raises:
-            UnknownDependencyError: It reads a value of no known kind.
+            UnknownDependencyError: The code reads a value of unknown kind.
         """
         for name in code.co_names:
             if name not in scope:
@@ -235,7 +241,7 @@ class _Parts:
                 if inside:
                     self.add_read(code, vars(value), ("LOAD_ATTR", "LOAD_METHOD"), (*above, value.__name__))
             elif (
-                # Kinds that are always known, so that it does not matter whether a kernel really reads them.
+                # Kinds that are always known, so it is harmless if the kernel does not read them.
                 isinstance(value, (Dispatcher, int, float, np.number, np.ndarray, _Intrinsic))
                 or _has_fields(value)
                 or any(each.opname in by and each.argval == name for each in dis.get_instructions(code))
@@ -244,12 +250,12 @@ class _Parts:
 
 
 def _has_fields(value: Any) -> bool:
-    """True for classes of named tuples."""
+    """True for named tuple classes."""
     return isinstance(value, type) and issubclass(value, tuple) and hasattr(value, "_fields")
 
 
 def _is_versioned(value: Any) -> bool:
-    """True for functions and classes of packages whose version says what is in them."""
+    """True for functions and classes whose package version identifies them."""
     if isinstance(value, np.ufunc):
         return True
     named = isinstance(value, FunctionType | BuiltinFunctionType | type)

@@ -1,6 +1,6 @@
-"""Processes that compile kernels beside one another: each kernel by one of them, and told to whoever shows progress.
+"""Locks that let concurrent processes compile each kernel once; progress listeners.
 
-This imports nothing heavy, so that a command can ask to be told before numba is there.
+Imports no heavy module, so that a command can register a listener before numba is loaded.
 """
 
 from __future__ import annotations
@@ -13,23 +13,23 @@ from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
 
-#: Each is called before a kernel is compiled, with its name and how many kernels were called so far, this one included.
+#: Each is called before a kernel is compiled, with its name and the number of kernels called up to and including it.
 LISTENERS: list[Callable[[str, int], None]] = []
 
-#: How long another process is waited for, and how often it is asked whether it is done [s].
+#: Maximum waiting time for another process, and polling period [s].
 _PATIENCE_S, _ASKED_S = 120.0, 0.05
 
 
 def wait_for_turn(folder: Path, name: str) -> bool:
-    """Wait until no other process compiles what will be a file of this name; this one does then, until `end_turn`.
+    """Lock a file name against other processes until `end_turn`; wait if locked.
 
-    A process that ends gives its turns back. One that takes too long is no longer waited for.
+    The operating system releases the locks of a process that ends. After `_PATIENCE_S` the wait is given up.
 
     Returns:
-        True if another process did: the file may be there now.
+        True if another process held the lock: the file may exist now.
 
     Raises:
-        OSError: Nothing can be written there.
+        OSError: The folder is not writable.
     """
     begin = time.monotonic()
     waited = False
@@ -44,19 +44,19 @@ def wait_for_turn(folder: Path, name: str) -> bool:
 
 
 def end_turn(folder: Path, name: str) -> None:
-    """Let others have what `wait_for_turn` waited for.
+    """Release the lock of `wait_for_turn`.
 
     Raises:
-        OSError: Nothing can be written there.
+        OSError: The folder is not writable.
     """
     fcntl.lockf(_opened(folder), fcntl.LOCK_UN, 1, _place(name))
 
 
 @lru_cache
 def _opened(folder: Path) -> int:
-    """Kept open: closing it would end all turns of this process."""
+    """Open the lock file, for good: closing it would release all locks."""
     folder.mkdir(parents=True, exist_ok=True)
-    # Of its bytes one is locked for each kernel.
+    # Each kernel locks one byte.
     return os.open(folder / "turns.lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
 
 

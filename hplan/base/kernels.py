@@ -1,16 +1,16 @@
-"""Functions compiled by numba, once, and kept on disk next to their source.
+"""Functions compiled by numba once and cached on disk.
 
-What is on disk is found by what its machine code depends on (`hplan.base.kernel_digest`), the types of the arguments,
-the processor, and the versions of Python, NumPy and numba: files may be copied, moved, touched and shared by processes,
-and none is ever out of date. Each bears a checksum, which is checked before anything else in it. Whatever is the
-matter with them or with the disk, kernels are compiled, and a `KernelCacheWarning` says so once.
+The files are in `__pycache__` next to the source, or in the user's cache folder. The key is all that the code depends
+on: source code (`hplan.base.kernel_digest`), argument types, processor, and the versions of Python, NumPy and numba. So
+files may be copied, moved, touched and shared by processes, and are never out of date. Each has a checksum that is
+verified before anything else is read. If cache or disk fails, kernels are compiled, and one `KernelCacheWarning` says
+so.
 
-A kernel that is not tiny is compiled once, and called by its name: numba alone would put all that a kernel
-calls into it, and compile it again there, which takes most of the time. A name tells the code; those called are loaded
-before it.
+A kernel that is not tiny is compiled once and called by name. numba by itself would inline all callees and compile them
+again in each caller, which takes most of the time. A name identifies the code; callees are loaded before their caller.
 
-A wheel may bring kernels (`scripts/build_wheel.py`), compiled for most processors of the last ten years. They are
-looked for first, and used where the versions are those that they were made with and the processor can run them.
+A wheel may contain kernels (`scripts/build_wheel.py`), compiled for most processors of the last ten years. They are
+preferred if their versions match and the processor can run them.
 """
 
 from __future__ import annotations
@@ -46,19 +46,19 @@ from hplan.base.kernel_turns import LISTENERS, end_turn, wait_for_turn
 P = ParamSpec("P")
 R = TypeVar("R")
 
-#: Settings of numba that make other machine code of the same kernel.
+#: numba settings that change the machine code of a kernel.
 _SETTINGS = ("OPT", "LOOP_VECTORIZE", "SLP_VECTORIZE", "BOUNDSCHECK", "DEBUGINFO_DEFAULT")
 
-#: How machine code is put together: another number for another way.
+#: Version of hplan's way to assemble machine code.
 _MANNER = 1
 
-#: Kernels of no more instructions are put into those that call them.
+#: Kernels with at most this number of instructions are inlined into their callers.
 _TINY = 60
 
-#: Kernels that came with the package, and the file there that says what they were compiled for.
+#: Folder of the shipped kernels, and the file in it that names their target.
 _SHIPPED, _MADE_FOR = Path(__file__).parents[1] / "kernels", "made_for.txt"
 
-#: By architecture, the processor that they are compiled for, and what another one must have to run them.
+#: By architecture: processor that wheels are compiled for, and the features required to run their kernels.
 _PORTABLE = {
     "x86_64": ("x86-64-v3", ("avx2", "bmi", "bmi2", "f16c", "fma", "lzcnt", "movbe")),
     "aarch64": ("generic", ("neon",)),
@@ -67,22 +67,22 @@ _PORTABLE = {
 #: Length of a checksum [bytes].
 _CHECKSUM = 32
 
-#: Kernels that were called so far, once for each combination of types: loaded or compiled.
+#: Kernels called until now, loaded or compiled, one entry for each combination of types.
 _ASKED: list[Any] = []
 
-#: Warnings given already.
+#: Warnings already issued.
 _GIVEN: set[str] = set()
 
 
 def kernel(function: Callable[P, R]) -> Callable[P, R]:
-    """A compiled function, for Python and other kernels to call.
+    """Compile a function for calls from Python and from other kernels.
 
-    It gets no entry for C, which would take a fifteenth of the time to compile. Division by zero gives inf or NaN, as
-    in NumPy: looking for zeros would keep loops from being made fast. Python's lock is released while one runs, so that
-    other threads go on. Every combination of argument types is
-    compiled on its own. Read-only arrays are a type of their own, and so is every number written out in a call from
-    kernel to kernel; so a kernel is called with the same kinds everywhere. Arrays go in named tuples; one taken out of
-    a tuple, or given to an inlined function, is counted at about 10 ns: before a loop, not in it.
+    It has no C entry point, which would take 1/15 of the compile time. Division by zero gives inf or NaN, as in NumPy;
+    checks for zero would prevent vectorized loops. The global interpreter lock is released during a call, so other
+    threads continue. Each combination of argument types is compiled separately. Read-only arrays are a type of their
+    own, and so is each literal number in a call between kernels; so use the same argument kinds in all calls. Arrays
+    are passed in named tuples. Taking an array out of a tuple, or passing it to an inlined function, costs about 10 ns
+    for reference counting: do it before a loop, not inside.
     """
     options = {"no_cfunc_wrapper": True, "error_model": "numpy", "nogil": True, "pipeline_class": _NamedByContent}
     compiled: Callable[P, R] = nb.njit(**options)(function)
@@ -91,45 +91,51 @@ def kernel(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def inlined(function: Callable[P, R]) -> Callable[P, R]:
-    """A function put into each kernel that calls it: for a few lines whose many arguments cost more than they do."""
+    """Compile a function into each kernel that calls it.
+
+    For a few lines whose many arguments cost more than the computation.
+    """
     compiled: Callable[P, R] = nb.njit(inline="always", pipeline_class=_NamedByContent)(function)
     _keep_on_disk(compiled)
     return compiled
 
 
 def any_int(number: int) -> int:
-    """A constant that kernels may pass to one another without having the one called compiled for this very number."""
+    """Return a constant that does not specialize callee kernels."""
     return cast(int, np.int64(number))
 
 
 class KernelCacheWarning(UserWarning):
-    """Compiled kernels cannot be read from disk or kept there."""
+    """Compiled kernels cannot be read from disk or stored there."""
 
 
 def _keep_on_disk(compiled: Any) -> None:
-    """Let a function that numba compiles be kept on disk.
+    """Attach the disk cache to a compiled function.
 
     Args:
-        compiled: What `numba.njit` returns; a plain function where compiling is switched off.
+        compiled: Result of `numba.njit`; a plain function if compilation is disabled.
     """
     if hasattr(compiled, "enable_caching"):
         compiled._cache = _DiskCache(compiled)
 
 
 def can_be_kept(compiled: Any) -> bool:
-    """True if there is a place on disk for what a function is compiled to."""
+    """True if some cache folder of the function is writable."""
     cache = getattr(compiled, "_cache", None)
     return isinstance(cache, _DiskCache) and any(map(_takes_files, cache.folders()))
 
 
 def is_kept(compiled: Any) -> bool:
-    """True if a function, as it stands with all that it calls, is on disk, compiled for this processor."""
+    """True if the disk cache holds the current code for this processor.
+
+    Callees are part of the code.
+    """
     cache = getattr(compiled, "_cache", None)
     return isinstance(cache, _DiskCache) and cache.holds_any()
 
 
 class _NamedByContent(Compiler):  # type: ignore[misc]
-    """numba's compiler, where symbols are the same in each process: they end in a digest instead of a count."""
+    """numba's compiler with reproducible symbols: a digest replaces the counter."""
 
     def _compile_bytecode(self) -> Any:
         identity = self.state.func_id
@@ -140,7 +146,7 @@ class _NamedByContent(Compiler):  # type: ignore[misc]
 
 
 class _Called(NamedTuple):
-    """A kernel that others call by name, for some types of arguments."""
+    """A kernel called by name, for one combination of argument types."""
 
     module: str
     function: str
@@ -149,24 +155,27 @@ class _Called(NamedTuple):
 
     @classmethod
     def of(cls, compiled: Any, types: Any) -> _Called:
-        """As what numba has compiled is known.
+        """Make the entry of a compiled function.
 
         Raises:
-            UnknownDependencyError: As for `hplan.base.kernel_digest.code_digest`.
+            UnknownDependencyError: It reads an object of unknown kind (`code_digest`).
         """
         function = compiled.py_func
         return cls(function.__module__, function.__qualname__, code_digest(compiled), tuple(types))
 
 
-#: By symbol, the kernels of this process that are called by name.
+#: Kernels of this process that are called by name, by symbol.
 _CALLED: dict[str, _Called] = {}
 
-#: What is put into those that call such a kernel.
+#: Module linked into the callers of such a kernel: empty.
 _NOTHING = ll.parse_assembly("")
 
 
 class _Key(NamedTuple):
-    """What the machine code of a function for some types of arguments depends on: digests, and the function's name."""
+    """Cache key of a function for some argument types.
+
+    It consists of the function's name and digests.
+    """
 
     function: str
     code: str
@@ -175,33 +184,33 @@ class _Key(NamedTuple):
 
     @property
     def for_any_types(self) -> str:
-        """How names of files begin."""
+        """Prefix of the file names."""
         return f"{self.function}-{self.code[:16]}-{self.machine[:8]}-"
 
     @property
     def file_name(self) -> str:
-        """Name of its file."""
+        """Name of the cache file."""
         return f"{self.for_any_types}{self.types[:16]}.nbc"
 
     def checksum(self, data: bytes | memoryview) -> bytes:
-        """Of the data and of the key: data of another key are as good as damaged."""
+        """Checksum of data and key: data of another key count as damaged."""
         whole = hashlib.sha256("-".join(self).encode())
         whole.update(data)
         return whole.digest()
 
 
 class _DiskCache(NullCache):  # type: ignore[misc]
-    """Where numba looks for a function before it compiles it, and what keeps it afterwards.
+    """numba's cache interface: loads functions before compilation, stores them after.
 
-    There is a file for each combination of types of arguments: a checksum, then what numba has pickled. Files are put
-    there as a whole, and are not changed any more.
+    There is one file for each combination of argument types: a checksum, then numba's pickle. Files are written
+    atomically and never changed.
     """
 
     def __init__(self, compiled: Any) -> None:
         self._compiled = compiled
 
     def folders(self) -> list[Path]:
-        """Where files may be: all are read from, the first that takes files is written to."""
+        """Cache folders: all are read, the first writable one is written."""
         source = self._compiled.py_func.__code__.co_filename
         name = _CacheLocator.get_suitable_cache_subpath(source)
         if nb.config.CACHE_DIR:
@@ -210,18 +219,18 @@ class _DiskCache(NullCache):  # type: ignore[misc]
         return [Path(source).parent / "__pycache__", of_user] if Path(source).exists() else [of_user]
 
     def holds_any(self) -> bool:
-        """True if there is anything for this processor."""
+        """True if a file for this processor exists, for any types."""
         key = self._key(())
         return key is not None and any(_named(folder, each.for_any_types) for folder, each in self._places(key))
 
     def _places(self, key: _Key) -> list[tuple[Path, _Key]]:
-        """Where to read, in turn, and by what key."""
+        """Folders to read in order, each with its key."""
         own = [(folder, key) for folder in self.folders()]
         machine = _shipped(_target(self._compiled.targetctx.codegen()))
         return own if machine is None else [(_SHIPPED, key._replace(machine=machine)), *own]
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """The code compiled for these types; None where there is none, or none that is whole."""
+        """Load the code for these types; None if no intact file exists."""
         _name_memory_functions()
         _ASKED.append(self._compiled)
         key = self._key(sig)
@@ -235,26 +244,29 @@ class _DiskCache(NullCache):  # type: ignore[misc]
         return found
 
     def _may_keep(self, action: Callable[[Path, str], bool | None], key: _Key) -> bool:
-        """What is done with the file in the first folder that takes files; False where none does."""
+        """Result of an action on the file in the first writable folder.
+
+        False if no folder is writable.
+        """
         for folder in self.folders():
             with suppress(OSError):
                 return bool(action(folder, key.file_name))
         return False
 
     def _kept(self, key: _Key, sig: Any, target_context: Any) -> Any:
-        """What is on disk; None where nothing is, or nothing that is whole."""
+        """Load the code from disk; None if no intact file exists."""
         for folder, each in self._places(key):
             try:
                 return self._loaded(_read(folder, each), sig, target_context)
             except (FileNotFoundError, NotADirectoryError):
                 continue
-            except Exception as error:  # whatever numba says of what it cannot take
+            except Exception as error:  # numba raises arbitrary exceptions for data it cannot read
                 reason = f"{type(error).__name__}: {error}"
                 _warn_once(f"compiled kernels in {folder} cannot be read ({reason}); they are compiled anew", "read")
         return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        """Keep what was compiled for these types, if that can be done."""
+        """Store the code compiled for these types, if possible."""
         key = self._key(sig)
         if key is None:
             return
@@ -276,7 +288,7 @@ class _DiskCache(NullCache):  # type: ignore[misc]
             _call_by_name(data, _Called.of(self._compiled, sig))
         if kept is None:
             return
-        # Constants that were changed since they were first read are in the code, or are not: nobody knows.
+        # If a constant has changed since it was first read, the code may hold either value.
         if key != self._key(sig, afresh=True) or data.library.has_dynamic_globals:
             return
         errors = []
@@ -286,7 +298,7 @@ class _DiskCache(NullCache):  # type: ignore[misc]
             except OSError as error:
                 errors.append(error)
                 continue
-            if not self._compiled.py_func.__closure__:  # functions that differ by what they hold share a name
+            if not self._compiled.py_func.__closure__:  # closures with different values share a name
                 _remove_others(folder, key)
             return
         _warn_once(
@@ -297,26 +309,26 @@ class _DiskCache(NullCache):  # type: ignore[misc]
         )
 
     def flush(self) -> None:
-        """Look at everything again: numba is asked to compile anew."""
+        """Clear the digests: numba is to compile again."""
         forget()
 
     def _loaded(self, kept: memoryview, sig: Any, target_context: Any) -> Any:
-        """What was kept, and what it calls."""
+        """Restore a stored function together with its callees."""
         calls, by_name, reduced = pickle.loads(kept)
         libraries = self._libraries_of(calls)
-        entry = reduced[1].llvm_cpython_wrapper_name  # looked for where the bitcode says that there is one
+        entry = reduced[1].llvm_cpython_wrapper_name  # looked up if the bitcode declares it
         target_context.codegen()._engine._defined_symbols.add(entry)
         loaded = CompileResult._rebuild(target_context, *reduced)
-        loaded.library._linking_libraries += libraries  # they are there as long as what calls them
+        loaded.library._linking_libraries += libraries  # callees live as long as their caller
         if by_name:
             _call_by_name(loaded, _Called.of(self._compiled, sig))
         return loaded
 
     def _libraries_of(self, calls: list[_Called]) -> list[Any]:
-        """Machine code of kernels that are called by name, loaded or compiled now.
+        """Libraries of the kernels called by name, loaded or compiled now.
 
         Raises:
-            LookupError: One of them is none of those that the function refers to.
+            LookupError: A called kernel is not among the dependencies of the function.
         """
         below = {_Called.of(each, ()): each for each in kernels_below(self._compiled)} if calls else {}
         libraries = []
@@ -340,29 +352,32 @@ class _DiskCache(NullCache):  # type: ignore[misc]
 
 @lru_cache
 def _name_memory_functions() -> None:
-    """Let machine code find what allocates arrays. All else that numba would refresh now is for compiling."""
+    """Register the symbols of numba's array allocator.
+
+    numba's own refresh would register further symbols that only compilation needs.
+    """
     for name, address in _nrt_python.c_helpers.items():
         ll.add_symbol(name if name.startswith("_") else f"NRT_{name}", address)
 
 
 def _is_tiny(data: Any) -> bool:
-    """True if a compiled function is put into those that call it."""
+    """True if a compiled function is inlined into its callers."""
     blocks = data.library.get_function(data.fndesc.mangled_name).blocks
     instructions = (1 for block in blocks for _ in block.instructions)
     return sum(islice(instructions, _TINY + 1)) <= _TINY
 
 
 def _calls(data: Any) -> list[_Called]:
-    """The kernels that a compiled function calls by name."""
+    """Kernels that a compiled function calls by name."""
     functions = data.library._final_module.functions
     return [_CALLED[each.name] for each in functions if each.is_declaration and each.name in _CALLED]
 
 
 def _reduced(data: Any) -> tuple[Any, ...]:
-    """What numba keeps of a compiled function, without what would only have modules of numba's imported.
+    """State of a compiled function as numba pickles it, without superfluous environments.
 
-    Environments hold constants that machine code reads; those of numba's own functions seldom hold any, and making one
-    imports its module, `numba.np.arraymath` with all of scipy.linalg.
+    Environments hold the constants that machine code reads. The environments of numba's own functions are mostly empty,
+    and loading one imports its module: `numba.np.arraymath`, with all of scipy.linalg.
     """
     *whole, environments = data._reduce()
     needed = (each for each in environments if each.consts or not each.globals["__name__"].startswith("numba."))
@@ -370,14 +385,14 @@ def _reduced(data: Any) -> tuple[Any, ...]:
 
 
 def _call_by_name(data: Any, called: _Called) -> None:
-    """Have a compiled function called by name."""
+    """Register a compiled function for calls by name."""
     data.library._shared_module = _NOTHING
     _CALLED[data.fndesc.mangled_name] = called
 
 
 @lru_cache
 def _target(codegen: Any) -> tuple[Any, ...]:
-    """What numba compiles for: triple, processor, features."""
+    """Compilation target of numba: triple, processor, features."""
     return tuple(codegen.magic_tuple())
 
 
@@ -389,29 +404,29 @@ def _machine(target: tuple[Any, ...]) -> str:
 
 
 def made_for() -> str:
-    """What kernels are compiled for here, as a wheel that brings some says it."""
+    """Compilation target of this machine, as written in a wheel."""
     python = "CPython {}.{}".format(*sys.version_info)
     numbers = f"{python}, numba {nb.__version__}, llvmlite {llvmlite.__version__}, NumPy {np.__version__}"
     return f"{numbers}, {ll.get_default_triple()}, manner {_MANNER}"
 
 
 def portable_processor() -> dict[str, str]:
-    """Settings of numba's, as environment variables, with which it compiles for every processor that wheels are for.
+    """Environment variables that make numba compile for all processors of a wheel.
 
     Raises:
-        LookupError: There are no wheels with kernels for this architecture.
+        LookupError: No wheels with kernels exist for this architecture.
     """
     return {"NUMBA_CPU_NAME": _PORTABLE[ll.get_default_triple().partition("-")[0]][0], "NUMBA_CPU_FEATURES": ""}
 
 
 @lru_cache
 def _shipped(target: tuple[Any, ...]) -> str | None:
-    """Digest of what the kernels that came with the package are compiled for; None where they are of no use here."""
+    """Digest of the target of the shipped kernels; None if unusable here."""
     try:
         brought = (_SHIPPED / _MADE_FOR).read_text(encoding="utf-8").strip()
     except OSError:
         return None
-    if nb.config.CPU_NAME is not None:  # for which processor is decided already
+    if nb.config.CPU_NAME is not None:  # the user has selected a processor
         return None
     triple = target[0]
     processor, needed = _PORTABLE.get(triple.partition("-")[0], (None, ()))
@@ -425,7 +440,7 @@ def _shipped(target: tuple[Any, ...]) -> str | None:
 
 
 def _named(folder: Path, beginning: str) -> list[str]:
-    """Names of files in a folder that begin so."""
+    """Names of the cache files in a folder that start with `beginning`."""
     with suppress(OSError):
         names = [path.name for path in folder.iterdir() if path.suffix in (".nbc", ".nbi")]
         return [name for name in names if name.startswith(beginning)]
@@ -441,7 +456,7 @@ def _takes_files(folder: Path) -> bool:
 
 
 def _read(folder: Path, key: _Key) -> memoryview:
-    """What numba has pickled."""
+    """Read a file and return its pickle."""
     data = memoryview((folder / key.file_name).read_bytes())
     if data[:_CHECKSUM] != key.checksum(data[_CHECKSUM:]):
         raise ValueError(f"{key.file_name} is damaged")
@@ -449,7 +464,7 @@ def _read(folder: Path, key: _Key) -> memoryview:
 
 
 def _write(path: Path, data: bytes) -> None:
-    """Put a file in its place, as a whole or not at all, whoever does the same."""
+    """Write a file atomically, also against concurrent writers."""
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f"{path.name}.{os.urandom(8).hex()}")
     try:
@@ -462,7 +477,7 @@ def _write(path: Path, data: bytes) -> None:
 
 
 def _remove_others(folder: Path, key: _Key) -> None:
-    """Remove what the function was before."""
+    """Remove the files of earlier versions of the function."""
     for name in _named(folder, f"{key.function}-"):
         if not name.startswith(f"{key.function}-{key.code[:16]}-"):
             with suppress(OSError):
@@ -470,7 +485,7 @@ def _remove_others(folder: Path, key: _Key) -> None:
 
 
 def _warn_once(message: str, what: str) -> None:
-    """Warn of what cannot be done with kernels on disk, for the first kernel alone."""
+    """Issue a warning about the disk cache, once for each kind."""
     if what not in _GIVEN:
         _GIVEN.add(what)
         warnings.warn(message, KernelCacheWarning, stacklevel=2)

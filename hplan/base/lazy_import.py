@@ -1,4 +1,4 @@
-"""Modules that a package imports but seldom uses, imported only when it does."""
+"""Deferred imports: rarely used modules are imported on first use."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Any
 
 
 class _Deferred(ModuleType):
-    """Stands for a module until one of its attributes is asked for."""
+    """Placeholder of a module until the first access to an attribute."""
 
     def __getattr__(self, name: str) -> Any:
         if sys.modules.get(self.__name__) is self:
@@ -22,10 +22,10 @@ class _Deferred(ModuleType):
 
 @contextmanager
 def deferred(*names: str) -> Iterator[None]:
-    """Import these modules inside the block, as `import name`, only when they are used.
+    """Import modules inside the block lazily: `import name` defers to first use.
 
     Args:
-        names: Full names of modules, parents before what they contain. Modules that are there already stay.
+        names: Full module names, parents before children. Modules that are loaded already stay.
     """
     made = {name: _Deferred(name) for name in names if name not in sys.modules}
     for name, module in made.items():
@@ -42,16 +42,16 @@ def deferred(*names: str) -> Iterator[None]:
 
 
 def lazy_names(package: str, homes: Mapping[str, str]) -> Callable[[str], Any]:
-    """Make a module-level `__getattr__` that loads public names on first use.
+    """Return a module-level `__getattr__` that loads public names on first use.
 
     Args:
         package: Name of the package, its `__name__`.
-        homes: Modules, and the names that each of them provides, separated by spaces.
+        homes: For each module the names that it provides, separated by spaces.
     """
     modules = {name: module for module, names in homes.items() for name in names.split()}
 
     def load(name: str) -> Any:
-        """Load one name and keep it in the package."""
+        """Load one name and store it in the package."""
         if name not in modules:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
         with without_garbage_collection():
@@ -62,12 +62,12 @@ def lazy_names(package: str, homes: Mapping[str, str]) -> Callable[[str], Any]:
     return load
 
 
-#: Functions that show results, by name. The package registers them: it is above all rooms, and viewers are in the last.
+#: Viewer functions by name. The top-level package registers them, since viewers belong to the last subpackage.
 VIEWERS: dict[str, Callable[..., Any]] = {}
 
 
 class InNotebook:
-    """Mixin of results: a notebook shows the page of the motion, playing."""
+    """Mixin of results: a notebook displays the animated page of the motion."""
 
     def _repr_html_(self) -> str:
         html: str = VIEWERS["notebook_html"](self)
@@ -76,7 +76,10 @@ class InNotebook:
 
 @contextmanager
 def without_garbage_collection() -> Iterator[None]:
-    """Inside, garbage is not collected: imports make none, and looking for it takes a tenth of their time."""
+    """Disable garbage collection inside the block.
+
+    Imports create no garbage, and the search for it takes a tenth of their time.
+    """
     collected = gc.isenabled()
     gc.disable()
     try:
@@ -88,18 +91,20 @@ def without_garbage_collection() -> Iterator[None]:
 
 @contextmanager
 def extra(name: str, needs: str, **data: str) -> Iterator[None]:
-    """Import what an extra brings inside the block; what is not installed is an error that says how to get it.
+    """Import an optional dependency inside the block, or explain its installation.
 
     Args:
-        needs: What needs which module, for the error: `an MCAP file needs rosbags`.
+        name: Name of the extra.
+        needs: Statement for the error, for example `an MCAP file needs rosbags`.
+        data: Further facts of the error.
 
     Raises:
-        InputError: Something imported in the block is not installed.
+        InputError: A module imported in the block is not installed.
     """
     try:
         yield
     except ImportError as error:
-        from hplan.errors import InputError  # `import hplan` is to cost next to nothing
+        from hplan.errors import InputError  # keeps `import hplan` fast
 
         message = f"{needs}, which is not installed: pip install 'hplan[{name}]'"
         raise InputError(message, **data, extra=name) from error

@@ -1,4 +1,4 @@
-"""Options whose types say what values they take: frozen dataclasses that pydantic checks."""
+"""Option dataclasses whose types declare the accepted values, checked by pydantic."""
 
 from __future__ import annotations
 
@@ -14,17 +14,19 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
 from hplan.base.arguments import nearest_name
 from hplan.errors import OptionError
 
-#: Numbers above zero, and from zero on; texts that are not empty.
+#: Positive numbers, nonnegative numbers, non-empty strings.
 Positive: TypeAlias = Annotated[float, Field(gt=0.0)]
 NotNegative: TypeAlias = Annotated[float, Field(ge=0.0)]
 Text: TypeAlias = Annotated[str, Field(min_length=1)]
 
 
 class Options:
-    """Base of frozen dataclasses: numbers are finite, lists and arrays become tuples, nothing else is converted.
+    """Base of frozen option dataclasses.
+
+    Numbers are finite; lists and arrays become tuples; nothing else is converted.
 
     Raises:
-        OptionError: A value that is not of its field's type, or out of the range given there (`pydantic.Field`).
+        OptionError: A value is not of its field's type, or outside the field's range (`pydantic.Field`).
     """
 
     def __post_init__(self) -> None:
@@ -33,7 +35,7 @@ class Options:
         try:
             checked = _model(kind).model_validate(values)
         except ValidationError as error:
-            # Of a union each member has its fault; the one deepest inside is that of the member that is meant.
+            # A union has one fault per member; the deepest one belongs to the intended member.
             fault = max(error.errors(), key=lambda fault: len(fault["loc"]))
             words = "more values" if fault["type"] == "missing" else fault["msg"]
             expected = re.sub(r"^\w+ should (be|have) ", "", words)
@@ -48,7 +50,7 @@ class Options:
             changes: New values by field name.
 
         Raises:
-            OptionError: A name that is no option, or a value that its option does not take.
+            OptionError: A name is not an option, or its option does not accept the value.
 
         Examples:
             >>> from hplan import PlanOptions
@@ -66,13 +68,13 @@ class Options:
 
 @cache
 def _model(kind: Any) -> type[BaseModel]:
-    """What pydantic checks the values of a dataclass with."""
+    """Pydantic model that checks the values of a dataclass."""
     fields: dict[str, Any] = {name: (hint, ...) for name, hint in get_type_hints(kind, include_extras=True).items()}
     return create_model(kind.__name__, __config__=ConfigDict(strict=True, allow_inf_nan=False), **fields)
 
 
 def _place(value: Any, steps: Sequence[Any]) -> str:
-    """Name of an option and the place in it, as `lower[2]`; pydantic puts names of types between."""
+    """Path to the invalid value, as `lower[2]`, without pydantic's type names."""
     name, value = str(steps[0]), value[steps[0]]
     for step in steps[1:]:
         if isinstance(value, dict | tuple) and (step in value or step in range(len(value))):
@@ -81,7 +83,7 @@ def _place(value: Any, steps: Sequence[Any]) -> str:
 
 
 def plain(value: Any) -> Any:
-    """A value with tuples in place of lists and arrays, and Python's numbers in place of NumPy's."""
+    """Convert lists and arrays to tuples, NumPy numbers to Python numbers."""
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
     return tuple(map(plain, value)) if isinstance(value, list) else value

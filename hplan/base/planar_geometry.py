@@ -1,4 +1,4 @@
-"""Points, segments and convex polygons of a plane."""
+"""Points, segments and convex polygons in the plane."""
 
 from __future__ import annotations
 
@@ -10,7 +10,10 @@ from hplan.base.arrays import FloatArray
 
 
 def convex_hull(points: FloatArray) -> FloatArray:
-    """Counter-clockwise convex hull (Andrew's monotone chain); 1 or 2 points where they are all in line."""
+    """Counter-clockwise convex hull (Andrew's monotone chain).
+
+    1 or 2 points if all points are collinear.
+    """
     ordered = sorted({(float(x), float(y)) for x, y in points})
     if len(ordered) <= 2:
         return np.array(ordered)
@@ -31,12 +34,12 @@ def _turn(a: tuple[float, float], b: tuple[float, float], c: tuple[float, float]
 
 
 def polygon_distances(starts: FloatArray, ends: FloatArray, polygon: FloatArray) -> FloatArray:
-    """Distances of segments from a convex polygon, 0 where they meet.
+    """Distances of segments from a convex polygon, 0 if they intersect.
 
     Args:
-        starts: (n, 2) one end of each segment.
-        ends: (n, 2) the other.
-        polygon: (k, 2) corners, counter-clockwise where there are three or more; two are a segment, one is a point.
+        starts: (n, 2) start points of the segments.
+        ends: (n, 2) end points of the segments.
+        polygon: (k, 2) vertices, counter-clockwise for k >= 3; k = 2 is a segment, k = 1 a point.
 
     Returns:
         (n,) distances.
@@ -48,7 +51,7 @@ def polygon_distances(starts: FloatArray, ends: FloatArray, polygon: FloatArray)
     turns = _cross(sides, from_a)
     least = np.minimum(_point_distances(from_a, sides), _point_distances(ends - a, sides))
     least = np.minimum(least, np.minimum(_point_distances(-from_a, links), _point_distances(-from_b, links)))
-    # Where a segment and a side cross, the ends of each are on different sides of the other.
+    # A segment and a side cross if the ends of each are on different sides of the other.
     crossing = (turns * _cross(sides, ends - a) < 0.0) & (_cross(links, from_a) * _cross(links, from_b) < 0.0)
     distances: FloatArray = np.where(crossing, 0.0, least).min(axis=1)
     inside = (turns >= 0.0).all(axis=1) if len(polygon) >= 3 else np.zeros(len(distances), dtype=np.bool_)
@@ -56,7 +59,7 @@ def polygon_distances(starts: FloatArray, ends: FloatArray, polygon: FloatArray)
 
 
 def _point_distances(offsets: FloatArray, along: FloatArray) -> FloatArray:
-    """Distances of points, by their offsets from the beginnings of segments, from these."""
+    """Distances of points from segments; offsets are from the segments' start points."""
     square = _dot(along, along)
     t = np.clip(_dot(offsets, along) / np.where(square > 0.0, square, 1.0), 0.0, 1.0)
     rest = offsets - t[..., None] * along
@@ -65,7 +68,7 @@ def _point_distances(offsets: FloatArray, along: FloatArray) -> FloatArray:
 
 
 def _dot(u: FloatArray, v: FloatArray) -> FloatArray:
-    # Not a sum over the last axis, which takes NumPy several times as long for two numbers.
+    # Several times faster than NumPy's sum over a last axis of length two.
     product: FloatArray = u[..., 0] * v[..., 0] + u[..., 1] * v[..., 1]
     return product
 

@@ -1,4 +1,7 @@
-"""Tasks on any executor of `concurrent.futures`, in the order in which they end; those of lost workers run again."""
+"""Tasks on any `concurrent.futures` executor, with retries after lost workers.
+
+Results come in the order of completion.
+"""
 
 from __future__ import annotations
 
@@ -24,22 +27,22 @@ from hplan.errors import OptionError, WorkersLostError
 _T = TypeVar("_T")
 _R = TypeVar("_R")
 
-#: What runs tasks: an executor, or what makes one; only the latter can take the place of one that is broken.
+#: An executor, or a function that makes one; only the latter can replace a broken executor.
 Pool: TypeAlias = Executor | Callable[[], Executor]
 
-#: Tasks that are handed over at a time, for each worker that there is; on an executor that does not say, in all.
+#: Maximum number of submitted tasks: for each worker, and in total if the number of workers is unknown.
 _AHEAD, _AT_ONCE = 2, 256
 
 
 def pool_of(executor: Pool | None, workers: int | None) -> tuple[Pool, int]:
-    """What runs tasks, and how many are handed to it at a time.
+    """Return executor or factory, and the maximum number of submitted tasks.
 
     Args:
-        executor: What was asked for; None for processes of this machine, or this one alone where one worker is wanted.
-        workers: How many work at once; None for one on each processor, or as many as the executor has.
+        executor: The requested executor; None for processes of this machine, or this process alone for one worker.
+        workers: Number of workers; None for one per processor, or for the number of the executor.
 
     Raises:
-        OptionError: Neither an executor nor a function that makes one, or no number of workers.
+        OptionError: `executor` is neither an executor nor a function, or `workers` is not a positive integer.
     """
     if workers is not None:
         whole("workers", workers, 1)
@@ -47,7 +50,7 @@ def pool_of(executor: Pool | None, workers: int | None) -> tuple[Pool, int]:
         count = len(os.sched_getaffinity(0)) if workers is None else workers
         if count == 1:
             return _Here, 1
-        # Forked children would have the locks of this process's threads as they stand.
+        # Forked children would inherit locks held by this process's threads.
         return lambda: ProcessPoolExecutor(count, mp_context=get_context("spawn")), _AHEAD * count
     if not isinstance(executor, Executor) and not callable(executor):
         raise OptionError("executor", executor, "an Executor of concurrent.futures, or a function that makes one")
@@ -55,18 +58,18 @@ def pool_of(executor: Pool | None, workers: int | None) -> tuple[Pool, int]:
 
 
 def outcomes(task: Callable[[_T], _R], given: Sequence[_T], pool: Pool, at_once: int) -> Iterator[tuple[int, _R]]:
-    """Run a task on each of several values; gives the number of each and what came of it, as they end.
+    """Run a task on values; yield (index, result) in completion order.
 
-    A task whose worker is lost runs again, after all others that wait. What a task raises is raised here.
+    A task whose worker is lost runs again, after all waiting tasks. An exception of a task is raised here.
 
     Args:
-        task: A function that can be pickled.
-        pool: What runs them (`pool_of`).
-        at_once: How many are handed over at a time.
+        task: A picklable function.
+        given: The values.
+        pool: The executor or its factory (`pool_of`).
+        at_once: Maximum number of submitted tasks.
 
     Raises:
-        WorkersLostError: At the end, where tasks have lost their workers too often, or the executor that was given is
-            broken.
+        WorkersLostError: At the end, if tasks lost their workers three times, or a given executor is broken.
     """
     executor = pool if isinstance(pool, Executor) else pool()
     waiting = deque((number, 0) for number in range(len(given)))
@@ -90,7 +93,7 @@ def outcomes(task: Callable[[_T], _R], given: Sequence[_T], pool: Pool, at_once:
                     yield number, future.result()
                 elif not _is_loss(error):
                     raise error
-                elif losses + 1 < 3:  # so often a task may lose its worker
+                elif losses + 1 < 3:  # maximum number of attempts
                     waiting.append((number, losses + 1))
                 else:
                     lost.append(number)
@@ -103,7 +106,7 @@ def outcomes(task: Callable[[_T], _R], given: Sequence[_T], pool: Pool, at_once:
     except INTERRUPTS:
         if isinstance(executor, ProcessPoolExecutor) and executor is not pool:
             for process in list((executor._processes or {}).values()):
-                process.terminate()  # else this process would end after their tasks
+                process.terminate()  # else this process would wait for their tasks
         raise
     finally:
         if executor is not pool:
@@ -113,7 +116,10 @@ def outcomes(task: Callable[[_T], _R], given: Sequence[_T], pool: Pool, at_once:
 
 
 def _run(task: Callable[[_T], _R], value: _T, _: int) -> _R:
-    """Run a task; how often it was lost makes it another one to those that keep what came of calls."""
+    """Run a task.
+
+    The number of losses as an argument makes a retry a distinct call for executors that cache results.
+    """
     return task(value)
 
 
@@ -125,13 +131,16 @@ def _fault(future: Future[Any]) -> BaseException | None:
 
 
 def _is_loss(error: BaseException) -> bool:
-    """Whether it says that a worker is lost, as Dask does by an error of its own."""
+    """True if the exception reports a lost worker.
+
+    Dask has its own class for it.
+    """
     is_dask_s = any(kind.__name__ == "KilledWorker" for kind in type(error).__mro__)
     return is_dask_s or isinstance(error, BrokenExecutor | CancelledError)
 
 
 class _Here(Executor):
-    """Runs each task in this process, when it is handed over."""
+    """Executor that runs each task in this process, on submission."""
 
     def submit(self, fn: Callable[..., _R], /, *args: Any, **kwargs: Any) -> Future[_R]:
         """Run a task."""

@@ -1,4 +1,7 @@
-"""The units of a joint: radians where it turns, metres where it slides. What is told of one asks here."""
+"""Units of joint values: radians for revolute joints, metres for prismatic joints.
+
+All messages and files take units from here.
+"""
 
 from __future__ import annotations
 
@@ -7,28 +10,31 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
-#: No joint is farther from 0 [rad, m].
+#: Maximum magnitude of a joint value [rad, m].
 FARTHEST_JOINT: Final = 1e6
 
 
 def at_least_mm(distance_m: float, digits: int = 2) -> str:
-    """A lower bound of a distance in millimetres, rounded down, so that what is shown is one too."""
+    """Format a lower bound of a distance in millimetres, rounded down.
+
+    The printed number is a lower bound too.
+    """
     scale = 10**digits
     return f"{math.floor(1e3 * distance_m * scale + 1e-6) / scale:.{digits}f}" if math.isfinite(distance_m) else "inf"
 
 
 @dataclass(frozen=True)
 class JointUnit:
-    """The units of a joint's values, as they are named in files and shown.
+    """Units of a joint's values in files and messages.
 
     Attributes:
-        position: Of its positions; those of velocities and accelerations follow from it.
-        effort: Of its torque or force.
-        columns: Ends of its columns in a CSV: position, velocity, acceleration, torque or force.
-        shown: In what its positions are drawn.
-        factor: How many of these one of its positions is.
-        small: In what its errors are shown.
-        small_factor: How many of these one of its positions is.
+        position: Unit of positions; the units of velocity and acceleration follow.
+        effort: Unit of torque or force.
+        columns: Suffixes of the CSV columns: position, velocity, acceleration, torque or force.
+        shown: Display unit of positions.
+        factor: Display units per unit of position.
+        small: Display unit of position errors.
+        small_factor: Display units of errors per unit of position.
     """
 
     position: str
@@ -41,32 +47,35 @@ class JointUnit:
 
     @property
     def velocity(self) -> str:
-        """Of its velocities."""
+        """Unit of velocities."""
         return f"{self.position}/s"
 
     @property
     def acceleration(self) -> str:
-        """Of its accelerations."""
+        """Unit of accelerations."""
         return f"{self.position}/s^2"
 
     def error(self, value: float, digits: str = ".4g") -> str:
-        """An error of its position, as degrees or millimetres."""
+        """Format a position error in degrees or millimetres."""
         return f"{self.small_factor * value:{digits}} {self.small}"
 
 
-#: Of a joint that turns, and of one that slides.
+#: Units of a revolute joint, and of a prismatic joint.
 TURNING = JointUnit("rad", "N m", ("pos_rad", "vel_rad_s", "acc_rad_s2", "torque_nm"),
     "deg", 180.0 / math.pi, "deg", 180.0 / math.pi)  # fmt: skip
 SLIDING = JointUnit("m", "N", ("pos_m", "vel_m_s", "acc_m_s2", "force_n"), "m", 1.0, "mm", 1e3)
 
 
 def joint_unit(slides: bool) -> JointUnit:
-    """The units of a joint that slides, or of one that turns."""
+    """Units of a prismatic joint if `slides`, else of a revolute joint."""
     return SLIDING if slides else TURNING
 
 
 def joint_length(value: float, slides: Sequence[bool], digits: str = ".2f") -> str:
-    """A length over all joints (Euclidean norm) in words: degrees, or as it is where some slide [rad and m]."""
+    """Format a Euclidean length in joint space, in degrees.
+
+    With prismatic joints the length is given in m, or in mixed rad and m.
+    """
     if not any(slides):
         return f"{math.degrees(value):{digits}} deg"
     return f"{value:.4g} {'m' if all(slides) else 'rad and m'}"

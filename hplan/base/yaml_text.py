@@ -1,7 +1,7 @@
-"""YAML as hplan's files use it: what JSON has, with comments, anchors and merge keys; plain values as in YAML 1.2.
+"""YAML subset of hplan's files: JSON types, comments, anchors, merge keys.
 
-PyYAML follows YAML 1.1, where `010` is 8, `1:30` is 90, `no` is False, `1e-2` is text and a repeated key replaces the
-first in silence. None of that belongs in a file that moves a robot.
+Plain scalars follow YAML 1.2. PyYAML follows YAML 1.1: `010` is 8, `1:30` is 90, `no` is False, `1e-2` is a string, and
+a repeated key silently replaces the first. That is unacceptable in a file that moves a robot.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import yaml
 
 _TRUTH = {"true": True, "True": True, "TRUE": True, "false": False, "False": False, "FALSE": False}
 
-#: Type of a plain value: its pattern, the characters it may begin with, and what it means.
+#: Plain scalars by type: pattern, possible first characters, conversion.
 _PLAIN: dict[str, tuple[str, list[str], Callable[[str], Any]]] = {
     "null": (r"~|null|Null|NULL|", ["~", "n", "N", ""], lambda _: None),
     "bool": (r"true|True|TRUE|false|False|FALSE", list("tTfF"), _TRUTH.__getitem__),
@@ -26,7 +26,7 @@ _PLAIN: dict[str, tuple[str, list[str], Callable[[str], Any]]] = {
     ),
 }
 
-#: Most keys, values, lists and mappings of a document. (PyYAML reads about 30,000 a second.)
+#: Maximum number of keys, values, lists and mappings of a document. (PyYAML reads about 30,000 per second.)
 MOST_VALUES: Final = 500_000
 
 
@@ -34,11 +34,11 @@ def read_yaml(text: str) -> tuple[Any, yaml.Node | None]:
     """Read one document.
 
     Returns:
-        The content (mappings as dict, lists as tuple) and its node, which knows the lines; (None, None) if empty.
+        The content (mappings as dict, lists as tuple) and its node, which has the line numbers; (None, None) if empty.
 
     Raises:
-        yaml.MarkedYAMLError: Malformed text, a repeated key, a tag that is none of JSON's types, or more than
-            `MOST_VALUES`.
+        yaml.MarkedYAMLError: Malformed text, a repeated key, a tag outside JSON's types, or more than `MOST_VALUES`
+            values.
     """
     try:
         loader = _Loader(text)
@@ -51,12 +51,15 @@ def read_yaml(text: str) -> tuple[Any, yaml.Node | None]:
 
 
 def write_yaml(content: Any) -> str:
-    """Text that `read_yaml` reads back to equal content, lists of plain values on one line."""
+    """Return text that `read_yaml` reads back to equal content.
+
+    Lists of scalars are written on one line.
+    """
     return yaml.dump(content, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=100)
 
 
 class _Loader(yaml.SafeLoader):
-    """Reads JSON's types and nothing else."""
+    """Loader of JSON's types only."""
 
     yaml_implicit_resolvers = {}  # noqa: RUF012
     yaml_constructors = {}  # noqa: RUF012
@@ -64,11 +67,11 @@ class _Loader(yaml.SafeLoader):
 
     def __init__(self, text: str) -> None:
         super().__init__(text)
-        self.sizes: dict[str, int] = {}  # values of each anchored node, those that it repeats included
+        self.sizes: dict[str, int] = {}  # number of values of each anchored node, repeated ones included
 
     def scan_to_next_token(self) -> None:
         super().scan_to_next_token()
-        while self.flow_level and self.peek() == "\t":  # between braces JSON may be indented by tabs
+        while self.flow_level and self.peek() == "\t":  # inside braces JSON may be indented with tabs
             self.forward()
             super().scan_to_next_token()
 
@@ -79,7 +82,7 @@ class _Loader(yaml.SafeLoader):
             problem = f"alias *{event.anchor} stands in what it repeats"
             raise yaml.MarkedYAMLError(problem=problem, problem_mark=event.start_mark)
         before = self.values
-        # What is repeated counts each time: a few lines could stand for more values than fit any memory.
+        # Each repetition counts: a few lines of aliases can expand beyond any memory.
         self.values += self.sizes.get(event.anchor, 1) if repeats else 1
         if self.values > MOST_VALUES:
             raise yaml.MarkedYAMLError(problem=f"more than {MOST_VALUES:,} values", problem_mark=event.start_mark)
@@ -106,7 +109,10 @@ class _Loader(yaml.SafeLoader):
         return merged | {k.value: self.construct_object(v, deep=deep) for k, v in node.value if k.value in lines}
 
     def _merged(self, key: yaml.Node, value: yaml.Node) -> dict[Any, Any]:
-        """Values that the merge key `<<` takes from one mapping, or from a list of them, the first before the next."""
+        """Values of the merge key `<<`, from a mapping or a list.
+
+        In a list, earlier mappings take precedence.
+        """
         parts = value.value if isinstance(value, yaml.SequenceNode) else [value]
         if not all(isinstance(part, yaml.MappingNode) for part in parts):
             raise yaml.MarkedYAMLError(problem="<< takes a mapping, or a list of them", problem_mark=key.start_mark)
@@ -119,7 +125,7 @@ class _Loader(yaml.SafeLoader):
 def _construct_text(loader: _Loader, node: yaml.ScalarNode) -> str:
     text = str(loader.construct_scalar(node))
     try:
-        # JSON escapes a character past U+FFFF as two halves.
+        # JSON escapes a character beyond U+FFFF as a surrogate pair.
         return text.encode("utf-16", "surrogatepass").decode("utf-16")
     except UnicodeDecodeError as error:
         raise yaml.MarkedYAMLError(problem="text holds half a character", problem_mark=node.start_mark) from error
@@ -150,7 +156,7 @@ def _plain_constructor(kind: str, meaning: Callable[[str], Any]) -> Callable[[_L
 
 
 class _Dumper(yaml.SafeDumper):
-    """Quotes whatever text the loader would take for a value."""
+    """Quotes strings that the loader would read as another type."""
 
 
 def _represent_list(dumper: yaml.SafeDumper, items: list[Any]) -> yaml.Node:
@@ -159,7 +165,7 @@ def _represent_list(dumper: yaml.SafeDumper, items: list[Any]) -> yaml.Node:
 
 
 def _represent_text(dumper: yaml.SafeDumper, text: str) -> yaml.Node:
-    """Escape what PyYAML would write as it is and read as a line break (U+0085)."""
+    """Escape characters that PyYAML would read back as line breaks (U+0085)."""
     return dumper.represent_scalar("tag:yaml.org,2002:str", text, style=None if text.isprintable() else '"')
 
 

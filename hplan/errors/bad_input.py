@@ -1,4 +1,4 @@
-"""Errors of what is handed in: files, scenes, options, configurations; exit status 2."""
+"""Errors about invalid input: files, scenes, options, configurations (exit status 2)."""
 
 from __future__ import annotations
 
@@ -9,13 +9,30 @@ from hplan.errors.root import HplanError
 
 
 class InputError(HplanError):
-    """Something handed in cannot be used: a file, a value, an option."""
+    """An argument, file or option cannot be used.
+
+    Examples:
+        >>> from hplan.errors import InputError
+        >>> InputError("row.csv: no samples", path="row.csv").exit_status
+        2
+    """
 
     exit_status = 2
 
 
 class RobotFileError(InputError):
-    """A robot file (URDF or limits YAML) is missing, unreadable or malformed."""
+    """A robot file (URDF or limits YAML) is missing, unreadable or malformed.
+
+    Attributes:
+        path: The file, or `URDF text` for a robot given as text.
+        reason: The fault.
+
+    Examples:
+        >>> from hplan.errors import RobotFileError
+        >>> error = RobotFileError("arm.urdf", "no such file")
+        >>> error.path.name, error.reason
+        ('arm.urdf', 'no such file')
+    """
 
     path: Path
     reason: str
@@ -27,9 +44,18 @@ class RobotFileError(InputError):
 
 
 class RobotFamilyError(InputError):
-    """A well-formed URDF that is not of the family: optional yaw, then parallel revolute joints.
+    """A valid URDF outside the family: optional yaw, then parallel revolute joints.
 
-    `element` names the joint, link or frame at fault.
+    Attributes:
+        robot: Name of the robot.
+        element: Name of the offending joint, link or frame.
+        reason: The fault.
+
+    Examples:
+        >>> from hplan.errors import RobotFamilyError
+        >>> error = RobotFamilyError("panda", "joint 3", "its axis is not parallel to the axis of joint 2")
+        >>> error.robot, error.element
+        ('panda', 'joint 3')
     """
 
     robot: str
@@ -42,11 +68,25 @@ class RobotFamilyError(InputError):
 
 
 class SceneError(InputError, ValueError):
-    """A scene, or a scene file, that does not say what it should.
+    """A scene or scene file is invalid.
 
-    It is a `ValueError` too, as what pydantic raises of its own is.
+    It is also a `ValueError`, as pydantic's own validation errors are.
 
-    `where` is the key path (`obstacles[0].radius`), `line` its 1-based line in the file where that is known.
+    Attributes:
+        path: The file; None for a scene built in Python.
+        where: Key path of the fault, for example `obstacles[0].radius`; None for the scene as a whole.
+        line: 1-based line in the file; None if unknown.
+        value: The invalid value; None if it is absent or a mapping.
+        reason: The fault, and the expected value.
+
+    Examples:
+        >>> from hplan.errors import SceneError
+        >>> from hplan.scene import Sphere
+        >>> try:
+        ...     Sphere(name="apple", center=(1.0, 0.0, 1.5), radius=-0.04)
+        ... except SceneError as error:
+        ...     print(error.where, error.value)
+        radius -0.04
     """
 
     path: Path | None
@@ -75,15 +115,27 @@ class SceneError(InputError, ValueError):
 
 
 class StudyError(SceneError):
-    """A study, or a study file, that does not say what it should; with the facts of a `SceneError`."""
+    """A study or study file is invalid; attributes as in `SceneError`.
+
+    Examples:
+        >>> from hplan.errors import StudyError
+        >>> StudyError("no arm is given", path="reach.yaml", where="arms", line=3).line
+        3
+    """
 
     what = "study"
 
 
 class MovingObstacleError(InputError):
-    """Something in a scene moves, and what was asked for takes scenes that stand still.
+    """The scene moves, but the call requires a static scene.
 
-    `obstacle` is the first obstacle that has a track; None where the base alone has one.
+    Attributes:
+        obstacle: First obstacle with a track; None if only the base has one.
+
+    Examples:
+        >>> from hplan.errors import MovingObstacleError
+        >>> MovingObstacleError("cart").obstacle
+        'cart'
     """
 
     obstacle: str | None
@@ -95,13 +147,27 @@ class MovingObstacleError(InputError):
 
 
 class JointLimitError(InputError):
-    """A configuration outside the joint limits."""
+    """A configuration is outside the joint limits.
+
+    Attributes:
+        which: `start`, `goal` or, for example, `waypoint 3`.
+        joint: Name of the joint.
+        value: Its value [rad or m].
+        lower: Its lower limit [rad or m].
+        upper: Its upper limit [rad or m].
+
+    Examples:
+        >>> from hplan.errors import JointLimitError
+        >>> error = JointLimitError("goal", "elbow", 2.8, -2.6, 2.6)
+        >>> error.joint, error.value, error.upper
+        ('elbow', 2.8, 2.6)
+    """
 
     which: str
     joint: str
 
     def __init__(self, which: str, joint: str, value: float, lower: float, upper: float, unit: str = "rad") -> None:
-        """Name the configuration (`start`, `goal`, `waypoint 3`), the joint, its value, its limits and their unit."""
+        """Name the configuration, the joint, its value, its limits and their unit."""
         message = (
             f"{which}: joint {joint!r} is at {value:.6g} {unit}, outside its limits [{lower:.6g}, {upper:.6g}] {unit}"
         )
@@ -111,7 +177,21 @@ class JointLimitError(InputError):
 
 
 class StartStateError(InputError):
-    """A start that moves as the arm cannot: beyond a joint's limit, or a joint that is locked."""
+    """The start velocity or acceleration is infeasible: limit or locked joint.
+
+    Attributes:
+        joint: Name of the joint.
+        quantity: `velocity` or `acceleration`.
+        value: Value of the quantity, in the unit of the message.
+        limit: Its limit, in the same unit.
+        locked: True if the joint is locked.
+
+    Examples:
+        >>> from hplan.errors import StartStateError
+        >>> error = StartStateError("elbow", "velocity", 3.0, 2.0, "rad/s")
+        >>> error.quantity, error.value, error.limit
+        ('velocity', 3.0, 2.0)
+    """
 
     joint: str
     quantity: str
@@ -126,7 +206,20 @@ class StartStateError(InputError):
 
 
 class NotOnMotionError(InputError):
-    """An arm that is not where the running motion has it, by more than the tracking error that is covered."""
+    """The arm deviates from the running motion beyond the covered tracking error.
+
+    Attributes:
+        joint: Name of the joint.
+        off_by: Deviation of the joint from the running motion [rad or m].
+        covered: Tracking error that the certificate covers [rad or m].
+        at_s: Time on the controller's clock [s].
+
+    Examples:
+        >>> from hplan.errors import NotOnMotionError
+        >>> error = NotOnMotionError("elbow", 0.05, 0.01, 12.4)
+        >>> error.joint, error.off_by, error.covered
+        ('elbow', 0.05, 0.01)
+    """
 
     joint: str
     off_by: float
@@ -142,9 +235,19 @@ class NotOnMotionError(InputError):
 
 
 class FrameError(InputError):
-    """A camera frame that cannot replace the frame before it, or one that is too old to plan among.
+    """A camera frame cannot replace the previous one, or is too old.
 
-    The obstacles of the last good frame stay in the scene. `reason` says what is wrong and what would be right.
+    The scene keeps the obstacles of the last valid frame.
+
+    Attributes:
+        name: Name of the camera or obstacle that the frame updates.
+        reason: The fault, and the expected value.
+
+    Examples:
+        >>> from hplan.errors import FrameError
+        >>> error = FrameError("camera", "it is 0.9 s old; expected at most 0.2 s", age_s=0.9)
+        >>> error.name, error.age_s
+        ('camera', 0.9)
     """
 
     name: str
@@ -155,7 +258,21 @@ class FrameError(InputError):
 
 
 class ConfigurationInCollisionError(InputError):
-    """Start or goal touches an obstacle or the arm itself, or comes closer than the clearance to keep."""
+    """Start or goal is in collision, or closer than the required clearance.
+
+    Attributes:
+        which: `start`, `goal` or, for example, `waypoint 3`.
+        link: Name of the link.
+        obstacle: Name of the obstacle, or of the other link.
+        depth_m: Penetration depth in the obstacle grown by the clearance: the clearance minus the distance [m].
+        clearance_m: Required clearance [m].
+
+    Examples:
+        >>> from hplan.errors import ConfigurationInCollisionError
+        >>> error = ConfigurationInCollisionError("goal", "hand", "post 1", 0.012)
+        >>> error.link, error.obstacle, error.depth_m
+        ('hand', 'post 1', 0.012)
+    """
 
     which: str
     link: str
@@ -174,9 +291,9 @@ class ConfigurationInCollisionError(InputError):
         mover: str = "",
         other: str = "",
     ) -> None:
-        """Name the configuration, link, obstacle, by how much too deep it is and the clearance to keep [m].
+        """Name configuration, link, obstacle, depth and required clearance [m].
 
-        `mover` and `other` name the two in the message; without them they are `link` and the obstacle.
+        `mover` and `other` name the pair in the message; the defaults are `link` and the obstacle.
         """
         mover, other = mover or f"link {link!r}", other or f"obstacle {obstacle!r}"
         if depth_m >= clearance_m:
@@ -191,7 +308,18 @@ class ConfigurationInCollisionError(InputError):
 
 
 class OptionError(InputError):
-    """An option or argument outside its range."""
+    """An option or argument has an invalid value or type.
+
+    Attributes:
+        option: Name of the option.
+        value: The value given.
+        expected: The expected value, in words.
+
+    Examples:
+        >>> from hplan.errors import OptionError
+        >>> print(OptionError("speed", 2.0, "a number between 0 and 1"))
+        speed = 2.0: expected a number between 0 and 1
+    """
 
     option: str
     value: Any
@@ -205,7 +333,17 @@ class OptionError(InputError):
 
 
 class OutputError(InputError):
-    """A result cannot be written where it was asked for."""
+    """A result cannot be written to its file.
+
+    Attributes:
+        path: The file.
+        reason: The fault.
+
+    Examples:
+        >>> from hplan.errors import OutputError
+        >>> OutputError("plan.csv", "it is a folder").reason
+        'it is a folder'
+    """
 
     path: Path
     reason: str

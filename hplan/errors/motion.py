@@ -1,4 +1,4 @@
-"""Errors of a path or motion that is there: it cannot be timed (exit status 4), or is not certified (5)."""
+"""Errors about a path or motion: timing (exit status 4), certification (5)."""
 
 from __future__ import annotations
 
@@ -9,7 +9,18 @@ from hplan.errors.root import HplanError
 
 
 class TimingError(HplanError):
-    """A path that cannot be timed under the limits; `joint` is the one at fault where it is known."""
+    """The path cannot be timed under the limits.
+
+    Attributes:
+        joint: The joint that violates its limit; None if unknown.
+        cause: Key word of the reason; None if unknown.
+
+    Examples:
+        >>> from hplan.errors import TimingError
+        >>> error = TimingError("gravity exceeds the torque limit", joint="shoulder")
+        >>> error.joint, error.exit_status
+        ('shoulder', 4)
+    """
 
     exit_status = 4
     joint: str | None
@@ -20,17 +31,41 @@ class TimingError(HplanError):
 
 
 class CertificationError(HplanError):
-    """A motion whose safety could not be proved; `data` says where and by how much."""
+    """The safety of a motion is not proved.
+
+    `data` holds the place and the missing clearance.
+
+    Examples:
+        >>> from hplan.errors import CertificationError
+        >>> CertificationError("the motion is not certified", link="hand").data
+        {'link': 'hand'}
+    """
 
     exit_status = 5
 
 
 class PathInContactError(HplanError):
-    """A path of straight motions that touches something, or comes closer than the clearance to keep, by its own shape.
+    """A path of straight joint-space segments is in collision or too close.
 
-    Of the first place along it: either `waypoint` or `segment` is its number, counted from 1, the other None (segment k
-    leads from waypoint k to the next); `fraction` is how far along the segment it is. Depth and clearance to keep are
-    those of `ConfigurationInCollisionError`. `places` lists all that were found, each a mapping with these facts.
+    No timing can mend that. The attributes describe the first place along the path, at a waypoint or on a segment.
+
+    Attributes:
+        waypoint: Number of the waypoint, counted from 1; None if the place is on a segment.
+        segment: Number of the segment, counted from 1; segment k leads from waypoint k to k + 1. None at a waypoint.
+        fraction: Position along the segment, 0 to 1.
+        link: Name of the link.
+        obstacle: Name of the obstacle.
+        depth_m: Penetration depth, as in `ConfigurationInCollisionError` [m].
+        clearance_m: Required clearance [m].
+        places: All places found, each a mapping with these facts.
+
+    Examples:
+        >>> from hplan.errors import PathInContactError
+        >>> place = {"waypoint": None, "segment": 2, "fraction": 0.4, "link": "hand", "obstacle": "post 1"}
+        >>> place |= {"depth_m": 0.01, "clearance_m": 0.0}
+        >>> error = PathInContactError("segment 2 is in collision", [place])
+        >>> error.segment, error.obstacle, len(error.places)
+        (2, 'post 1', 1)
     """
 
     exit_status = 5
@@ -49,10 +84,19 @@ class PathInContactError(HplanError):
 
 
 class UnavoidableContactError(HplanError):
-    """A start in motion that was not left without contact, neither by a stop nor by a motion on.
+    """No collision-free stop or continuation was found from a start in motion.
 
-    `reasons` says what is in the way of the best stop, `stop` is that stop: the trajectory by which the arm comes to
-    rest with the most clearance, not certified.
+    Attributes:
+        reasons: Obstructions of the best stop, one sentence each.
+        tried: Number of stops tried.
+        clearance_m: Clearance of the best stop [m]; None if unknown.
+        stop: The stop with the maximum clearance, a trajectory; it is not certified.
+
+    Examples:
+        >>> from hplan.errors import UnavoidableContactError
+        >>> error = UnavoidableContactError(["'hand' touches 'post 1'"], 12, -0.01, stop=None)
+        >>> error.tried, error.clearance_m
+        (12, -0.01)
     """
 
     exit_status = 5
@@ -73,10 +117,20 @@ class UnavoidableContactError(HplanError):
 
 
 class RunningMotionBlockedError(HplanError):
-    """A running motion is no longer clear before a new one could take over, or cannot be left without contact.
+    """The running motion is blocked before a new motion can replace it.
 
-    `stop` is the certified stop on the path of the running motion, a trajectory from now on, whose first row is at
-    `begins_s` on the controller's clock [s]; None where there is none.
+    Attributes:
+        reasons: Obstructions, one sentence each.
+        stop: The certified stop on the path of the running motion, a trajectory from now on; None if no stop is
+            certified.
+        certificate: Certificate of the stop; None without a stop.
+        begins_s: Time of the first sample of the stop on the controller's clock [s].
+
+    Examples:
+        >>> from hplan.errors import RunningMotionBlockedError
+        >>> error = RunningMotionBlockedError(["'hand' touches 'post 1'"], stop=None, certificate=None)
+        >>> error.data["can_stop"]
+        False
     """
 
     exit_status = 5
@@ -93,7 +147,18 @@ class RunningMotionBlockedError(HplanError):
 
 
 class BoundError(HplanError):
-    """A motion is shorter than a duration that was shown to be too short: one of the two is wrong."""
+    """A duration is below a proved lower bound; one is wrong.
+
+    Attributes:
+        duration_s: Duration of the motion [s].
+        joint: Joint whose lower bound is violated.
+
+    Examples:
+        >>> from hplan.errors import BoundError
+        >>> error = BoundError("0.9 s is below the lower bound", duration_s=0.9, joint="shoulder")
+        >>> error.duration_s, error.exit_status
+        (0.9, 5)
+    """
 
     duration_s: float
     joint: str

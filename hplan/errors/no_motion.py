@@ -1,4 +1,4 @@
-"""Errors where no motion is: shown not to exist (exit status 3), or not found (6)."""
+"""Errors if no motion exists (exit status 3) or was found (6)."""
 
 from __future__ import annotations
 
@@ -9,13 +9,21 @@ from hplan.errors.root import HplanError
 
 
 class NoPathError(HplanError):
-    """No path exists on the grid, as flooding all that the start reaches shows; or none at all: a joint is blocked.
+    """No path exists: proved by a grid flood fill, or joint blocked.
 
-    `blockers` lists what bounds the reached region, largest part first, each a mapping with `obstacle`, `link`, `cells`
-    and `slices_deg` (first and last value at which it blocks, of the last planned joint or of the one that is blocked).
-    `goals` is for how many goals, all that there were, it was shown; the other facts are of the first of them.
-    `open_ended` is set where the region ends at the edge of the yaws that were searched, so that a wider range might
-    open it.
+    Attributes:
+        reached_cells: Number of grid cells connected to the start.
+        blockers: Boundary of that region, largest share first, each a mapping with `obstacle`, `link`, `cells` and
+            `slices_deg` (first and last blocked value of the last planned joint or of the blocked joint).
+        goals: Number of goals; the proof covers all of them, and the other attributes describe the first one.
+        open_ended: True if the region ends at the edge of the searched yaw range, so that a wider range might open it.
+
+    Examples:
+        >>> from hplan.errors import NoPathError
+        >>> blocker = {"obstacle": "post 1", "link": "hand", "cells": 40, "slices_deg": [10.0, 35.0]}
+        >>> error = NoPathError("no path exists", reached_cells=1200, blockers=[blocker])
+        >>> error.blockers[0]["obstacle"], error.exit_status
+        ('post 1', 3)
     """
 
     exit_status = 3
@@ -26,19 +34,32 @@ class NoPathError(HplanError):
     def __init__(
         self, message: str, *, reached_cells: int, blockers: Sequence[Mapping[str, Any]] = (), goals: int = 1
     ) -> None:
-        """Store how many cells the start reaches, what bounds them, and for how many goals it was shown."""
+        """Store the number of cells, the boundary and the number of goals."""
         listed = [dict(blocker) for blocker in blockers]
         super().__init__(message, reached_cells=reached_cells, blockers=listed, goals=goals)
         self.blockers = tuple(dict(blocker) for blocker in blockers)
 
 
 class UnreachableError(HplanError):
-    """No configuration puts the tool at a position.
+    """No configuration puts the tool at the position.
 
-    `reason` is `too_far` or `too_near` (`excess_m`), `joint_limit` (`joint`, `limit_deg`, `excess_deg`, and so all
-    of `passed`: limits that would have to be passed, by the least sum), `approach` (`approach_deg` asked for,
-    `reachable_deg` intervals), `locked` (`locked_joints`, `beside_m`), `off_plane` (`beside_m`), or `not_found`
-    (`joints` that were only tried at some values).
+    Attributes:
+        position_m: The position [m].
+        reason: Key word, with further facts:
+
+            * `too_far`, `too_near`: `excess_m`.
+            * `joint_limit`: `joint`, `limit_deg`, `excess_deg`, and `passed`, the limits exceeded by the configuration
+              with the minimum sum of excesses.
+            * `approach`: `approach_deg` (required) and the intervals `reachable_deg`.
+            * `locked`: `locked_joints`, and the distance `beside_m` from the arm plane [m].
+            * `off_plane`: the distance `beside_m` from the arm plane [m].
+            * `not_found`: `joints` that were sampled at some values only.
+
+    Examples:
+        >>> from hplan.errors import UnreachableError
+        >>> error = UnreachableError((3.0, 0.0, 1.0), "too_far", "the arm is too short", excess_m=0.8)
+        >>> error.reason, error.excess_m, error.position_m
+        ('too_far', 0.8, (3.0, 0.0, 1.0))
     """
 
     exit_status = 3
@@ -52,10 +73,20 @@ class UnreachableError(HplanError):
 
 
 class ApproachError(HplanError):
-    """No straight approach as long as asked for.
+    """No straight approach of the required length.
 
-    `reason` is `joint_limit` (`joint`), `elbow` (it would come too near to straight or folded), `joints` (fewer than
-    three that may move) or, of a general (non-planar) arm, `line` (the tool cannot be drawn back so far).
+    Attributes:
+        standoff_m: Required length [m].
+        largest_standoff_m: Maximum length found [m].
+        reason: `joint_limit` (see `joint`), `elbow` (too close to straight or folded), `joints` (fewer than three free
+            joints) or, for a general (non-planar) arm, `line` (the tool cannot retract that far).
+        joint: The joint at its limit; None for the other reasons.
+
+    Examples:
+        >>> from hplan.errors import ApproachError
+        >>> error = ApproachError(0.2, "elbow", "the elbow straightens", largest_standoff_m=0.12)
+        >>> error.reason, error.largest_standoff_m
+        ('elbow', 0.12)
     """
 
     exit_status = 3
@@ -77,12 +108,23 @@ class ApproachError(HplanError):
 
 
 class BlockedError(HplanError):
-    """A fruit or a point that the arm could reach if nothing were in the way.
+    """Obstacles block every configuration that reaches a fruit or a point.
 
-    `obstacles` lists what is, most often first, each a mapping with `obstacle`, `link` and the number of
-    `configurations`, of those at evenly spaced approach angles. `refined` more were tried at angles in between, where
-    these come nearest to being clear; the best of all has the clearance `best_clearance_m` beyond the one to keep, and
-    `needed_clearance_m` would be needed.
+    Attributes:
+        what: Name of the fruit or point in the message.
+        tried: Number of configurations tried, at evenly spaced approach angles.
+        refined: Number of further configurations, tried at angles near the best ones.
+        obstacles: Blocking obstacles, most frequent first, each a mapping with `obstacle`, `link` and the number of
+            `configurations`.
+        best_clearance_m: Maximum clearance found, in excess of the required clearance [m]; None if unknown.
+        needed_clearance_m: Excess clearance required for verification [m].
+
+    Examples:
+        >>> from hplan.errors import BlockedError
+        >>> obstacle = {"obstacle": "post 1", "link": "hand", "configurations": 12}
+        >>> error = BlockedError("fruit 'apple'", 12, [obstacle])
+        >>> error.obstacles[0]["link"], error.exit_status
+        ('hand', 3)
     """
 
     exit_status = 3
@@ -121,7 +163,17 @@ class BlockedError(HplanError):
 
 
 class TourError(HplanError):
-    """None of the fruits of a tour can be picked; `reasons` has for each its name and the error that says why."""
+    """No fruit of a tour can be picked.
+
+    Attributes:
+        reasons: Pairs of fruit name and the error that explains its failure.
+
+    Examples:
+        >>> from hplan.errors import TourError, UnreachableError
+        >>> cause = UnreachableError((3.0, 0.0, 1.0), "too_far", "the arm is too short")
+        >>> [name for name, _ in TourError([("apple", cause)]).reasons]
+        ['apple']
+    """
 
     exit_status = 3
 
@@ -135,9 +187,18 @@ class TourError(HplanError):
 
 
 class NotFoundError(HplanError):
-    """No motion was found within the memory and effort given, and none was shown not to exist.
+    """The search is inconclusive: no motion found, and none proved impossible.
 
-    `tried` says what was tried, sentence by sentence.
+    More memory, effort or time may find a motion.
+
+    Attributes:
+        tried: Methods tried, one sentence each.
+
+    Examples:
+        >>> from hplan.errors import NotFoundError
+        >>> error = NotFoundError(["RRT-Connect, 20,000 nodes"])
+        >>> error.tried, error.exit_status
+        (['RRT-Connect, 20,000 nodes'], 6)
     """
 
     exit_status = 6
@@ -150,9 +211,17 @@ class NotFoundError(HplanError):
 
 
 class ObstacleInTimeError(NotFoundError):
-    """No motion was found past something that moves: `obstacle` is in the way, at `at_s`, of the best that was found.
+    """No motion was found past a moving obstacle.
 
-    Both are None where the base alone moves and nothing was found to be timed.
+    Attributes:
+        obstacle: Obstacle that blocks the best motion found.
+        at_s: Time of that contact [s]. Both attributes: None if only the base moves and there was no path to time.
+
+    Examples:
+        >>> from hplan.errors import ObstacleInTimeError
+        >>> error = ObstacleInTimeError("cart", 1.25, ["waiting at the start"])
+        >>> error.obstacle, error.at_s
+        ('cart', 1.25)
     """
 
     obstacle: str | None
@@ -165,7 +234,19 @@ class ObstacleInTimeError(NotFoundError):
 
 
 class NotInTimeError(NotFoundError):
-    """No motion was certified before the deadline; `tried` says what was tried, and for how long."""
+    """No motion was certified before the deadline.
+
+    Attributes:
+        deadline_s: The deadline, from the start of the call [s].
+        elapsed_s: Time elapsed [s].
+        tried: Methods tried, with their durations, one sentence each.
+
+    Examples:
+        >>> from hplan.errors import NotInTimeError
+        >>> error = NotInTimeError(0.1, 0.102, ["grid search for 80 ms"])
+        >>> error.deadline_s, error.elapsed_s
+        (0.1, 0.102)
+    """
 
     deadline_s: float
     elapsed_s: float
@@ -177,7 +258,16 @@ class NotInTimeError(NotFoundError):
 
 
 class PlanCancelledError(HplanError):
-    """A plan was cancelled, `elapsed_s` after it was begun."""
+    """The caller cancelled the call.
+
+    Attributes:
+        elapsed_s: Time from the start of the call to the cancellation [s].
+
+    Examples:
+        >>> from hplan.errors import PlanCancelledError
+        >>> PlanCancelledError(0.25).elapsed_s
+        0.25
+    """
 
     exit_status = 6
     elapsed_s: float
@@ -187,9 +277,17 @@ class PlanCancelledError(HplanError):
 
 
 class WorkersLostError(HplanError):
-    """Tasks that never came to an end: the processes that had them were lost, again and again.
+    """Some tasks repeatedly lost the process that ran them.
 
-    `tasks` are their numbers. Whatever else was asked for is done.
+    All other tasks are done.
+
+    Attributes:
+        tasks: Numbers of the unfinished tasks.
+
+    Examples:
+        >>> from hplan.errors import WorkersLostError
+        >>> WorkersLostError([3, 7], of=100).tasks
+        [3, 7]
     """
 
     exit_status = 6

@@ -1,4 +1,4 @@
-"""The root of all hplan errors: a sentence, its facts as attributes, and how it travels between processes."""
+"""Root class of the hplan errors: message, facts as attributes, pickling."""
 
 from __future__ import annotations
 
@@ -9,12 +9,22 @@ from typing import Any, ClassVar
 class HplanError(Exception):
     """Root of all hplan errors.
 
-    Errors can be pickled and copied, whatever their constructor takes: they are restored from what they hold, notes
-    included. As for Python's own, traceback and cause stay behind; what cannot be pickled becomes its text.
+    Errors can be pickled and copied, notes included, for any constructor signature: unpickling restores the attributes.
+    As with Python's own exceptions, traceback and cause are dropped. An attribute that cannot be pickled is replaced by
+    its `repr`.
 
     Attributes:
-        data: The facts of the error, ready for JSON.
+        message: The sentence for the user.
+        data: Facts of the error by name, JSON-serializable.
         exit_status: Exit status of the command line for this error.
+
+    Examples:
+        >>> from hplan.errors import HplanError
+        >>> error = HplanError("joint 'elbow' is locked", joint="elbow")
+        >>> error.joint
+        'elbow'
+        >>> error.as_dict()
+        {'kind': 'HplanError', 'message': "joint 'elbow' is locked", 'joint': 'elbow'}
     """
 
     exit_status: ClassVar[int] = 1
@@ -27,33 +37,33 @@ class HplanError(Exception):
 
     @property
     def kind(self) -> str:
-        """Name of the error, as the report gives it."""
+        """Class name of the error, as in the report."""
         return type(self).__name__
 
     def as_dict(self) -> dict[str, Any]:
-        """The error as the report's `error` object: `kind`, `message` and the facts."""
+        """Return the report's `error` object: `kind`, `message` and the facts."""
         return {"kind": self.kind, "message": self.message, **self.data}
 
     def add(self, sentence: str, **data: Any) -> None:
-        """Add a sentence and its facts."""
+        """Append a sentence to the message, and its facts to `data`."""
         self.message = f"{self.message}; {sentence}"
         self.args = (self.message, *self.args[1:])
         self.data |= data
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Restore without the constructor, whose arguments are not kept."""
+        """Restore without the constructor, whose arguments are not stored."""
         state = {name: value if _can_be_pickled(value) else repr(value) for name, value in vars(self).items()}
         return _without_constructor, (type(self), self.args), state
 
 
 def _without_constructor(kind: type[HplanError], arguments: tuple[Any, ...]) -> HplanError:
-    """An error with its `args` and nothing else."""
+    """Return an error with its `args`, constructor skipped."""
     return kind.__new__(kind, *arguments)
 
 
 def _can_be_pickled(value: object) -> bool:
     try:
         pickle.dumps(value)
-    except Exception:  # whatever a foreign class raises
+    except Exception:  # third-party classes raise arbitrary exceptions
         return False
     return True

@@ -1,22 +1,47 @@
-"""Warnings: the call goes on, but its result does not cover everything that the user may expect."""
+"""Warnings: the call continues, but its result covers less than expected."""
 
 from __future__ import annotations
 
 
 class HplanWarning(UserWarning):
-    """Root of the warnings that users of hplan may want to filter."""
+    """Root of the hplan warnings, for filters.
+
+    Examples:
+        >>> import warnings
+        >>> from hplan.errors import HplanWarning
+        >>> warnings.simplefilter("ignore", HplanWarning)
+    """
 
 
 class FarObstacleWarning(HplanWarning):
-    """Obstacles are so far from the arm that their lengths are probably in millimetres."""
+    """Obstacles are far from the arm; their unit is probably millimetres.
+
+    Examples:
+        >>> from hplan.errors import FarObstacleWarning, HplanWarning
+        >>> issubclass(FarObstacleWarning, HplanWarning)
+        True
+    """
 
 
 class UncoveredLinkWarning(HplanWarning):
-    """A drawn link of the robot is not covered by its collision shapes.
+    """A link has visuals that its collision shapes do not cover.
 
     Plans and certificates say nothing about that link.
+
+    Examples:
+        >>> from hplan.errors import UncoveredLinkWarning
+        >>> issubclass(UncoveredLinkWarning, UserWarning)
+        True
     """
 
 
 class MissingVisualWarning(HplanWarning):
-    """The mesh file of a visual is missing; the link is not drawn, and plans do not change."""
+    """A visual's mesh file is missing, so the link is not drawn.
+
+    Plans do not change.
+
+    Examples:
+        >>> import warnings
+        >>> from hplan.errors import MissingVisualWarning
+        >>> warnings.filterwarnings("error", category=MissingVisualWarning)
+    """

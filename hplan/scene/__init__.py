@@ -1,6 +1,15 @@
-"""Scenes: obstacles, fruit, start and goal as frozen data; their YAML files; meshes and point clouds as convex solids.
+"""Scenes: obstacles, fruit, start and goal as immutable data; YAML files.
 
-Knows no robot; `orchard` makes scenes of trees and their fruit.
+Meshes and point clouds become convex solids. This package knows no robot; `orchard` generates scenes of trees with
+fruit.
+
+Examples:
+    >>> from hplan.scene import Goal, Scene, Sphere, Start
+    >>> apple = Sphere(name="apple", center=(1.0, 0.0, 1.5), radius=0.04)
+    >>> start = Start(joints_deg=(0.0, 90.0, 90.0, 90.0))
+    >>> scene = Scene(name="one apple", start=start, goal=Goal(position=(1.2, 0.0, 1.6)), obstacles=(apple,))
+    >>> [obstacle.name for obstacle in scene.obstacles]
+    ['apple']
 """
 
 from __future__ import annotations

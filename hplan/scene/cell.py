@@ -1,6 +1,7 @@
-"""A cell: several robots among the same obstacles, as the scene file describes them under `robots`.
+"""A workcell: several robots among the same obstacles.
 
-Everything is in the frame of the cell, `base_link`, whose z axis is vertical; goals that are places too.
+Scene files describe it under the key `robots`. All coordinates, position goals included, are in the workcell frame
+`base_link`, whose z axis is vertical.
 """
 
 from __future__ import annotations
@@ -16,29 +17,29 @@ from hplan.scene.model import FORMAT, Fruit, Goal, Scene, Start
 from hplan.scene.obstacle_kind import Name
 from hplan.scene.obstacles import Obstacle
 
-#: Most robots of a cell.
+#: Maximum number of robots of a workcell.
 MOST_ROBOTS = 16
 
-#: A link of one of the robots: the robot's name, and that of the link in its URDF.
+#: A link of one robot: the robot's name, and the link's name in its URDF.
 ArmLink: TypeAlias = tuple[Name, Name]
 
 
 class CellRobot(StrictModel):
-    """One of a cell's robots, where it stands, and what it is to do.
+    """One robot of a workcell: its model, base pose and task.
 
     Attributes:
-        name: Its name in the cell, that its joints and links begin with.
-        robot: Name of a robot, or a URDF beside the scene file, as `load_robot` takes it; None for the harvester.
-        limits: Limits file, or the name of a robot, as `load_robot` takes it.
-        tool_frame: Frame at the end of the arm, as `load_robot` takes it.
-        hold: Values of joints that stand still [rad, m].
-        collision_from_visual: Whether, or for which links, collision shapes are built from visuals (`load_robot`).
-        position: Where its base stands [m].
-        rpy_deg: How its base is turned [deg].
-        start: Configuration at which it begins, at rest.
-        goal: What it is to reach; None where it stays, or where the goal is to pick fruit on a tour.
-        drop_off: Where on a tour it lets fruit go, by joints, a position or a pose; None where it takes it in itself.
-        every: How many fruits it carries there at most.
+        name: Name in the workcell, prefix of its joint and link names.
+        robot: Name of a robot, or a URDF next to the scene file, for `load_robot`; None for the harvester.
+        limits: Limits file, or name of a robot, for `load_robot`; None for the default limits.
+        tool_frame: Frame at the end of the arm, for `load_robot`; None for the default frame.
+        hold: Values of fixed joints [rad, m].
+        collision_from_visual: True, or the names of the links, to build collision shapes from visuals (`load_robot`).
+        position: Position of its base [m].
+        rpy_deg: Rotation of its base by roll, pitch and yaw [deg].
+        start: Start configuration, at rest.
+        goal: Goal; None if the robot stays, or if its task is to pick fruit on a tour.
+        drop_off: Place where fruit is released on a tour: joints, a position or a pose; None if the robot stores fruit.
+        every: Maximum number of fruits carried to the drop-off at a time.
     """
 
     name: Name
@@ -66,15 +67,15 @@ class CellRobot(StrictModel):
 
 
 class CellScene(StrictModel):
-    """Several robots and everything around them.
+    """Several robots and their environment.
 
     Attributes:
-        name: Name of the cell.
+        name: Name of the workcell.
         robots: The robots.
-        clearance: Distance that each keeps from every obstacle [m].
-        obstacles: What must not be touched.
-        fruits: Fruit; obstacles too, except for the robot that reaches for it.
-        may_touch: Pairs of links of different robots that touch by design, such as bases on one plate. They are not
+        clearance: Minimum distance of each robot from every obstacle [m].
+        obstacles: Obstacles.
+        fruits: Fruit; obstacles too, except for the robot whose goal it is.
+        may_touch: Pairs of links of different robots that touch by design, for example bases on one plate. They are not
             checked, and every certificate and report lists them.
     """
 
@@ -102,10 +103,10 @@ class CellScene(StrictModel):
                     raise fault(f"{robot_name!r} is not among the robots", "may_touch", place, end)
             if pair[0][0] == pair[1][0]:
                 raise fault(f"both links are of {pair[0][0]!r}; pairs are of two robots", "may_touch", place)
-        self.task(Goal(joints_rad=(0.0,)), self.robots[0].start)  # names of obstacles and fruits differ
+        self.task(Goal(joints_rad=(0.0,)), self.robots[0].start)  # checks that names of obstacles and fruits differ
         return self
 
     def task(self, goal: Goal, start: Start, **more: Any) -> Scene:
-        """The scene of one robot that stands where the cell does."""
+        """Return the scene of a robot based at the workcell frame."""
         shared = {key: getattr(self, key) for key in ("name", "clearance", "obstacles", "fruits")}
         return Scene(**{**shared, "start": start, "goal": goal, **more})

@@ -1,7 +1,7 @@
-"""The points of a cloud, merged where they are near to one another, and the tree over them: compiled.
+"""Compiled construction of a point cloud: merging of near points, bounding-ball tree.
 
-Points stand along a curve through cells of a cube about them, by the bits of all three coordinates in turn (Morton). A
-node is a stretch of it, parted where the highest bit changes that does, until few points are left.
+Points are sorted along a Morton curve through the cells of a bounding cube, by the interleaved bits of the three
+coordinates. A node is an interval of the curve, split where its highest differing bit changes, down to small leaves.
 """
 
 from __future__ import annotations
@@ -13,32 +13,34 @@ import numpy as np
 from hplan.base.arrays import FloatArray, IntArray
 from hplan.base.kernels import inlined, kernel
 
-#: Columns of a node: as in `hplan.scene.solids.Cloud`.
+#: Number of columns of a node, as in `hplan.scene.solids.Cloud`.
 _COLUMNS = 7
 
-#: Bits of a point's number, which stands behind its place along the curve, so that both are sorted at once.
+#: Number of low bits that hold a point's index; the bits above hold its Morton code, so one sort orders both.
 _NUMBER = 26
 
 
 def merged(points: FloatArray, edge: float) -> tuple[FloatArray, float]:
-    """Points of one voxel as the middle of the box about them, where that makes them notably fewer.
+    """Merge the points of each voxel if that reduces their number considerably.
+
+    The merged point is the centre of their bounding box.
 
     Args:
         points: (n, 3) points [m].
-        edge: Edge of a voxel [m].
+        edge: Edge length of a voxel [m].
 
     Returns:
-        (m, 3) fewer points, and the distance of the farthest old one from its new one [m].
+        (m, 3) merged points, and the maximum distance of an old point from its merged one [m].
     """
     cells = np.floor(points / edge).astype(np.int64)
     cells -= cells.min(axis=0)
     sizes = tuple((cells.max(axis=0) + 1).tolist())
-    if math.prod(sizes) >= 2**63:  # they are kilometres apart
+    if math.prod(sizes) >= 2**63:  # the points are kilometres apart
         return points, 0.0
     keys = np.ravel_multi_index(tuple(cells.T), sizes)
     order = np.argsort(keys)
     firsts = np.flatnonzero(np.diff(keys[order], prepend=-1))
-    # Points are merged where that leaves at most this fraction of the balls.
+    # Points are merged if at most this fraction of the balls remains.
     worth_merging = 0.7
     if len(firsts) > worth_merging * len(points):
         return points, 0.0
@@ -50,7 +52,7 @@ def merged(points: FloatArray, edge: float) -> tuple[FloatArray, float]:
 
 @inlined
 def _every_third(cell: int) -> int:
-    """The last 16 bits of a number, each followed by two that are 0."""
+    """Spread the lowest 16 bits, with two zero bits after each."""
     bits = (cell | (cell << 16)) & 0x0000FF0000FF
     bits = (bits | (bits << 8)) & 0x00F00F00F00F
     bits = (bits | (bits << 4)) & 0x0C30C30C30C3
@@ -59,9 +61,9 @@ def _every_third(cell: int) -> int:
 
 @inlined
 def _bounds(points: FloatArray, first: int, last: int) -> tuple[float, float, float, float, float, float]:
-    """The least and the largest coordinates of the points first..last - 1."""
+    """Minimum and maximum coordinates of points[first:last]."""
     x, y, z = right, far, top = points[first, 0], points[first, 1], points[first, 2]
-    for n in range(first + 1, last):  # all axes at once: none waits for the one before
+    for n in range(first + 1, last):  # interleaved axes: no operation waits for the previous one
         x, right = min(x, points[n, 0]), max(right, points[n, 0])
         y, far = min(y, points[n, 1]), max(far, points[n, 1])
         z, top = min(z, points[n, 2]), max(top, points[n, 2])
@@ -70,7 +72,11 @@ def _bounds(points: FloatArray, first: int, last: int) -> tuple[float, float, fl
 
 @kernel
 def _places(points: FloatArray) -> IntArray:
-    """(n,) where each of (n, 3) points is along the curve, and behind that, in `_NUMBER` bits, its number."""
+    """Sort keys of (n, 3) points: Morton code, then `_NUMBER` index bits.
+
+    Returns:
+        (n,) keys.
+    """
     x, y, z, right, far, top = _bounds(points, 0, points.shape[0])
     per_metre = 4095.0 / max(right - x, far - y, top - z, 1e-9)
     found = np.empty(points.shape[0], dtype=np.int64)
@@ -83,7 +89,7 @@ def _places(points: FloatArray) -> IntArray:
 
 @kernel
 def _first_after(places: IntArray, first: int, last: int) -> int:
-    """Where a stretch is parted: at the first place with the highest bit that not all have, else in the middle."""
+    """Split position of an interval: its highest differing bit, else the middle."""
     differ, bit, begin, end = (places[first] ^ places[last - 1]) >> _NUMBER, 1 << _NUMBER, first, last
     if differ == 0:
         return (first + last) // 2
@@ -102,8 +108,8 @@ def _first_after(places: IntArray, first: int, last: int) -> int:
 def _nodes(points: FloatArray, places: IntArray, leaf: int) -> FloatArray:
     count, fewest = points.shape[0], leaf // 4
     nodes = np.empty((1 + 2 * (count // fewest), _COLUMNS))
-    # A node's place on the stack is its parts still to come; what is finished learns where the next one begins, and
-    # leaves its box.
+    # The stack holds the pending intervals of each node; a finished node gets the index of the next node, and its
+    # bounding box is kept.
     stack, boxes = np.empty((3 * 64, 3), dtype=np.int64), np.empty((64, 6))
     stack[0] = (0, count, -1)
     height, number, done = 1, 0, 0
@@ -141,7 +147,7 @@ def _nodes(points: FloatArray, places: IntArray, leaf: int) -> FloatArray:
 
 @kernel
 def _around(nodes: FloatArray, box: FloatArray, number: int) -> None:
-    """Write a ball about the middle of the box about a node's two parts that holds their points."""
+    """Write a bounding ball of a node's children, centred in their box."""
     square, farthest, node = 0.0, 0.0, nodes[number]
     for axis in range(3):
         low, high = box[axis], box[3 + axis]
@@ -154,14 +160,14 @@ def _around(nodes: FloatArray, box: FloatArray, number: int) -> None:
 
 
 def tree_of(points: FloatArray, leaf: int) -> tuple[FloatArray, FloatArray]:
-    """Points in the order of a tree, and the tree.
+    """Sort points in tree order and build the tree.
 
     Args:
         points: (n, 3) points, 0 < n < 2^26.
-        leaf: Most points of a leaf, 4 or more.
+        leaf: Maximum number of points of a leaf, at least 4.
 
     Returns:
-        (n, 3) the points, and (nodes, 7) the nodes, as in `hplan.scene.solids.Cloud`.
+        (n, 3) sorted points, and (nodes, 7) nodes, as in `hplan.scene.solids.Cloud`.
     """
     places = _places(points)
     places.sort()

@@ -1,25 +1,24 @@
-r"""A closed surface to convex pieces whose union holds the solid inside it.
+r"""Convex decomposition of a closed surface; the union contains the solid.
 
 The solid :math:`S` is cut by planes: each part is the closure :math:`S_C` of the intersection of its interior with the
-interior of a box :math:`C` of a partition of space. Each part is replaced by its convex hull, so the pieces hold the
-solid whatever the cuts. The hull is exact: :math:`S_C` is in the hull of its extreme points, and an extreme point is
-either on the surface, and then a vertex of a triangle clipped by :math:`C`, or inside the solid, and then a corner of
-:math:`C`. Hence
+interior of a box :math:`C` of a partition of space. Each part is replaced by its convex hull, so the union contains
+the solid for any choice of cuts. The hull is exact: :math:`S_C` lies in the hull of its extreme points, and an extreme
+point is either on the surface, and then a vertex of a triangle clipped by :math:`C`, or inside the solid, and then a
+corner of :math:`C`. Hence
 
 .. math:: \mathrm{conv}(S_C) = \mathrm{conv}(\text{vertices of the clipped triangles} \cup
     \{\text{corners of } C \text{ in } S_C\}).
 
-Triangles in the plane of a cut count on the side where the solid is; whether a corner is inside is asked a `_NUDGE`
-inwards of the box, by the winding number. (Hulls of many vertices are simplified from outside, see
-`hplan.scene.solids`. What a cut leaves within `_IN_PLANE` of it is on its other side. So "hold" means up to less than a
-micrometre.)
+Triangles in the plane of a cut belong to the side of the solid. The winding number decides if a corner is inside, at a
+point `_NUDGE` inwards of the box. (Hulls with many vertices are simplified from outside, see `hplan.scene.solids`.
+Parts within `_IN_PLANE` of a cut are assigned to its other side. So "contains" means up to less than a micrometre.)
 
-A surface may hold sheets as well as solids: leaves and panels, two faces back to back or nearly so. A part thinner than
-`hplan.scene.solids.THIN` is made thicker by as much to either side, so that hulls of sheets have a volume too.
+A surface may bound sheets as well as solids: leaves and panels, two faces back to back or nearly so. A part thinner
+than `hplan.scene.solids.THIN` is thickened by that length to either side, so that hulls of sheets have a volume too.
 
-How far the pieces stand out is measured on a grid of voxels (`hplan.scene.voxels`). The piece that stands out farthest
-is cut next, where the hulls of the halves have the least volume together, until none stands out by more than the
-tolerance or there are `PIECES`.
+The excess of the parts over the solid is measured on a voxel grid (`hplan.scene.voxels`). The part with the maximum
+excess is cut next, at the place that minimizes the total hull volume of the halves, until no excess is above the
+tolerance or there are `PIECES` parts.
 """
 
 from __future__ import annotations
@@ -35,27 +34,27 @@ from hplan.base.arrays import FloatArray, IntArray
 from hplan.scene.solids import CUBE_CORNERS, THIN, Hull, hull_of, shared_edges, thickening, triangle_normals
 from hplan.scene.voxels import SolidVoxels
 
-#: Most pieces of a mesh.
+#: Maximum number of convex parts of a mesh.
 PIECES: Final = 64
 
-#: Vertices this near to a plane lie in it [m]: what single precision makes of a metre.
+#: Vertices within this distance of a plane count as in it: the single-precision resolution at one metre [m].
 _IN_PLANE: Final = 1e-7
 
-#: How far inside a box its corner is tested [m].
+#: Inward offset of a box corner for the inside test [m].
 _NUDGE: Final = 2e-7
 
-#: Places along an axis at which a cut is tried, besides quarter, half and three quarters.
+#: Number of cuts tried along an axis, in addition to quarter, half and three quarters.
 _PLACES: Final = 6
 
 
 @dataclass(frozen=True, eq=False)
 class Pieces:
-    """Convex pieces of a solid.
+    """Convex parts of a solid.
 
     Attributes:
-        hulls: The pieces; their union holds the solid.
-        excess: No point of a piece is farther than this from the solid [m]; 0 where it is convex as it is. (Hollows
-            that the surface encloses count as solid.)
+        hulls: The parts; their union contains the solid.
+        excess: Maximum distance of a point of the parts from the solid [m]; 0 for a convex solid. (Enclosed cavities
+            count as solid.)
     """
 
     hulls: tuple[Hull, ...]
@@ -63,11 +62,12 @@ class Pieces:
 
 
 def convex_pieces(vertices: FloatArray, faces: IntArray, *, most: int = PIECES) -> Pieces:
-    """Convex pieces of the solid inside a closed surface.
+    """Decompose the solid inside a closed surface into convex parts.
 
     Args:
         vertices: (n, 3) vertices [m].
         faces: (m, 3) triangles, counter-clockwise as seen from outside; closed.
+        most: Maximum number of parts.
 
     Raises:
         ValueError: The vertices lie in one plane.
@@ -94,7 +94,7 @@ def convex_pieces(vertices: FloatArray, faces: IntArray, *, most: int = PIECES) 
             heapq.heappush(waiting, (-voxels.excess(half.hull), number, half))
     ready += [(-excess, part) for excess, _, part in sorted(waiting, key=lambda item: item[1])]
     hulls = tuple(part.hull for _, part in ready)
-    # The hulls of the parts overlap nowhere, so volumes tell whether they are the solid itself; of sheets they do not.
+    # The hulls do not overlap, so equal volumes prove that they are the solid itself; not so for sheets.
     solid = [part.hull for _, part in ready if not part.is_thin]
     volume, of_hulls = _volume(triangles), sum(_volume(hull.core[hull.faces]) for hull in solid)
     exact = abs(of_hulls - volume) <= 1e-6 * volume and all(hull.rounding == 0.0 for hull in solid)
@@ -131,8 +131,9 @@ class _ClippedPart:
     Attributes:
         low: (3,) lower corner of the box [m].
         high: (3,) upper corner of the box [m].
-        triangles: (n, 3, 3) the surface clipped by it [m].
-        thickening: (k, 3) by what its points are shifted to make it a body; one row of zeros where it is one [m].
+        triangles: (n, 3, 3) surface clipped by the box [m].
+        thickening: (k, 3) shifts that give a sheet a volume; one row of zeros for a solid [m].
+        hull: Convex hull of the part.
     """
 
     low: FloatArray
@@ -143,22 +144,22 @@ class _ClippedPart:
 
     @property
     def is_thin(self) -> bool:
-        """True if it is a sheet, or a part of one."""
+        """True for a sheet, or a part of one."""
         return len(self.thickening) > 1
 
     @property
     def extent(self) -> tuple[FloatArray, FloatArray]:
-        """Lower and upper corner of what may be cut, (3,) each [m]."""
+        """Lower and upper corner of the region to cut, (3,) [m]."""
         points = self.triangles.reshape(-1, 3) if self.is_thin else self.hull.core
         return points.min(axis=0), points.max(axis=0)
 
     def rough_volume(self, triangles: FloatArray) -> float:
-        """Volume of the hull of some of its triangles, made as thick as it is [m^3]."""
+        """Approximate hull volume of some triangles, thickened as the part [m^3]."""
         return _rough_volume((triangles.reshape(-1, 1, 3) + self.thickening).reshape(-1, 3))
 
 
 def _part(low: FloatArray, high: FloatArray, triangles: FloatArray, surface: FloatArray) -> _ClippedPart | None:
-    """The part of the solid in a box, or None where there is nothing."""
+    """Return the part of the solid in a box, or None."""
     corners = np.where(CUBE_CORNERS < 0.0, low, high)
     nudge = _NUDGE * np.sign(0.5 * (low + high) - corners)
     inside = corners[np.abs(winding_numbers(corners + nudge, surface)) > 0.25]
@@ -169,13 +170,16 @@ def _part(low: FloatArray, high: FloatArray, triangles: FloatArray, surface: Flo
     points = (points[:, None] + thicker).reshape(-1, 3)
     try:
         hull = hull_of(points)
-    except ValueError:  # so thin that Qhull gives up
+    except ValueError:  # too thin for Qhull
         hull = hull_of(_block(points))
     return _ClippedPart(low, high, triangles, thicker, hull)
 
 
 def _block(points: FloatArray) -> FloatArray:
-    """(8, 3) corners of a block along the principal axes of points, larger by `THIN` on every side."""
+    """(8, 3) corners of a box along the principal axes of points.
+
+    It is larger by `THIN` on every side.
+    """
     middle = points.mean(axis=0)
     axes = np.linalg.eigh((points - middle).T @ (points - middle))[1].T
     local = (points - middle) @ axes.T
@@ -185,18 +189,18 @@ def _block(points: FloatArray) -> FloatArray:
 
 
 def _halves(part: _ClippedPart, places: list[FloatArray], surface: FloatArray) -> tuple[_ClippedPart, ...] | None:
-    """The part cut in two, or None where no cut is left to try."""
+    """Cut a part in two; None if no cut remains."""
     low, high = part.extent
     extent = high - low
     folds = [_between(found, low[axis], high[axis], 2.0 * _NUDGE) for axis, found in enumerate(places)]
-    # A few folds are those of a thing made of blocks: cut there alone, and the pieces are the blocks.
+    # Few folds indicate a solid made of blocks: with cuts at the folds only, the parts are the blocks.
     angular = sum(map(len, folds)) > 0 and max(map(len, folds)) <= _PLACES
     whole = max(part.rough_volume(part.triangles), 1e-300)
     best: tuple[float, int, float] | None = None
-    # Cost of an uneven cut, as a fraction of the difference: no single cut lessens the hulls of a ring, and an even one
-    # leads on.
+    # Cost of an uneven cut, as a fraction of the volume difference: no single cut of a ring reduces the hull volume,
+    # but after an even cut the next one does.
     evenness = 0.03
-    # Cost of a cut across a short side, compared with one across the longest.
+    # Cost of a cut across a short side, relative to one across the longest.
     short_side = 0.1
     for axis in range(3):
         here = folds[axis]
@@ -223,7 +227,7 @@ def _halves(part: _ClippedPart, places: list[FloatArray], surface: FloatArray) -
 
 
 def _between(places: FloatArray, low: float, high: float, gap: float) -> FloatArray:
-    """The places between two others, and not too near to these."""
+    """Places between two bounds, at least `gap` away from either."""
     return places[(places > low + gap) & (places < high - gap)]
 
 
@@ -238,15 +242,15 @@ _SUPPORTS: Final = _directions()
 
 
 def _rough_volume(points: FloatArray) -> float:
-    """Volume of the hull of the points farthest in some directions [m^3]; 0 where they are flat."""
+    """Hull volume of extreme points in fixed directions, 0 if flat [m^3]."""
     from scipy.spatial import ConvexHull, QhullError
 
     if len(points) < 4:
         return 0.0
-    # Some points of a part speak for it while cuts are compared, no more than this.
+    # Maximum number of points that represent a part in the comparison of cuts.
     samples = 3000
     x, y, z = points[:: 1 + len(points) // samples].T
-    # Of so few numbers each BLAS takes longer to wake its threads than to multiply.
+    # For arrays this small, BLAS takes longer to wake its threads than to multiply.
     heights = _SUPPORTS[:, :1] * x + _SUPPORTS[:, 1:2] * y + _SUPPORTS[:, 2:] * z
     farthest = np.unique(ties.on_raster(heights).argmax(axis=1))
     try:
@@ -256,9 +260,9 @@ def _rough_volume(points: FloatArray) -> float:
 
 
 def _clipped(triangles: FloatArray, axis: int, at: float, side: float) -> FloatArray:
-    """The triangles' parts on one side of a plane (where side * (coordinate - at) > 0), as triangles.
+    """Clip triangles to one side of a plane: `side * (coordinate - at) > 0`.
 
-    Of those that lie in the plane, the ones that bound a solid on this side.
+    Triangles in the plane are kept if they bound a solid on this side.
     """
     height = side * (triangles[:, :, axis] - at)
     height[np.abs(height) <= _IN_PLANE] = 0.0
@@ -270,7 +274,7 @@ def _clipped(triangles: FloatArray, axis: int, at: float, side: float) -> FloatA
     parts = [triangles[whole & ~level], corners[side * triangle_normals(corners)[:, axis] < 0.0]]
     for number in (1, 2):
         rows = np.flatnonzero((count == number) & ~whole)
-        # Turned so that the vertex that is alone comes first.
+        # Rotate the vertex order so that the lone vertex comes first.
         lone = (above[rows] if number == 1 else ~above[rows]).argmax(axis=1)
         turn = (lone[:, None] + np.arange(3)) % 3
         corners = np.take_along_axis(triangles[rows], turn[:, :, None], axis=1)
@@ -287,7 +291,10 @@ def _clipped(triangles: FloatArray, axis: int, at: float, side: float) -> FloatA
 
 
 def winding_numbers(points: FloatArray, triangles: FloatArray) -> FloatArray:
-    """Winding numbers of a closed surface about (n, 3) points: 1 inside, 0 outside, between on the surface."""
+    """Winding numbers of a closed surface about (n, 3) points.
+
+    1 inside, 0 outside, between on the surface.
+    """
     total = np.zeros(len(points))
     for k, point in enumerate(points):
         a, b, c = (triangles[:, i] - point for i in range(3))
@@ -299,7 +306,7 @@ def winding_numbers(points: FloatArray, triangles: FloatArray) -> FloatArray:
 
 
 def _reflex_places(vertices: FloatArray, faces: IntArray) -> list[FloatArray]:
-    """Coordinates, axis by axis, of the vertices at which the surface folds inwards: good places for cuts."""
+    """Coordinates of reflex vertices, axis by axis: candidates for cuts."""
     normals = triangle_normals(vertices[faces])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
     size = float(np.ptp(vertices, axis=0).max())

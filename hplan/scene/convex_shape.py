@@ -1,7 +1,6 @@
-"""Hulls as convex shapes of coal, made of their own vertices and triangles.
+"""Hulls as coal convex shapes, made from their own vertices and triangles.
 
-coal can find the hull of a mesh itself (`BVHModelBase.buildConvexHull`), but ends the process where the points are
-flat, or nearly so.
+coal's own hull computation (`BVHModelBase.buildConvexHull`) aborts the process for flat or nearly flat points.
 """
 
 from __future__ import annotations
@@ -13,7 +12,10 @@ from hplan.scene.solids import Hull, whole_hull
 
 
 def convex_shape(hull: Hull) -> coal.Convex:
-    """A hull in coal, its rounding as the radius that is swept about it."""
+    """Convert a hull to a coal shape.
+
+    The rounding becomes its swept-sphere radius.
+    """
     points, triangles = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
     for point in hull.core:
         points.append(point)
@@ -25,5 +27,5 @@ def convex_shape(hull: Hull) -> coal.Convex:
 
 
 def convex_hull_shape(points: FloatArray) -> coal.Convex:
-    """The convex hull in coal of (n, 3) points (`whole_hull`)."""
+    """Convex hull of (n, 3) points as a coal shape (`whole_hull`)."""
     return convex_shape(whole_hull(points))

@@ -1,8 +1,8 @@
-"""Which corners of a convex hull are neighbours, as numbers for kernels: the farthest one without a look at all.
+"""Adjacency tables of hull vertices for kernels: support points by hill climbing.
 
-A corner that lies no less far in a direction than all of its neighbours is the farthest of all, so a walk from corner
-to corner, always to the farthest neighbour, ends there (`hplan.collision.convex_distance.farthest_corner`). The table
-also holds a corner to begin with for each of the eight octants that a direction can lie in.
+A vertex at least as far in a direction as all its neighbours is the support point. So a walk from vertex to vertex,
+always to the farthest neighbour, ends there (`hplan.collision.convex_distance.farthest_corner`). The table also holds
+a start vertex for each of the eight octants of directions.
 """
 
 from __future__ import annotations
@@ -15,30 +15,30 @@ from hplan.base import ties
 from hplan.base.arrays import FloatArray, IntArray
 from hplan.scene.solids import CUBE_CORNERS
 
-#: With fewer corners all of them are compared.
+#: Up to this number of vertices, all of them are compared.
 FEW: Final = 16
 
-#: Corners to begin with.
+#: Number of start vertices.
 OCTANTS: Final = 8
 
 
 def corner_table(corners: FloatArray, first: int, table: int, faces: IntArray | None = None) -> FloatArray:
-    """The table of the corners of a hull.
+    """Return the adjacency table of a hull's vertices.
 
     Args:
-        corners: (n, 3) corners.
-        first: Place of their first coordinate among the numbers that kernels are given, x, y, z of each in turn.
-        table: Place of the table among them.
-        faces: (m, 3) triangles of the hull's corners, where they are known.
+        corners: (n, 3) vertices.
+        first: Index of the first vertex coordinate in the kernel's number array, x, y, z of each vertex in turn.
+        table: Index of the table in that array.
+        faces: (m, 3) triangles of the hull; None if unknown.
 
     Returns:
-        Numbers: for each octant (1 for x > 0, 2 for y > 0, 4 for z > 0, added) the place of a corner; for each corner,
-        and last for one after them, the place in the table where its neighbours begin; the places of the neighbours.
-        Empty where there are `FEW` corners, or they lie in one plane: then all are compared.
+        Numbers: for each octant (index 1 for x > 0, 2 for y > 0, 4 for z > 0, added) the index of a vertex; for each
+            vertex, and one past the last, the index of its first neighbour in the table; the indices of the neighbours.
+            Empty for at most `FEW` vertices, or vertices in one plane: then all are compared.
     """
     if len(corners) <= FEW:
         return np.zeros(0)
-    # A corner of no triangle would have no neighbours.
+    # A vertex without a triangle would have no neighbours.
     if faces is None or not (np.bincount(faces.ravel(), minlength=len(corners)) > 0).all():
         from scipy.spatial import ConvexHull, QhullError
 

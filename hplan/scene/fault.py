@@ -1,4 +1,4 @@
-"""Checked, immutable values of a scene; their faults in the words of scenes instead of pydantic's."""
+"""Validated, immutable models of a scene, and their errors in plain words."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ _Part = TypeVar("_Part", bound=BaseModel)
 
 
 class _SceneErrors(ModelMetaclass):
-    """Classes whose constructor raises a `SceneError` for a wrong value."""
+    """Metaclass whose constructors raise `SceneError` for an invalid value."""
 
     if not TYPE_CHECKING:
 
         def __call__(self, *arguments, **values):
-            """Make an object."""
+            """Construct an object."""
             try:
                 return super().__call__(*arguments, **values)
             except ValidationError as error:
@@ -38,15 +38,16 @@ class _SceneErrors(ModelMetaclass):
 
 
 class StrictModel(BaseModel, metaclass=_SceneErrors):
-    """Immutable, no unknown keys, no NaN or infinity, no text where a number belongs; lists and arrays become tuples.
+    """Immutable model without unknown keys, NaN, infinity or text as number.
 
-    Whatever makes an object checks its values: the constructor, `with_`, and pydantic's `model_copy`.
+    Lists and arrays become tuples. Values are checked by each way to make an object: the constructor, `with_`, and
+    pydantic's `model_copy`.
 
     Raises:
-        SceneError: A value of the wrong kind or range.
+        SceneError: A value has the wrong type or range.
     """
 
-    #: Class of the error for a wrong value.
+    #: Class of the error for an invalid value.
     error: ClassVar[type[SceneError]] = SceneError
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, populate_by_name=True, strict=True)
@@ -66,21 +67,19 @@ class StrictModel(BaseModel, metaclass=_SceneErrors):
 
     @classmethod
     def _names(cls) -> Mapping[str, str]:
-        """The field of each name and alias."""
+        """Map names and aliases to field names."""
         return _names_of(cls)
 
     def with_(self, **changes: Any) -> Self:
         """Return a checked copy with other values.
 
-        All values are checked together, as when the object is made. Parts may be given as objects or as mappings of
-        their keys.
+        All values are checked together, as in the constructor. Nested models may be given as objects or as mappings.
 
         Args:
-            changes: New values by field name; of a field with an alias, its alias too.
+        changes: New values by field name or alias.
 
         Raises:
-            SceneError: A name that is no field, a value of the wrong kind or range, or values that contradict each
-                other.
+        SceneError: A name is not a field, a value has the wrong type or range, or values contradict each other.
 
         Examples:
             >>> from hplan.scene import Sphere
@@ -100,14 +99,14 @@ class StrictModel(BaseModel, metaclass=_SceneErrors):
         return self._validated(kept | {names[key]: value for key, value in changes.items()})
 
     def copy_unchecked(self, changes: Mapping[str, Any]) -> Self:
-        """Return a copy with other values, unchecked: for values that hplan has computed itself."""
+        """Return an unchecked copy with other values, computed by hplan itself."""
         return super().model_copy(update=changes)
 
     def _validated(self, values: dict[str, Any]) -> Self:
-        """An object of the same class from its values by field name.
+        """Construct an object of the same class from values by field name.
 
         Raises:
-            SceneError: A value of the wrong kind or range.
+            SceneError: A value has the wrong type or range.
         """
         try:
             return validated(type(self), values, self._context(values))
@@ -115,27 +114,27 @@ class StrictModel(BaseModel, metaclass=_SceneErrors):
             raise scene_error(error, self.error) from error
 
     def _context(self, values: Mapping[str, Any]) -> dict[str, Any]:
-        """What validators need to know to make a copy with some values."""
-        del values  # for classes whose data are in a file
+        """Validation context for a copy with some values."""
+        del values  # used by classes with data in a file
         return {}
 
     if not TYPE_CHECKING:
 
         def model_copy(self, *, update=None, deep=False):
-            """As pydantic's, but new values are checked, as by `with_`."""
+            """Copy as in pydantic, but check new values as `with_` does."""
             return super(StrictModel, self if not update else self.with_(**update)).model_copy(deep=deep)
 
         def copy(self, *, update=None, deep=False):
-            """As `model_copy`."""
+            """Copy as `model_copy` does."""
             return self.model_copy(update=update, deep=deep)
 
         @classmethod
         def model_construct(cls, _fields_set=None, **values):
-            """As the constructor: values are checked."""
+            """Construct a checked object, as the constructor does."""
             return cls(**values)
 
         def __setattr__(self, name, value):
-            """Refuse to change a value; private ones are no part of it."""
+            """Refuse to change a field; private attributes may change."""
             if not name.startswith("_"):
                 owner = type(self).__name__
                 raise self.error(f"a {owner} never changes; with_({name}=...) gives another one", where=name)
@@ -143,15 +142,15 @@ class StrictModel(BaseModel, metaclass=_SceneErrors):
 
         @classmethod
         def model_validate(cls, *arguments, **options):
-            """As pydantic's, but for the error."""
+            """Validate as in pydantic, but raise `SceneError`."""
             try:
                 return super().model_validate(*arguments, **options)
             except ValidationError as error:
                 raise scene_error(error, cls.error) from error
 
         def __repr_args__(self):
-            """Names and values for `repr`, of what is given; of long lists the number of items."""
-            fields = type(self).model_fields  # what dumps leave out stands behind what makes the thing
+            """Names and values for `repr`, without None; long lists by their length."""
+            fields = type(self).model_fields  # fields excluded from dumps come last
             for name, value in sorted(super().__repr_args__(), key=lambda item: bool(fields[item[0]].exclude)):
                 if value is None:
                     continue
@@ -166,25 +165,26 @@ def _names_of(kind: type[BaseModel]) -> Mapping[str, str]:
 
 
 def validated(kind: type[_Part], content: Any, context: dict[str, Any]) -> _Part:
-    """A part of a scene from its content, for callers who know more of where a fault is.
+    """Validate a part of a scene; the caller adds a fault's place.
 
     Raises:
-        ValidationError: A value of the wrong kind or range.
+        ValidationError: A value has the wrong type or range.
     """
     made: _Part = kind.__pydantic_validator__.validate_python(content, context=context)
     return made
 
 
 def check_values(model: StrictModel, *place: int | str) -> None:
-    """Check an object's values, and those of its parts, as if it were made now.
+    """Check an object's values, nested models included, as the constructor does.
 
-    Objects are checked when they are made; this is for objects whose values were changed past these checks.
+    The constructor checks objects already; this is for objects whose values were changed by bypassing it.
 
     Args:
-        place: Steps that lead to it, for the error.
+        model: The object.
+        place: Key path of the object, for the error.
 
     Raises:
-        SceneError: A value of the wrong kind or range, one that is missing, or one that is no field.
+        SceneError: A value has the wrong type or range, is missing, or is not a field.
     """
     kind = type(model)
     values = {key: value for key, value in vars(model).items() if key in kind.model_fields or not hasattr(kind, key)}
@@ -193,7 +193,7 @@ def check_values(model: StrictModel, *place: int | str) -> None:
             check_values(value, *place, key)
         elif isinstance(value, tuple) and value and isinstance(value[0], StrictModel):
             for index, part in enumerate(value):
-                if isinstance(part, StrictModel):  # anything else is refused below, with its place
+                if isinstance(part, StrictModel):  # anything else is refused below, with its key path
                     check_values(part, *place, key, index)
     try:
         validated(kind, dict(values), model._context(values))
@@ -205,38 +205,44 @@ def check_values(model: StrictModel, *place: int | str) -> None:
 
 
 def fault(message: str, *below: int | str) -> PydanticCustomError:
-    """A fault of the scene as a whole that shows at one place; `hplan.scene.file` finds its line by `below`."""
+    """Return a fault at a key path, for checks of several values.
+
+    `hplan.scene.file` finds its line by `below`.
+    """
     return PydanticCustomError("scene", "{message}", {"message": message, "below": below})
 
 
 def scene_error(error: ValidationError, kind: type[SceneError] = SceneError) -> SceneError:
-    """The error for a scene, or a part of one, or what else a class of errors is for, that was made in Python."""
+    """Convert a pydantic error of an object made in Python."""
     first = worst_fault(error)
     below = first.get("ctx", {}).get("below", ())
-    # Pydantic puts an obstacle's kind before its keys.
+    # Pydantic inserts an obstacle's kind before its keys.
     steps = [*(step for step in first["loc"] if step not in _kinds()), *below]
     value = None if isinstance(first["input"], dict) else first["input"]
     if first["type"] == "extra_forbidden" and below:
         value = first["input"][below[0]]
     reason = plain_message(first)
-    if first["type"] == "model_type":  # no mapping in a file, but an object in a program
+    if first["type"] == "model_type":  # not a mapping in a file, but an object in a program
         reason = f"expected a {first['ctx']['class_name']} (got {_short(value)})"
     return kind(reason, where=dotted(steps) or None, value=value)
 
 
 def worst_fault(error: ValidationError) -> Any:
-    """The fault to speak of: a key that does not exist, where there is one, for that may explain the others."""
+    """Select the fault to report: first an unknown key.
+
+    It may explain the other faults.
+    """
     return min(error.errors(), key=lambda item: item["type"] != "extra_forbidden")
 
 
 def dotted(steps: Sequence[int | str]) -> str:
-    """The path of keys to a value, as `obstacles[0].radius`."""
+    """Format a key path, for example `obstacles[0].radius`."""
     text = "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in steps)
     return text.lstrip(".")
 
 
 def plain_message(fault: Any, words: Mapping[str, str] = MappingProxyType({})) -> str:
-    """Pydantic's message, plainly; `words` replace what is called otherwise where the value comes from."""
+    """Pydantic's message in plain words; `words` are further replacements."""
     kind, value = fault["type"], fault["input"]
     if kind == "extra_forbidden":
         return str(fault["msg"]) if "ctx" in fault else "unknown key"
@@ -256,7 +262,7 @@ def plain_message(fault: Any, words: Mapping[str, str] = MappingProxyType({})) -
 
 
 def _kinds(base: type[BaseModel] = StrictModel) -> list[str]:
-    """Kinds of obstacles, as files name them."""
+    """Kinds of obstacles, as in files."""
     own = [str(base.model_fields["kind"].default)] if "kind" in base.model_fields else []
     return sorted({*own, *(kind for below in base.__subclasses__() for kind in _kinds(below))})
 

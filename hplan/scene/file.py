@@ -1,4 +1,7 @@
-"""The scene file: YAML (and so JSON) to `Scene` and back, with the line of every fault."""
+"""Scene files: YAML (and so JSON) to `Scene` and back.
+
+Errors name the line.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +29,13 @@ _Model = TypeVar("_Model", bound=StrictModel)
 
 
 def default_scene_path() -> Path:
-    """File of the reference scene, Table 1 of the paper."""
+    """Return the file of the reference scene, Table 1 of the paper.
+
+    Examples:
+        >>> from hplan.scene import default_scene_path
+        >>> default_scene_path().name
+        'table-1.yaml'
+    """
     return shipped_scene("table-1")
 
 
@@ -34,12 +43,19 @@ def load_scene(path: Path | str | None = None) -> Scene:
     """Read a scene file (YAML, and so JSON).
 
     Args:
-        path: The file; None for the reference scene. A text without suffix and folder that is no file names a scene
-            that ships with hplan: `load_scene("trellis")`.
+        path: The file; None for the reference scene. A string without suffix and folder that is not a file names a
+            scene shipped with hplan: `load_scene("trellis")`.
 
     Raises:
-        SceneError: Missing or malformed file, unknown or repeated key, value of the wrong kind or range, a mesh or
-            point file that cannot be used; names the key and its line. More than `hplan.scene.limits` allow.
+        SceneError: The file is missing or malformed, a key is unknown or repeated, a value has the wrong type or range,
+            a mesh or point file cannot be used, or a limit of `hplan.scene.limits` is exceeded. The error names the key
+            and its line.
+
+    Examples:
+        >>> from hplan.scene import load_scene
+        >>> scene = load_scene()
+        >>> scene.name, len(scene.obstacles)
+        ('table-1', 1)
     """
     given, path = path, default_scene_path() if path is None else file_path("path", path)
     if isinstance(given, str) and given in shipped_scenes() and not is_file(path):
@@ -51,23 +67,38 @@ def load_scene(path: Path | str | None = None) -> Scene:
 
 
 def parse_scene(text: str, *, path: Path | str | None = None) -> Scene:
-    """Read a scene from YAML text; `path` is named in errors, and files are looked for in its folder.
+    """Read a scene from YAML text.
+
+    Errors name `path`; mesh and point files are relative to its folder.
 
     Raises:
-        SceneError: As `load_scene`.
+        SceneError: The text is malformed or invalid, as in `load_scene`.
+
+    Examples:
+        >>> from hplan.errors import SceneError
+        >>> from hplan.scene import parse_scene
+        >>> text = "{name: demo, start: {joints_deg: [0, 90, 90, 90]}, goal: {position: [1.2, 0.0, 1.6]}}"
+        >>> parse_scene(text).goal.position
+        (1.2, 0.0, 1.6)
+        >>> try:
+        ...     parse_scene(text.replace("1.6", "high"))
+        ... except SceneError as error:
+        ...     print(error.where, error.line, error.value)
+        goal.position[2] 1 high
     """
     return parse_model(Scene, instance("text", text, str), None if path is None else file_path("path", path))
 
 
 def read_model(kind: type[_Model], path: Path, *, hint: str = "") -> _Model:
-    """Read a file of some kind, as `load_scene` reads scenes.
+    """Read a YAML file of some model class, as `load_scene` reads scenes.
 
     Args:
-        kind: What it holds.
-        hint: Added where there is no such file.
+        kind: Class of the content.
+        path: The file.
+        hint: Addition to the error for a missing file.
 
     Raises:
-        SceneError: As `load_scene`; of the kind's own class.
+        SceneError: The file is missing, malformed or invalid; the class is `kind.error`.
     """
     hint = "" if is_file(path) else hint
     text = ByteBudget(MOST_SCENE_BYTES).text(path, lambda reason: kind.error(reason + hint, path=path))
@@ -75,7 +106,10 @@ def read_model(kind: type[_Model], path: Path, *, hint: str = "") -> _Model:
 
 
 def parse_model(kind: type[_Model], text: str, path: Path | None) -> _Model:
-    """Read YAML text of some kind; `path` is named in errors, and files are looked for in its folder."""
+    """Read YAML text of some model class.
+
+    Errors name `path`; mesh and point files are relative to its folder.
+    """
     if len(text) > MOST_SCENE_BYTES:
         raise kind.error(f"it has {len(text):,} characters; at most {MOST_SCENE_BYTES:,} are read", path=path)
     try:
@@ -105,10 +139,18 @@ def parse_model(kind: type[_Model], text: str, path: Path | None) -> _Model:
 
 
 def dump_scene(scene: Scene) -> str:
-    """The scene as YAML text that `parse_scene` reads back to an equal scene; files are named as they were.
+    """Return YAML text that `parse_scene` reads to an equal scene.
+
+    File names are kept.
 
     Raises:
         SceneError: A mesh or point cloud has no file; `save_scene` writes one.
+
+    Examples:
+        >>> from hplan.scene import dump_scene, load_scene, parse_scene
+        >>> scene = load_scene()
+        >>> parse_scene(dump_scene(scene)) == scene
+        True
     """
     instance("scene", scene, Scene, "load_scene")
     for index, obstacle in enumerate(scene.obstacles):
@@ -127,7 +169,10 @@ def dump_scene(scene: Scene) -> str:
 
 
 def _dumped(part: BaseModel, exclude: set[str] | None = None) -> dict[str, Any]:
-    """A part of a scene as a file has it, with what Pydantic leaves out of dumps where it is given, for digests."""
+    """Dump a part of a scene as in a file.
+
+    Fields that pydantic excludes from dumps, for digests, are added if they are given.
+    """
     content = part.model_dump(mode="json", by_alias=True, exclude_none=True, exclude=exclude)
     for key, field in type(part).model_fields.items():
         value = getattr(part, key)
@@ -137,13 +182,23 @@ def _dumped(part: BaseModel, exclude: set[str] | None = None) -> dict[str, Any]:
 
 
 def save_scene(scene: Scene, path: Path | str) -> Path:
-    """Write a scene file; a file of that name is replaced whole or not at all.
+    """Write a scene file atomically, replacing an existing one.
 
-    Meshes and point clouds made of arrays are written into its folder, as `STEM-NUMBER-NAME.ply`; files that were
-    found from another folder are named so that they are found from this one.
+    Meshes and point clouds made of arrays are written to its folder as `STEM-NUMBER-NAME.ply`. File names relative to
+    another folder are rewritten relative to this one.
 
     Raises:
         OutputError: A file cannot be written.
+
+    Examples:
+        >>> import tempfile
+        >>> from pathlib import Path
+        >>> from hplan.scene import load_scene, save_scene
+        >>> scene = load_scene()
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     path = save_scene(scene, Path(folder, "copy.yaml"))
+        ...     load_scene(path) == scene
+        True
     """
     instance("scene", scene, Scene, "load_scene")
     path = file_path("path", path)
@@ -159,7 +214,10 @@ def save_scene(scene: Scene, path: Path | str) -> Path:
 def _with_file(
     obstacle: Mesh | PointCloud, scene_path: Path, index: int, taken: Collection[Path | None]
 ) -> Mesh | PointCloud:
-    """The obstacle with a file that a scene at `scene_path` finds; a new one takes no other obstacle's (`taken`)."""
+    """Return the obstacle with a file that a scene at `scene_path` finds.
+
+    A new file does not take the path of another obstacle (`taken`).
+    """
     folder = scene_path.absolute().parent
     if obstacle.file is None:
         plain = "".join(sign if sign.isalnum() or sign in "-_." else "-" for sign in obstacle.name)
@@ -175,7 +233,10 @@ def _with_file(
 
 
 def _present_steps(content: Any, location: Sequence[int | str]) -> list[int | str]:
-    """The part of pydantic's location that stands in the file (it adds the tag of a union, and keys not there)."""
+    """Part of pydantic's location that exists in the file.
+
+    Pydantic adds the tag of a union, and missing keys.
+    """
     steps: list[int | str] = []
     for step in location:
         if isinstance(content, dict):
@@ -195,7 +256,7 @@ def _present_steps(content: Any, location: Sequence[int | str]) -> list[int | st
 
 
 def _line_of(node: yaml.Node, steps: Sequence[int | str]) -> int:
-    """1-based line of the deepest node along `steps` that the file holds."""
+    """1-based line of the deepest node along `steps` in the file."""
     line = node.start_mark.line
     for step in steps:
         if isinstance(node, yaml.MappingNode):
@@ -209,5 +270,5 @@ def _line_of(node: yaml.Node, steps: Sequence[int | str]) -> int:
     return int(line) + 1
 
 
-#: Pydantic's words for what a scene file calls otherwise.
+#: Replacements of pydantic's words in messages about scene files.
 _WORDS = {"a valid tuple": "a list", "a valid string": "text", "Tuple should have": "list should have"}

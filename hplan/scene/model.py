@@ -1,8 +1,8 @@
 """The scene: obstacles, fruit, start and goal.
 
-A scene never changes; `with_` gives a checked copy with other values, `with_obstacles` one with other obstacles. The
-classes are the scene file's schema too (`hplan.scene.file`). The arm keeps clear of an obstacle's `solids`: itself, or
-the solids of a mesh or a point cloud (`hplan.scene.solids`).
+A scene is immutable; `with_` returns a checked copy with other values, `with_obstacles` one with other obstacles. The
+classes are also the schema of the scene file (`hplan.scene.file`). The arm keeps its clearance from an obstacle's
+`solids`: the obstacle itself, or the solids of a mesh or a point cloud (`hplan.scene.solids`).
 """
 
 from __future__ import annotations
@@ -37,22 +37,36 @@ from hplan.scene.obstacles import AnyObstacle, Obstacle, Solid, Sphere
 from hplan.scene.solids import Cloud, Hull, quaternion_rotation, rpy_rotation
 from hplan.scene.tracks import Movement
 
+#: Format of scene files, the value of their key `format`.
 FORMAT: Final = "hplan-scene/1"
 
-#: How far the length of a quaternion may be from 1; it is taken as if it were 1.
+#: Tolerance of a quaternion's norm about 1; quaternions are normalized.
 QUATERNION_LENGTH: Final = 1e-3
 
 
 def _listed(names: Any) -> Any:
-    """One name as a list of it."""
+    """Convert a single name to a tuple."""
     return (names,) if isinstance(names, str) else names
 
 
 class Fruit(Item):
-    """A fruit: a ball, an obstacle unless it is the one being reached for.
+    """A spherical fruit; an obstacle unless it is the goal.
 
-    What it hangs from, obstacles by their names, gives way while this fruit may be touched: as deep as each yields, and
-    where it does not, `hplan.collision.giving_way.HANGING_M`.
+    `track`, `sway`, `yields` and `covariance` are described in `hplan.scene.obstacle_kind.Item`.
+
+    Attributes:
+        name: Name of the fruit.
+        center: Centre [m].
+        radius: Radius [m].
+        sigma: Standard deviation of each coordinate of its position [m].
+        hangs_from: Names of the obstacles that the fruit is attached to. They are compliant for a task that may touch
+            this fruit: up to their own `yields`, or `hplan.collision.giving_way.HANGING_M` if that is 0.
+
+    Examples:
+        >>> from hplan.scene import Fruit
+        >>> apple = Fruit(name="apple", center=(1.2, 0.0, 1.6), radius=0.04, hangs_from="branch 1")
+        >>> apple.hangs_from
+        ('branch 1',)
     """
 
     name: Name
@@ -68,7 +82,7 @@ class JointValues(StrictModel):
     joints_deg: tuple[float, ...] | None = None
     joints_rad: tuple[float, ...] | None = None
 
-    #: The keys of which one is to be given.
+    #: Keys, exactly one must be given.
     _choices: ClassVar[tuple[str, ...]] = ("joints_deg", "joints_rad")
 
     @model_validator(mode="after")
@@ -80,7 +94,7 @@ class JointValues(StrictModel):
         return self
 
     def joints(self) -> FloatArray | None:
-        """The configuration [rad], or None for a goal given otherwise."""
+        """Return the configuration [rad], or None for another kind of goal."""
         if self.joints_deg is not None:
             return np.radians(self.joints_deg)
         return None if self.joints_rad is None else np.array(self.joints_rad, dtype=np.float64)
@@ -90,7 +104,7 @@ class JointValues(StrictModel):
         """The configuration [rad].
 
         Raises:
-            SceneError: It is a goal given otherwise.
+            SceneError: The goal is not given by joints.
         """
         joints = self.joints()
         if joints is None:
@@ -99,9 +113,24 @@ class JointValues(StrictModel):
 
 
 class Start(JointValues):
-    """The start of the motion: one of `joints_deg`, `joints_rad`; at rest unless velocity or acceleration is given.
+    """Start of the motion: configuration, optional velocity and acceleration.
 
-    A motion that starts in motion leaves this state as it is: position, velocity and acceleration go on without a jump.
+    Exactly one of `joints_deg` and `joints_rad` is given. Position, velocity and acceleration of the motion are
+    continuous at the start.
+
+    Attributes:
+        joints_deg: Joint values [deg]; for general robots with prismatic joints use `joints_rad`.
+        joints_rad: Joint values [rad or m].
+        velocity_rad_s: Joint velocities [rad/s or m/s]; None for zero.
+        acceleration_rad_s2: Joint accelerations [rad/s^2 or m/s^2]; None for zero.
+
+    Examples:
+        >>> from hplan.scene import Start
+        >>> start = Start(joints_deg=(0.0, 90.0, -90.0, 0.0), velocity_rad_s=(0.1, 0.0, 0.0, 0.0))
+        >>> start.is_moving
+        True
+        >>> start.configuration.round(4).tolist()
+        [0.0, 1.5708, -1.5708, 0.0]
     """
 
     velocity_rad_s: Annotated[tuple[float, ...] | None, Field(exclude=True)] = None
@@ -117,9 +146,9 @@ class Start(JointValues):
 
     @property
     def rates(self) -> dict[str, tuple[float, ...]]:
-        """Velocity and acceleration, as far as they are given, by their keys. They are no part of a dump of the scene.
+        """Velocity and acceleration by key, if given.
 
-        So a start at rest is what it was before there were others, in digests too.
+        They are not part of a dump of the scene, so that a start at rest keeps the digest of earlier versions.
         """
         given = {"velocity_rad_s": self.velocity_rad_s, "acceleration_rad_s2": self.acceleration_rad_s2}
         return {key: values for key, values in given.items() if values is not None}
@@ -131,11 +160,27 @@ class Start(JointValues):
 
 
 class Goal(JointValues):
-    """The goal of the motion: joints, a `tool0` position, the name of a fruit, or a pose of the tool frame.
+    """Goal of the motion: joints, tool position, fruit or tool pose.
 
-    To a position or a fruit, `approach_deg` fixes or bounds the angle of the last link in the arm plane or, of a robot
-    that is general (non-planar), of its tool frame's z axis (0: outward, 90: up). A position with `quaternion_xyzw` is
-    a pose, for robots of any kind: of the tool frame, or of `frame`.
+    Exactly one of `joints_deg`, `joints_rad`, `position` and `fruit` is given.
+
+    Attributes:
+        joints_deg: Joint values [deg].
+        joints_rad: Joint values [rad or m].
+        position: Position of `tool0` in `base_link` [m].
+        fruit: Name of a fruit of the scene.
+        approach_deg: Angle, or interval of angles, of the last link in the arm plane (0: outward, 90: up) at a position
+            or fruit; for a general (non-planar) robot, of the tool frame's z axis [deg]. None for any angle.
+        quaternion_xyzw: Orientation of the frame; with `position` it makes a pose, for any robot. None for no pose.
+        frame: Name of the frame of a pose; None for the tool frame.
+
+    Examples:
+        >>> from hplan.scene import Goal
+        >>> Goal(fruit="apple", approach_deg=(-30.0, 30.0)).approach_deg
+        (-30.0, 30.0)
+        >>> pose = Goal(position=(0.5, 0.0, 0.4), quaternion_xyzw=(0.0, 0.0, 0.0, 1.0)).pose
+        >>> pose[:3, 3].tolist()
+        [0.5, 0.0, 0.4]
     """
 
     position: Vector | None = None
@@ -169,16 +214,16 @@ class Goal(JointValues):
 
     @property
     def orientation(self) -> dict[str, Any]:
-        """Quaternion and frame, as far as they are given, by their keys. They are no part of a dump of the scene.
+        """Quaternion and frame by key, if given.
 
-        So a goal without them is what it was before there were any, in digests too.
+        They are not part of a dump of the scene, so that a goal without them keeps the digest of earlier versions.
         """
         given = {"quaternion_xyzw": self.quaternion_xyzw, "frame": self.frame}
         return {key: value for key, value in given.items() if value is not None}
 
     @property
     def pose(self) -> FloatArray | None:
-        """The (4, 4) homogeneous matrix of the pose in `base_link`; None for a goal given otherwise."""
+        """(4, 4) homogeneous matrix of the pose in `base_link`, or None."""
         if self.quaternion_xyzw is None or self.position is None:
             return None
         pose = np.eye(4)
@@ -187,29 +232,40 @@ class Goal(JointValues):
 
 
 class Scene(StrictModel):
-    """Everything around the arm, and what it is asked to do.
+    """The environment of the arm and its task.
 
     Attributes:
         name: Name of the scene.
-        robot: Name of the robot that it is meant for, as `load_robot` knows it; None for the default one. Commands take
-            it unless they are given another, as `load_robot(scene.robot)` does; it is no part of what is planned or
-            certified.
-        start: Configuration at which the motion begins, and how it moves there.
-        goal: Configuration, tool position, fruit or pose to reach.
+        robot: Name of the intended robot, for `load_robot`; None for the default robot. Commands use it unless another
+            robot is given, as `load_robot(scene.robot)` does. It is not part of the plan or the certificate.
+        start: Start configuration, with velocity and acceleration.
+        goal: Goal configuration, tool position, fruit or pose.
         locked_joints: Joints that keep their start value.
-        clearance: Distance kept from every obstacle, but for those that may be pushed (`yields`) by links that may [m].
-        yield_links: Names of the links that may push what gives way; None for those of the last two joints.
-        obstacles: What must not be touched.
-        fruits: Fruit; obstacles too, except the one reached for.
-        covariance: Covariance of an error that is the same of all obstacles and fruits, as of a camera or the base that
-            is not where it should be; it comes to that of each [m^2]. None for no such error.
-        base_track: How the base moves, of a platform that creeps along the row; None for one that stands still.
-            Obstacles, and their tracks, are where the base is without a shift; start and goal are seen from the base.
+        clearance: Minimum distance from every obstacle [m]; compliant obstacles (`yields`) are exempt for links that
+            may deflect them.
+        yield_links: Names of the links that may deflect compliant obstacles; None for the links of the last two joints.
+        obstacles: Obstacles.
+        fruits: Fruit; obstacles too, except the goal.
+        covariance: Covariance of a position error that all obstacles and fruits share, for example of the camera or the
+            base; it adds to each one's own covariance [m^2]. None for no shared error.
+        base_track: Motion of the base, for example of a platform along the tree row; None for a fixed base. Obstacles
+            and their tracks are in the frame of the base without shift; start and goal are in the frame of the moving
+            base.
+
+    Examples:
+        >>> from hplan.scene import Capsule, Goal, Scene, Start
+        >>> post = Capsule(name="post", start=(1.0, 0.5, 0.0), end=(1.0, 0.5, 2.0), radius=0.05)
+        >>> start, goal = Start(joints_deg=(0.0, 90.0, 90.0, 90.0)), Goal(joints_deg=(30.0, 45.0, 0.0, 0.0))
+        >>> scene = Scene(name="post", start=start, goal=goal, obstacles=(post,), clearance=0.01)
+        >>> len(scene.solids), scene.moves
+        (1, False)
+        >>> scene.with_(clearance=0.02).clearance
+        0.02
     """
 
     format: Literal["hplan-scene/1"] = FORMAT
     name: Name
-    robot: Annotated[str | None, Field(exclude=True)] = None  # no part of the digest: the robot has its own
+    robot: Annotated[str | None, Field(exclude=True)] = None  # not in the digest: the robot has its own
     start: Start
     goal: Goal
     locked_joints: tuple[str, ...] = ()
@@ -246,12 +302,12 @@ class Scene(StrictModel):
 
     @property
     def goal_fruit(self) -> Fruit | None:
-        """The fruit that is the goal; None where the goal is given otherwise."""
+        """The fruit that is the goal; None for another kind of goal."""
         return next((fruit for fruit in self.fruits if fruit.name == self.goal.fruit), None)
 
     @property
     def gives_way(self) -> bool:
-        """True if something may be pushed: an obstacle, a fruit, or what a fruit hangs from."""
+        """True if an obstacle, a fruit or an attached branch is compliant."""
         return any(item.yields for item in (*self.obstacles, *self.fruits)) or any(f.hangs_from for f in self.fruits)
 
     @property
@@ -261,26 +317,26 @@ class Scene(StrictModel):
 
     @property
     def first_moving(self) -> str | None:
-        """Name of the first obstacle or fruit that has a track; None where there is none."""
+        """Name of the first obstacle or fruit with a track, or None."""
         return next((item.name for item in (*self.obstacles, *self.fruits) if item.track is not None), None)
 
     @property
     def solids(self) -> tuple[Solid, ...]:
-        """All that the arm must keep clear of: the obstacles' solids, and each fruit that is not the goal as a ball.
+        """Solids that the arm must avoid: obstacles and fruits except the goal.
 
-        Those of one obstacle have its name and stand together.
+        Solids of one obstacle share its name and are consecutive.
 
         Raises:
-            MovingObstacleError: Something moves.
+            MovingObstacleError: The base or an obstacle has a track.
         """
         return tuple(solid for solid in self.solids_with_goal if solid.name != self.goal.fruit)
 
     @property
     def solids_with_goal(self) -> tuple[Solid, ...]:
-        """As `solids`, the fruit that is the goal among them.
+        """Solids of all obstacles and fruits, including the goal fruit.
 
         Raises:
-            MovingObstacleError: Something moves.
+            MovingObstacleError: The base or an obstacle has a track.
         """
         if self.moves:
             raise MovingObstacleError(self.first_moving)
@@ -288,7 +344,10 @@ class Scene(StrictModel):
 
     @property
     def listed_solids(self) -> tuple[Solid, ...]:
-        """As `solids_with_goal`, each where it is listed, whether it moves from there or not (`movements`)."""
+        """Solids of all obstacles and fruits at their listed positions.
+
+        Tracks are ignored; `movements` has them.
+        """
         balls = (
             Sphere(name=f.name, center=f.center, radius=f.radius, sigma=f.sigma, sway=f.sway, yields=f.yields).solids[0]
             for f in self.fruits
@@ -306,69 +365,90 @@ class Scene(StrictModel):
 
     @property
     def errors(self) -> dict[str, FloatArray]:
-        """(3, 3) covariance of the place of each obstacle and fruit, by name, without what is common to all [m^2]."""
+        """(3, 3) position covariance of each obstacle and fruit, by name [m^2].
+
+        The shared error is not included.
+        """
         return {item.name: item.place_covariance for item in (*self.obstacles, *self.fruits)}
 
     @property
     def shared_error(self) -> FloatArray:
-        """(3, 3) covariance of the error that is the same of all [m^2]."""
+        """(3, 3) covariance of the position error shared by all obstacles [m^2]."""
         return np.zeros((3, 3)) if self.covariance is None else np.array(self.covariance)
 
     @property
     def movements(self) -> tuple[Movement | None, ...]:
-        """How each of `listed_solids` moves as seen from the base; None of what stands still."""
+        """Movement of each of `listed_solids` relative to the base, or None.
+
+        None is a solid that does not move relative to the base.
+        """
         found: list[Movement | None] = []
         for item, movement in self._listed_movements():
             found += [movement] * (1 if isinstance(item, Fruit) else len(item.solids))
         return tuple(found)
 
     def _listed_movements(self) -> Iterator[tuple[Obstacle | Fruit, Movement | None]]:
-        """Each obstacle and fruit, and how it moves as seen from the base; one movement of all that have no track."""
+        """Iterate over obstacles and fruits with their movement relative to the base.
+
+        Those without a track share one movement.
+        """
         still = None if self.base_track is None else Movement.of(None, self.base_track)
         for item in (*self.obstacles, *self.fruits):
             yield item, still if item.track is None else Movement.of(item.track, self.base_track)
 
     @property
     def at_rest_s(self) -> float:
-        """Time from which on nothing moves [s]; 0 where nothing ever does."""
+        """Time after which the scene is static, 0 if always [s]."""
         tracks = (self.base_track, *(item.track for item in (*self.obstacles, *self.fruits)))
         return max((track.times_s[-1] for track in tracks if track is not None), default=0.0)
 
     def poses_at(self, times_s: ArrayLike) -> dict[str, tuple[FloatArray, FloatArray]]:
-        """Where what moves is at times, as seen from the base.
+        """Poses of the moving obstacles at given times, relative to the base.
 
         Args:
             times_s: (k,) times [s].
 
         Returns:
-            For each obstacle and fruit that moves, by name, (k, 3, 3) rotations R and (k, 3) shifts s [m]: its point
-            that is listed at x is at R x + s.
+            For each moving obstacle and fruit, by name, (k, 3, 3) rotations R and (k, 3) shifts s [m]: its listed point
+            x is at R x + s.
 
         Raises:
-            InputError: Times that are none.
+            InputError: `times_s` is not a list of finite numbers.
+
+        Examples:
+            >>> from hplan.scene import Goal, Scene, Sphere, Start, Track
+            >>> track = Track(times_s=(0.0, 2.0), shifts_m=((0.0, 0.0, 0.0), (0.0, 1.0, 0.0)))
+            >>> cart = Sphere(name="cart", center=(1.0, 0.0, 0.0), radius=0.3, track=track)
+            >>> rest = (0.0, 90.0, 90.0, 90.0)
+            >>> scene = Scene(name="cart", start=Start(joints_deg=rest), goal=Goal(joints_deg=rest), obstacles=(cart,))
+            >>> rotations, shifts = scene.poses_at([1.0])["cart"]
+            >>> shifts.tolist()
+            [[0.0, 0.5, 0.0]]
+            >>> scene.at(1.0).obstacles[0].center
+            (1.0, 0.5, 0.0)
         """
         clock = numbers("times_s", times_s, (None,))
         listed = self._listed_movements()
         return {item.name: movement.at(clock) for item, movement in listed if movement is not None}
 
     def at(self, time_s: float) -> Scene:
-        """The scene as it stands at a time [s], without tracks.
+        """Static snapshot of the scene at a time [s].
 
         Raises:
-            InputError: A time that is none.
+            InputError: `time_s` is not a finite number.
         """
         poses = {name: (turns[0], shifts[0]) for name, (turns, shifts) in self.poses_at([time_s]).items()}
         changed = self._each(lambda item: moved(item, *poses[item.name]) if item.name in poses else {})
         return self.copy_unchecked(changed | {"base_track": None})
 
     def since(self, time_s: float) -> Scene:
-        """The scene with the times of all tracks counted from a time on [s].
+        """Scene whose tracks count time from `time_s` on [s].
 
-        What the scene has at a time t, the new one has at `t - time_s`, of times before its zero too. So a motion that
-        begins at that time is to the new scene what it is to this one with `certify(..., begin_s=time_s)`.
+        The new scene at time `t - time_s` equals this scene at time t, also for negative times. So a motion that starts
+        at `time_s` is certified in the new scene as in this one with `certify(..., begin_s=time_s)`.
 
         Raises:
-            OptionError: A time that is not finite, or so large that times of tracks are no longer distinct.
+            OptionError: `time_s` is not finite, or so large that times of a track would coincide.
         """
         number("time_s", time_s, "a finite number of seconds")
         if time_s == 0.0 or not self.moves:
@@ -378,7 +458,7 @@ class Scene(StrictModel):
         return self.copy_unchecked(changed | {"base_track": base_track})
 
     def _each(self, changes: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
-        """Obstacles and fruits, each with the values that are others."""
+        """Return obstacles and fruits with changed values."""
         found: dict[str, Any] = {}
         for key in ("obstacles", "fruits"):
             pairs = [(item, changes(item)) for item in getattr(self, key)]
@@ -386,18 +466,28 @@ class Scene(StrictModel):
         return found
 
     def shifted(self, shift: ArrayLike, yaw_deg: float = 0.0) -> Scene:
-        """The scene as a base sees it that stands elsewhere: all of it turned about the base's z axis, then shifted.
+        """Rotate the scene about the base's z axis, then shift it.
 
-        Obstacles, fruits and a goal that is a place keep their names; start and goals given by joints stay as they are.
+        It is the scene as seen from a base at another place. Obstacles, fruits and a position or pose goal are
+        transformed and keep their names; the start and a goal given by joints stay.
 
         Args:
             shift: (3,) shift [m].
-            yaw_deg: Turn before that [deg].
+            yaw_deg: Rotation before the shift [deg].
 
         Raises:
-            InputError: A shift that is none.
-            OptionError: A turn that is not finite.
-            MovingObstacleError: Something moves.
+            InputError: `shift` is not three finite numbers.
+            OptionError: `yaw_deg` is not finite.
+            MovingObstacleError: The base or an obstacle has a track.
+
+        Examples:
+            >>> from hplan.scene import Goal, Scene, Sphere, Start
+            >>> ball = Sphere(name="ball", center=(1.0, 0.0, 1.0), radius=0.1)
+            >>> start, goal = Start(joints_deg=(0.0, 90.0, 90.0, 90.0)), Goal(position=(1.0, 0.0, 1.5))
+            >>> scene = Scene(name="ball", start=start, goal=goal, obstacles=(ball,))
+            >>> shifted = scene.shifted((0.0, 0.5, 0.0))
+            >>> shifted.obstacles[0].center, shifted.goal.position
+            ((1.0, 0.5, 1.0), (1.0, 0.5, 1.5))
         """
         by = numbers("shift", shift, (3,))
         number("yaw_deg", yaw_deg, "a finite number of degrees")
@@ -418,18 +508,26 @@ class Scene(StrictModel):
         return self.copy_unchecked(update)
 
     def cropped(self, reach: float, centre: ArrayLike = (0.0, 0.0, 0.0)) -> Scene:
-        """The scene without what is farther from a point than a reach; what moves stays, and so does the goal's fruit.
+        """Remove static obstacles and fruits farther than `reach` from a point.
 
-        An obstacle counts as near as a ball about it is. What is certified among the rest says nothing of what is left
-        out: take a reach that the arm does not have.
+        Moving obstacles and the goal fruit stay. An obstacle's distance is measured to its bounding ball. A certificate
+        for the cropped scene says nothing about the removed obstacles: choose a radius beyond the arm's reach.
 
         Args:
-            reach: Distance up to which obstacles and fruits are kept [m].
-            centre: (3,) the point [m].
+            reach: Radius of the kept region [m].
+            centre: (3,) centre of the kept region [m].
 
         Raises:
-            InputError: A point that is none.
-            OptionError: A reach that is negative or not finite.
+            InputError: `centre` is not three finite numbers.
+            OptionError: `reach` is negative or not finite.
+
+        Examples:
+            >>> from hplan.scene import Goal, Scene, Sphere, Start
+            >>> balls = [Sphere(name=f"ball {x}", center=(x, 0.0, 1.0), radius=0.1) for x in (1.0, 9.0)]
+            >>> rest = (0.0, 90.0, 90.0, 90.0)
+            >>> scene = Scene(name="balls", start=Start(joints_deg=rest), goal=Goal(joints_deg=rest), obstacles=balls)
+            >>> [obstacle.name for obstacle in scene.cropped(3.0).obstacles]
+            ['ball 1.0']
         """
         point = numbers("centre", centre, (3,))
         number("reach", reach, "a finite number of metres >= 0", lambda value: value >= 0.0)
@@ -448,10 +546,18 @@ class Scene(StrictModel):
         return self.copy_unchecked({"obstacles": obstacles, "fruits": hanging_from(obstacles, fruits)})
 
     def with_obstacles(self, obstacles: Sequence[AnyObstacle]) -> Scene:
-        """The scene's task among other obstacles.
+        """Return a checked copy with other obstacles.
+
+        Fruits keep attachments to obstacles that remain.
 
         Raises:
-            InputError: They are no list of obstacles, or two have one name.
+            InputError: `obstacles` is not a list of obstacles, or two have the same name.
+
+        Examples:
+            >>> from hplan.scene import Sphere, load_scene
+            >>> ball = Sphere(name="ball", center=(1.0, 0.0, 1.0), radius=0.1)
+            >>> len(load_scene().with_obstacles([ball]).obstacles)
+            1
         """
         obstacles = list_of("obstacles", obstacles, AnyObstacle, "obstacles")
         parts = {key: getattr(self, key) for key in type(self).model_fields}
@@ -459,19 +565,19 @@ class Scene(StrictModel):
         return Scene.model_validate({**parts, "obstacles": obstacles, "fruits": fruits})
 
 
-#: Scenes that `checked_scene` has checked, by their identity: their values do not change.
+#: Scenes that `checked_scene` has checked, by id: their values do not change.
 _CHECKED: Final[WeakValueDictionary[int, Scene]] = WeakValueDictionary()
 
 
 def checked_scene(scene: Scene) -> Scene:
-    """Return the scene after a check that it, and all its parts, hold valid values.
+    """Return the scene after a check of all its values.
 
-    Scenes are checked when they are made. The second check, of one scene once, is for values that were changed past
-    the first, so that nothing is certified that no scene can be.
+    The constructor checks scenes already. This second check, once per scene, finds values that were changed by
+    bypassing the first, so that no invalid scene is certified.
 
     Raises:
-        OptionError: It is no scene.
-        SceneError: A value of the wrong kind or range.
+        OptionError: `scene` is not a `Scene`.
+        SceneError: A value has the wrong type or range.
     """
     instance("scene", scene, Scene, "load_scene")
     if _CHECKED.get(id(scene)) is not scene:
@@ -481,7 +587,7 @@ def checked_scene(scene: Scene) -> Scene:
 
 
 def hanging_from(obstacles: Iterable[Obstacle], fruits: Iterable[Fruit]) -> tuple[Fruit, ...]:
-    """Fruits that hang from those of the obstacles alone from which they hung."""
+    """Fruits with attachments restricted to the listed obstacles."""
     wood = {obstacle.name for obstacle in obstacles}
     return tuple(
         fruit
@@ -492,7 +598,7 @@ def hanging_from(obstacles: Iterable[Obstacle], fruits: Iterable[Fruit]) -> tupl
 
 
 def _apart(solid: Solid, point: FloatArray) -> float:
-    """How far a point is from a ball about a solid [m]."""
+    """Distance of a point from the bounding ball of a solid [m]."""
     middle = 0.5 * (solid.core.min(axis=0) + solid.core.max(axis=0))
     size = float(np.linalg.norm(solid.core - middle, axis=1).max()) + solid.rounding
     return float(np.linalg.norm(middle - point)) - size

@@ -1,8 +1,8 @@
-"""What every kind of obstacle is made of, and what it says of itself.
+"""Base classes of obstacles and their common fields.
 
-A new kind is a class on these bases in a file of its own, and its row in `hplan.scene.obstacles`. A convex one says
-which points it is the hull of (`core`) and by how much they are grown (`rounding`); all else that kernels, certificate,
-pages and messages ask (`hull`, `surface`, `excess`) follows, unless the kind knows better.
+A new kind is a class on these bases in a file of its own, and an entry in `hplan.scene.obstacles`. A convex kind
+defines the points of its hull (`core`) and their radius (`rounding`); kernels, certificate, pages and messages derive
+the rest (`hull`, `surface`, `excess`) from these, unless the kind overrides it.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ from hplan.scene.tracks import Sway, Track
 Name: TypeAlias = Annotated[str, Field(min_length=1)]
 Sigma: TypeAlias = Annotated[float, Field(ge=0.0, le=FARTHEST_M)]
 
-#: How many standard deviations each obstacle grows by: the same of all, or of each by name (none of those not named).
+#: Growth of obstacles in standard deviations: one number for all, or one by name (0 for unnamed ones).
 Sigmas: TypeAlias = float | Mapping[str, float]
 
 
 def _symmetric(rows: tuple[Vector, Vector, Vector]) -> tuple[Vector, Vector, Vector]:
-    """Rows of a covariance, checked."""
+    """Check the rows of a covariance matrix."""
     matrix = np.array(rows)
     size = float(np.abs(matrix).max())
     if not np.abs(matrix - matrix.T).max() <= 1e-9 * size or np.linalg.eigvalsh(matrix).min() < -1e-9 * size:
@@ -39,7 +39,7 @@ def _symmetric(rows: tuple[Vector, Vector, Vector]) -> tuple[Vector, Vector, Vec
     return rows
 
 
-#: Covariance of a place, in `base_link` [m^2]; in dumps where there is one.
+#: Position covariance in `base_link` [m^2]; in dumps only if given.
 CovarianceField: TypeAlias = Annotated[
     tuple[Vector, Vector, Vector] | None,
     AfterValidator(lambda rows: rows if rows is None else _symmetric(rows)),
@@ -48,37 +48,37 @@ CovarianceField: TypeAlias = Annotated[
 
 
 def largest_deviation(covariance: FloatArray) -> float:
-    """Standard deviation in the direction in which a (3, 3) covariance has the largest [m]."""
+    """Standard deviation along the principal axis of a (3, 3) covariance [m]."""
     return math.sqrt(max(0.0, float(np.linalg.eigvalsh(covariance)[-1])))
 
 
-#: Balls of a cloud that sways grow by no more than this, unless there are too many [m].
+#: Maximum growth of the balls of a swaying cloud, unless there are too many balls [m].
 SWEPT_ERROR: Final = 1e-3
 
-#: Solids that sway are made once, as long as no more than so many are in use.
+#: Cache size of swept solids.
 _KEPT: Final = 4096
 
-#: How an obstacle moves. In dumps these keys are added where there are any: a still scene has the digest it had.
+#: Motion of an obstacle. Dumps have these keys only if given, so static scenes keep the digest of earlier versions.
 TrackField: TypeAlias = Annotated[Track | None, Field(exclude=True)]
 SwayField: TypeAlias = Annotated[Sway | None, Field(exclude=True)]
 
-#: How deep an obstacle may be pushed [m]; in dumps where it may.
+#: Maximum deflection of an obstacle [m]; in dumps only if nonzero.
 YieldsField: TypeAlias = Annotated[float, Field(ge=0.0, le=FARTHEST_M, exclude=True)]
 
 
 class Item(StrictModel):
-    """Base of obstacles and fruit: what the fields are that any of them may have besides its shape.
+    """Base of obstacles and fruit: the fields besides the shape.
 
     Attributes:
-        name: Its name.
-        sigma: Standard deviation of each coordinate of its position; with a covariance that in the worst direction [m].
-        track: How it moves; None for one that stands still.
-        sway: How far it may swing out of its place; None for not at all.
-        yields: How deep the links that may push may be in it [m]; 0 for what must not be touched.
-        covariance: Covariance of its position [m^2]; None where `sigma` says it all.
+        name: Name.
+        sigma: Standard deviation of each coordinate of its position; with a covariance, along its principal axis [m].
+        track: Motion; None for a static obstacle.
+        sway: Oscillation; None for a fixed obstacle.
+        yields: Maximum deflection (depth of penetration) by the links that may deflect it [m]; 0 for a rigid obstacle.
+        covariance: Covariance of its position [m^2]; None for the isotropic `sigma`.
     """
 
-    if TYPE_CHECKING:  # fields of all, where they stand in the order of the file's keys, which digests have
+    if TYPE_CHECKING:  # declared by each subclass: digests depend on the order of the keys
         name: Name
         sigma: Sigma
     track: TrackField = None
@@ -88,10 +88,10 @@ class Item(StrictModel):
 
     @model_validator(mode="after")
     def _one_error(self) -> Self:
-        """Where a covariance is given, `sigma` is what it has in its worst direction."""
+        """Set `sigma` to the largest deviation of a given covariance."""
         if self.covariance is not None:
             largest = largest_deviation(np.array(self.covariance))
-            # Turned rows have the same deviation but for rounding.
+            # A rotated covariance has the same deviation up to rounding.
             if self.sigma != 0.0 and not math.isclose(self.sigma, largest, rel_tol=1e-9):
                 raise fault("sigma and covariance exclude one another", "covariance")
             vars(self)["sigma"] = largest
@@ -99,7 +99,7 @@ class Item(StrictModel):
 
     @property
     def place_covariance(self) -> FloatArray:
-        """(3, 3) covariance of its place [m^2]."""
+        """(3, 3) covariance of its position [m^2]."""
         return self.sigma**2 * np.eye(3) if self.covariance is None else np.array(self.covariance)
 
 
@@ -108,10 +108,10 @@ class Kind(Item):
 
 
 class Turned(Kind):
-    """An obstacle that is turned by roll, pitch and yaw (fixed axes x, y, z)."""
+    """An obstacle rotated by roll, pitch, yaw (fixed axes x, y, z)."""
 
     if TYPE_CHECKING:
-        rpy_deg: Angles  # a field of all kinds below, where it stands in the order of the file's keys
+        rpy_deg: Angles  # declared by each subclass: digests depend on the order of the keys
 
     @property
     def rotation(self) -> FloatArray:
@@ -131,7 +131,10 @@ class Convex(Kind):
 
     @property
     def core(self) -> FloatArray:
-        """(k, 3) points; the obstacle is, or lies in, their hull grown by `rounding`."""
+        """(k, 3) core points [m].
+
+        The obstacle is their hull grown by `rounding`, or lies in it.
+        """
         raise NotImplementedError(f"{type(self).__name__} does not say of which points it is the hull")
 
     @property
@@ -141,26 +144,33 @@ class Convex(Kind):
 
     @property
     def excess(self) -> float:
-        """How far the grown hull of its core stands out of it [m]."""
+        """Maximum distance of the grown hull's points from the obstacle [m]."""
         return 0.0
 
     @property
     def hull(self) -> Hull:
-        """The hull of its core, with its facets: what kernels, coal and MuJoCo take that have no shape of its kind."""
+        """Hull of its core, with facets.
+
+        It represents the obstacle in kernels, coal and MuJoCo if they have no primitive of its kind.
+        """
         return _hull_of(self)
 
     @property
     def surface(self) -> tuple[FloatArray, IntArray]:
-        """(n, 3) vertices [m] and (m, 3) triangles of a surface about it, to be drawn."""
+        """Surface to draw: (n, 3) vertices [m] and (m, 3) triangles."""
         return self.hull.surface
 
     @property
     def solids(self) -> tuple[Solid, ...]:
-        """The obstacle itself, for it is convex, or what it sweeps as it sways."""
+        """The obstacle itself, or its swept volume if it sways."""
         return (self,) if self.sway is None else (_swept_convex(self),)
 
     def swept(self, reach: FloatArray) -> Solid:
-        """A solid that holds all that it sweeps when it is shifted by up to (3,) `reach` [m] to either side."""
+        """Return a solid that contains the volume swept by shifts.
+
+        Args:
+            reach: (3,) maximum shift to either side [m].
+        """
         return _swept_core(self, reach)
 
 
@@ -170,34 +180,37 @@ def _hull_of(obstacle: Convex) -> Hull:
 
 
 class FromData(Turned):
-    """An obstacle whose shape is in a file or in arrays, placed by a rotation and a shift."""
+    """An obstacle with a shape from a file or arrays.
+
+    It is placed by a rotation and a shift.
+    """
 
     _data: Any = PrivateAttr(None)
     _path: Path | None = PrivateAttr(None)
 
     @property
     def path(self) -> Path | None:
-        """Absolute path of its file, or None if it was made of arrays."""
+        """Absolute path of its file; None if made of arrays."""
         return self._path
 
     @property
     def data_digest(self) -> str:
-        """SHA-256 of its data before scale, turn and shift, in hexadecimal digits; made once."""
+        """SHA-256 of its data before placement, as hexadecimal digits; cached."""
         return str(self._data.digest)
 
     def _context(self, values: Mapping[str, Any]) -> dict[str, Any]:
-        """A copy from the same file has the same data."""
+        """Reuse the data in a copy from the same file."""
         kept = values.get("file") == vars(self).get("file")
         return {"kept": (self._data, self._path)} if kept else {}
 
     def _swept(self, solids: tuple[Solid, ...]) -> tuple[Solid, ...]:
-        """What its solids sweep as it sways."""
+        """Swept volumes of its solids if it sways."""
         if self.sway is None:
             return solids
         return tuple(swept(solid, self.sway.reach) for solid in solids)
 
     def write(self, path: Path) -> Path:
-        """Write its data as a PLY file, before scale, turn and shift.
+        """Write its data as a PLY file, before placement.
 
         Raises:
             OutputError: The file cannot be written.
@@ -207,26 +220,34 @@ class FromData(Turned):
         return write_shape(self._data, path)
 
 
-#: A body that the planner keeps clear of: the hull of `core` grown by `rounding`; of a point set a ball about each
-#: core point; of a cylinder the hull holds it.
+#: A solid that the planner avoids: the hull of `core` grown by `rounding`; for a point set a ball about each core
+#: point; for a cylinder the hull contains it.
 Solid: TypeAlias = Convex | Hull | Cloud
 
 
 @lru_cache(maxsize=_KEPT)
 def _swept_convex(obstacle: Convex) -> Solid:
-    """What a convex obstacle that sways sweeps; a cylinder as the prism about it."""
+    """Swept volume of a swaying convex obstacle.
+
+    A cylinder counts as its circumscribed prism.
+    """
     return obstacle if obstacle.sway is None else obstacle.swept(obstacle.sway.reach)
 
 
 def swept(solid: Solid, reach: FloatArray) -> Solid:
-    """A solid that holds all that another sweeps when it is shifted by up to (3,) `reach` [m] to either side."""
+    """Return a solid that contains the volume swept by shifts.
+
+    Args:
+        solid: The solid.
+        reach: (3,) maximum shift to either side [m].
+    """
     if isinstance(solid, Cloud):
         return _swept_cloud(solid, reach)
     return solid.swept(reach) if isinstance(solid, Convex) else _swept_core(solid, reach)
 
 
 def _swept_core(solid: Convex | Hull, reach: FloatArray) -> Hull:
-    """The hull of what the core sweeps, grown as the core is."""
+    """Hull of the swept core, with the rounding of the core."""
     core = np.concatenate([solid.core - reach, solid.core + reach])
     points = (core + thickening(core)[:, None]).reshape(-1, 3)
     hull = hull_of(points, solid.name)
@@ -235,7 +256,7 @@ def _swept_core(solid: Convex | Hull, reach: FloatArray) -> Hull:
 
 def _swept_cloud(cloud: Cloud, reach: FloatArray) -> Cloud:
     radius, length = cloud.rounding, 2.0 * float(np.linalg.norm(reach))
-    # Balls at a distance of this along the segment, grown, cover the capsule between them.
+    # Grown balls with this spacing along the segment cover the capsule between them.
     spacing = 2.0 * math.sqrt((radius + SWEPT_ERROR) ** 2 - radius**2)
     copies = min(max(2, math.ceil(length / spacing) + 1), max(2, MOST_POINTS // len(cloud.core)))
     shifts = np.linspace(-1.0, 1.0, copies)[:, None] * reach
@@ -245,16 +266,19 @@ def _swept_cloud(cloud: Cloud, reach: FloatArray) -> Cloud:
 
 
 def growths(solids: Sequence[Solid], sigmas: Sigmas) -> FloatArray:
-    """(solids,) by how much each grows for its uncertainty [m]."""
+    """(solids,) growth of each solid for its position uncertainty [m]."""
     if isinstance(sigmas, Mapping):
         return np.array([sigmas.get(solid.name, 0.0) * solid.sigma for solid in solids], dtype=np.float64)
     return np.array([sigmas * solid.sigma for solid in solids], dtype=np.float64)
 
 
 def posed(solid: Solid, rotation: FloatArray, shift: FloatArray) -> Solid:
-    """The solid with each of its points x at `rotation @ x + shift`.
+    """Transform a solid.
+
+    Each point x moves to `rotation @ x + shift`.
 
     Args:
+        solid: The solid.
         rotation: (3, 3) rotation.
         shift: (3,) shift [m].
     """
@@ -269,9 +293,9 @@ def posed(solid: Solid, rotation: FloatArray, shift: FloatArray) -> Solid:
 
 
 def moved(item: Any, rotation: FloatArray, shift: FloatArray) -> dict[str, Any]:
-    """The keys of an obstacle, or a fruit, that are others where each of its points x is at `rotation @ x + shift`.
+    """Return the changed fields of a transformed obstacle or fruit.
 
-    It stands still there.
+    Each point x moves to `rotation @ x + shift`. The result has no track.
     """
     found: dict[str, Any] = {"track": None}
     for key in ("center", "start", "end", "position"):
@@ -290,6 +314,6 @@ def moved(item: Any, rotation: FloatArray, shift: FloatArray) -> dict[str, Any]:
 def turned_covariance(
     covariance: tuple[Vector, Vector, Vector], rotation: FloatArray
 ) -> tuple[tuple[float, float, float], ...]:
-    """Rows of a covariance in axes that a (3, 3) rotation has turned."""
+    """Rows of a covariance rotated by a (3, 3) matrix."""
     rows = rotation @ np.array(covariance) @ rotation.T
     return tuple((x, y, z) for x, y, z in (0.5 * (rows + rows.T)).tolist())

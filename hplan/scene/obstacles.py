@@ -1,6 +1,6 @@
-"""Obstacles of a scene: spheres, capsules, cylinders, boxes, meshes, point clouds, and the convex solids they become.
+"""Obstacles of a scene: primitives, meshes, point clouds, and their convex solids.
 
-Positions are in `base_link`, z up, in metres. The classes are the scene file's schema too (`hplan.scene.file`).
+Positions are in `base_link`, z up, in metres. The classes are also the schema of the scene file (`hplan.scene.file`).
 """
 
 from __future__ import annotations
@@ -40,7 +40,22 @@ _Shape = TypeVar("_Shape", "Surface", "PointSet")
 
 
 class Sphere(Convex):
-    """A ball."""
+    """A ball.
+
+    `track`, `sway`, `yields` and `covariance` are described in `hplan.scene.obstacle_kind.Item`.
+
+    Attributes:
+        name: Name of the obstacle.
+        center: Centre [m].
+        radius: Radius [m].
+        sigma: Standard deviation of each coordinate of its position [m].
+
+    Examples:
+        >>> from hplan.scene import Sphere
+        >>> apple = Sphere(name="apple", center=(1.0, 0.0, 1.5), radius=0.04)
+        >>> apple.core.tolist(), apple.rounding
+        ([[1.0, 0.0, 1.5]], 0.04)
+    """
 
     kind: Literal["sphere"] = "sphere"
     name: Name
@@ -59,14 +74,30 @@ class Sphere(Convex):
         return self.radius
 
     def swept(self, reach: FloatArray) -> Solid:
-        """The capsule that it sweeps when it is shifted by up to (3,) `reach` [m] to either side."""
+        """Capsule swept by shifts from -`reach` to `reach`, (3,) [m]."""
         start, end = (self.core[0] - reach).tolist(), (self.core[0] + reach).tolist()
         kept = {"radius": self.radius, "sigma": self.sigma, "yields": self.yields}
         return Capsule(name=self.name, start=tuple(start), end=tuple(end), **kept)
 
 
 class Capsule(Convex):
-    """A segment with a radius: branch, wire, trunk."""
+    """A segment with a radius: branch, wire, trunk.
+
+    `track`, `sway`, `yields` and `covariance` are described in `hplan.scene.obstacle_kind.Item`.
+
+    Attributes:
+        name: Name of the obstacle.
+        start: First end of the axis; key `from` in files [m].
+        end: Second end of the axis; key `to` in files [m].
+        radius: Radius [m].
+        sigma: Standard deviation of each coordinate of its position [m].
+
+    Examples:
+        >>> from hplan.scene import Capsule
+        >>> branch = Capsule(name="branch 1", start=(1.0, 0.0, 1.5), end=(1.3, 0.2, 1.6), radius=0.01)
+        >>> branch.core.shape, branch.rounding
+        ((2, 3), 0.01)
+    """
 
     kind: Literal["capsule"] = "capsule"
     name: Name
@@ -87,9 +118,24 @@ class Capsule(Convex):
 
 
 class Cylinder(Turned, Convex):
-    """A cylinder, flat at both ends, turned by roll, pitch and yaw (fixed axes x, y, z); unturned it stands on z.
+    """A cylinder with flat ends, its axis along z before rotation.
 
-    The certificate and MuJoCo take it as it is, kernels and sections the prism about it (`hplan.scene.prism`).
+    The certificate and MuJoCo use the exact cylinder, kernels and sections a circumscribed prism (`hplan.scene.prism`).
+    `track`, `sway`, `yields` and `covariance` are described in `hplan.scene.obstacle_kind.Item`.
+
+    Attributes:
+        name: Name of the obstacle.
+        center: Centre [m].
+        length: Length along the axis [m].
+        radius: Radius [m].
+        rpy_deg: Rotation by roll, pitch and yaw about the fixed axes x, y, z [deg].
+        sigma: Standard deviation of each coordinate of its position [m].
+
+    Examples:
+        >>> from hplan.scene import Cylinder
+        >>> post = Cylinder(name="post", center=(1.0, 0.0, 1.0), length=2.0, radius=0.05)
+        >>> 0.0 < post.excess < 0.001
+        True
     """
 
     kind: Literal["cylinder"] = "cylinder"
@@ -102,22 +148,38 @@ class Cylinder(Turned, Convex):
 
     @property
     def hull(self) -> Hull:
-        """The prism about it."""
+        """The circumscribed prism."""
         return prism(self.center, self.rpy_deg, self.length, self.radius)
 
     @property
     def core(self) -> FloatArray:
-        """(k, 3) corners of the prism about it; the obstacle lies in their hull."""
+        """(k, 3) corners of the circumscribed prism; their hull contains the obstacle."""
         return self.hull.core
 
     @property
     def excess(self) -> float:
-        """How far the prism stands out of it [m]."""
+        """Maximum distance of a point of the prism from the cylinder [m]."""
         return prism_excess(self.radius)
 
 
 class Box(Turned, Convex):
-    """A block of the given full edge lengths, turned by roll, pitch and yaw (fixed axes x, y, z)."""
+    """A box with full edge lengths.
+
+    `track`, `sway`, `yields` and `covariance` are described in `hplan.scene.obstacle_kind.Item`.
+
+    Attributes:
+        name: Name of the obstacle.
+        center: Centre [m].
+        size: Edge lengths along its own x, y, z axes [m].
+        rpy_deg: Rotation by roll, pitch and yaw about the fixed axes x, y, z [deg].
+        sigma: Standard deviation of each coordinate of its position [m].
+
+    Examples:
+        >>> from hplan.scene import Box
+        >>> ground = Box(name="ground", center=(0.0, 0.0, -0.05), size=(6.0, 6.0, 0.1))
+        >>> ground.core.max(axis=0).tolist()
+        [3.0, 3.0, 0.0]
+    """
 
     kind: Literal["box"] = "box"
     name: Name
@@ -139,10 +201,27 @@ def _box_corners(center: Vector, size: Vector, rpy_deg: Vector) -> FloatArray:
 
 
 class Mesh(FromData):
-    """The solid inside a closed surface, from a file or from arrays (`Mesh.of`).
+    """The solid inside a closed surface, from a file or arrays (`Mesh.of`).
 
-    The surface is scaled, then turned by roll, pitch and yaw (fixed axes x, y, z), then shifted. A relative `file` is
-    looked for in the scene file's folder, without one in the working directory.
+    The surface is scaled, then rotated by roll, pitch and yaw about the fixed axes x, y, z, then shifted.
+    `track`, `sway`, `yields` and `covariance` are described in `hplan.scene.obstacle_kind.Item`.
+
+    Attributes:
+        name: Name of the obstacle.
+        file: STL, PLY, OBJ or OFF file; a relative path is relative to the scene file's folder, without a scene file to
+            the working directory. None for a mesh from arrays.
+        position: Shift [m].
+        rpy_deg: Rotation [deg].
+        scale: Scale factor, for example 0.001 for a file in millimetres.
+        sigma: Standard deviation of each coordinate of its position [m].
+
+    Examples:
+        >>> from hplan.scene import Mesh
+        >>> corners = [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)]
+        >>> faces = [(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)]
+        >>> crate = Mesh.of("crate", corners, faces, position=(1.0, 0.0, 0.0), scale=0.5)
+        >>> len(crate.solids), crate.excess
+        (1, 0.0)
     """
 
     kind: Literal["mesh"] = "mesh"
@@ -155,11 +234,12 @@ class Mesh(FromData):
 
     @classmethod
     def of(cls, name: str, vertices: ArrayLike, faces: ArrayLike, **placement: Any) -> Mesh:
-        """A mesh from (n, 3) vertices and (m, 3) triangles, counter-clockwise as seen from outside.
+        """Return a mesh from arrays.
 
         Args:
-            vertices: Vertices [m] (before `scale`).
-            faces: Rows of the triangles' vertices.
+            name: Name of the obstacle.
+            vertices: (n, 3) vertices before `scale` [m].
+            faces: (m, 3) vertex indices of the triangles, counter-clockwise as seen from outside.
             placement: `position`, `rpy_deg`, `scale`, `sigma`, `covariance`, `yields`.
 
         Raises:
@@ -173,7 +253,7 @@ class Mesh(FromData):
     def _read(self, info: ValidationInfo) -> Mesh:
         from hplan.scene.shape_data import read_surface
 
-        if self._data is not None:  # an obstacle that exists already is put into a scene
+        if self._data is not None:  # an existing obstacle is added to a scene
             return self
         self._data, self._path = _shape_data(self.file, read_surface, info)
         span = float(np.ptp(self._data.vertices, axis=0).max()) * self.scale
@@ -192,12 +272,15 @@ class Mesh(FromData):
 
     @property
     def excess(self) -> float:
-        """The solids hold the mesh, and stand out of it by no more than this [m] (`convex_decomposition`)."""
+        """Maximum distance of a point of the solids from the mesh [m].
+
+        The solids contain the mesh (`convex_decomposition`).
+        """
         return float(self._data.pieces(self.scale).excess)
 
     @property
     def solids(self) -> tuple[Solid, ...]:
-        """Convex pieces whose union holds the mesh."""
+        """Convex parts whose union contains the mesh."""
         key = (self.name, self.scale, self.position, self.rpy_deg, self.sigma, self.sway, self.yields)
         hulls: tuple[Solid, ...] = self._data.cached(key, self._hulls)
         return hulls
@@ -209,7 +292,25 @@ class Mesh(FromData):
 
 
 class PointCloud(FromData):
-    """Balls of one radius about points, from a file or from an array (`PointCloud.of`); placed as a `Mesh` is."""
+    """Balls of one radius about points, from a file or an array.
+
+    The points are placed as a `Mesh` is, without scale. `track`, `sway`, `yields` and `covariance` are described in
+    `hplan.scene.obstacle_kind.Item`.
+
+    Attributes:
+        name: Name of the obstacle.
+        file: PLY or XYZ file, its path as for a `Mesh`; None for a cloud from an array (`PointCloud.of`).
+        radius: Radius of every ball [m].
+        position: Shift [m].
+        rpy_deg: Rotation [deg].
+        sigma: Standard deviation of each coordinate of its position [m].
+
+    Examples:
+        >>> from hplan.scene import PointCloud
+        >>> cloud = PointCloud.of("canopy", [(1.0, 0.0, 1.5), (1.0, 0.1, 1.5)], radius=0.02, position=(0.0, 0.0, 0.5))
+        >>> cloud.points.tolist()
+        [[1.0, 0.0, 2.0], [1.0, 0.1, 2.0]]
+    """
 
     kind: Literal["points"] = "points"
     name: Name
@@ -221,10 +322,11 @@ class PointCloud(FromData):
 
     @classmethod
     def of(cls, name: str, points: ArrayLike, radius: float, **placement: Any) -> PointCloud:
-        """A cloud from (n, 3) points.
+        """Return a cloud from an array.
 
         Args:
-            points: Centres of the balls [m].
+            name: Name of the obstacle.
+            points: (n, 3) centres of the balls [m].
             radius: Radius of every ball [m].
             placement: `position`, `rpy_deg`, `sigma`, `covariance`, `yields`.
 
@@ -237,7 +339,7 @@ class PointCloud(FromData):
 
     @classmethod
     def thinned(cls, name: str, points: ArrayLike, radius: float, yields: float = 0.0) -> PointCloud:
-        """A cloud of (n, 3) points of which none are merged, so that its balls are those given (`hplan.online`).
+        """Return a cloud of (n, 3) already thinned points, without merging (`hplan.online`).
 
         Raises:
             SceneError: The cloud is empty, too large or not finite.
@@ -248,23 +350,23 @@ class PointCloud(FromData):
 
     @property
     def left_out(self) -> int:
-        """How many rows of its file held a value that is not finite."""
+        """Number of rows of the file with a non-finite value."""
         return int(self._data.left_out)
 
     @model_validator(mode="after")
     def _read(self, info: ValidationInfo) -> PointCloud:
         from hplan.scene.shape_data import read_points
 
-        if self._data is not None:  # an obstacle that exists already is put into a scene
+        if self._data is not None:  # an existing obstacle is added to a scene
             return self
         self._data, self._path = _shape_data(self.file, read_points, info)
         return self
 
     @property
     def points(self) -> FloatArray:
-        """(n, 3) centres of all balls in `base_link` [m], before near ones are merged."""
+        """(n, 3) centres of all balls in `base_link` before merging [m]."""
         points: FloatArray = self._data.points
-        if any((*self.position, *self.rpy_deg)):  # a product takes as long as a tree, and a camera's cloud needs none
+        if any((*self.position, *self.rpy_deg)):  # the product takes as long as the tree
             points = points @ self.rotation.T + np.array(self.position)
         return points
 
@@ -282,7 +384,7 @@ class PointCloud(FromData):
 
 
 def _made_of(cls: type[_Data], name: str, make: Callable[[], Surface | PointSet], fields: dict[str, Any]) -> _Data:
-    """An obstacle whose data is at hand."""
+    """Make an obstacle from data in memory."""
     try:
         data = make()
         return validated(cls, {"name": name, **fields}, {"data": data})
@@ -295,7 +397,7 @@ def _made_of(cls: type[_Data], name: str, make: Callable[[], Surface | PointSet]
 def _shape_data(
     file: str | None, read: Callable[[Path, ByteBudget], _Shape], info: ValidationInfo
 ) -> tuple[_Shape, Path | None]:
-    """The data of a mesh or cloud, and the file it is from."""
+    """Return the data of a mesh or cloud, and its file."""
     context = info.context or {}
     if "kept" in context:
         kept: tuple[_Shape, Path | None] = context["kept"]
@@ -311,7 +413,7 @@ def _shape_data(
         raise fault(str(error), "file") from error
 
 
-#: The kinds of obstacles, as a scene lists them: a new one is its class and its name here.
+#: The kinds of obstacles of a scene: a new kind is its class and its name here.
 AnyObstacle: TypeAlias = Sphere | Capsule | Cylinder | Box | Mesh | PointCloud
 Obstacle: TypeAlias = Annotated[AnyObstacle, Field(discriminator="kind")]
 KINDS: tuple[type[AnyObstacle], ...] = get_args(AnyObstacle)

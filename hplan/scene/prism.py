@@ -1,8 +1,8 @@
-r"""Prisms about cylinders: what kernels and sections, which know flat faces only, take for a cylinder.
+r"""Circumscribed prisms of cylinders, for kernels and sections with flat faces only.
 
-The prism's sides touch the cylinder, so that it holds the whole; its corners stand out by
-:math:`r (1 / \cos(\pi / n) - 1)` with :math:`n` sides. There are as many as keep that below `ERROR`, but
-`MOST_SIDES` at most, with which it is 0.12 % of the radius.
+The sides of the prism touch the cylinder, so the prism contains it. With :math:`n` sides its corners are outside by
+:math:`r (1 / \cos(\pi / n) - 1)`. :math:`n` is chosen to keep that below `ERROR`, but at most `MOST_SIDES`, which gives
+0.12 % of the radius.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ import numpy as np
 
 from hplan.scene.solids import HULL_VERTICES, Hull, rpy_rotation, whole_hull
 
-#: A prism stands out of its cylinder by no more than this, as far as its sides allow [m].
+#: Maximum excess of a prism over its cylinder, if `MOST_SIDES` sides suffice for it [m].
 ERROR: Final = 5e-4
 
-#: Fewest and most sides of a prism.
+#: Minimum and maximum number of sides of a prism.
 FEWEST_SIDES: Final = 12
 MOST_SIDES: Final = HULL_VERTICES // 2
 
@@ -27,13 +27,15 @@ MOST_SIDES: Final = HULL_VERTICES // 2
 def prism(
     center: tuple[float, float, float], rpy_deg: tuple[float, float, float], length: float, radius: float
 ) -> Hull:
-    """The prism about a cylinder as a hull, corners of the lower end first; the last ones are kept.
+    """Return the circumscribed prism of a cylinder as a hull.
+
+    The vertices of the lower end come first. Recent results are cached.
 
     Args:
-        center: Middle of the cylinder [m].
-        rpy_deg: Its roll, pitch and yaw (fixed axes x, y, z) [deg]; at zero it stands on z.
-        length: Its length [m].
-        radius: Its radius [m].
+        center: Centre of the cylinder [m].
+        rpy_deg: Roll, pitch and yaw about the fixed axes x, y, z [deg]; the axis is along z at zero.
+        length: Length [m].
+        radius: Radius [m].
     """
     n = _sides(radius)
     widest = radius / math.cos(math.pi / n)
@@ -43,14 +45,14 @@ def prism(
 
 @lru_cache
 def _unit_prism(sides: int) -> Hull:
-    """The prism with its corners 1 from the z axis, and 1 below and above."""
+    """Prism with vertices at radius 1 and heights -1 and 1."""
     angles = 2.0 * np.pi * np.arange(sides) / sides
     ring = np.column_stack([np.cos(angles), np.sin(angles), np.ones(sides)])
     return whole_hull(np.concatenate([ring * (1.0, 1.0, -1.0), ring]), "prism")
 
 
 def prism_excess(radius: float) -> float:
-    """How far the prism about a cylinder stands out of it [m]."""
+    """Maximum distance of a point of the prism from its cylinder [m]."""
     return radius / math.cos(math.pi / _sides(radius)) - radius
 
 

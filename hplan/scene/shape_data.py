@@ -1,7 +1,7 @@
-"""Closed surfaces and sets of points, read from mesh and point files or arrays, and checked.
+"""Checked closed surfaces and point sets, from files or arrays.
 
-Read through trimesh, which is imported when the first file is read. Faults are `ValueError`s that say what is wrong and
-what would be right; the scene adds where.
+Files are read with trimesh, which is imported for the first file. Errors are `ValueError` with the fault and the
+expected input; the scene adds the key path.
 """
 
 from __future__ import annotations
@@ -29,7 +29,10 @@ _T = TypeVar("_T")
 
 
 class _Cached:
-    """Equal by its arrays; keeps what was made of it, so that meshes are cut and trees built once."""
+    """Equality by arrays, and a cache of derived data.
+
+    Meshes are decomposed and trees built only once.
+    """
 
     arrays: tuple[FloatArray | IntArray, ...]
     _made: dict[Any, Any]
@@ -42,7 +45,7 @@ class _Cached:
     __hash__ = None  # type: ignore[assignment]
 
     def cached(self, key: Any, make: Callable[[], _T]) -> _T:
-        """The result of `make`, which is called for the first request of a key only."""
+        """Return the cached result of `make` for a key."""
         if key not in self._made:
             self._made[key] = make()
         found: _T = self._made[key]
@@ -50,7 +53,7 @@ class _Cached:
 
     @property
     def digest(self) -> str:
-        """SHA-256 of the arrays, in hexadecimal digits; made once."""
+        """SHA-256 of the arrays, as hexadecimal digits; cached."""
         return self.cached("digest", self._sha256)
 
     def _sha256(self) -> str:
@@ -66,7 +69,7 @@ class Surface(_Cached):
     """A closed surface of triangles.
 
     Attributes:
-        vertices: (n, 3) vertices, in the file's units.
+        vertices: (n, 3) vertices, in the unit of the file.
         faces: (m, 3) triangles, counter-clockwise as seen from outside.
     """
 
@@ -76,17 +79,19 @@ class Surface(_Cached):
 
     @property
     def arrays(self) -> tuple[FloatArray | IntArray, ...]:  # type: ignore[override]
-        """The arrays that make two of them equal."""
+        """Arrays that define equality."""
         return self.vertices, self.faces
 
     @classmethod
     def of(cls, vertices: ArrayLike, faces: ArrayLike) -> Surface:
-        """A surface from (n, 3) vertices and (m, 3) triangles; vertices at one place become one.
+        """Return a surface of (n, 3) vertices and (m, 3) triangles.
+
+        Coincident vertices are merged.
 
         Raises:
-            ValueError: It is empty, not finite, not closed, flat or inside out.
+            ValueError: The surface is empty, not finite, not closed, flat or inside out.
         """
-        # Millimetres, it may be: `Mesh` looks at them again after scaling.
+        # The unit may be millimetres: `Mesh` checks the size again after scaling.
         points = _checked_points(vertices, "vertices", 1e3 * FARTHEST_M)
         try:
             corners = as_array(faces)
@@ -109,18 +114,18 @@ class Surface(_Cached):
         return cls(readonly(points[used]), readonly(index.reshape(-1, 3), np.int64))
 
     def pieces(self, scale: float) -> Pieces:
-        """Convex pieces whose union holds the solid, in metres; cut once."""
+        """Convex parts whose union contains the solid, in metres; cached."""
         return self.cached(scale, lambda: convex_pieces(self.vertices * scale, self.faces))
 
 
 @dataclass(frozen=True, eq=False)
 class PointSet(_Cached):
-    """Points.
+    """A set of points.
 
     Attributes:
         points: (n, 3) points [m].
-        left_out: Rows of the file that held a value that is not finite.
-        may_merge: Whether near points may become one; not where they were thinned before.
+        left_out: Number of rows of the file with a non-finite value.
+        may_merge: True if near points may be merged; False for points that were thinned before.
     """
 
     points: FloatArray
@@ -130,15 +135,15 @@ class PointSet(_Cached):
 
     @property
     def arrays(self) -> tuple[FloatArray | IntArray, ...]:  # type: ignore[override]
-        """The arrays that make two of them equal."""
+        """Arrays that define equality."""
         return (self.points,)
 
     @classmethod
     def of(cls, points: ArrayLike, *, left_out: int = 0, may_merge: bool = True) -> PointSet:
-        """A set of (n, 3) points; arguments are the attributes.
+        """Return a set of (n, 3) points; arguments are the attributes.
 
         Raises:
-            ValueError: There are none or too many, or not all are finite.
+            ValueError: The set is empty or too large, or a value is not finite.
         """
         found = _checked_points(points, "points", FARTHEST_M)
         if len(found) > MOST_POINTS:
@@ -152,7 +157,7 @@ def read_surface(path: Path, budget: ByteBudget) -> Surface:
     """Read a mesh file.
 
     Raises:
-        ValueError: It is too large, cannot be read, or its surface is not closed, flat or inside out.
+        ValueError: The file is too large or unreadable, or its surface is not closed, flat or inside out.
     """
     loaded = _load(path, budget, (".stl", ".ply", ".obj", ".off"), "mesh")
     faces = getattr(loaded, "faces", None)
@@ -162,10 +167,12 @@ def read_surface(path: Path, budget: ByteBudget) -> Surface:
 
 
 def read_points(path: Path, budget: ByteBudget) -> PointSet:
-    """Read a file of points; of a mesh, its vertices. Rows that are not finite are left out, as a camera writes them.
+    """Read a point file, or the vertices of a mesh.
+
+    Rows with a non-finite value, as cameras write them, are dropped and counted.
 
     Raises:
-        ValueError: It cannot be read, is empty or too large, or none of its points is finite.
+        ValueError: The file is unreadable, empty or too large, or has no finite point.
     """
     loaded = _load(path, budget, (".ply", ".xyz"), "point")
     vertices = loaded if isinstance(loaded, np.ndarray) else getattr(loaded, "vertices", None)
@@ -177,7 +184,7 @@ def read_points(path: Path, budget: ByteBudget) -> PointSet:
 
 
 def write_shape(data: Surface | PointSet, path: Path) -> Path:
-    """Write a surface or points as a PLY file that reads back to the same numbers.
+    """Write a surface or points as a PLY file with exact numbers.
 
     Raises:
         OutputError: The file cannot be written.
@@ -196,7 +203,10 @@ def write_shape(data: Surface | PointSet, path: Path) -> Path:
 
 
 def _load(path: Path, budget: ByteBudget, formats: tuple[str, ...], what: str) -> Any:
-    """The mesh or point cloud that trimesh reads from a file; of an XYZ file the (n, 3) points."""
+    """Read a mesh or point cloud with trimesh.
+
+    Returns the (n, 3) points of an XYZ file.
+    """
     if path.suffix.lower() not in formats:
         raise ValueError(f"{path.name!r} is no {what} file that can be read; convert it to one of {', '.join(formats)}")
     try:
@@ -221,7 +231,7 @@ def _load(path: Path, budget: ByteBudget, formats: tuple[str, ...], what: str) -
             process=False,
             force="mesh" if what == "mesh" else None,
         )
-    except Exception as error:  # trimesh raises whatever its parsers run into
+    except Exception as error:  # trimesh raises arbitrary exceptions of its parsers
         raise ValueError(
             f"{os.fspath(path)} is no whole {path.suffix} file ({type(error).__name__}: {error})"
         ) from error
@@ -229,12 +239,13 @@ def _load(path: Path, budget: ByteBudget, formats: tuple[str, ...], what: str) -
 
 
 def _read_xyz(content: bytes, name: str) -> FloatArray:
-    """(n, 3) points of an XYZ text: the first three columns of rows that all have the same number of columns.
+    """(n, 3) points of an XYZ text: its first three columns.
 
-    trimesh takes commas for blanks, so it would read decimal commas as twice as many numbers.
+    All rows must have the same number of columns. trimesh treats commas as blanks, so it would read a number with a
+    decimal comma as two numbers.
 
     Raises:
-        ValueError: A row with a different number of columns, fewer than three columns, or a word that is no number.
+        ValueError: A row has another number of columns or fewer than three, or a word is not a number.
     """
     comments = ["#", *(["//"] if b"//" in content else [])]
     try:
@@ -248,7 +259,7 @@ def _read_xyz(content: bytes, name: str) -> FloatArray:
 
 
 def _xyz_fault(content: bytes, comments: Sequence[str]) -> str:
-    """The first line that is no row of an XYZ text, and why."""
+    """First invalid line of an XYZ text, and its fault."""
     columns = 0
     for number, line in enumerate(content.decode("utf-8-sig", "replace").splitlines(), start=1):
         for mark in comments:
@@ -264,13 +275,14 @@ def _xyz_fault(content: bytes, comments: Sequence[str]) -> str:
 
 
 def _check_ply_rows(content: bytes, name: str) -> None:
-    """Refuse an ASCII PLY file with more or fewer rows than its header declares, or with ragged rows of vertices.
+    """Refuse an ASCII PLY file whose rows contradict its header.
 
-    trimesh cuts rows that are too long, takes a file that ends early for a smaller one, and one whose second line is
-    not its format for binary numbers.
+    trimesh truncates rows that are too long, reads a file that ends early as a smaller one, and reads text as binary
+    numbers if the second line is not the format.
 
     Raises:
-        ValueError: Such a row, with its number among the rows after the header; or another second line.
+        ValueError: The number of rows is wrong, a vertex row has a wrong length (names its number after the header), or
+            the second line is not the format.
     """
     head, mark, body = content.partition(b"end_header")
     words = [line.split() for line in head.decode("latin-1").splitlines()]
@@ -301,12 +313,12 @@ def _check_ply_rows(content: bytes, name: str) -> None:
 
 
 def _check_corners(content: bytes, name: str) -> None:
-    """Refuse an OBJ or ASCII STL file in which rows of vertices differ in their number of columns.
+    """Refuse an OBJ or ASCII STL file with uneven vertex rows.
 
     trimesh reads such rows as one list of numbers, so a coordinate may move to another vertex.
 
     Raises:
-        ValueError: Such a row, with its line.
+        ValueError: A vertex row has another length than the first; names its line.
     """
     if b"\0" in content[:1000]:  # a binary file has no rows
         return

@@ -1,21 +1,21 @@
-r"""Solids that a scene's meshes and point clouds become: convex hulls, and clouds of balls.
+r"""Solids of meshes and point clouds: convex hulls and ball clouds.
 
-Every solid has `name`, `core` (k, 3), `rounding`, `is_point_set` and `sigma`. A solid is the hull of its core
-grown by its rounding; of a point set each core point is a ball of that radius by itself.
+Every solid has `name`, `core` (k, 3), `rounding`, `is_point_set` and `sigma`. A solid is the hull of its core grown by
+its rounding; for a point set, each core point is a separate ball of that radius.
 
-**Hull.** A hull of more than `HULL_VERTICES` vertices keeps some of them, :math:`V`, and takes as its rounding the
-distance of the farthest other one from :math:`\mathrm{conv}\,V`. The grown hull is convex and holds every vertex, so
-it holds the whole; nothing of it is farther outside than its rounding.
+**Hull.** A hull with more than `HULL_VERTICES` vertices keeps a subset :math:`V` of them. Its rounding is the maximum
+distance of the other vertices from :math:`\mathrm{conv}\,V`. The grown hull is convex and contains every vertex, so it
+contains the whole hull; its excess is at most its rounding.
 
-**Cloud.** Points in one voxel of a grid may become one ball, whose radius grows by the distance of the farthest of them
-from it, never more than `MERGE_ERROR`: the balls before lie in the balls after. The points are kept in the order of a
-tree: along a curve on which neighbours stand together (Morton), parted where it leaves a cell, again and again.
+**Cloud.** Points in one voxel of a grid may be merged into one ball. Its radius grows by their maximum distance from
+its centre, at most `MERGE_ERROR`, so the new balls contain the old ones. The points are stored in the order of a tree,
+along a Morton curve that is split recursively.
 
-**Swept solids.** A solid that is the hull of a core grown by a rounding sweeps, as it is shifted by all of
-:math:`[-a, a]`, the hull of :math:`C - a` and :math:`C + a` grown by the same rounding: a ball a capsule, everything
-else a hull. This is exact, but that a flat hull is made `THIN` thicker, and one of many vertices
-simplified as a mesh is. A cloud becomes one of copies along the segment, so close that balls of a radius larger by
-`SWEPT_ERROR` cover what theirs sweep; where that would be too many points, fewer copies of larger balls.
+**Swept solids.** Let a solid be the hull of a core :math:`C` grown by a rounding. Shifted by all of :math:`[-a, a]`, it
+sweeps the hull of :math:`C - a` and :math:`C + a` grown by the same rounding: a ball becomes a capsule, any other solid
+a hull. This is exact, except that a flat hull is thickened by `THIN`, and a hull with many vertices is simplified as
+for a mesh. A cloud becomes a cloud of copies along the segment, dense enough that balls with a radius larger by
+`SWEPT_ERROR` cover the swept balls; if that needs too many points, fewer copies of larger balls.
 """
 
 from __future__ import annotations
@@ -31,16 +31,16 @@ import numpy as np
 from hplan.base import ties
 from hplan.base.arrays import FloatArray, IntArray, Record, frozen, readonly
 
-#: Most vertices of a hull.
+#: Maximum number of vertices of a hull.
 HULL_VERTICES: Final = 128
 
-#: Points that are no farther apart than this in some direction are made thicker by it to either side [m].
+#: Points with a smaller extent than this in some direction are thickened by it to either side [m].
 THIN: Final = 1e-5
 
-#: No ball of a cloud grows by more than this where points are merged [m].
+#: Maximum growth of a ball by merging [m].
 MERGE_ERROR: Final = 1e-3
 
-#: Most points in a leaf of a cloud's tree.
+#: Maximum number of points in a leaf of a cloud's tree.
 LEAF: Final = 16
 
 #: (8, 3) corners of the cube from -1 to 1.
@@ -48,7 +48,7 @@ CUBE_CORNERS: Final = readonly([(x, y, z) for x in (-1, 1) for y in (-1, 1) for 
 
 
 def rpy_rotation(roll: float, pitch: float, yaw: float) -> FloatArray:
-    """(3, 3) rotation by roll, pitch and yaw about the fixed axes x, y, z."""
+    """Rotation by roll, pitch and yaw about fixed axes, (3, 3) [rad]."""
     cr, sr, cp, sp, cy, sy = (f(a) for a in (roll, pitch, yaw) for f in (math.cos, math.sin))
     return np.array(
         [
@@ -60,7 +60,7 @@ def rpy_rotation(roll: float, pitch: float, yaw: float) -> FloatArray:
 
 
 def quaternion_rotation(quaternion_xyzw: Sequence[float]) -> FloatArray:
-    """The (3, 3) rotation of a quaternion (x, y, z, w), which is made one of length 1."""
+    """Rotation of a quaternion (x, y, z, w) after normalization, (3, 3)."""
     q = np.asarray(quaternion_xyzw, dtype=np.float64)
     x, y, z, w = q / np.linalg.norm(q)
     across = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
@@ -69,23 +69,33 @@ def quaternion_rotation(quaternion_xyzw: Sequence[float]) -> FloatArray:
 
 
 def rpy_of(rotation: FloatArray) -> tuple[float, float, float]:
-    """Roll, pitch and yaw [deg] of a (3, 3) rotation, as `rpy_rotation` takes them in radians."""
+    """Roll, pitch and yaw of a (3, 3) rotation [deg].
+
+    It inverts `rpy_rotation`, which takes radians.
+    """
     pitch = math.atan2(-rotation[2, 0], math.hypot(rotation[0, 0], rotation[1, 0]))
     if math.hypot(rotation[0, 0], rotation[1, 0]) > 1e-9:
         roll, yaw = math.atan2(rotation[2, 1], rotation[2, 2]), math.atan2(rotation[1, 0], rotation[0, 0])
-    else:  # x points up or down: roll and yaw turn about the same line
+    else:  # gimbal lock: roll and yaw rotate about the same axis
         roll, yaw = 0.0, math.atan2(-rotation[0, 1], rotation[1, 1])
     return math.degrees(roll), math.degrees(pitch), math.degrees(yaw)
 
 
 def triangle_normals(triangles: FloatArray) -> FloatArray:
-    """(n, 3) normals of (n, 3, 3) triangles, as long as twice their areas."""
+    """(n, 3) normals of (n, 3, 3) triangles.
+
+    Their lengths are twice the areas.
+    """
     normals: FloatArray = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     return normals
 
 
 def shared_edges(faces: IntArray) -> Iterator[tuple[int, int, tuple[int, int, int]]]:
-    """Edges that two of (m, 3) triangles share: the later one, the other, and the later one's (start, end, apex)."""
+    """Iterate over edges shared by two of (m, 3) triangles.
+
+    Yields:
+        Index of the later triangle, index of the other, and (start, end, apex) vertices of the later one.
+    """
     sides: dict[tuple[int, int], int] = {}
     for face, (a, b, c) in enumerate(faces.tolist()):
         for start, end, apex in ((a, b, c), (b, c, a), (c, a, b)):
@@ -101,12 +111,12 @@ class Hull(Record):
     """The convex hull of a few points, grown by a radius.
 
     Attributes:
-        name: Name of the obstacle it is (a part of).
+        name: Name of the obstacle that it belongs to.
         core: (k, 3) vertices of the hull [m].
         faces: (m, 3) triangles of vertices, counter-clockwise as seen from outside.
         rounding: Radius about the core [m].
         sigma: Standard deviation of its position [m].
-        yields: How deep it may be pushed [m].
+        yields: Maximum deflection [m].
     """
 
     name: str
@@ -116,18 +126,21 @@ class Hull(Record):
     sigma: float = 0.0
     yields: float = 0.0
 
-    #: The solid is the hull of its core grown by its rounding; it stands out of its obstacle by so much [m].
+    #: The solid is the hull of its core grown by its rounding; `excess` is its maximum distance from the obstacle [m].
     is_point_set: ClassVar[Literal[False]] = False
     excess: ClassVar[float] = 0.0
 
     @property
     def hull(self) -> Hull:
-        """Itself."""
+        """The hull itself."""
         return self
 
     @property
     def grown_corners(self) -> FloatArray:
-        """(n, 3) points whose hull holds the grown one, nothing of it farther outside than 0.74 of the rounding [m]."""
+        """(n, 3) points whose hull contains the grown hull [m].
+
+        The excess is at most 0.74 of the rounding.
+        """
         if self.rounding == 0.0:
             return self.core
         grown: FloatArray = (self.core[:, None] + self.rounding * CUBE_CORNERS).reshape(-1, 3)
@@ -135,18 +148,21 @@ class Hull(Record):
 
     @property
     def surface(self) -> tuple[FloatArray, IntArray]:
-        """(n, 3) vertices [m] and (m, 3) triangles of the hull of its grown corners."""
+        """Hull of the grown corners: (n, 3) vertices [m], (m, 3) triangles."""
         grown = self if self.rounding == 0.0 else whole_hull(self.grown_corners)
         return grown.core, grown.faces
 
     @cached_property
     def planes(self) -> FloatArray:
-        """(f, 4) facets: outward unit normal and offset; the core is where normal @ x <= offset for all."""
+        """(f, 4) facets: outward unit normal and offset [m].
+
+        A point x is in the core if normal @ x <= offset for all facets.
+        """
         return self._facets[0]
 
     @cached_property
     def edges(self) -> FloatArray:
-        """(e, 6) edges between facets: one end, and the vector to the other."""
+        """(e, 6) edges between facets: one end, vector to the other [m]."""
         return self._facets[1]
 
     @cached_property
@@ -155,11 +171,11 @@ class Hull(Record):
         normals = triangle_normals(corners)
         sizes = np.linalg.norm(normals, axis=1, keepdims=True)
         normals = normals / np.maximum(sizes, 1e-300)
-        # The largest triangle of a facet speaks for it: its normal is the most exact.
+        # The largest triangle of a facet defines its plane: its normal is the most accurate.
         facet_of = np.full(len(normals), -1)
         leaders: list[int] = []
         offsets = (normals * corners[:, 0]).sum(axis=1)
-        # Two facets whose normals differ by less than this are one.
+        # Facets whose unit normals have a dot product within this of 1 are merged.
         coplanar = 1e-9
         for face in np.argsort(-sizes[:, 0], kind="stable"):
             if facet_of[face] < 0:
@@ -168,7 +184,7 @@ class Hull(Record):
                 same[face] = True
                 facet_of[same] = len(leaders)
                 leaders.append(int(face))
-        # Every vertex is on or below: rounding errors shift the plane outward, never into the hull.
+        # Every vertex is on or below: rounding errors shift the plane outwards, never into the hull.
         normals = normals[leaders]
         planes = np.column_stack([normals, (normals @ self.core.T).max(axis=1)])
         rows = [
@@ -179,13 +195,15 @@ class Hull(Record):
         return frozen(planes), frozen(np.array(rows, dtype=np.float64).reshape(-1, 6))
 
     def placed(self, rotation: FloatArray, shift: FloatArray, scale: FloatArray | float = 1.0, **changes: Any) -> Hull:
-        """The hull stretched, turned and shifted, with its facets and edges, which take long to find.
+        """Return the scaled, rotated and shifted hull.
+
+        Its facets and edges are transformed too, since they take long to compute.
 
         Args:
             rotation: (3, 3) rotation.
             shift: (3,) shift [m].
-            scale: Factors along its own axes, before that; 1 for a hull that is rounded.
-            changes: Other fields that change.
+            scale: Factors along its own axes, applied first; must be 1 for a hull with rounding.
+            changes: Other changed fields.
         """
         core = frozen(np.ascontiguousarray(self.core * scale @ rotation.T + shift))
         normals = self.planes[:, :3] / scale
@@ -199,14 +217,15 @@ class Hull(Record):
 
 
 def hull_of(points: FloatArray, name: str = "", *, most: int = HULL_VERTICES) -> Hull:
-    """The convex hull of points in general position, with at most `most` vertices.
+    """Convex hull of points in general position, with at most `most` vertices.
 
     Args:
         points: (n, 3) points that do not lie in one plane [m].
-        most: Most vertices, 14 or more.
+        name: Name of the obstacle.
+        most: Maximum number of vertices, at least 14.
 
     Returns:
-        The hull; its rounding is 0 where all vertices are kept.
+        The hull; its rounding is 0 if all vertices are kept.
 
     Raises:
         ValueError: The points lie in one plane.
@@ -229,13 +248,17 @@ def hull_of(points: FloatArray, name: str = "", *, most: int = HULL_VERTICES) ->
 
 
 def whole_hull(points: FloatArray, name: str = "", rounding: float = 0.0, sigma: float = 0.0) -> Hull:
-    """The convex hull of (n, 3) points, all of its vertices kept; made a little thicker where it is flat."""
+    """Convex hull of (n, 3) points with all vertices; thickened if flat."""
     thicker = (points[:, None] + thickening(points)).reshape(-1, 3)
     return replace(hull_of(thicker, name, most=len(thicker) + 14), rounding=rounding, sigma=sigma)
 
 
 def thickening(points: FloatArray) -> FloatArray:
-    """(k, 3) shifts by which (n, 3) points are to be copied so that their hull has a volume; zeros where it has one."""
+    """Shifts whose copies give flat (n, 3) points a volume [m].
+
+    Returns:
+        (k, 3) shifts; one row of zeros if the hull has a volume.
+    """
     local = points - points.mean(axis=0)
     axes = np.linalg.eigh(local.T @ local)[1].T
     shifts = np.zeros((1, 3))
@@ -245,13 +268,17 @@ def thickening(points: FloatArray) -> FloatArray:
 
 
 def _some_vertices(corners: FloatArray, most: int) -> tuple[IntArray, Any]:
-    """Rows of the vertices that are kept, and their hull: those that stand out farthest, a few at a time."""
+    """Select vertices with the largest excess, a few at a time.
+
+    Returns:
+        Rows of the selected vertices, and their hull.
+    """
     from scipy.spatial import ConvexHull
 
     axes = np.array([(x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)], dtype=np.float64)
     axes = axes[np.abs(axes).sum(axis=1) % 2 == 1]  # along the axes and the space diagonals
     kept = np.unique(ties.on_raster(corners @ axes.T).argmax(axis=0))
-    # Nothing is simplified that stands out by less than this: vertices beyond it are not kept [m].
+    # Vertices with a smaller excess than this are not added [m].
     hull_error = 2e-4
     while True:
         hull = ConvexHull(corners[kept])
@@ -266,7 +293,7 @@ def _some_vertices(corners: FloatArray, most: int) -> tuple[IntArray, Any]:
 
 
 def _oriented(name: str, points: FloatArray, rounding: float) -> Hull:
-    """The hull of a few points, its faces turned outward and its vertices in their order."""
+    """Hull of a few points, faces outward, vertices in their order."""
     from scipy.spatial import ConvexHull
 
     hull = ConvexHull(points)
@@ -281,7 +308,7 @@ def _oriented(name: str, points: FloatArray, rounding: float) -> Hull:
 
 
 def _distance_to_triangles(points: FloatArray, triangles: FloatArray) -> FloatArray:
-    """(n,) distances of points from the nearest of some triangles."""
+    """(n,) distances of points from the nearest triangle."""
     least = np.full(len(points), np.inf)
     edges = np.roll(triangles, -1, axis=1) - triangles
     squares = np.maximum((edges * edges).sum(axis=2), 1e-300)
@@ -306,12 +333,13 @@ class Cloud(Record):
     """Many balls of one radius.
 
     Attributes:
+        name: Name of the obstacle.
         core: (n, 3) centres [m], in the order of the tree.
         rounding: Radius of every ball [m].
-        tree: (nodes, 7) the tree, each node before its children: first centre and the one past the last; the number
-            of the next node that is no descendant; then centre and radius of a ball about its centres [m].
+        tree: (nodes, 7) tree in preorder: first centre and one past the last; index of the next node that is not a
+            descendant; centre and radius of a ball that bounds its centres [m].
         sigma: Standard deviation of its position [m].
-        yields: How deep it may be pushed [m].
+        yields: Maximum deflection [m].
     """
 
     name: str
@@ -321,22 +349,25 @@ class Cloud(Record):
     sigma: float = 0.0
     yields: float = 0.0
 
-    #: Each core point is a ball by itself; it stands out of its obstacle by so much [m].
+    #: Each core point is a separate ball; `excess` is the maximum distance from the obstacle [m].
     is_point_set: ClassVar[Literal[True]] = True
     excess: ClassVar[float] = 0.0
 
     @classmethod
     def of(cls, name: str, points: FloatArray, radius: float, sigma: float = 0.0) -> Cloud:
-        """The balls about (n, 3) points, n > 0; near ones merged where that makes them notably fewer."""
-        from hplan.scene.cloud_tree import merged  # compiled: nothing that needs no cloud loads numba
+        """Return balls about (n, 3) points, n > 0, possibly merged.
 
-        # In a voxel of this edge no two points are farther apart than twice the error along its diagonal.
+        Points are merged if that reduces their number considerably.
+        """
+        from hplan.scene.cloud_tree import merged  # compiled: numba is loaded only for clouds
+
+        # The diagonal of a voxel with this edge is twice the maximum error.
         core, growth = merged(np.array(points, dtype=np.float64, order="C"), 2.0 * MERGE_ERROR / math.sqrt(3.0))
         return cls.unmerged(name, core, radius + growth, sigma)
 
     @classmethod
     def unmerged(cls, name: str, points: FloatArray, radius: float, sigma: float = 0.0) -> Cloud:
-        """The balls about (n, 3) points, n > 0, all of them."""
+        """Return balls about all (n, 3) points, n > 0."""
         from hplan.scene.cloud_tree import tree_of
 
         core, tree = tree_of(np.ascontiguousarray(points, dtype=np.float64), LEAF)

@@ -1,18 +1,19 @@
-r"""How an obstacle moves: its track, a pose that is piecewise linear in time; and its sway, an amplitude along a line.
+r"""Motion of an obstacle: tracks (piecewise linear poses) and sway (oscillation).
 
-A track holds from the first of its times to the last. Before and after, the obstacle stays as it is at the first and at
-the last. Times count from the begin of the motion.
+A track is defined from the first to the last of its times. Before and after, the obstacle keeps its first and its last
+pose. Times count from the start of the motion.
 
-**Seen from the base.** A point :math:`x` of a solid, as the scene lists it, is at :math:`y = T_b(t)^{-1} T_o(t) x` at
-time :math:`t`: moved by its own track, and seen from a base that moves by its own. With :math:`c` a point of the solid,
-all of which is within :math:`r` of it, :math:`r_o` its largest distance from the point about which its track turns it,
-:math:`p` the point about which the base turns, where it is then, and :math:`v, \omega` speeds,
+**Relative to the base.** A point :math:`x` of a solid, as listed in the scene, is at
+:math:`y = T_b(t)^{-1} T_o(t) x` at time :math:`t`: transformed by its own track, and seen from a base with its own
+track. Let :math:`c` be a point of the solid, :math:`r` the radius about :math:`c` that contains the solid, :math:`r_o`
+the solid's maximum distance from its track's centre of rotation, :math:`p` the base's centre of rotation at that time,
+and :math:`v, \omega` speeds. Then
 
 .. math:: |\dot y| \le |v_o - v_b| + \omega_o r_o + \omega_b (\max |T_o c - p| + r),
 
-the maximum over an interval between times of either track. Velocities and angular speeds are constant in it; the
-distance :math:`|T_o c - p|` is at most that of points moved linearly, :math:`a`, about which the solid turns, from
-:math:`p`, which is largest at an end of it, and :math:`|c - a|`.
+with the maximum over an interval between times of either track. Velocities and angular speeds are constant in it. The
+distance :math:`|T_o c - p|` is at most the distance of two linearly moving points, the solid's centre of rotation
+:math:`a` and :math:`p`, which is maximal at an end of the interval, plus :math:`|c - a|`.
 """
 
 from __future__ import annotations
@@ -36,16 +37,23 @@ Time: TypeAlias = Annotated[float, Field(ge=-LONGEST_S, le=LONGEST_S)]
 
 
 class Track(StrictModel):
-    """A pose over time: a shift, and a turn about a point, from where the obstacle is listed.
+    """Pose of an obstacle over time, relative to its listed pose.
 
-    A point x of the obstacle is at `about + shift + R (x - about)`. Between two times the shift is linear, and the turn
-    is about one axis at constant speed, by the smaller angle.
+    A listed point x of the obstacle is at `about + shift + R (x - about)`. Between two times the shift is linear, and
+    the rotation has a fixed axis and constant speed, along the smaller angle.
 
     Attributes:
-        times_s: Two or more times from the begin of the motion, increasing [s].
-        shifts_m: The shift at each of them [m].
-        rpy_deg: The turn at each, by roll, pitch and yaw about the fixed axes x, y, z [deg]; None for none.
-        about: The point about which it turns, where the obstacle is listed [m]; given with `rpy_deg`, and only then.
+        times_s: Two or more increasing times from the start of the motion [s].
+        shifts_m: Shift at each time [m].
+        rpy_deg: Rotation at each time, by roll, pitch and yaw about the fixed axes x, y, z [deg]; None for no rotation.
+        about: Centre of rotation at the listed pose [m]; required with `rpy_deg`, else None.
+
+    Examples:
+        >>> from hplan.scene import Track
+        >>> track = Track(times_s=(0.0, 2.0), shifts_m=((0.0, 0.0, 0.0), (0.0, 1.0, 0.0)))
+        >>> rotation, shift = track.pose_at(0.5)
+        >>> shift.tolist()
+        [0.0, 0.25, 0.0]
     """
 
     times_s: Annotated[tuple[Time, ...], Field(min_length=2, max_length=MOST_TRACK_POINTS)]
@@ -66,7 +74,7 @@ class Track(StrictModel):
             given, missing = ("about", "rpy_deg") if self.rpy_deg is None else ("rpy_deg", "about")
             raise fault(f"this key is missing: {missing}, for {given} is given", given)
         for number, turn in enumerate(rotation_vectors(self.rotations), start=1):
-            # Obstacles turn by the smaller angle; of a larger turn the sense would not be clear.
+            # Obstacles rotate along the smaller angle; near 180 degrees its direction is ambiguous.
             if not np.linalg.norm(turn) <= math.radians(179.0):
                 raise fault("it turns by 180 degrees between two times: give one between", "rpy_deg", number)
         return self
@@ -79,9 +87,10 @@ class Track(StrictModel):
         return np.array([rpy_rotation(*map(math.radians, angles)) for angles in self.rpy_deg])
 
     def pose_at(self, time_s: float) -> tuple[FloatArray, FloatArray]:
-        """(3, 3) rotation R and (3,) shift s at a time: a point that is listed at x is at R x + s [m].
+        """Return rotation and shift at a time.
 
-        Of the track of a base, a point that it sees at x is listed at R x + s.
+        A listed point x is at R x + s, with R the (3, 3) rotation and s the (3,) shift [m]. For the track of a base, a
+        point at x relative to the base is listed at R x + s.
         """
         poses = Poses.of(self)
         rotations, places = poses.at(np.array([time_s]))
@@ -89,10 +98,10 @@ class Track(StrictModel):
         return rotations[0], shift
 
     def since(self, time_s: float) -> Track:
-        """The track with its times counted from a time on [s].
+        """Return the track with its times counted from `time_s` on [s].
 
         Raises:
-            OptionError: Times would be too far off, or two of them the same number.
+            OptionError: A time would be out of range, or two times would coincide.
         """
         times = tuple(time - time_s for time in self.times_s)
         if not (all(abs(time) <= LONGEST_S for time in times) and all(a < b for a, b in pairwise(times))):
@@ -102,11 +111,22 @@ class Track(StrictModel):
 
 
 class Sway(StrictModel):
-    """How far an obstacle may swing out of its place along a line, to either side: what it sweeps is kept clear.
+    """Oscillation of an obstacle along a line, to either side.
+
+    The arm keeps its clearance from the swept volume.
 
     Attributes:
-        direction: Direction of the line, of any length but zero.
-        amplitude_m: How far it may be from its place along the line [m].
+        direction: Direction of the line, of any nonzero length.
+        amplitude_m: Maximum distance from the listed position [m].
+
+    Examples:
+        >>> from hplan.scene import Capsule, Sway
+        >>> sway = Sway(direction=(0.0, 2.0, 0.0), amplitude_m=0.05)
+        >>> sway.reach.tolist()
+        [0.0, 0.05, 0.0]
+        >>> branch = Capsule(name="branch 1", start=(1.0, 0.0, 1.5), end=(1.3, 0.0, 1.6), radius=0.01, sway=sway)
+        >>> len(branch.solids[0].core) > len(branch.core)
+        True
     """
 
     direction: Vector
@@ -120,21 +140,21 @@ class Sway(StrictModel):
 
     @property
     def reach(self) -> FloatArray:
-        """(3,) shift to one of the ends of the swing [m]."""
+        """(3,) shift to one end of the oscillation [m]."""
         direction = np.array(self.direction)
-        direction /= np.abs(direction).max()  # so that the squares of small numbers do not vanish
+        direction /= np.abs(direction).max()  # avoids underflow of the squares
         return readonly(self.amplitude_m / np.linalg.norm(direction) * direction)
 
 
 @dataclass(frozen=True, eq=False)
 class Poses(Record):
-    """A pose over time: piecewise linear shift, turns about a point at piecewise constant speed.
+    """Piecewise linear shift and piecewise constant rotation speed over time.
 
     Attributes:
         times: (n,) times [s].
         shifts: (n, 3) shifts [m].
         rotations: (n, 3, 3) rotations.
-        about: (3,) the point about which it turns, before the shift [m].
+        about: (3,) centre of rotation before the shift [m].
     """
 
     times: FloatArray
@@ -144,7 +164,7 @@ class Poses(Record):
 
     @classmethod
     def of(cls, track: Track | None) -> Poses:
-        """The poses of a track; of none those of what stands still."""
+        """Return the poses of a track; None for a static object."""
         if track is None:
             return cls(np.zeros(2), np.zeros((2, 3)), np.tile(np.eye(3), (2, 1, 1)), np.zeros(3))
         about = np.zeros(3) if track.about is None else np.array(track.about)
@@ -152,11 +172,18 @@ class Poses(Record):
 
     @cached_property
     def turns(self) -> FloatArray:
-        """(n - 1, 3) rotation vectors from each rotation to the next."""
+        """(n - 1, 3) rotation vectors between successive rotations [rad]."""
         return frozen(rotation_vectors(self.rotations))
 
     def at(self, clock: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(k, 3, 3) rotations and (k, 3) places of the point about which it turns, at (k,) times."""
+        """Return rotations and centres of rotation at times.
+
+        Args:
+            clock: (k,) times [s].
+
+        Returns:
+            (k, 3, 3) rotations and (k, 3) positions of the centre of rotation [m].
+        """
         piece = np.clip(np.searchsorted(self.times, clock, side="right") - 1, 0, len(self.times) - 2)
         begin, span = self.times[piece], self.times[piece + 1] - self.times[piece]
         part = np.clip((clock - begin) / np.where(span > 0.0, span, 1.0), 0.0, 1.0)[:, None]
@@ -166,7 +193,14 @@ class Poses(Record):
         return self.rotations[piece] @ _rotations(part * self.turns[piece]), places
 
     def speeds(self, clock: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(k, 3) velocities of that point [m/s] and (k,) angular speeds [rad/s] at (k,) times, none of them `times`."""
+        """Return velocities of the centre of rotation and angular speeds.
+
+        Args:
+            clock: (k,) times, different from `times` [s].
+
+        Returns:
+            (k, 3) velocities [m/s] and (k,) angular speeds [rad/s].
+        """
         piece = np.clip(np.searchsorted(self.times, clock) - 1, 0, len(self.times) - 2)
         span = self.times[piece + 1] - self.times[piece]
         moves = (clock > self.times[0]) & (clock < self.times[-1])
@@ -177,11 +211,11 @@ class Poses(Record):
 
 @dataclass(frozen=True, eq=False)
 class Movement(Record):
-    """How an obstacle moves as seen from the base.
+    """Motion of an obstacle relative to the base.
 
     Attributes:
-        own: How it moves.
-        base: How the base moves.
+        own: Motion of the obstacle.
+        base: Motion of the base.
     """
 
     own: Poses
@@ -189,16 +223,25 @@ class Movement(Record):
 
     @classmethod
     def of(cls, track: Track | None, base_track: Track | None) -> Movement:
-        """The movement by a track, seen from a base that has one."""
+        """Return the movement of a track relative to the base's track."""
         return cls(Poses.of(track), Poses.of(base_track))
 
     @cached_property
     def breaks(self) -> FloatArray:
-        """(m,) times at which speeds may change [s]; before the first and after the last nothing moves."""
+        """(m,) times of possible speed changes; static before and after [s]."""
         return frozen(np.unique(np.concatenate([part.times for part in (self.own, self.base)])))
 
     def at(self, clock: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(k, 3, 3) rotations R and (k, 3) shifts s at (k,) times: a point x is at R x + s [m]."""
+        """Return rotations and shifts at times.
+
+        A point x is at R x + s at each time.
+
+        Args:
+            clock: (k,) times [s].
+
+        Returns:
+            (k, 3, 3) rotations R and (k, 3) shifts s [m].
+        """
         rotation, place = self.own.at(clock)
         seen, pivot = self.base.at(clock)
         back = np.swapaxes(seen, 1, 2)
@@ -206,11 +249,14 @@ class Movement(Record):
         return back @ rotation, (back @ shift[:, :, None])[:, :, 0] + self.base.about
 
     def rates(self, core: FloatArray, rounding: float) -> FloatArray:
-        """(m - 1,) bounds of the speed of any point of a solid between the `breaks` [m/s].
+        """Upper bounds of a solid's point speeds between `breaks` [m/s].
 
         Args:
-            core: (k, 3) points of the solid where the scene lists it [m].
+            core: (k, 3) points of the listed solid [m].
             rounding: Radius about them [m].
+
+        Returns:
+            (m - 1,) bounds.
         """
         middle = 0.5 * (self.breaks[:-1] + self.breaks[1:])
         (velocity, turning), (base_velocity, base_turning) = self.own.speeds(middle), self.base.speeds(middle)
@@ -221,7 +267,7 @@ class Movement(Record):
             centre = 0.5 * (core.min(axis=0) + core.max(axis=0))
             radius = np.linalg.norm(core - centre, axis=1).max() + rounding
             if turning.any():
-                # The solid turns about `about`: that point moves linearly, and nothing is farther from it than this.
+                # The solid rotates about `about`, which moves linearly; no point of the solid is farther from it.
                 centre, radius = self.own.about, np.linalg.norm(core - self.own.about, axis=1).max() + rounding
             offset = self.own.at(self.breaks)[0] @ (centre - self.own.about)
             apart = np.linalg.norm(self.own.at(self.breaks)[1] + offset - self.base.at(self.breaks)[1], axis=1)
@@ -230,7 +276,14 @@ class Movement(Record):
 
 
 def rotation_vectors(rotations: FloatArray) -> FloatArray:
-    """(n - 1, 3) turns from each of (n, 3, 3) rotations to the next, in the frame of the first: axis times angle."""
+    """Rotation vectors between successive rotations [rad].
+
+    Args:
+        rotations: (n, 3, 3) rotations.
+
+    Returns:
+        (n - 1, 3) vectors, axis times angle, each in the frame of the earlier rotation.
+    """
     from scipy.spatial.transform import Rotation
 
     between: FloatArray = Rotation.from_matrix(np.swapaxes(rotations[:-1], 1, 2) @ rotations[1:]).as_rotvec()
@@ -238,7 +291,7 @@ def rotation_vectors(rotations: FloatArray) -> FloatArray:
 
 
 def _rotations(vectors: FloatArray) -> FloatArray:
-    """(k, 3, 3) rotations by (k, 3) rotation vectors."""
+    """(k, 3, 3) rotations of (k, 3) rotation vectors."""
     from scipy.spatial.transform import Rotation
 
     rotations: FloatArray = Rotation.from_rotvec(vectors).as_matrix()

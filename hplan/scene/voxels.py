@@ -1,4 +1,4 @@
-"""A solid on a grid of voxels: those that hold its surface, or are enclosed by such, stand for it."""
+"""Voxelized solid: voxels on or inside its surface."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from hplan.scene.solids import Hull
 
 @dataclass(frozen=True, eq=False)
 class SolidVoxels:
-    """Distances from a solid at the centres of voxels, for how far convex pieces of it stand out.
+    """Distance field of a solid, for the excess of its convex parts.
 
     Attributes:
         origin: (3,) centre of the first voxel [m].
-        edge: Edge of a voxel [m].
-        distance: Distance of each voxel's centre from the nearest one of the solid [m].
-        tolerance: How far a piece may stand out [m].
+        edge: Edge length of a voxel [m].
+        distance: Distance of each voxel centre from the nearest centre of a solid voxel [m].
+        tolerance: Maximum accepted excess of a part [m].
     """
 
     origin: FloatArray
@@ -28,11 +28,11 @@ class SolidVoxels:
 
     @classmethod
     def of(cls, triangles: FloatArray) -> SolidVoxels:
-        """Voxels half as large as the tolerance."""
+        """Voxelize a closed surface; the edge length is half the tolerance."""
         from scipy import ndimage
 
         low, high = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
-        # How far pieces may stand out: 5 mm, or a fraction of the mesh's longest side where that is more.
+        # Accepted excess: 5 mm, or a fraction of the mesh's longest side if that is more.
         tolerance = max(5e-3, 0.02 * float((high - low).max()))
         edge = 0.5 * tolerance
         origin = low - 0.5 * edge
@@ -45,18 +45,24 @@ class SolidVoxels:
 
     @property
     def blur(self) -> float:
-        """Largest error of a distance between centres: half a voxel's diagonal at either end [m]."""
+        """Maximum error of a distance between centres: one voxel diagonal [m].
+
+        It is half a diagonal at either end.
+        """
         return float(np.sqrt(3.0) * self.edge)
 
     def excess(self, hull: Hull) -> float:
-        """Distance by which the hull stands out, by the voxels within half their diagonal of it [m]."""
+        """Excess of a hull over the solid [m].
+
+        It is the maximum distance over voxels within half a diagonal of the hull.
+        """
         margin = 0.5 * self.blur + hull.rounding
         low = np.floor((hull.core.min(axis=0) - margin - self.origin) / self.edge).astype(int)
         high = np.ceil((hull.core.max(axis=0) + margin - self.origin) / self.edge).astype(int) + 1
         low, high = np.maximum(low, 0), np.minimum(high, self.distance.shape)
         near = self.distance[low[0] : high[0], low[1] : high[1], low[2] : high[2]]
         index = np.argwhere(near > 0.5 * self.tolerance)
-        # Farthest first, so that the first one in the hull is the answer.
+        # Farthest first, so that the first voxel in the hull is the answer.
         far = near[tuple(index.T)]
         order = np.argsort(-far, kind="stable")
         for k in range(0, len(order), 20_000):
@@ -69,7 +75,10 @@ class SolidVoxels:
 
 
 def _covering_points(triangles: FloatArray, spacing: float) -> list[FloatArray]:
-    """Points on all triangles, at most `spacing` apart [m]: triangles are halved along the longest side until small."""
+    """Points on all triangles, at most `spacing` apart [m].
+
+    Triangles are bisected along the longest side until they are small enough.
+    """
     found = [triangles.reshape(-1, 3)]
     while len(triangles):
         sides = np.linalg.norm(triangles - triangles[:, [1, 2, 0]], axis=2)

@@ -1,1 +1,1 @@
-"""Studies of designs: many arms before many trees, on one machine or on a cluster, one row of numbers for each."""
+"""Studies of arm designs: arms measured on tree rows, in parallel."""

@@ -1,4 +1,4 @@
-"""What a study asks for: arms, trees, where the base stands, what gives way; its YAML file, and its designs."""
+"""Definition of a study: arms, trees, base positions, compliance; its YAML file."""
 
 from __future__ import annotations
 
@@ -25,29 +25,29 @@ from hplan.scene.model import Scene
 from hplan.scene.obstacle_kind import Name
 from hplan.scene.orchard import TUCKED_DEG, MeasuredOptions, measured_orchard
 
-#: What is measured of a design: which fruit can be picked from one stop; a tour there; tours from stops along the row.
+#: Measurement of a design: pickable fruit at one stop; a tour at one stop; tours at stops along the tree row.
 Measure = Literal["reach", "tour", "row"]
 
-#: Arms whose specification can be varied.
+#: Arms with a specification that can be varied.
 _SPECS: Final = {spec.name: spec for spec in (HARVESTER, ORCHARD_HARVESTER)}
 
 
 class _Part(StrictModel):
-    """A part of a study; its errors are `StudyError`."""
+    """Base of a study's models; their errors are `StudyError`."""
 
     error: ClassVar[type[StudyError]] = StudyError
 
 
 class Arm(_Part):
-    """An arm, or several that differ in some values of their specification.
+    """An arm, or a family of arms with varied specification values.
 
     Attributes:
-        robot: What `load_robot` takes: the name of a robot, or a URDF.
-        name: What it is called; None for the robot's name.
-        vary: Fields of `ArmSpec` and the values that each takes, in all combinations; of `harvester` and
-            `orchard_harvester` alone. `lower_deg` and `upper_deg` stand for `lower` and `upper`.
-        spec: A specification, in place of the robot's.
-        start_deg: Where the arm waits [deg]; None for the tucked harvester.
+        robot: Robot name or URDF for `load_robot`.
+        name: Name in the results; None for the robot's name.
+        vary: Fields of `ArmSpec` with their values, in all combinations; only for `harvester`, `orchard_harvester` or a
+            given `spec`. `lower_deg` and `upper_deg` set `lower` and `upper`.
+        spec: A specification in place of the robot; None to use `robot`.
+        start_deg: Start configuration [deg]; the default is the tucked harvester.
     """
 
     robot: Name = "orchard_harvester"
@@ -71,11 +71,11 @@ class Arm(_Part):
         return self
 
     def members(self) -> Iterator[tuple[str, str | ArmSpec]]:
-        """The arms: what each is called, and its specification, or what `load_robot` takes.
+        """Iterate over the arms: name, and specification or `load_robot` argument.
 
         Raises:
-            OptionError: A value that is wrong, by `ArmSpec`.
-            TypeError: A key that is no field of it.
+            OptionError: `ArmSpec` refuses a value.
+            TypeError: A key is not a field of `ArmSpec`.
         """
         base = _SPECS.get(self.robot) if self.spec is None else self.spec
         called = self.name or (self.robot if self.spec is None else self.spec.name)
@@ -92,7 +92,13 @@ class Arm(_Part):
 
 
 class Yields(_Part):
-    """What gives way, and how deep it may be pushed [m]: wood thinner than a radius, and fruit."""
+    """Compliance: maximum deflection of thin wood and of fruit [m].
+
+    Attributes:
+        wood: Maximum deflection of thin wood [m].
+        below: Radius below which wood is thin [m].
+        fruit: Maximum deflection of fruit [m].
+    """
 
     wood: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0
     below: Annotated[float, Field(ge=0.0, le=10.0)] = 0.008
@@ -100,20 +106,26 @@ class Yields(_Part):
 
 
 class Study(_Part):
-    """A study: each arm before each row of trees, at each distance, height and turn, with each way to yield.
+    """A study: all combinations of arm, trees, base position and compliance.
 
     Attributes:
-        name: What it is called.
-        arms: The arms; a text is the name of a robot, and an `ArmSpec` an arm as well.
-        trees: Files of measured trees (`hplan.scene.orchard.import_tree`), or lists of files that stand in a row;
-            those of a study file are found from its folder, and may have `*` in their names.
-        measure: What is measured.
-        distances: Distances of the base's axis from the row [m].
-        heights: Heights of the base above the trees' feet, of a lift or a mast [m].
-        turns_deg: Turns of the trees; 0 and 180 are both sides of a tree [deg].
-        yields: What gives way.
+        name: Name of the study.
+        arms: The arms; a string is the name of a robot, and an `ArmSpec` is an arm as well.
+        trees: Files of measured trees (`hplan.scene.orchard.import_tree`), or lists of files that form one tree row. In
+            a study file they are relative to its folder, and may contain `*`.
+        measure: The measurement.
+        distances: Distances of the base's axis from the tree row [m].
+        heights: Heights of the base above the trees' feet, for example of a lift or a mast [m].
+        turns_deg: Rotations of the trees [deg]; 0 and 180 are both sides of a tree.
+        yields: Compliance of wood and fruit.
         spacing: Distance of neighbouring trunks in a row [m].
-        effort: What is spent on the motions of a tour.
+        effort: Effort preset for the motions of a tour.
+
+    Examples:
+        >>> from hplan import Study
+        >>> study = Study(name="reach", arms=["harvester"], trees=["apple.csv"], distances=(1.2, 1.4))
+        >>> [(design.arm, design.distance) for design in study.designs()]
+        [('harvester', 1.2), ('harvester', 1.4)]
     """
 
     format: Literal["hplan-study/1"] = "hplan-study/1"
@@ -160,7 +172,7 @@ class Study(_Part):
     @model_validator(mode="after")
     def _is_of_some_size(self) -> Self:
         count = math.prod(map(len, (self.trees, self.distances, self.heights, self.turns_deg, self.yields)))
-        # Most designs of a study.
+        # Maximum number of designs of a study.
         most_designs = 100_000
         if count * sum(math.prod(map(len, arm.vary.values())) for arm in self.arms) > most_designs:
             raise fault(f"more than {most_designs:,} designs")
@@ -171,10 +183,10 @@ class Study(_Part):
         return self
 
     def designs(self) -> tuple[Design, ...]:
-        """All designs, arm by arm.
+        """Return all designs, arm by arm.
 
         Raises:
-            InputError: A tree file that cannot be read.
+            InputError: A tree file cannot be read.
         """
         arms = [(name, robot, arm.start_deg) for arm in self.arms for name, robot in arm.members()]
         places = itertools.product(arms, self.trees, self.distances, self.heights, self.turns_deg, self.yields)
@@ -186,7 +198,7 @@ class Study(_Part):
 
 @dataclass(frozen=True)
 class Design:
-    """One arm before one row of trees: what a row of numbers is about."""
+    """One arm in front of one tree row, measured as one row."""
 
     arm: str
     spec: str | ArmSpec
@@ -207,12 +219,12 @@ class Design:
 
     @property
     def tree(self) -> str:
-        """What the trees are called."""
+        """Name of the trees, from their files."""
         return " ".join(path.stem for path in self.trees)
 
     @property
     def digest(self) -> str:
-        """16 hexadecimal digits: the same for the same names, arm, content of files and numbers."""
+        """16 hexadecimal digits that identify names, arm, file contents and numbers."""
         numbers = [self.start_deg, self.distance, self.height, self.turn_deg, self.yields, self.spacing]
         names = [self.arm, self.tree, self.measure, self.effort]
         parts = [*names, robot_digest(self.robot), *map(_content_digest, self.trees), *map(repr, numbers)]
@@ -220,11 +232,11 @@ class Design:
 
     @property
     def scene(self) -> Scene:
-        """The trees as the base sees them, with their fruit; the arm waits at the start.
+        """Scene of the trees with fruit, in the base frame.
 
         Raises:
-            InputError: A tree file that is not in order.
-            OptionError: A place that is none.
+            InputError: A tree file is invalid.
+            OptionError: A distance, height or rotation is out of range, or trees without fruit have no room for it.
         """
         contents = tuple(map(_content_digest, self.trees))
         return _scene(
@@ -267,10 +279,10 @@ def _words(value: Any) -> str:
 
 
 def load_study(path: Path | str) -> Study:
-    """Read a study file (YAML); trees are looked for in its folder.
+    """Read a study file (YAML); tree files are relative to its folder.
 
     Raises:
-        StudyError: Missing or malformed file, unknown or repeated key, value of the wrong kind or range; names the key
-            and its line.
+        StudyError: The file is missing or malformed, a key is unknown or repeated, or a value has the wrong type or
+            range. The error names the key and its line.
     """
     return read_model(Study, file_path("path", path))

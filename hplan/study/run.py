@@ -1,4 +1,4 @@
-"""A study carried out: designs handed to an executor, rows kept in a file, and what they say of the arms."""
+"""Execution of a study on an executor; result rows and Pareto front."""
 
 from __future__ import annotations
 
@@ -29,14 +29,17 @@ from hplan.tour.tour import TourOptions, plan_tour
 
 @dataclass(frozen=True)
 class StudyRow:
-    """What was measured of one design; the columns of a study's CSV.
+    """Measurements of one design; the columns of a study's CSV.
 
     Attributes:
-        reach_m: Radius of the ball that holds the arm at all configurations.
-        picked: Fruit that can be picked, or that tours pick.
-        motion_s: Duration of the tours; None where there are none.
-        total_s: The same with driving and detaching; None where there is none.
-        error: Why nothing is picked; empty where something is.
+        reach_m: Radius of a ball that contains the arm in all configurations [m].
+        fruits: Number of fruits.
+        picked: Number of pickable fruits, or of fruits picked on tours.
+        stops: Number of stops of the base.
+        motion_s: Duration of the tours [s]; None without tours.
+        total_s: Duration including driving and detaching [s]; None without tours along the row.
+        cpu_s: Processor time of the measurement [s].
+        error: Reason if the measurement failed; else empty.
     """
 
     digest: str
@@ -61,14 +64,14 @@ class StudyRow:
 
 @dataclass(frozen=True)
 class Choice:
-    """An arm at a place, over all trees and turns: what a designer chooses among.
+    """An arm at a base position, aggregated over all trees and rotations.
 
     Attributes:
-        rows: How many designs were measured.
-        share: Share of all fruit that is picked.
-        seconds_per_fruit: Of tours, driving and detaching included where they are known; None without.
-        cpu_s: Processor time of a design, on average.
-        is_best: True if no other picks as much or more at as little cost or less: the Pareto front.
+        rows: Number of measured designs.
+        share: Fraction of all fruit that is picked.
+        seconds_per_fruit: Time of the tours per fruit, driving and detaching included if known [s]; None without tours.
+        cpu_s: Mean processor time of a design [s].
+        is_best: True if no other choice picks at least the same share at no more cost (Pareto front).
     """
 
     arm: str
@@ -85,19 +88,24 @@ class Choice:
 
     @property
     def cost(self) -> float:
-        """What is to be small: seconds for each fruit, or the reach [m]."""
+        """Cost to minimize: seconds per fruit [s], or the reach [m]."""
         return self.reach_m if self.seconds_per_fruit is None else self.seconds_per_fruit
 
 
 @dataclass(frozen=True)
 class StudyResult:
-    """A study's rows, in the order of its designs.
+    """Result rows of a study, in the order of its designs.
 
     Attributes:
-        name: What the study is called.
-        rows: A row for each design.
-        measured: How many of them were measured now; the others had been before.
-        seconds: How long that took [s].
+        name: Name of the study.
+        rows: One row for each design.
+        measured: Number of designs measured in this run; the other rows existed before.
+        seconds: Duration of this run [s].
+
+    Examples:
+        >>> from hplan import StudyResult
+        >>> StudyResult(name="reach", rows=(), measured=0, seconds=0.0).choices
+        ()
     """
 
     name: str
@@ -107,7 +115,7 @@ class StudyResult:
 
     @property
     def choices(self) -> tuple[Choice, ...]:
-        """Arms at places, in the order of the rows, those marked that no other beats (the Pareto front)."""
+        """Arms at base positions, in row order, with the Pareto front marked."""
         groups: dict[tuple[Any, ...], list[StudyRow]] = {}
         for row in self.rows:
             place = row.distance_m, row.height_m, row.wood_yields_m, row.fruit_yields_m
@@ -124,27 +132,44 @@ def run_study(
     workers: int | None = None,
     progress: Callable[[int, int], None] = lambda *_: None,
 ) -> StudyResult:
-    """Measure all designs of a study that its file of rows does not have yet.
+    r"""Measure the designs of a study that its CSV file lacks.
 
-    Each row is written when it comes, so that a study that is cut off goes on where it was. The designs of a worker
-    that is lost are measured by another one.
+    Each row is written immediately, so an interrupted study resumes from its file. Designs of a lost worker are
+    measured by another one.
 
     Args:
         study: The study, or its file.
-        rows: CSV to keep the rows in, and to go on with; None to keep none.
-        executor: What measures designs: any executor of `concurrent.futures`, as `dask.distributed.Client` gives one by
-            `get_executor()`, or a function that makes one, which is called again when a worker's loss has broken it.
-            None for processes of this machine.
-        workers: How many designs are measured at once; None for one on each processor, or as many as the executor has.
-            With 1 and no executor they are measured in this process. Others import the caller's main module: keep it
-            behind `if __name__ == "__main__"`.
-        progress: Called with how many rows are there, and of how many.
+        rows: CSV file of the rows, extended if it exists; None for no file.
+        executor: Any executor of `concurrent.futures`, for example from `dask.distributed.Client.get_executor()`, or a
+            function that makes one; the function is called again if a lost worker breaks the executor. None for
+            processes of this machine.
+        workers: Maximum number of concurrent measurements; None for one per processor, or for the number of the
+            executor. With 1 and no executor the measurements run in this process. Other processes import the caller's
+            main module: guard it with `if __name__ == "__main__"`.
+        progress: Called with the number of finished rows and the number of designs.
+
+    Returns:
+        Rows of all designs, from the file and measured now.
 
     Raises:
-        StudyError: The study is not in order.
-        InputError: A tree or robot cannot be read, or the file of rows holds something else.
-        OutputError: A row cannot be written, or another study is writing them.
-        WorkersLostError: Designs whose workers were lost again and again; all others have their rows.
+        StudyError: The study is invalid.
+        InputError: A tree or robot cannot be read, the trees have no room for their fruits, or the CSV file has other
+            content.
+        OutputError: A row cannot be written, or another study is writing to the file.
+        WorkersLostError: Some designs repeatedly lost their workers; all others have their rows.
+
+    Examples:
+        >>> import tempfile
+        >>> from pathlib import Path
+        >>> from hplan import Study, run_study
+        >>> lines = "kind,x1,y1,z1,x2,y2,z2,radius", "trunk,0,0,0,0,0,2,0.03", "fruit,0,0.1,1.6,0,0.1,1.6,0.04"
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     tree = Path(folder, "apple.csv")
+        ...     n = tree.write_text("\n".join(lines))
+        ...     result = run_study(Study(name="reach", arms=["harvester"], trees=[tree]), workers=1)
+        >>> row = result.rows[0]
+        >>> row.tree, row.fruits, row.picked
+        ('apple', 1, 1)
     """
     study = load_study(study) if isinstance(study, Path | str) else instance("study", study, Study)
     kept_in = None if rows is None else file_path("rows", rows)
@@ -167,10 +192,10 @@ def run_study(
 
 
 def measure(design: Design) -> StudyRow:
-    """The row of one design.
+    """Measure one design.
 
     Raises:
-        InputError: A tree that cannot be read.
+        InputError: A tree file cannot be read.
     """
     begin = time.thread_time()
     robot, scene = design.robot, design.scene
@@ -197,7 +222,7 @@ def measure(design: Design) -> StudyRow:
 
 
 def _summary(rows: Sequence[StudyRow]) -> tuple[Any, ...]:
-    """Number, share picked, seconds for each fruit, and processor time of rows."""
+    """Number of rows, share picked, seconds per fruit, and mean processor time."""
     picked = sum(row.picked for row in rows)
     times = [row.motion_s if row.total_s is None else row.total_s for row in rows]
     known = [seconds for seconds in times if seconds is not None]
@@ -207,7 +232,7 @@ def _summary(rows: Sequence[StudyRow]) -> tuple[Any, ...]:
 
 
 def _is_best(one: Choice, others: Sequence[Choice]) -> bool:
-    """Whether none of the others is better in share or cost and no worse in the other."""
+    """True if no other choice dominates this one in share and cost."""
     return one.share > 0.0 and not any(
         (other.share, -other.cost) != (one.share, -one.cost) and other.share >= one.share and other.cost <= one.cost
         for other in others
@@ -220,7 +245,10 @@ _COLUMNS = tuple(field.name for field in fields(StudyRow))
 
 @contextmanager
 def _row_file(path: Path | None) -> Iterator[tuple[list[StudyRow], Callable[[StudyRow], None]]]:
-    """The rows that a file has, and what adds one to it, for good; nobody else adds any meanwhile."""
+    """Yield a file's rows and a function that appends one durably.
+
+    The file is locked against other writers.
+    """
     if path is None:
         yield [], lambda _: None
         return
@@ -247,10 +275,12 @@ def _row_file(path: Path | None) -> Iterator[tuple[list[StudyRow], Callable[[Stu
 
 
 def _check_header(path: Path, file: BinaryIO) -> None:
-    """Leave a file of others as it is: only a file of rows, or the start of its header, is written to.
+    """Refuse a file with another header, and leave it unchanged.
+
+    An incomplete header, from an interrupted run, is accepted.
 
     Raises:
-        InputError: Its first line is another one.
+        InputError: The first line is not a study header.
     """
     file.seek(0)
     header, line = f"{','.join(_COLUMNS)}\n".encode(), file.readline()
@@ -259,7 +289,7 @@ def _check_header(path: Path, file: BinaryIO) -> None:
 
 
 def _cut_half_a_row(file: BinaryIO) -> None:
-    """Leave out what follows the last end of a line: a row that was being written when the machine stopped."""
+    """Truncate an incomplete last row, left by an interrupted run."""
     file.seek(0)
     whole = file.read().rfind(b"\n") + 1
     file.truncate(whole)
@@ -267,7 +297,7 @@ def _cut_half_a_row(file: BinaryIO) -> None:
 
 
 def _add(file: BinaryIO, cells: Sequence[str]) -> None:
-    """Add a row in one write, and see it on the disk."""
+    """Append a row in one write and sync it to disk."""
     line = io.StringIO()
     csv.writer(line, lineterminator="\n").writerow(cells)
     with uninterrupted():
@@ -281,7 +311,7 @@ def _text(value: Any) -> str:
 
 
 def _read(path: Path) -> list[StudyRow]:
-    """The rows of a file."""
+    """Read the rows of a file."""
     file = CsvFile.read(path, "row", "row")
     if tuple(file.header) != _COLUMNS:
         raise file.fault(1, f"it has no rows of a study; expected {','.join(_COLUMNS)}")

@@ -1,4 +1,4 @@
-"""Orchards to plan in: rows of trees grown from a seed, trees read from measurements, fruit on either."""
+"""Orchard scenes: tree rows grown from a seed or measured, with fruit."""
 
 from hplan.scene.orchard.capsule_file import import_capsules, import_tree
 from hplan.scene.orchard.fruits import fruit_at_tips

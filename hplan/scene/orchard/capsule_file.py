@@ -1,6 +1,6 @@
-"""Trees from measurements: a CSV of capsules and balls, placed and turned.
+"""Measured trees: a CSV of capsules and balls, rotated and shifted.
 
-Turning by yaw and moving is `p -> R p + t` with R about the vertical; a capsule stays a capsule of the same radius.
+A point p moves to R p + t, with R a rotation about the vertical. A capsule keeps its radius.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from hplan.scene.orchard.pieces import capsule
 _NUMBERS = ("x1", "y1", "z1", "x2", "y2", "z2", "radius")
 _COLUMNS = ("kind", *_NUMBERS)
 
-#: Kind of the rows that are fruit.
+#: Kind of fruit rows.
 FRUIT = "fruit"
 
 
@@ -32,7 +32,7 @@ def import_capsules(
     yaw_deg: float = 0.0,
     prefix: str = "",
 ) -> tuple[Capsule, ...]:
-    """The wood of a tree as capsules (`import_tree`)."""
+    """Return the wood of a tree as capsules (`import_tree`)."""
     return import_tree(path, position=position, yaw_deg=yaw_deg, prefix=prefix)[0]
 
 
@@ -43,25 +43,27 @@ def import_tree(
     yaw_deg: float = 0.0,
     prefix: str = "",
 ) -> tuple[tuple[Capsule, ...], tuple[Fruit, ...]]:
-    """Read a tree as capsules, and the fruit that hung on it as balls.
+    """Read a tree: wood as capsules, fruit as balls.
 
-    The file has one header line with the columns `kind,x1,y1,z1,x2,y2,z2,radius` in any order; others are ignored.
-    Lengths are metres, z is up. Capsules may touch and overlap. A row of the kind `fruit` has its centre twice.
+    The file has one header line with the columns `kind,x1,y1,z1,x2,y2,z2,radius` in any order; other columns are
+    ignored. Lengths are in metres, z is up. Capsules may touch and overlap. A row of the kind `fruit` repeats its
+    centre.
 
     Args:
-        position: Where the file's origin comes to stand [m].
-        yaw_deg: Turn about the vertical through the file's origin, before that [deg].
-        prefix: Put before every name, such as "tree 1 ".
+        path: The file.
+        position: Position of the file's origin [m].
+        yaw_deg: Rotation about the vertical through the file's origin, applied first [deg].
+        prefix: Prefix of every name, for example "tree 1 ".
 
     Returns:
-        A capsule for each other row, called by its kind and counted, `trunk 1`, `branch 7`; and the fruits, `fruit 1`,
-        `fruit 2`, ... in the order of their rows.
+        A capsule for each wood row, named by its kind and a counter, `trunk 1`, `branch 7`; and the fruits, `fruit 1`,
+        `fruit 2`, ... in file order.
 
     Raises:
-        InputError: Missing or malformed file, a missing or repeated column, no rows, a kind that is empty, a number
-            that is not finite or beyond a kilometre, a radius that is not positive, two ends in the same place, those
-            of a fruit in two; names the line.
-        OptionError: The position or the turn is no finite number.
+        InputError: The file is missing or malformed, a column is missing or repeated, there are no rows, a kind is
+            empty, a number is not finite or beyond a kilometre, a radius is not positive, a capsule's ends coincide, or
+            a fruit's ends differ. The error names the line.
+        OptionError: The position or the rotation is not finite.
     """
     place = list_between("position", position, -FARTHEST, FARTHEST)
     if len(place) != 3:
@@ -92,7 +94,7 @@ def import_tree(
 
 
 def _check(file: CsvFile, line: int, kind: str, numbers: list[float]) -> None:
-    """Refuse what is no piece of a tree."""
+    """Refuse an invalid row."""
     if not kind:
         raise file.fault(line, "kind is empty, expected a word such as trunk or branch")
     for name, value in zip(_NUMBERS, numbers, strict=True):

@@ -1,8 +1,7 @@
-"""Placement of fruit: at wood, not in it, and no two in the same place.
+"""Placement of fruit: touching wood, not inside it, without overlap.
 
-A fruit of radius r touches a capsule of radius w where its centre is r + w from the capsule's axis. Centres are whole
-tenths of a millimetre, for short scene files; so fruit that touches is put a tenth further out, and the gap is 0 to
-0.2 mm.
+A fruit of radius r touches a capsule of radius w if its centre is r + w from the capsule's axis. Centres are multiples
+of 0.1 mm, for short scene files; so touching fruit is placed 0.1 mm further out, and the gap is 0 to 0.2 mm.
 """
 
 from __future__ import annotations
@@ -21,10 +20,10 @@ from hplan.scene.obstacles import Capsule, Obstacle
 from hplan.scene.orchard.options import FruitZone, OrchardOptions
 from hplan.scene.orchard.pieces import DECIMALS
 
-#: Gap that rounding cannot close [m].
+#: Gap larger than the rounding error [m].
 _GAP = 1e-4
 
-#: Tries in a row that find no room before there is none.
+#: Number of consecutive failed placements after which the zone counts as full.
 _TRIES = 3000
 
 _DOWN = np.array([0.0, 0.0, -1.0])
@@ -32,12 +31,13 @@ _DOWN = np.array([0.0, 0.0, -1.0])
 
 @dataclass(eq=False)
 class Canopy:
-    """Wood and the fruit on it so far.
+    """Wood with the fruit placed on it.
 
     Attributes:
-        wood: What fruit must not be in.
+        wood: Wood, an obstacle for fruit.
         radius: Radius of every fruit [m].
-        centers: (3,) centres so far [m].
+        zone: Zone of the fruits' centres.
+        centers: (3,) centres of the placed fruit [m].
     """
 
     wood: Sequence[Capsule]
@@ -46,21 +46,27 @@ class Canopy:
     centers: list[FloatArray] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        """Put the capsules into arrays."""
+        """Convert the capsules to arrays."""
         self._start = np.array([capsule.start for capsule in self.wood]).reshape(-1, 3)
         self._along = np.array([capsule.end for capsule in self.wood]).reshape(-1, 3) - self._start
         self._square = np.maximum(np.einsum("ij,ij->i", self._along, self._along), 1e-18)
         self._radius = np.array([capsule.radius for capsule in self.wood])
 
     def wood_distances(self, point: FloatArray) -> FloatArray:
-        """(capsules,) distances of a point from the capsules' surfaces, negative inside [m]."""
+        """(capsules,) signed distances of a point from the capsules' surfaces [m].
+
+        Negative inside.
+        """
         offset = point - self._start
         fraction = np.clip(np.einsum("ij,ij->i", offset, self._along) / self._square, 0.0, 1.0)
         distances: FloatArray = np.linalg.norm(offset - fraction[:, None] * self._along, axis=1) - self._radius
         return distances
 
     def depth(self, center: FloatArray) -> float:
-        """Depth of a fruit in the wood; infinite outside the zone or in another fruit [m]."""
+        """Penetration depth of a fruit in the wood [m].
+
+        Infinite outside the zone or in another fruit.
+        """
         if not self.zone.holds(*center.tolist()):
             return math.inf
         if self.centers and np.linalg.norm(np.array(self.centers) - center, axis=1).min() < 2.0 * self.radius:
@@ -68,7 +74,10 @@ class Canopy:
         return self.radius - float(self.wood_distances(center).min(initial=math.inf))
 
     def fruits(self, picked: Sequence[int] = ()) -> tuple[Fruit, ...]:
-        """The fruit, counted from the base's axis outwards; what is `picked` by its number is left out, then."""
+        """Return the fruit, numbered from the base's axis outwards.
+
+        Fruits whose number is in `picked` are then removed, and the rest is renumbered.
+        """
         places = sorted((center.tolist() for center in self.centers), key=lambda p: (math.hypot(p[0], p[1]), *p))
         places = [place for number, place in enumerate(places, start=1) if number not in picked]
         digits = max(2, len(str(len(places))))
@@ -79,15 +88,15 @@ class Canopy:
 
 
 def hang_fruits(wood: Sequence[Capsule], options: OrchardOptions, random: np.random.Generator) -> tuple[Fruit, ...]:
-    """Fruit under branches, arms and shoots, anywhere along them, all branches alike by length.
+    """Place fruit under branches, arms and shoots at random, uniform in length.
 
     Args:
-        wood: All that fruit must not be in; trunks, wires and posts, by their names, bear none.
-        options: How much fruit, where, and what of it is picked already.
-        random: What chooses the places.
+        wood: Wood that fruit must not penetrate; trunks, wires and posts, recognized by name, bear no fruit.
+        options: Number of fruits, their zone, and the numbers of picked ones.
+        random: Random number generator.
 
     Raises:
-        OptionError: So many fruits find no room.
+        OptionError: The zone has no room for this number of fruits.
     """
     count, radius = options.fruits, options.fruit_radius
     bearing = [capsule for capsule in wood if _bears(capsule)]
@@ -120,23 +129,25 @@ def fruit_at_tips(
     *,
     zone: FruitZone | None = None,
 ) -> tuple[Fruit, ...]:
-    """Fruit at the tips of branches, each touching its branch.
+    """Place fruit at the tips of branches, each touching its branch.
 
-    A tip is the far end of a capsule where that lies in no other capsule; what is called trunk, wire or post has none.
-    In an order that the seed shuffles, every tip gets a fruit straight ahead of it or, where that would be in other
-    wood, lower or to a side. If there are fewer tips than fruits, more hang behind the first, under the branches. Only
-    when all clear places are taken are fruits put where they reach into wood, as little as can be.
+    A tip is the far end of a capsule that lies in no other capsule; capsules named trunk, wire or post have no tip. In
+    an order shuffled by the seed, every tip gets a fruit straight ahead or, if other wood is there, lower or to a side.
+    If there are fewer tips than fruits, further fruits hang behind the first, under the branches. Only if all free
+    places are taken are fruits placed with minimum penetration into wood.
 
     Args:
+        capsules: The wood.
+        count: Number of fruits.
         radius: Radius of a fruit [m].
-        seed: Shuffles the tips.
-        zone: Where the fruits' centres may be; None for anywhere.
+        seed: Seed of the order of tips.
+        zone: Zone of the fruits' centres; None for anywhere.
 
     Returns:
-        Fruits `fruit 01`, `fruit 02`, ..., counted from the base's axis outwards; no two overlap.
+        Fruits `fruit 01`, `fruit 02`, ..., numbered from the base's axis outwards; no two overlap.
 
     Raises:
-        OptionError: A value out of its range, or more fruits than there is room for.
+        OptionError: A value is out of range, or there is no room for this number of fruits.
     """
     count = whole("count", count, 0, 10_000)
     radius = between("radius", radius, 1e-3, 1.0)
@@ -164,7 +175,7 @@ def fruit_at_tips(
 
 
 def hung(fruits: Sequence[Fruit], wood: Sequence[Obstacle], within: float) -> tuple[Fruit, ...]:
-    """Fruits that say which pieces of wood they hang from: all that bear fruit and are within so far [m]."""
+    """Attach fruits to all bearing wood within a distance [m]."""
     bearing = [piece for piece in wood if isinstance(piece, Capsule) and _bears(piece)]
     canopy = Canopy(bearing, 0.0, FruitZone())
     near = [canopy.wood_distances(np.array(fruit.center)) <= fruit.radius + within for fruit in fruits]
@@ -175,7 +186,11 @@ def hung(fruits: Sequence[Fruit], wood: Sequence[Obstacle], within: float) -> tu
 
 
 def _shallowest(canopy: Canopy, places: Iterable[FloatArray]) -> tuple[float, FloatArray]:
-    """The first place that is clear of all, or else the one least deep in wood, and its depth, 0 at least [m]."""
+    """First collision-free place, else the one with minimum depth.
+
+    Returns:
+        Depth, at least 0 [m], and place.
+    """
     best = math.inf, _DOWN
     for place in places:
         depth = max(canopy.depth(place), 0.0)
@@ -200,7 +215,7 @@ def _spacing(radius: float) -> float:
 
 
 def _tips(canopy: Canopy) -> list[Capsule]:
-    """Capsules that bear fruit and end in the open."""
+    """Capsules that bear fruit and end outside other wood."""
     tips = []
     for index, capsule in enumerate(canopy.wood):
         others = np.delete(canopy.wood_distances(np.array(capsule.end)), index)
@@ -210,7 +225,10 @@ def _tips(canopy: Canopy) -> list[Capsule]:
 
 
 def _places(capsule: Capsule, spot: int, radius: float) -> Iterator[FloatArray]:
-    """Centres that touch a branch at its tip (spot 0) or further back, the best first."""
+    """Iterate over centres that touch a branch, best first.
+
+    Spot 0 is at the tip, others are further back.
+    """
     start, end = capsule.core
     along = (end - start) / _length(capsule)
     back = spot * _spacing(radius)
@@ -218,7 +236,7 @@ def _places(capsule: Capsule, spot: int, radius: float) -> Iterator[FloatArray]:
         return
     away = capsule.radius + radius + _GAP
     beneath = _beneath(along)
-    # Ahead of a tip every direction that does not point back along the branch will do; behind it those across.
+    # At a tip any direction is allowed that does not point back along the branch; behind it only perpendicular ones.
     for slope in np.radians([90.0, 60.0, 30.0, 0.0] if spot == 0 else [0.0]):
         for turn in np.radians([0.0, 45.0, -45.0, 90.0, -90.0, 135.0, -135.0, 180.0]):
             across = _turned(beneath, along, turn)
@@ -226,7 +244,10 @@ def _places(capsule: Capsule, spot: int, radius: float) -> Iterator[FloatArray]:
 
 
 def _beneath(along: FloatArray) -> FloatArray:
-    """The unit vector across a direction that points down most; +x for one that is upright."""
+    """Most downward unit vector perpendicular to a direction.
+
+    +x for a vertical direction.
+    """
     along = along / np.linalg.norm(along)
     across = _DOWN - (_DOWN @ along) * along
     norm = float(np.linalg.norm(across))
@@ -234,7 +255,7 @@ def _beneath(along: FloatArray) -> FloatArray:
 
 
 def _turned(across: FloatArray, along: FloatArray, angle: float) -> FloatArray:
-    """A unit vector across a direction, turned about it."""
+    """Rotate a perpendicular unit vector about a direction."""
     along = along / np.linalg.norm(along)
     turned: FloatArray = math.cos(angle) * across + math.sin(angle) * np.cross(along, across)
     return turned

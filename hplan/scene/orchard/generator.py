@@ -1,4 +1,4 @@
-"""Orchard scenes: a row of trees in front of the arm, grown from a seed or measured, with fruit to reach for."""
+"""Orchard scenes: a tree row before the arm, grown or measured."""
 
 from __future__ import annotations
 
@@ -19,25 +19,24 @@ from hplan.scene.orchard.options import TUCKED_DEG, FruitZone, MeasuredOptions, 
 from hplan.scene.orchard.pieces import DECIMALS, capsule, rounded
 from hplan.scene.orchard.wood import Limb, grow_tree
 
-#: The ground, a millimetre below the pedestal, which would touch it else; and a vehicle's body behind the pedestal,
-#: lower than the tucked arm.
+#: The ground, 1 mm below the pedestal to avoid contact; and a vehicle body behind the pedestal, below the tucked arm.
 _GROUND = Box(name="ground", center=(0.0, 0.0, -0.051), size=(6.0, 6.0, 0.1))
 _VEHICLE = Box(name="vehicle", center=(-1.1, 0.0, 0.3), size=(1.6, 1.2, 0.4))
 
 
 def generate(options: OrchardOptions | None = None, *, start_deg: Sequence[float] = TUCKED_DEG) -> Scene:
-    """A row of trees with fruit; the same options give the same scene, bit for bit.
+    """Generate a tree row with fruit; equal options give bit-identical scenes.
 
-    Trees are grown one by one: a longer row has the same trees, moved along, and more. Obstacles are called
+    Trees are grown one by one: a longer row has the same trees, shifted along the row, and more. Obstacles are named
     `tree 1 trunk 2`, `tree 1 arm 1`, `tree 1 branch 3`, `tree 1 shoot 4`, `wire 2`, `post 1`, `ground`, `vehicle`;
-    fruits `fruit 01`, `fruit 02`, ..., counted from the base's axis outwards.
+    fruits `fruit 01`, `fruit 02`, ..., numbered from the base's axis outwards.
 
     Args:
-        options: What to grow; None for the defaults.
-        start_deg: Configuration at which the motion begins [deg]; the default is the harvester's, tucked.
+        options: Options of the row; None for the defaults.
+        start_deg: Start configuration [deg]; the default is the tucked harvester.
 
     Raises:
-        OptionError: More fruits than there is room for, a goal that does not hang there, or a start that is no list
+        OptionError: There is no room for this number of fruits, the goal is not one of them, or the start is not a list
             of numbers.
     """
     options = OrchardOptions() if options is None else instance("options", options, OrchardOptions)
@@ -57,19 +56,20 @@ def measured_orchard(
     *,
     start_deg: Sequence[float] = TUCKED_DEG,
 ) -> Scene:
-    """A row of measured trees, a file each (see `import_tree`), with their fruit, or with fruit at branch tips.
+    """Return a row of measured trees with their fruit.
 
-    Wood and fruit keep their names wherever the row stands.
+    Each tree is a file (`import_tree`). If no file has fruit, it is placed at branch tips. Wood and fruit keep their
+    names for any position of the row.
 
     Args:
-        paths: The files; several trees are called `tree 1 ...`, `tree 2 ...`.
-        options: How they stand and what hangs on them; None for the defaults.
-        start_deg: Configuration at which the motion begins [deg].
+        paths: The files; several trees are named `tree 1 ...`, `tree 2 ...`.
+        options: Options of the row; None for the defaults.
+        start_deg: Start configuration [deg].
 
     Raises:
-        InputError: A file that is not in order.
-        OptionError: No files, more fruits than there is room for or none, a goal that does not hang there, or a start
-            that is no list of numbers.
+        InputError: A file is invalid.
+        OptionError: There are no files, there is no fruit or no room for this number of fruits, the goal is not one of
+            them, or the start is not a list of numbers.
     """
     paths = list_of("paths", paths, str | Path, "files")
     if not paths:
@@ -82,7 +82,7 @@ def measured_orchard(
         tree, own = import_tree(path, position=position, yaw_deg=options.yaw_deg, prefix=prefix)
         wood += [capsule(piece.name, rounded(piece.start), rounded(piece.end), piece.radius) for piece in tree]
         hung += [fruit.copy_unchecked({"center": rounded(fruit.center)}) for fruit in own]
-    # How much fruit is put on measured trees that have none, and its radius [m].
+    # Number of fruits placed on measured trees without fruit, and their radius [m].
     put, put_radius = 20, 0.04
     if hung:
         fruits = _nearest(hung, options)
@@ -94,7 +94,7 @@ def measured_orchard(
 
 
 def _nearest(fruits: Sequence[Fruit], options: MeasuredOptions) -> tuple[Fruit, ...]:
-    """Those of a tree's own fruits that are wanted, the nearest to the base's axis first."""
+    """Select fruits of measured trees, nearest to the base's axis first."""
     if options.fruit_radius is not None:
         raise OptionError("fruit_radius", options.fruit_radius, "none: the trees have fruit of their own")
     zone = options.fruit_zone
@@ -104,12 +104,12 @@ def _nearest(fruits: Sequence[Fruit], options: MeasuredOptions) -> tuple[Fruit, 
 
 
 def _places_in_row(count: int, spacing: float) -> list[float]:
-    """Positions of the trees along y, their middle at 0 [m]."""
+    """Positions of the trees along y, centred at 0 [m]."""
     return [(number - 0.5 * (count - 1)) * spacing for number in range(count)]
 
 
 def _named(limbs: Sequence[Limb], prefix: str) -> list[Capsule]:
-    """Limbs as obstacles, counted by their kind."""
+    """Convert limbs to obstacles, numbered by kind."""
     counts: Counter[str] = Counter()
     capsules = []
     for limb in limbs:
@@ -120,7 +120,7 @@ def _named(limbs: Sequence[Limb], prefix: str) -> list[Capsule]:
 
 
 def _trellis(options: OrchardOptions) -> list[Capsule]:
-    """Wires along the row, and posts at its ends."""
+    """Return wires along the row, and posts at its ends."""
     x, y = options.distance, 0.5 * options.trees * options.spacing
     wires = [
         capsule(f"wire {number}", rounded((x, -y, height)), rounded((x, y, height)), options.wire_radius)
@@ -128,7 +128,7 @@ def _trellis(options: OrchardOptions) -> list[Capsule]:
     ]
     if not options.posts:
         return wires
-    # Radius of a post, and its height above the trees' and the topmost wire [m].
+    # Radius of a post; its excess height over 0.8 of the tree height and the topmost wire [m].
     post_radius, post_excess = 0.04, 0.1
     top = max(0.8 * options.tree_height, *options.wire_heights, 0.0) + post_excess
     feet = [(x, side * y, post_radius) for side in (-1.0, 1.0)]
@@ -145,7 +145,7 @@ def _scene(
     fruits: tuple[Fruit, ...],
     start_deg: Sequence[float],
 ) -> Scene:
-    """The scene, with a goal that exists."""
+    """Assemble the scene with a valid goal."""
     start = list_between("start_deg", start_deg, -36000.0, 36000.0)
     obstacles = [
         piece.copy_unchecked({"yields": options.wood_yields})

@@ -1,4 +1,4 @@
-"""Options of an orchard, checked: its row of trees, its wires and posts, its fruit."""
+"""Checked options of an orchard: tree row, wires and posts, fruit."""
 
 from __future__ import annotations
 
@@ -14,30 +14,30 @@ from hplan.base.data_files import shipped_robots
 from hplan.base.options import Options, Text
 from hplan.errors import OptionError
 
-#: How the trees are trained: branches all around a leader, or arms along the wires.
+#: Training form of the trees: branches all around a leader, or arms along the wires.
 Form: TypeAlias = Literal["spindle", "trellis"]
 
-#: Where the harvester waits: upper arm upright, forearm level and to the rear, hand down. Nothing of the arm is more
-#: than 5 cm in front of the base's axis then, whatever the row's distance, and a turn of the base sweeps a radius of
-#: 0.84 m, against 1.24 m with the hand stretched out.
+#: Tucked configuration of the harvester: upper arm upright, forearm level and to the rear, hand down. No part of the
+#: arm is more than 5 cm in front of the base's axis, so it suits any row distance. A rotation of the base sweeps a
+#: radius of 0.84 m, compared with 1.24 m with the hand stretched out.
 TUCKED_DEG: Final = (0.0, 90.0, 90.0, 90.0)
 
-#: Largest coordinate of anything in an orchard [m]; beyond it a file is in other units than metres.
+#: Maximum coordinate in an orchard [m]; larger values indicate a file in other units than metres.
 FARTHEST: Final = 1000.0
 
-#: A coordinate, and a length that something may give way or be kept away by [m].
+#: A coordinate; a length for deflection, clearance or attachment [m].
 _Coordinate: TypeAlias = Annotated[float, Field(ge=-FARTHEST, le=FARTHEST)]
 _UpToOne: TypeAlias = Annotated[float, Field(ge=0.0, le=1.0)]
 
 
 @dataclass(frozen=True)
 class FruitZone(Options):
-    """Zone of the fruits' centres: a disc about the base's axis, between two heights.
+    """Zone of the fruits' centres: a vertical cylinder about the base's axis.
 
     Attributes:
-        low: Least height [m].
-        high: Greatest height [m].
-        reach: Greatest distance from the base's axis, the z axis of `base_link` [m].
+        low: Minimum height [m].
+        high: Maximum height [m].
+        reach: Maximum distance from the base's axis, the z axis of `base_link` [m].
     """
 
     low: _Coordinate = -FARTHEST
@@ -50,17 +50,17 @@ class FruitZone(Options):
             raise OptionError("high", self.high, f"more than low, {self.low:g} m")
 
     def holds(self, x: float, y: float, z: float) -> bool:
-        """True if a point is inside."""
+        """True if a point is in the zone [m]."""
         return self.low <= z <= self.high and math.hypot(x, y) <= self.reach
 
 
-#: Zone of fruit that each shipped robot reaches nearly all of.
+#: Fruit zone of each shipped robot; nearly all of it is reachable.
 REACHED: Final = {"harvester": FruitZone(1.45, 2.05, 1.7), "orchard_harvester": FruitZone(0.35, 2.2, 1.7)}
 
 
 @dataclass(frozen=True)
 class _Row(Options):
-    """What rows of grown and of measured trees have in common (`OrchardOptions`)."""
+    """Common options of grown and measured tree rows (`OrchardOptions`)."""
 
     name: Text = "orchard"
     robot: str | None = None
@@ -82,41 +82,41 @@ class _Row(Options):
 
 @dataclass(frozen=True)
 class OrchardOptions(_Row):
-    """A row of trees in front of the arm: across its view, along y, at `distance` along x.
+    """A tree row along y, at x = `distance` in front of the arm.
 
-    Wires run along the row through the trunks, from post to post; the posts stand half a spacing beyond the outer
-    trees. The defaults are an apple orchard's, and the harvester's zone of fruit.
+    Wires run along the row through the trunks, from post to post; the posts are half a spacing beyond the outer trees.
+    The defaults describe an apple orchard, with the harvester's fruit zone.
 
     Attributes:
         name: Name of the scene.
-        robot: Name of the shipped robot that it is meant for; None for the default one.
-        seed: What is left to chance follows from this number alone.
+        robot: Name of the intended shipped robot; None for the default robot.
+        seed: Random seed; all randomness follows from it.
         form: `spindle`: branches all around the trunk; `trellis`: arms along the wires, with branches on them.
-        trees: Number of trees, the row's middle in front of the base.
+        trees: Number of trees; the middle of the row is in front of the base.
         spacing: Distance of neighbouring trunks [m].
         distance: Distance of the row from the base's axis [m].
         tree_height: Height of the trees [m].
-        trunk_radius: Radius of a trunk at the ground; it tapers [m].
-        branches: Branches of each tree.
+        trunk_radius: Radius of a tapered trunk at the ground [m].
+        branches: Number of branches of each tree.
         branch_length: Length of the longest branches [m].
         first_branch: Height of the lowest branch of a spindle [m].
-        shoots: Side shoots on each branch.
-        wire_heights: Heights of the wires [m]; a trellis has a pair of arms at each that its trunk reaches.
+        shoots: Number of side shoots of each branch.
+        wire_heights: Heights of the wires [m]; a trellis has a pair of arms at each wire below the tree height.
         wire_radius: Radius of a wire [m].
-        posts: True if posts stand at the row's ends.
-        fruits: Number of fruits in all.
+        posts: True for posts at the ends of the row.
+        fruits: Total number of fruits.
         fruit_radius: Radius of a fruit [m].
-        fruit_zone: Where their centres may be.
-        picked: Numbers of the fruits that hang no more, as all were counted; the rest is counted anew.
-        goal: Name of the fruit to reach for; None for the first.
-        stem: Greatest gap between a fruit and the wood that it hangs from [m].
+        fruit_zone: Zone of the fruits' centres.
+        picked: Numbers of removed fruits, in the numbering of all fruits; the rest is renumbered.
+        goal: Name of the goal fruit; None for the first.
+        stem: Maximum gap between a fruit and its wood [m].
         ground: True if the ground is an obstacle.
-        vehicle: True if the body of a vehicle, behind the arm, is one.
-        clearance: Distance that a motion is to keep from everything [m].
-        wood_yields: How deep thin wood may be pushed [m].
+        vehicle: True if a vehicle body behind the arm is an obstacle.
+        clearance: Required clearance of motions [m].
+        wood_yields: Maximum deflection of thin wood [m].
         yields_below: Radius below which wood is thin [m].
-        fruit_yields: How deep fruit may be pushed [m].
-        hangs_within: How far fruit is at most from the wood that it is said to hang from [m]; None says nothing.
+        fruit_yields: Maximum deflection of fruit [m].
+        hangs_within: Maximum distance of a fruit from wood that it is attached to [m]; None for no attachments.
     """
 
     form: Form = "spindle"
@@ -155,16 +155,18 @@ class OrchardOptions(_Row):
 
 @dataclass(frozen=True)
 class MeasuredOptions(_Row):
-    """A row of measured trees in front of the arm; what is not told here is as `OrchardOptions` describes it.
+    """A row of measured trees in front of the arm.
+
+    Attributes not listed here are described in `OrchardOptions`.
 
     Attributes:
         name: Name of the scene.
-        seed: Shuffles the tips of branches that fruit hangs at.
-        height: Height of the trees' feet above that of the base [m].
-        yaw_deg: Turn of every tree about its own trunk [deg].
-        fruits: Number of fruits on all trees together; None for all that the files have, or 20.
-        fruit_radius: Radius of a fruit [m]; None for the files', or 0.04.
-        fruit_zone: Where their centres may be; None for anywhere, or where fruit is put that no file has.
+        seed: Seed of the order of branch tips for fruit.
+        height: Height of the trees' feet above the base [m].
+        yaw_deg: Rotation of every tree about its own trunk [deg].
+        fruits: Total number of fruits; None for all fruits of the files, or 20 if they have none.
+        fruit_radius: Radius of a fruit [m], only for files without fruit; None for the radii of the files, or 0.04.
+        fruit_zone: Zone of the fruits' centres; None for anywhere.
     """
 
     name: Text = "measured"

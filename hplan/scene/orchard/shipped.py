@@ -1,4 +1,4 @@
-"""The orchards among the scenes that ship with hplan, as what was asked of the generator."""
+"""Generator options of the shipped orchard scenes."""
 
 from __future__ import annotations
 
@@ -40,11 +40,11 @@ _ORCHARDS = (
         wire_heights=(0.6, 1.05, 1.5, 1.95),
         fruits=46,
         fruit_zone=FruitZone(1.4, 2.05, 1.7),
-        # What is left is within reach: for each there is a motion that touches nothing, the base turned to it before.
+        # The remaining fruits are reachable: each has a collision-free motion with the base turned towards it first.
         picked=(4, 5, 7, 9, 11, 14, 15, 16, 17, 18, 20, 21, 22, 24, 25, 26, 27, 30, 33, 34, 36, 37, 39, 40, 42, 46),
         vehicle=True,
     ),
-    # For the arm that bends both ways: fruit from knee height to above the trees' middle, and the ground.
+    # For the arm that bends both ways: fruit from knee height to above the trees' middle, with the ground.
     OrchardOptions(
         name="orchard-arm-row",
         robot="orchard_harvester",

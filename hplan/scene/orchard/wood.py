@@ -1,8 +1,8 @@
-"""Growth of a tree: a tapering trunk, branches that bend as they leave it, side shoots; all of it straight pieces.
+"""Growth of a tree from straight segments: tapering trunk, branches, shoots.
 
-Two forms of modern apple trees. A spindle has one leader with branches all around it, each turned by the golden angle
-from the one below, long at the bottom and short at the top, so that light falls on all. A trellised tree has a pair of
-arms along each wire, and its branches stand on those.
+Two forms of modern apple trees. A spindle has one leader with branches all around it, each rotated by the golden angle
+from the one below, long at the bottom and short at the top, so that all get light. A trellised tree has a pair of arms
+along each wire, with branches on the arms.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ Kind: TypeAlias = Literal["trunk", "arm", "branch", "shoot"]
 
 @dataclass(frozen=True, eq=False)
 class Limb:
-    """A straight piece of wood.
+    """A straight segment of wood.
 
     Attributes:
-        kind: What it is a piece of.
-        start: (3,) the end nearer to the root [m].
-        end: (3,) the other end [m].
+        kind: Trunk, arm, branch or shoot.
+        start: (3,) end nearer to the root [m].
+        end: (3,) other end [m].
         radius: Radius [m].
     """
 
@@ -38,7 +38,13 @@ class Limb:
 
 
 def grow_tree(options: OrchardOptions, root: FloatArray, random: np.random.Generator) -> list[Limb]:
-    """A tree whose trunk leaves the ground at `root`, (3,) [m]: trunk, arms, branches and shoots, each upwards."""
+    """Grow a tree: trunk, arms, branches and shoots, each upwards.
+
+    Args:
+        options: Options of the row.
+        root: (3,) position of the trunk at the ground [m].
+        random: Random number generator.
+    """
     trunk = _trunk(options, root, random)
     if options.form == "spindle":
         arms: list[Limb] = []
@@ -51,8 +57,8 @@ def grow_tree(options: OrchardOptions, root: FloatArray, random: np.random.Gener
 
 
 def _trunk(options: OrchardOptions, root: FloatArray, random: np.random.Generator) -> list[Limb]:
-    """Nearly upright pieces, the thickest at the bottom."""
-    # Length of a trunk's pieces, about [m].
+    """Grow nearly upright segments, thickest at the bottom."""
+    # Approximate length of a trunk segment [m].
     trunk_piece = 0.45
     count = max(3, round(options.tree_height / trunk_piece))
     nodes = np.tile(root, (count + 1, 1))
@@ -63,13 +69,16 @@ def _trunk(options: OrchardOptions, root: FloatArray, random: np.random.Generato
 
 
 def _spindle_branches(options: OrchardOptions, trunk: Sequence[Limb], random: np.random.Generator) -> list[list[Limb]]:
-    """A spindle's branches, from the bottom to the top; they rise from the trunk and sink under their fruit."""
+    """Grow a spindle's branches from bottom to top.
+
+    They rise from the trunk and sink under their fruit.
+    """
     branches = []
     azimuth = random.uniform(0.0, 2.0 * math.pi)
     for number in range(options.branches):
         fraction = (number + random.uniform(0.1, 0.9)) / options.branches
         height = options.first_branch + fraction * 0.96 * (options.tree_height - options.first_branch)
-        # The golden angle: no two branches stand above each other.
+        # The golden angle: no branch is vertically above another.
         azimuth += math.pi * (3.0 - math.sqrt(5.0)) + random.uniform(-0.3, 0.3)
         length = options.branch_length * (1.0 - 0.65 * fraction) * random.uniform(0.75, 1.0)
         rise = math.radians(random.uniform(10.0, 35.0))
@@ -82,7 +91,10 @@ def _spindle_branches(options: OrchardOptions, trunk: Sequence[Limb], random: np
 
 
 def _trellis_arms(options: OrchardOptions, trunk: Sequence[Limb], random: np.random.Generator) -> list[Limb]:
-    """Arms to both sides at each wire, up to where those of the next tree begin."""
+    """Grow arms to both sides at each wire.
+
+    They end before the arms of the next tree begin.
+    """
     arms: list[Limb] = []
     for height in options.wire_heights:
         if height >= options.tree_height:
@@ -97,7 +109,10 @@ def _trellis_arms(options: OrchardOptions, trunk: Sequence[Limb], random: np.ran
 
 
 def _trellis_branches(options: OrchardOptions, arms: Sequence[Limb], random: np.random.Generator) -> list[list[Limb]]:
-    """A trellised tree's branches: spread over the arms, upwards and to either side of the row in turn."""
+    """Grow a trellised tree's branches, spread over the arms.
+
+    They point upwards and to alternating sides of the row.
+    """
     branches = []
     for number in range(options.branches):
         place = (number + random.uniform(0.1, 0.9)) / options.branches * len(arms)
@@ -113,7 +128,7 @@ def _trellis_branches(options: OrchardOptions, arms: Sequence[Limb], random: np.
 
 
 def _shoots(options: OrchardOptions, branch: Sequence[Limb], random: np.random.Generator) -> list[Limb]:
-    """Side shoots of a branch, to the left and to the right in turn."""
+    """Grow side shoots of a branch, alternating left and right."""
     shoots = []
     length = sum(float(np.linalg.norm(piece.end - piece.start)) for piece in branch)
     for number in range(options.shoots):
@@ -132,7 +147,10 @@ def _shoots(options: OrchardOptions, branch: Sequence[Limb], random: np.random.G
 def _bent(
     kind: Kind, start: FloatArray, length: float, rises: FloatArray, azimuths: FloatArray, radius: float
 ) -> list[Limb]:
-    """Pieces of equal length one after the other, each with its rise and azimuth; they taper to a third."""
+    """Return successive segments of equal length, each with its rise and azimuth.
+
+    They taper to a third of the radius.
+    """
     count = len(rises)
     steps = [_direction(azimuth, rise) for azimuth, rise in zip(azimuths, rises, strict=True)]
     nodes = start + length / count * np.vstack([np.zeros(3), np.cumsum(steps, axis=0)])
@@ -140,7 +158,7 @@ def _bent(
 
 
 def _pieces(kind: Kind, nodes: FloatArray, radii: Sequence[float] | FloatArray) -> list[Limb]:
-    # Thinnest wood there is [m].
+    # Minimum radius of wood [m].
     thinnest = 0.002
     return [
         Limb(kind, start, end, max(float(radius), thinnest))
@@ -153,7 +171,7 @@ def _direction(azimuth: float, rise: float) -> FloatArray:
 
 
 def _at_height(trunk: Sequence[Limb], height: float) -> tuple[FloatArray, float]:
-    """The point of a trunk's axis at a height, and the trunk's radius there."""
+    """Point and radius of the trunk at a height [m]."""
     piece = next((piece for piece in trunk if piece.end[2] >= height), trunk[-1])
     fraction = (height - piece.start[2]) / (piece.end[2] - piece.start[2])
     return piece.start + fraction * (piece.end - piece.start), piece.radius

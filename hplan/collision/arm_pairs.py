@@ -284,7 +284,31 @@ def _planar_parts(robot: Robot, links: LinkShapes, deviation: float, clearance: 
             turret.setdefault(turning.name, []).append(turning)
         own += [*_fold_pairs(robot, deviation, clearance), *_turret_pairs(robot, deviation, clearance)]
         own += _as_shaped(robot, shaped_pairs(robot, deviation))
-    return ArmParts(robot, dict(zip(names, of_links, strict=True)), turret, robot.dof, tuple(own))
+    by_link = dict(zip(names, of_links, strict=True))
+    exempt = tuple(_planar_exemptions(robot, by_link, own)) if single else ()
+    return ArmParts(robot, by_link, turret, robot.dof, tuple(own), exempt)
+
+
+def _planar_exemptions(
+    robot: Robot, by_link: dict[str, list[pin.GeometryObject]], own: Sequence[ArmPair]
+) -> Iterator[tuple[str, str, str]]:
+    """Pairs of links of a planar arm of which not all shapes are checked against each other, with the reason.
+
+    A pair is listed even if some of its shapes are checked: the reported clearance claims nothing about such links.
+    """
+    shapes: dict[str, list[pin.GeometryObject]] = {}
+    for shape in base_shapes(robot):
+        shapes.setdefault(shape.name, []).append(shape.placed)
+    shapes |= by_link
+    checked = {frozenset(map(id, pair.shapes)) for pair in own}
+    neighbours = {frozenset(pair) for pair in itertools.pairwise(robot.arm.link_names)}
+    for (name, some), (other, others) in itertools.combinations(shapes.items(), 2):
+        if all(frozenset((id(one), id(two))) in checked for one, two in itertools.product(some, others)):
+            continue
+        reason = "some or all of their shapes always touch, or cannot come within the clearance"
+        if frozenset((name, other)) in neighbours:
+            reason = "neighbours may overlap near their joint; only the parts beyond it must not touch"
+        yield name, other, reason
 
 
 def _link_pairs(

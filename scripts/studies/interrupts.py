@@ -28,18 +28,24 @@ from hplan.base.child_process import import_environment, python_module
 #: Each command, and the report that a job leaves in the folder `out`; without one the single file that it writes.
 COMMANDS: dict[str, tuple[str, str]] = {
     "plan": ("plan --effort quick --out out", "report.json"),
-    "plan, mcap and cspace": ("plan --effort quick --cspace --out out", "report.json"),
+    "plan, mcap and cspace": ("plan --effort quick --mcap --cspace --out out", "report.json"),
     "tour": ("tour --csv each --out out", "tour.json"),
     "row": ("row row.yaml --distance 1.2 --step 1.1 --one-side --effort quick --workers 2 --out out", "row.json"),
     "study": ("study study.yaml --workers 2 --out out", "study.json"),
     "cell": ("plan cell.yaml --effort quick --out out", "report.json"),
+    "cell, tour": ("tour cell.yaml --mcap --out out", "tour.json"),
+    "cell, certify": ("certify cell cell.yaml --report out/certificate.json", "certificate.json"),
     "time, scene": ("time harvester way.csv --scene table-1 --effort quick --out out", "report.json"),
     "time": ("time harvester way.csv --out out/timed.csv", "timed.csv"),
     "certify": ("certify job --report out/certificate.json", "certificate.json"),
     "execute": ("execute job/trajectory.csv", ""),
     "orchard": ("orchard --trees 2 --out out/orchard.yaml", "orchard.yaml"),
     "view": ("view job --no-serve --out out/page.html", "page.html"),
+    "warmup": ("warmup", ""),
 }
+
+#: Commands that are not run to their end, and the time within which they are interrupted [s].
+_LONG = {"warmup": 30.0}
 
 #: Reports of jobs that write several files.
 _REPORTS = ("report.json", "tour.json", "row.json", "study.json")
@@ -61,6 +67,9 @@ robots:
   goal: {joints_deg: [20, 80, 90, 90]}
 obstacles:
 - {name: post, kind: sphere, center: [0.0, -1.5, 1.2], radius: 0.1}
+fruits:
+- {name: apple, center: [1.2, 1.45, 1.2], radius: 0.035}
+- {name: pear, center: [1.8, -1.45, 1.2], radius: 0.035}
 """
 
 _TREE = """\
@@ -94,7 +103,7 @@ def _hplan(words: str, folder: Path) -> subprocess.Popen[str]:
 
 @cache
 def _prepared() -> _Prepared:
-    """Run every command once to its end."""
+    """Run every command once, all but the long ones to their ends."""
     root = Path(tempfile.mkdtemp(prefix="hplan-interrupts-"))
     inputs = root / "inputs"
     inputs.mkdir()
@@ -105,15 +114,19 @@ def _prepared() -> _Prepared:
         "name: one\narms: [orchard_harvester, harvester]\ntrees: [tree.csv]\ndistances: [1.2, 1.4]\n", "utf-8"
     )
     orchard = "orchard --import tree.csv --distance 1.2 --robot orchard_harvester --yield 0.02 --out row.yaml --quiet"
-    for words in ("plan --effort quick --out job --quiet", orchard):
+    jobs = [
+        f"plan {scene} --effort quick --out {folder} --quiet" for scene, folder in (("", "job"), ("cell.yaml", "cell"))
+    ]
+    for words in (*jobs, orchard):
         _wait(_hplan(words, inputs), words)
     done, seconds = dict[str, Path](), dict[str, float]()
     for number, (command, (words, _)) in enumerate(COMMANDS.items()):
         done[command] = shutil.copytree(inputs, root / str(number))
         (done[command] / "out").mkdir()
         begin = time.perf_counter()
-        _wait(_hplan(words, done[command]), words)
-        seconds[command] = time.perf_counter() - begin
+        if command not in _LONG:
+            _wait(_hplan(words, done[command]), words)
+        seconds[command] = _LONG.get(command, time.perf_counter() - begin)
     return _Prepared(inputs, done, seconds)
 
 
@@ -140,9 +153,12 @@ def interrupt(command: str, seed: int) -> Row:
         shutil.copytree(prepared.done[command] if is_repeated else prepared.inputs, folder)
         out = folder / "out"
         out.mkdir(exist_ok=True)
-        for other in ("notes.txt", "tour-99-mine.csv", "stop-99.csv", "trajectory-mine.csv", "motion.mcap"):
+        theirs = ["notes.txt", "tour-99-mine.csv", "stop-99.csv", "trajectory-mine.csv"]
+        theirs += [] if "--mcap" in words else ["motion.mcap"]
+        for other in theirs:
             (out / other).write_text("written by hand\n", "utf-8")
         before = _contents(folder)
+        theirs = [name for name in before if not name.startswith("out/") or name.removeprefix("out/") in theirs]
         process = _hplan(words, folder)
         time.sleep(delay_s)
         sent = time.perf_counter()
@@ -155,7 +171,7 @@ def interrupt(command: str, seed: int) -> Row:
             _, said = process.communicate()
             said += "STAYS"
         ended_s, status = time.perf_counter() - sent, process.returncode
-        faults = _faults(folder, before, result, status, number, said)
+        faults = _faults(folder, before, theirs, result, status, number, said)
         ended = "done" if status in (0, 5) else "before hplan" if status == -number else "interrupted"
         if ended == "interrupted" and _contents(folder) == before:
             ended = "before the job"  # the command did not know its folder yet
@@ -177,7 +193,7 @@ def _read(path: Path) -> dict[str, object]:
 
 
 def _faults(
-    folder: Path, before: dict[str, str], result: str, status: int, number: signal.Signals, said: str
+    folder: Path, before: dict[str, str], theirs: list[str], result: str, status: int, number: signal.Signals, said: str
 ) -> list[str]:
     """What is wrong with the folder and the end of the process."""
     out, after = folder / "out", _contents(folder)
@@ -189,9 +205,6 @@ def _faults(
         faults.append("the process stays")
     if not early and ("Traceback" in said or "Exception ignored" in said):
         faults.append("a traceback")
-    theirs = [name for name in before if not name.startswith("out/")]
-    theirs += [f"out/{name}" for name in ("notes.txt", "tour-99-mine.csv", "stop-99.csv", "trajectory-mine.csv")]
-    theirs += ["out/motion.mcap"]
     faults += [f"changed or lost: {name}" for name in theirs if after.get(name) != before[name]]
     faults += [f"left behind: {name}" for name in after if "/.hplan-" in name]
     faults += [f"left behind: {path.name}" for path in out.glob(".hplan-*")]

@@ -21,6 +21,7 @@ from hplan.errors import InputError
 from hplan.planning.cell import Cell
 from hplan.robot.files import named_robot
 from hplan.robot.model import Robot
+from hplan.scene.cell import CellScene
 from hplan.scene.model import Scene
 from hplan.scene.obstacle_kind import FromData
 from hplan.trajectory.trajectory import Trajectory
@@ -77,8 +78,8 @@ def between_arms(cell: Cell, more: Sequence[pin.GeometryObject] = ()) -> pin.Geo
     return geometry
 
 
-def things_of(scene: Scene) -> list[Thing]:
-    """Obstacles and fruit as the judge has them."""
+def things_of(scene: Scene | CellScene) -> list[Thing]:
+    """Obstacles and fruit for the judge, in the scene's frame."""
     items = [obstacle.model_dump(mode="json", by_alias=True) for obstacle in scene.obstacles]
     for item, obstacle in zip(items, scene.obstacles, strict=True):
         if isinstance(obstacle, FromData):  # dumps hold no data; in its own frame, for the judge places it by itself

@@ -144,10 +144,11 @@ def test_a_wrong_certificate_is_counted(monkeypatch: pytest.MonkeyPatch, verifie
 
 @pytest.mark.parametrize("wrong", [False, True])
 def test_a_wrong_certificate_of_a_workcell_is_found(monkeypatch: pytest.MonkeyPatch, wrong: bool) -> None:
-    """Two harvesters, one at the other: every file is certified for bases far from each other."""
+    """Two harvesters next to each other: every file is certified for bases far from each other."""
     monkeypatch.setattr(workcells, "draw_arm", lambda *_: named_arm("orchard_harvester"))
     monkeypatch.setattr(workcells, "named_arm", lambda _: named_arm("orchard_harvester"))
-    for name, value in {"ARMS": (2, 2), "FAR_M": (0.6,), "OWN": 0.0, "TAMPERED": 0.0, "SETS": 3}.items():
+    few = {"KINDS": 1, "MOTIONS": 2, "PLACES": 3, "SETS": 2, "ARMS": (2, 2), "OWN": 0.0, "TAMPERED": 0.0}
+    for name, value in few.items():
         monkeypatch.setattr(workcells, name, value)
     if wrong:
         certified = workcells.certify_cell

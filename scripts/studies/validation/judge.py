@@ -514,21 +514,35 @@ def least_between(
         for a, b in itertools.product(range(len(one.radii)), range(len(other.radii))):
             if skip(first, one.arm.bodies[a].link, second, other.arm.bodies[b].link):
                 continue
-            gone, bodies = one.gone[:, a] + other.gone[:, b], (one.arm.bodies[a], other.arm.bodies[b])
-            stack = [one.edges[k] for k in np.argsort(-apart[:, a, b]) if apart[k, a, b] < best]
-            while stack:
-                low, high = stack.pop()
-                middle = (low + high) // 2
-                places = one.places(middle)[a], to_other * other.places(middle)[b]
-                come = max(gone[middle] - gone[low], gone[high] - gone[middle])
+            bodies = one.arm.bodies[a], other.arm.bodies[b]
+
+            def distance_at(
+                tick: int, within: float, a: int = a, b: int = b, bodies: tuple[Body, Body] = bodies,
+                one: _Look = one, other: _Look = other, to_other: pin.SE3 = to_other,
+            ) -> float:  # fmt: skip
+                places = one.places(tick)[a], to_other * other.places(tick)[b]
                 found = distance(bodies[0].hull, places[0], bodies[1].hull, places[1])
-                if found - come < best:
-                    found = distance(bodies[0].shape, places[0], bodies[1].shape, places[1])
-                if found < best:
-                    best, names = found, (f"{first} {bodies[0].name}", f"{second} {bodies[1].name}")
-                if found - come < best:
-                    stack += [piece for piece in ((low, middle - 1), (middle + 1, high)) if piece[0] <= piece[1]]
+                return found if found > within else distance(bodies[0].shape, places[0], bodies[1].shape, places[1])
+
+            found = one.minimum(distance_at, one.gone[:, a] + other.gone[:, b], apart[:, a, b], best)
+            if found < best:
+                best, names = found, (f"{first} {bodies[0].name}", f"{second} {bodies[1].name}")
     return best, *names
+
+
+def least_own(arm: Arm, motion: Motion, within: float) -> dict[tuple[int, int], float]:
+    """The minimum distance over a motion of each pair of bodies that move to each other; at most `within` [m]."""
+    look = _Look(arm, motion, (), None, 0.0)
+    return {pair: look.least_of_pair(*pair, within) for pair in arm.farthest_apart}
+
+
+def least_beside(arm: Arm, motion: Motion, things: Sequence[Thing], within: float) -> float:
+    """The minimum distance over a motion of all bodies that move from obstacles; at most `within` [m]."""
+    look, best = _Look(arm, motion, things, None, 0.0), within
+    for number in range(len(things)):
+        for k in (k for k, stands in enumerate(arm.standing) if not stands):
+            best = look.least_of_obstacle(k, number, best)
+    return best
 
 
 class _Look:
@@ -627,6 +641,50 @@ class _Look:
 
         names = self.arm.bodies[a].name, self.arm.bodies[b].name
         return self._search(distance_at, gone, pieces, CONTACT_M, names)
+
+    def least_of_pair(self, a: int, b: int, best: float) -> float:
+        """The minimum distance of two bodies of the arm; at most `best` [m]."""
+        joints = self.arm.between(a, b)
+        gone = self.turned[:, joints] @ (self.levers[a] + self.levers[b])[joints]
+        apart = np.linalg.norm(self.centres[:, a] - self.centres[:, b], axis=1) - self.radii[a] - self.radii[b]
+
+        def distance_at(tick: int, within: float) -> float:
+            return self.arm.own((a, b), self.places(tick), within)
+
+        return self.minimum(distance_at, gone, apart - self._come(gone), best)
+
+    def least_of_obstacle(self, k: int, number: int, best: float) -> float:
+        """The minimum distance of a body from an obstacle; at most `best` [m]."""
+        thing = self.things[number]
+        poses = _seen(thing, self.base, self.clock[self.middles])
+        local = np.einsum("kji,kj->ki", poses[:, :3, :3], self.centres[:, k] - poses[:, :3, 3])
+        apart = np.linalg.norm(np.maximum(np.abs(local - thing.middle) - thing.half, 0.0), axis=1) - self.radii[k]
+        gone = self.gone[:, k] + self._travel(thing)
+
+        def distance_at(tick: int, within: float) -> float:
+            return self.arm.apart(k, self.places(tick)[k], thing, self.where(number, tick), within)
+
+        return self.minimum(distance_at, gone, apart - self._come(gone), best)
+
+    def minimum(self, apart: Callable[[int, float], float], gone: FloatArray, least: FloatArray, best: float) -> float:
+        """The minimum of a distance over all ticks; at most `best` [m].
+
+        Args:
+            apart: The distance at a tick, or something above `within` if it is more [m].
+            gone: (ticks,) how far the two have come at most [m].
+            least: (pieces,) lower bounds of the distance [m].
+            best: Distances above need not be known [m].
+        """
+        stack = [self.edges[k] for k in np.argsort(-least) if least[k] < best]
+        while stack:
+            low, high = stack.pop()
+            middle = (low + high) // 2
+            come = max(gone[middle] - gone[low], gone[high] - gone[middle])
+            found = apart(middle, best + come)
+            best = min(best, found)
+            if found - come < best:
+                stack += [piece for piece in ((low, middle - 1), (middle + 1, high)) if piece[0] <= piece[1]]
+        return best
 
     def _search(
         self, apart: Any, gone: FloatArray, pieces: Sequence[tuple[int, int]], least: float, names: tuple[str, str]

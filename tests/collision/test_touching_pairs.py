@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import coal
 import numpy as np
 import pinocchio as pin
@@ -10,7 +12,7 @@ import pytest
 from hplan import PlanOptions, check, load_robot, plan, plan_cell
 from hplan.certificate.certificate import certify
 from hplan.collision.coal_scene import CoalScene
-from hplan.collision.collision_bodies import collision_bodies
+from hplan.collision.collision_bodies import body_shapes, collision_bodies
 from hplan.collision.touching_pairs import RIGID, required_distances, self_pairs
 from hplan.errors import ConfigurationInCollisionError, HplanError, InputError
 from hplan.planning.cell import Cell
@@ -189,6 +191,38 @@ def test_one_meaning_of_clearance(clearance):
     bodies = collision_bodies(robot)
     for i, j, why in self_pairs(robot).allowed:
         assert why == RIGID or frozenset((bodies[i].name, bodies[j].name)) in named
+
+
+@pytest.mark.parametrize("clearance", [0.0, 0.06])
+def test_planar_arm_lists_the_links_that_its_clearance_does_not_cover(robot, clearance):
+    """Far from all obstacles, no two links that are not listed are nearer than the reported clearance."""
+    shapes: dict[str, list[pin.GeometryObject]] = {}
+    for shape, body in zip(body_shapes(robot), collision_bodies(robot), strict=True):
+        shapes.setdefault(body.name, []).append(shape)
+    data, rng = robot.model.createData(), np.random.default_rng(4)
+    for q in rng.uniform(robot.lower, robot.upper, (6, robot.dof)):
+        rows = np.stack([q, q])
+        rest = np.zeros_like(rows)
+        motion = Trajectory(robot.joint_names, np.array([0.0, 1.0]), rows, rest, rest, rest, robot.slides)
+        ends = {"start": {"joints_rad": tuple(q)}, "goal": {"joints_rad": tuple(q)}}
+        far = {"kind": "sphere", "name": "far", "center": (5.0, 5.0, 5.0), "radius": 0.1}
+        scene = Scene.model_validate({"name": "x", **ends, "obstacles": (far,), "clearance": clearance})
+        found = certify(robot, scene, motion)
+        listed = {frozenset((rule.link, rule.other)) for rule in found.pair_rules}
+        pin.forwardKinematics(robot.model, data, q)
+        for (name, some), (other, others) in itertools.combinations(shapes.items(), 2):
+            if frozenset((name, other)) not in listed:
+                apart = min(distance(data, one, two) for one, two in itertools.product(some, others))
+                assert apart >= found.min_clearance_m - 1e-6, (name, other)
+        assert listed
+
+
+def distance(data: pin.Data, one: pin.GeometryObject, other: pin.GeometryObject) -> float:
+    """The distance of two shapes by coal [m]."""
+    places = [data.oMi[shape.parentJoint] * shape.placement for shape in (one, other)]
+    poses = [coal.Transform3s(place.rotation, place.translation) for place in places]
+    request, result = coal.DistanceRequest(), coal.DistanceResult()
+    return coal.distance(one.geometry, poses[0], other.geometry, poses[1], request, result)
 
 
 def test_a_cell_refusal_is_typed():

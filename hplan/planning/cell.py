@@ -111,6 +111,16 @@ class Cell(Record):
         scene: The scene as its file describes it.
         robot: All arms as one robot; its base is the workcell's frame.
         arms: The arms, in the order of the file.
+
+    Examples:
+        >>> from hplan import Cell, load_robot, load_scene
+        >>> from hplan.scene.cell import CellRobot, CellScene
+        >>> robot, task = load_robot(), load_scene()
+        >>> left = CellRobot(name="left", robot=robot.name, position=(0, 3, 0), start=task.start, goal=task.goal)
+        >>> right = CellRobot(name="right", robot=robot.name, position=(0, -3, 0), start=task.start)
+        >>> cell = Cell.of(CellScene(name="pair", robots=(left, right)), {"left": robot, "right": robot})
+        >>> cell.robot.dof, [arm.is_waiting for arm in cell.arms]
+        (8, [False, True])
     """
 
     scene: CellScene
@@ -422,6 +432,13 @@ def load_cell(path: Path | str) -> Cell:
     Raises:
         SceneError: As in `load_scene`, or the file has no `robots`.
         InputError: As in `load_robot`, or the robots cannot be joined.
+
+    Examples:
+        >>> from hplan import load_cell
+        >>> load_cell("missing.yaml")
+        Traceback (most recent call last):
+        ...
+        hplan.errors.bad_input.SceneError: scene file missing.yaml: No such file or directory
     """
     scene, folder = read_model(CellScene, file_path("path", path)), Path(path).parent
     return Cell.of(scene, {arm.name: _loaded(arm, folder) for arm in scene.robots})
@@ -453,6 +470,17 @@ def certify_cell(
     Raises:
         InputError: A motion has other joints than its arm, or the workcell has no arm of that name.
         OptionError: `cell` is not a workcell, or `motion` is not a trajectory.
+
+    Examples:
+        >>> from hplan import Cell, certify_cell, load_robot, load_scene
+        >>> from hplan.scene.cell import CellRobot, CellScene
+        >>> robot, task = load_robot(), load_scene()
+        >>> left = CellRobot(name="left", robot=robot.name, position=(0, 3, 0), start=task.start)
+        >>> right = CellRobot(name="right", robot=robot.name, position=(0, -3, 0), start=task.start)
+        >>> cell = Cell.of(CellScene(name="pair", robots=(left, right)), {"left": robot, "right": robot})
+        >>> certificate = certify_cell(cell, cell.together({}))  # both arms at rest
+        >>> certificate.verified
+        True
     """
     instance("cell", cell, Cell, "load_cell")
     options = PlanOptions() if options is None else instance("options", options, PlanOptions)

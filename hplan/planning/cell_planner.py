@@ -90,6 +90,17 @@ def plan_cell(
         OptionError: An option has no meaning for several arms.
         HplanError: As in `plan`, for one arm or for all together; names the blocking obstacle or arm.
         NotFoundError: No motion of all arms was found; this does not prove that none exists.
+
+    Examples:
+        >>> from hplan import Cell, PlanOptions, load_robot, load_scene, plan_cell
+        >>> from hplan.scene.cell import CellRobot, CellScene
+        >>> robot, task = load_robot(), load_scene()
+        >>> left = CellRobot(name="left", robot=robot.name, position=(0, 3, 0), start=task.start, goal=task.goal)
+        >>> right = CellRobot(name="right", robot=robot.name, position=(0, -3, 0), start=task.start)
+        >>> cell = Cell.of(CellScene(name="pair", robots=(left, right)), {"left": robot, "right": robot})
+        >>> result = plan_cell(cell, PlanOptions(effort="quick"))
+        >>> result.how, result.certificate.verified
+        ('at once', True)
     """
     instance("cell", cell, Cell, "load_cell")
     options = PlanOptions() if options is None else instance("options", options, PlanOptions)

@@ -1,6 +1,6 @@
-"""Stages of a plan: their names, their times, and who listens to their progress.
+"""Stages of a plan: names, times and progress callbacks.
 
-The current clock is a context variable, as deadlines are: it belongs to the call that began it and need not be passed
+The current clock is a context variable, as deadlines are: it belongs to the call that started it and need not be passed
 through every function.
 """
 

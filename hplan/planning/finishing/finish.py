@@ -88,6 +88,16 @@ def finish(
         CertificationError: No motion along the path could be certified.
         NotInTimeError: None was found before the deadline.
         PlanCancelledError: It was cancelled.
+
+    Examples:
+        >>> import numpy as np
+        >>> from hplan import finish, load_robot, load_scene
+        >>> waypoints = np.radians([(0, 0, 0, 0), (0, 0, 90, 90), (0, 45, 60, 70)])
+        >>> result = finish(load_robot(), load_scene(), waypoints)
+        >>> result.certificate.verified
+        True
+        >>> result.report["given"]["waypoints"]
+        3
     """
     check_task(robot, scene, options, progress)
     options = PlanOptions() if options is None else options

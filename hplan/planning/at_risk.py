@@ -35,7 +35,7 @@ from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 from hplan.scene.obstacle_kind import largest_deviation
 
-#: Fractions of the risk: for the first motion, for the later ones, and the minimum use at which a motion
+#: Fractions of the risk: for the first motion, for the later ones, and the minimum use by a motion that
 #: ends the search.
 _FIRST, _NEXT, _ENOUGH = 0.5, 0.75, 0.05
 

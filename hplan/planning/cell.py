@@ -509,7 +509,7 @@ def certify_between(cell: Cell, files: Mapping[str, Trajectory], options: PlanOp
     """Certify the arms of a workcell against each other, without obstacles.
 
     The clock has the samples of all files, so that each arm follows its own file exactly between any two of them.
-    The limits are those of the files.
+    The use of limits is taken from the files.
 
     Args:
         files: The motion of every arm, by name; an arm stays where its file ends.
@@ -562,7 +562,7 @@ def _not_compared(
 def _rates(cell: Cell, files: Mapping[str, Trajectory], clock: FloatArray) -> MotionRates:
     """Use of limits, and joint speed bounds between the clock's times.
 
-    The use of limits is that of the files; the bounds are (segments, dof).
+    The use of limits is taken from the files; the bounds are (segments, dof).
     """
     speeds, uses = np.zeros((max(1, len(clock) - 1), cell.robot.dof)), []
     for name, own in files.items():

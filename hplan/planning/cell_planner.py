@@ -434,7 +434,7 @@ def _likely_order(cell: Cell, motions: Mapping[str, Trajectory]) -> list[str]:
         q = cell.configuration({first: path, second: place})
         return int((between(cell, q, first, (second,)) <= cell.scene.clearance + _THICKER).any())
 
-    #: Cost of running the first of two arms before the second: contacts at its goal weigh most, then those of a path.
+    #: Cost of running the first of two arms before the second: contacts at its goal weigh more than contacts of a path.
     cost = {
         (a, b): len(motions) * meet(a, ends[a], b, begins[b])
         + meet(a, paths[a], b, begins[b])

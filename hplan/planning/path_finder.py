@@ -71,7 +71,7 @@ class Path(NamedTuple):
 
 @dataclass
 class Budget:
-    """Budget of a search, and its results so far.
+    """Budget of a search, and its intermediate results.
 
     Attributes:
         effort: The preset.

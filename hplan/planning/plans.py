@@ -1,8 +1,8 @@
 """Anytime certified plans, from rest or in motion, to any goal.
 
 A plan is a motion to joints, or a transit, an approach and, from a fruit, a retreat. Without a deadline the last plan
-is taken. With a deadline the first plan comes as soon as possible, and the last one
-before the deadline is taken (`hplan.planning.plan`).
+is taken. With a deadline the first plan comes as soon as possible, and the last one before the deadline is taken
+(`hplan.planning.plan`).
 """
 
 from __future__ import annotations
@@ -162,8 +162,8 @@ def plans_to_grasps(
 ) -> Iterator[tuple[Approach, Plan]]:
     """Anytime plans to one of several grasps, with the approach to it.
 
-    The plans stop before the approach. The promising grasps are tried as if there were no others. If none of them can
-    be reached, infeasibility proofs exclude some of the others, and the rest are tried in order. Grasps without an
+    The plans stop before the approach. The promising grasps are tried as if there were no others. If all of them fail,
+    infeasibility proofs exclude some of the others, and the rest are tried in order. Grasps without an
     approach come after all grasps with one.
 
     Args:

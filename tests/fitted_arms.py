@@ -68,16 +68,16 @@ def fitted(
     """A member of the family with collision shapes of a URDF added.
 
     Args:
-        folder: Where to write it.
+        folder: Output folder.
         more: Shapes to add, by link.
         low: Lower limits of the planar joints [deg].
-        high: Upper ones.
+        high: Upper limits of the planar joints [deg].
         yaw_deg: Range of the yaw to either side; None for none.
         lengths: Lengths of the links.
-        widths: Their half-widths.
-        hung: Fixed links to add, by name: the link that each hangs on, where, and its shape.
+        widths: Half-widths of the links.
+        hung: Fixed links to add, by name: parent link, position and shape.
         name: Name of the file.
-        **more_of_spec: What else the specification says, such as offsets.
+        **more_of_spec: Other entries of the specification, such as offsets.
     """
     count = len(lengths)
     low, high = (np.radians(np.broadcast_to(limit, (count,))).tolist() for limit in (low, high))
@@ -116,7 +116,7 @@ def fitted(
 
 
 class Bodies:
-    """All shapes of a robot's URDF in coal, asked without hplan."""
+    """All shapes of a robot's URDF in coal, independent of hplan."""
 
     def __init__(self, robot: Robot, *, samples: int = 200) -> None:
         self.robot = robot
@@ -131,7 +131,7 @@ class Bodies:
             for a, b in itertools.combinations(range(len(self.shapes)), 2)
             if self.shapes[a][0] != self.shapes[b][0] and not self._neighbours(a, b)
         ]
-        # Left out is what touches wherever the arm is.
+        # Pairs that touch in all configurations are left out.
         rng = np.random.default_rng(0)
         apart = np.zeros(len(pairs), dtype=bool)
         self.pairs = pairs

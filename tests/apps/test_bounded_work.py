@@ -23,7 +23,7 @@ def motion(robot, scene):
 
 @pytest.fixture(autouse=True)
 def quiet():
-    """No warning from NumPy, whatever overflows."""
+    """Silence NumPy's warnings about overflow."""
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         yield
@@ -87,7 +87,7 @@ def test_rows_hardly_apart(robot, scene, motion, gap):
 
 
 def test_a_budget_that_is_used_up_is_said(robot, scene, monkeypatch):
-    """A motion that stays 0.1 mm beside an obstacle, to be looked at every 50 um of its way."""
+    """A motion 0.1 mm from an obstacle, with distance queries every 50 um."""
     distance = 2.2 + 0.03 + 0.05 + 1e-4
     wall = [
         Sphere(name=f"bead {k}", center=(distance * np.cos(a), 0.0, 0.6 + distance * np.sin(a)), radius=0.05)

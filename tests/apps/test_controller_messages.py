@@ -1,4 +1,4 @@
-"""What a ROS 2 controller makes of messages: the curve that it runs, when it begins, and what it refuses."""
+"""Messages as a ROS 2 controller reads them: curve, start time, refusals."""
 
 from __future__ import annotations
 
@@ -240,7 +240,7 @@ class Future:
 
 
 class Ros:
-    """Stand-ins for what the node takes from ROS; `spin` is what happens when the node spins."""
+    """Stand-ins for the ROS functions of the node; `spin` runs when the node spins."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, spin: Callable[[Ros], None]) -> None:
         self.calls: dict[str, Any] = {}

@@ -71,7 +71,7 @@ def test_a_signal_at_a_random_instant(number: int) -> None:
 
 
 def test_an_earlier_job_that_is_read_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The command's input stands in the folder that it writes into."""
+    """The command's input is in its output folder."""
     words = ["plan", "--effort", "quick", "--quiet", "--out", str(tmp_path)]
     assert main(words) == 0
     before = (tmp_path / "trajectory.csv").read_bytes()

@@ -1,7 +1,7 @@
-"""The three main pages as a browser draws them, on a desk and on a phone, beside the pictures kept of them.
+"""The three main pages in a browser, on desktop and phone, against stored pictures.
 
-Where a page was meant to change, its new picture is in the folder that the failure names: look at it, and put it beside
-this file, in `screenshots`.
+If a page was changed on purpose, its new picture is in the folder that the failure names: look at it, and copy it to
+`screenshots`.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ DESK, PHONE = (1280, 860), (390, 844)
 #: Pixels that are compared as one: letters of another font, and edges of another renderer, are less than that.
 BLOCK = 20
 
-#: By how much of 255 a block may differ, and what share of them by more.
+#: Maximum difference of a block, of 255, and the maximum fraction of blocks that differ by more.
 DIFFERENT, SHARE = 24.0, 0.005
 
 STILL = "<script>player.pause(); player.seek(0.5 * motion.duration);</script>"

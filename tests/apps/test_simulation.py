@@ -67,7 +67,7 @@ def off_deg(result: Execution) -> float:
 @needs_mujoco
 @pytest.mark.parametrize("yields", [0.0, 0.02])
 def test_what_gives_way_is_pushed_and_not_touched(yields: float) -> None:
-    """A ball half-way of the hand's tip, 12 mm deep in its way; to the upper arm all is firm."""
+    """A ball in the path of the hand's tip, 12 mm deep; rigid to the upper arm."""
     robot = load_robot()
     start, goal = (0.0, 0.5, 0.4, 0.2), (0.6, 0.5, 0.4, 0.2)
     middle = np.array([0.3, 0.5, 0.4, 0.2])
@@ -107,7 +107,7 @@ def test_the_exported_reference_plan(robot: Robot, scene: Scene, planned: PlanRe
     assert not result.position.flags.writeable
 
 
-# What is wrong is caught
+# Faults are detected
 
 
 @needs_mujoco

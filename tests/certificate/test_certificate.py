@@ -82,7 +82,7 @@ def test_near_miss_is_verified_and_its_clearance_close(robot, scene):
         certificate = certify(robot, scene.with_obstacles([grazed_ball(-gap, 0.604)]), trajectory)
         assert certificate.verified, certificate.violations
         assert 0.3 * gap < certificate.min_clearance_m <= gap + 1e-9
-    # The scene's clearance is asked for.
+    # The scene's clearance is required.
     scene = scene.with_obstacles([grazed_ball(-0.01, 0.604)])
     assert certify(robot, scene.model_copy(update={"clearance": 0.0099}), trajectory).verified
     refused = certify(robot, scene.model_copy(update={"clearance": 0.0101}), trajectory)
@@ -160,7 +160,10 @@ def test_no_more_is_certified_than_what_is_left_when_the_motion_ends_before_the_
 
 @pytest.mark.parametrize("links", ["capsule", "box", "urdf"])
 def test_no_point_of_a_link_travels_farther_than_its_bound(robot, scene, links):
-    """Points of the shapes along random lines; of capsules of the ends of their axes, about which they are balls."""
+    """Points of the shapes along random lines; for capsules the ends of their axes.
+
+    A capsule is two balls around them, and their hull.
+    """
     checker, rng = CoalScene(robot, scene.solids, links=links), np.random.default_rng(3)
     lines = np.linspace(0.0, 1.0, 4)[:, None] * 0.3 * rng.normal(size=(30, 1, 4))
     bezier = rng.uniform(robot.lower, robot.upper, (30, 1, 4)) + lines

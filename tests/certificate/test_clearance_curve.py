@@ -1,4 +1,4 @@
-"""What a certificate tells along the motion: the curve of its clearance against coal, the use of position limits."""
+"""Values along the motion: the clearance curve against coal, use of position limits."""
 
 from __future__ import annotations
 

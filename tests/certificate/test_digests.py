@@ -1,4 +1,4 @@
-"""Digests: the same for the same, others for whatever differs."""
+"""Digests: equal for equal content, different for any difference."""
 
 from __future__ import annotations
 

@@ -126,7 +126,7 @@ def test_deeper_than_to_the_centre_is_refused(robot, picked):
 
 
 def test_a_second_visit_is_refused(robot, picked):
-    """Straight to the fruit and back twice: a picked fruit is gone, another visit is not asked for."""
+    """Straight to the fruit and back twice: a picked fruit is gone."""
     scene, _ = picked
     result = hplan.plan(robot, scene, hplan.PlanOptions(effort="quick"))  # it stops at the stand-off
     approach = result.phases[1]
@@ -148,7 +148,7 @@ def test_a_second_visit_is_refused(robot, picked):
 
 
 def test_curves_between_rows_far_apart_are_not_taken_for_straight(robot, apple):
-    """Rows on the line, the cubic between them beside it."""
+    """The samples are on the line, the cubic between them is not."""
     scene = orchard(apple, np.radians([0.0, 30.0, 20.0, 10.0]))
     result = hplan.plan(robot, scene)
     bezier, _ = result.trajectory.segments
@@ -214,7 +214,7 @@ def test_last_link_that_pivots_about_the_fruit_leaves_its_direction(robot, apple
 
 
 class Touching(frozenset):
-    """Names of what may be touched, in place of a collision checker."""
+    """Names of touchable bodies, in place of a collision checker."""
 
     def touching(self, name, hangs_from):
         return Touching(self | {name})
@@ -222,7 +222,7 @@ class Touching(frozenset):
 
 @pytest.mark.parametrize("seed", range(20))
 def test_windows_of_several_fruits(seed):
-    """Piece by piece what the windows say that hold all of the piece."""
+    """Each segment may touch the fruits whose windows cover all of it."""
     random = np.random.default_rng(seed)
     clock = np.cumsum(random.uniform(0.001, 0.1, random.integers(1, 12)))
     ends = [np.sort(random.choice([*clock, *random.uniform(0.0, clock[-1], 4)], 2)) for _ in range(random.integers(4))]

@@ -1,4 +1,4 @@
-"""Cubics, quintics and straight lines between rows against SciPy's polynomials, and what is bounded on them."""
+"""Cubics, quintics and lines between samples against SciPy's polynomials; their bounds."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def rows_of(robot: Robot, rng: np.random.Generator, apart_s: float, curve: Inter
 
 
 def dense(motion: Trajectory, count: int = 201) -> np.ndarray:
-    """Times within each segment, close to its ends too, none of them at a row."""
+    """Times within each segment, some close to its ends, none at a sample."""
     inner = np.linspace(1e-9, 1.0 - 1e-9, count)
     return (motion.time[:-1, None] + np.diff(motion.time)[:, None] * inner).ravel()
 

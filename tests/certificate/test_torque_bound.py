@@ -62,7 +62,7 @@ def test_bound_holds_and_is_close_for_random_rows(name, tmp_path, tmp_path_facto
         true = sampled(robot, bezier, duration, 400)
         assert (bound >= np.abs(true).max(axis=(0, 1)) * (1.0 - 1e-12)).all()
         share = (bound / robot.torque_limit).max()
-        # What lies between samples of a 400th, about the largest; a parabola through three neighbours at most.
+        # Excess between samples of a 400th, near the maximum: at most that of a parabola through three neighbours.
         between = np.abs(np.diff(true, 2, axis=1)).max() / 8.0 / robot.torque_limit.min()
         assert share <= joint_share(robot, true) + GAP + 2.0 * between
 
@@ -99,7 +99,7 @@ def test_pieces_that_share_a_remainder_have_that_of_all(name, tmp_path, tmp_path
 
 @pytest.mark.parametrize("speed", [0.1, 3.0])
 def test_second_derivative_at_constant_speed(tmp_path, speed):
-    """Slowly, gravity makes it; fast, what turns does."""
+    """Dominated by gravity at low speed, by rotation at high speed."""
     robot = load_variant("upright on a yaw", tmp_path)
     for joint in range(robot.dof):
         position, velocity = np.tile([0.2, 0.4, 0.3, -0.5], (2, 1)), np.zeros((2, 4))

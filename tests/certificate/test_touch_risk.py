@@ -69,7 +69,7 @@ def test_errors_within_the_half_spaces_touch_nothing(robot: Robot, motion: Traje
     for name, part in rows.items():
         for _ in range(25):
             along = random.normal(size=3)
-            # As far in a direction as the half-spaces leave, and what is far.
+            # Up to the nearest half-space in a direction, or to the maximum distance.
             reach = part[:, 4] / np.maximum(part[:, 1:4] @ along, 1e-12)
             shift = along * min(0.999 * reach.min(), far[name] / float(np.linalg.norm(along)))
             thing = next(thing for thing in things(shift) if thing.name == name)

@@ -1,4 +1,4 @@
-"""Clearances of arms of any kind, against coal at sampled configurations, and what motions they show clear."""
+"""Clearances of general arms and verified motions, against coal at samples."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def arm(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 
 @pytest.fixture(scope="module")
 def solids() -> list[Solid]:
-    """One of every kind, and so many balls and tilted boxes that they are in groups."""
+    """One solid of every kind, and enough balls and tilted boxes to form groups."""
     generator = np.random.default_rng(3)
     points = generator.normal(size=(40, 3))
     return [

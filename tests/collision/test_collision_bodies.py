@@ -87,7 +87,7 @@ def test_bodies_stand_out_beyond_what_coal_judges_by_no_more_than_said(load, nam
 
 
 def test_meshes_are_cut_or_made_hulls(tmp_path, monkeypatch):
-    """A ring is far from convex; with a triangle missing there is no inside, and it is one hull."""
+    """A ring is far from convex; without one triangle it is a single hull."""
     ring = trimesh.Trimesh(*torus(n=12))
     ring.export(tmp_path / "ring.stl")
     trimesh.Trimesh(ring.vertices, ring.faces[1:]).export(tmp_path / "torn.stl")
@@ -153,7 +153,7 @@ def test_meshes_that_are_mirrored_or_inside_out_are_what_their_surface_holds(tmp
 
 
 def points_of(body, shape):
-    """Points of a body's core, and the vertices by which coal judges a mesh, in the frame of its joint."""
+    """Points of a body's core, and the mesh vertices of coal, in its joint's frame."""
     if not isinstance(shape.geometry, coal.Convex):
         return body.core
     vertices = np.array(shape.geometry.points()) @ shape.placement.rotation.T + shape.placement.translation

@@ -25,7 +25,7 @@ from hplan.scene.solids import Cloud
 
 SEEDS = st.integers(0, 2**32 - 1)
 
-#: Two arms on the column of `LIFT`: bodies of which neither carries the other.
+#: Two arms on the column of `LIFT`: neither body carries the other.
 FORK = LIFT.replace(
     "</robot>",
     limb("left", "column_link", "revolute", "0 0 1", "0.2 0.3 0.3", '<box size="0.05 0.1 0.2"/>')

@@ -42,7 +42,7 @@ def column_arm(at: float, column: str = "0.09 0.09 0.2", base: str = "0.1 0.1 0.
 
 
 def beside_a_post(gap: float, clearance: float) -> Cell:
-    """The column of arm a beside the base of arm b, whose own column stands 1 m behind."""
+    """The column of arm a next to the base of arm b, whose column is 1 m behind."""
     robots = {"a": load_robot(column_arm(0.0)), "b": load_robot(column_arm(-1.0))}
     first = {"name": "a", "start": {"joints_deg": (0, -30)}, "goal": {"joints_deg": (90, -30)}}
     second = {"name": "b", "position": (-(0.045 + gap + 0.05), 0, 0), "start": {"joints_deg": (0, -30)}}

@@ -101,7 +101,7 @@ def scan(robot: Robot, point: complex, angles: np.ndarray) -> np.ndarray:
     return found
 
 
-# What can be reached
+# Reachable points
 
 
 @pytest.mark.parametrize("name", SMALL)
@@ -215,7 +215,10 @@ def test_locked_joints_keep_their_values(variants, name, locked):
 
 @pytest.mark.parametrize("name", ["plane beside the yaw axis", "links beside each other, off the axis"])
 def test_points_nearer_to_the_yaw_axis_than_the_plane(variants, name):
-    """Just outside there are two yaws, with the point ahead and with it behind; inside it is told by how much."""
+    """Just outside there are two yaws, with the point ahead and behind.
+
+    Inside, the error gives the distance.
+    """
     robot = variants[name]
     _, across = robot.shoulder_from_axis
     assert abs(across) > 0.1
@@ -247,7 +250,7 @@ def test_not_found_is_not_unreachable(variants):
     assert caught.value.reason == "not_found"
 
 
-# What cannot be reached
+# Unreachable points
 
 
 def test_approach_out_of_reach(robot):

@@ -144,7 +144,7 @@ def test_the_arm_is_in_its_reach_ball(robot):
     for q in rng.uniform(robot.lower, robot.upper, (50, robot.dof)):
         solids = arm_solids(robot, q)
         far = max(np.linalg.norm(solid.core - centre, axis=1).max() + solid.rounding for solid in solids)
-        assert far <= radius + 1e-3  # prisms stand out of the cylinders
+        assert far <= radius + 1e-3  # prisms protrude from the cylinders
         assert apart(robot.tool_positions(q)[None], solids)[0] <= 0.0
     assert radius < 2.3
 
@@ -233,7 +233,7 @@ def test_many_voxels_and_the_memory_of_frames_before(robot):
     assert len(count) < len(points)
 
 
-# What may be given
+# Accepted input
 
 
 @pytest.mark.parametrize(
@@ -340,7 +340,7 @@ def test_what_is_remembered_keeps_its_radius(robot):
 
 def test_what_the_camera_looks_through_is_forgotten(robot):
     first = take(robot, wall(0.8, half=0.1), 0.0)
-    assert take(robot, wall(1.4), 0.1, first.seen).report.remembered == 0  # it looks past where that was
+    assert take(robot, wall(1.4), 0.1, first.seen).report.remembered == 0  # it sees past the previous position
     assert take(robot, wall(0.79), 0.1, first.seen).report.remembered == 0  # and sees it again, but for noise
     unseen = take(robot, wall(1.4, half=0.02), 0.1, first.seen).report.remembered
     assert 0.8 * first.report.kept < unseen < first.report.kept  # at the rim nothing was measured
@@ -349,7 +349,7 @@ def test_what_the_camera_looks_through_is_forgotten(robot):
 
 @pytest.mark.parametrize("axis", range(3))
 def test_where_a_turned_camera_looks(robot, axis):
-    """To all six sides of the camera: what is behind it tells nothing of what is ahead."""
+    """To all six sides: points behind the camera say nothing about points ahead."""
 
     def look(points, time_s, before=None):
         pose = [*CAMERA, 20.0, -30.0, 100.0]
@@ -385,7 +385,7 @@ def test_the_arm_stands_in_a_ball_by_its_growth_too(robot, beyond_m, stays):
 
 
 def test_what_the_padding_hides_is_remembered(robot):
-    """A branch 25 mm beside the arm is taken for the arm in the next frame, but not forgotten."""
+    """A branch 25 mm from the arm counts as the arm in the next frame, but is kept."""
     reaching = np.zeros(robot.dof)
     x, y, z = robot.tool_positions(reaching) - CAMERA
     beside = robot.arm.half_widths[-1] + 0.025

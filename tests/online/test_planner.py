@@ -61,7 +61,7 @@ def method(result: PlanResult) -> str:
 
 
 def test_plan_is_that_of_the_function(robot: Robot) -> None:
-    """Whatever was planned before."""
+    """Regardless of earlier plans."""
     planner = planner_for(robot)
     for obstacles in ([], [POST], [POST.model_copy(update={"radius": 0.1})], [POST], []):
         planner.scene = planner.scene.with_obstacles(obstacles)
@@ -99,7 +99,7 @@ def test_motion_is_mended_where_an_obstacle_grazes_it(robot: Robot) -> None:
 
 
 def test_obstacle_that_wanders_through(robot: Robot) -> None:
-    """A post comes along the arm's way in small steps; every motion is certified among what is there."""
+    """A post approaches the arm in small steps; every motion is certified."""
     planner = planner_for(robot)
     planner.add(AWAY)
     seen = set()
@@ -109,7 +109,7 @@ def test_obstacle_that_wanders_through(robot: Robot) -> None:
         try:
             result = planner.replan()
         except ConfigurationInCollisionError:
-            continue  # it stands where the start or the goal is
+            continue  # it overlaps the start or the goal
         seen.add(method(result))
         assert_fresh(robot, planner, result)
     assert seen >= {"direct", "kept", "mended", "trees"}

@@ -1,4 +1,4 @@
-"""A new motion spliced into a running one: what stays, the seam, the whole; and what is said where none is found."""
+"""A new motion spliced into a running one: the seam, the whole, and failures."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def test_around_an_obstacle_that_has_come_in_the_way(robot):
     result = planner.replan(at=0.25, now=0.2)
     assert not result.is_kept
     assert_spliced(robot, planner.scene, before, result)
-    # And on: what was spliced runs.
+    # The next splice starts from the spliced motion.
     planner.aim(goal=BACK)
     again = planner.replan(at=0.5, now=0.4)
     assert_spliced(robot, planner.scene, result, again)

@@ -1,4 +1,4 @@
-"""Splices and stops among what moves: certified in time, clear by coal alone, and by which clock all this is told."""
+"""Splices and stops among moving obstacles: certified in time, clear by coal, clocks."""
 
 from __future__ import annotations
 
@@ -53,21 +53,23 @@ def coming(center: np.ndarray, at_s: float, *, speed: float = 1.0, radius: float
 
 
 def a_planner(robot: Robot, *obstacles: Sphere, **options: object) -> Planner:
-    """A planner whose motion runs where nothing is in the way yet."""
+    """A planner whose motion is clear at first."""
     planner = Planner(robot, task(START, GOAL, obstacles, **PLANAR), PlanOptions(**options))
     assert planner.plan().certificate.verified
     return planner
 
 
 def assert_spliced(robot: Robot, before: PlanResult, scene: Scene, planner: Planner, result: SplicedResult) -> None:
-    """As it ran up to the seam, continuous there; certified in time and clear by coal; the scene stays as it was.
+    """Check a splice: unchanged up to the seam, continuous, certified, clear by coal.
+
+    The scene is unchanged.
 
     Args:
         robot: The arm.
-        before: What ran.
-        scene: The planner's scene then.
+        before: The running motion.
+        scene: The planner's scene at that time.
         planner: The planner.
-        result: What runs now.
+        result: The spliced motion.
     """
     motion = result.trajectory
     assert_goes_on(before, result)
@@ -208,7 +210,7 @@ def test_what_is_in_the_way_before_the_seam_gives_the_stop(robot):
 
 
 def test_a_state_of_motion_that_cannot_be_left_is_said(robot):
-    """It is clear up to the seam, and hit right after it whatever it does."""
+    """It is clear up to the seam, and then collides with every motion."""
     planner = a_planner(robot)
     running = planner.last.trajectory
     q = running.positions(np.array([0.5 * running.duration]))[0]

@@ -1,4 +1,4 @@
-"""Threads that plan at once get what they would have got one after the other."""
+"""Concurrent planning in threads gives the same results as sequential planning."""
 
 from __future__ import annotations
 
@@ -132,7 +132,7 @@ def test_changes_frames_and_stops_do_not_wait_for_a_plan(robot: Robot, monkeypat
 
 
 def test_frames_while_others_plan(robot: Robot) -> None:
-    """Each thread's last frame stands; the memory of frames and the plans are whole."""
+    """Each thread's last frame is valid; the memory of frames and the plans are complete."""
     planner = hplan.Planner(robot, scenes()[0], hplan.PlanOptions(step_deg=2.0))
     planner.plan()
     frames = [np.random.default_rng(number).uniform((0.9, -1.2, 1.0), (1.1, -1.0, 1.2), (2000, 3)) for number in (0, 1)]

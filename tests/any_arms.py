@@ -27,7 +27,7 @@ FRUITS = tuple(
     for number, center in enumerate([(0.5, 0.15, 0.5), (0.55, -0.2, 0.6), (0.5, 0.0, 0.35)])
 )
 
-#: Obstacles around an arm, some of which it may touch.
+#: Obstacles around an arm; it may touch some of them.
 SOLIDS: tuple[Solid, ...] = (
     Sphere(name="ball", center=(0.5, 0.1, 0.6), radius=0.12),
     Capsule.model_validate({"name": "branch", "from": (0.2, -0.5, 0.2), "to": (0.7, -0.2, 0.9), "radius": 0.03}),

@@ -1,4 +1,4 @@
-"""Plans for the tests, and what every one of them must keep, judged without the planner's own formulas."""
+"""Plans for the tests, and checks of every plan without the planner's formulas."""
 
 from __future__ import annotations
 
@@ -23,7 +23,8 @@ from hplan.trajectory.trajectory import Trajectory
 
 Obstacles = Sequence[Any]
 
-#: So far from its line may the tool be on the approach: rows are averages over the time that the jerk limit takes [m].
+#: Maximum deviation of the tool from its line on the approach: samples are averages over the time of the jerk limit
+#: [m].
 STRAIGHT = 1e-4
 
 
@@ -82,7 +83,7 @@ def between_rows(trajectory: Trajectory, rows: np.ndarray, looks: int = 3) -> np
 def assert_clear(
     robot: Robot, scene: Scene, configurations: np.ndarray, *, sigmas: float = 3.0, touched: str | None = None
 ) -> None:
-    """Every link keeps from every obstacle what it has to; but for the last one from the fruit that is touched."""
+    """Check the clearance of every link, except the last one from the touched fruit."""
     solids = scene.solids_with_goal
     if not solids:
         return

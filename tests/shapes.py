@@ -1,4 +1,4 @@
-"""Closed surfaces for the tests, and what is inside them."""
+"""Closed surfaces for the tests, and their inside."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What holds of every splice: the running motion goes on up to the seam, and the motion is continuous there."""
+"""Properties of every splice: unchanged up to the seam, continuous there."""
 
 from __future__ import annotations
 

@@ -157,7 +157,7 @@ def arrays(value: Any, found: Any, path: str, seen: set[int]) -> Iterator[tuple[
 
 
 def assert_alike(value: Any, found: Any) -> None:
-    """Equal arrays throughout, and those that could not be written to still cannot."""
+    """Equal arrays throughout; read-only ones stay read-only."""
     compared = list(arrays(value, found, type(value).__name__, set()))
     assert compared
     for path, mine, other in compared:

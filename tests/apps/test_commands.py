@@ -32,7 +32,7 @@ SCRIPTS = {
 HEAVY = ("numpy", "matplotlib", "meshcat", "numba", "pinocchio", "coal", "pydantic", "rich", "scipy", "toppra",
     "trimesh", "yaml", "yourdfpy")  # fmt: skip
 
-#: Arguments with which each command succeeds, in a folder with a job in `job`, and arguments that name a missing file.
+#: Valid arguments of each command, in a folder with a job in `job`, and arguments that name a missing file.
 GOOD = {
     "plan": ["plan", "--out", "new"],
     "tour": ["tour", "--out", "new", "--fruits", "fruit 01"],

@@ -240,7 +240,7 @@ class Future:
 
 
 class Ros:
-    """Stand-ins for the ROS functions of the node; `spin` runs when the node spins."""
+    """Replacements for ROS functions; `spin` runs when the node spins."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, spin: Callable[[Ros], None]) -> None:
         self.calls: dict[str, Any] = {}

@@ -1,4 +1,4 @@
-"""A job's files are written together or not at all, whatever the terminal accepts."""
+"""A job's files are written together or not at all, on any terminal."""
 
 from __future__ import annotations
 

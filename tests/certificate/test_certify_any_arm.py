@@ -75,7 +75,7 @@ def scene_of(robot: Robot, trajectory: Trajectory, obstacles, clearance: float) 
 
 
 def random_obstacles(rng: np.random.Generator, count: int) -> list:
-    """Obstacles around the arm, some of which it may touch."""
+    """Obstacles around the arm; it may touch some of them."""
     found = []
     for number in range(count):
         direction = rng.normal(size=3)
@@ -99,7 +99,7 @@ def random_obstacles(rng: np.random.Generator, count: int) -> list:
 def least_distances(robot: Robot, obstacles, bezier: np.ndarray, looks: int) -> tuple[float, float, float]:
     """Minimum distances at many samples of a motion, by coal alone.
 
-    From obstacles; of checked pairs of the robot that keep the clearance; of those that only must not touch.
+    From obstacles; of checked self-pairs with the clearance; of self-pairs that only must not touch.
     """
     shapes, pairs = body_shapes(robot), self_pairs(robot)
     geometry = pin.GeometryModel()

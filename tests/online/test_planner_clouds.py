@@ -131,7 +131,7 @@ def test_a_cloud_that_is_removed_has_seen_nothing(robot):
 
 @pytest.fixture
 def new_clouds():
-    """Counts live clouds and their blocks, without those of earlier tests."""
+    """Counts live clouds and their blocks, except clouds of earlier tests."""
     gc.collect()
     gc.freeze()
     yield lambda: Counter(type(o) for o in gc.get_objects() if isinstance(o, (PointCloud, Cloud, PointBlocks)))

@@ -61,7 +61,7 @@ def moved(spline, unknowns, time_scale):
 
 
 def values_of(rows, unknowns, time_scale):
-    """What each side of a program is over its right-hand side."""
+    """Ratio of left to right side of each constraint of a program."""
     value = np.zeros(len(rows.upper))
     for row, (start, end) in enumerate(zip(rows.starts[:-1], rows.starts[1:], strict=True)):
         value[row] = rows.entries[start:end] @ unknowns[rows.columns[start:end]]
@@ -108,7 +108,7 @@ def test_the_program_is_the_limits_to_first_order_in_step_and_time_scale(robot, 
         kinematic_sides(moved(spline, unknowns, time_scale), limits, time_scale),
     )
     assert len(sides(np.zeros(count), 1.0)) == len(here) == 2 * (3 * (PIECES + 3) - 12) * 2
-    # In whatever order: each value, and its change.
+    # In any order: each value, and its derivative.
     order, other = np.argsort(here), np.argsort(sides(np.zeros(count), 1.0))
     np.testing.assert_allclose(sides(np.zeros(count), 1.0)[other], here[order], atol=1e-9)
     change = (sides(unknowns, time_scale) - sides(np.zeros(count), 1.0))[other]

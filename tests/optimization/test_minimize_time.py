@@ -204,7 +204,7 @@ def test_a_motion_that_keeps_the_program_keeps_the_limits(motion, limits, robot)
     both = len(rows.lower)
     for _ in range(200):
         unknowns = rng.uniform(-TRUST, TRUST, count)
-        # The least time scale at which the program's limits are kept.
+        # Minimum time-scaling factor that satisfies the program's limits.
         value = matrix[:both, :-1] @ unknowns
         with np.errstate(divide="ignore", invalid="ignore"):
             needed = np.maximum(value - rows.upper[:both], -value - rows.lower) / -rows.time_scale[:both]
@@ -241,7 +241,7 @@ def test_clearances_less_what_tracking_errors_take_follow_step_and_time_scale(mo
     expected = -(matrix[both:, :-1] @ unknowns + matrix[both:, -1] * by) * SCALE
     np.testing.assert_allclose(change[touched], expected, atol=2e-9 + 1e-3 * np.abs(expected).max())
     assert (np.abs(matrix[both:, -1]).max() > 0.0) == (len(sway) > 0)
-    if not len(sway):  # where there is more than the margin, the margin is asked for
+    if not len(sway):  # the margin is required if the clearance exceeds it
         spare = (here[touched] - rows.upper[both:] * SCALE)[here[touched] > 2.0 * MARGIN]
         np.testing.assert_allclose(spare, MARGIN, atol=1e-12)
 

@@ -77,7 +77,7 @@ def samples_of(path, spacing=2e-3):
 
 
 def assert_kept(robot, checker, path, start, goal):
-    """Ends kept, within the joint limits, clear under dense sampling, and the base where it was."""
+    """Check ends, joint limits, clearance at dense samples, and the base."""
     samples = samples_of(path)
     if not isinstance(path, SplinePath):
         np.testing.assert_array_equal(path[[0, -1]], [start, goal])
@@ -126,7 +126,10 @@ def test_shortened_reference_path(robot, field, checker, grid_path, margin):
 
 
 def test_shortened_random_paths(robot):
-    """Wandering paths among random balls: those that are clear stay so and never grow, locked joints stay."""
+    """Shortened clear paths among random balls stay clear and never grow.
+
+    Locked joints stay.
+    """
     rng = np.random.default_rng(5)
     seen = 0
     while seen < 25:
@@ -299,11 +302,11 @@ def test_random_clear_paths(robot, options, smoothed):
         assert_same(found, smoothed(path, field, options))
 
 
-# Straight motions, and what is far away
+# Straight motions, and distant obstacles
 
 
 def test_clear_straight_motion_stays_straight(robot, options):
-    """Where one joint takes longest anyway, the straight line is as fast as any: no search, whatever way led there."""
+    """If one joint limits the duration the straight line is optimal: no search."""
     free = replace(options, movable=np.arange(4))
     field = ClearanceField.of(robot, [Sphere(name="far", center=(-1.5, 0.0, 1.0), radius=0.1)])
     start, end = np.array([0.0, 0.4, 0.3, 0.2]), np.array([1.0, 0.7, 0.3, 0.3])

@@ -86,7 +86,7 @@ def test_the_dense_search_is_refused_where_there_is_no_grid(arm: Robot) -> None:
 
 
 def test_a_table_in_which_the_foot_stands_is_refused(arm: Robot) -> None:
-    """The first thing that a newcomer plans among: it is told which obstacle, which link and how deep."""
+    """A common first scene: the error names obstacle, link and depth."""
     table = Box(name="table", center=(0.0, 0.0, -0.1), size=(1.0, 1.0, 0.1))
     with pytest.raises(
         InputError, match=r"'table' is .* deep in the robot's 'base_link', which does not move: move the"

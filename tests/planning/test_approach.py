@@ -42,7 +42,7 @@ class Told:
 
 @pytest.fixture(scope="module")
 def plans(robot: Robot) -> dict[str, tuple[Scene, PlanResult, Told]]:
-    """Plans of scenes, with what they would be with a stop."""
+    """Plans of scenes, with the same plans with a stop."""
     found = {}
     with pytest.MonkeyPatch.context() as patch:
         for name in SCENES:
@@ -61,7 +61,7 @@ def plans(robot: Robot) -> dict[str, tuple[Scene, PlanResult, Told]]:
 
 
 def seam_of(result: PlanResult) -> int:
-    """The row at which the approach begins."""
+    """The sample where the approach begins."""
     approach = next(phase for phase in result.phases if phase.name == "approach")
     return int(np.argmin(np.abs(result.trajectory.time - approach.start_s)))
 
@@ -96,7 +96,7 @@ def test_the_approach_begins_in_motion_and_is_straight_and_smooth(robot: Robot, 
     step = np.diff(motion.time)[0]
     jerk = np.diff(motion.acceleration[near], axis=0) / step
     assert (np.abs(jerk) <= robot.jerk_limit * 1.0005).all()
-    # The rows' velocities and accelerations are those of their positions.
+    # The samples' velocities and accelerations are the derivatives of their positions.
     mean = 0.5 * (motion.velocity[1:] + motion.velocity[:-1])[near]
     slip = np.diff(motion.position, axis=0)[near] / step - mean
     assert (np.abs(slip) <= robot.jerk_limit * step**2 / 12.0 + 1e-6).all()
@@ -240,7 +240,7 @@ def test_a_start_in_motion_at_its_goal(robot):
 
 
 def test_slower_than_the_start(robot):
-    """A fraction of full speed at which the arm moves already."""
+    """At a fraction of full speed below the current speed."""
     row = int(np.abs(running().trajectory.velocity).max(axis=1).argmax())
     scene = begun(row)
     assert_goes_on(scene, plan(robot, scene, PlanOptions(speed=0.3)))

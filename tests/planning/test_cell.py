@@ -41,7 +41,7 @@ FROM, TO = (-40.0, 60.0, 60.0, 60.0), (40.0, 60.0, 60.0, 60.0)
 
 
 def facing(robot, distance: float, start=TO, goal=FROM, **more) -> Cell:
-    """Two harvesters that look at each other; where they are near, their straight motions meet."""
+    """Two harvesters facing each other; if close, their straight motions collide."""
     left = CellRobot(name="left", start=Start(joints_deg=FROM), goal=Goal(joints_deg=TO))
     right = CellRobot(
         name="right", position=(distance, 0.0, 0.0), rpy_deg=(0.0, 0.0, 180.0), start=Start(joints_deg=start),
@@ -154,7 +154,7 @@ def test_one_begins_later_where_that_is_all_there_is(robot, monkeypatch, error):
 
 @pytest.mark.parametrize("right", [{"start": FROM, "goal": TO}, {"start": (0.0, 60.0, 60.0, 60.0), "goal": None}])
 def test_arms_go_around_others_that_stand_and_step_aside(robot, monkeypatch, right):
-    """Both are where the other is to be; or one stays in the way of the other."""
+    """Each is at the other's goal; or one blocks the other."""
 
     def none(*_):
         raise CertificationError("none")

@@ -1,4 +1,7 @@
-"""Bounds of durations: exact where that is known, below every certified motion; their joints, cells and searches."""
+"""Duration bounds: exact in known cases, below all certified motions; their parts.
+
+The parts are joints, cells and searches.
+"""
 
 from __future__ import annotations
 
@@ -318,7 +321,7 @@ def test_so_they_are_whatever_the_joints_without_an_axis_do(robot: Robot) -> Non
 
 
 def test_so_they_are_of_an_arm_of_meshes() -> None:
-    """Whose depths are those of hulls, and which has joints without an axis."""
+    """Its depths are between hulls, and some joints have no axis."""
     arm, order = load_robot("panda"), [0, 1, 3]
     start, goal = (tuple(np.radians(q)) for q in ([-10, 20, 0, -90, 0, 100, 0], [10, 25, 5, -80, 5, 105, 5]))
     board = Box(name="board", center=(0.4, 0.0, 1.0), size=(0.8, 0.5, 0.5))
@@ -346,7 +349,7 @@ def excluded_are_in_contact(
 
 
 def test_no_obstacle_is_taken_for_larger_than_it_is(robot: Robot) -> None:
-    """A cylinder least of all, of which kernels see the prism about it."""
+    """Least of all a cylinder, which the kernels enclose in a prism."""
     random = np.random.default_rng(9)
     for solid in OBSTACLES.values():
         scene = task([0, 5, 0, 0], [0, 80, 5, 5], [solid], clearance=0.01)

@@ -68,7 +68,7 @@ def test_straight_motion_without_search(robot: Robot) -> None:
 
 
 def around_the_bar() -> Scene:
-    """A bar in the arm plane above start and below goal: past it only beside it."""
+    """A bar in the arm plane above start and below goal: the only path is around it."""
     bar = Sphere(name="ball", center=(1.3, 0.0, 1.6), radius=0.15)
     return task((0.0, 10.0, 10.0, 10.0), (0.0, 70.0, 10.0, 10.0), [bar])
 
@@ -85,7 +85,7 @@ def test_base_moves_where_the_plane_is_closed(robot: Robot) -> None:
 
 @pytest.mark.parametrize("turned_deg", [0.0, 8.0])
 def test_base_moves_whenever_that_is_better(robot: Robot, turned_deg: float) -> None:
-    """The ball of the reference scene: in the plane the arm folds around it, beside it it need not."""
+    """The ball of the reference scene: folding in the plane, or turning the base."""
     ball = Sphere(name="ball", center=at(0.5 * turned_deg, 1.0, 1.9), radius=0.15)
     scene = task((0.0, 0.0, 0.0, 0.0), (turned_deg, 45.0, 60.0, 70.0), [ball])
     free = plan(robot, scene)
@@ -103,7 +103,7 @@ def test_no_path_whatever_the_yaw(robot: Robot, enclosed: str, step_deg: float) 
         plan(robot, scene, PlanOptions(step_deg=step_deg))
     error = caught.value
     assert error.reached_cells > 0
-    # What holds the arm above and below: walls are looked for in the plane.
+    # The obstacles that block the arm above and below: walls are searched in the plane.
     assert {wall["obstacle"] for wall in error.blockers} == {"bar 0", "bar 2"}
     assert error.blockers[0]["link"] == "upper_arm"
     assert error.exit_status == 3
@@ -157,7 +157,7 @@ def test_tracking_error_and_clearance(robot: Robot) -> None:
 
 @pytest.mark.parametrize("sigmas", [0.0, 1.0, 3.0])
 def test_uncertain_obstacles_are_passed_farther_away(robot: Robot, sigmas: float) -> None:
-    """By a multiple of what their places are known to, and not much more."""
+    """By a multiple of their standard deviation, and not much more."""
     sure, vague = post("sure", 20.0, 1.3, 0.0, 1.9), post("vague", 40.0, 1.3, 0.0, 1.9, sigma=0.02)
     scene = task(START, GOAL, [sure, vague])
     result = plan(robot, scene, PlanOptions(step_deg=2.0, sigmas=sigmas))
@@ -169,7 +169,7 @@ def test_uncertain_obstacles_are_passed_farther_away(robot: Robot, sigmas: float
 
 
 def test_uncertainty_takes_the_place_of_start_and_goal(robot: Robot) -> None:
-    """No sigmas: the obstacle counts as it stands; three: the goal is too near to it."""
+    """Without sigmas the obstacle has its own size; with three the goal is too close."""
     tip = robot.tool_positions(np.radians(GOAL))
     ball = Sphere(name="ball", center=tuple(np.add(tip, (0.0, 0.0, 0.15)).tolist()), radius=0.1, sigma=0.01)
     scene = task(START, GOAL, [ball])
@@ -299,7 +299,7 @@ def test_unreachable(robot: Robot, target: Any, reason: str) -> None:
 
 
 def test_start_at_the_fruit(robot: Robot) -> None:
-    """The start touches what is to be picked: refused as any other collision."""
+    """The start touches the fruit to pick: refused like any other collision."""
     start = (40.0, 60.0, 45.0, 20.0)
     point = tuple(robot.tool_positions(np.radians(start)).tolist())
     scene = task(start, Goal(fruit="apple"), fruits=({"name": "apple", "center": point, "radius": 0.04},))

@@ -1,4 +1,4 @@
-"""The whole way: what `plan` gives back, its report and seeds, and when it refuses."""
+"""The whole pipeline: results of `plan`, reports, seeds, refusals."""
 
 from __future__ import annotations
 

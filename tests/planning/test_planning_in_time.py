@@ -123,13 +123,13 @@ def test_a_start_that_is_met_at_once_is_named(robot):
     with pytest.raises(ObstacleInTimeError) as caught:
         plan(robot, task(START, GOAL, [there], **PLANAR))
     assert caught.value.obstacle == "it"
-    # What stands still there is an error of its own, as ever.
+    # Static obstacles there raise their usual error.
     with pytest.raises(ConfigurationInCollisionError):
         plan(robot, task(START, GOAL, [wall(0.1), there.model_copy(update={"track": None, "name": "still"})]))
 
 
 def test_the_base_creeps_along_the_row(robot):
-    """Trees go by: posts that stand in a row, and a base that moves past them while the arm swings."""
+    """A row of posts moves past the creeping base while the arm swings."""
     creep = Track(times_s=(0.0, 10.0), shifts_m=((0.0, 0.0, 0.0), (0.0, 2.0, 0.0)))
     end = on_the_way(robot)
     post = Sphere(name="post", center=(float(end[0]), 0.45, float(end[2])), radius=0.2)
@@ -145,7 +145,7 @@ def test_the_base_creeps_along_the_row(robot):
 
 
 def test_a_fruit_is_picked_while_something_passes(robot):
-    """All phases are in the new timing, and the contact with the fruit is where it was on the path."""
+    """All phases have the new timing; the contact stays at its place on the path."""
     apple = Fruit(name="apple", center=(1.3, 0.3, 1.5), radius=0.04)
     still = task(START, Goal(fruit="apple"), [], fruits=(apple,))
     first = plan(robot, still)
@@ -181,7 +181,7 @@ def test_poses_that_stand_for_a_movement_are_close_together(robot):
 
 
 def test_parts_that_only_tracking_errors_bring_together(tmp_path):
-    """A mast that the upper arm touches where it is higher by a little than it may be."""
+    """A mast that the upper arm touches only with a tracking error."""
     mast = box((0.05, 0.05, 0.8), (0.3, 0.0, 1.2))
     robot = fitted(tmp_path, {"turret": [mast]}, high=(20.0, 60.0, 30.0))
     item = ball(robot, (0.0, (0.0, -1.5, 0.0)), (0.5, (0.0, 1.5, 0.0)))

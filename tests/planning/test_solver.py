@@ -1,4 +1,4 @@
-"""One motion: which goal and which try are taken, and what an earlier motion is good for."""
+"""One motion: choice of goal and attempt, and reuse of an earlier motion."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Robots by name, trees of joints, what an SRDF says; their dynamics against Pinocchio, least durations."""
+"""Robots by name, trees of joints, SRDF entries; dynamics against Pinocchio, durations."""
 
 from __future__ import annotations
 

@@ -61,7 +61,7 @@ def cluttered(rng: np.random.Generator) -> list[Solid]:
 
 
 def keeps_clear(certificate: Certificate) -> bool:
-    """Whether clearance is shown, whatever the limits say."""
+    """True if the clearance is certified, regardless of limits."""
     return not any(violation.startswith("link") for violation in certificate.violations)
 
 
@@ -158,7 +158,10 @@ def test_jerks_on_the_spot_count_by_their_speed(robot: Robot, scene: Scene) -> N
 
 
 def test_the_upper_arm_keeps_what_it_may_sway_itself(robot: Robot) -> None:
-    """A ball 60 mm beside the upper arm: that sways 35 mm with 1 deg a joint, the tool 105 mm, and nowhere near it."""
+    """A ball 60 mm from the upper arm, far from the tool.
+
+    The upper arm is displaced by at most 35 mm with 1 deg per joint, the tool by 105 mm.
+    """
     along = math.radians(57.0)
     center = 0.5 * math.cos(along), 0.16, 0.6 + 0.5 * math.sin(along)
     scene = Scene(

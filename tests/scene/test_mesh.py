@@ -266,7 +266,7 @@ def sheet(rng: np.random.Generator, thickness: float) -> tuple[np.ndarray, np.nd
 @settings(max_examples=8)
 @given(st.integers(0, 10_000))
 def test_sheets_among_solids_are_held(seed):
-    """All points of all triangles, of panels and leaves too, beside, through and on solids."""
+    """All points of panels and leaves, next to, through and on solids."""
     rng = np.random.default_rng(seed)
     filled = rng.random((2, 2, 2)) < 0.6
     filled[0, 0, 0] = True

@@ -138,7 +138,7 @@ def test_hull_of_a_block():
     assert sorted(map(tuple, hull.planes)) == sorted(
         [(1, 0, 0, 1), (-1, 0, 0, 0), (0, 1, 0, 2), (0, -1, 0, 0), (0, 0, 1, 3), (0, 0, -1, 0)]
     )
-    # Twelve edges; the diagonals of the sides are none.
+    # Twelve edges, without the diagonals of the sides.
     assert sorted(np.linalg.norm(hull.edges[:, 3:], axis=1)) == [1] * 4 + [2] * 4 + [3] * 4
     assert not hull.core.flags.writeable
     assert not hull.planes.flags.writeable

@@ -140,7 +140,7 @@ def test_start_is_tucked_away_from_trees_and_vehicle(grown, robot):
     options, scene = grown
     start = scene.start.joints()
     assert scene.start.joints_deg == TUCKED_DEG
-    # At any yaw the arm is behind its axis or beside it.
+    # At any yaw the arm is behind its axis or to the side of it.
     obstacles = [o for o in (*scene.obstacles, *balls(scene)) if o.name not in ("vehicle", "ground")]
     assert CoalScene(robot, obstacles).distances(start).min() > 0.3
     if options.vehicle:
@@ -209,7 +209,7 @@ BRANCHES = [
 ]
 TREE = [TRUNK, *BRANCHES]
 
-#: Gap between a fruit and wood that it touches: none, or what rounding to tenths of a millimetre leaves.
+#: Gap between a fruit and wood in contact: zero up to rounding to tenths of a millimetre.
 TOUCHING = (-1e-9, 2e-4)
 
 

@@ -1,4 +1,4 @@
-"""Scene files: what they hold, what is refused, how large they may be."""
+"""Scene files: contents, refusals, maximum size."""
 
 from __future__ import annotations
 

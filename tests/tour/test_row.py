@@ -1,4 +1,4 @@
-"""Rows: stops chosen by set cover, tours at each, and what is told of them."""
+"""Rows: stops chosen by set cover, tours at each, and their report."""
 
 from __future__ import annotations
 

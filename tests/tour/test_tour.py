@@ -137,7 +137,7 @@ def assert_sound(robot: Robot, scene: Scene, result: TourResult) -> None:
 
 
 def checkers(robot: Robot, scene: Scene, result: TourResult) -> Callable[[float], CoalScene]:
-    """What is still there at a time, in coal."""
+    """The remaining obstacles at a time, in coal."""
     made: dict[int, CoalScene] = {}
 
     def at(time: float) -> CoalScene:
@@ -241,7 +241,10 @@ def test_a_link_beside_the_tool_holds_what_the_tool_carries(robot: Robot) -> Non
 
 
 def test_gap_that_only_the_empty_arm_fits_into(robot: Robot) -> None:
-    """Beside the fruit, 35 mm from the last link's axis on both sides: 30 mm thick empty, 40 mm as it carries."""
+    """Next to the fruit, 35 mm from the last link's axis on both sides.
+
+    The link is 30 mm thick empty, 40 mm with a fruit.
+    """
     x, y, z = fruit(robot, "a", (0.0, 30.0, 40.0, 20.0)).center
     sides = [Sphere(name=f"side {s}", center=(x, y + s * 0.085, z), radius=0.05) for s in (-1, 1)]
     between = fruit(robot, "between", (0.0, 30.0, 40.0, 20.0))
@@ -253,7 +256,7 @@ def test_gap_that_only_the_empty_arm_fits_into(robot: Robot) -> None:
     assert {o["obstacle"] for o in result.unreached[0].error.obstacles} <= {"side -1", "side 1"}
 
 
-# What is not picked
+# Fruits that are not picked
 
 
 def test_unreachable_fruits_are_listed_with_reasons(robot: Robot) -> None:
@@ -304,7 +307,7 @@ def test_no_fruit_at_all_is_an_error_with_all_reasons(robot: Robot) -> None:
 
 
 def moves_of_seconds(robot: Robot, seconds: dict[tuple[int, int], float], stops: Sequence[Stop]) -> Moves:
-    """Moves among stops of which some motions are there already, named by their ends."""
+    """Moves among stops; some motions are known, named by their ends."""
     scene = orchard(robot, fruits=False)
     moves = Moves(Problem.of(robot, scene, OPTIONS), None)
     for stop in stops:
@@ -337,7 +340,7 @@ def test_motions_are_joined_where_that_is_quicker(robot: Robot) -> None:
 
 
 def test_joins_are_those_over_all_stops_at_once() -> None:
-    """Beside sweeps over all stops, as motions come one after the other, some of them twice."""
+    """Against sweeps over all stops, as motions arrive in sequence, some of them twice."""
     rng = np.random.default_rng(3)
     for _ in range(20):
         stops = rng.permutation(60)[:18].tolist()
@@ -503,7 +506,7 @@ def random_costs(
 
 
 def cost_of(costs: Costs, visits: Visits) -> float:
-    """What a tour costs, counted leg by leg; infinite if it carries too much."""
+    """Cost of a tour, leg by leg; infinite if it exceeds the capacity."""
     total, load = costs.first[visits.places[0]], 1
     for a, b, over in zip(visits.places, visits.places[1:], visits.dropped, strict=False):
         total += costs.drop[a] + costs.away[b] if over else costs.onward[a, b]
@@ -588,7 +591,7 @@ def test_every_change_costs_what_the_changed_order_does(capacity: int) -> None:
             assert (other[0], sorted(other[1:-1]), other[-1]) == (n, list(range(n)), n + 1)
             trial = ordering._trial(order, ends, (kind, i, j), known, here)
             assert trial == pytest.approx(ordering._cost(other[1:-1], costs, table), rel=1e-12)
-            # What is written anew where the order has changed is what is written of all of it.
+            # Updating the changed part equals computing everything.
             anew = ordering.Segments(*(array.copy() for array in known))
             whole = ordering.Segments(*(np.full(shape, np.nan) for shape in shapes))
             ordering._fill_segments(other, ends, (min(i, j), ordering._after((kind, i, j))), anew)

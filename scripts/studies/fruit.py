@@ -16,7 +16,7 @@ from hplan.planning.options import PlanOptions
 from hplan.scene.file import load_scene
 from hplan.scene.model import Goal, Scene
 
-#: Deadlines [ms], and by which share of one an answer is late.
+#: Deadlines [ms], and the multiple of a deadline beyond it counts as late.
 DEADLINES_MS, LATE = (20.0, 50.0, 100.0), 1.1
 
 

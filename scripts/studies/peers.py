@@ -27,19 +27,19 @@ from hplan.planning.world import World
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 
-#: What a planner has to find a path, and to simplify it [s of CPU]; what motions of its path keep [m].
+#: CPU time for a planner to find a path, and to simplify it [s]; clearance required of the motions of its path [m].
 PATIENCE_S, SIMPLIFY_S, MARGIN_M = 10.0, 1.0, 1e-5
 
 #: A share of a limit that counts as beyond it: cubics between a peer's rows of 5 ms add up to a tenth.
 _OVER = 1.2
 
-#: Fraction of the space's extent by which OMPL steps along motions unless it is told otherwise.
+#: OMPL's default step along motions, as a fraction of the space's extent.
 RESOLUTION = 0.01
 
 #: Numbers of shortcuts after which a polyline is tried with stops at its corners.
 _SHORTCUTS = (0, 5, 10, 20, 40, 80, 200)
 
-#: Grid points at which toppra chooses the path speed: so many on the whole path, and on each of its segments.
+#: Number of grid points of toppra's path speed: on the whole path, and on each of its segments.
 _GRID_POINTS, _GRID_POINTS_EACH = 300, 10
 
 
@@ -131,9 +131,9 @@ def ompl_path(
 
 
 def solve(setup: Any, seconds: float) -> bool:
-    """Whether a `SimpleSetup` finds a path within so much CPU time [s].
+    """True if a `SimpleSetup` finds a path within a CPU time [s].
 
-    Where an end is in collision OMPL sleeps, which takes no CPU time: it is woken by the clock.
+    If an end is in collision OMPL sleeps without CPU time: a wall-clock timer wakes it.
     """
     until_s, patience_s = time.thread_time() + seconds, time.monotonic() + 1.5 * seconds
     setup.solve(
@@ -148,7 +148,7 @@ def world_of(robot: Robot, scene: Scene) -> World:
 
 
 def finished_s(robot: Robot, scene: Scene, path: FloatArray | None) -> float | None:
-    """Duration of the certified motion that hplan makes of somebody's path; None where there is none [s]."""
+    """Duration of hplan's motion along a peer's path, or None [s]."""
     if path is None:
         return None
     found = or_error(lambda: finish(robot, scene, path))
@@ -156,10 +156,11 @@ def finished_s(robot: Robot, scene: Scene, path: FloatArray | None) -> float | N
 
 
 def peer_row(asked: Asked, robot: Robot, scene: Scene, duration_s: float | None, seconds: float = PATIENCE_S) -> Row:
-    """What the planner asked for makes of a scene: its path, splines through it, the same finished by hplan.
+    """Results of a peer for a scene, with hplan's motions.
 
-    `to_spline` and `to_peer` are the durations of hplan's motion to that of toppra's on a cubic spline through the
-    path, whether it touches something or not, and to that of the path finished.
+    They are for its path, for splines through it, and for its path finished by hplan. `to_spline` and `to_peer` are the
+    ratios of the duration of hplan's motion to toppra's on a cubic spline through the path, with or without contact,
+    and to hplan's motion along the peer's path.
     """
     if asked.peer is None:
         return {}
@@ -180,7 +181,10 @@ def peer_row(asked: Asked, robot: Robot, scene: Scene, duration_s: float | None,
 
 
 def roboplan_row(asked: Asked, robot: Robot, scene: Scene, duration_s: float | None) -> Row:
-    """What roboplan makes of a scene: CPU of path, shortcuts and timing; the arm is loaded before."""
+    """Results of roboplan for a scene: CPU times of all steps.
+
+    The steps are path, shortcuts and timing; the arm is loaded before.
+    """
     from studies.roboplan_peer import RoboplanArm
 
     arm = RoboplanArm(robot, scene, asked.seed + 1)

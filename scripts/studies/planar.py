@@ -51,9 +51,10 @@ class PlanarScene:
 
 
 def random_scene(robot: Robot, seed: int, number: int) -> PlanarScene:
-    """A scene of 1 to 12 discs within reach, with start and goal drawn from the free nodes.
+    """A random scene of 1 to 12 discs within reach.
 
-    Discs in which pedestal or turret stand are no problem of planning, which refuses them: they are drawn anew.
+    Start and goal are random free nodes. Discs that overlap pedestal or turret are drawn anew, since planning refuses
+    them.
     """
     random = np.random.default_rng([seed, number])
     grid = joint_grid(robot.arm, np.radians(STEP_DEG))
@@ -108,7 +109,7 @@ def planar_scene(robot: Robot, name: str, discs: list[Sphere], start: FloatArray
 
 
 def _clutter(asked: Asked, number: int) -> Row:
-    """Both searches, the motion, and what else becomes of the grid path."""
+    """Results of both searches, the motion, and other post-processing."""
     robot = asked.arm()
     drawn = random_scene(robot, asked.seed, number)
     fast_runs = [timed(lambda: two_level_search(drawn.space, drawn.start, drawn.goal)) for _ in range(3)]

@@ -63,7 +63,7 @@ class RoundedPolygon:
     """The hull of `vertices` grown by `radius`: a planar convex set.
 
     Attributes:
-        vertices: (k, 2) points [m], counter-clockwise where there are three or more.
+        vertices: (k, 2) points [m], counter-clockwise for three or more.
         radius: Rounding [m].
     """
 

@@ -29,7 +29,7 @@ from hplan.scene.obstacles import Box, Capsule, Cylinder, Obstacle, Sphere
 with extra("bench", "a peer needs roboplan"):
     from roboplan import core, rrt, toppra
 
-#: What obstacles are part of, and their colour.
+#: Parent frame of the obstacles, and their colour.
 _WORLD, _COLOR = "universe", np.ones(4)
 
 #: Group of all joints; most nodes of a tree, and seconds for it; steps between rows of a trajectory [s].

@@ -62,7 +62,7 @@ def test_bound_holds_and_is_close_for_random_rows(name, tmp_path, tmp_path_facto
         true = sampled(robot, bezier, duration, 400)
         assert (bound >= np.abs(true).max(axis=(0, 1)) * (1.0 - 1e-12)).all()
         share = (bound / robot.torque_limit).max()
-        # Excess between samples of a 400th, near the maximum: at most the excess of a parabola through three neighbours.
+        # Excess between samples of a 400th, near the maximum: at most the excess of a parabola through three samples.
         between = np.abs(np.diff(true, 2, axis=1)).max() / 8.0 / robot.torque_limit.min()
         assert share <= joint_share(robot, true) + GAP + 2.0 * between
 

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from rich.console import Console
     from studies.harness import Asked, Study
 
-#: Where each study is.
+#: Module of each study.
 STUDIES = {
     "reference": "reference:REFERENCE",
     "cspace": "validation.kinds:CSPACE",

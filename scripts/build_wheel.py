@@ -75,7 +75,10 @@ def built(project: Path, what: str, folder: Path) -> Path:
 
 
 def unpacked(source: Path, work: Path) -> Path:
-    """The folder in a source distribution: the wheel is built of that, so that it is seen to be whole."""
+    """The folder of a source distribution, from which the wheel is built.
+
+    This verifies that the source distribution is complete.
+    """
     with tarfile.open(source) as archive:
         archive.extractall(work, filter="data")
     return work / source.name.removesuffix(".tar.gz")
@@ -107,7 +110,7 @@ def add_kernels(site: Path, work: Path, processes: int) -> int:
 def packed(site: Path, pure: str, out: Path) -> Path:
     """The wheel of a folder, named and marked as one for this Python and platform."""
     python = f"cp{sys.version_info.major}{sys.version_info.minor}"
-    # Besides libm and numba's helpers kernels call clock_gettime, in glibc since 2.17: the tag (PEP 600).
+    # Apart from libm and numba's helpers kernels call clock_gettime, in glibc since 2.17: the tag (PEP 600).
     system = sysconfig.get_platform().replace("-", "_").replace(".", "_").replace("linux", "manylinux_2_17")
     tag = f"{python}-{python}-{system}"
     about = next(site.glob("*.dist-info"))

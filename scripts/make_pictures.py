@@ -164,7 +164,7 @@ def _moving(result: Any) -> bytes:
 
 
 def _standing(result: Any) -> bytes:
-    """A PNG of where a motion is after half of its time."""
+    """A PNG of a motion at half of its duration."""
     page = render_page(*playable(result))
     return _png(Image.open(io.BytesIO(still(page, _MIDDLE))), result.trajectory.duration)
 
@@ -243,7 +243,7 @@ def _example(folder: Path, name: str) -> None:
 
 
 def _shown(result: Any) -> tuple[str | None, Any]:
-    """The page of a result, and a figure where that says more than the page's picture."""
+    """The page of a result, and a figure if it is better than the page's picture."""
     if motions := result if isinstance(result, list) else getattr(result, "motions", []):
         return _shown(motions[-1])
     if isinstance(result, hplan.StudyResult):

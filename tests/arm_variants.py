@@ -51,9 +51,9 @@ OFFSETS: dict[str, tuple[str, tuple[float, ...], tuple[float, ...]]] = {
 
 
 def load_variant(name: str, folder: Path) -> Robot:
-    """Write the URDF of a variant into a folder and load it; joints may turn by +-2.5 rad, the yaw by +-3.
+    """Write the URDF of a variant into a folder and load it.
 
-    Links pass through one another, so that a test is of obstacles alone.
+    Joints may turn by +-2.5 rad, the yaw by +-3. Self-collision is disabled, so that tests are about obstacles alone.
     """
     has_yaw, xyz, rpy, axes = VARIANTS[name]
     foot, aside, body = OFFSETS.get(name, ("0 0 0", (0.0,) * len(axes), (0.0,) * len(axes)))
@@ -118,7 +118,7 @@ def link_axes(robot: Robot, q: np.ndarray) -> np.ndarray:
 
 
 def random_obstacles(rng: np.random.Generator, count: int = 6) -> list[Sphere | Capsule | Box]:
-    """Spheres, capsules and turned boxes in turn, where the arms above reach."""
+    """Spheres, capsules and rotated boxes in turn, within reach of the arms above."""
     obstacles: list[Sphere | Capsule | Box] = []
     for index in range(count):
         center = rng.uniform([-1.8, -1.8, -0.6], [1.8, 1.8, 2.0])

@@ -140,7 +140,7 @@ class Bodies:
         self.pairs = [pair for pair, ever in zip(pairs, apart, strict=True) if ever]
 
     def _neighbours(self, a: int, b: int) -> bool:
-        """Whether two shapes are of links that share a joint."""
+        """True if two shapes belong to links that share a joint."""
         low, high = sorted((self.shapes[a][0], self.shapes[b][0]))
         return low >= self.moving and high == low + 1
 
@@ -154,11 +154,14 @@ class Bodies:
         return np.array([distance(*placed[a], *placed[b]) for a, b in (self.pairs if pairs is None else pairs)])
 
     def clearance(self, q, obstacles=()) -> float:
-        """Least distance of any pair, and of any body that moves from any obstacle (geometry, transform)."""
+        """Minimum distance of all pairs and of moving bodies from obstacles.
+
+        Obstacles are pairs of geometry and transform.
+        """
         return min(float(self.distances(q).min(initial=math.inf)), self.from_obstacles(q, obstacles))
 
     def from_obstacles(self, q, obstacles) -> float:
-        """Least distance of any body that moves from any obstacle (geometry, transform)."""
+        """Minimum distance of moving bodies from obstacles (geometry, transform)."""
         pin.forwardKinematics(self.robot.model, self.data, np.asarray(q, dtype=float))
         found = []
         for joint, _, geometry, placement in self.shapes:

@@ -33,7 +33,7 @@ README = ROOT / "README.md"
 PAGES = [README, *sorted((ROOT / "docs").glob("*.md"))]
 EXTRAS = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["optional-dependencies"]
 
-#: Brought by extras that not everybody has: blocks that import them are left out without.
+#: Optional extras: blocks that import them are skipped without them.
 OPTIONAL = {"ompl"}
 
 
@@ -150,7 +150,7 @@ def test_what_a_page_names_is_there(page: Path) -> None:
     made = re.compile("docs/_build|NAME")
     assert [name for name in named if not (made.search(name) or (ROOT / name).exists())] == []
     for link in re.findall(r"\]\(([^)#:]+)(?:#[\w-]+)?\)", text):
-        is_made = link.startswith("generated/")  # the site's build looks at these, and at all headings
+        is_made = link.startswith("generated/")  # the site's build checks these, and all headings
         assert is_made or (page.parent / link).exists(), link
 
 

@@ -158,7 +158,7 @@ def test_ros2_node() -> None:
     node = runpy.run_path(str(EXAMPLES / "ros2_node.py"))
     points = np.random.default_rng(0).normal(size=(2, 3, 3)).astype(np.float32)
     points[1, 2] = np.nan
-    data = np.zeros((2, 3 * 20 + 4), dtype=np.uint8)  # 20 bytes a point, x at 4; 4 bytes after each row
+    data = np.zeros((2, 3 * 20 + 4), dtype=np.uint8)  # 20 bytes per point, x at 4; 4 bytes after each row
     for row, column in np.ndindex(2, 3):
         data[row, 20 * column + 4 : 20 * column + 16] = points[row, column].view(np.uint8)
     field, cloud = (store.types[f"sensor_msgs/msg/{name}"] for name in ("PointField", "PointCloud2"))

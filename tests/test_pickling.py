@@ -1,4 +1,4 @@
-"""Errors and results travel: between processes, in pickles and copies, and are of use where they arrive."""
+"""Errors and results in pickles, copies and other processes stay usable."""
 
 from __future__ import annotations
 

@@ -52,10 +52,10 @@ STEPS_IN_S, STAYS_S = 4.0, 0.5
 #: Duration and frame rate of a close look; the frames are averaged [s, 1/s].
 LOOK_S, CLOSE_RATE = 0.3, 30.0
 
-#: Largest error of a point 2 m away: four standard deviations, of a single frame and of a close look [m].
+#: Maximum error of a point at 2 m: four standard deviations, of a single frame and of a close look [m].
 NOISE_M, CLOSE_NOISE_M = 0.016, 0.005
 
-#: Radius of the ball about each point: half the distance between points 2 m away, and half the largest error [m].
+#: Radius of the ball around each point: half the distance between points at 2 m, and half the maximum error [m].
 RADIUS_M, CLOSE_RADIUS_M = 0.016, 0.008
 
 #: Extra clearance from points that are not known yet, so that noise in the next frame does not violate the margin [m].
@@ -70,7 +70,7 @@ RANGE_M, VOXEL_M = 6.0, 0.03
 #: The lane that the machine has driven through: free, even if unknown space is solid.
 LANE = Box(name="lane", center=(-1.0, 0.0, 1.25), size=(2.5, 6.0, 2.5))
 
-#: Radius of the smallest fruit [m].
+#: Minimum radius of a fruit [m].
 LEAST_FRUIT_M = 0.015
 
 #: How long the mast takes to bring its camera elsewhere [s], and from how many places it may look at one fruit's way.
@@ -132,7 +132,7 @@ class ControlLoop:
     """A planner, a controller and a simulated arm."""
 
     def __init__(self, scene: Scene, options: hplan.PlanOptions, unknown: Unknown = "free") -> None:
-        """Begin at the start of a scene; its obstacles are the simulation's alone, its fruits have been detected."""
+        """Start at a scene's start: the planner gets its fruits, not its obstacles."""
         robot = hplan.load_robot(scene.robot)
         home = np.array(scene.start.configuration)
         there = scene.with_(goal=Goal(joints_rad=tuple(home.tolist())))
@@ -192,7 +192,7 @@ class ControlLoop:
         self.has_looked = True
 
     def look_again(self) -> bool:
-        """Look at the way to a fruit from where most of it is seen that is not known; False if nothing helps."""
+        """View unknown space on the way to a fruit; False if useless."""
         left = [name for name in self.mast if name not in self.looked_from]
         if self.unknown == "free" or len(self.looked_from) == MOST_VIEWS:
             return False

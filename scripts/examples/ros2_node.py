@@ -77,12 +77,15 @@ class ArmState:
 
 
 def goal_of(motion: hplan.PlanResult) -> dict[str, Any]:
-    """A `control_msgs/action/FollowJointTrajectory` goal as a dict: begun as soon as it is received."""
+    """A `FollowJointTrajectory` goal as a dict, with immediate start.
+
+    The type is `control_msgs/action/FollowJointTrajectory`.
+    """
     return {"trajectory": to_joint_trajectory(motion.trajectory)}
 
 
 def outcome_of(result: Any) -> tuple[bool, str]:
-    """Whether a `FollowJointTrajectory` result says that the motion was run, and the words for it."""
+    """Success of a `FollowJointTrajectory` result, and its message."""
     meaning = ERROR_CODES.get(result.error_code, f"error code {result.error_code}")
     return result.error_code == 0, ": ".join(text for text in (meaning, result.error_string) if text)
 

@@ -1,4 +1,4 @@
-"""Two arms side by side reach into one row of trees, certified against the trees and against one another.
+"""Two arms reach into one row of trees, certified against trees and each other.
 
 python scripts/examples/two_arms.py
 """

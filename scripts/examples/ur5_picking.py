@@ -23,7 +23,7 @@ from hplan.robot.files import named_robot
 from hplan.scene import Box, Capsule, Goal, Scene
 from hplan.scene.orchard import FruitZone, MeasuredOptions, OrchardOptions, generate, measured_orchard
 
-#: A tube of 18 cm at the flange, along z of its frame; the tool frame at its mouth says where fruit is taken.
+#: A tube of 18 cm at the flange, along z of its frame; the tool frame at its mouth is the grasp point.
 SHAPE = '<origin xyz="0 0 0.09"/><geometry><cylinder radius="0.02" length="0.18"/></geometry>'
 TUBE = f"""
 <link name="tube"><visual>{SHAPE}</visual><collision>{SHAPE}</collision></link>

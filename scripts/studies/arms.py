@@ -43,7 +43,7 @@ KINDS = ((10, 8, 8, 0), (4, 4, 4, 2), (14, 0, 0, 0), (0, 16, 0, 0), (0, 0, 18, 0
 #: Clearance of start and goal, as coal has it [m].
 FREE_M = 3e-3
 
-#: Least distance of the tool at the start from that at the goal, as a fraction of the reach.
+#: Minimum distance between the tool positions at start and goal, as a fraction of the reach.
 APART = 0.4
 
 #: Distances of obstacles from the base's axis and height, as fractions of the reach.
@@ -69,7 +69,7 @@ def random_scene(robot: Robot, seed: int, number: int) -> Scene:
 
 
 def reach_of(robot: Robot, rng: np.random.Generator) -> float:
-    """Largest distance of the tool from the base, of 500 configurations [m]."""
+    """Maximum distance of the tool from the base, over 500 configurations [m]."""
     q = rng.uniform(*_ranges(robot), (500, robot.dof))
     return float(np.linalg.norm(robot.tool_positions(q), axis=1).max())
 
@@ -81,7 +81,7 @@ def scene_between(name: str, start: FloatArray, goal: FloatArray, obstacles: Seq
 
 
 def _ranges(robot: Robot) -> tuple[FloatArray, FloatArray]:
-    """(dof,) lower and upper ends of the joint ranges, at most half a turn to either side."""
+    """(dof,) lower and upper joint limits, at most half a turn to either side."""
     return np.maximum(robot.lower, -np.pi), np.minimum(robot.upper, np.pi)
 
 
@@ -155,8 +155,8 @@ def free_ends(
     return None
 
 
-#: Distances between configurations that OMPL checks, one after the other, as fractions of the space's extent; how long
-#: it has [s]; paths are looked at from outside so often, by the joint that turns farthest [rad].
+#: Resolutions of OMPL's motion checks, tried in turn, as fractions of the space's extent; its time limit [s]; distance
+#: between independent checks of a path, of the joint that moves most [rad].
 FINE, FIND_S, EVERY_RAD = (0.002, 0.0005), 5.0, 5e-3
 
 
@@ -184,7 +184,7 @@ def _random(asked: Asked, number: int) -> Row:
 
 
 def _is_clear(robot: Robot, scene: Scene, path: FloatArray) -> bool:
-    """Whether straight motions between the waypoints of a path touch nothing."""
+    """True if the straight motions between a path's waypoints are collision-free."""
     ends = itertools.pairwise(path)
     parts = [np.linspace(a, b, max(2, int(np.ceil(np.abs(b - a).max() / EVERY_RAD)) + 1)) for a, b in ends]
     return path_is_clear(robot, scene, np.concatenate(parts))
@@ -208,7 +208,7 @@ FINGERS = 0.065
 WIDENED = (('lower="0.0" upper="0.04"', 'lower="0.0" upper="0.08"'), ('upper="-0.0698"', 'upper="0.0873"'))
 
 
-#: Where the URDF is written to, which is read again.
+#: Folder of the URDF that is written and read again.
 _FOLDER = TemporaryDirectory()
 
 

@@ -42,7 +42,7 @@ from hplan.scene.solids import Hull
 #: Returns of a frame, about; frames of each motion, the first one among them, and motions in each orchard.
 SIZES, FRAMES, GOALS = (10_000, 100_000, 300_000, 1_000_000), 4, 4
 
-#: Least radius of the ball about each point, and least distance within which a point has others about it [m].
+#: Minimum radius of the ball around each point, and minimum distance within which a point needs neighbours [m].
 RADIUS_M, NEAR_M = 5e-3, 8e-3
 
 #: A point with fewer about it, itself counted, is an outlier.
@@ -83,7 +83,7 @@ class DepthCamera:
 
     @property
     def spacing_m(self) -> float:
-        """Distance of two neighbouring pixels' rays where the trees are taken to be [m]."""
+        """Distance between neighbouring pixels' rays at the assumed distance of the trees [m]."""
         return 2.0 * TREES_M * math.tan(math.radians(0.5 * VIEW_DEG)) / self.width
 
     @property
@@ -149,7 +149,7 @@ def depths(rays: FloatArray, pose: FloatArray, solids: Sequence[Solid]) -> Float
         core = (solid.core - position) @ rotation
         middle = 0.5 * (core.min(axis=0) + core.max(axis=0))
         radius = float(np.linalg.norm(core - middle, axis=1).max()) + getattr(solid, "rounding", 0.0)
-        # Only rays that pass by a ball about it are looked at.
+        # Only check rays that pass through a bounding ball.
         along = rays @ middle
         square = (rays**2).sum(axis=1)
         near = np.flatnonzero((middle @ middle - radius**2) * square <= np.maximum(along, radius) ** 2)

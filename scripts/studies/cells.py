@@ -41,7 +41,7 @@ _FINGER = "package://example-robot-data/robots/panda_description/meshes/collisio
 #: How long one problem may take [s].
 LIMIT_S = 300.0
 
-#: Times between the configurations that are looked at [s].
+#: Time between the checked configurations [s].
 LOOK_S = 2e-3
 
 
@@ -137,7 +137,7 @@ def _row(asked: Asked, problem: tuple[str, str, dict[str, Any]]) -> Row:
 
 
 def _deepest(cell: Cell, q: FloatArray) -> float:
-    """Least distance of two bodies of different arms [m], by coal, with the meshes as they are."""
+    """Minimum distance of two bodies of different arms, by coal with original meshes [m]."""
     model, geometry = cell.robot.model, between_arms(cell)
     data, seen = model.createData(), geometry.createData()
     for each in q:

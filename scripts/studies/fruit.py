@@ -64,7 +64,7 @@ def _deadlines_in_cpu_time() -> Iterator[None]:
 
 
 def _deadline_row(asked: Asked, problem: FruitProblem) -> Row:
-    """A plan without a deadline, and one with each: whether it is there in time, when it comes back, how long it is."""
+    """Plans without and with each deadline: success in time, return time, duration."""
     robot = asked.arm()
     with _deadlines_in_cpu_time():
         _, row = planned(robot, problem.scene)

@@ -30,7 +30,7 @@ from hplan.robot.model import Robot, load_robot
 #: Results for one problem.
 Row: TypeAlias = dict[str, Any]
 
-#: Groups of a summary that has all rows.
+#: Group of a summary with all rows.
 ALL = "all"
 
 #: Studies whose kernels this process has loaded.
@@ -136,7 +136,7 @@ def run(
 
 
 def _rows(study: Study, asked: Asked, warm: Sequence[Any], problem: Any) -> list[Row]:
-    """The rows of one problem; the first call in a process solves others before."""
+    """The rows of one problem; the first call in a process warms up."""
     if study.name not in _WARM:
         _WARM.add(study.name)
         for one in warm:
@@ -244,7 +244,7 @@ def compare(before: Sequence[Row], after: Sequence[Row], columns: Sequence[str])
 
 
 def read_rows(file: Path) -> list[Row]:
-    """Rows of a file that a run has written."""
+    """Read the rows that a run has written."""
     try:
         lines = [json.loads(line) for line in file.read_text(encoding="utf-8").splitlines()]
     except (OSError, ValueError) as error:

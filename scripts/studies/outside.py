@@ -1,4 +1,4 @@
-"""Motions looked at from outside: contacts by `studies.validation.judge`, limits by differences."""
+"""Independent checks of motions: contacts by `studies.validation.judge`, limits by differences."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from hplan.scene.model import Scene
 from hplan.scene.obstacle_kind import FromData
 from hplan.trajectory.trajectory import Trajectory
 
-#: Limits are looked at so often [s].
+#: Time between the samples for limits [s].
 EVERY_S = 1e-3
 
 
@@ -47,7 +47,7 @@ def contacts(robot: Robot, scene: Scene, motion: Motion) -> tuple[int, int]:
 
 
 def path_is_clear(robot: Robot, scene: Scene, path: FloatArray) -> bool:
-    """Whether no body touches anything at (n, dof) configurations close together, one after the other."""
+    """True if closely spaced (n, dof) configurations are all collision-free."""
     numbers = np.arange(len(path), dtype=np.float64)
     return not any(touching_at(robot, scene, numbers, TimedMotion(numbers[-1], lambda _: path)))
 

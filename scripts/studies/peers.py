@@ -1,6 +1,6 @@
-"""Peers: OMPL's planners with hplan's compiled distances as their checker, toppra on a spline, stops at corners.
+"""Peers: OMPL's planners with hplan's distances, toppra on a spline, stops at corners.
 
-None limits the jerk, which hplan does where the robot's limits ask for it.
+None of them limits the jerk, as hplan does if the robot has jerk limits.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from hplan.scene.model import Scene
 #: CPU time for a planner to find a path, and to simplify it [s]; clearance required of the motions of its path [m].
 PATIENCE_S, SIMPLIFY_S, MARGIN_M = 10.0, 1.0, 1e-5
 
-#: A share of a limit that counts as beyond it: cubics between a peer's rows of 5 ms add up to a tenth.
+#: Use of a limit that counts as a violation: cubics between a peer's samples of 5 ms add up to a tenth.
 _OVER = 1.2
 
 #: OMPL's default step along motions, as a fraction of the space's extent.
@@ -75,15 +75,16 @@ def ompl_path(
     seconds: float = PATIENCE_S,
     resolution: float | None = None,
 ) -> FloatArray | None:
-    """(m, dof) the simplified path of a planner; None where it found none in time.
+    """(m, dof) the simplified path of a planner; None if not found in time.
 
     Args:
-        scene: Start, and joints that are locked.
+        world: Arm and obstacles.
+        scene: Start and locked joints.
         goal: (dof,) configuration.
-        planner: RRTConnect stops at its first path, BITstar when time is up.
-        seconds: CPU time to find it.
-        resolution: Distance between configurations that are checked, as a fraction of the space's extent, as OMPL has
-            it; a path may then touch something in between. None to have each motion verified by hplan's kernel.
+        planner: RRTConnect stops at its first path, BITstar at the time limit.
+        seconds: CPU time to find the path.
+        resolution: Distance between checked configurations, as a fraction of the space's extent, as in OMPL; a path may
+            then be in contact between them. None to verify each motion with hplan's kernel.
     """
     base, geometric, _ = ompl()
     robot, begin = world.robot, scene.start.configuration
@@ -251,10 +252,10 @@ def toppra_motion(robot: Robot, path: FloatArray, *, defaults: bool = False) -> 
 
 
 def quickest_polyline(robot: Robot, path: FloatArray, field: ClearanceField) -> FloatArray:
-    """The shortened path that is quickest with stops at its corners, after more or fewer shortcuts.
+    """The shortened path that is fastest with stops at its corners.
 
-    Many shortcuts give the shortest path, but one with many corners; without any it goes from each waypoint to the
-    farthest that can be seen.
+    It is chosen among paths after more and fewer shortcuts. Many shortcuts give the shortest path, but many corners;
+    without any it goes from each waypoint to the farthest visible one.
     """
     polylines = [shorten(path, field, margin=MARGIN_M, rounds=rounds) for rounds in _SHORTCUTS]
     return min(polylines, key=lambda polyline: stopping_duration(robot, polyline))
@@ -263,7 +264,7 @@ def quickest_polyline(robot: Robot, path: FloatArray, field: ClearanceField) -> 
 def stopping_duration(robot: Robot, path: FloatArray) -> float:
     """Duration of straight motions from waypoint to waypoint, at rest at each [s].
 
-    Each is the time-optimal trapezoid under velocity and acceleration limits; torque is not looked at.
+    Each is the time-optimal trapezoid under velocity and acceleration limits; torque is ignored.
     """
     total = 0.0
     for turn in np.abs(np.diff(path, axis=0)):

@@ -21,7 +21,7 @@ from hplan.robot.model import Robot
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Sphere
 
-#: Spacing of the joint grid, and how far start and goal are apart in joint space at least [deg].
+#: Spacing of the joint grid, and minimum distance of start and goal in joint space [deg].
 STEP_DEG, APART_DEG = 1.0, 30.0
 
 #: Pairs of nodes drawn before a scene's discs are drawn anew.
@@ -77,7 +77,7 @@ def random_scene(robot: Robot, seed: int, number: int) -> PlanarScene:
                 break
         else:
             continue
-        # The base is looked at last: so the numbers drawn for scenes in which it is free are the same as without.
+        # The base is checked last, so that scenes with a free base have the same random numbers as without the check.
         scene = planar_scene(robot, f"clutter-{number}", discs, ends[0], ends[1])
         world = World.of_scene(robot, scene, PlanOptions())
         try:
@@ -88,7 +88,7 @@ def random_scene(robot: Robot, seed: int, number: int) -> PlanarScene:
 
 
 def discs_in_plane(robot: Robot, discs: FloatArray) -> list[Sphere]:
-    """Balls from (k, 3) rows: centre in the arm plane at yaw 0, and radius [m]."""
+    """Balls from (k, 3) discs: centre in the arm plane at yaw 0, and radius [m]."""
     centres = robot.plane_origin + discs[:, :2] @ robot.plane_axes
     return [
         Sphere(name=f"disc {i}", center=(float(x), float(y), float(z)), radius=float(radius))

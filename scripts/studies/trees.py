@@ -40,8 +40,8 @@ DISTANCES = (1.4, 1.0, 1.8)
 #: Fruits on each measured tree, their radius, and the length of the straight approach to one [m].
 FRUITS, RADIUS, STANDOFF = 20, 0.04, 0.1
 
-#: Configurations at a fruit that are looked at, about; the clearance of a grasp and of its stand-off, half of it all
-#: along the approach [m].
+#: Approximate number of configurations per fruit; clearance of a grasp and of its stand-off, half of it along the
+#: approach [m].
 GRASPS, SPARE = 64, 1e-3
 
 
@@ -91,10 +91,11 @@ def measured_orchards(robot: Robot, folder: Path) -> list[Orchard]:
     """Measured trees, one at a time, at each of the distances.
 
     Args:
-        folder: Where the trees are, a CSV of capsules each.
+        robot: The arm.
+        folder: Folder of the trees, a CSV of capsules each.
 
     Raises:
-        InputError: A file that is not in order, or a tree with too little room for its fruit.
+        InputError: A file is invalid, or a tree has too little room for its fruit.
     """
     return [measured_orchard(robot, file, distance) for distance in DISTANCES for file in sorted(folder.glob("*.csv"))]
 
@@ -124,7 +125,7 @@ def _is_within_reach(robot: Robot, fruit: Fruit) -> bool:
 
 
 def crop_of(robot: Robot, orchard: Orchard) -> tuple[dict[str, FloatArray], Counter[str]]:
-    """Where the approach to each fruit begins that can be taken, and how many cannot, by the reason."""
+    """Start of the approach to each reachable fruit, and counts of failures by reason."""
     scene, home = orchard.scene, orchard.scene.start.configuration
     goals: dict[str, FloatArray] = {}
     without: Counter[str] = Counter()
@@ -172,7 +173,7 @@ def _standoff(robot: Robot, scene: Scene, fruit: Fruit, home: FloatArray) -> Flo
 
 
 def orchards_of(asked: Asked) -> list[Orchard]:
-    """Measured trees where a folder of them is given, and the orchards that ship with hplan for the arm."""
+    """Measured trees, if their folder is given, and the shipped orchards for the arm."""
     robot = asked.arm()
     return [*(() if asked.trees is None else measured_orchards(robot, asked.trees)), *shipped_orchards(robot)]
 

@@ -58,7 +58,7 @@ MISSING = {
 }
 #: The report of each command that leaves one after a signal.
 REPORTS = {"plan": "report.json", "tour": "tour.json", "row": "row.json", "study": "study.json"}
-#: Where the work of each command is done.
+#: Functions that do the work of each command.
 INSIDE = {
     "plan": ("hplan.planning.plan", "plan"),
     "tour": ("hplan.tour.tour", "plan_tour"),

@@ -88,7 +88,7 @@ def test_an_earlier_job_that_is_read_stays(tmp_path: Path, monkeypatch: pytest.M
     assert json.loads((tmp_path / "report.json").read_text())["status"] == "interrupted"
 
 
-# Where a signal is raised
+# Places of the signal
 
 
 @pytest.fixture(autouse=True)

@@ -84,7 +84,7 @@ def compiled(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def kept(compiled: Path, tmp_path: Path) -> Path:
-    """A copy of it that keeps times; the sources' change times, of now, are later than all of them."""
+    """A copy with the same times; the sources' change times are later."""
     return Path(shutil.copytree(compiled, tmp_path / "there"))
 
 
@@ -157,7 +157,7 @@ def test_processes_do_not_compile_the_same(folder: Path) -> None:
 
 
 def test_nowhere_to_keep_them(folder: Path) -> None:
-    (folder / "__pycache__").touch()  # a file where the folder should be stops root as well
+    (folder / "__pycache__").touch()  # a file instead of the folder stops root as well
     said, warned = run(folder, **NOWHERE)
     assert said == "False False 4.0 6.0"
     assert warned.count("KernelCacheWarning") == 1
@@ -307,7 +307,7 @@ for function in kernels():
 
 
 def test_what_a_kernel_takes_from_elsewhere_was_changed(folder: Path) -> None:
-    """The file of the kernels stays as it is; each takes another thing from the file that is changed."""
+    """The kernels' file is unchanged; each uses another part of the changed file."""
 
     def answers(text: str) -> dict[str, tuple[str, float]]:
         (folder / "read.py").write_text(text)
@@ -446,4 +446,4 @@ def _all_of_them(x: float, times: int) -> float:
 def test_a_constant_is_no_kind_of_its_own() -> None:
     assert _all_of_them(2.0, 5) == 32.0 + 8.0 + 4.0
     assert isinstance(_THREE, np.int64)
-    assert len(_power.overloads) <= 1  # 0 where the kernel that calls it comes from disk
+    assert len(_power.overloads) <= 1  # 0 if the calling kernel comes from disk

@@ -90,7 +90,7 @@ PATIENCE_S = 120.0
 
 
 def child_works(work: Callable[[], object]) -> bool:
-    """Whether a forked child gets through some work."""
+    """True if a forked child completes some work."""
     child = os.fork()
     if child == 0:
         try:

@@ -27,14 +27,14 @@ def certify(*arguments, rest_to_rest=False, check_ends=False, **options):
 
 
 def rows(robot, time, position, velocity, acceleration=None):
-    """A trajectory from its rows."""
+    """A trajectory from its samples."""
     position, velocity = np.asarray(position, dtype=float), np.asarray(velocity, dtype=float)
     acceleration = np.zeros_like(position) if acceleration is None else acceleration
     return Trajectory(robot.joint_names, np.asarray(time, dtype=float), position, velocity, acceleration, 0 * position)
 
 
 def interpolated(trajectory, step=FINE):
-    """The cubic Hermite curve through the rows, sampled every `step` seconds."""
+    """The cubic Hermite curve through the samples, evaluated every `step` seconds."""
     time = np.union1d(np.arange(0.0, trajectory.duration, step), trajectory.time)
     return on_cubics(trajectory, time)
 
@@ -87,7 +87,7 @@ def test_near_miss_is_verified_and_its_clearance_close(robot, scene):
     assert certify(robot, scene.model_copy(update={"clearance": 0.0099}), trajectory).verified
     refused = certify(robot, scene.model_copy(update={"clearance": 0.0101}), trajectory)
     assert not refused.verified
-    assert refused.min_clearance_m == pytest.approx(0.0101, abs=2e-5)  # where the proof gave up
+    assert refused.min_clearance_m == pytest.approx(0.0101, abs=2e-5)  # the distance where the proof failed
 
 
 def test_contact_at_an_end_is_refused(robot, scene):
@@ -146,7 +146,7 @@ def test_random_motions_are_judged_as_dense_sampling_judges_them(robot, scene):
 
 
 def test_no_more_is_certified_than_what_is_left_when_the_motion_ends_before_the_next_look(robot, scene):
-    """The stretched arm turns straight towards a ball, as fast as can be bounded, and stops at some distance."""
+    """The stretched arm turns toward a ball at maximum speed, and stops before it."""
     ball = Sphere(name="far", center=(0.0, 2.0, 0.6), radius=0.05)
     world = scene.with_obstacles([ball])
     checker = CoalScene(robot, world.solids)
@@ -262,7 +262,7 @@ def test_limits_are_exact_for_random_rows(robot, scene):
 
 
 def test_velocity_column_that_leads_into_the_obstacle(robot, scene):
-    """Two equal rows far from the obstacle, with velocities that carry the curve between them into it."""
+    """Two equal samples far from the obstacle; their velocities bend the curve into it."""
     position = np.tile([0.0, 0.5, 0.05, 0.05], (2, 1))
     velocity = np.array([[0, 1.0, 0, 0], [0, -1.0, 0, 0]])
     trajectory = rows(robot, [0.0, 1.0], position, velocity)  # rises by 0.25 rad half-way

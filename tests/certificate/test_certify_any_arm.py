@@ -216,7 +216,7 @@ def test_no_body_travels_farther_than_its_bound(load, name):
 
 @pytest.mark.parametrize("name", ["panda", "lift"])
 def test_what_short_pieces_have_in_common_bounds_travel_between_any_two_places(load, name):
-    """Of a smooth motion in rows so close that several pieces have one bound."""
+    """A smooth motion with samples so close that several segments share one bound."""
     robot, rng = load(name), np.random.default_rng(16)
     checker = CoalScene(robot, [Sphere(name="far", center=(9.0, 0.0, 0.0), radius=0.1)])
     bodies, data = collision_bodies(robot), robot.model.createData()
@@ -427,7 +427,7 @@ def scene(*obstacles: Sphere) -> Scene:
 def test_a_trolley_may_be_off_as_far_as_the_tracking_error_says(kind: str, far: float, clear: bool) -> None:
     """For any kind of joint: more than 2 pi is a full turn of a revolute joint alone."""
     ball = Sphere(name="ball", center=(9.0, 0.0, 1.0), radius=0.1)
-    # The fastest row is at 0.1875 m/s, and its cubic is bounded by a little more.
+    # The fastest sample is at 0.1875 m/s, and its cubic's bound is slightly larger.
     options = {"tracking_error": far} if kind == "at rest" else {"tracking_delay_s": far / 0.19}
     assert certify(ROBOT, scene(ball), motion(), **options).verified == clear
 

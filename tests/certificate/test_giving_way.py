@@ -33,7 +33,7 @@ def orchard(seed, **options):
 
 
 def depths(arm, scene, result, step_s=2e-3):
-    """Times, and by link and obstacle how deep they are in one another there [m]: plain distances of segments."""
+    """Times, and depths by link and obstacle [m]: plain distances of segments."""
     motion = result.trajectory
     clock = np.append(np.arange(0.0, motion.duration, step_s), motion.duration)
     axes = np.array([link_axes(arm, q) for q in motion.positions(clock)])
@@ -138,7 +138,7 @@ def test_what_is_pushed_deeper_than_allowed_is_not_verified(arm, motions):
 
 
 def test_pushes_of_a_motion_that_is_not_verified_are_as_deep_as_they_are(arm, motions):
-    """The bound of each obstacle that is pushed is a third of the true depth."""
+    """The bound of each obstacle in contact is a third of the true depth."""
     seen = 0
     for scene, result, _, found in motions:
         deepest = dict[str, float]()

@@ -27,7 +27,7 @@ CURVES: tuple[Interpolation, ...] = get_args(Interpolation)
 
 
 def rows_of(robot: Robot, rng: np.random.Generator, apart_s: float, curve: Interpolation) -> tuple[Trajectory, BPoly]:
-    """Seven random rows, and the polynomials between them by SciPy."""
+    """Seven random samples, and the polynomials between them by SciPy."""
     time = np.concatenate([[0.0], np.cumsum(rng.uniform(0.5, 1.5, 6) * apart_s)])
     shape = (7, robot.dof)
     position = 0.3 * rng.normal(size=robot.dof) + np.cumsum(apart_s * rng.uniform(-1.5, 1.5, shape), axis=0)

@@ -50,7 +50,7 @@ def joint_share(robot, torque):
 
 @pytest.mark.parametrize("name", [*VARIANTS, "lift"])
 def test_bound_holds_and_is_close_for_random_rows(name, tmp_path, tmp_path_factory):
-    """Rows 1 ms to 1 s apart, slow and fast, accelerations that jump at them; joints that slide too."""
+    """Samples 1 ms to 1 s apart, slow and fast, with acceleration jumps; prismatic joints."""
     robot = loaded_arm(name, tmp_path_factory) if name == "lift" else load_variant(name, tmp_path)
     rng = np.random.default_rng(1)
     for apart in (1e-3, 4e-3, 0.03, 0.2, 1.0):
@@ -111,7 +111,10 @@ def test_second_derivative_at_constant_speed(tmp_path, speed):
 
 
 def test_torque_that_jumps_at_rows_is_seen_on_both_sides(tmp_path):
-    """The shoulder creeps down from row to row, still at each: its torque is largest just before a row."""
+    """The shoulder moves down in steps, at rest at each sample.
+
+    Its torque is maximal just before a sample.
+    """
     write_robot(replace(HARVESTER, name="weak", effort=(150.0, 115.0, 120.0, 30.0)), tmp_path / "weak.urdf")
     robot, push = load_robot(tmp_path / "weak.urdf"), 3.0
     data = robot.model.createData()
@@ -209,7 +212,7 @@ def test_torques_are_bounded_whatever_the_tilt(first, second, third):
 def test_the_largest_tilt_is_that_of_many_times(first, second, third):
     base = Poses.of(scene((first, second, third)).base_track)
     for begin, end in ((-3.0, -2.0), (-1.0, 1.5), (-2.0, 5.0), (4.0, 5.0)):
-        rows = [time for time in base.times if begin <= time <= end]  # where the tilt has its peaks
+        rows = [time for time in base.times if begin <= time <= end]  # peaks of the tilt
         clock = np.sort(np.append(np.linspace(begin, end, 300), rows))
         seen = np.arccos(np.clip(base_at((first, second, third), clock)[:, 2, 2], -1.0, 1.0))
         assert seen.max() - 1e-7 <= largest_tilt(base, begin, end) <= seen.max() + 5e-3

@@ -28,7 +28,7 @@ ROUND = ((1e-4, 0.0, 0.0), (0.0, 1e-4, 0.0), (0.0, 0.0, 1e-4))
 
 
 def things(shift: FloatArray | None = None) -> tuple[AnyObstacle, ...]:
-    """Obstacles about the way of `motion`, all of them shifted."""
+    """Obstacles around the path of `motion`, all of them shifted."""
     by = np.zeros(3) if shift is None else shift
     ends, box = np.array([[0.65, 0.95, 1.0], [1.45, 0.95, 1.2]]), np.array([1.36, 0.4, 1.75])
     points = np.random.default_rng(5).normal(size=(40, 3)) * 0.05 + [1.1, -0.55, 1.42]

@@ -200,6 +200,6 @@ def test_gradients_are_those_of_differences(arm: Robot, solids: list[Solid], see
         off = step * (np.arange(arm.dof) == joint)
         ahead, behind = field.link_clearances(q + off), field.link_clearances(q - off)
         forward, backward = (ahead - clear) / step, (clear - behind) / step
-        # Where the two sides agree, the nearest points do not jump.
+        # If the two one-sided derivatives agree, the nearest points do not jump.
         smooth = (np.abs(forward - backward) < 1e-3) & (clear < FAR - 1e-3)
         assert gradient[smooth, column] == pytest.approx(0.5 * (forward + backward)[smooth], abs=2e-3)

@@ -224,7 +224,7 @@ def test_no_axis_point_moves_farther_than_the_bound(variant):
         before = link_axes(variant, start)
         for t in np.linspace(0.0, 1.0, 41):
             moved = np.linalg.norm(link_axes(variant, start + t * (end - start)) - before, axis=2)
-            farthest = moved.max(axis=1)  # on a segment the displacement is largest at an end
+            farthest = moved.max(axis=1)  # on a segment the displacement is maximal at an end
             assert (farthest <= t * bounds + 1e-12).all()
             closest = max(closest, (farthest / np.maximum(t * bounds, 1e-12)).max())
     assert closest > 0.5

@@ -128,7 +128,7 @@ def test_growth_of_each_obstacle(robot, links):
             least.append(float(grown.distances(q).min()))
             grown.place(q)
             one_by_one = grown.distances_of(np.arange(len(grown.pairs)))
-            np.testing.assert_allclose(grown.pair_distances(q), one_by_one, atol=1e-5)  # coal begins elsewhere
+            np.testing.assert_allclose(grown.pair_distances(q), one_by_one, atol=1e-5)  # coal starts from another guess
             assert grown.nearest(q).distance_m == pytest.approx(least[-1], abs=1e-5)
         sure = np.abs(least) > 1e-4
         np.testing.assert_array_equal(grown.in_collision(configurations)[sure], (np.array(least) <= 0.0)[sure])

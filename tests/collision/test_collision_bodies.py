@@ -1,4 +1,4 @@
-"""Collision bodies, how far joints move them, and which pairs are looked at, against sampled points and Pinocchio."""
+"""Collision bodies, their travel per joint and pairs, against samples and Pinocchio."""
 
 from __future__ import annotations
 

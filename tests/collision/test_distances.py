@@ -1,4 +1,4 @@
-"""Compiled distances: of bodies, pairs and convex shapes, and bounds of them, against coal."""
+"""Compiled distances of bodies, pairs and convex shapes, and their bounds, against coal."""
 
 from __future__ import annotations
 
@@ -44,7 +44,10 @@ def point_to_segment(point, start, along):
 
 
 def segment_to_segment(a, u, b, v):
-    """Least over the ends of both, and over the inside of both where the lines' nearest points lie there."""
+    """Minimum distance over the ends of both segments and over their interiors.
+
+    The interiors count if the lines' nearest points are there.
+    """
     ends = [
         point_to_segment(a, b, v),
         point_to_segment(a + u, b, v),

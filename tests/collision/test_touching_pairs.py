@@ -113,7 +113,7 @@ def test_no_pair_of_two_arms_is_exempt():
 
 
 def test_declared_pairs_of_two_arms_may_touch():
-    """Names are exact: arm `a` with a link `b_base_link` would not be taken for arm `a_b`."""
+    """Names are exact: arm `a` with a link `b_base_link` is not arm `a_b`."""
     robot, places = load_robot(column_arm(0.0)), (0.0, 0.08)
     arms = {
         name: (robot, pin.SE3(np.eye(3), np.array([0.0, y, 0.0]))) for name, y in zip(("a", "a_b"), places, strict=True)

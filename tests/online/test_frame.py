@@ -26,7 +26,7 @@ TUCKED = np.radians([20.0, 90.0, 90.0, 90.0])
 
 
 def cloud_about_the_arm(rng: np.random.Generator, count: int) -> np.ndarray:
-    """Points in and about the arm's reach, dense in places; some rows are not finite."""
+    """Points in and around the arm's reach, dense in places; some are not finite."""
     blobs = rng.uniform(-1.5, 1.5, (8, 3)) + np.array([0.0, 0.0, 0.6])
     points = blobs[rng.integers(0, 8, count)] + rng.normal(size=(count, 3)) * 0.02
     points[::3] = rng.uniform(-3.0, 3.0, (len(points[::3]), 3))
@@ -81,7 +81,7 @@ def test_every_point_is_accounted_for(robot, seed, kind, growth_m):
     assert report.ignored == (finite & near & ~in_arm & in_fruit).sum()
     stays = world[finite & near & ~in_arm & ~in_fruit]
     gaps = np.linalg.norm(stays[:, None] - found.points, axis=2)
-    # Every point that stays is in a ball, and the growth is the largest that is needed.
+    # Every kept point is in a ball, and the growth is the maximum required.
     cells = np.floor((stays - [x, y, z]) / (2.0 * growth_m / np.sqrt(3.0)))
     _, first, cell = np.unique(cells, axis=0, return_index=True, return_inverse=True)
     boxes = [stays[cell.ravel() == number] for number in range(len(first))]
@@ -327,7 +327,7 @@ def test_what_is_hidden_is_remembered_for_its_time(robot):
 
 
 def test_what_is_remembered_keeps_its_radius(robot):
-    """A wide ball is no smaller where the next frame's are, in that frame and in those after it."""
+    """A large ball stays large among the next frames' smaller balls."""
     first = take(robot, wall(1.4, half=0.05), 0.0)
     seen, kept = first.seen, first.report.kept
     for time_s, radius in ((0.2, 0.3 * RADIUS), (0.4, 0.1 * RADIUS), (0.6, 0.5 * RADIUS)):

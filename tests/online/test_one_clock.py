@@ -38,7 +38,7 @@ def planned(robot: Robot) -> PlanResult:
 
 
 def a_planner(robot: Robot, begins_s: float | None = 0.0) -> Planner:
-    """One whose motion begins at a time."""
+    """A planner with a motion that starts at a time."""
     planner = Planner(robot, a_scene(), QUICK)
     planner.last = planned(robot)
     if begins_s is not None:

@@ -179,7 +179,7 @@ def test_what_stands_in_the_base_is_refused(robot: Robot) -> None:
 
 @pytest.mark.parametrize("seed", range(5))
 def test_random_changes(robot: Robot, seed: int) -> None:
-    """Obstacles of a random scene come one by one, and go; all of them leave a motion, and each is sound."""
+    """Obstacles of a random scene come and go one by one; every motion is sound."""
     whole = random_scene(3 * seed + 1, robot)
     planner = Planner(robot, whole.with_obstacles([]), PlanOptions(step_deg=3.0))
     changes: list[Any] = [("add", item) for item in whole.obstacles]

@@ -33,13 +33,13 @@ def a_planner(robot: Robot, **options: object) -> tuple[Planner, PlanResult]:
 
 
 def on_the_way(robot: Robot, trajectory: Trajectory, part: float) -> tuple[float, float, float]:
-    """Where the tool is at a part of a motion."""
+    """Position of the tool at a fraction of a motion."""
     x, y, z = robot.tool_positions(trajectory.position[[int(part * (trajectory.samples - 1))]])[0].tolist()
     return x, y, z
 
 
 def assert_spliced(robot: Robot, scene: Scene, before: PlanResult, result: SplicedResult) -> None:
-    """The running motion up to the seam row for row, continuous cubics there, the whole certified and clear."""
+    """Check a splice: samples up to the seam, continuity, certificate, clearance."""
     trajectory = result.trajectory
     assert_goes_on(before, result)
     now = result.scene

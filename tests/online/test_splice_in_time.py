@@ -35,7 +35,7 @@ PLANAR = {"locked_joints": ("base_yaw",)}
 
 
 def tool_at(robot: Robot, trajectory: Trajectory, part: float) -> np.ndarray:
-    """Where the tool is at a part of a motion."""
+    """Position of the tool at a fraction of a motion."""
     return robot.tool_positions(trajectory.positions(np.array([part * trajectory.duration])))[0]
 
 
@@ -172,7 +172,7 @@ def test_stops_of_the_running_motion_are_certified_in_time(robot):
     late = planner.stop_at(at_s)
     assert not late.certificate.verified
     assert late.certificate.clear_until_s is None
-    # Where the ball has gone already the arm may stop.
+    # After the ball has passed the arm may stop.
     planner.move("ball", track=crossing(middle, -0.5).track)
     assert planner.stop_at(at_s).certificate.verified
 

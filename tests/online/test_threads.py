@@ -42,7 +42,7 @@ def scenes() -> list[Scene]:
 
 
 def at_once(jobs: list[Callable[[], Any]]) -> list[Any]:
-    """Run jobs in threads that begin together."""
+    """Run jobs in threads that start together."""
     gate = threading.Barrier(len(jobs))
 
     def run(job: Callable[[], Any]) -> Any:
@@ -69,7 +69,7 @@ def test_plans_with_one_robot(robot: Robot) -> None:
 
 
 def test_queries_of_one_collision_scene(robot: Robot) -> None:
-    """Where the arm is placed for one question must not move before it is answered."""
+    """The arm's placement must not change during a query."""
     scene = CoalScene(robot, scenes()[0].solids)
     pairs = np.arange(len(scene.pairs))
     workers = 4
@@ -156,7 +156,7 @@ def test_frames_while_others_plan(robot: Robot) -> None:
 
 
 def test_layers_are_counted_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Many threads that put layers in and push others out."""
+    """Many threads that insert layers and evict others."""
     layers = LayerCache(10_000)
     words = np.zeros(16, dtype=np.uint64)
 

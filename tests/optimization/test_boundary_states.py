@@ -1,4 +1,7 @@
-"""Motions that begin and end in motion: their outer control points, programs and optima against differences."""
+"""Motions with nonzero boundary velocities: control points, programs, optima.
+
+They are compared with differences.
+"""
 
 from __future__ import annotations
 
@@ -186,7 +189,7 @@ def fastest(robot, ends, limits=None):
 
 
 def assert_kept(robot, motion, ends):
-    """Rows between the states, pieces at rows, limits kept at all times."""
+    """Check samples between the states, segments at samples, and limits at all times."""
     rows = motion.trajectory(robot.dynamics, 250.0)
     for row, state in ((0, ends[0]), (-1, ends[1])):
         for name in ("position", "velocity", "acceleration"):

@@ -182,11 +182,11 @@ def test_corner_in_contact_cannot_be_rounded(robot):
         clear_rounding(path, ClearanceField.of(robot, [ball]), margin=1e-3)
 
 
-# Splines pushed, and how fast they are
+# Splines moved away from obstacles, and their speed
 
 
 def test_pushing_keeps_the_joint_limits(robot, field, grid_path, options):
-    """Limits as narrow as the path: pushing would leave them on one side or the other."""
+    """Limits as narrow as the path: without them it would leave the range."""
     taut = shorten(grid_path, field, margin=MARGIN)
     tight = replace(options, lower=taut.min(axis=0), upper=taut.max(axis=0))
     left = 0
@@ -212,11 +212,14 @@ def test_coarse_profile_is_about_that_of_toppra(robot, field, grid_path, options
 
 @pytest.mark.parametrize("seed", range(4))
 def test_largest_speeds_at_which_all_joints_can_accelerate(options, seed):
-    """Against linear programs: the largest x with |q' u + q'' x| <= a for some u, and |q'|^2 x <= v^2."""
+    """Against linear programs: the maximum x with |q' u + q'' x| <= a for some u.
+
+    And |q'|^2 x <= v^2.
+    """
     control = np.random.default_rng(seed).uniform(-1.0, 1.0, (9, 4))
     grid = coarse._grid_of(SplinePath.through(control).knots, 6)
     demands = np.empty((len(grid.first), 9))
-    velocity = 100.0 * options.velocity  # where joints disagree, not how fast each of them is
+    velocity = 100.0 * options.velocity  # for the limits by acceleration alone
     coarse._demands(control, grid, replace(options, velocity=velocity, movable=np.arange(4)).joints, demands)
     for row, (weights, bends) in enumerate(zip(grid.first, grid.second, strict=True)):
         piece = min(row // 8, 5)

@@ -110,7 +110,7 @@ def test_a_robot_without_shapes_is_neither_planned_for_nor_certified() -> None:
 
 @pytest.mark.parametrize("leaves_s", [0.6, 2.0])
 def test_it_waits_for_a_ball_that_leaves_its_path(arm: Robot, leaves_s: float) -> None:
-    """The ball is put where its track has it, and is as far off as the certificate says."""
+    """The ball follows its track, at the distance that the certificate states."""
     start, goal = np.array([-1.3, -0.6, 1.0, 0.2, 0.3, 0.0]), np.array([1.3, -0.6, 1.0, 0.2, 0.3, 0.0])
     middle, rise = arm.tool_positions(0.5 * (start + goal)), np.array([0.0, 0.0, 0.8])
     away = Track(times_s=(0.0, leaves_s), shifts_m=((0.0, 0.0, 0.0), tuple(rise.tolist())))

@@ -1,4 +1,4 @@
-"""Approaches that flow out of the transit, and motions that begin in motion."""
+"""Blended approaches, and motions that begin in motion."""
 
 from __future__ import annotations
 
@@ -67,7 +67,10 @@ def seam_of(result: PlanResult) -> int:
 
 
 def offset_of(robot: Robot, result: PlanResult, motion: Trajectory) -> float:
-    """How far the tool is off its straight line at most, from the stand-off to the grasp and back, between rows too."""
+    """Maximum offset of the tool from its straight line.
+
+    From the stand-off to the grasp and back, between samples too.
+    """
     assert result.grasp is not None
     tip, off = robot.tool_positions(result.grasp.goal), robot.tool_positions(result.grasp.standoff)
     line = (off - tip) / np.linalg.norm(off - tip)
@@ -144,7 +147,7 @@ def test_at_few_rows_a_second_approaches_in_motion_are_straight_too(robot: Robot
     pick = told.approach
     slow = replace(pick, context=replace(pick.context, options=PlanOptions(rate_hz=25.0)))
     found = [slow.non_stop(lead) for lead in LEADS]
-    assert any(part is None for part in found)  # off their line by more, between rows
+    assert any(part is None for part in found)  # off their line by more, between samples
     for part in found:
         assert part is None or straightness(robot, pick, part) <= 1e-4
 
@@ -175,12 +178,12 @@ def start_of(trajectory: Trajectory, row: int) -> Start:
 
 
 def begun(row: int, **changes: object) -> Scene:
-    """The scene of the running motion, which is at a row of it."""
+    """The scene of the running motion at a sample of it."""
     return running().motion.problem.scene.model_copy(update={"start": start_of(running().trajectory, row), **changes})
 
 
 def assert_goes_on(scene: Scene, result: PlanResult) -> None:
-    """It leaves the start's state as it is, keeps limits and distances, comes to rest, and is certified as a whole."""
+    """Check that the motion continues the start's state, within limits, to rest, certified."""
     robot, trajectory = load_robot(), result.trajectory
     start = scene.start
     np.testing.assert_allclose(trajectory.position[0], start.configuration, rtol=0, atol=1e-12)

@@ -41,7 +41,7 @@ def test_shares_are_those_of_the_normal_distribution() -> None:
 
 
 def test_the_approach_is_best_against_the_error(robot: Robot) -> None:
-    # Of the fruit that is grown by three sigmas, stand-offs of 10 cm would not be clear.
+    # With a growth of three sigmas, stand-offs of 10 cm would not be clear.
     plain, found = (
         hplan.plan(robot, SCENE, hplan.PlanOptions(standoff=0.2, capture_m=most)) for most in (None, CAPTURE)
     )

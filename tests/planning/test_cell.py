@@ -1,4 +1,4 @@
-"""Several arms on one clock: planned together, certified against one another, judged by Pinocchio and coal alone."""
+"""Several arms on one clock: planned, certified, judged by Pinocchio and coal."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def facing(robot, distance: float, start=TO, goal=FROM, **more) -> Cell:
 
 
 def apart(cell: Cell, q: np.ndarray) -> float:
-    """Least distance of two bodies of different arms, by Pinocchio and coal."""
+    """Minimum distance of two bodies of different arms, by Pinocchio and coal."""
     model, geometry = cell.robot.model, between_arms(cell)
     data, seen = model.createData(), geometry.createData()
     found = []
@@ -380,7 +380,7 @@ def test_the_command_writes_each_arms_file(write, tmp_path, capsys):
 
 
 def test_fruits_are_picked_around_each_other(robot, monkeypatch):
-    """Without motions at once, or one later: the transits are planned together, the approaches after them."""
+    """Without independent motions: transits are planned together, then the approaches."""
     scheduled = _CellPlanner._scheduled
     monkeypatch.setattr(_CellPlanner, "_scheduled", lambda *given: scheduled(*given) if len(given) > 3 else None)
     monkeypatch.setattr(_CellPlanner, "_in_turn", lambda *_: None)

@@ -1,4 +1,4 @@
-"""Files of workcells are judged as given: each on its own samples, and all against one another on one exact clock."""
+"""Files of workcells: each on its own samples, all on one exact clock."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ def test_each_arm_has_the_certificate_that_it_has_alone(picker):
 
 
 def test_one_clock_holds_both_files_exactly(picker):
-    """Samples at irrational distances, some of them 1e-9 s and one rounding apart."""
+    """Samples at irrational times, some of them 1e-9 s or one rounding apart."""
     cell, rng = beside(picker), np.random.default_rng(4)
     files = {}
     for name, step in (("left", 1.0 / math.pi), ("right", math.sqrt(2.0) / 10.0)):

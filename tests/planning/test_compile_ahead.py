@@ -51,7 +51,7 @@ def test_a_first_run_is_one_without_kernels_on_disk(tmp_path: Path) -> None:
 
 
 def begun(code: str) -> subprocess.Popen[bytes]:
-    """A process that stands for the other one."""
+    """A process in place of the compiling one."""
     return subprocess.Popen([sys.executable, "-c", code])
 
 

@@ -181,9 +181,9 @@ def joint(goal: float, velocity: float, acceleration: float, jerk: float = np.in
 
 
 def largest_place(motion: JointMotions, total: float, when: int, pieces: int = 60) -> float:
-    """The largest position at a sample by linear programming, the jerk constant in each of many pieces.
+    """The maximum position at a sample by linear programming, with piecewise constant jerk.
 
-    Fewer motions than there are, so that it is a lower bound of the largest one.
+    A subset of all motions, so that it is a lower bound of the maximum.
     """
     h = total / pieces
     state, rows = np.zeros((3, pieces)), [np.zeros((3, pieces))]  # position, velocity, acceleration over the jerks

@@ -1,4 +1,7 @@
-"""The whole way where the base turns, and to fruits and points; every motion judged by coal at and between its rows."""
+"""The whole pipeline with a turning base, to fruits and points, judged by coal.
+
+Every motion is checked at and between its samples.
+"""
 
 from __future__ import annotations
 
@@ -117,7 +120,7 @@ def bytes_of(step_deg: float) -> float:
 
 
 def test_nothing_is_left_behind(robot: Robot) -> None:
-    """A plan that tries several grids frees them at once: robot control may have turned garbage collection off."""
+    """A plan with several grids frees them at once: garbage collection may be disabled."""
     enclosed = task((0.0, 70.0, 20.0, 20.0), (60.0, 20.0, 20.0, 20.0), frame_about_upper_arm(60.0, 20.0))
     for _ in range(2):  # kernels are loaded the first time
         gc.collect()
@@ -280,7 +283,7 @@ def test_no_straight_approach(robot: Robot, start: tuple[float, ...], locked: tu
     assert result.report["grasp"]["standoff_m"] == 0.0
 
 
-# Where the fruit cannot be had
+# Unreachable fruit
 
 
 @pytest.mark.parametrize(
@@ -358,7 +361,7 @@ def scene_to(fruit: tuple[float, float, float]) -> Scene:
 
 
 def test_a_fruit_is_picked_and_nothing_touched(aside: Robot) -> None:
-    """By Pinocchio and coal, for everything that the URDF describes, at every other row."""
+    """By Pinocchio and coal, with the whole URDF, at every other sample."""
     result = plan(aside, scene_to(FRUIT))
     assert result.certificate.verified
     rows, model, data = result.trajectory.position, aside.model, aside.model.createData()

@@ -90,7 +90,7 @@ def test_start_equal_to_goal(robot: Robot, scene: Scene) -> None:
 
 
 def joined(robot: Robot, scene: Scene, step_deg: float) -> bool:
-    """By brute force: whether start and goal are connected on the grid, every node judged by coal."""
+    """True if start and goal are connected on the grid, by brute force with coal."""
     ndimage = pytest.importorskip("scipy.ndimage")
     grid = Grid.over(robot.lower[1:], robot.upper[1:], math.radians(step_deg))
     checker = CoalScene(robot, scene.solids)

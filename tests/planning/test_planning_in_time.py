@@ -1,4 +1,4 @@
-"""Plans among obstacles that move: it waits, goes around, or goes at once; judged by coal at times close together."""
+"""Plans among moving obstacles: waiting, going around, going first; judged by coal."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ PLANAR = {"locked_joints": ("base_yaw",)}
 
 
 def on_the_way(robot: Robot) -> np.ndarray:
-    """Where the tool is in the middle of the motion."""
+    """Position of the tool in the middle of the motion."""
     return robot.tool_positions(np.radians([0.0, 20.0, 30.0, 35.0]))
 
 
@@ -64,7 +64,7 @@ def test_a_motion_that_is_not_in_the_way_is_as_if_nothing_moved(robot):
 
 
 def test_it_goes_at_once_before_what_comes(robot):
-    """Something comes that stays: planned around as it will be, the motion takes longer than going at once does."""
+    """An obstacle arrives and stays: going around it later takes longer than going first."""
     comes = ball(robot, (0.0, (0.0, 2.0, 0.0)), (1.3, (0.0, 0.0, 0.0)))
     scene = task(START, GOAL, [comes], **PLANAR)
     result = plan(robot, scene)
@@ -238,7 +238,7 @@ def test_the_speed_changes_where_acceleration_and_torque_have_room(robot):
 
 
 class Window:
-    """Cells of a path that is blocked in the middle until a row."""
+    """Cells of a path whose middle is blocked until a row."""
 
     def __init__(self, stations: int, opens: int) -> None:
         self.configurations = np.zeros((stations, 1))
@@ -301,7 +301,7 @@ def test_the_earliest_schedule_against_a_search_of_all(at_rest):
 
 
 def test_phases_by_another_clock_hold_all_that_they_held(robot):
-    """From the last row up to the begin to the first from the end on."""
+    """From the last sample before the start to the first one after the end."""
     motion, random = plan(robot, task(START, GOAL, **PLANAR)).trajectory, np.random.default_rng(0)
     retimed = scaled(motion, [(0.0, 0.4), (0.3, 1.0), (0.6, 0.5)], robot)
     clock, time = retimed.clock, retimed.trajectory.time

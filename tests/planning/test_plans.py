@@ -237,7 +237,10 @@ def test_approach_with_a_locked_joint_among_more_than_three(tmp_path: Path) -> N
     ],
 )
 def test_no_link_touches_the_fruit_before_the_approach(robot: Robot, there: Any, start: Any) -> None:
-    """The shortest transits to the stand-off lead through the fruit, of a plan and of a tour."""
+    """The shortest transits to the stand-off pass through the fruit.
+
+    In a plan and in a tour.
+    """
     point = tuple(robot.tool_positions(np.radians(there)).tolist())
     scene = task(start, Goal(fruit="apple"), fruits=({"name": "apple", "center": point, "radius": 0.04},))
     checker = CoalScene(robot, scene.solids_with_goal)
@@ -307,7 +310,10 @@ def test_a_slot_with_less_is_refused_with_the_room_there_is(orchard_arm: Robot) 
 
 
 def test_a_stand_off_with_little_room_is_better_than_none(orchard_arm: Robot) -> None:
-    """A ball behind the wrist at the stand-off: the fruit is touched on the approach only, not on the whole motion."""
+    """A ball is behind the wrist at the stand-off.
+
+    The fruit is touched during the approach only, not during the whole motion.
+    """
     free, room = scene(orchard_arm, 10.0), 3e-4
     options = PlanOptions(standoff=0.0)  # the shortest approach alone
     target = Target.of_fruit(World.of_scene(orchard_arm, free, options), APPLE, free, options)

@@ -119,7 +119,7 @@ def test_bodies_of_the_sections_are_grown_by_clearance_and_uncertainty(robot: Ro
 
 
 def test_refusal_of_a_configuration_names_the_largest_error(robot: Robot) -> None:
-    """True: with a little less the configuration is taken, with a little more it is not."""
+    """With a slightly smaller error the configuration is accepted, with a larger one refused."""
     rng, kinds = np.random.default_rng(6), {"free": 0, "margin": 0, "contact": 0}
 
     def check(q: FloatArray, error: float) -> None:

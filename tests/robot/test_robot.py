@@ -57,9 +57,9 @@ def collision_of_hand(new: str) -> tuple[str, str]:
 
 
 def assert_kinematics_match(robot: Robot) -> None:
-    """Joint points and tool positions are Pinocchio's, at random configurations and at random yaw.
+    """Joint and tool positions equal Pinocchio's, at random configurations and yaw.
 
-    The tool is in the plane; of a joint it is where its axis meets the plane that counts.
+    The tool is in the plane; a joint's position is the intersection of its axis with the plane.
     """
     rng = np.random.default_rng(0)
     data = robot.model.createData()

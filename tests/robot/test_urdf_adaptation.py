@@ -134,7 +134,7 @@ def test_fingers_are_held_with_their_mass_and_shapes(load, plain):
     assert robot.joint_names == plain.joint_names
     np.testing.assert_array_equal(robot.arm.lengths, plain.arm.lengths)
     assert_is_part_of(robot, text)
-    # Corners of the boxes: 0.35 to 0.41 m along the hand of 0.4 m, 5 mm beyond where the finger is, 10 mm high.
+    # Corners of the boxes: 0.35 to 0.41 m along the hand of 0.4 m, 5 mm beyond the finger, 10 mm high.
     assert robot.arm.half_widths.tolist() == pytest.approx([0.05, 0.04, 0.03], rel=1e-12)
     wide = load(text, hold={"grip": 0.05})
     assert wide.held == {"grip": 0.05, "grip_too": pytest.approx(-0.074)}
@@ -434,7 +434,7 @@ def test_commands_pass_it_on(tmp_path, capsys):
     assert run("plan", "--out", out, "--quiet", *held) == 0
     assert run("certify", out, "--quiet", *held) == 0
     assert run("view", out, "--no-serve", "--quiet", *held) == 0
-    # Another robot, where the fingers are elsewhere.
+    # Another robot, with the fingers in another position.
     assert run("certify", out, "--quiet", *robot, "--hold", "grip=0.03", "--package-dir", tmp_path / "far") == 5
     capsys.readouterr()
     assert run("plan", "--out", out, "--quiet", *robot, "--hold", "grip") == 2

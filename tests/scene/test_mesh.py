@@ -347,7 +347,7 @@ def a_tetrahedron(name: str, corners: list[str]) -> str:
     ],
 )
 def test_mesh_files_with_wrong_rows_are_refused(name: str, corners: list[str], tmp_path: Path) -> None:
-    """Ragged rows whose numbers are right in all, and decimal commas."""
+    """Ragged rows with the right total of numbers, and decimal commas."""
     file = tmp_path / name
     file.write_text(a_tetrahedron(name, ["0 0 0", "1 0 0", "0 1 0", "0 0 1"]))
     assert Mesh(name="a", file=str(file)).surface[0].max() == 1.0

@@ -299,7 +299,7 @@ def test_other_formats_and_missing_files(tmp_path):
 
 
 def test_a_large_cloud_is_no_burden(tmp_path):
-    """A hundred thousand points in a file, and no trace of them in the scene's text; the tree is built once."""
+    """A hundred thousand points in a file: none in the scene's text, one tree."""
     points = np.random.default_rng(0).uniform(0, 1, (100_000, 3))
     cloud = PointCloud.of("canopy", points, 0.01)
     assert cloud.solids[0] is cloud.solids[0]

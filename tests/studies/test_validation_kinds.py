@@ -44,7 +44,7 @@ def test_nothing_is_missed_and_little_lost(robot: Robot, kind: Kind) -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_nothing_in_contact_is_free(robot: Robot, kind: Kind) -> None:
-    """Where a motion into an obstacle just touches, by bisection, the intervals forbid and the distance is nearly 0."""
+    """At first contact, found by bisection, the intervals forbid and the distance is nearly 0."""
     tolerance = 5e-7 if kind == "points" else CONTACT_TOLERANCE
     looked_at = 0
     for number in range(3):

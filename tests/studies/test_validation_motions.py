@@ -195,5 +195,5 @@ def test_studies(study: Study) -> None:
     assert re.search(r"motions: \d+\. .* At fault: none\.$", summary(study, rows)[-2])
 
 
-#: A case whose planner makes motions in most of its worlds.
+#: A case with motions in most of its worlds.
 CASE = 8

@@ -33,7 +33,7 @@ DROP = Goal(joints_deg=(0.0, 100.0, 100.0, 60.0))
 
 @pytest.fixture(scope="module")
 def orchard() -> tuple[Cell, CellScene]:
-    """Two orchard arms before a row, and their scene."""
+    """Two orchard arms in front of a row, and their scene."""
     scene = load_scene("orchard-arm-row")
     robot = load_robot(scene.robot)
     arms = (
@@ -102,7 +102,7 @@ def test_two_arms_pick_at_once(orchard, result):
 
 
 def test_arms_that_are_in_each_others_way_wait(orchard):
-    """So near to each other that their motions at once would meet."""
+    """So close to each other that simultaneous motions would collide."""
     cell, scene = orchard
     near = scene.model_copy(
         update={

@@ -41,7 +41,7 @@ DROP = Goal(joints_deg=(100.0, 60.0, 80.0, 60.0))
 
 
 def fruit(robot: Robot, name: str, joints_deg: Sequence[float], radius: float = 0.04) -> Fruit:
-    """A fruit where the tool is at these joints."""
+    """A fruit at the tool's position at these joints."""
     x, y, z = robot.tool_positions(np.radians(joints_deg)).tolist()
     return Fruit(name=name, center=(x, y, z), radius=radius)
 
@@ -75,7 +75,10 @@ def carried(robot: Robot, scene: Scene) -> TourResult:
 
 
 def times_of_contact(result: TourResult) -> dict[str, tuple[float, float]]:
-    """When the last link may touch the fruit that it comes to: from the stand-off on; without one, on the whole leg."""
+    """Times when the last link may touch the goal's fruit, by fruit.
+
+    From the stand-off on; without one, during the whole leg.
+    """
     return {
         leg.fruit: (
             next((phase.start_s for phase in leg.phases if phase.name == "approach"), leg.begin_s),
@@ -176,7 +179,7 @@ def test_order_is_best_and_certified(robot: Robot, scene: Scene, tour: TourResul
 
 
 def test_costs_are_on_a_raster(robot: Robot, scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Motions last whole periods, so that sums of them tie: no order of adding them up may decide."""
+    """Motions last whole periods, so that sums tie in any order of addition."""
     seen: list[Costs] = []
     monkeypatch.setattr("hplan.tour.tour.nearest", lambda costs: seen.append(costs) or nearest(costs))
     plan_tour(robot, scene, OPTIONS, tour=TourOptions(order="nearest", drop_off=DROP, back=True))
@@ -334,7 +337,7 @@ def test_motions_are_joined_where_that_is_quicker(robot: Robot) -> None:
     assert path(moves, 2, 0) == (2.5, [(2, 1), (1, 0)])
     assert path(moves, 0, 3) == (2.9, [(0, 3)])
     assert moves.seconds(np.array([3, 0, 2]), False)[1, 2] == 2.5
-    # At a stop where the last link is at a fruit no motion to elsewhere passes by.
+    # At a stop at a fruit, no motion to other places passes by.
     moves = moves_of_seconds(robot, seconds, [*stops[:1], Stop(stops[1].configuration, "a"), *stops[2:]])
     assert path(moves, 0, 2) == (3.0, [(0, 2)])
 
@@ -491,7 +494,7 @@ def test_a_drop_off_at_a_pose_says_what_to_use(robot: Robot, scene: Scene) -> No
 def random_costs(
     seed: int, n: int, *, capacity: int, absent: float = 0.0, round_numbers: bool = False, most: int = 3
 ) -> Costs:
-    """Costs that know no symmetry and no triangle inequality; some of them infinite."""
+    """Costs without symmetry or triangle inequality; some of them infinite."""
     random = np.random.default_rng(seed)
     begin = np.concatenate([[0], np.cumsum(random.integers(1, most + 1, n))])
     m = int(begin[-1])
@@ -517,7 +520,7 @@ def cost_of(costs: Costs, visits: Visits) -> float:
 
 
 def brute_force(costs: Costs, orders: list[tuple[int, ...]]) -> float:
-    """The least cost over some orders, all places and all drop-offs."""
+    """Minimum cost over some orders, all places and all drop-offs."""
     n, least = costs.fruits, math.inf
     for order in orders:
         choices = [range(costs.begin[f], costs.begin[f + 1]) for f in order]

@@ -51,7 +51,7 @@ class HalfPlanes(constraint.LinearConstraint):
 
 
 def toppras(rows, grid, rates):
-    """Speeds, accelerations and sets by toppra's own algorithm, None where it finds none; its return code."""
+    """Speeds, accelerations and sets by toppra, or None; and its return code."""
     line = toppra.SplineInterpolator(grid[[0, -1]], np.array([[0.0], [1.0]]))
     own = algorithm.TOPPRA([HalfPlanes(rows)], line, gridpoints=grid, solver_wrapper="seidel")
     u, speed, _, sets = own.compute_parameterization(*rates, return_data=True)
@@ -192,7 +192,7 @@ def assert_within_limits(robot: Robot, trajectory: Trajectory) -> None:
 
 
 def assert_smooth(trajectory: Trajectory) -> None:
-    """The cubics between rows have the rows' accelerations at both ends: the acceleration is continuous."""
+    """Check that the acceleration is continuous, equal to the samples' at both ends."""
     if trajectory.samples == 1:
         return
     bezier, duration = trajectory.segments
@@ -213,7 +213,7 @@ def assert_on_path(robot: Robot, retimed: Retimed, motion: Trajectory) -> None:
     there = robot.tool_positions(motion.positions(np.clip(near, 0.0, motion.duration).ravel()))
     here = robot.tool_positions(trajectory.positions(clock))
     off = np.linalg.norm(there.reshape(*near.shape, 3) - here[:, None], axis=2).min(axis=1)
-    assert off.max() <= OFF_PATH + 1e-5  # the places that are looked at are a little apart
+    assert off.max() <= OFF_PATH + 1e-5  # the checked places are a little apart
 
 
 @settings(max_examples=30)

@@ -1,4 +1,4 @@
-"""Trajectories: rows and files, stops, jerk-limited rows of a timed path, rounded corners."""
+"""Trajectories: samples and files, stops, jerk-limited timing, rounded corners."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def test_positions_and_states_between_rows_are_those_of_the_cubics():
     np.testing.assert_allclose(outside, trajectory.position[[0, -1]], rtol=0, atol=1e-12)
     np.testing.assert_array_equal(some_trajectory(1).positions(np.zeros(2)), some_trajectory(1).position[[0, 0]])
     assert trajectory.velocity[0].any()
-    for t in (-1e-13, 0.0, 0.3 * trajectory.duration, 0.71 * trajectory.duration):  # rounding is not before the begin
+    for t in (-1e-13, 0.0, 0.3 * trajectory.duration, 0.71 * trajectory.duration):  # rounding is not before the start
         for order, values in enumerate(trajectory.state_at(t)):
             np.testing.assert_allclose(values, curve(max(t, 0.0), order), rtol=1e-9, atol=1e-9)
     for t, row in ((-1.0, 0), (trajectory.duration, -1), (trajectory.duration + 1.0, -1)):
@@ -312,7 +312,7 @@ def joint_turn(robot, joint, angle, start=0.1):
 
 
 def hermite(trajectory, step=FINE):
-    """Time and position of the cubic Hermite curve through the rows, every `step` seconds."""
+    """Time and position of the cubic Hermite curve through the samples, every `step` s."""
     time = np.arange(0.0, trajectory.duration + 0.5 * step, step)
     return on_cubics(trajectory, time)
 
@@ -335,13 +335,13 @@ def row_uses(trajectory, limits):
 
 
 def jerk_uses(trajectory, limits):
-    """(rows - 1,) share of the jerk limit; between rows acceleration is linear."""
+    """(samples - 1,) use of the jerk limit; acceleration is linear between samples."""
     step = np.diff(trajectory.time)[:, None]
     return (np.abs(np.diff(trajectory.acceleration, axis=0)) / step / limits.jerk).max(axis=1)
 
 
 def assert_sound(trajectory, model, limits, *, rate=RATE, path=None, jerk=True):
-    """Uniform time, rest, exact ends, columns that belong together, limits at rows and between."""
+    """Check uniform time, rest, ends, consistent columns, limits at and between samples."""
     steps = np.diff(trajectory.time)
     assert trajectory.time[0] == 0.0
     assert (steps > 0.0).all()
@@ -579,7 +579,7 @@ def test_rates(robot, limits, smooth_limits, rate, with_jerk):
 
 
 def test_motions_of_too_many_rows_are_refused_before_they_are_made(robot, scene):
-    """A thousandth of full speed: half an hour, 450,000 rows."""
+    """A thousandth of full speed: half an hour, 450,000 samples."""
     begin = time.process_time()
     tracemalloc.start()
     with pytest.raises(OptionError, match=r"lasts 1\d\d\d s and would have 4\d\d,\d\d\d") as error:
@@ -607,7 +607,7 @@ def test_a_sharp_bend_does_not_slow_the_whole_motion(robot: Robot) -> None:
 
 
 def frechet_distance_is_within(curve: np.ndarray, points: np.ndarray, bound: float) -> bool:
-    """Whether dense points of two curves can be gone through side by side within a bound (discrete Frechet)."""
+    """True if the discrete Frechet distance of dense points is within a bound."""
     near = np.linalg.norm(curve[:, None] - points[None], axis=2) <= bound
     reach = np.zeros_like(near)
     for i, j in itertools.product(*map(range, near.shape)):

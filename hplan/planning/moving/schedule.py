@@ -87,7 +87,7 @@ class Schedule(Record):
                 middle = 0.5 * (time + float(self.time[i + 1]))
                 rows += [(middle, 0.0), (middle, float(self.speed[i + 1]))]
         time, speed = rows[-1]
-        rows[-1] = time, max(speed, 1.0 / LEVELS)  # the last speed is positive, so that it runs to its end
+        rows[-1] = time, max(speed, 1.0 / LEVELS)  # the final speed is positive, so that the motion ends
         return np.array(rows)
 
 

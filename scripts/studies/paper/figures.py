@@ -409,7 +409,7 @@ def _six(figure: Figure, evidence: Evidence) -> list[tuple[Any, int, float]]:
 
 @styled
 def slices(evidence: Evidence) -> Figure:
-    """Figure 10: occupancy of six theta3 slices, and whether each has a path."""
+    """Figure 10: occupancy of six theta3 slices, and the existence of a path in each."""
     grid = evidence.occupancy.grid
     inner, ends = _link_occupied(evidence, 2), np.degrees(grid.coordinates(np.stack([evidence.start, evidence.goal])))
     figure = new_figure(9.6, 6.9, r"Slices of the C-space at constant $\theta_3$")
@@ -492,7 +492,7 @@ def paths_in_cspace(evidence: Evidence) -> Figure:
     dense, two_level = path_found(evidence.dense), path_found(evidence.plain.second)
     figure = new_figure(8.4, 6.8, "Both paths in the C-space")
     axes, towards = _joint_space(figure, evidence, VIEW)
-    # The wider line below shows on both sides where the two coincide.
+    # The wider line is visible on both sides where the paths coincide.
     _joint_path(axes, evidence, dense, towards, look.PATH, 5.0)
     covered = hidden(_field(evidence), two_level.astype(np.float64), towards)
     _line_3d(axes, np.degrees(grid.coordinates(two_level)), covered, look.INK, 1.8, 11.0)
@@ -528,7 +528,7 @@ def paths_in_workspace(evidence: Evidence) -> Figure:
 
 @styled
 def comparison(numbers: Reproduction, evidence: Evidence) -> Figure:
-    """Figure 16: nodes, time and cost, the paper's and the measured ones, and where the nodes go."""
+    """Figure 16: nodes, time and cost, of the paper and measured, and the nodes' distribution."""
     runs = {
         "paper: dense A*": PAPER_DENSE, "paper: two-level": PAPER_TWO_LEVEL, "here: dense A*": numbers.runs["dense"],
         "here: two-level, plain": numbers.runs["plain"], "here: two-level, hplan": numbers.runs["hplan"],

@@ -260,7 +260,7 @@ def markdown(r: Reproduction) -> str:
 
 
 def _told(rows: list[Row]) -> list[str]:
-    """Rows as a table, a column for each key."""
+    """Rows as a table, with a column for each key."""
     cells = [
         [f"{v:.6f}" if isinstance(v, float) else f"{v:,}" if isinstance(v, int) else v for v in row.values()]
         for row in rows

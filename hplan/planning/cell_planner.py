@@ -229,7 +229,7 @@ class _CellPlanner:
         return CellResult(self._cell, motion, certificate, how, self._alone, later_s, self._options)
 
     def _scheduled(self, cell: Cell, orders: Iterable[Legs], before: Trajectory | None = None) -> CellResult | None:
-        """The certified schedule that finishes first; None if there is no such schedule.
+        """The certified schedule that finishes first, or None.
 
         Args:
             cell: The arms at the start of these motions.

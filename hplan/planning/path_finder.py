@@ -248,7 +248,12 @@ class FirstPaths:
 
 
 def first_tree_path(problem: Problem, pairs: Pairs | None = None) -> list[PromisingPath]:
-    """The path that one pair of trees finds, if any; `pairs` as `tree_path` takes them."""
+    """The path of one pair of trees, if any.
+
+    Args:
+        problem: The problem with one goal.
+        pairs: Trees that can grow on, as in `tree_path`.
+    """
     return tree_paths(problem, replace(problem.effort.trees, pairs=1), pairs=pairs)
 
 
@@ -291,7 +296,7 @@ def long_trees(problem: Problem) -> TreesEffort:
 
 
 def describe_trees(problem: Problem) -> str:
-    """Return a phrase for errors: the budget of all trees of a problem."""
+    """Return a phrase with the budget of all trees, for errors."""
     each: dict[int, int] = {}  # by seed: some of the long ones have grown before
     for trees in (problem.effort.trees, long_trees(problem)):
         each |= dict.fromkeys(range(trees.seed, trees.seed + trees.pairs), trees.each)

@@ -99,13 +99,16 @@ class Problem(Record):
 
     @property
     def least_duration(self) -> float:
-        """Lower bound of the duration of any motion from start to goal [s]."""
+        """Lower bound of the duration from start to goal [s]."""
         robot = self.robot
         return least_duration(self.start, self.goal, robot.velocity_limit, robot.acceleration_limit)
 
     @property
     def margin(self) -> float:
-        """Clearance required beyond the scene's own [m]: less if start or goal have less."""
+        """Clearance required beyond the scene's own [m].
+
+        At most `MARGIN`; less if start or goal have less.
+        """
         return min(MARGIN, 0.5 * float(self.spare_clearances[0]))
 
     def among(self, world: World) -> Problem:

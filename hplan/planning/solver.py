@@ -1,4 +1,4 @@
-"""Anytime search for certified motions from a start to any of several goals.
+"""Anytime search for certified motions to any of several goals.
 
 The path finders of a problem are tried in turn. Near the paths that they yield the solver optimizes, times and
 certifies a motion, and yields each one that is faster than those before. Callers take the first motion, the last,
@@ -95,7 +95,7 @@ def best_motion(problem: Problem) -> Found:
 
 
 def path_finders(problem: Problem) -> Sequence[PathFinder]:
-    """The path finders of a problem, in the order in which they are tried."""
+    """The path finders of a problem, in order of preference."""
     specialist = specialist_of(problem.robot)
     found = None if specialist is None else specialist.path_finders(problem)
     if found is None:

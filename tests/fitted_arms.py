@@ -1,4 +1,4 @@
-"""Members of the family with boxes and meshes on pedestal, turret and links, and coal on all of these."""
+"""Members of the family with added boxes and meshes, and coal on all shapes."""
 
 from __future__ import annotations
 

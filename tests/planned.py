@@ -98,7 +98,7 @@ def assert_clear(
 
 
 def assert_within_limits(robot: Robot, trajectory: Trajectory) -> None:
-    """Of velocities, accelerations and torques."""
+    """Check velocities, accelerations and torques."""
     for values, limit in (
         (trajectory.velocity, robot.velocity_limit),
         (trajectory.acceleration, robot.acceleration_limit),
@@ -139,7 +139,7 @@ def assert_sound(robot: Robot, scene: Scene, result: PlanResult, *, sigmas: floa
 
 
 def assert_grasps(robot: Robot, scene: Scene, result: PlanResult) -> None:
-    """The tool comes to the point, along the last link, and from a fruit goes back."""
+    """Check that the tool reaches the point along the last link, and retreats."""
     grasp, trajectory, name = result.grasp, result.trajectory, scene.goal.fruit
     assert grasp is not None
     heading = last_link(robot, grasp.goal)

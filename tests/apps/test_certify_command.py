@@ -61,7 +61,7 @@ def test_a_trajectory_by_itself(done, capsys):
 
 
 def test_a_risk(tmp_path, capsys):
-    """A plan at risk is certified again as its folder says it was, by a stricter risk it is not."""
+    """A plan with a risk is certified again with it, but not with a smaller risk."""
     scene, folder = tmp_path / "vague.yaml", tmp_path / "out"
     sure = load_scene()
     ball = sure.obstacles[0].model_copy(update={"covariance": ((4e-4, 0.0, 0.0), (0.0, 1e-4, 0.0), (0.0, 0.0, 1e-4))})

@@ -261,7 +261,7 @@ def test_arm_too_weak_to_hold_itself(fails: Fails, tmp_path: Path) -> None:
 
 
 def test_motion_that_cannot_be_certified(fails: Fails, scene_file: SceneFile) -> None:
-    """A thin plate that the nodes of a coarse grid step over; the motion between them cannot."""
+    """A thin plate between the nodes of a coarse grid, which the motion hits."""
     out = math.radians(30)
     plate = {
         "name": "plate",

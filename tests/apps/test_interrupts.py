@@ -1,4 +1,4 @@
-"""Signals at chosen and at random instants of commands: the report is there, and nothing of others is lost."""
+"""Signals at chosen and random instants of commands: reports stay, no files are lost."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def test_an_earlier_job_that_is_read_stays(tmp_path: Path, monkeypatch: pytest.M
 
 @pytest.fixture(autouse=True)
 def usual_handlers() -> object:
-    """As a program has them, which one that runs in the background has not."""
+    """The signal handlers of a foreground program."""
     kept = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
     signal.signal(signal.SIGINT, signal.default_int_handler)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)

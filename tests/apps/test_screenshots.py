@@ -54,7 +54,7 @@ def cspace_page() -> str:
 
 
 def taken(page: str, size: tuple[int, int], folder: Path, name: str) -> Image.Image:
-    """A page as Chromium draws it; a window narrower than 500 pixels is a frame within one that it can have."""
+    """A page as drawn by Chromium; narrow windows are frames in a wider one."""
     (folder / "inner.html").write_text(page, encoding="utf-8")
     html = f'<body style="margin:0"><iframe src="inner.html" style="border:0;width:{size[0]}px;height:{size[1]}px">'
     picture = folder / f"{name}.png"

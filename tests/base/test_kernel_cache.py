@@ -72,7 +72,7 @@ def run(folder: Path, code: str = USE, **environment: str) -> tuple[str, str]:
 
 @pytest.fixture(scope="module")
 def compiled(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Such a folder after its first run, all in it long ago."""
+    """A folder after its first run, with old file times."""
     folder = tmp_path_factory.mktemp("compiled")
     (folder / "kernels.py").write_text(KERNELS)
     os.utime(folder / "kernels.py", (1e9, 1e9))
@@ -182,7 +182,7 @@ def _slope(values: FloatArray) -> float:
 
 
 def test_no_damage_goes_unnoticed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Bits, ends and pieces of a file, and the file of another kernel, or for other types, under its name."""
+    """Changed bits, missing ends and pieces of a file, and other kernels' files."""
     monkeypatch.setattr(nb.config, "CACHE_DIR", str(tmp_path))
     compiled: Any = _slope
     ones, whole = np.ones(3), np.ones(3, dtype=np.int64)

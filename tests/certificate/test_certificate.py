@@ -1,4 +1,4 @@
-"""The certificate against dense sampling with coal at 0.1 ms, and against motions that are wrong by little."""
+"""The certificate against coal at 0.1 ms, and against slightly wrong motions."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ FINE = 1e-4
 
 
 def certify(*arguments, rest_to_rest=False, check_ends=False, **options):
-    """Many motions here run through at speed, and few from a scene's start to its goal."""
+    """Certify motions that need not begin and end at rest, or at start and goal."""
     return certificates.certify(*arguments, rest_to_rest=rest_to_rest, check_ends=check_ends, **options)
 
 

@@ -1,4 +1,4 @@
-"""Certificates of general (non-planar) arms, against coal at close times; joints that slide, in metres."""
+"""Certificates of general (non-planar) arms against coal; prismatic joints in metres."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def free_configurations(robot: Robot, count: int, seed: int, clearance: float = 
 
 
 def motion_between(robot: Robot, start: np.ndarray, end: np.ndarray, samples: int = 40) -> Trajectory:
-    """From rest to rest, straight in joint space, within the limits but for torque."""
+    """A rest-to-rest motion, straight in joint space, within all limits but torque."""
     way = end - start
     fastest = max(
         (1.875 * np.abs(way) / robot.velocity_limit).max(),
@@ -370,7 +370,7 @@ def test_bends_of_the_tool_are_bounded(load, name):
 
 @pytest.mark.parametrize("name", ["seven", "lift"])
 def test_obstacles_that_move(load, name):
-    """A ball flies past, or through, an arm that moves slowly; against coal at close times."""
+    """A ball flies past, or through, a slowly moving arm; against coal."""
     robot, rng = load(name), np.random.default_rng(20)
     start, end = free_configurations(robot, 2, seed=21)
     trajectory = motion_between(robot, start, start + 0.1 * (end - start))

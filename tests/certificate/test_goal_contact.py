@@ -1,4 +1,4 @@
-"""The fruit that is the goal: touched by the last link alone, on a straight approach and back; stops, other timings."""
+"""Contact with the goal's fruit: last link, straight approach, stops, retiming."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def orchard(fruit, start, **changes):
 
 
 def through(robot, *configurations, seconds=4.0, rate=250):
-    """From rest to rest along straight joint motions, one after the other."""
+    """A rest-to-rest motion along straight joint motions, one after the other."""
     parts = []
     for start, end in itertools.pairwise(configurations):
         time = np.linspace(0.0, seconds, round(seconds * rate) + 1)
@@ -305,7 +305,7 @@ def test_where_the_clearance_does_not_suffice_it_is_shown_anew(robot):
 
 
 def test_what_is_not_clear_is_not_certified(robot):
-    """An obstacle on the path, and a certificate that does not hold."""
+    """An obstacle on the path, and an invalid certificate."""
     result = reference()
     scene = result.motion.problem.scene
     tool = robot.tool_positions(result.trajectory.position[[100]])[0]

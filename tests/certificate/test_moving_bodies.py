@@ -1,4 +1,4 @@
-"""All that moves is in the proof, and the planner knows it: turret, masts, cabinets, folds. Truth is coal's."""
+"""Moving bodies in proof and planner: turret, masts, cabinets, folds, against coal."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Certificates in space and time, against coal alone at times close together."""
+"""Certificates in space and time, against coal alone at closely spaced times."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ turns = st.tuples(*(st.floats(-60.0, 60.0),) * 3)
     st.floats(-0.5, 0.8),
 )
 def test_what_is_shown_is_clear_at_all_times(robot, poses, spacing, kind, creeps, row, begin):
-    """An obstacle that passes near the motion: wherever coal sees contact, nothing is certified."""
+    """An obstacle passes near the motion: nothing in contact is certified."""
     motion = quintic(robot, REST, AWAY, duration=1.5, count=76)
     middle = robot.tool_positions(motion.position[20 * row])
     path = Track(

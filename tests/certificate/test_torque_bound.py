@@ -1,4 +1,7 @@
-"""The torque's bound between samples against dense sampling with Pinocchio; on a base that tilts too."""
+"""Torque bounds between samples against dense sampling with Pinocchio.
+
+Including a tilting base.
+"""
 
 from __future__ import annotations
 
@@ -85,7 +88,7 @@ def test_second_derivative_is_bounded(tmp_path, tmp_path_factory):
 
 @pytest.mark.parametrize("name", ["upright on a yaw", "lift"])
 def test_pieces_that_share_a_remainder_have_that_of_all(name, tmp_path, tmp_path_factory):
-    """Of pieces as fast as can be and of slow ones, each as long as any."""
+    """For segments at maximum speed and slow ones, each as long as any."""
     robot = loaded_arm(name, tmp_path_factory) if name == "lift" else load_variant(name, tmp_path)
     rng, sizes = np.random.default_rng(3), robot.dynamics.sizes
     for _ in range(20):

@@ -1,4 +1,4 @@
-"""Bounds of the probability of a contact: half-spaces against coal, probabilities against draws, motions at risk."""
+"""Bounds of contact probabilities: half-spaces against coal, draws, motions at risk."""
 
 from __future__ import annotations
 

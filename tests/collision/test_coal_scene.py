@@ -1,4 +1,4 @@
-"""Distances that coal has, of all kinds of obstacles and clouds, and how exact they are."""
+"""Distances by coal, of all kinds of obstacles and clouds, and their accuracy."""
 
 from __future__ import annotations
 
@@ -256,7 +256,7 @@ def test_base_contacts(robot):
 
 @pytest.mark.parametrize(("offsets", "least"), [({}, 0.6), ({"yaw_axis": (0.5, -0.4), "shoulder_offset": 0.6}, 1.4)])
 def test_ball_about_the_base(offsets, least, tmp_path):
-    """It holds pedestal and turret at every yaw: nothing beyond it touches them, and it is not far too large."""
+    """It encloses pedestal and turret at every yaw, and is not far too large."""
     robot = load_robot(write_robot(replace(HARVESTER, **offsets), tmp_path / "arm.urdf")[0])
     radius = base_radius(robot)
     assert least < radius < least + 0.25

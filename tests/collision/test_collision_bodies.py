@@ -25,7 +25,7 @@ def load(tmp_path_factory):
 
 
 def surface_points(geometry: coal.CollisionGeometry, rng: np.random.Generator) -> np.ndarray:
-    """Points of the outside of a shape, those farthest out among them."""
+    """Points on the surface of a shape, including the outermost ones."""
     if isinstance(geometry, coal.BVHModelBase):
         corners = np.array(geometry.vertices())
         faces = [geometry.tri_indices(number) for number in range(geometry.num_tris)]
@@ -45,7 +45,7 @@ def surface_points(geometry: coal.CollisionGeometry, rng: np.random.Generator) -
 
 @pytest.mark.parametrize("name", [*ARMS, "harvester"])
 def test_bodies_hold_the_urdfs_shapes(load, name):
-    """Each point of a shape is in one of its bodies: in no direction it is beyond that body."""
+    """Each point of a shape is in one of its bodies, in every direction."""
     robot, rng = load(name), np.random.default_rng(1)
     directions = trimesh.unitize(rng.normal(size=(1000, 3)))
     bodies = collision_bodies(robot)
@@ -205,7 +205,7 @@ def test_no_body_moves_farther_than_reach_says(load, name):
 
 @pytest.mark.parametrize("name", ["toy", "lift", "panda", "ur5"])
 def test_pairs_that_are_left_out(load, name):
-    """Every pair is in one of the lists; those said not to touch do not, those said to touch always do."""
+    """Every pair is in one list; pairs that never, or always, touch do so."""
     robot, rng = load(name), np.random.default_rng(5)
     bodies, shapes, pairs = collision_bodies(robot), body_shapes(robot), self_pairs(robot)
     listed = [*pairs.checked, *(pair[:2] for pair in pairs.allowed)]

@@ -1,4 +1,4 @@
-"""Configurations with the tool at a point: planar arms in closed form, any arm from many starts."""
+"""Inverse kinematics: planar arms in closed form, general arms from many starts."""
 
 from __future__ import annotations
 
@@ -325,7 +325,7 @@ def drawn(arm: Robot, seed: int) -> FloatArray:
 
 
 def off(arm: Robot, q: FloatArray, pose: FloatArray, frame: str | None = None) -> tuple[float, float]:
-    """How far a frame is from a pose [m, rad], by Pinocchio."""
+    """Distance of a frame from a pose [m, rad], by Pinocchio."""
     there = arm.forward_kinematics(q, frame)
     turn = pin.log3(there[:3, :3].T @ pose[:3, :3])
     return float(np.linalg.norm(there[:3, 3] - pose[:3, 3])), float(np.linalg.norm(turn))

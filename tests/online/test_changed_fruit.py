@@ -1,4 +1,4 @@
-"""Running motions to a fruit that is another one by now: contact is allowed with the very fruit alone."""
+"""Running motions to a changed fruit: contact is allowed with the original alone."""
 
 from __future__ import annotations
 
@@ -35,14 +35,14 @@ def picking(robot: Robot) -> PlanResult:
 
 
 def a_planner(robot: Robot) -> Planner:
-    """One whose motion to the apple runs."""
+    """A planner whose motion to the apple runs."""
     planner = Planner(robot, SCENE)
     planner.last = picking(robot)
     return planner
 
 
 def in_the_hand(robot: Robot, trajectory: Trajectory, time_s: float) -> tuple[float, float, float]:
-    """The middle of the last link at a time."""
+    """Middle of the last link at a time."""
     q = trajectory.positions(np.array([time_s]))[0]
     points, (origin, axes) = robot.arm.joint_points(q[robot.arm_slice]), robot.plane_at(robot.yaw_of(q))
     x, y, z = (origin + 0.5 * (points[-1] + points[-2]) @ axes[:2]).tolist()

@@ -1,4 +1,4 @@
-"""Planning as the scene changes: motions kept, mended, planned anew; kernels compiled before."""
+"""Planning as the scene changes: motions kept, repaired, planned anew; warm-up."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def planner_for(robot: Robot, obstacles: Any = (), **more: Any) -> Planner:
 
 
 def assert_fresh(robot: Robot, planner: Planner, result: PlanResult) -> None:
-    """Certified with a judge of its own among the obstacles as they are now."""
+    """Check the certificate among the current obstacles with a new checker."""
     assert planner.last is result
     assert_sound(robot, planner.scene, result)
     solids = planner.scene.solids
@@ -321,7 +321,7 @@ def test_nothing_is_compiled_or_loaded_afterwards(program: str, tmp_path_factory
 
 @pytest.mark.parametrize("name", ARMS)
 def test_any_arm_has_a_motion_to_make_ready_with(name: str, tmp_path_factory: pytest.TempPathFactory) -> None:
-    """But for one whose motors cannot hold it."""
+    """Except an arm whose motors cannot hold it."""
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always", NotReadyWarning)
         hplan.warm_up(loaded_arm(name, tmp_path_factory))

@@ -1,4 +1,4 @@
-"""A planner that takes frames of a depth camera."""
+"""A planner that receives frames of a depth camera."""
 
 from __future__ import annotations
 

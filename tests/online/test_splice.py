@@ -26,7 +26,7 @@ BACK = Goal(joints_deg=(-30.0, 60.0, 40.0, 30.0))
 
 
 def a_planner(robot: Robot, **options: object) -> tuple[Planner, PlanResult]:
-    """A planner whose motion leads about a post."""
+    """A planner whose motion goes around a post."""
     scene = task((-40.0, 45.0, 40.0, 30.0), (40.0, 45.0, 40.0, 30.0), [POST, BALL])
     planner = Planner(robot, scene, PlanOptions(**options))
     return planner, planner.plan()

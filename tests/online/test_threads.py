@@ -23,7 +23,7 @@ from hplan.scene.obstacles import Sphere
 
 @pytest.fixture(autouse=True)
 def switching() -> Iterator[None]:
-    """Threads take turns as often as Python lets them."""
+    """Threads switch as often as Python permits."""
     before = sys.getswitchinterval()
     sys.setswitchinterval(1e-5)
     yield
@@ -88,7 +88,7 @@ def test_queries_of_one_collision_scene(robot: Robot) -> None:
 
 
 def test_one_planner(robot: Robot) -> None:
-    """Every plan is of a scene that there was, whole; none is of one that was being changed."""
+    """Every plan is for one complete scene, never for a partly changed one."""
     start = scenes()[0]
     planner = hplan.Planner(robot, start, hplan.PlanOptions(step_deg=2.0))
     planner.plan()

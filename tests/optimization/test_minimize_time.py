@@ -1,4 +1,4 @@
-"""Motions made faster: the whole, its linear programs, and when it is enough."""
+"""Faster motions: the optimizer, its linear programs, and its termination."""
 
 from __future__ import annotations
 
@@ -220,7 +220,7 @@ SWAY = np.array([[2e-3, 1e-3, 0.0, 0.0], [2e-3, 2e-3, 1e-3, 0.0], [3e-3, 2e-3, 2
 
 @pytest.mark.parametrize("sway", [np.zeros((0, 4)), SWAY], ids=["exact", "tracking errors"])
 def test_clearances_less_what_tracking_errors_take_follow_step_and_time_scale(motion, limits, robot, sway):
-    """Errors that grow with speed bring links nearer; a slower motion leaves more room."""
+    """Velocity-dependent tracking errors reduce clearance; a slower motion gains some."""
     control, knots = motion
     field, count, by = field_of(robot), (PIECES - 3) * 2, 1e-4
     rows = first_order(at_rest(control, knots), limits._replace(sway=sway), field.arrays, MARGIN, TRUST)

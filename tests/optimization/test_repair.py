@@ -1,4 +1,4 @@
-"""Motions mended and ways out of tight places, judged by coal."""
+"""Repaired motions and escapes from tight places, judged by coal."""
 
 from __future__ import annotations
 

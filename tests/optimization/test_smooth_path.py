@@ -1,4 +1,4 @@
-"""Paths made smooth, and the fastest of several starts."""
+"""Smooth paths, and the fastest of several starts."""
 
 from __future__ import annotations
 
@@ -321,7 +321,7 @@ def test_clear_straight_motion_stays_straight(robot, options):
 
 
 def test_what_the_optimisers_left_out_is_not_touched(robot, options, monkeypatch):
-    """With next to nothing in sight the proof still has everything, and the search is repeated with all of it."""
+    """With few obstacles in the search the proof still has all; the search repeats."""
     monkeypatch.setattr(postprocess_path, "NEAR", 1e-6)
     monkeypatch.setattr(postprocess_path, "FEW", 0)
     ball = Sphere(name="ball", center=(1.0, 0.0, 1.9), radius=0.15)

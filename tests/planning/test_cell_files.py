@@ -48,7 +48,7 @@ def beside(picker, aside: float = -4.0, names=("left", "right"), goal=None, lean
 
 
 def foreign(picker, duration: float = 6.0, step: float = 1.0, start=FROM, goal=TO) -> Trajectory:
-    """A motion of another program: a quintic, sampled seldom."""
+    """A motion of another program: a coarsely sampled quintic."""
     q0, q1 = np.radians(start), np.radians(goal)
     t = np.append(np.arange(0.0, duration - 1e-9, step), duration)
     s = t / duration

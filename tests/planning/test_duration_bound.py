@@ -61,7 +61,7 @@ def coarse(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def tolerated(distance: float, velocity: float, acceleration: float, jerk: float | None) -> float:
-    """Duration of the fastest motion of a joint that the certificate just lets pass."""
+    """Duration of a joint's fastest motion within the certificate's tolerances."""
     limits = [None if limit is None else LIMIT_TOLERANCE * limit for limit in (velocity, acceleration, jerk)]
     return rest_to_rest(np.array([distance]), *limits).item()
 
@@ -333,7 +333,7 @@ def test_so_they_are_of_an_arm_of_meshes() -> None:
 def excluded_are_in_contact(
     robot: Robot, scene: Scene, found: tuple[GridSearch, JointMotions, list[int]], longest: float, least: float
 ) -> tuple[BoolArray, float]:
-    """Look at excluded cells with coal; the cells that are not, and which part of their middles is in contact."""
+    """Excluded cells that coal does not confirm, and the fraction in contact."""
     search, motions, order = found
     free, random = bits(search), np.random.default_rng(order[0])
     checker, others = CoalScene(robot, scene.solids), motions.ranges(longest, 30)
@@ -360,7 +360,7 @@ def test_no_obstacle_is_taken_for_larger_than_it_is(robot: Robot) -> None:
 
 
 def plain(free: BoolArray, samples: Samples) -> bool:
-    """By the definition."""
+    """Reachability by its definition."""
     first, last = samples
     cells = {tuple(cell) for cell in np.argwhere(free).tolist()}
 

@@ -58,7 +58,7 @@ def swing(middle: FloatArray, half: float = 0.3) -> FloatArray:
 
 
 def zigzag(middle: FloatArray, amplitude: float = 0.1, count: int = 7) -> FloatArray:
-    """The swing in steps, another joint going to and fro."""
+    """The swing in steps, with another joint moving back and forth."""
     first, last = swing(middle)
     points = np.linspace(first, last, count)
     points[1:-1:2, -1] += amplitude
@@ -80,7 +80,7 @@ def far_ball(robot: Robot, q: FloatArray) -> Sphere:
 
 
 def check(robot: Robot, result: PlanResult, points: FloatArray) -> None:
-    """Certified, from the first waypoint to the last, and certified again from outside."""
+    """Check the certificate, from the first to the last waypoint, independently."""
     assert result.certificate.verified
     assert result.trajectory.position[[0, -1]] == pytest.approx(points[[0, -1]], abs=1e-9)
     assert certify(robot, result.scene, result.trajectory).verified

@@ -98,7 +98,7 @@ def test_base_moves_whenever_that_is_better(robot: Robot, turned_deg: float) -> 
 
 @pytest.mark.parametrize(("enclosed", "step_deg"), [("start", 1.0), ("start", 3.0), ("goal", 3.0)])
 def test_no_path_whatever_the_yaw(robot: Robot, enclosed: str, step_deg: float) -> None:
-    """A frame of four bars about the upper arm: it cannot be drawn out, and the proof is quick."""
+    """A frame of four bars around the upper arm: it is enclosed, and quickly proved."""
     inside, outside = (60.0, 20.0, 20.0, 20.0), (0.0, 70.0, 20.0, 20.0)
     ends = (inside, outside) if enclosed == "start" else (outside, inside)
     scene = task(*ends, frame_about_upper_arm(60.0, 20.0))

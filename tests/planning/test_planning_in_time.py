@@ -218,7 +218,7 @@ def test_what_moves_is_passed_farther_off_where_it_is_uncertain(robot):
 
 
 def test_the_speed_changes_where_acceleration_and_torque_have_room(robot):
-    """By the equations of motion, for an arm that is barely strong enough."""
+    """By the equations of motion, for a barely strong enough arm."""
     motion = plan(robot, task(START, GOAL, [], **PLANAR), PlanOptions(effort="quick")).trajectory
     arm = replace(robot, torque_limit=1.02 * np.abs(motion.torque).max(axis=0))
     stations = 9

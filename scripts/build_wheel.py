@@ -75,7 +75,7 @@ def built(project: Path, what: str, folder: Path) -> Path:
 
 
 def unpacked(source: Path, work: Path) -> Path:
-    """The folder of a source distribution, from which the wheel is built.
+    """The unpacked source distribution; the wheel is built in it.
 
     This verifies that the source distribution is complete.
     """

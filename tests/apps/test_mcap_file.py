@@ -281,7 +281,7 @@ def test_a_tour(robot: Robot, tmp_path: Path) -> None:
 
 
 def test_a_run_of_a_motion_its_stop_and_what_follows(picked: PlanResult, tmp_path: Path) -> None:
-    """Each is shown up to the start of the next on its clock."""
+    """Each is recorded up to the start of the next on its clock."""
     stop = picked.stop_at(0.2)
     later = replace(picked, begins_s=1.5)
     found = Recorded(write_mcap([picked, stop, later], tmp_path / "run.mcap", rate_hz=1e4, stamp_s=1.0))

@@ -1,7 +1,8 @@
-"""Measure hplan beside its peers: one command for all studies, rows of numbers as they come, tables, comparisons.
+"""Measure hplan and its peers: all studies in one command, with comparisons.
 
-Peers, with --peer: OMPL's planners, toppra on their paths, roboplan (extra bench). Times are CPU
-times of a thread; trust ratios within one run. Without names all studies are run that need nothing else.
+Rows of numbers are written as they come, then tables. Peers, with --peer: OMPL's planners, toppra on their paths,
+roboplan (extra bench). Times are CPU times of a thread; compare ratios within one run only. Without names all studies
+run that need no further input.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
     from rich.console import Console
     from studies.harness import Asked, Study
 
-#: Where each study is.
+#: Module of each study.
 STUDIES = {
     "reference": "reference:REFERENCE",
     "cspace": "validation.kinds:CSPACE",
@@ -153,7 +154,7 @@ def _run(arguments: argparse.Namespace, console: Console, errors: Console) -> in
 def _measured(
     study: Study, asked: Asked, count: int | None, arguments: argparse.Namespace, errors: Console
 ) -> tuple[list[str], int]:
-    """A study run, its rows written as they come: what is told of it, and how many rows are at fault."""
+    """Run a study and write its rows; its report and fault count."""
     from dataclasses import replace
 
     from rich.progress import Progress
@@ -183,7 +184,7 @@ def _measured(
 
 @contextlib.contextmanager
 def _executor(jobs: int) -> Iterator[Executor | None]:
-    """Processes, where more than one is wanted."""
+    """A pool of processes; None for a single one."""
     if jobs == 1:
         yield None
         return
@@ -194,7 +195,7 @@ def _executor(jobs: int) -> Iterator[Executor | None]:
 
 
 def _compare(folders: Sequence[Path], studies: Sequence[Study], console: Console) -> int:
-    """Say what has changed between two folders in each study that both have."""
+    """Print the changes between two folders in each study that both have."""
     from studies.harness import compare, read_rows
 
     found = 0

@@ -1,9 +1,9 @@
-"""Build a wheel that brings its kernels compiled: for this Python, numba, NumPy and platform.
+"""Build a wheel with compiled kernels for this environment.
 
-The wheel is built from the sources, all that `hplan warmup` does is done with it, and the kernels compiled by that are
-added: for any processor with the instructions of x86-64-v3 (from 2013 on). Where another version of numba, NumPy or
-Python is installed beside it, or the processor is older, kernels are compiled as without. The source distribution is
-built beside it.
+They are for this Python, numba, NumPy and platform. The wheel is built from the sources, `hplan warmup` runs with it,
+and the compiled kernels are added: for any processor with the instructions of x86-64-v3 (from 2013 on). With another
+version of numba, NumPy or Python, or on an older processor, kernels are compiled as usual. The source distribution is
+built, too.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def built(project: Path, what: str, folder: Path) -> Path:
-    """What hatchling builds of a folder, `sdist` or `wheel`."""
+    """Build `sdist` or `wheel` of a folder with hatchling."""
     build = [sys.executable, "-m", "hatchling", "build", "-t", what, "-d", str(folder.resolve())]
     subprocess.run(build, cwd=project, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     version = tomllib.loads((project / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
@@ -75,7 +75,10 @@ def built(project: Path, what: str, folder: Path) -> Path:
 
 
 def unpacked(source: Path, work: Path) -> Path:
-    """The folder in a source distribution: the wheel is built of that, so that it is seen to be whole."""
+    """The unpacked source distribution; the wheel is built in it.
+
+    This verifies that the source distribution is complete.
+    """
     with tarfile.open(source) as archive:
         archive.extractall(work, filter="data")
     return work / source.name.removesuffix(".tar.gz")
@@ -84,7 +87,7 @@ def unpacked(source: Path, work: Path) -> Path:
 def add_kernels(site: Path, work: Path, processes: int) -> int:
     """Compile kernels of an unpacked wheel and put them into it; how many there are."""
     cache = work / "cache"
-    # `-P` keeps the working directory out of the way, not the clone where it is installed from: so the path goes first.
+    # `-P` keeps the working directory off the path, but not the clone of an editable install: so the site comes first.
     environment = {**portable_processor(), "PYTHONPATH": str(site), "NUMBA_CACHE_DIR": str(cache)}
     failed = compile_all(processes, lambda job, kernel: print(f"{job}: {kernel or 'done'}"), environment)
     if failed:
@@ -107,7 +110,7 @@ def add_kernels(site: Path, work: Path, processes: int) -> int:
 def packed(site: Path, pure: str, out: Path) -> Path:
     """The wheel of a folder, named and marked as one for this Python and platform."""
     python = f"cp{sys.version_info.major}{sys.version_info.minor}"
-    # Besides libm and numba's helpers kernels call clock_gettime, in glibc since 2.17: the tag (PEP 600).
+    # Apart from libm and numba's helpers kernels call clock_gettime, in glibc since 2.17: the tag (PEP 600).
     system = sysconfig.get_platform().replace("-", "_").replace(".", "_").replace("linux", "manylinux_2_17")
     tag = f"{python}-{python}-{system}"
     about = next(site.glob("*.dist-info"))
@@ -139,7 +142,7 @@ def try_it(wheel: Path, folder: Path) -> None:
     environment = {"PATH": os.defpath, "PYTHONPATH": str(site), "HOME": os.devnull, "PYTHONDONTWRITEBYTECODE": "1"}
     readme = (ROOT / "README.md").read_text(encoding="utf-8").partition("```python\n")[2].partition("```")[0]
     commands = [*(f"{name} --help" for name in COMMANDS), *_TRIED]
-    # What is tried besides: the README's program, and an arm that is not planar.
+    # Further programs to test: the README's program, and an arm that is not planar.
     any_arm = "import hplan.apps.cli.warmup as warmup; warmup.warm_up_any_arm()"
     programs = [*(["-m", "hplan.apps.cli", *words.split()] for words in commands), ["-c", readme], ["-c", any_arm]]
     for words in programs:

@@ -1,4 +1,4 @@
-"""Certify a trajectory, or what a job left in its folder."""
+"""Certify a trajectory, or the result of a job in its folder."""
 
 import sys
 from functools import partial

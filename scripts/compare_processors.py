@@ -1,8 +1,8 @@
-"""Plan the same tasks as other processors would, and say whether what comes out is the same.
+"""Plan the same tasks with other processors' code, and compare.
 
-NumPy, OpenBLAS, the C library and numba choose their code by the processor, and sums taken in another order differ in
-their last bits. Here each is told to take the code of an older processor, in a process of its own, and the results are
-compared with those of an ordinary run: choices (nodes, grasps, orders, numbers of rows) and numbers.
+NumPy, OpenBLAS, the C library and numba choose their code by the processor, and sums in another order differ in their
+last bits. Each of them runs with the code of an older processor, in a process of its own, and the results are compared
+with an ordinary run's: choices (nodes, grasps, orders, numbers of samples) and numbers.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ _TOUR = ("fruit 01", "fruit 02", "fruit 03", "fruit 06", "fruit 09")
 
 def variants() -> dict[str, dict[str, str]]:
     """The environment of each variant, by its name."""
-    # Which features NumPy can do without is told by a module without a public name, the same since NumPy 2.0.
+    # A private module of NumPy, unchanged since 2.0, lists the features that NumPy can do without.
     from numpy._core import _multiarray_umath as core
 
     optional = [name for name in core.__cpu_dispatch__ if core.__cpu_features__[name]]
     numpy = {"NPY_DISABLE_CPU_FEATURES": " ".join(optional)} if optional else {}
-    # What glibc is told to do without; its sine has code of its own for these.
+    # Features to disable in glibc; its sine has code of its own for these.
     c_library = "glibc.cpu.hwcaps=-AVX2,-AVX2_Usable,-FMA,-FMA_Usable,-FMA4,-FMA4_Usable"
     library = {"GLIBC_TUNABLES": c_library}
     numba = {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""}
@@ -89,7 +89,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _run(environment: dict[str, str], file: Path) -> dict[str, NDArray]:
-    """What a process of this environment plans."""
+    """The plans of a process with this environment."""
     subprocess.run([sys.executable, __file__, "--write", file], env=os.environ | environment, check=True)
     with np.load(file) as arrays:
         return dict(arrays)

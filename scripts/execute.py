@@ -1,4 +1,4 @@
-"""Let a simulated arm run a trajectory among the obstacles of a scene, and say what it touched and where it ended."""
+"""Run a trajectory on a simulated arm; report contacts and end."""
 
 import sys
 from functools import partial

@@ -1,11 +1,11 @@
-"""Make the pictures of README and documentation, all of them; needs Chromium and the extra `figures`.
+"""Make all pictures of README and documentation; needs Chromium and extra `figures`.
 
     python scripts/make_pictures.py [--check]
     python scripts/make_pictures.py --gallery FOLDER [EXAMPLE ...]
 
-Each picture of `docs/pictures` says how long the motion is that it shows. `--check` plans the same motions again and
-says which pictures show something else than today's code gives. `--gallery` runs programs of `scripts/examples`: of
-each a picture, what it prints, and where there is a motion in a scene its page; the site is built with them.
+Each picture of `docs/pictures` states the duration of its motion. `--check` plans the same motions again and lists the
+pictures that differ from today's code. `--gallery` runs programs of `scripts/examples`: for each it writes a picture,
+the printed output and, if there is a motion in a scene, its page; the site is built with them.
 """
 
 from __future__ import annotations
@@ -51,14 +51,14 @@ DURATION_KEY, SAME = "hplan duration", 0.01
 #: Frames of the moving picture a second, its size, how many colours it has.
 RATE_HZ, SIZE, COLORS = 12.5, (640, 480), 240
 
-#: Of a page, beside its size: 3-D drawn by the processor, no network.
+#: Options for pages besides their size: 3-D rendering by the processor, no network.
 CHROMIUM = (
     "--headless=new", "--no-sandbox", "--disable-background-networking", "--disable-component-update", "--disable-sync",
     "--no-first-run", "--hide-scrollbars", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
     "--virtual-time-budget=200", "--enable-logging=stderr",
 )  # fmt: skip
 
-#: Draws the picture of a page alone, without its words, and keeps what is drawn as the page's text.
+#: Draws the picture of a page alone, without its text, and stores it as the page's text.
 _FRAMES = """
 player.pause();
 const drawn = [%s].map(time => {
@@ -68,7 +68,7 @@ const drawn = [%s].map(time => {
 });
 document.body.textContent = "frames:" + drawn.join(" ");
 """
-#: Stands still in the middle of the motion.
+#: Pauses in the middle of the motion.
 _MIDDLE = "player.pause(); player.seek(0.5 * motion.duration);"
 
 
@@ -116,9 +116,9 @@ def browse(html: str, folder: Path, action: str, size: tuple[int, int]) -> subpr
 
 
 def few_colors(drawn: list[Image.Image]) -> list[Image.Image]:
-    """Pictures with one palette of `COLORS` for all, so that what stands still takes no room.
+    """Quantize pictures with one palette, to compress static areas.
 
-    Half of it by area, for the sky, and half of all colours alike, for fruit is small.
+    It has `COLORS` colors: half by area, for the sky, and half for all colors equally, since fruit is small.
     """
     some = np.vstack([np.asarray(frame).reshape(-1, 3) for frame in drawn[:: max(1, len(drawn) // 6)]])
     alike = np.unique(some & 0xF8, axis=0)
@@ -128,7 +128,7 @@ def few_colors(drawn: list[Image.Image]) -> list[Image.Image]:
 
 
 def _png(picture: Image.Image, duration_s: float | None = None) -> bytes:
-    """A picture as PNG, with the duration of what it shows."""
+    """A picture as PNG, with the duration of its motion."""
     stream, facts = io.BytesIO(), PngImagePlugin.PngInfo()
     if duration_s is not None:
         facts.add_text(DURATION_KEY, f"{duration_s:.3f}")
@@ -137,7 +137,7 @@ def _png(picture: Image.Image, duration_s: float | None = None) -> bytes:
 
 
 def _picking() -> hplan.TourResult:
-    """An arm picks fruit from the measured tree that ships, wood and fruit giving way by 20 mm."""
+    """An arm picks fruit from the shipped measured tree, 20 mm compliant."""
     trees = MeasuredOptions(distance=1.2, yaw_deg=180.0, wood_yields=0.02, fruit_yields=0.02)
     scene, robot = measured_orchard([TREE], trees), hplan.load_robot("orchard_harvester")
     names = [name for name, fruit in hplan.reachable(robot, scene).items() if fruit.can_be_picked]
@@ -164,7 +164,7 @@ def _moving(result: Any) -> bytes:
 
 
 def _standing(result: Any) -> bytes:
-    """A PNG of where a motion is after half of its time."""
+    """A PNG of a motion at half of its duration."""
     page = render_page(*playable(result))
     return _png(Image.open(io.BytesIO(still(page, _MIDDLE))), result.trajectory.duration)
 
@@ -209,7 +209,7 @@ def stale() -> list[str]:
     return found
 
 
-# The gallery: examples, what they print and what comes of them.
+# The gallery: examples, their output and results.
 
 
 def _gallery(folder: Path, names: Sequence[str]) -> None:
@@ -221,7 +221,7 @@ def _gallery(folder: Path, names: Sequence[str]) -> None:
 
 
 def _example_process(folder: Path, name: str) -> None:
-    """Run one example as its user would, and keep what it prints."""
+    """Run one example as its user would, and store its output."""
     run = subprocess.run(
         [sys.executable, __file__, "--example", str(folder), name], capture_output=True, text=True, check=False
     )
@@ -232,7 +232,7 @@ def _example_process(folder: Path, name: str) -> None:
 
 
 def _example(folder: Path, name: str) -> None:
-    """Run an example's `main`, and write the picture and the page of what it returns."""
+    """Run an example's `main`, and write picture and page of its result."""
     result = runpy.run_path(str(EXAMPLES / f"{name}.py"))["main"]()
     page, figure = _shown(result)
     if page is not None:
@@ -243,7 +243,7 @@ def _example(folder: Path, name: str) -> None:
 
 
 def _shown(result: Any) -> tuple[str | None, Any]:
-    """The page of a result, and a figure where that says more than the page's picture."""
+    """The page of a result, and a figure if it is better than the page's picture."""
     if motions := result if isinstance(result, list) else getattr(result, "motions", []):
         return _shown(motions[-1])
     if isinstance(result, hplan.StudyResult):
@@ -257,7 +257,7 @@ def _shown(result: Any) -> tuple[str | None, Any]:
 
 
 def main() -> int:
-    """Draw all pictures, or check them, or those of examples."""
+    """Draw all pictures, or check them, or draw the pictures of examples."""
     match sys.argv[1:]:
         case ["--gallery", folder, *names]:
             _gallery(Path(folder), names or sorted(path.stem for path in EXAMPLES.glob("*.py")))

@@ -1,8 +1,8 @@
-"""Plant bugs one at a time in a copy of the tree, and say which of them the tests notice.
+"""Plant bugs one at a time, and report which the tests notice.
 
-Each bug of tests/planted_bugs.toml is one small change to the package: a text that a file holds exactly once, and what
-stands there instead. It is planted in a copy of the tree, and the tests named with it run until the first that fails.
-A bug that no test notices is a hole in the suite.
+Each bug of tests/planted_bugs.toml is one small change to the package: a text that a file holds exactly once, and its
+replacement. It is planted in a copy of the tree, and the tests named with it run until the first failure. A bug that no
+test notices is a hole in the suite.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ exit status:
   5  a bug went unnoticed
 """
 
-#: What the tests need of the tree.
+#: The parts of the tree that the tests need.
 _COPIED = ("hplan", "scripts", "tests", "urdf", "pyproject.toml", "README.md", "CHANGELOG.md", "LICENSE", "docs", ".ci")
 
 #: A bug that makes the tests run longer than this is noticed [s].
@@ -45,10 +45,10 @@ class Bug:
     Attributes:
         id: Its name.
         file: The file, from the root of the tree.
-        old: What the file holds, exactly once.
-        new: What stands there instead.
+        old: Text that the file holds exactly once.
+        new: Its replacement.
         tests: Arguments of pytest: the tests that should notice.
-        what: What a user would get.
+        what: The consequence for a user.
     """
 
     id: str
@@ -130,9 +130,9 @@ def _campaign(bugs: Sequence[Bug]) -> int:
 
 
 def _failure(tests: Sequence[str], bug: Bug | None = None) -> str | None:
-    """The first test that fails, or what keeps the tests from running; None where all pass.
+    """The first failing test or startup error; None if all pass.
 
-    They run in a copy of the tree, its compiled kernels with it, in which a bug may be planted.
+    They run in a copy of the tree, with its compiled kernels and optionally a planted bug.
     """
     with tempfile.TemporaryDirectory() as folder:
         root = Path(folder)

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Reproduce the paper: its numbers beside the measured ones, and its figures.
+"""Reproduce the paper's numbers, next to measured ones, and its figures.
 
 The paper plans for a three-link arm among one disc: analytic C-space (equations 1-3), a 2-D A* in every theta3 slice,
 connectivity restoration, and a second A* on the sparse union. Three searches are run here:
@@ -7,10 +7,10 @@ connectivity restoration, and a second A* on the sparse union. Three searches ar
 - *dense*: A* on all 753,571 nodes, `hplan.grid.dense_search`;
 - *plain*: the two levels to the letter of the paper, written out in a page of plain code (`studies.paper.plain`);
 - *hplan*: `hplan.grid.two_level_search`, which floods before it searches, restores on both sides and is complete on
-  the grid; once with plain A* and the paper's straight-line bound, once as it is by default.
+  the grid; once with plain A* and the paper's straight-line bound, once with the default settings.
 
-Each figure has the number and the subject of the paper's; the layout is our own. What the paper's text leaves open, the
-slices searched and what restoration carries back, is run each way.
+Each figure has the number and the subject of the paper's; the layout is our own. Choices that the paper's text leaves
+open (the searched slices and the restored waypoints) are run each way.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _run(options: argparse.Namespace, console: Console, errors: Console) -> int:
-    """Measure, draw and write what was asked for."""
+    """Measure, draw and write the requested results."""
     from hplan.apps.view.figure_style import png_bytes, require_matplotlib
 
     if not options.no_figures:

@@ -1,4 +1,7 @@
-"""General (non-planar) arms, and one that is, by name; those of example-robot-data where it is installed."""
+"""General (non-planar) arms, and a planar one, by name.
+
+Arms of example-robot-data are included if it is installed.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +27,7 @@ FRUITS = tuple(
     for number, center in enumerate([(0.5, 0.15, 0.5), (0.55, -0.2, 0.6), (0.5, 0.0, 0.35)])
 )
 
-#: What stands about an arm, some of which it may meet.
+#: Obstacles around an arm; it may touch some of them.
 SOLIDS: tuple[Solid, ...] = (
     Sphere(name="ball", center=(0.5, 0.1, 0.6), radius=0.12),
     Capsule.model_validate({"name": "branch", "from": (0.2, -0.5, 0.2), "to": (0.7, -0.2, 0.9), "radius": 0.03}),
@@ -70,7 +73,7 @@ def link(name: str, parent: str, kind: str, axis: str, xyz: str, size: str) -> s
     )
 
 
-#: A trolley on a rail that lies along x, and a boom that turns on it; what no joint moves is nowhere near.
+#: A trolley on a rail along x, and a boom that turns on it; the static obstacles are far away.
 GANTRY = (
     '<robot name="gantry"><link name="base_link"/>'
     + link("rail", "base_link", "prismatic", "1 0 0", "0 0 1", "0.1 0.1 0.1")

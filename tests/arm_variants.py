@@ -1,4 +1,7 @@
-"""Arms with other zeros, planes and signs, random obstacles, and coal asked without hplan's formulas."""
+"""Arms with other zeros, planes and signs, random obstacles, and coal references.
+
+The references use coal without hplan's formulas.
+"""
 
 from __future__ import annotations
 
@@ -37,8 +40,8 @@ VARIANTS: dict[str, tuple[bool, str, str, tuple[str, ...]]] = {
     "links beside each other, no yaw": (False, "0.2 -0.3 0.4", "0 0 0.5", (UP, DOWN)),
 }
 
-#: Where they have offsets: where the yaw axis stands, how far each joint, and then the tool, lies beside the joint
-#: before it, and how far beside its joint each link's body lies.
+#: Arms with offsets: position of the yaw axis, offset of each joint and of the tool from the joint before it, and
+#: offset of each link's body from its joint.
 OFFSETS: dict[str, tuple[str, tuple[float, ...], tuple[float, ...]]] = {
     "yaw axis off the origin": ("0.4 -0.3 0", (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
     "plane beside the yaw axis": ("0 0 0.1", (0.05, -0.12, 0.03), (0.0, 0.0, 0.0)),
@@ -48,9 +51,9 @@ OFFSETS: dict[str, tuple[str, tuple[float, ...], tuple[float, ...]]] = {
 
 
 def load_variant(name: str, folder: Path) -> Robot:
-    """Write the URDF of a variant into a folder and load it; joints may turn by +-2.5 rad, the yaw by +-3.
+    """Write the URDF of a variant into a folder and load it.
 
-    Links pass through one another, so that a test is of obstacles alone.
+    Joints may turn by +-2.5 rad, the yaw by +-3. Self-collision is disabled, so that tests are about obstacles alone.
     """
     has_yaw, xyz, rpy, axes = VARIANTS[name]
     foot, aside, body = OFFSETS.get(name, ("0 0 0", (0.0,) * len(axes), (0.0,) * len(axes)))
@@ -88,7 +91,7 @@ def load_variant(name: str, folder: Path) -> Robot:
     (folder / "variant.limits.yaml").write_text(f"format: hplan-limits/1\nacceleration_rad_s2: {{{table}}}\n")
     robot = load_robot(path)
     np.testing.assert_allclose(robot.arm.half_widths, widths, rtol=1e-12)
-    robot.cached("self_contact", lambda: lambda *_: SelfContact())  # whatever tracking error and clearance
+    robot.cached("self_contact", lambda: lambda *_: SelfContact())  # for any tracking error and clearance
     return robot
 
 
@@ -115,7 +118,7 @@ def link_axes(robot: Robot, q: np.ndarray) -> np.ndarray:
 
 
 def random_obstacles(rng: np.random.Generator, count: int = 6) -> list[Sphere | Capsule | Box]:
-    """Spheres, capsules and turned boxes in turn, where the arms above reach."""
+    """Spheres, capsules and rotated boxes in turn, within reach of the arms above."""
     obstacles: list[Sphere | Capsule | Box] = []
     for index in range(count):
         center = rng.uniform([-1.8, -1.8, -0.6], [1.8, 1.8, 2.0])
@@ -167,7 +170,7 @@ def coal_distances(robot: Robot, q: np.ndarray, obstacles: Sequence[Sphere | Cap
 def least_by_coal(
     robot: Robot, scene: Scene, trajectory: Trajectory, step_s: float = 2e-3, begin_s: float = 0.0
 ) -> float:
-    """Smallest distance of a link from an obstacle at times, each obstacle put where it is then."""
+    """Minimum distance of a link from an obstacle at times, moving obstacles included."""
     clock = np.append(np.arange(0.0, trajectory.duration, step_s), trajectory.duration)
     poses, least = scene.poses_at(begin_s + clock), np.inf
     solids = [(obstacle.name, solid_shape(obstacle)) for obstacle in scene.obstacles]

@@ -36,7 +36,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """All tests are quick but those listed."""
+    """Mark all tests as quick, except the listed ones."""
     slow = set(SLOW.read_text(encoding="utf-8").split())
     for item in items:
         if item.nodeid.partition("[")[0] not in slow:
@@ -63,14 +63,20 @@ class NoteSlow:
 
 
 def pytest_sessionstart() -> None:
-    """Where nothing is compiled yet, the second worker begins with what the first plan of the first comes to last."""
+    """Compile kernels in two workers if none are cached.
+
+    The second worker starts with the kernels that the first one needs last.
+    """
     if os.environ.get("PYTEST_XDIST_WORKER") == "gw1" and is_first_run():
         compile_from_postprocessing_on()
 
 
 @pytest.fixture(scope="session", autouse=True)
 def elsewhere(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Tests run in a folder of their own: what is written without a folder's name is not written into the clone."""
+    """Run each test in a folder of its own.
+
+    Files without a folder's name are then not written into the clone.
+    """
     before = Path.cwd()
     os.chdir(tmp_path_factory.mktemp("elsewhere"))
     yield

@@ -1,4 +1,4 @@
-"""Members of the family with boxes and meshes on pedestal, turret and links, and coal on all of these."""
+"""Members of the family with added boxes and meshes, and coal on all shapes."""
 
 from __future__ import annotations
 
@@ -68,16 +68,16 @@ def fitted(
     """A member of the family with collision shapes of a URDF added.
 
     Args:
-        folder: Where to write it.
+        folder: Output folder.
         more: Shapes to add, by link.
         low: Lower limits of the planar joints [deg].
-        high: Upper ones.
+        high: Upper limits of the planar joints [deg].
         yaw_deg: Range of the yaw to either side; None for none.
         lengths: Lengths of the links.
-        widths: Their half-widths.
-        hung: Fixed links to add, by name: the link that each hangs on, where, and its shape.
+        widths: Half-widths of the links.
+        hung: Fixed links to add, by name: parent link, position and shape.
         name: Name of the file.
-        **more_of_spec: What else the specification says, such as offsets.
+        **more_of_spec: Other entries of the specification, such as offsets.
     """
     count = len(lengths)
     low, high = (np.radians(np.broadcast_to(limit, (count,))).tolist() for limit in (low, high))
@@ -116,7 +116,7 @@ def fitted(
 
 
 class Bodies:
-    """All shapes of a robot's URDF in coal, asked without hplan."""
+    """All shapes of a robot's URDF in coal, independent of hplan."""
 
     def __init__(self, robot: Robot, *, samples: int = 200) -> None:
         self.robot = robot
@@ -131,7 +131,7 @@ class Bodies:
             for a, b in itertools.combinations(range(len(self.shapes)), 2)
             if self.shapes[a][0] != self.shapes[b][0] and not self._neighbours(a, b)
         ]
-        # Left out is what touches wherever the arm is.
+        # Pairs that touch in all configurations are left out.
         rng = np.random.default_rng(0)
         apart = np.zeros(len(pairs), dtype=bool)
         self.pairs = pairs
@@ -140,7 +140,7 @@ class Bodies:
         self.pairs = [pair for pair, ever in zip(pairs, apart, strict=True) if ever]
 
     def _neighbours(self, a: int, b: int) -> bool:
-        """Whether two shapes are of links that share a joint."""
+        """True if two shapes belong to links that share a joint."""
         low, high = sorted((self.shapes[a][0], self.shapes[b][0]))
         return low >= self.moving and high == low + 1
 
@@ -154,11 +154,14 @@ class Bodies:
         return np.array([distance(*placed[a], *placed[b]) for a, b in (self.pairs if pairs is None else pairs)])
 
     def clearance(self, q, obstacles=()) -> float:
-        """Least distance of any pair, and of any body that moves from any obstacle (geometry, transform)."""
+        """Minimum distance of all pairs and of moving bodies from obstacles.
+
+        Obstacles are pairs of geometry and transform.
+        """
         return min(float(self.distances(q).min(initial=math.inf)), self.from_obstacles(q, obstacles))
 
     def from_obstacles(self, q, obstacles) -> float:
-        """Least distance of any body that moves from any obstacle (geometry, transform)."""
+        """Minimum distance of moving bodies from obstacles (geometry, transform)."""
         pin.forwardKinematics(self.robot.model, self.data, np.asarray(q, dtype=float))
         found = []
         for joint, _, geometry, placement in self.shapes:

@@ -1,4 +1,4 @@
-"""Motions and scenes that pages show, and what the commands of a page say."""
+"""Motions and scenes for pages, and the commands of a page."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def orchard(**changes: Any) -> Scene:
 
 
 def commands_of(page: str) -> list[dict[str, Any]]:
-    """What a page tells its viewer to draw."""
+    """The draw commands that a page sends to its viewer."""
     found = re.search(r'<script type="application/json" id="commands">(.*?)</script>', page, re.DOTALL)
     assert found is not None
     commands: list[dict[str, Any]] = json.loads(found.group(1))

@@ -1,4 +1,4 @@
-"""Plans for the tests, and what every one of them must keep, judged without the planner's own formulas."""
+"""Plans for the tests, and checks of every plan without the planner's formulas."""
 
 from __future__ import annotations
 
@@ -23,7 +23,8 @@ from hplan.trajectory.trajectory import Trajectory
 
 Obstacles = Sequence[Any]
 
-#: So far from its line may the tool be on the approach: rows are averages over the time that the jerk limit takes [m].
+#: Maximum deviation of the tool from its line on the approach: samples are averages over the time of the jerk limit
+#: [m].
 STRAIGHT = 1e-4
 
 
@@ -66,12 +67,12 @@ def frame_about_upper_arm(yaw_deg: float, lift_deg: float, half: float = 0.13) -
 
 
 def part(trajectory: Trajectory, begin: float, end: float) -> np.ndarray:
-    """Numbers of the rows of a stretch of time."""
+    """Numbers of the samples within a time interval."""
     return np.flatnonzero((trajectory.time >= begin - 1e-9) & (trajectory.time <= end + 1e-9))
 
 
 def between_rows(trajectory: Trajectory, rows: np.ndarray, looks: int = 3) -> np.ndarray:
-    """Configurations at rows, and at `looks` places on the cubic between each two."""
+    """Configurations at samples, and at `looks` places on the cubic between each two."""
     time = trajectory.time[rows]
     if len(time) == 1:
         return trajectory.position[rows]
@@ -82,7 +83,7 @@ def between_rows(trajectory: Trajectory, rows: np.ndarray, looks: int = 3) -> np
 def assert_clear(
     robot: Robot, scene: Scene, configurations: np.ndarray, *, sigmas: float = 3.0, touched: str | None = None
 ) -> None:
-    """Every link keeps from every obstacle what it has to; but for the last one from the fruit that is touched."""
+    """Check the clearance of every link, except the last one from the touched fruit."""
     solids = scene.solids_with_goal
     if not solids:
         return
@@ -97,7 +98,7 @@ def assert_clear(
 
 
 def assert_within_limits(robot: Robot, trajectory: Trajectory) -> None:
-    """Of velocities, accelerations and torques."""
+    """Check velocities, accelerations and torques."""
     for values, limit in (
         (trajectory.velocity, robot.velocity_limit),
         (trajectory.acceleration, robot.acceleration_limit),
@@ -107,7 +108,7 @@ def assert_within_limits(robot: Robot, trajectory: Trajectory) -> None:
 
 
 def assert_sound(robot: Robot, scene: Scene, result: PlanResult, *, sigmas: float = 3.0) -> None:
-    """Certified; within the limits, clear at and between all rows, at rest at both ends and the grasp, of one piece."""
+    """Check certificate, limits, clearance, rest at the ends and grasp, and continuity."""
     trajectory, report = result.trajectory, result.report
     assert result.certificate.verified
     assert report["certificate"]["verified"]
@@ -138,7 +139,7 @@ def assert_sound(robot: Robot, scene: Scene, result: PlanResult, *, sigmas: floa
 
 
 def assert_grasps(robot: Robot, scene: Scene, result: PlanResult) -> None:
-    """The tool comes to the point, along the last link, and from a fruit goes back."""
+    """Check that the tool reaches the point along the last link, and retreats."""
     grasp, trajectory, name = result.grasp, result.trajectory, scene.goal.fruit
     assert grasp is not None
     heading = last_link(robot, grasp.goal)
@@ -169,7 +170,7 @@ def assert_grasps(robot: Robot, scene: Scene, result: PlanResult) -> None:
     beside = (tools - target) - np.outer((tools - target) @ heading, heading)
     assert np.linalg.norm(beside, axis=1).max() <= STRAIGHT
     assert (np.diff(tools @ heading) > -1e-9).all()
-    # In motion it begins at the last row before the stand-off.
+    # A blended approach begins at the last sample before the stand-off.
     away = np.linalg.norm(tools[:2] - target, axis=1)
     assert away[0] >= grasp.distance - 1e-6
     assert min(away[0] - 1e-6, away[1]) <= grasp.distance
@@ -243,7 +244,7 @@ def straight(robot: Robot, start: Any, end: Any, duration: float = 2.0, rate_hz:
 
 
 def on_cubics(trajectory: Trajectory, time: FloatArray) -> FloatArray:
-    """(n, dof) positions at (n,) times on the cubic Hermite curves through the rows."""
+    """(n, dof) positions at (n,) times on the cubic Hermite curves of the samples."""
     row = np.clip(np.searchsorted(trajectory.time, time, side="right") - 1, 0, trajectory.samples - 2)
     h = (trajectory.time[row + 1] - trajectory.time[row])[:, None]
     t = (time - trajectory.time[row])[:, None] / h

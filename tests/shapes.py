@@ -1,4 +1,4 @@
-"""Closed surfaces for the tests, and what is inside them."""
+"""Closed surfaces for the tests, and their inside."""
 
 from __future__ import annotations
 
@@ -91,5 +91,5 @@ def distances(solid: Solid, points: np.ndarray) -> np.ndarray:
 
 
 def uncovered(solids: tuple[Solid, ...], points: np.ndarray) -> float:
-    """Largest distance of any of some points from the nearest of some solids [m]; 0 or less where all are inside."""
+    """Maximum distance of some points from the nearest solid [m]; <= 0 if inside."""
     return float(np.min([distances(solid, points) for solid in solids], axis=0).max())

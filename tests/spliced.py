@@ -1,4 +1,4 @@
-"""What holds of every splice: the running motion goes on up to the seam, and the motion is continuous there."""
+"""Properties of every splice: unchanged up to the seam, continuous there."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ FIELDS = ("position", "velocity", "acceleration")
 
 
 def assert_goes_on(before: PlanResult, result: SplicedResult) -> None:
-    """The running motion up to the seam row for row, and cubics whose velocity and acceleration do not jump there."""
+    """Check equal samples up to the seam, and continuous velocity and acceleration there."""
     ran_before, motion = before.trajectory, result.trajectory
     first = int(np.searchsorted(ran_before.time, result.begins_s - before.begins_s - 1e-9))
     seam = int(np.searchsorted(motion.time, result.seam_s - 1e-9))

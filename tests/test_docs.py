@@ -1,7 +1,7 @@
-"""README and pages of documentation: code and commands run as they stand there, one after the other; files are there.
+"""README and documentation: code and commands run as written, in order; files exist.
 
 Blocks `python` of a page are run, and each line of `sh`; `yaml` and `xml` are files that their first lines name. Code
-of other libraries stands in blocks `py`.
+of other libraries is in blocks `py`.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ README = ROOT / "README.md"
 PAGES = [README, *sorted((ROOT / "docs").glob("*.md"))]
 EXTRAS = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["optional-dependencies"]
 
-#: Brought by extras that not everybody has: blocks that import them are left out without.
+#: Optional extras: blocks that import them are skipped without them.
 OPTIONAL = {"ompl"}
 
 
@@ -55,7 +55,7 @@ def is_installed(block: str) -> bool:
 
 
 def run_line(line: str) -> None:
-    """Run one command; what it has to return stands behind it, `# exit status 5`, if it is not 0."""
+    """Run one command; `# exit status 5` after it is its expected status, if not 0."""
     words, expected = shlex.split(line, comments=True), re.search(r"#.* exit status (\d+)", line)
     match words:
         case ["hplan", *rest]:
@@ -89,7 +89,7 @@ def check_file(path: Path) -> None:
 
 @pytest.fixture
 def clone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder to work in that has what pages name of the clone."""
+    """A working folder with the files of the clone that pages name."""
     (tmp_path / "scripts").symlink_to(ROOT / "scripts")
     monkeypatch.chdir(tmp_path)
     return tmp_path
@@ -150,7 +150,7 @@ def test_what_a_page_names_is_there(page: Path) -> None:
     made = re.compile("docs/_build|NAME")
     assert [name for name in named if not (made.search(name) or (ROOT / name).exists())] == []
     for link in re.findall(r"\]\(([^)#:]+)(?:#[\w-]+)?\)", text):
-        is_made = link.startswith("generated/")  # the site's build looks at these, and at all headings
+        is_made = link.startswith("generated/")  # the site's build checks these, and all headings
         assert is_made or (page.parent / link).exists(), link
 
 

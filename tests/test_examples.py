@@ -73,7 +73,7 @@ def test_control_loop() -> None:
     assert log.frames == 42
     assert log.stops >= 1
     assert log.contacts == ()
-    assert log.farthest_off_rad < 0.0002  # what the certificates cover
+    assert log.farthest_off_rad < 0.0002  # the tracking error that the certificates cover
 
 
 def test_panda_shelf(capsys: pytest.CaptureFixture[str]) -> None:
@@ -109,7 +109,10 @@ def test_arm_study(tmp_path: Path) -> None:
 
 
 def test_first_motion_notebook(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its cells run one after the other; what the last line of each gives is shown as pages and pictures are."""
+    """Its cells run in order; the value of each last line is displayed.
+
+    Values are displayed as pages or pictures.
+    """
     pytest.importorskip("matplotlib", reason="the extra `figures` is not installed")
     monkeypatch.chdir(tmp_path)
     cells = json.loads((EXAMPLES / "first_motion.ipynb").read_text(encoding="utf-8"))["cells"]
@@ -149,13 +152,13 @@ def test_design_an_arm(tmp_path: Path) -> None:
 
 
 def test_ros2_node() -> None:
-    """What knows of messages, without ROS: points of a padded cloud, joints by name, the goal as rosbags encodes it."""
+    """Message conversion without ROS: padded cloud points, joints by name, encoded goals."""
     typesys = pytest.importorskip("rosbags.typesys")
     store = typesys.get_typestore(typesys.Stores.ROS2_JAZZY)
     node = runpy.run_path(str(EXAMPLES / "ros2_node.py"))
     points = np.random.default_rng(0).normal(size=(2, 3, 3)).astype(np.float32)
     points[1, 2] = np.nan
-    data = np.zeros((2, 3 * 20 + 4), dtype=np.uint8)  # 20 bytes a point, x at 4; 4 bytes after each row
+    data = np.zeros((2, 3 * 20 + 4), dtype=np.uint8)  # 20 bytes per point, x at 4; 4 bytes after each row
     for row, column in np.ndindex(2, 3):
         data[row, 20 * column + 4 : 20 * column + 16] = points[row, column].view(np.uint8)
     field, cloud = (store.types[f"sensor_msgs/msg/{name}"] for name in ("PointField", "PointCloud2"))

@@ -1,4 +1,4 @@
-"""Errors and results travel: between processes, in pickles and copies, and are of use where they arrive."""
+"""Errors and results in pickles, copies and other processes stay usable."""
 
 from __future__ import annotations
 
@@ -157,7 +157,7 @@ def arrays(value: Any, found: Any, path: str, seen: set[int]) -> Iterator[tuple[
 
 
 def assert_alike(value: Any, found: Any) -> None:
-    """Equal arrays throughout, and those that could not be written to still cannot."""
+    """Equal arrays throughout; read-only ones stay read-only."""
     compared = list(arrays(value, found, type(value).__name__, set()))
     assert compared
     for path, mine, other in compared:

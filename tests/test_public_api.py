@@ -1,4 +1,4 @@
-"""What `import hplan` offers, and what ships: robots, scenes, type information, the command."""
+"""The names of `import hplan`, and shipped data: robots, scenes, types, command."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Files beside the package agree with it."""
+"""Files outside the package agree with it."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def test_the_conda_recipe_asks_for_what_the_package_does() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     recipe = yaml.safe_load((ROOT / "scripts" / "conda" / "recipe.yaml").read_text(encoding="utf-8"))
     asked = [re.split(r"(?=>=)", dependency) for dependency in project["dependencies"]]
-    # What PyPI and conda-forge call the same.
+    # Names on PyPI and on conda-forge that differ.
     conda_names = {"meshcat": "meshcat-python", "pin": "pinocchio"}
     wanted = {f"{conda_names.get(name, name)} {least}" for name, least in asked}
     assert set(recipe["requirements"]["run"]) == wanted | {f"python {project['requires-python']}"}

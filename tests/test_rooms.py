@@ -1,4 +1,4 @@
-"""The rooms of the package: what they may import, and that quick tests are in each."""
+"""The rooms of the package: allowed imports, and quick tests in each."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A wrong value is an error of hplan's own that names what is wrong, whatever public function or class is given it."""
+"""Wrong values raise typed errors that name them, in every public function."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ from hplan.trajectory.corner_rounding import largest_deviation, rounded_path
 
 NAN, INF = math.nan, math.inf
 
-#: What no number is, and no place, text, file or object of hplan's.
+#: Values that are not a number, place, text, file or object of hplan.
 NO_NUMBER: tuple[Any, ...] = (
     None,
     "1",
@@ -94,7 +94,7 @@ START, GOAL = Start(joints_deg=(0.0,) * 4), Goal(joints_deg=(0.0, 45.0, 60.0, 70
 
 
 class NoArray:
-    """Says that it is an array, and is none."""
+    """Claims to be an array, and is not."""
 
     def __array__(self, *_: Any, **__: Any) -> Any:
         raise RuntimeError("no array")
@@ -138,12 +138,12 @@ TETRA = ([(0.0, 0, 0), (1.0, 0, 0), (0, 1.0, 0), (0, 0, 1.0)], [(0, 2, 1), (0, 1
 SPEC = {name: getattr(HARVESTER, name) for name in HARVESTER.__dataclass_fields__}
 
 NO_LENGTH = (*NO_POSITIVE, 1e308)
-#: Values that are none of a kind.
+#: Values that are not of a kind.
 KINDS: dict[str, tuple[Any, ...]] = {"number": NO_NUMBER, "positive": NO_POSITIVE, "vector": NO_VECTOR,
     "name": NO_NAME, "path": NO_PATH, "file": NO_FILE, "whole": NO_WHOLE, "matrix": NO_MATRIX, "object": NO_OBJECT,
     "length": NO_LENGTH, "size": (*NO_NUMBER, -1.0), "other": NO_OBJECT[1:], "real": NO_NUMBER[1:],
     "count": NO_WHOLE[1:], "place": NO_VECTOR[1:], "turn": NO_VECTOR[:-3]}  # fmt: skip
-#: What arguments of these names are, where a case does not say otherwise.
+#: Default arguments by name, unless a case has its own.
 USUAL = {
     argument: kind
     for kind, arguments in {
@@ -155,13 +155,13 @@ USUAL = {
     for argument in arguments.split()
 }  # fmt: skip
 A_STUDY = {"name": "small", "arms": ("harvester",), "trees": ("tree.csv",)}
-#: What stands for None among good arguments, and for each argument that has to be such an object.
+#: Replacements for None among valid arguments, and for each argument that must be an object.
 OBJECTS = {
     "robot": ROBOT, "scene": a_scene(), "trajectory": a_trajectory(), "motion": a_trajectory(),
     "study": Study(**A_STUDY),
 }  # fmt: skip
 
-#: A function, what it is given, and values that each argument cannot have.
+#: A function, its arguments, and invalid values for each argument.
 Case = tuple[Callable[..., Any], dict[str, Any], dict[str, tuple[Any, ...]]]
 
 
@@ -171,7 +171,7 @@ def case(
     bad: Mapping[str, tuple[Any, ...]] = MappingProxyType({}),
     **good: Any,
 ) -> Case:
-    """A function with good arguments, the kinds of those that are not the usual ones, and values others cannot have."""
+    """A function with valid arguments, the unusual kinds, and invalid values."""
     arguments = inspect.signature(function).parameters
     usual = {name: kind for name, kind in USUAL.items() if name in arguments and name not in bad}
     named = usual | dict(word.split(":") for word in kinds.split())
@@ -432,7 +432,7 @@ CASES: dict[str, Case] = {
 }
 
 
-#: Other words by which an argument may be called, or what it does not fit.
+#: Other words for an argument, or for the thing that it does not fit.
 WORDS: dict[str, tuple[str, ...]] = {
     "obj": ("scene",),
     "text": ("scene",),
@@ -449,7 +449,7 @@ WORDS: dict[str, tuple[str, ...]] = {
 
 
 def _names(error: HplanError, argument: str, value: Any) -> bool:
-    """Whether an error says on one line which argument is wrong, or what was given for it."""
+    """True if a one-line error names the wrong argument or its value."""
     words = (argument, argument.removesuffix("s"), str(value), repr(value), *WORDS.get(argument, ()))
     return "\n" not in str(error) and any(word in str(error) for word in words)
 
@@ -530,7 +530,7 @@ def test_csv_readers_take_plain_decimal_numbers_only(text: str, tmp_path: Path) 
     ],
 )
 def test_files_are_read_up_to_a_size(name: str, read: Callable[[Path], object], tmp_path: Path) -> None:
-    """One of a terabyte, none of which is on the disk; and a name that no file can have."""
+    """A sparse file of a terabyte; and an impossible file name."""
     path = tmp_path / name
     with path.open("wb") as file:
         file.truncate(2**40)
@@ -541,7 +541,7 @@ def test_files_are_read_up_to_a_size(name: str, read: Callable[[Path], object], 
 
 
 def test_far_too_large_numbers_are_refused_without_a_warning(tmp_path: Path) -> None:
-    """What overflows where it is squared."""
+    """Numbers that overflow if squared."""
     text = dump_scene(a_scene(obstacles=(Sphere(name="ball", center=(1.0, 0.0, 1.9), radius=0.125),)))
     for wrong in ("1e308", "1.0e+200", "-1e155"):
         (tmp_path / "scene.yaml").write_text(text.replace("0.125", wrong).replace("1.9", wrong))

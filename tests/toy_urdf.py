@@ -21,7 +21,8 @@ def urdf(*joints: str, chain: tuple[str, ...] = ("a", "b")) -> str:
     return "".join([*parts, "</robot>"])
 
 
-#: Joints as of a UR5, with their places and axes: a yaw, three parallel ones beside the plane, and two more across.
+#: Joints as in a UR5, with positions and axes: a yaw, three parallel joints with an offset from the plane, and two
+#: across.
 _SIX_AXES = (
     ("shoulder_pan", "0 0 0.089", "0 0 1"),
     ("shoulder_lift", "0 0.136 0", "0 1 0"),
@@ -31,7 +32,7 @@ _SIX_AXES = (
     ("wrist_3", "0 0 0.095", "0 1 0"),
 )
 
-#: Shapes of their links, as the content of `<geometry>`, and where they are.
+#: Shapes of their links, as the content of `<geometry>`, and their poses.
 _SIX_SHAPES = (
     ('<sphere radius="0.07"/>', "0 0 0"),
     ('<cylinder radius="0.05" length="0.42"/>', "0 0 0.21"),
@@ -79,9 +80,9 @@ def six_axis_picker() -> str:
     return whole[: whole.index('<joint name="flange"')] + tube
 
 
-#: Joints in the manner of a KUKA LBR iiwa 14, which stands upright at 0: height above the joint before [m], axis, range
-#: [deg], speed [deg/s], torque [N m], acceleration [rad/s^2]; mass of the link [kg], radius and length of its cylinder
-#: and the height of its middle [m].
+#: Joints in the manner of a KUKA LBR iiwa 14, upright at 0: height above the joint before [m], axis, range [deg], speed
+#: [deg/s], torque [N m], acceleration [rad/s^2]; mass of the link [kg], radius, length and center height of its
+#: cylinder [m].
 _SEVEN_AXES = (
     (0.1575, "0 0 1", 170, 85, 320, 8.57, 5.8, 0.09, 0.28, 0.12),
     (0.2025, "0 1 0", 120, 85, 320, 8.57, 6.4, 0.09, 0.26, 0.10),

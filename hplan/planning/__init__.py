@@ -1,5 +1,5 @@
-"""From start to goal: the problem, its grasps, paths, the fastest motion along them and its certificate.
+"""Motion planning: problem, grasps, paths, fastest motion and its certificate.
 
-`plan` is the whole; `sampling` finds paths by RRT-Connect, `moving` motions past obstacles that move, `lower_bound`
-durations that no motion can fall below, `finishing` works on paths that others have planned.
+`plan` is the whole pipeline. `sampling` finds paths by RRT-Connect, `moving` finds motions past moving obstacles,
+`lower_bound` computes lower bounds of durations, and `finishing` makes certified motions of given paths.
 """

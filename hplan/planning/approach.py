@@ -1,4 +1,4 @@
-"""The straight approach to a grasp, and the retreat: from rest, or blended with the motion before and after."""
+"""Straight approaches and retreats: from rest, or blended with the adjacent motions."""
 
 from __future__ import annotations
 
@@ -29,24 +29,26 @@ from hplan.planning.tool_paths import Tool, tool_of
 from hplan.robot.model import Robot
 from hplan.trajectory.trajectory import Trajectory
 
-#: A non-stop approach would begin at rest so much farther away than the stand-off, as a fraction of its length. More
-#: lets it pass the stand-off faster, and gives the transit more to do.
+#: Extra starting distance of a non-stop approach beyond the stand-off, as a fraction of the approach length. A larger
+#: value allows a higher speed at the stand-off, but lengthens the transit.
 LEADS: Final = (0.02, 0.05, 0.15, 0.3, 0.45)
 
 _Transit = TypeVar("_Transit", bound=Motion)
 
 
 def retreat_of(approach: Motion) -> Motion:
-    """An approach backwards: accelerations and torques stay as they are, and so do all the distances."""
+    """The approach reversed in time; accelerations, torques and distances are unchanged."""
     return replace(approach.reversed, name="retreat")
 
 
 @dataclass(frozen=True, eq=False)
 class Approach:
-    """Approaches to a grasp: from rest, and non-stop ones that are in motion at the stand-off.
+    """Approaches to one grasp: from rest, or non-stop through the stand-off.
 
     Attributes:
         problem: The arm in its world, the scene, options and budget.
+        target: The fruit, point or pose to reach.
+        grasp: The grasp to approach.
     """
 
     problem: Problem
@@ -65,8 +67,8 @@ class Approach:
         """The approach from rest to rest; None for a grasp without one.
 
         Raises:
-            TimingError: There is none within the limits.
-            CertificationError: It is asked for, and something was not shown.
+            TimingError: No timing of the approach satisfies the limits.
+            CertificationError: A certificate is required, and the approach is not certified.
         """
         path = self.grasp.path(self.problem.robot, self.problem.scene.locked_joints)
         if path is None:
@@ -79,7 +81,12 @@ class Approach:
 
     @property
     def motions(self) -> tuple[Motion, ...]:
-        """The approach from rest and, from a fruit, the retreat; errors as `from_rest`."""
+        """The approach from rest and, from a fruit, the retreat.
+
+        Raises:
+            TimingError: No timing of the approach satisfies the limits.
+            CertificationError: A certificate is required, and the approach is not certified.
+        """
         there = self.from_rest
         if there is None:
             return ()
@@ -87,7 +94,10 @@ class Approach:
 
     @cached_property
     def farthest(self) -> float:
-        """From where the tool can come straight and clear, at most `LEADS` beyond the stand-off [m]."""
+        """Maximum distance of a clear straight approach [m].
+
+        At least the stand-off distance, at most `LEADS` beyond it.
+        """
         grasp, tool = self.grasp, self._tool
         longest = (1.0 + LEADS[-1]) * grasp.distance
         possible = tool.largest_standoff(grasp.goal, longest)
@@ -101,13 +111,14 @@ class Approach:
         return float(away[max(0, touching[0] - 1)]) if len(touching) else possible
 
     def non_stop(self, lead: float) -> Trajectory | None:
-        """The approach that is in motion where it passes the stand-off; None where there is none.
+        """The approach in motion at the stand-off; None if impossible.
 
-        It is the last part of one that begins at rest farther away. So it passes the stand-off at a speed that the arm
-        can reach on a straight line, and on this line all joints can keep their limits; the motion there need not.
+        It is the last segment of an approach from rest that starts farther away. The arm therefore passes the stand-off
+        at a speed that it can reach on the straight line, where all joint limits hold; the transit's motion before the
+        stand-off need not follow that line.
 
         Args:
-            lead: How much farther away, as a fraction of the approach.
+            lead: Extra starting distance, as a fraction of the approach length.
         """
         longer = min(self.farthest, (1.0 + lead) * self.grasp.distance)
         if longer not in self._known:
@@ -115,14 +126,14 @@ class Approach:
         return self._known[longer]
 
     def certified(self, approach: Trajectory) -> Motion | None:
-        """A non-stop approach with its certificate; None where it is not verified."""
+        """A non-stop approach with its certificate; None if it is not certified."""
         if id(approach) not in self._shown:
             shown = certificate_of(self.touching, approach, self._contact_stretches(approach), rest_to_rest=False)
             self._shown[id(approach)] = Motion("approach", approach, shown) if shown.verified else None
         return self._shown[id(approach)]
 
     def _non_stop(self, longer: float) -> Trajectory | None:
-        """The approach of which the whole has a length [m]."""
+        """The last segment of an approach that starts at a distance [m]."""
         grasp, robot = self.grasp, self.problem.robot
         if longer < grasp.distance + 1e-3:
             return None
@@ -138,14 +149,20 @@ class Approach:
         return there if _off_line(robot, there, grasp) <= 1e-4 else None
 
     def _contact_stretches(self, approach: Trajectory) -> list[Stretch]:
-        """What an approach is certified among: the last link may touch the fruit while it moves straight."""
+        """The segments and obstacles to certify an approach against.
+
+        The last link may touch the fruit while it moves straight.
+        """
         fruit = self.target.fruit
         contacts = () if fruit is None else goal_contacts(self.problem.robot, approach, fruit, "approach")
         return stretches(self.target.world.checker, approach.time, contacts)
 
 
 def _off_line(robot: Robot, approach: Trajectory, grasp: Grasp) -> float:
-    """How far the tool leaves the straight line between stand-off and grasp, at rows and between them [m]."""
+    """Maximum distance of the tool from the straight approach line [m].
+
+    Evaluated at the samples and at three points between any two of them.
+    """
     clock = np.linspace(0.0, approach.duration, 4 * (approach.samples - 1) + 1)
     tip, standoff = robot.tool_positions(np.stack([grasp.goal, grasp.standoff]))
     line = standoff - tip
@@ -157,24 +174,26 @@ def _off_line(robot: Robot, approach: Trajectory, grasp: Grasp) -> float:
 def blended(
     problem: Problem, transit: _Transit, before: Approach | None, after: Approach | None
 ) -> tuple[Motion | None, _Transit, Motion | None] | None:
-    """The quickest motion without a stop at the stand-offs; None where the one with stops is as quick.
+    """The fastest motion without a stop at the stand-offs.
+
+    None if it is not faster than the motion with stops.
 
     Args:
-        before: From where the arm retreats before it; None where the transit begins at rest.
-        after: What it approaches after it; None where the transit ends at rest.
+        before: The approach whose retreat precedes the transit; None if the transit starts at rest.
+        after: The approach that follows the transit; None if the transit ends at rest.
 
     Returns:
-        The retreat before it, the transit, and the approach after it; None for those that it is not blended with.
+        The retreat before the transit, the transit, and the approach after it; None for a side that is not blended.
 
     Raises:
-        HplanError: As `Approach.from_rest`.
+        HplanError: As in `Approach.from_rest`.
     """
     if problem.optimization is None or transit.trajectory.samples == 1:
         return None
     sides = before, after
     at_rest = [None if side is None else side.from_rest for side in sides]
     stops_s = seconds([motion for motion in at_rest if motion is not None])
-    # By less than this no motion is quicker than another [s].
+    # Minimum difference in duration for a motion to count as faster [s].
     least_gain_s = 1e-6
     limit_s = transit.trajectory.duration + stops_s - least_gain_s
     found: list[tuple[float, TimedSpline, list[Trajectory | None]]] = []
@@ -184,7 +203,7 @@ def blended(
         check_deadline()
         approaches = [None if side is None else side.non_stop(LEADS[number]) for side in sides]
         if known and all(one is other for one, other in zip(known, approaches, strict=True)):
-            break  # there is no more room beyond the stand-offs
+            break  # the stand-offs leave no more room
         known = approaches
         spline = _between(problem, transit.trajectory, approaches)
         if spline is not None:
@@ -196,14 +215,14 @@ def blended(
             if found and total_s > found[-1][0] - least_gain_s:
                 break
             found.append((total_s, spline, approaches))
-            # Where the transit comes to last longer by more than half of what approach and retreat save, try less.
+            # If the longer transit costs more than half of the time that approach and retreat save, try a shorter lead.
             step = step or (1 if limit_s - total_s > 0.5 * saved_s else -1)
             if step > 0 and None in sides and problem.effort.leads <= 2:
-                break  # with one stand-off there is little more to gain
+                break  # with one stand-off another lead gains little
         number += step or -1
         if number not in range(len(LEADS)):
             break
-    for total_s, spline, approaches in reversed(found):  # the quickest first
+    for total_s, spline, approaches in reversed(found):  # fastest first
         if total_s > limit_s:
             break
         certified = _certified(problem, transit, spline, [*zip(sides, approaches, strict=True)])
@@ -218,7 +237,7 @@ def _certified(
     spline: TimedSpline,
     sides: Sequence[tuple[Approach | None, Trajectory | None]],
 ) -> tuple[Motion | None, _Transit, Motion | None] | None:
-    """The motions with their certificates; None where one is not verified."""
+    """The motions with their certificates; None if one is not certified."""
     shown: list[Motion | None] = []
     for side, approach in sides:
         shown.append(None if side is None or approach is None else side.certified(approach))
@@ -234,7 +253,10 @@ def _certified(
 
 
 def _between(problem: Problem, transit: Trajectory, approaches: Sequence[Trajectory | None]) -> TimedSpline | None:
-    """The fastest motion near a transit between non-stop approaches, at rest without one; None where none is found."""
+    """The fastest motion between non-stop approaches; None if not found.
+
+    It is near the transit; an end without a non-stop approach is at rest.
+    """
     leaving, coming = approaches
     if leaving is None and coming is None:
         return None

@@ -1,12 +1,11 @@
-r"""Plans of which it is shown how probable it is at most that they touch anything: risk allocated where it is of use.
+r"""Chance-constrained planning with iterative risk allocation (Ono and Williams 2008).
 
-A motion is planned among obstacles that have each grown by its own distance, and then it is bounded how probable it is
-that it touches anything (`hplan.certificate.touch_risk`). What is far has hardly any part of that; so the risk is for
-those that are near, and their growths are found from what they have of it: an obstacle that would be touched with
-probability :math:`p` is :math:`\Phi^{-1}(1 - p)` standard deviations away, as by a plane, and grows by as many more or
-fewer as make :math:`p` its part of the risk. Allocation and motion follow one another, as in iterative risk allocation
-(Ono and Williams 2008); the quickest motion that keeps within the risk is taken. What is shown is shown of the motion:
-the allocation only says where to look for it.
+Each uncertain obstacle is grown by its own distance, a motion is planned, and an upper bound on the motion's contact
+probability is computed (`hplan.certificate.touch_risk`). Distant obstacles contribute almost nothing to it, so the risk
+is allocated to the nearby ones. An obstacle with contact probability :math:`p` is :math:`\Phi^{-1}(1 - p)` standard
+deviations away if its surface is treated as a plane; its growth changes by the difference to the deviations that match
+its share of the risk. Allocation and planning alternate, and the fastest motion within the risk is returned. The bound
+is proved for the motion itself: the allocation only directs the search.
 """
 
 from __future__ import annotations
@@ -36,45 +35,46 @@ from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 from hplan.scene.obstacle_kind import largest_deviation
 
-#: Part of the risk that the first motion is to take, and those after it; one that takes as much as the third is kept.
+#: Fractions of the risk: for the first motion, for the later ones, and the minimum use by a motion that
+#: ends the search.
 _FIRST, _NEXT, _ENOUGH = 0.5, 0.75, 0.05
 
-#: Motions that are planned at most.
+#: Maximum number of motions to plan.
 _ROUNDS = 4
 
-#: An obstacle is near where the motion comes within its growth, so many of its standard deviations and the margin that
-#: motions keep, half as much again [m].
+#: An obstacle is near if the motion comes within its growth plus this multiple of its standard deviation plus this
+#: distance, one and a half times the margin of motions [m].
 _NEAR, _NEAR_M = 0.25, 1.5 * MARGIN
 
 
 @dataclass(frozen=True)
 class _Allocation:
-    """By how much obstacles grow, in standard deviations from where they were seen to the arm.
+    """Growth of obstacles, in standard deviations of their relative position.
 
     Attributes:
-        rest: Of those that are not named.
-        near: Of the others, by name.
+        rest: Growth of all obstacles that are not in `near`.
+        near: Growth of the others, by name.
     """
 
     rest: float
     near: Mapping[str, float]
 
     def of(self, name: str) -> float:
-        """That of an obstacle."""
+        """Growth of one obstacle, in standard deviations."""
         return self.near.get(name, self.rest)
 
 
 def plan_at_risk(
     robot: Robot, scene: Scene, options: PlanOptions, risk: float, plan: Callable[[PlanOptions], PlanResult]
 ) -> PlanResult:
-    """The quickest motion found that touches anything with a probability of at most `risk`.
+    """The fastest motion found with a contact probability of at most `risk`.
 
     Args:
-        plan: Plans the scene, given the growths as `PlanOptions.sigmas`.
+        plan: Plans the scene with the growths as `PlanOptions.sigmas`.
 
     Raises:
-        HplanError: As `hplan.planning.plan.plan`.
-        CertificationError: Motions were found, and none that is shown to keep within the risk.
+        HplanError: As in `hplan.planning.plan.plan`.
+        CertificationError: Motions were found, but none has a probability bound within the risk.
     """
     shared = scene.shared_error
     deviations = {name: largest_deviation(error + shared) for name, error in scene.errors.items()}
@@ -82,7 +82,7 @@ def plan_at_risk(
     least = 1.0
     allocation = _Allocation(_away(_FIRST * risk), {})
     room: dict[str, float] = {}
-    # What is shown of motions takes its part of the time.
+    # The rest of the time is for the bounds of the motions.
     deadline_s = None if options.deadline_s is None else 0.6 * options.deadline_s
     for _ in range(_ROUNDS):
         sigmas = _sigmas(allocation, deviations, scene.clearance, room)
@@ -98,7 +98,7 @@ def plan_at_risk(
                 break
             if room:
                 raise
-            # What start or goal is near to cannot grow as far; the bound tells whether that is near enough.
+            # Obstacles near start or goal cannot grow as much; the bound decides whether this suffices.
             room = _room_at_ends(robot, scene)
             continue
         except (BlockedError, NoPathError, NotFoundError, CertificationError, TimingError):
@@ -106,7 +106,7 @@ def plan_at_risk(
                 break
             if allocation.rest <= _away(risk):
                 raise
-            # There may be a motion past those that have grown less, where only one of them is near.
+            # Smaller growths may admit a motion that is near to only one obstacle.
             allocation = _Allocation(_away(risk), {})
             continue
         is_within = shown.bound <= risk
@@ -128,20 +128,23 @@ def plan_at_risk(
 
 
 def _risk_of(result: PlanResult, scene: Scene, risk: float) -> TouchRisk:
-    """What is shown of a motion that is certified among obstacles that have grown."""
+    """The contact probability of a motion certified among grown obstacles."""
     if result.certificate.subject is None:
         raise CertificationError("the motion's certificate does not say what it is about")
     return touch_risk(result.certificate.subject, scene, risk)
 
 
 def _away(probability: float) -> float:
-    """How many standard deviations away a plane is beyond which a place is with a probability."""
-    # Probabilities as numbers of standard deviations.
+    """The standard normal quantile that is exceeded with a probability."""
+    # Clamped to [1e-12, 0.45]: outside, the quantile is infinite, or not positive.
     return NormalDist().inv_cdf(1.0 - min(max(probability, 1e-12), 0.45))
 
 
 def _room_at_ends(robot: Robot, scene: Scene) -> dict[str, float]:
-    """By how much obstacles may grow where start, or goal, is near to them, less the margin of motions [m]."""
+    """Maximum growth of each obstacle at start and goal, by name [m].
+
+    The distance there less the required clearance and `_NEAR_M`, at least 0.
+    """
     checker = checker_in_time(robot, scene, 0.0)
     names = checker.obstacle_names[: checker.own_first]
     room: dict[str, float] = {}
@@ -158,7 +161,7 @@ def _room_at_ends(robot: Robot, scene: Scene) -> dict[str, float]:
 def _sigmas(
     allocation: _Allocation, deviations: Mapping[str, float], clearance: float, room: Mapping[str, float]
 ) -> dict[str, float]:
-    """How many standard deviations each is to grow by; what the clearance keeps anyway comes off."""
+    """Growth of each obstacle as `PlanOptions.sigmas`, less the required clearance."""
     return {
         name: min(max(0.0, allocation.of(name) - clearance / deviation), room.get(name, math.inf) / deviation)
         for name, deviation in deviations.items()
@@ -169,7 +172,7 @@ def _sigmas(
 def _near(
     shown: TouchRisk, allocation: _Allocation, deviations: Mapping[str, float], clearance: float
 ) -> tuple[Share, ...]:
-    """Those to which the motion comes as near as it may."""
+    """The obstacles that the motion approaches as closely as their growth allows."""
     return tuple(
         share
         for share in shown.shares
@@ -186,9 +189,9 @@ def _reallocated(
     risk: float,
     deviations: Mapping[str, float],
 ) -> _Allocation:
-    """An allocation with which the bound should be a little less than the risk."""
+    """The next allocation, for a bound a little below the risk."""
     if shown.shared > 0.0 or not near:
-        # All together, by as much as the bound is off.
+        # With a shared error, scale all growths by the same factor.
         factor = _away(_NEXT * risk) / _away(shown.bound)
         return _Allocation(allocation.rest * factor, {name: z * factor for name, z in allocation.near.items()})
     others = shown.bound - sum(share.probability for share in near)
@@ -203,7 +206,7 @@ def _reallocated(
 def _among_what_was_seen(
     robot: Robot, scene: Scene, options: PlanOptions, result: PlanResult, shown: TouchRisk
 ) -> PlanResult:
-    """The result with the certificate that its motion has among obstacles that have not grown, and its risk."""
+    """The result with the certificate without growth, and the risk."""
     tracking = options.certified_tracking
     contact: GoalContact = result.certificate.goal_contact or "approach"
     certificate = certify(

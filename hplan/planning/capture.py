@@ -1,10 +1,10 @@
-"""How likely it is that a fruit which is not where it was seen is within the gripper's capture range.
+"""Probability that an uncertain fruit is within the gripper's capture range.
 
-The gripper takes a fruit whose middle is off by no more than a length along where the tool points at the grasp, which
-is along a straight approach, and no more than another across it. The fruit's error is normal, with the covariance that
-the scene gives, that of all places together in it. What is counted is a share of 4,096 draws that are spread evenly,
-the same for all approaches: good to about 0.2 %, so that approaches which differ by less count as equally good. Errors
-of the arm are not in it.
+The gripper takes a fruit whose center is off by at most one length along the tool axis at the grasp (the direction of a
+straight approach) and by at most another length across it. The position error is normal with the covariance of the
+scene: the fruit's own and the shared one. The probability is the fraction of 4,096 evenly distributed draws, the same
+for all approaches. It is accurate to about 0.2 %, so approaches that differ by less count as equal. Errors of the arm
+are not included.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 
 from hplan.base.arrays import FloatArray
 
-#: Draws, and by how much less than the best an approach is as good.
+#: Number of draws, and the maximum difference in probability from the best approach to count as equally good.
 _DRAWS, SAME = 4096, 0.005
 
 
@@ -21,9 +21,9 @@ def caught(approaches: FloatArray, covariance: FloatArray, capture_m: tuple[floa
     """(k,) probabilities that a fruit is within capture range.
 
     Args:
-        approaches: (k, 3) where the tool points, of any length.
-        covariance: (3, 3) of the fruit's place [m^2].
-        capture_m: How far its middle may be off across the approach, and along it [m].
+        approaches: (k, 3) directions of the tool, of any length.
+        covariance: (3, 3) covariance of the fruit's position [m^2].
+        capture_m: Maximum offset of its center across the approach, and along it [m].
     """
     from scipy.special import ndtri
 

@@ -1,9 +1,9 @@
-"""Cells: several arms beside one another, and what is certified of their motions.
+"""Workcells: several arms, and the certificates of their motions.
 
-A cell is one robot (`hplan.robot.several`): a tree of joints in which every body of one arm against every body of
-another is a pair of its own, so that what is planned, certified, stopped or spliced for any robot holds for all arms
-at once. What is certified is shown twice: each arm among the obstacles, with the fruit that it reaches for, and all
-bodies of different arms against one another, over continuous time.
+A workcell is one robot (`hplan.robot.several`): a tree of joints in which every two bodies of different arms are a
+pair of their own. All functions that plan, certify, stop or splice motions of a robot therefore hold for all arms
+together. The certificate has two parts: each arm among the obstacles, with the fruit that it reaches for, and all
+bodies of different arms against each other, over continuous time.
 """
 
 from __future__ import annotations
@@ -54,33 +54,33 @@ from hplan.scene.solids import CUBE_CORNERS, rpy_rotation, whole_hull
 from hplan.trajectory.cubics import Rows, evaluate
 from hplan.trajectory.trajectory import Retimed, Trajectory, stopped
 
-#: How a cell's motions were found.
+#: How the motions of a workcell were found.
 How = Literal["at once", "one later", "around each other"]
 
-#: Samples of planned motions nearer to each other than this are one [s].
+#: Samples of planned motions closer in time than this are one [s].
 _SAME_S: Final = 1e-6
 
-#: Why links of two arms may touch.
+#: Reason why links of two arms may touch.
 BY_SCENE: Final = "the scene says so"
 
-#: An arm whose file ends no faster than `REST` stands so soon after it [s].
+#: An arm whose file ends no faster than `REST` is at rest this long after its end [s].
 _STANDS_AFTER_S: Final = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
 class CellArm(Record):
-    """One arm of a cell.
+    """One arm of a workcell.
 
     Attributes:
-        name: Its name in the cell.
+        name: Its name in the workcell.
         robot: The arm by itself.
-        scene: The cell as the arm's base sees it, and the arm's task; its goal is where it starts, if it has none.
-        joints: (dof,) which joints of the cell's robot are its own.
-        base: Where the frame of `robot` and `scene` is in the cell's.
-        is_waiting: True if it has no goal and stays where it is.
-        drop_off: Where on a tour it lets fruit go, as its base sees it; None where it carries nothing.
-        every: How many fruits it carries there at most.
-        prefix: What names of `robot` begin with in the cell's robot; empty if they have it already.
+        scene: Obstacles and the arm's task in the frame of its base; an arm without a goal has its start as goal.
+        joints: (dof,) numbers of its joints in the workcell's robot.
+        base: Pose of the frame of `robot` and `scene` in the workcell's frame.
+        is_waiting: True if it has no goal and stays at its start.
+        drop_off: Where it releases fruit on a tour, in the frame of its base; None if it carries nothing.
+        every: Maximum number of fruits that it carries there at a time.
+        prefix: Prefix of the names of `robot` in the workcell's robot; empty if the names already have it.
     """
 
     name: str
@@ -95,22 +95,32 @@ class CellArm(Record):
 
     @property
     def tool_frame(self) -> str:
-        """The tool frame's name in the cell's robot."""
+        """The tool frame's name in the workcell's robot."""
         return self.prefix + self.robot.tool_frame
 
     def starting(self, q: FloatArray) -> CellArm:
-        """The arm where it begins at another (dof,) configuration."""
+        """The arm with another (dof,) start configuration."""
         return replace(self, scene=self.scene.copy_unchecked({"start": Start(joints_rad=tuple(q.tolist()))}))
 
 
 @dataclass(frozen=True, eq=False)
 class Cell(Record):
-    """Several arms and everything around them.
+    """Several arms and their surroundings.
 
     Attributes:
-        scene: As its file describes it.
-        robot: All arms as one robot, whose base is the cell's frame.
+        scene: The scene as its file describes it.
+        robot: All arms as one robot; its base is the workcell's frame.
         arms: The arms, in the order of the file.
+
+    Examples:
+        >>> from hplan import Cell, load_robot, load_scene
+        >>> from hplan.scene.cell import CellRobot, CellScene
+        >>> robot, task = load_robot(), load_scene()
+        >>> left = CellRobot(name="left", robot=robot.name, position=(0, 3, 0), start=task.start, goal=task.goal)
+        >>> right = CellRobot(name="right", robot=robot.name, position=(0, -3, 0), start=task.start)
+        >>> cell = Cell.of(CellScene(name="pair", robots=(left, right)), {"left": robot, "right": robot})
+        >>> cell.robot.dof, [arm.is_waiting for arm in cell.arms]
+        (8, [False, True])
     """
 
     scene: CellScene
@@ -119,15 +129,15 @@ class Cell(Record):
 
     @classmethod
     def of(cls, scene: CellScene, robots: Mapping[str, Robot]) -> Cell:
-        """A cell of robots that are loaded.
+        """The workcell of robots that are already loaded.
 
         Args:
-            scene: What it is made of.
-            robots: The robot of each name.
+            scene: Arms, obstacles and tasks.
+            robots: The robot of each arm, by name.
 
         Raises:
-            InputError: A robot is missing, those given cannot be joined (`joined_robots`), or one has no link that the
-                scene says may touch another.
+            InputError: A robot is missing, the robots cannot be joined (`joined_robots`), or `may_touch` names a
+                link that no robot has.
         """
         instance("scene", scene, CellScene, "load_cell")
         for arm in scene.robots:
@@ -136,7 +146,7 @@ class Cell(Record):
         placed = {arm.name: (robots[arm.name], _placement(arm)) for arm in scene.robots}
         key = tuple((name, robot, place.homogeneous.tobytes()) for name, (robot, place) in placed.items())
         declared = [(first, second, BY_SCENE) for first, second in scene.may_touch]
-        # Kept with the first robot: the next task of the same arms begins sooner.
+        # Cached with the first robot, so that the next task of the same arms starts sooner.
         whole = key[0][1].cached(("cell", scene.may_touch, *key), lambda: joined_robots(placed, may_touch=declared))
         return cls(scene, whole, tuple(_arm(scene, arm, *placed[arm.name], whole) for arm in scene.robots))
 
@@ -144,7 +154,7 @@ class Cell(Record):
         """The arm of a name.
 
         Raises:
-            InputError: There is none.
+            InputError: No arm has this name.
         """
         found = next((arm for arm in self.arms if arm.name == name), None)
         if found is None:
@@ -152,25 +162,25 @@ class Cell(Record):
         return found
 
     def owner(self, link: str) -> str | None:
-        """The arm that a link of the cell's robot is of, by name; None for a link of no arm."""
+        """The name of the arm that has a link, or None."""
         return self.robot.owner_of(link)
 
     def blocking(self, obstacle: str | None) -> str | None:
-        """The arm that stands as an obstacle of this name (`standing`); None for the scene's own obstacles."""
+        """The arm that an obstacle represents (`standing`); None for other obstacles."""
         bodies = collision_bodies(self.robot)
         found = (body for number, body in enumerate(bodies) if obstacle == _standing_name(body, number))
         return next((self.owner(body.name) for body in found), None)
 
     def starting(self, q: Mapping[str, FloatArray]) -> Cell:
-        """The cell with some of its arms, by name, at other (dof,) configurations at first."""
+        """The workcell with other (dof,) start configurations of some arms, by name."""
         arms = tuple(arm.starting(q[arm.name]) if arm.name in q else arm for arm in self.arms)
         return replace(self, arms=arms)
 
     def with_goal(self, name: str, goal: Goal) -> Cell:
-        """The cell in which an arm has another goal, in the cell's frame.
+        """The workcell with another goal of one arm, in the workcell's frame.
 
         Raises:
-            InputError: No arm of that name.
+            InputError: No arm has this name.
         """
         arm = self.arm(name)
         start = arm.scene.start
@@ -178,32 +188,37 @@ class Cell(Record):
         return replace(self, arms=tuple(changed if each is arm else each for each in self.arms))
 
     def configuration(self, q: Mapping[str, FloatArray]) -> FloatArray:
-        """(..., dof) configurations of all joints, from those of the arms; where none is given, its start."""
+        """(..., dof) configurations of all joints, assembled from the arms'.
+
+        An arm that is not in `q` is at its start.
+        """
         found = np.empty((*np.broadcast_shapes(*(own.shape[:-1] for own in q.values())), self.robot.dof))
         for arm in self.arms:
             found[..., arm.joints] = q[arm.name] if arm.name in q else arm.robot.joints_of(arm.scene.start, "start")
         return found
 
     def task(self, goal: FloatArray, start: FloatArray | None = None, *, obstacles: bool = True) -> Scene:
-        """The scene of all joints as one robot's.
+        """The scene of all joints, as of one robot.
 
         Args:
-            goal: (dof,) where they are to be.
-            start: (dof,) where they begin; None for the starts of the arms.
-            obstacles: False leaves nothing but the arms.
+            goal: (dof,) goal configuration.
+            start: (dof,) start configuration; None for the starts of the arms.
+            obstacles: False for a scene with the arms alone.
         """
         begin = self.configuration({}) if start is None else start
         found = self.scene.task(Goal(joints_rad=tuple(goal.tolist())), Start(joints_rad=tuple(begin.tolist())))
         return found if obstacles else found.copy_unchecked({"obstacles": (), "fruits": ()})
 
     def together(self, motions: Mapping[str, Trajectory]) -> Trajectory:
-        """Motions of arms on one clock: who has none stays at its start, who has arrived where it is.
+        """Join the arms' motions into one motion of all joints.
+
+        An arm without a motion stays at its start; after its motion an arm stays at the end.
 
         Args:
             motions: The motion of each arm, by name, in its own joints.
 
         Raises:
-            InputError: No arm of that name, a motion of other joints, or one that ends in motion before another.
+            InputError: No arm has a name, a motion has other joints, or one ends in motion before another.
         """
         motions = {name: self.own_motion(name, motion) for name, motion in motions.items()}
         end_s = max((motion.duration for motion in motions.values()), default=0.0)
@@ -220,11 +235,11 @@ class Cell(Record):
         return Trajectory(self.robot.joint_names, clock, q, v, a, torque, self.robot.slides, takes_over_s=takes_over_s)
 
     def own_motion(self, name: str, motion: object) -> Trajectory:
-        """The motion of an arm, checked to move its joints.
+        """Check that a motion has the joints of an arm.
 
         Raises:
-            InputError: The cell has no arm of that name, or the motion moves other joints.
-            OptionError: `motion` is no trajectory.
+            InputError: The workcell has no arm of that name, or the motion has other joints.
+            OptionError: `motion` is not a trajectory.
         """
         arm, own = self.arm(name), instance(f"motion of {name}", motion, Trajectory, "plan or read_csv")
         if own.joint_names != arm.robot.joint_names:
@@ -252,10 +267,10 @@ class Cell(Record):
         return q, v, a
 
     def apart(self, motion: Trajectory) -> dict[str, Trajectory]:
-        """The motion of each arm, by name, in its own joints, of one of all joints.
+        """The motion of each arm, by name, in its own joints.
 
         Raises:
-            InputError: A motion of other joints.
+            InputError: The motion is not one of all joints of the workcell.
         """
         if motion.joint_names != self.robot.joint_names:
             raise InputError(f"the motion moves {', '.join(motion.joint_names)}; it is none of the cell's")
@@ -270,10 +285,10 @@ class Cell(Record):
 
 @dataclass(frozen=True)
 class CellCertificate:
-    """What was shown of a cell's motion.
+    """Certificate of a workcell's motion.
 
     Attributes:
-        between: The arms against one another, and each against itself; nothing else is there.
+        between: The arms against each other, and each against itself, without obstacles.
         arms: Each arm among the obstacles, by name.
         may_touch: Pairs of links of different arms, by arm and link, that touch by design and were not checked.
     """
@@ -284,38 +299,38 @@ class CellCertificate:
 
     @property
     def parts(self) -> tuple[Certificate, ...]:
-        """All of them."""
+        """All certificates: between the arms, then of each arm."""
         return (self.between, *self.arms.values())
 
     @property
     def verified(self) -> bool:
-        """True if everything was shown."""
+        """True if the whole motion is certified."""
         return all(part.verified for part in self.parts)
 
     @property
     def min_clearance_m(self) -> float:
-        """The smallest distance that is kept [m]."""
+        """Minimum clearance of all certificates [m]."""
         return min(part.min_clearance_m for part in self.parts)
 
     @property
     def violations(self) -> tuple[str, ...]:
-        """A message for everything that was not verified."""
+        """Messages, one for each property that is not verified."""
         own = (f"{name}: {message}" for name, each in self.arms.items() for message in each.violations)
         return (*(f"between arms: {message}" for message in self.between.violations), *own)
 
 
 @dataclass(frozen=True, eq=False)
 class CellResult(Record, InNotebook):
-    """The motion of a cell.
+    """The motion of a workcell.
 
     Attributes:
         cell: The arms.
         trajectory: All joints on one clock.
-        certificate: What was shown of it.
-        how: `at once`: each arm's own motion; `one later`: these, some begun later; `around each other`.
-        alone: What was planned for each arm by itself.
-        later_s: By how much the motion of each arm begins later [s].
-        options: How it was planned.
+        certificate: The certificate of the trajectory.
+        how: `at once`: each arm's own motion; `one later`: the same motions, some starting later; `around each other`.
+        alone: The plan of each arm by itself.
+        later_s: Start delay of each arm's motion [s].
+        options: The options of the plan.
         stopped: Names of the arms that stop before their goals.
     """
 
@@ -330,28 +345,28 @@ class CellResult(Record, InNotebook):
 
     @property
     def parts(self) -> tuple[Certificate, ...]:
-        """All certificates: of the arms against one another, and of each among the obstacles."""
+        """All certificates: between the arms, then of each arm."""
         return self.certificate.parts
 
     @cached_property
     def trajectories(self) -> dict[str, Trajectory]:
-        """The motion of each arm in its own joints, by name, all on one clock."""
+        """The motion of each arm, by name, on one common clock."""
         return self.cell.apart(self.trajectory)
 
     def stop_at(self, t: float, arm: str | None = None) -> CellResult:
-        """The motion with a stop, of all arms or, where the others can go on as planned, of one.
+        """The motion with a stop of one arm or all arms.
 
-        An arm stops on its own path, as quickly as it can. All of them stop together on the path that they have
-        together, so that they stay apart as they were.
+        Each arm stops on its own path, as quickly as it can. If all arms stop, they stop along their common path, so
+        that their distances stay as certified.
 
         Args:
             t: The time on the motion's clock [s].
-            arm: The one that stops; None for all. Where its stop and the others' motions are not certified together,
-                all stop.
+            arm: The arm to stop; None for all. If its stop and the motions of the others are not certified together,
+                all arms stop.
 
         Raises:
-            OptionError: A time before the motion or after it.
-            InputError: No arm of that name.
+            OptionError: `t` is before or after the motion.
+            InputError: No arm has this name.
             TimingError: No stop was found.
         """
         if arm is not None:
@@ -368,13 +383,13 @@ class CellResult(Record, InNotebook):
         return replace(self.running(self.cell, motion, stops, check_ends=False), stopped=names)
 
     def running(self, cell: Cell, motion: Trajectory, stops: Mapping[str, Retimed], *, check_ends: bool) -> CellResult:
-        """Another motion that has begun as this one, certified.
+        """Another motion that starts like this one, with its certificate.
 
         Args:
-            cell: The arms, with the goals that they have then.
-            motion: Of all joints.
-            stops: For arms that stop on their paths how; the windows of time in which they may touch fruit follow.
-            check_ends: Whether each arm has to reach its goal.
+            cell: The arms, with their goals of that motion.
+            motion: The motion of all joints.
+            stops: The stop of each arm that stops on its path; the contact windows with fruit are mapped to its clock.
+            check_ends: True if each arm must reach its goal.
         """
         windows = {name: _windows(each.contacts, stops.get(name)) for name, each in self.certificate.arms.items()}
         certificate = certify_cell(cell, motion, self.options, contacts=windows, check_ends=check_ends)
@@ -404,7 +419,7 @@ class CellResult(Record, InNotebook):
 
 
 def may_touch_report(pairs: Sequence[tuple[ArmLink, ArmLink]]) -> dict[str, Any]:
-    """The pairs of links that a scene lets touch, as reports list them; nothing if there are none."""
+    """The allowed contacts between arms, for reports; empty without any."""
     return {"may_touch": [[list(link) for link in pair] for pair in pairs]} if pairs else {}
 
 
@@ -412,11 +427,18 @@ def load_cell(path: Path | str) -> Cell:
     """Read a scene file with `robots`, and the robots that it names.
 
     Args:
-        path: The file; files that it names are looked for beside it.
+        path: The scene file; relative paths in it start at its folder.
 
     Raises:
-        SceneError: As `load_scene`; the file has no `robots`.
-        InputError: As `load_robot`; or the robots cannot be joined.
+        SceneError: As in `load_scene`, or the file has no `robots`.
+        InputError: As in `load_robot`, or the robots cannot be joined.
+
+    Examples:
+        >>> from hplan import load_cell
+        >>> load_cell("missing.yaml")
+        Traceback (most recent call last):
+        ...
+        hplan.errors.bad_input.SceneError: scene file missing.yaml: No such file or directory
     """
     scene, folder = read_model(CellScene, file_path("path", path)), Path(path).parent
     return Cell.of(scene, {arm.name: _loaded(arm, folder) for arm in scene.robots})
@@ -431,23 +453,34 @@ def certify_cell(
     contacts: Mapping[str, Sequence[FruitContact]] | None = None,
     check_ends: bool = True,
 ) -> CellCertificate:
-    """Certify a motion of a workcell, wherever it comes from.
+    """Certify a motion of a workcell, from any source.
 
-    Each arm is judged among the obstacles by `hplan.certify` on its own samples, with its own columns and its own last
-    velocity. All arms are judged against one another on one clock that has the samples of all of them.
+    Each arm is checked among the obstacles by `hplan.certify`, with its own samples, its own columns and its own last
+    velocity. All arms are checked against each other on one clock that has the samples of all of them.
 
     Args:
         cell: The arms and their tasks, from `load_cell`.
-        motion: A motion of all joints (`Cell.together`); or that of each arm by name, all from the same instant on. An
-            arm that is not named stays at its start.
-        options: For the tracking error and delay, of every arm, and `sigmas`.
-        goal_contact: For each arm, by name, when it may touch its fruit, as `certify` takes it.
-        contacts: For each arm windows of time in which it may touch fruits besides, as `certify` takes them.
-        check_ends: Whether each arm has to begin at its start and reach its goal.
+        motion: A motion of all joints (`Cell.together`), or the motion of each arm by name, all with the same start
+            time. An arm without a motion stays at its start.
+        options: Tracking error and delay, for every arm, and `sigmas`.
+        goal_contact: For each arm, by name, when it may touch its fruit, as in `certify`.
+        contacts: For each arm, by name, additional contact windows with fruits, as in `certify`.
+        check_ends: True if each arm must begin at its start and reach its goal.
 
     Raises:
-        InputError: A motion moves other joints than its arm, or the cell has no arm of a name.
-        OptionError: `cell` is no cell, or `motion` no trajectory.
+        InputError: A motion has other joints than its arm, or the workcell has no arm of that name.
+        OptionError: `cell` is not a workcell, or `motion` is not a trajectory.
+
+    Examples:
+        >>> from hplan import Cell, certify_cell, load_robot, load_scene
+        >>> from hplan.scene.cell import CellRobot, CellScene
+        >>> robot, task = load_robot(), load_scene()
+        >>> left = CellRobot(name="left", robot=robot.name, position=(0, 3, 0), start=task.start)
+        >>> right = CellRobot(name="right", robot=robot.name, position=(0, -3, 0), start=task.start)
+        >>> cell = Cell.of(CellScene(name="pair", robots=(left, right)), {"left": robot, "right": robot})
+        >>> certificate = certify_cell(cell, cell.together({}))  # both arms at rest
+        >>> certificate.verified
+        True
     """
     instance("cell", cell, Cell, "load_cell")
     options = PlanOptions() if options is None else instance("options", options, PlanOptions)
@@ -476,14 +509,14 @@ def certify_cell(
 
 
 def certify_between(cell: Cell, files: Mapping[str, Trajectory], options: PlanOptions) -> Certificate:
-    """Certify the arms of a cell against one another alone, as if nothing else were there.
+    """Certify the arms of a workcell against each other, without obstacles.
 
-    The clock has the samples of all files, so that the motion of all joints is each file's own between any two of them.
-    Limits are those of the files.
+    The clock has the samples of all files, so that each arm follows its own file exactly between any two of them.
+    The use of limits is taken from the files.
 
     Args:
-        files: The motion of every arm, by name; who has arrived stays where its file ends.
-        options: For the tracking error and delay, and `sigmas`.
+        files: The motion of every arm, by name; an arm stays where its file ends.
+        options: Tracking error and delay, and `sigmas`.
     """
     end_s = max(own.duration for own in files.values())
     moving = {name: own.duration for name, own in files.items() if _end_in_motion(name, own)}
@@ -520,7 +553,7 @@ def _not_compared(
     moving: Collection[str],
     span_s: tuple[float, float],
 ) -> Iterator[str]:
-    """Messages: times at which the place of an arm is not known, or is no number."""
+    """Messages about times with an unknown or implausible arm position."""
     known_s, end_s = span_s
     if known_s < end_s:
         ends = "; ".join(_end_in_motion(name, files[name]) for name in moving if files[name].duration == known_s)
@@ -530,7 +563,10 @@ def _not_compared(
 
 
 def _rates(cell: Cell, files: Mapping[str, Trajectory], clock: FloatArray) -> MotionRates:
-    """Use of limits by files, and (pieces, dof) bounds of the velocity of all joints between the times of a clock."""
+    """Use of limits, and joint speed bounds between the clock's times.
+
+    The use of limits is taken from the files; the bounds are (segments, dof).
+    """
     speeds, uses = np.zeros((max(1, len(clock) - 1), cell.robot.dof)), []
     for name, own in files.items():
         arm, (bezier, duration) = cell.arm(name), own.segments
@@ -543,7 +579,7 @@ def _rates(cell: Cell, files: Mapping[str, Trajectory], clock: FloatArray) -> Mo
 
 
 def _end_in_motion(name: str, motion: Trajectory) -> str:
-    """Message: with what speed an arm's motion ends; empty if it ends at rest."""
+    """Message with an arm's final speed; empty if it ends at rest."""
     speeds = np.abs(motion.velocity[-1])
     joint = int(speeds.argmax())
     if speeds[joint] <= REST:
@@ -553,7 +589,7 @@ def _end_in_motion(name: str, motion: Trajectory) -> str:
 
 
 def _meetings_at_rest(own: Certificate, arrives_s: float, end_s: float) -> Iterator[str]:
-    """Message: a moving obstacle comes to an arm that has arrived, while others still move."""
+    """Message if an obstacle reaches an arm that has arrived early."""
     if own.clear_until_s is not None and arrives_s < end_s and own.clear_until_s < end_s:
         yield (
             f"where it rests from {arrives_s:.6g} s on it is clear until {own.clear_until_s:.6g} s, "
@@ -562,7 +598,7 @@ def _meetings_at_rest(own: Certificate, arrives_s: float, end_s: float) -> Itera
 
 
 def _standing_still(arm: CellArm) -> Trajectory:
-    """An arm's motion of one sample, at its start."""
+    """A motion of one sample, at the arm's start."""
     q = arm.robot.joints_of(arm.scene.start, "start")[None]
     still = np.zeros_like(q)
     torque = arm.robot.dynamics.torques(q, still, still)
@@ -576,7 +612,7 @@ def check_options(options: PlanOptions, what: str) -> None:
         what: The plans, for messages: "motions of several arms".
 
     Raises:
-        OptionError: A risk, a bound, or motions that need not be certified are asked for.
+        OptionError: The options request a risk, a bound, or motions without a certificate.
     """
     options.check_for(None)
     if options.bound:
@@ -586,12 +622,15 @@ def check_options(options: PlanOptions, what: str) -> None:
 
 
 def _covered(options: PlanOptions) -> dict[str, Any]:
-    """What certificates of these options cover, as `certify` takes it."""
+    """The arguments of `certify` that the options determine."""
     return {key: getattr(options, key) for key in ("tracking_error", "tracking_delay_s", "sigmas")}
 
 
 def between(cell: Cell, q: FloatArray, name: str, others: Collection[str]) -> FloatArray:
-    """(n,) least distance of an arm from others at (n, dof) configurations of all [m]; inf from none."""
+    """(n,) minimum distance of an arm from others [m].
+
+    `q` has (n, dof) configurations of all joints; inf without a pair of bodies.
+    """
     field = cell.robot.cached(("between", name, frozenset(others)), lambda: _field_between(cell, name, others))
     pairs = field.along(q)[:, int(field.numbers[BODIES]) :]
     least: FloatArray = pairs.min(axis=1, initial=math.inf)
@@ -599,20 +638,20 @@ def between(cell: Cell, q: FloatArray, name: str, others: Collection[str]) -> Fl
 
 
 def _field_between(cell: Cell, name: str, others: Collection[str]) -> ClearanceField:
-    """The field of all arms without obstacles, and of the pairs of one arm with others alone."""
+    """The field of all arms without obstacles, with one arm's pairs alone."""
     bodies = collision_bodies(cell.robot)
     arms = [cell.owner(body.name) for body in bodies]
     pairs: list[set[str | None]] = [{name, other} for other in others]
     asked = [{arms[i], arms[j]} in pairs for i, j in self_pairs(cell.robot).checked]
     field = ClearanceField.of(cell.robot, [])
-    before = int(field.numbers[BODIES])  # capsules that stand for several bodies come before pairs
+    before = int(field.numbers[BODIES])  # capsules that cover several bodies come before the pairs
     return replace(field, movers=readonly(field.movers[[*range(before), *(before + np.flatnonzero(asked))]]))
 
 
 def standing(cell: Cell, name: str, thicker: float) -> Iterator[AnyObstacle]:
-    """The arms of a cell but one where they stand, and as much thicker [m], as obstacles in the frame of that one.
+    """The other arms at their starts, as obstacles for one arm.
 
-    Links that may touch one of that arm are left out.
+    They are in that arm's frame and grown by `thicker` [m]. Links that may touch a link of that arm are left out.
     """
     may_touch = [dict(pair) for pair in cell.scene.may_touch]
     beside = {f"{arm}_{pair[arm]}" for pair in may_touch if name in pair for arm in pair if arm != name}
@@ -627,7 +666,10 @@ def standing(cell: Cell, name: str, thicker: float) -> Iterator[AnyObstacle]:
 
 
 def _states(rows: Rows, clock: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Position, velocity and acceleration of a motion at times: at its samples theirs, at rest after it."""
+    """Position, velocity and acceleration of a motion at some times.
+
+    At a sample they are the sample's; after the end the arm is at rest.
+    """
     q = rows.positions(clock)
     v, a = np.zeros_like(q), np.zeros_like(q)
     place = np.minimum(np.searchsorted(rows.time, clock), len(rows.time) - 1)
@@ -642,7 +684,7 @@ def _states(rows: Rows, clock: FloatArray) -> tuple[FloatArray, FloatArray, Floa
 
 
 def _windows(contacts: Sequence[FruitContact], stop: Retimed | None) -> list[FruitContact]:
-    """Windows of contact on the clock of a motion that stops; None for one that goes on."""
+    """Contact windows on the clock of a stop; unchanged without one."""
     if stop is None:
         return list(contacts)
     found = []
@@ -659,7 +701,10 @@ def _standing_name(body: CollisionBody, number: int) -> str:
 
 
 def _solids(robot: Robot, thicker: float) -> list[AnyObstacle]:
-    """Obstacles that hold the bodies of a robot, and as much more [m], each in the frame of its joint."""
+    """Obstacles that enclose a robot's bodies, each in its joint's frame.
+
+    Each is larger than its body by `thicker` [m].
+    """
     found: list[AnyObstacle] = []
     for number, body in enumerate(collision_bodies(robot)):
         name, radius = _standing_name(body, number), body.rounding + thicker
@@ -675,7 +720,10 @@ def _solids(robot: Robot, thicker: float) -> list[AnyObstacle]:
 
 
 def _arm(scene: CellScene, given: CellRobot, robot: Robot, placement: pin.SE3, whole: Robot) -> CellArm:
-    """An arm of a cell; one whose base is tilted is planned for in the cell's frame, where gravity is as it is."""
+    """An arm of a workcell.
+
+    An arm with a tilted base is planned in the workcell's frame, in which gravity is vertical.
+    """
     goal = given.goal
     if goal is None:
         goal = Goal(**{key: value for key, value in given.start.model_dump().items() if key.startswith("joints")})
@@ -690,7 +738,7 @@ def _arm(scene: CellScene, given: CellRobot, robot: Robot, placement: pin.SE3, w
 
 
 def _seen_from(base: pin.SE3, task: Scene) -> Scene:
-    """A task in the cell's frame as an upright base sees it."""
+    """Transform a task from the workcell's frame to an upright base."""
     if base.isIdentity(0.0):
         return task
     yaw = math.atan2(base.rotation[1, 0], base.rotation[0, 0])
@@ -702,7 +750,7 @@ def _placement(arm: CellRobot) -> pin.SE3:
 
 
 def _loaded(arm: CellRobot, folder: Path) -> Robot:
-    """The robot that a scene names."""
+    """Load the robot that a scene names."""
     beside = None if arm.robot is None else folder / arm.robot
     limits = None if arm.limits is None else folder / arm.limits
     return load_robot(

@@ -1,13 +1,13 @@
 """Motions of several arms on one clock.
 
-`plan_cell` looks for them in four ways, and takes the first that is as quick as any could be, or else the one that is
-done soonest:
+`plan_cell` tries four ways. It returns the first result that is close to the minimum possible duration, otherwise the
+fastest one:
 
 1. each arm by itself, all at the same time;
-2. the same motions, some of them begun later, in the order that is done soonest;
-3. one arm after the other around the others where they stand, who is in the way for good steps aside; then each motion
+2. the same motions, some with a delayed start, in the fastest order;
+3. one arm after the other around the others at rest, where a blocking arm first moves aside; then each motion starts
    as soon as the others leave room;
-4. all joints at once, as one robot's, along that path or, where there is none, any other.
+4. all joints together, as of one robot: along that path or, without one, along any other.
 """
 
 from __future__ import annotations
@@ -47,26 +47,27 @@ from hplan.planning.world import check_clear
 from hplan.scene.model import Goal, Scene
 from hplan.trajectory.trajectory import Trajectory, joined, stopped
 
-#: So many orders of setting out are certified before others than the soonest are given up.
+#: Maximum number of orders to certify, fastest first.
 _TRIED: Final = 3
 
-#: What is tried before all joints move at once.
+#: The ways that come before a motion of all joints together, for messages.
 _WAYS: Final = ("all at once", "one after the other", "around the others where they stand")
 
-#: Samples of a motion between which its path is taken for straight [s].
+#: Between samples this far apart the path of a motion is taken as straight [s].
 _ALONG_S: Final = 0.05
 
-#: With more arms than this not every order is tried, but each arm once as the last, and not all joints at once.
+#: With more arms than this, each arm is tried once as the last instead of all orders, and all joints together are not
+#: planned.
 _ALL_ORDERS: Final = 4
 
-#: By how much arms that stand are thicker where others go around them [m]; where one would touch that, by nothing.
+#: Growth of arms at rest while others are planned around them [m]; none if start or goal would then be in contact.
 _THICKER: Final = 1e-3
 
-#: How far an arm steps aside, each joint, in turn until there is a place [rad, m]; and how many places are looked at.
+#: Maximum displacement of each joint for an arm that moves aside, tried in turn [rad, m], and the number of samples.
 _ASIDE: Final = (0.3, 0.6, 1.2, 2.4)
 _PLACES: Final = 128
 
-#: Motions of arms, in the order in which they could be run one after the other.
+#: Motions of arms, in an order in which they could be run one after the other.
 Legs: TypeAlias = Sequence[tuple[str, Trajectory]]
 
 
@@ -77,18 +78,29 @@ def plan_cell(
     progress: Progress = no_progress,
     cancel: Cancel | None = None,
 ) -> CellResult:
-    """Plan the motions of all arms of a cell, from their starts to their goals.
+    """Plan the motions of all arms of a workcell.
 
     Args:
-        cell: Arms, obstacles and tasks; arms without a goal stay.
-        options: How to plan. A deadline is that of all together; without motion by then there is none.
+        cell: Arms, obstacles and tasks; arms without a goal stay at their starts.
+        options: How to plan. The deadline holds for all arms together; without a motion by then planning fails.
         progress: Called with the name of each stage as it begins.
-        cancel: As for `plan`.
+        cancel: As in `plan`.
 
     Raises:
-        OptionError: An option without meaning for several arms.
-        HplanError: As `plan`, of an arm by itself or of all as one: what is in the way, which arm of another too.
-        NotFoundError: No motion of all arms was found, and it was not shown that there is none.
+        OptionError: An option has no meaning for several arms.
+        HplanError: As in `plan`, for one arm or for all together; names the blocking obstacle or arm.
+        NotFoundError: No motion of all arms was found; this does not prove that none exists.
+
+    Examples:
+        >>> from hplan import Cell, PlanOptions, load_robot, load_scene, plan_cell
+        >>> from hplan.scene.cell import CellRobot, CellScene
+        >>> robot, task = load_robot(), load_scene()
+        >>> left = CellRobot(name="left", robot=robot.name, position=(0, 3, 0), start=task.start, goal=task.goal)
+        >>> right = CellRobot(name="right", robot=robot.name, position=(0, -3, 0), start=task.start)
+        >>> cell = Cell.of(CellScene(name="pair", robots=(left, right)), {"left": robot, "right": robot})
+        >>> result = plan_cell(cell, PlanOptions(effort="quick"))
+        >>> result.how, result.certificate.verified
+        ('at once', True)
     """
     instance("cell", cell, Cell, "load_cell")
     options = PlanOptions() if options is None else instance("options", options, PlanOptions)
@@ -108,25 +120,26 @@ def replan_cell(
     *,
     cancel: Cancel | None = None,
 ) -> CellResult:
-    """A motion that is being run in which one arm goes elsewhere from an instant on, and the others go on as planned.
+    """Redirect one arm of a running motion; the others continue.
 
-    The arm stops on its own path, goes from there around the others where they will stand, and sets out as soon as
-    they leave room. Where that is not certified together with what they do, all of them stop (`CellResult.stop_at`).
+    The arm stops on its own path, is planned from there around the others at their final configurations, and starts as
+    soon as they leave room. If this is not certified together with the motions of the others, all arms stop
+    (`CellResult.stop_at`).
 
     Args:
-        result: The motion.
-        t: The instant, on the clock of the motion [s].
+        result: The running motion.
+        t: The time of the change, on the clock of the motion [s].
         arm: Name of the arm.
-        goal: Where it is to go, in the cell's frame; None for the goal that it has, as after a delay.
-        cancel: As for `hplan.plan`.
+        goal: Its new goal, in the workcell's frame; None to keep its goal, as after a delay.
+        cancel: As in `hplan.plan`.
 
     Returns:
-        The whole motion, as it is up to `t`; `stopped` names all arms where it is a stop.
+        The whole motion, unchanged up to `t`; if it is a stop, `stopped` names all arms.
 
     Raises:
-        OptionError: A time before the motion or after it.
-        InputError: No arm of that name, or a goal that is none of its.
-        PlanCancelledError: It was cancelled.
+        OptionError: `t` is before or after the motion.
+        InputError: No arm has this name, or the goal is not valid for the arm.
+        PlanCancelledError: Planning was cancelled.
         TimingError: No stop was found.
     """
     instance("result", result, CellResult, "plan_cell")
@@ -156,7 +169,7 @@ def replan_cell(
 
 
 class _CellPlanner:
-    """One search for the motions of a cell."""
+    """One search for the motions of a workcell."""
 
     def __init__(self, cell: Cell, options: PlanOptions, progress: Progress) -> None:
         self._cell, self._options, self._progress = cell, options, progress
@@ -172,7 +185,7 @@ class _CellPlanner:
         motions = {name: result.trajectory for name, result in self._alone.items()}
         if not motions:
             raise InputError("plan_cell: no arm of the cell has a goal")
-        # Nothing quicker is looked for than that.
+        # Stop the search at a motion within 2 % of the longest motion alone.
         enough = 1.02 * max(motion.duration for motion in motions.values())
         self._progress("together")
         found = self._scheduled(cell, _orders(motions))
@@ -200,10 +213,10 @@ class _CellPlanner:
         return min(each, key=lambda result: round(result.trajectory.duration, 6))
 
     def _told(self, error: HplanError) -> HplanError:
-        """An error of all joints as one robot's, as one of the cell's."""
+        """Translate an error of the joined robot for the workcell."""
         if isinstance(error, NotFoundError) and not isinstance(error, NotInTimeError):
             return NotFoundError([*_WAYS, *error.tried])
-        # Other grasps might do; goals by joints leave nothing to choose.
+        # Other grasps might work; goals given as joints leave no alternative.
         chosen = any(result.grasp for result in self._alone.values())
         if chosen and isinstance(error, ConfigurationInCollisionError) and error.which == "goal":
             grasps = f"the grasps of each arm by itself, with which {error.link!r} is in {error.obstacle!r}"
@@ -216,12 +229,12 @@ class _CellPlanner:
         return CellResult(self._cell, motion, certificate, how, self._alone, later_s, self._options)
 
     def _scheduled(self, cell: Cell, orders: Iterable[Legs], before: Trajectory | None = None) -> CellResult | None:
-        """The soonest end with motions that each begin as soon as there is room; None where none is certified.
+        """The certified schedule that finishes first, or None.
 
         Args:
-            cell: The arms where these motions begin.
-            orders: Motions, in orders in which they may be set out.
-            before: A motion of all joints that leads there.
+            cell: The arms at the start of these motions.
+            orders: The motions, in each order in which they may be scheduled.
+            before: A motion of all joints that precedes them; None for none.
         """
         soonest: dict[tuple[float, ...], tuple[Legs, Timetable]] = {}
         for legs in orders:
@@ -229,7 +242,7 @@ class _CellPlanner:
             if table is not None:
                 begins = tuple(table.begins_s[name] for name in sorted(table.begins_s))
                 soonest.setdefault(begins, (legs, table))
-                if not any(begins):  # nothing ends sooner
+                if not any(begins):  # no schedule ends sooner
                     break
         for begins in sorted(soonest, key=lambda begins: (round(soonest[begins][1].duration, 6), begins))[:_TRIED]:
             legs, table = soonest[begins]
@@ -242,7 +255,7 @@ class _CellPlanner:
     def _certified(
         self, cell: Cell, tables: Iterable[Timetable | None], before: Trajectory | None = None
     ) -> CellResult | None:
-        """The first of timetables that is certified."""
+        """The motion of the first timetable that is certified, or None."""
         own = {id(result.trajectory) for result in self._alone.values()}
         for table in filter(None, tables):
             motion, later = cell.together(table.motions), table.begins_s
@@ -257,10 +270,12 @@ class _CellPlanner:
         return None
 
     def _around(self, found: CellResult | None) -> CellResult | None:
-        """A motion of all joints at once: to the goals, or to where the approaches to them begin, and these then.
+        """A motion of all joints together; None if it is not certified.
+
+        It leads to the goals, or to the stand-offs of the grasps; the approaches follow.
 
         Args:
-            found: One along whose path a quicker one is sought; None where there is none.
+            found: A motion whose path is retimed; None to plan a new path.
         """
         cell = self._cell
         ends = {name: result.trajectory.position[-1] for name, result in self._alone.items()}
@@ -276,7 +291,7 @@ class _CellPlanner:
                 try:
                     transit = finish(cell.robot, task, found.trajectory.positions(clock), self._options)
                 except (PathInContactError, CertificationError, TimingError):
-                    return None  # straight between samples it is not clear
+                    return None  # segments between the samples are not clear
             result = self._checked(transit.trajectory, "around each other", {})
             return result if result.certificate.verified else None
         transit, there = plan(cell.robot, task, self._options), cell.starting(ends)
@@ -285,10 +300,10 @@ class _CellPlanner:
         return self._scheduled(there, _orders(motions), transit.trajectory)
 
     def _in_turn(self, alone: Mapping[str, Trajectory]) -> list[tuple[str, Trajectory]] | None:
-        """Motions of one arm after the other around the others where they stand; None where no order is found.
+        """Motions of one arm after another, among arms at rest, or None.
 
-        An arm that would end where another still stands goes after it. Where that other cannot go first, or came there
-        before, it steps aside, and goes to its goal later.
+        An arm whose goal is blocked by another arm goes after it. If that arm cannot go first, or is already there, it
+        moves aside and goes to its goal later.
         """
         legs: list[tuple[str, Trajectory]] = []
         waiting, put_behind, put_off = _likely_order(self._cell, alone), set[tuple[str, str]](), 0
@@ -311,7 +326,7 @@ class _CellPlanner:
             if blocking in waiting and (name, blocking) not in put_behind:
                 put_behind.add((name, blocking))
                 waiting.insert(waiting.index(blocking) + 1, name)
-            elif blocking is not None and len(legs) < 3 * len(alone):  # with more motions none steps aside
+            elif blocking is not None and len(legs) < 3 * len(alone):  # limits how often arms move aside
                 pairs = [(blocking, name), *([(name, blocking)] if blocking in waiting else [])]
                 for mover, other in pairs:
                     aside = self._aside(there, mover, other, alone[other].position[-1])
@@ -329,17 +344,20 @@ class _CellPlanner:
         return legs
 
     def _own(self, there: Cell, name: str, alone: Mapping[str, Trajectory]) -> Trajectory | None:
-        """An arm's own motion, where it meets no other that stands."""
+        """An arm's own motion; None if an arm at rest blocks it."""
         table = Timetable(there, self._options, SPARES[0])
         return alone[name] if table.set_out(name, alone[name]) else None
 
     def _aside(self, there: Cell, name: str, other: str, goal: FloatArray) -> Trajectory | None:
-        """A motion of an arm to the nearest place where it is in nobody's way, nor in that of another at its goal."""
+        """Move an arm to the nearest configuration that clears the others.
+
+        It keeps clear of `other` at its goal, too. None if no such motion is found.
+        """
         arm, chance = there.arm(name), np.random.default_rng(0)
         task = there.task(there.configuration({}))
         field = ClearanceField.of(there.robot, task.listed_solids, clearance=task.clearance)
         q = there.configuration({})
-        enough = np.minimum(2.0 * _THICKER, 0.5 * field.along(q[None]))  # what is near and does not move may be so
+        enough = np.minimum(2.0 * _THICKER, 0.5 * field.along(q[None]))  # closer pairs may stay as close
         for far in _ASIDE:
             places = q[arm.joints] + far * chance.uniform(-1.0, 1.0, (_PLACES, arm.robot.dof))
             places = np.clip(places, arm.robot.lower, arm.robot.upper)
@@ -362,18 +380,18 @@ def _check_arms_apart(cell: Cell) -> None:
     """Refuse arms that are too close to each other at the start.
 
     Raises:
-        ConfigurationInCollisionError: Two bodies of the arms touch, or keep less than the clearance; names both bodies
-            with their arms, and how deep or close they are.
+        ConfigurationInCollisionError: Two bodies of different arms touch, or are closer than the clearance; names both
+            bodies with their arms, and the depth or distance.
     """
     checker = CoalScene(cell.robot, (), links="urdf", clearance=cell.scene.clearance)
     check_clear(checker, cell.configuration({}), cell.scene.clearance, "start")
 
 
 def _to_goal(there: Cell, name: str, options: PlanOptions, goal: Goal | None = None) -> Trajectory:
-    """An arm's motion among the others where they stand, to a goal of its own or another.
+    """An arm's motion to a goal, among the others at rest.
 
     Raises:
-        HplanError: As `plan`.
+        HplanError: As in `plan`.
     """
     arm = there.arm(name)
     scene = arm.scene if goal is None else arm.scene.copy_unchecked({"goal": goal})
@@ -389,7 +407,7 @@ def _to_goal(there: Cell, name: str, options: PlanOptions, goal: Goal | None = N
 
 
 def _orders(motions: Mapping[str, Trajectory]) -> Iterator[Legs]:
-    """One motion of each arm, in the orders in which they may be set out."""
+    """The motions of all arms, in each order to be tried."""
     names = list(motions)
     orders: Iterable[Sequence[str]] = itertools.permutations(names) if len(names) <= _ALL_ORDERS else (
         [*(name for name in names if name != last), last] for last in names
@@ -398,13 +416,16 @@ def _orders(motions: Mapping[str, Trajectory]) -> Iterator[Legs]:
 
 
 def _filled(cell: Cell, options: PlanOptions, legs: Legs, spare: float) -> Timetable | None:
-    """The timetable of motions in an order; None where one never has room."""
+    """The timetable of motions in an order; None if infeasible."""
     table = Timetable(cell, options, spare)
     return table if all(table.set_out(name, motion) for name, motion in legs) else None
 
 
 def _likely_order(cell: Cell, motions: Mapping[str, Trajectory]) -> list[str]:
-    """An order in which the arms are least in each other's way: at their goals, or still at their starts."""
+    """The order in which the arms block each other least.
+
+    The arms are compared at their starts and goals, and along their motions.
+    """
     paths = {name: motion.positions(np.arange(0.0, motion.duration, _ALONG_S)) for name, motion in motions.items()}
     begins = {name: motion.position[:1] for name, motion in motions.items()}
     ends = {name: motion.position[-1:] for name, motion in motions.items()}
@@ -413,7 +434,7 @@ def _likely_order(cell: Cell, motions: Mapping[str, Trajectory]) -> list[str]:
         q = cell.configuration({first: path, second: place})
         return int((between(cell, q, first, (second,)) <= cell.scene.clearance + _THICKER).any())
 
-    #: How much the first is in the way of the second, or the second of the first, if the first goes before it.
+    #: Cost of running the first of two arms before the second: contacts at its goal weigh more than contacts of a path.
     cost = {
         (a, b): len(motions) * meet(a, ends[a], b, begins[b])
         + meet(a, paths[a], b, begins[b])

@@ -1,9 +1,9 @@
-"""Kernels compiled ahead by a second process, on the first run after hplan was installed.
+"""Compilation of kernels by a second process, on the first run.
 
-numba compiles a kernel when it is first called, one after the other, and keeps it on disk. So another process begins
-with what a plan calls from the path on the grid on, on a path through the reference scene. The plan compiles what leads
-to that path, then the certificate, and finds the rest compiled, or comes to what the other process is at. Without that
-process, or where kernels cannot be kept on disk, a plan compiles all of them itself.
+numba compiles each kernel at its first call, one after the other, and keeps it on disk. A second process therefore
+compiles the kernels that a plan calls after the grid search, with a path through the reference scene. Meanwhile the
+plan compiles the kernels of the grid search and the certificate, and finds the rest compiled or in progress.
+Without the second process, or if kernels cannot be kept on disk, the plan compiles all of them itself.
 """
 
 from __future__ import annotations
@@ -27,19 +27,22 @@ if TYPE_CHECKING:
 
 
 def is_first_run() -> bool:
-    """True if a kernel that every plan needs is not on disk as its source stands."""
+    """True if a basic kernel has no current version on disk."""
     return not is_kept(solve)
 
 
 @contextmanager
 def compiling_ahead(first_run: bool) -> Iterator[Callable[[], None]]:
-    """Inside the block the kernels from post-processing on are compiled by another process, if this is the first run.
+    """Compile the post-processing and certificate kernels in another process during the block.
+
+    It does so on the first run only, if kernels can be kept on disk and a second processor is available.
 
     Args:
-        first_run: What `is_first_run` says.
+        first_run: The result of `is_first_run`.
 
     Yields:
-        A function that compiles the last of them, if so, for when the path on the grid is found.
+        A function to call after the grid search: it compiles the certificate's kernels, or does nothing without the
+        second process.
     """
     useful = first_run and can_be_kept(solve) and len(os.sched_getaffinity(0)) > 1
     other = _start() if useful else None
@@ -52,7 +55,7 @@ def compiling_ahead(first_run: bool) -> Iterator[Callable[[], None]]:
 
 
 def _start() -> subprocess.Popen[bytes] | None:
-    """The other process; None where none can be started."""
+    """Start the second process; None if it cannot be started."""
     command, nowhere = python_module("hplan.planning.compile_ahead"), subprocess.DEVNULL
     try:
         return subprocess.Popen(command, stdin=nowhere, stdout=nowhere, stderr=nowhere, env=import_environment())
@@ -61,7 +64,7 @@ def _start() -> subprocess.Popen[bytes] | None:
 
 
 def compile_from_postprocessing_on() -> None:
-    """Optimise and certify a motion through the reference scene, and time its path."""
+    """Plan through the reference scene, from post-processing to the certificate."""
     from hplan.planning.motion import quickest
     from hplan.planning.path_finder import Path
     from hplan.planning.problem import MARGIN
@@ -72,7 +75,10 @@ def compile_from_postprocessing_on() -> None:
 
 
 def compile_certificate() -> None:
-    """Time a path through the reference scene and certify its motion: what the optimiser does not call."""
+    """Time a path through the reference scene and certify its motion.
+
+    This compiles the kernels that the optimizer does not call.
+    """
     from hplan.planning.motion import certificate_of, timed
     from hplan.trajectory.spline import SplinePath
 
@@ -81,7 +87,7 @@ def compile_certificate() -> None:
 
 
 def _reference() -> tuple[Problem, FloatArray]:
-    """Arm and scene of a first run, and waypoints past the ball."""
+    """The problem of the reference scene, and waypoints around its ball."""
     from hplan.planning.options import PlanOptions
     from hplan.planning.problem import Problem
     from hplan.robot.model import load_robot
@@ -90,11 +96,11 @@ def _reference() -> tuple[Problem, FloatArray]:
     scene = load_scene()
     start, goal = scene.start.configuration, scene.goal.configuration
     waypoints = np.stack([start, start, goal, goal])
-    # Elbow and wrist while the shoulder turns, on a path that avoids the ball of the reference scene [deg].
+    # Elbow and wrist fold while the shoulder turns, so that the path avoids the ball of the reference scene [deg].
     waypoints[1:3, -2:] = np.radians((80.0, 80.0))
     return Problem.of(load_robot(), scene, PlanOptions()).between(start, goal), waypoints
 
 
 if __name__ == "__main__":
-    gc.disable()  # an eighth of the time, for some 300 MB until it ends
+    gc.disable()  # saves an eighth of the time, for some 300 MB until the process ends
     compile_from_postprocessing_on()

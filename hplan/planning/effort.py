@@ -31,11 +31,11 @@ class Effort:
         blended: Optimization of a transit that ends in motion.
         begun: Optimization of a motion that begins in motion.
         pose_goals: Maximum number of configurations at a pose that serve as goals, the nearest first.
-        compared: Number of goals to which motions by trees are compared; with 1 the first motion found is taken.
+        compared: Number of goals whose motions by trees are compared; with 1 the first motion found is taken.
         long: Longer trees before a goal is refused, beyond `trees`; `NO_TREES` for none.
         long_stops_early: True if long trees stop as soon as a motion within `FAR` of the lower bound is found.
         proof_nodes: Maximum number of grid nodes that a proof of infeasibility may visit; 0 for no proofs.
-        at_once: True if the first motion is wanted as soon as possible: with the cheapest search, to few grasps, and
+        at_once: True if the first motion is required as soon as possible: with the cheapest search, to few grasps, and
             however slow it is. A faster one near it follows.
     """
 
@@ -67,7 +67,7 @@ FAR = 1.3
 #: Distance between the tree seeds of two plans whose option `seed` differs by one.
 _SEEDS = 1000
 
-#: Levels of the optimizer: few segments first, as many as samples at last.
+#: Levels of the optimizer, from few segments to one per sample.
 COARSE = Level(piece_s=0.08, pieces=(20, 40), steps=20, gain=2e-3, trust=0.2)
 LAST = Level(piece_s=0.03, pieces=(50, 120), steps=6, gain=5e-3, trust=0.05)
 FINE = OptimizerEffort((Level(piece_s=0.03, pieces=(50, 120), steps=12, gain=0.02, trust=0.2),))
@@ -88,7 +88,7 @@ _AT_ONCE = near_one(replace(COARSE, steps=8, gain=0.02, trust=1.0, enough=0.02))
 #: after about a second.
 _WITHIN_A_SECOND = TreesEffort(2, 45_000)
 
-#: The presets of all robots for which no others are registered.
+#: The presets of all robots without presets of their own (`register_presets`).
 EFFORTS: dict[EffortName, Effort] = {
     "quick": Effort(
         trees=TreesEffort(1, 6_000),
@@ -151,7 +151,7 @@ def effort_named(robot: Robot, name: EffortName) -> Effort:
 
 
 def efforts_of(robot: Robot, options: PlanOptions) -> tuple[Effort, ...]:
-    """The budgets of successive searches, the last one what the options request.
+    """The budgets of successive searches; the last is the requested one.
 
     With a deadline a first motion comes at once. An optimizer with more starts need not find everything that one with
     fewer starts finds, so `best` includes `default`.

@@ -1,10 +1,10 @@
-"""Ever quicker plans past what moves, certified in space and time.
+"""Anytime planning among moving obstacles, certified in space and time.
 
-Paths are planned as if nothing moved that does (or, on a base that moves, among everything as it stands at first), and
-around what is in the way when such a motion would meet it: around all that it sweeps meanwhile, and around where it is
-then, at first and in the end. A motion along each of them is run as it is where that is certified, else in the earliest
-timing through its cells of path and time (`hplan.planning.moving.schedule`): it waits at a clear place, slows down, or
-goes at once, before the obstacle comes. A start in motion is brought to rest first where there is none.
+Paths are planned without the moving obstacles (on a moving base: among all obstacles at their initial poses), and, if
+that motion would collide, around the volume that they sweep meanwhile and around their poses at the collision, at the
+start and at the end. A motion along each path runs unchanged if it is certified; otherwise it gets the earliest timing
+through its cells of path and time (`hplan.planning.moving.schedule`): it waits at a clear configuration, slows down, or
+passes before the obstacle comes. If no motion from a start in motion is found, the arm is brought to rest first.
 """
 
 from __future__ import annotations
@@ -29,23 +29,23 @@ from hplan.robot.model import Robot
 from hplan.scene.model import Scene, Start
 from hplan.trajectory.trajectory import Phase, Retimed, Trajectory, joined, scaled
 
-#: Ever quicker plans of a scene, whether anything moves in it or not.
+#: Anytime plans of a scene with or without moving obstacles.
 PlansOf: TypeAlias = Callable[[Scene], Iterator[Plan]]
 
 
 def plans_in_time(
     robot: Robot, scene: Scene, options: PlanOptions, plans_of: PlansOf, stop: Trajectory | None = None
 ) -> Iterator[Plan]:
-    """Ever quicker certified plans among obstacles of which some move.
+    """Certified plans among moving obstacles, each faster than the one before.
 
     Args:
         scene: The scene, and the task.
-        stop: How a start in motion might be brought to rest, in addition to what is tried anyway; None for none.
+        stop: A motion to rest from a start in motion, tried in addition to the default ones; None for none.
 
     Raises:
-        MovingObstacleError: The fruit that is the goal moves, or a bound is asked for.
-        ObstacleInTimeError: No motion was certified; names an obstacle and the time at which it is in the way.
-        HplanError: As `plans_of`, of the scene without what moves.
+        MovingObstacleError: The goal is a fruit that moves as seen from the base, or the options request a bound.
+        ObstacleInTimeError: No motion was certified; names a blocking obstacle and the time.
+        HplanError: As raised by `plans_of` for the scene without moving obstacles.
     """
     if options.bound:
         raise MovingObstacleError(scene.first_moving, "bounds of durations take scenes in which nothing moves")
@@ -67,7 +67,10 @@ def plans_in_time(
 
 
 def stopping_first(robot: Robot, scene: Scene, options: PlanOptions, plans_of: PlansOf, stop: Motion) -> Plan | None:
-    """A stop and a plan from its end, where what moves is as it is then; None where it is not verified as a whole."""
+    """A stop and a plan from its end; None if not certified.
+
+    The plan starts with the moving obstacles as they are at the end of the stop.
+    """
     stop_s = stop.trajectory.duration
     rest = Start(joints_rad=tuple(stop.trajectory.position[-1].tolist()))
     plan = best_of(plans_of(scene.since(stop_s).copy_unchecked({"start": rest})))
@@ -84,12 +87,12 @@ def certified_in_time(
     robot: Robot, scene: Scene, options: PlanOptions, motion: Trajectory, *,
     direct: bool = False, check_ends: bool = True,
 ) -> Certificate:  # fmt: skip
-    """What is shown of a motion among what moves.
+    """The certificate of a motion among moving obstacles.
 
     Args:
-        scene: The scene, whose clock is the motion's.
-        direct: Whether a fruit may be touched all the time: there is no approach.
-        check_ends: Whether it is a whole motion, not a stop, which need not get to the goal.
+        scene: The scene; its clock is the motion's.
+        direct: True if the fruit may be touched during the whole motion, which then has no approach.
+        check_ends: True for a whole motion; False for a stop, which need not reach the goal.
     """
     return certify(
         robot,
@@ -104,12 +107,12 @@ def certified_in_time(
 
 
 class _Search:
-    """What was looked at so far.
+    """A search for plans among moving obstacles, and its state.
 
     Attributes:
-        best_s: Duration of the quickest plan that is certified.
-        tried: What was tried, in words.
-        first: The first plan as if nothing moved, and what is shown of it among what moves.
+        best_s: Duration of the fastest certified plan; inf before the first [s].
+        tried: Descriptions of the failed attempts, for the error.
+        first: The first plan without moving obstacles, and its certificate among them.
     """
 
     def __init__(self, robot: Robot, scene: Scene, options: PlanOptions, plans_of: PlansOf) -> None:
@@ -120,10 +123,10 @@ class _Search:
         self.first: tuple[Plan, Certificate] | None = None
 
     def plans(self) -> Iterator[Plan]:
-        """Certified plans, each quicker than the one before.
+        """Certified plans, each faster than the one before.
 
         Raises:
-            ObstacleInTimeError: There is none.
+            ObstacleInTimeError: No plan was certified.
         """
         for path, among in self._scenes():
             try:
@@ -143,18 +146,18 @@ class _Search:
             raise ObstacleInTimeError(obstacle, certificate.nearest_s, self.tried)
 
     def _scenes(self) -> Iterator[tuple[str, Scene]]:
-        """Scenes in which nothing moves whose motions are looked at, and what they are, in words."""
+        """Static scenes whose paths are tried, each with a description."""
         scene = self._scene
         yield "the path without what moves", without_moving(scene)
-        # One hardly longer than that to which nothing is in the way needs no alternative.
+        # If that motion is hardly slower than without moving obstacles, no alternative is needed.
         if self.first is None or self.best_s <= 1.02 * self.first[0].duration:
             return
         duration = self.first[0].duration
         when = min(self.first[1].nearest_s or 0.0, duration)
-        # Longest motion of the scene that is planned around as one [s].
+        # Maximum time span whose swept volume is avoided as a whole [s].
         end_s = min(duration + 0.5, 30.0)
         yield "a path around all that it sweeps meanwhile", among_poses(scene, 0.0, end_s)
-        # A path around what moves is looked for within so much of the time at which it is in the way [s].
+        # Half-width of the time window around the collision in which the obstacle's poses are avoided [s].
         meanwhile_s = 0.35
         yield (
             "a path around where it is when it is in the way",
@@ -164,7 +167,7 @@ class _Search:
         yield "a path around where it is in the end", among_poses(scene, scene.at_rest_s, scene.at_rest_s)
 
     def _past(self, path: str, still: Plan) -> Plan | None:
-        """The quickest certified motion along a path; None where there is none."""
+        """The fastest certified motion along a path, or None."""
         phases, motion, _ = still.whole
         certificate = self._certified(still, motion)
         if self.first is None:
@@ -172,7 +175,7 @@ class _Search:
         report = {"path": path, "waits_s": 0.0, "slows_down": False, "at_full_speed_s": motion.duration}
         if certificate.verified:
             return _run(still, self._scene, (phases, motion, certificate), report)
-        # So much earlier or later than scheduled the arm may be anywhere [s].
+        # Allowed deviation from the schedule, earlier or later, tried in turn [s].
         for spare_s in (0.02, 0.06, 0.15):
             cells = PathInTime(motion, self._field, step_s=STEP_S, spare_s=spare_s)
             schedule = earliest_schedule(
@@ -205,13 +208,16 @@ class _Search:
 def _run(
     plan: Plan, scene: Scene, run: tuple[tuple[Phase, ...], Trajectory, Certificate], told: Mapping[str, Any]
 ) -> Plan:
-    """A plan as it is run in a scene in which something moves."""
+    """A plan with its motion and certificate among moving obstacles."""
     transit = replace(plan.transit, problem=replace(plan.transit.problem, scene=scene))
     return replace(plan, transit=transit, run=run, told={**told, "clear_until_s": run[2].clear_until_s})
 
 
 def _later(phase: Phase, retimed: Retimed) -> Phase:
-    """A phase of a motion that is run by another clock: it begins as late, and ends as early, as can be told."""
+    """A phase on the clock of the retimed motion.
+
+    It runs from the last sample at or before its start to the first sample at or after its end.
+    """
     clock, time = retimed.clock, retimed.trajectory.time
     begin = max(0, int(np.searchsorted(clock, phase.start_s + 1e-9, side="right")) - 1)
     end = int(np.searchsorted(clock, phase.end_s - 1e-9, side="left")) if phase.end_s < clock[-1] - 1e-9 else -1

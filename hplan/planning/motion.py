@@ -1,4 +1,4 @@
-"""Certified motions, and how they are made of paths: smoothed or optimised with their timing, timed, certified."""
+"""Certified motions made of paths: smoothed or optimized, timed and certified."""
 
 from __future__ import annotations
 
@@ -39,7 +39,9 @@ class Motion(Record):
     """A certified motion: a phase of a plan or of a tour.
 
     Attributes:
-        certificate: What was shown of it.
+        name: Name of the phase.
+        trajectory: The timed motion.
+        certificate: The certificate of the trajectory.
     """
 
     name: str
@@ -48,22 +50,25 @@ class Motion(Record):
 
     @property
     def reversed(self) -> Motion:
-        """The motion backwards, with the same distances and torques."""
+        """The motion reversed in time, with the same distances and torques."""
         return Motion(self.name, self.trajectory.reversed, self.certificate.reversed)
 
     def made(self, trajectory: Trajectory, certificate: Certificate, path: SplinePath | None) -> Self:
         """The motion with another trajectory between the same ends, along a path."""
-        del path  # of a transit
+        del path  # only a transit has a path
         return replace(self, trajectory=trajectory, certificate=certificate)
 
 
 @dataclass(frozen=True, eq=False)
 class Transit(Motion):
-    """A certified motion from configuration to configuration, with what it was made from.
+    """A certified motion between two configurations, with its origin.
 
     Attributes:
+        problem: Start, goal and joint limits, and the world.
         waypoints: (m, dof) the polyline before post-processing.
-        path: The smooth path; None for an empty motion. Of a motion optimised with its timing the parameter is time.
+        path: The smooth path; None for an empty motion. If path and timing were optimized together, its parameter is
+            time.
+        origin: The source of the polyline.
         search: The grid search that found the polyline; None for none.
     """
 
@@ -83,11 +88,12 @@ class Plan(Record):
     """Certified motions, one after the other.
 
     Attributes:
-        transit: The first one.
-        others: Those after it: the approach to a grasp and, from a fruit, the retreat.
-        grasp: Where the transit leads to; None for joints.
-        run: What of it is run past what moves, as `whole`; None where nothing moves.
-        told: What was done about what moves, for the report.
+        transit: The first motion.
+        others: The motions after it: the approach to a grasp and, from a fruit, the retreat.
+        grasp: The goal of the transit; None for a goal given as joints.
+        run: Phases, trajectory and certificate to run among moving obstacles, in place of `whole`; None if nothing
+            moves.
+        told: How the plan avoids moving obstacles, for the report.
     """
 
     transit: Transit
@@ -98,17 +104,17 @@ class Plan(Record):
 
     @property
     def motions(self) -> tuple[Motion, ...]:
-        """All of them."""
+        """The transit and the motions after it."""
         return (self.transit, *self.others)
 
     @property
     def duration(self) -> float:
-        """How long all take together [s]."""
+        """Total duration [s]."""
         return seconds(self.motions) if self.run is None else self.run[1].duration
 
     @cached_property
     def whole(self) -> _Whole:
-        """Phases, trajectory and certificate of all."""
+        """Phases, trajectory and certificate of the whole plan."""
         return in_sequence(self.motions) if self.run is None else self.run
 
 
@@ -119,12 +125,12 @@ def best_of(found: Iterable[_T]) -> _T:
 
 
 def seconds(motions: Sequence[Motion]) -> float:
-    """How long motions take one after the other [s]."""
+    """Total duration of motions [s]."""
     return sum(motion.trajectory.duration for motion in motions)
 
 
 def in_sequence(motions: Sequence[Motion], begin_s: float = 0.0) -> _Whole:
-    """The phases, the trajectory and the certificate of motions one after the other, from a time on."""
+    """Phases, trajectory and certificate of consecutive motions from a start time on."""
     ends = np.cumsum([begin_s, *(motion.trajectory.duration for motion in motions)]).tolist()
     phases = tuple(Phase(motion.name, *span) for motion, span in zip(motions, pairwise(ends), strict=True))
     return phases, joined([motion.trajectory for motion in motions]), all_of([motion.certificate for motion in motions])
@@ -133,18 +139,20 @@ def in_sequence(motions: Sequence[Motion], begin_s: float = 0.0) -> _Whole:
 def quickest(
     problem: Problem, polylines: Sequence[Path], margin: float, *, quicker_than_s: float = math.inf
 ) -> Transit:
-    """The quickest certified motion near some polylines.
+    """The fastest certified motion near some polylines.
 
-    Where none can be optimised with its timing, or that is not asked for, that along the first that leads to one.
+    If the optimizer finds none or the objective is a short path, the motion along the first polyline that admits a
+    certified one.
 
     Args:
+        problem: The problem with one goal.
         polylines: Clear polylines between the same ends, at least one.
-        margin: Clearance asked for beyond the one to keep [m].
-        quicker_than_s: Longest duration of a motion that is of use [s].
+        margin: Clearance required of the motion beyond the scene's own [m].
+        quicker_than_s: Maximum useful duration [s].
 
     Raises:
-        CertificationError: There is none, or none can be certified; that of the first polyline.
-        TimingError: It cannot be timed.
+        CertificationError: No motion was found or certified; the error of the first polyline.
+        TimingError: The first polyline's path cannot be timed.
     """
     effort = problem.optimization
     optimized = None if effort is None else _optimized(problem, polylines, margin, effort, quicker_than_s)
@@ -162,11 +170,11 @@ def quickest(
 
 
 def motion_along(problem: Problem, polyline: Path, margin: float) -> Transit:
-    """The certified motion along the first smooth path near a polyline that is verified collision-free.
+    """The certified motion along the first clear smooth path near a polyline.
 
     Raises:
-        CertificationError: There is none, or none can be certified.
-        TimingError: It cannot be timed.
+        CertificationError: No smooth path is verified collision-free, or the motion is not certified.
+        TimingError: The path cannot be timed.
     """
     options = smoothing_options(problem, margin)
     with stage("postprocess"):
@@ -176,13 +184,13 @@ def motion_along(problem: Problem, polyline: Path, margin: float) -> Transit:
 
 
 def improve(motion: Transit, upright: Chain | None = None) -> Iterator[Transit]:
-    """A motion and a quicker one near it, if there is one; both are certified.
+    """A certified motion, then a faster certified one near it, if any.
 
-    It is the only one where a short path is asked for, it is straight, or close enough to the fastest where a motion
-    is wanted at once.
+    There is no second motion if the objective is a short path, if the first is straight, or if the effort requires a
+    first motion as soon as possible and it is close to the fastest.
 
     Args:
-        upright: What the tool of the quicker one stays, wherever the optimiser looks; None where it may lean.
+        upright: Chain whose tool must stay upright during the faster motion; None for no such constraint.
     """
     yield motion
     problem, effort, start = motion.problem, motion.problem.optimization, motion.trajectory
@@ -214,7 +222,11 @@ def _transit(
 
 
 def smoothing_options(problem: Problem, margin: float) -> PostprocessOptions:
-    """Options of post-processing for a problem, with a clearance beyond the one to keep [m]."""
+    """Post-processing options of a problem.
+
+    Args:
+        margin: Clearance required beyond the scene's own [m].
+    """
     robot = problem.robot
     return PostprocessOptions(
         lower=problem.lower[0],
@@ -227,7 +239,10 @@ def smoothing_options(problem: Problem, margin: float) -> PostprocessOptions:
 
 
 def sway_of(problem: Problem) -> FloatArray | None:
-    """(moving bodies, dof) what each sways by for a unit of each joint's speed [m s/rad]; None if it does not."""
+    """(moving bodies, dof) tracking displacement bound per joint speed [m s/rad].
+
+    None without a tracking delay.
+    """
     delay_s = problem.options.tracking.delay_s
     if delay_s == 0.0:
         return None
@@ -237,10 +252,10 @@ def sway_of(problem: Problem) -> FloatArray | None:
 def time_problem(
     problem: Problem, motion: Trajectory, ends: tuple[BoundaryState, BoundaryState] | None = None
 ) -> TimeProblem:
-    """What the fastest motion near a given one has to keep.
+    """Constraints of the fastest motion near a given one.
 
     Args:
-        ends: The states in which the fastest one begins and ends; None where both are at rest.
+        ends: Boundary states of the fastest motion; None for rest at both ends.
     """
     along = motion.position[np.linspace(0, motion.samples - 1, 33).astype(int)]
     return TimeProblem(
@@ -252,9 +267,9 @@ def time_problem(
 def _optimized(
     problem: Problem, polylines: Sequence[Path], margin: float, effort: StartsEffort, quicker_than_s: float
 ) -> Transit | None:
-    """The quickest motion near some polylines that was optimised with its timing and is certified.
+    """The fastest certified motion near some polylines from the optimizer.
 
-    None where the straight one is as good, or none was found.
+    None if the straight motion is as good, or no motion was found.
     """
     processing, paths = smoothing_options(problem, margin), [polyline.waypoints for polyline in polylines]
     limits, dynamics, sway, rate_hz = (
@@ -265,7 +280,7 @@ def _optimized(
     )
     if sway is None and is_straight(paths[0], problem.field, processing):
         return None
-    # Where tracking errors grow with speed, room is made for so many times as much, until a motion is certified.
+    # With a velocity-dependent tracking error, retry with larger clearance margins until a motion is certified.
     for room in [None] if sway is None else [times * sway for times in (1.0, 1.6, 2.5)]:
         with stage("postprocess"):
             program = TimeProblem(problem.field, problem.field, processing, limits, dynamics, rate_hz, sway=room)
@@ -288,18 +303,19 @@ def certified_trajectory(
 ) -> tuple[Trajectory, Certificate]:
     """The fastest certified trajectory along a path.
 
-    Where tracking errors grow with speed it is run as slowly as it has to be.
+    With a velocity-dependent tracking error the speed is reduced until the motion is certified.
 
     Args:
-        among: The obstacles that a trajectory along it is certified among; those of the context where this is None.
-        grid: Path parameters at which its speed is chosen, as `hplan.trajectory.retime.time_path` takes them.
+        among: Returns the segments and obstacles to certify a trajectory against; None for the obstacles of the
+            problem.
+        grid: Path parameters of the speed profile, as in `hplan.trajectory.retime.time_path`.
 
     Raises:
-        TimingError: There is none within the limits.
-        CertificationError: It is asked for, and something was not shown.
+        TimingError: No timing satisfies the limits.
+        CertificationError: A certificate is required, and the motion is not certified.
     """
     limits, largest = motion_limits(problem), np.empty(0)
-    # A motion on a given path is run at these fractions of its own speed, tried in turn until one is certified.
+    # Fractions of the path's maximum speed, tried in turn until the motion is certified.
     speeds = (1.0, 0.7, 0.5, 0.35, 0.25, 0.17, 0.12, 0.08, 0.05, 0.03)
     for speed in speeds if problem.options.tracking.delay_s > 0.0 else speeds[:1]:
         if speed < 1.0:
@@ -313,7 +329,7 @@ def certified_trajectory(
 
 
 def motion_limits(problem: Problem) -> Limits:
-    """What motions of a context may use of the robot's limits."""
+    """The robot's limits, scaled by the speed option."""
     robot = problem.robot
     limits = Limits(robot.velocity_limit, robot.acceleration_limit, robot.torque_limit, robot.jerk_limit)
     return limits.scaled(problem.options.speed)
@@ -325,11 +341,11 @@ def timed(
     """The fastest trajectory along a path.
 
     Args:
-        limits: What it may use; those of the context where this is None.
-        grid: Path parameters at which the speed is chosen; None for those that suit any path.
+        limits: Limits to satisfy; None for the problem's limits.
+        grid: Path parameters of the speed profile; None for the default ones.
 
     Raises:
-        TimingError: There is none.
+        TimingError: No timing satisfies the limits.
     """
     limits, rate_hz = motion_limits(problem) if limits is None else limits, problem.options.rate_hz
     with stage("timing"):
@@ -343,11 +359,11 @@ def certificate_of(
     *,
     rest_to_rest: bool = True,
 ) -> Certificate:
-    """The certificate of a trajectory, whatever it says.
+    """The certificate of a trajectory, verified or not.
 
     Args:
-        among: The obstacles that it is certified among, stretch by stretch; those of the context where this is None.
-        rest_to_rest: Whether it has to begin and end at rest.
+        among: The segments and obstacles to certify against; None for the obstacles of the problem.
+        rest_to_rest: True if the trajectory must begin and end at rest.
     """
     options = problem.options
     with stage("certificate"):
@@ -362,10 +378,10 @@ def certificate_of(
 
 
 def require_certificate(problem: Problem, certificate: Certificate) -> Certificate:
-    """The certificate as it is.
+    """The given certificate, if it is verified or need not be.
 
     Raises:
-        CertificationError: The options ask for one, and something was not shown.
+        CertificationError: The options require a certificate, and it is not verified.
     """
     if problem.options.certify and not certificate.verified:
         raise CertificationError(

@@ -16,13 +16,13 @@ from hplan.scene.limits import FARTHEST_M, LEAST_RISK
 
 Method = Literal["two-level", "dense"]
 
-#: What is asked of a motion.
+#: Cost to minimize.
 Objective = Literal["duration", "length"]
 
-#: Length of the straight approach to a fruit or a point, where none is asked for [m].
+#: Default length of the straight approach to a fruit or a point [m].
 STANDOFF = 0.1
 
-#: How much is spent on a faster motion.
+#: Presets of the search and optimization budget.
 EffortName = Literal["quick", "default", "best"]
 EFFORT_NAMES: tuple[EffortName, ...] = ("quick", "default", "best")
 
@@ -31,40 +31,47 @@ _CaptureRange = Annotated[float, Field(ge=0.0, le=FARTHEST_M)]
 
 @dataclass(frozen=True)
 class PlanOptions(Options):
-    """Options of a plan, checked.
+    """Options of a plan, validated.
 
     Attributes:
         method: `two-level`, or `dense` for the baseline.
-        step_deg: Largest spacing of the joint grid [deg].
+        step_deg: Maximum spacing of the joint grid [deg].
         objective: `duration` for the fastest motion, `length` for the shortest path.
-        effort: `quick` for the motion near the first path, `default` for the quickest near several, `best` for that
-            near more of them, optimised for longer. Each gives the same motion every time.
+        effort: `quick` for the motion near the first path, `default` for the fastest near several paths, `best` for the
+            fastest near more paths, optimized for longer. Each is deterministic.
         link_model: Link model of the C-space; motions are always certified for capsules.
-        rate_hz: Rows of the trajectory per second.
+        rate_hz: Samples of the trajectory per second.
         speed: Fraction of the velocity limits to use, in (0, 1].
-        tracking_error: Deviation from the trajectory to be covered by the certificate, each joint, at rest [rad; of
-            joints that slide, m].
-        tracking_delay_s: What comes to it for each rad/s of the joint's velocity [s].
-        sigmas: How many standard deviations of its place an obstacle is grown by, where the scene gives one; or of each
-            by name, none of those that are not named.
-        risk: Largest probability that the motion touches anything, by the errors that the scene gives, in place of
-            `sigmas`: the growths are found with the motion (`hplan.certificate.touch_risk`). None for `sigmas`.
-        standoff: Length of the straight approach [m]; shorter where it cannot be had. None for `STANDOFF` to a fruit or
-            a point, and for no approach to a pose.
-        capture_m: How far the middle of a fruit may be off for the gripper to take it: across the approach, and along
-            it [m]. Of all grasps those are left whose approach is best against the error of the fruit's place, within
-            half a percent, and reports say how likely each fruit is caught (`hplan.planning.capture`). None asks for
-            neither.
-        certify: False exports what was not certified, and says so.
-        bound: True also bounds the durations of all motions from below (`hplan.planning.lower_bound`), which takes
-            seconds where the base does not turn and something is in the way. Tours have no bound.
-        seed: Of the samples by which trees grow: another one may lead to other motions, each the same every time.
-        deadline_s: How long planning may take, counted from the call; None for as long as it takes [s]. What is
-            certified by then depends on the machine: with a deadline the same input need not give the same motion.
+        tracking_error: Tracking error of each joint at rest that the certificate covers [rad; m for prismatic joints].
+        tracking_delay_s: Additional tracking error per unit of the joint's velocity [s].
+        sigmas: Growth of uncertain obstacles, in standard deviations of their positions; or this number
+            for each obstacle by name, 0 for the others.
+        risk: Maximum probability of contact due to the position errors of the scene, instead of `sigmas`: the growths
+            are found together with the motion (`hplan.certificate.touch_risk`). None to use `sigmas`.
+        standoff: Length of the straight approach [m]; shorter if it is obstructed. None for `STANDOFF` to a fruit or a
+            point, and for no approach to a pose.
+        capture_m: Maximum offset of a fruit's center from where the gripper expects it: across the approach, and along
+            it [m]. Only the grasps with the best approach for the position error are kept, within half a percent, and
+            reports give the probability to catch each fruit (`hplan.planning.capture`). None for neither.
+        certify: False to export motions that are not certified; the report says so.
+        bound: True to compute a lower bound of the duration of all motions, too (`hplan.planning.lower_bound`). It
+            takes seconds if the base does not turn and obstacles block the way. Tours have no bound.
+        seed: Random seed of the sampling-based planner; each seed is deterministic, but may lead to another motion.
+        deadline_s: Maximum planning time, from the call; None for no limit [s]. The number of motions certified by then
+            depends on the machine, so plans with a deadline are not reproducible.
+
+    Examples:
+        >>> from hplan import PlanOptions
+        >>> PlanOptions().rate_hz
+        250.0
+        >>> PlanOptions(speed=2.0)
+        Traceback (most recent call last):
+        ...
+        hplan.errors.bad_input.OptionError: speed = 2.0: expected less than or equal to 1
     """
 
     method: Method = "two-level"
-    # Of a single joint that turns once, a finer grid has more nodes than any may have.
+    # For a single joint with one turn, a finer grid exceeds the maximum number of nodes.
     step_deg: Annotated[float, Field(ge=1e-7)] = 1.0
     objective: Objective = "duration"
     effort: EffortName = "default"
@@ -90,14 +97,14 @@ class PlanOptions(Options):
             raise OptionError("bound", self.bound, "False where there is a deadline: a bound may take seconds")
 
     def check_for(self, robot: Robot | None, *, takes_risk: bool = False) -> None:
-        """Refuse the dense search for robots without a grid, and a risk where there is more than a single plan.
+        """Refuse options that the robot or the task cannot use.
 
         Args:
             robot: The robot; None for several.
-            takes_risk: Whether a risk may be asked for.
+            takes_risk: True if the task may have a risk.
 
         Raises:
-            OptionError: It is asked for.
+            OptionError: A dense search for a robot without a grid, or a risk for more than a single plan.
         """
         if self.risk is not None and not takes_risk:
             raise OptionError("risk", self.risk, "None: a risk is of a single plan from rest to rest")
@@ -114,10 +121,10 @@ class PlanOptions(Options):
 
     @property
     def tracking(self) -> TrackingModel:
-        """The deviation that motions make room for: none where they need not be certified."""
+        """Tracking error that motions allow for; none if they need no certificate."""
         return self.certified_tracking if self.certify else TrackingModel()
 
     @property
     def certified_tracking(self) -> TrackingModel:
-        """The deviation that certificates cover, whether motions need to be certified or not."""
+        """Tracking error that certificates cover, even if motions need no certificate."""
         return TrackingModel(self.tracking_error, self.tracking_delay_s)

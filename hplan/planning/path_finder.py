@@ -1,7 +1,7 @@
-"""Path finders: straight lines, pairs of trees, and whatever a specialist adds.
+"""Path finders: straight lines, pairs of trees, and additions by specialists.
 
 A path finder yields groups of paths to one goal. The solver (`hplan.planning.solver`) makes the fastest certified
-motion of each group, notes its duration in the budget, and asks for the next group as long as that may be worthwhile.
+motion of each group, notes its duration in the budget, and requests the next group as long as that may be worthwhile.
 Finders read the budget to decide whether to go on.
 """
 
@@ -23,14 +23,14 @@ from hplan.planning.sampling.rrt_connect import Pairs, TreeEffort, tree_path
 from hplan.planning.sampling.several_trees import PromisingPath, TreesEffort, promising_paths
 from hplan.planning.stages import stage
 
-#: Where a path comes from: start and goal are the same; a straight line; trees; a grid search; an earlier motion,
-#: repaired or as it was; the caller.
+#: The origin of a path: none (start and goal are the same), a straight line, trees, a grid search, an earlier motion
+#: (repaired or unchanged), or the caller.
 Origin: TypeAlias = Literal["none", "direct", "trees", "search", "mended", "kept", "given"]
 
 #: Minimum number of distance queries of a second pair of long trees.
 _SHORT = 8_000
 
-#: Number of goals for which trees search one by one before they search for all goals at once.
+#: Number of goals that trees search one by one before they search all goals together.
 _ONE_BY_ONE = 2
 
 
@@ -56,7 +56,7 @@ class Path(NamedTuple):
 
     Attributes:
         waypoints: (m, dof) configurations from the start to a goal.
-        origin: Where it comes from.
+        origin: The finder or source of the path.
         goal: Number of the problem's goal that it leads to.
         search: The grid search that found it; None for none.
         margin: Clearance that the motion near it must have beyond the required one; None for the problem's [m].
@@ -71,11 +71,11 @@ class Path(NamedTuple):
 
 @dataclass
 class Budget:
-    """Budget of a search, and what it has achieved so far.
+    """Budget of a search, and its intermediate results.
 
     Attributes:
         effort: The preset.
-        durations: (n,) duration of the fastest certified motion to each goal; inf if there is none [s].
+        durations: (n,) duration of the fastest certified motion to each goal; inf without one [s].
         pairs: Trees that have not met yet and can grow on.
         error: Why the last group led to no certified motion; None if it led to one.
     """
@@ -87,12 +87,12 @@ class Budget:
 
     @classmethod
     def of(cls, problem: Problem) -> Budget:
-        """The budget of a problem, nothing spent."""
+        """The budget of a problem at the start of the search."""
         return cls(problem.effort, np.full(len(problem.goals), math.inf))
 
     @property
     def best_s(self) -> float:
-        """Duration of the fastest certified motion to any goal; inf if there is none [s]."""
+        """Duration of the fastest certified motion; inf without one [s]."""
         return float(self.durations.min())
 
 
@@ -103,7 +103,7 @@ class PathFinder(Protocol):
         """Yield groups of alternative paths to one goal each.
 
         Raises:
-            FailuresError: None leads to a motion; why not, for each goal.
+            FailuresError: None leads to a motion; holds the reason for each goal.
         """
 
 
@@ -124,7 +124,10 @@ class StraightLine:
     _WORTHWHILE = 0.7
 
     def paths(self, problem: Problem, budget: Budget) -> Iterator[tuple[Path, ...]]:
-        """Yield the line, then paths to a goal with an obstructed line that may be reached much sooner."""
+        """Yield the line, then paths to goals that may be much faster.
+
+        The latter have an obstructed line.
+        """
         for number in range(len(problem.goals)):
             if not is_straight_clear(problem.to(number)):
                 continue
@@ -139,10 +142,10 @@ class StraightLine:
 
 
 class Trees:
-    """Paths of pairs of trees (RRT-Connect): one pair first, then several of different homotopy classes."""
+    """Paths of pairs of trees (RRT-Connect), later of several homotopy classes."""
 
     def paths(self, problem: Problem, budget: Budget) -> Iterator[tuple[Path, ...]]:
-        """Yield paths to the first goal that has any, or to several goals that may be reached sooner."""
+        """Yield paths to the first reachable goal, or to several faster ones."""
         compared = budget.effort.compared
         for number in range(min(len(problem.goals), max(_ONE_BY_ONE, compared))):
             is_found = math.isfinite(budget.best_s)
@@ -151,7 +154,10 @@ class Trees:
             yield from self.paths_to(problem, number, budget)
 
     def paths_to(self, problem: Problem, number: int, budget: Budget) -> Iterator[tuple[Path, ...]]:
-        """Yield the path of one pair to a goal, then those of several unless the motion is close to the fastest."""
+        """Yield one pair's path to a goal, then several pairs'.
+
+        The others are skipped if the motion is close to the fastest.
+        """
         one = problem.to(number)
         first = first_tree_path(one, budget.pairs)
         if first:
@@ -166,7 +172,7 @@ class Trees:
             yield group
 
     def others(self, problem: Problem, number: int) -> Sequence[Path]:
-        """Paths from elsewhere, to be compared with those of several pairs of trees."""
+        """Paths from other sources, to compare with the trees' paths."""
         del problem, number
         return ()
 
@@ -175,7 +181,10 @@ class LongTrees:
     """Paths of trees with a larger budget, to whichever goal they reach."""
 
     def paths(self, problem: Problem, budget: Budget) -> Iterator[tuple[Path, ...]]:
-        """Yield a group for each pair that meets, or for each goal after all pairs have grown."""
+        """Yield a group for each pair that meets.
+
+        If the trees grow for one goal after the other, yield a group for each goal after all pairs have grown.
+        """
         found: dict[int, list[Path]] = {}
         long = long_trees(problem)
         each = long.each
@@ -200,16 +209,16 @@ class LongTrees:
 
 @dataclass(frozen=True)
 class FirstPaths:
-    """The first paths that may lead to a motion at once: straight lines, and trees to whichever goal.
+    """The first promising paths: straight lines, then trees.
 
     Attributes:
-        trees: Trees to grow; None for those of the budget.
+        trees: Trees to grow; None for the budget's trees.
     """
 
     trees: TreesEffort | None = None
 
     def paths(self, problem: Problem, budget: Budget) -> Iterator[tuple[Path, ...]]:
-        """Yield single paths, straight ones unchecked, until one leads to a certified motion.
+        """Yield single paths until one leads to a certified motion.
 
         Raises:
             FailuresError: No path leads to any goal, with a proof for each.
@@ -239,7 +248,12 @@ class FirstPaths:
 
 
 def first_tree_path(problem: Problem, pairs: Pairs | None = None) -> list[PromisingPath]:
-    """The path that one pair of trees finds, if any; `pairs` as `tree_path` takes them."""
+    """The path of one pair of trees, if any.
+
+    Args:
+        problem: The problem with one goal.
+        pairs: Trees that can grow on, as in `tree_path`.
+    """
     return tree_paths(problem, replace(problem.effort.trees, pairs=1), pairs=pairs)
 
 
@@ -257,7 +271,10 @@ def tree_paths(
 
 
 def tree_to_any(problem: Problem, effort: TreeEffort, pairs: Pairs | None = None) -> tuple[Path | None, int]:
-    """The path of a pair of trees to whichever goal it reaches, and the number of its distance queries."""
+    """A path of one pair of trees to any goal, or None.
+
+    The second value is the number of distance queries spent.
+    """
     margin = 0.1 * min(problem.to(number).margin for number in range(len(problem.goals)))
     with stage("trees"):
         path, evaluations = tree_path(
@@ -269,14 +286,17 @@ def tree_to_any(problem: Problem, effort: TreeEffort, pairs: Pairs | None = None
 
 
 def long_trees(problem: Problem) -> TreesEffort:
-    """The trees before goals are refused; half of them among clouds, whose distances cost up to four times as much."""
+    """The trees before a goal is refused.
+
+    Half of them among point clouds, where a distance query costs up to four times as much.
+    """
     long = problem.effort.long
     is_cloudy = any(solid.is_point_set for solid in problem.world.solids)
     return replace(long, each=long.each // 2) if is_cloudy else long
 
 
 def describe_trees(problem: Problem) -> str:
-    """Return a phrase for errors: the budget of all trees of a problem."""
+    """Return a phrase with the budget of all trees, for errors."""
     each: dict[int, int] = {}  # by seed: some of the long ones have grown before
     for trees in (problem.effort.trees, long_trees(problem)):
         each |= dict.fromkeys(range(trees.seed, trees.seed + trees.pairs), trees.each)
@@ -284,5 +304,8 @@ def describe_trees(problem: Problem) -> str:
 
 
 def _as_paths(found: Sequence[PromisingPath], goal: int) -> tuple[Path, ...]:
-    """Paths of trees as they were found: shortened ones touch the margin and leave no room for smoothing."""
+    """Paths of trees, not shortened.
+
+    Shortened paths touch the margin and leave no room for smoothing.
+    """
     return tuple(Path(path.waypoints, "trees", goal) for path in found)

@@ -42,33 +42,39 @@ def plan(
 ) -> PlanResult:
     """Plan a motion from the scene's start to its goal.
 
-    To a fruit, or to a point, the motion is a transit to a stand-off and a straight approach, without a stop between
-    them where that is quicker; from a fruit the arm then retreats to the stand-off.
+    To a fruit or a point the motion is a transit to a stand-off and a straight approach, blended if that is faster;
+    from a fruit the arm then retreats to the stand-off.
 
-    The robot keeps the last obstacles made ready, some megabytes for hundreds of them: what is planned next among the
-    same ones begins sooner.
+    The robot caches the last prepared obstacles, some megabytes for hundreds of them, so that the next plan among the
+    same obstacles starts sooner.
 
     Args:
         robot: The arm.
         scene: Obstacles and task.
         options: How to plan.
         progress: Called with the name of each stage as it begins.
-        cancel: A function or an event that says whether it is cancelled; another thread asks it about
-            every millisecond.
+        cancel: A function or an event that reports cancellation; another thread queries it about every millisecond.
 
     Raises:
-        InputError: The scene does not fit the robot, or start or goal cannot be taken (see `check_problem`).
-        UnreachableError: No configuration has the tool at the point, or none at the pose was found.
-        BlockedError: Obstacles are in the way of all that do; names them.
-        NoPathError: No path exists on the grid; names what blocks it.
+        InputError: The scene does not fit the robot, or start or goal is invalid (see `hplan.check`).
+        UnreachableError: No configuration reaches the point, or none at the pose was found.
+        BlockedError: Obstacles block all configurations that reach the goal; names them.
+        NoPathError: No path exists on the grid; names the blocking obstacles.
         TimingError: The path cannot be timed.
         CertificationError: No motion could be certified.
-        NotFoundError: None was found within memory and effort, and it was not shown that there is none.
-        NotInTimeError: None was found before the deadline.
-        PlanCancelledError: It was cancelled.
-        UnavoidableContactError: The start is in motion, and no motion onward or stop without contact was found.
-        BoundError: The bound, where it is asked for, contradicts the motion.
-        MovingObstacleError: A risk is asked for, and something moves.
+        NotFoundError: No motion was found within memory and effort; this does not prove that none exists.
+        NotInTimeError: No motion was found before the deadline.
+        PlanCancelledError: Planning was cancelled.
+        UnavoidableContactError: The start is in motion, and neither a motion onward nor a stop without contact was
+            found.
+        BoundError: The requested bound contradicts the motion.
+        MovingObstacleError: The options have a risk, and the scene has moving obstacles.
+
+    Examples:
+        >>> from hplan import PlanOptions, load_robot, load_scene, plan
+        >>> result = plan(load_robot(), load_scene(), PlanOptions(effort="quick"))
+        >>> result.certificate.verified
+        True
     """
     check_task(robot, scene, options, progress, takes_risk=True)
     options = PlanOptions() if options is None else options
@@ -95,11 +101,12 @@ def check_task(
     *,
     takes_risk: bool = False,
 ) -> None:
-    """Refuse what is no robot, scene, options or function, such as the first two in the wrong order.
+    """Validate argument types; catches a swapped robot and scene.
 
     Raises:
-        OptionError: It is none, or an option that the robot has no use for; `yield_links` that the robot does not have.
-        SceneError: A value of the scene was changed past its checks.
+        OptionError: An argument has the wrong type, the robot cannot use an option, or `yield_links` names an unknown
+            link.
+        SceneError: A value of the scene was changed without validation.
     """
     instance("robot", robot, Robot, "load_robot")
     check_yield_links(robot, checked_scene(scene).yield_links)
@@ -118,17 +125,18 @@ def plan_with(
     before: Transit | None = None,
     stop: Trajectory | None = None,
 ) -> PlanResult:
-    """Plan as `plan` does, with an earlier motion to reuse and a stop to try.
+    """Plan with an earlier motion to reuse and a stop to try.
 
-    The deadline counts from the beginning of the limit of time that this is called in, or else from this call.
+    Otherwise it does the same as `plan`. The deadline counts from the start of the enclosing time limit or, without
+    one, from this call.
 
     Args:
         progress: Called with the name of each stage as it begins.
-        before: An earlier motion, to be kept or repaired where that can be (`hplan.planning.solver.reuse_motion`).
-        stop: How a start in motion might be brought to rest, in addition to what is tried anyway.
+        before: An earlier motion, kept or repaired if possible (`hplan.planning.solver.reuse_motion`).
+        stop: A motion to rest from a start in motion, tried in addition to the default ones.
 
     Raises:
-        HplanError: As `plan`.
+        HplanError: As in `plan`.
     """
     try:
         with stage_clock(progress) as clock, time_limit(options.deadline_s) as limit:
@@ -147,7 +155,10 @@ def plan_with(
 def _plans(
     robot: Robot, scene: Scene, options: PlanOptions, before: Transit | None, stop: Trajectory | None
 ) -> Iterator[Plan]:
-    """Plans of a scene, each faster than the one before; a static world is prepared before this returns."""
+    """Plans of a scene, each faster than the one before.
+
+    A static world is prepared before this function returns.
+    """
     if scene.moves:
 
         def plans_of(other: Scene) -> Iterator[Plan]:
@@ -165,14 +176,14 @@ def _plans(
 
 
 def _last_in_time(found: Iterator[Plan], limit: TimeLimit) -> PlanResult:
-    """The last of ever quicker plans that there is time for.
+    """The last plan of an anytime search before the deadline.
 
     Raises:
-        TimeIsUpError: There was time for none.
+        TimeIsUpError: There was no plan before the deadline.
     """
     best: PlanResult | None = None
     count, first_s, cut_short = 0, 0.0, False
-    # This part of the time that the world took to make is kept: freeing it afterwards takes time too.
+    # Keep this fraction of the time that the world took to prepare: releasing it afterwards takes time, too.
     freeing_s = 0.25 * limit.elapsed_s
     limit.keep(freeing_s)
     try:
@@ -180,7 +191,7 @@ def _last_in_time(found: Iterator[Plan], limit: TimeLimit) -> PlanResult:
             since_s = limit.elapsed_s
             best = plan_result(plan)
             count, first_s = count + 1, first_s or limit.elapsed_s
-            limit.keep(freeing_s + limit.elapsed_s - since_s)  # for the result of the next one
+            limit.keep(freeing_s + limit.elapsed_s - since_s)  # for the next result
     except TimeIsUpError:
         limit.check_cancelled()
         cut_short = True
@@ -190,7 +201,10 @@ def _last_in_time(found: Iterator[Plan], limit: TimeLimit) -> PlanResult:
 
 
 def _fraction_with_room(robot: Robot, scene: Scene, options: PlanOptions) -> float:
-    """Fraction of the tracking error for which a motion planned without one can be certified; 0 if there is none."""
+    """Fraction of the tracking error that an exact plan allows.
+
+    0 if planning fails even without a tracking error.
+    """
     try:
         found = plan_with(robot, scene, replace(options, tracking_error=0.0, tracking_delay_s=0.0))
     except HplanError:
@@ -208,13 +222,13 @@ def _fraction_with_room(robot: Robot, scene: Scene, options: PlanOptions) -> flo
 
 
 def plan_result(plan: Plan) -> PlanResult:
-    """A plan with its bound, where that is asked for, and when the fruit is touched."""
+    """The result of a plan, with contact times and the requested bound."""
     phases, trajectory, certificate = plan.whole
     problem = plan.transit.problem
     fruit = problem.scene.goal_fruit
     if plan.run is None:
         if fruit is not None:
-            # Without an approach the last link may touch the fruit all the time.
+            # Without an approach the last link may touch the fruit during the whole motion.
             goal_contact: GoalContact = "approach" if plan.others else "motion"
             contacts = goal_contacts(problem.robot, trajectory, fruit, goal_contact)
             certificate = replace(certificate, goal_contact=goal_contact, contacts=contacts)
@@ -232,13 +246,13 @@ def plan_result(plan: Plan) -> PlanResult:
 
 
 def _bound(plan: Plan) -> DurationBound | None:
-    """The bound of the durations of the first motions of a plan; None where they are not certified.
+    """Lower bound of the duration of a plan's first motions, or None.
 
     Raises:
-        BoundError: It contradicts them.
+        BoundError: The bound contradicts their duration.
     """
     from hplan.planning.lower_bound.duration_bound import (
-        duration_bound,  # its kernels cost nothing where none is asked for
+        duration_bound,  # loads its kernels only if a bound is requested
     )
 
     motions = plan.motions[: bounded_phases(plan.transit)]
@@ -246,7 +260,8 @@ def _bound(plan: Plan) -> DurationBound | None:
         return None
     problem, world = plan.transit.problem, plan.transit.problem.world
     if len(motions) > 1 and plan.grasp is not None:
-        # Any motion to the grasp, the last link free to touch the fruit all the time: more than there are.
+        # Bound all motions to the grasp with free contact of the last link and the fruit: a superset of the real
+        # motions.
         fruit = problem.scene.goal_fruit
         problem = replace(problem, goals=plan.grasp.goal[None])
         world = world if fruit is None else world.touching(fruit.name, fruit.hangs_from)
@@ -255,7 +270,7 @@ def _bound(plan: Plan) -> DurationBound | None:
 
 
 def with_export_time(result: PlanResult, export_s: float) -> PlanResult:
-    """The result with the time of the export added to its report."""
+    """The result with the time of the export in its report."""
     took = round(1e3 * export_s, 4)
     return replace(
         result, time_ms={**result.time_ms, "export": took, "total": round(result.time_ms["total"] + took, 4)}

@@ -1,7 +1,8 @@
-"""Ever quicker certified plans: a motion to joints, or a transit, an approach and, from a fruit, a retreat.
+"""Anytime certified plans, from rest or in motion, to any goal.
 
-There is one way to them, `plans`. Without a deadline its last one is taken; with one the first comes as soon as can be,
-and the last before the deadline is taken (`hplan.planning.plan`).
+A plan is a motion to joints, or a transit, an approach and, from a fruit, a retreat. Without a deadline the last plan
+is taken. With a deadline the first plan comes as soon as possible, and the last one before the deadline is taken
+(`hplan.planning.plan`).
 """
 
 from __future__ import annotations
@@ -42,17 +43,19 @@ def plans(
     before: Transit | None = None,
     stop: Trajectory | None = None,
 ) -> Iterator[Plan]:
-    """Certified plans, each quicker than the one before; the last one is what the options ask for, or as quick.
+    """Certified plans, each faster than the one before.
+
+    The last one results from the requested effort, or is as fast.
 
     Args:
         problem: The problem of a scene.
-        state: The state of motion at its start; None at rest.
-        before: An earlier motion, to be kept or repaired if possible; None for none.
-        stop: How a start in motion might be brought to rest, in addition to what is tried anyway; None for none.
+        state: The state of motion at the start; None at rest.
+        before: An earlier motion, kept or repaired if possible; None for none.
+        stop: A motion to rest from a start in motion, tried in addition to the default ones; None for none.
 
     Raises:
-        TimeIsUpError: The deadline came before the last one.
-        HplanError: There is none; as `hplan.planning.plan.plan`.
+        TimeIsUpError: The deadline has passed.
+        HplanError: No plan was found; as in `hplan.planning.plan.plan`.
     """
     kept = None if before is None or state is not None else _kept(problem, before)
     if kept is not None:
@@ -62,7 +65,7 @@ def plans(
     efforts = efforts_of(problem.robot, problem.options)
     for effort in efforts:
         if problem.options.objective == "length":
-            best_s = math.inf  # what more is spent on is shorter, not quicker
+            best_s = math.inf  # a larger effort yields shorter paths, not faster motions
         try:
             for plan in _with_effort(replace(problem, effort=effort), state, stop):
                 if plan.duration < best_s:
@@ -74,7 +77,7 @@ def plans(
 
 
 def _may_be_found(problem: Problem, effort: Effort, error: HplanError) -> bool:
-    """True if a larger effort may find a motion after a smaller one has failed with an error."""
+    """True if a larger effort may succeed after an error."""
     if not isinstance(error, NoPathError):
         return isinstance(error, NotFoundError | CertificationError | TimingError)
     # The proof covers the goals that were tried: all of them only if the goal is given as joints.
@@ -90,7 +93,7 @@ def _with_effort(problem: Problem, state: BoundaryState | None, stop: Trajectory
 
 
 def _kept(problem: Problem, before: Transit) -> Transit | None:
-    """The earlier motion, kept or repaired; None if it cannot be."""
+    """The earlier motion, kept or repaired; None if neither is possible."""
     goal = _goal(problem)
     return None if isinstance(goal, Target) else reuse_motion(goal, before)
 
@@ -128,12 +131,15 @@ def _goal(problem: Problem) -> Problem | Target:
 
 
 def _to_target(problem: Problem, target: Target) -> Iterator[Plan]:
-    """Plans to a target, each faster than the one before; the last one without a stop if that is faster."""
+    """Plans to a target, each faster than the one before.
+
+    The last one has no stop before the approach if that is faster.
+    """
     at_once, locked, start = problem.effort.at_once, problem.scene.locked_joints, problem.start
-    # Number of grasps that are tried for a first motion.
+    # Number of grasps for a first motion.
     first_grasps = 3
     with stage("grasps"):
-        # For a first motion, grasps are chosen among few configurations.
+        # For a first motion grasps are chosen from fewer configurations.
         count = 24 if at_once else COUNT
         found = grasps(target, start, standoff=problem.options.standoff_m, locked=locked, count=count)
         if at_once:
@@ -154,21 +160,21 @@ def plans_to_grasps(
     found: Sequence[Grasp],
     problem_to: Callable[[Grasp], Problem] | None = None,
 ) -> Iterator[tuple[Approach, Plan]]:
-    """Ever quicker plans to one of several grasps, with a stop before the approach; and how it is approached.
+    """Anytime plans to one of several grasps, with the approach to it.
 
-    The promising grasps are tried as if there were no others. Where none of them can be reached, one flood shows to
-    which of the others no path exists, and those that are left are tried in their order. Grasps without an approach
-    come after all those with one.
+    The plans stop before the approach. The promising grasps are tried as if there were no others. If all of them fail,
+    infeasibility proofs exclude some of the others, and the rest are tried in order. Grasps without an
+    approach come after all grasps with one.
 
     Args:
-        found: Its grasps, those that promise the shortest motions first.
-        problem_to: The problem of a motion to a grasp, if it is not that to the stand-off in the target's world;
-            raises `ConfigurationInCollisionError` if the goal is in collision.
+        found: The grasps of the target, shortest expected motion first.
+        problem_to: Returns the problem of a motion to a grasp; raises `ConfigurationInCollisionError` if the goal is in
+            collision. None for motions to the stand-off in the target's world.
 
     Raises:
         NoPathError: No path to any of the grasps exists on the grid.
         TimingError: No path can be timed.
-        CertificationError: Not all grasps were shown to have no path, and no motion could be certified.
+        CertificationError: Not all grasps were proved unreachable, and no motion could be certified.
         ConfigurationInCollisionError: The start is in collision.
     """
     start = problem.start
@@ -213,7 +219,10 @@ def plans_to_grasps(
 
 
 def _batches(target: Target, found: Sequence[Grasp], start: FloatArray) -> Iterator[tuple[bool, list[Grasp]]]:
-    """Grasps to try together, those with an approach before those without; and whether they are the promising ones."""
+    """Batches of grasps to try together, and True for the promising ones.
+
+    Grasps with an approach come before those without.
+    """
     for batch in ([grasp for grasp in found if grasp.distance > 0.0], [grasp for grasp in found if not grasp.distance]):
         likely = promising(batch, target, start)
         first = {id(grasp) for grasp in likely}
@@ -222,7 +231,7 @@ def _batches(target: Target, found: Sequence[Grasp], start: FloatArray) -> Itera
 
 
 def _failure(target: Target, ordered: Sequence[Grasp], errors: Sequence[HplanError]) -> HplanError:
-    """The one error for all grasps; where they have little room it says how little."""
+    """One error for all grasps, with the spare clearance if too small."""
     failure = FailuresError(tuple(errors)).as_one(f"grasps of {target.what}")
     room = max(grasp.room for grasp in ordered)
     if room < SPARE:

@@ -1,4 +1,4 @@
-"""A planning problem: an arm in its world, where the motion starts, the goals it may end at, and the budget."""
+"""Planning problems: an arm in its world, start, alternative goals, budget."""
 
 from __future__ import annotations
 
@@ -20,25 +20,26 @@ from hplan.robot.limits import least_duration
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 
-#: Clearance required wherever a motion is evaluated, beyond the scene's own [m]; less if start or goal have less.
+#: Clearance required beyond the scene's own during motions [m]; less if start or goal have less.
 MARGIN = 2e-3
 
 
 @dataclass(frozen=True, eq=False)
 class Problem(Record):
-    """An arm in its world, the task, the budget, and the configurations between which it moves.
+    """An arm in its world, with task, budget, start and goals.
 
-    A problem made from a scene has no goal configurations yet: `scene.goal` says which are acceptable. `between` gives
-    the problem of a motion to one of them, and `merged` that of a motion to any of several.
+    A problem made from a scene has no goal configurations yet: `scene.goal` says which are acceptable. `between`
+    returns the problem of a motion to one of them, and `merged` the problem of a motion to any of several.
 
     Attributes:
         world: The arm and the obstacles.
         scene: Obstacles and task, as given.
+        options: The options of the plan.
         effort: Search and optimization budget.
         start: (dof,) start configuration.
         goals: (n, dof) alternative goal configurations; n = 0 before they are chosen.
-        lower: (n, dof) joint limits of the motion to each goal; a locked joint has its start value as both.
-        upper: (n, dof) the same.
+        lower: (n, dof) lower joint limits of the motion to each goal; a locked joint has its start value.
+        upper: (n, dof) upper joint limits of the motion to each goal; a locked joint has its start value.
         spare_clearances: (n,) minimum clearance of start and goal beyond the required one [m]; inf without obstacles.
         movable: (k,) numbers of the joints that may move.
     """
@@ -98,13 +99,16 @@ class Problem(Record):
 
     @property
     def least_duration(self) -> float:
-        """Lower bound of the duration of any motion from start to goal [s]."""
+        """Lower bound of the duration from start to goal [s]."""
         robot = self.robot
         return least_duration(self.start, self.goal, robot.velocity_limit, robot.acceleration_limit)
 
     @property
     def margin(self) -> float:
-        """Clearance required beyond the scene's own [m]: less if start or goal have less."""
+        """Clearance required beyond the scene's own [m].
+
+        At most `MARGIN`; less if start or goal have less.
+        """
         return min(MARGIN, 0.5 * float(self.spare_clearances[0]))
 
     def among(self, world: World) -> Problem:
@@ -120,7 +124,7 @@ class Problem(Record):
         )  # fmt: skip
 
     def between(self, start: ArrayLike, goal: ArrayLike) -> Problem:
-        """The problem of moving between two configurations, checked.
+        """The problem of moving between two configurations, validated.
 
         Args:
             start: (dof,) configuration.
@@ -131,7 +135,7 @@ class Problem(Record):
             JointLimitError: Start or goal violates the joint limits.
             ConfigurationInCollisionError: Start or goal is in collision, or closer to an obstacle than the required
                 clearance; names link, obstacle and depth.
-            NoPathError: A joint is blocked between start and goal, whatever the others do.
+            NoPathError: A joint is blocked between start and goal for all values of the other joints.
         """
         world, robot = self.world, self.robot
         first = robot.check_configuration(start, "start")
@@ -161,7 +165,7 @@ class Problem(Record):
 
 
 def merged(problems: Sequence[Problem]) -> Problem:
-    """The problem of reaching any of the goals of several problems with the same start, in their order."""
+    """Merge problems with the same start: their goals become alternatives, in order."""
     first, *others = problems
     if not others:
         return first

@@ -1,4 +1,7 @@
-"""Reports of plans and tours: certificates, deadlines, failures, as the numbers of `report.json`."""
+"""Reports of plans and tours: the contents of `report.json`.
+
+They cover certificates, deadlines and failures.
+"""
 
 from __future__ import annotations
 
@@ -35,15 +38,15 @@ def _version(package: str) -> str:
 
 
 def versions() -> dict[str, str]:
-    """Versions of hplan and of what it stands on."""
-    # Packages whose versions a report names.
+    """Versions of hplan and its main dependencies."""
+    # The packages whose versions a report names.
     return {package: _version(package) for package in ("hplan", "pin", "coal", "toppra", "numba", "numpy")}
 
 
 def uncertainty_report(scene: Scene, sigmas: Sigmas) -> dict[str, Any]:
-    """What a number of sigmas leaves: how many obstacles are uncertain, and how likely they are farther off.
+    """Number of uncertain obstacles, and the probability that they exceed `sigmas`.
 
-    That any of them is has at most the sum of their probabilities, whatever they have to do with one another.
+    The probability that any of them does is at most the sum of their probabilities, for any correlation.
     """
     items = [
         item.name for item in (*scene.obstacles, *scene.fruits) if item.sigma > 0.0 or scene.covariance is not None
@@ -57,23 +60,23 @@ def uncertainty_report(scene: Scene, sigmas: Sigmas) -> dict[str, Any]:
 
 
 def risk_report(risk: TouchRisk) -> dict[str, Any]:
-    """The probability that a motion touches anything: the bound, who has most of it, and an estimate."""
+    """The contact probability: its bound, the largest shares, and an estimate."""
     estimate = risk.estimate
     return {
         "asked": risk.asked,
         "bound": risk.bound,
         "shared": risk.shared,
-        # So many obstacles are told of those that a motion may touch.
+        # The report lists the ten obstacles with the largest shares.
         "shares": [vars(share) for share in risk.shares[:10]],
         "estimate": {"frequency": estimate.frequency, **vars(estimate)},
     }
 
 
 def certificate_report(certificate: Certificate, options: PlanOptions, scene: Scene) -> dict[str, Any]:
-    """A certificate, and what it is about, as `report.json` has it.
+    """A certificate and its subject, for `report.json`.
 
     Args:
-        options: How it was asked for: tracking error and standard deviations.
+        options: The options with the tracking error and the standard deviations that it covers.
     """
     nearest, digests, until = certificate.nearest, certificate.digests, certificate.clear_until_s
     told = [{"fruit": at.fruit.name, "begin_s": at.begin_s, "end_s": at.end_s} for at in certificate.contacts]
@@ -104,7 +107,10 @@ def certificate_report(certificate: Certificate, options: PlanOptions, scene: Sc
 
 
 def pushes_report(certificate: Certificate, scene: Scene) -> dict[str, Any]:
-    """What gives way in a motion; nothing where nothing of the scene does, null where it is not known."""
+    """The deflections of compliant obstacles; null if they are unknown.
+
+    Empty if no obstacle of the scene is compliant.
+    """
     if not scene.gives_way:
         return {}
     found = certificate.pushes
@@ -113,13 +119,13 @@ def pushes_report(certificate: Certificate, scene: Scene) -> dict[str, Any]:
 
 
 def far_report(robot: Robot, scene: Scene) -> dict[str, list[str]]:
-    """The obstacles that are implausibly far from the arm, for the report; nothing if there are none."""
+    """The obstacles implausibly far from the arm; empty without any."""
     names = far_obstacles(robot, scene)
     return {"far_obstacles": list(names)} if names else {}
 
 
 def curve_report(certificate: Certificate) -> dict[str, Any]:
-    """The part of a report that has the clearance over time, as pages show it; null where it is not known."""
+    """The clearance over time, for pages; null if it is unknown."""
     curve = certificate.clearance_curve
     if curve is None:
         return {"clearance_curve": None}
@@ -136,12 +142,13 @@ def curve_report(certificate: Certificate) -> dict[str, Any]:
 
 
 def deadline_report(limit: TimeLimit, count: int, first_s: float, *, cut_short: bool) -> dict[str, dict[str, Any]]:
-    """The part of a plan's report that says what there was time for.
+    """The section of a plan's report about its deadline.
 
     Args:
-        count: How many motions were certified, each quicker than the one before.
-        first_s: When there was the first one [s].
-        cut_short: Whether the deadline came before all that the options ask for was done.
+        limit: The deadline and the elapsed time.
+        count: Number of certified motions, each faster than the one before.
+        first_s: Elapsed time at the first motion [s].
+        cut_short: True if the deadline ended the search.
     """
     return {
         "deadline": {
@@ -157,7 +164,7 @@ def deadline_report(limit: TimeLimit, count: int, first_s: float, *, cut_short: 
 def motion_report(
     trajectory: Trajectory, certificate: Certificate, options: PlanOptions, scene: Scene
 ) -> dict[str, Any]:
-    """The last part of the report of a plan or a tour: trajectory, certificate, versions."""
+    """The last section of a report: trajectory, certificate, versions."""
     return {
         "trajectory": {"duration_s": trajectory.duration, "rate_hz": options.rate_hz, "samples": trajectory.samples},
         "certificate": certificate_report(certificate, options, scene),
@@ -171,7 +178,7 @@ def failure_report(error: HplanError, *, scene: str | None, robot: str | None) -
 
 
 def write_report(report: dict[str, Any], path: Path | str) -> Path:
-    """Write a report as JSON (`report_text`), with its format, by which hplan knows it again.
+    """Write a report as JSON (`report_text`), with the identifier of its format.
 
     Raises:
         OutputError: The file cannot be written.
@@ -180,7 +187,7 @@ def write_report(report: dict[str, Any], path: Path | str) -> Path:
 
 
 def report_text(report: dict[str, Any]) -> str:
-    """A report as JSON; what is not finite becomes null, as JSON knows no infinity."""
+    """A report as JSON; numbers that are not finite become null."""
     return json.dumps(_plain(report), indent=2, allow_nan=False) + "\n"
 
 

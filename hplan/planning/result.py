@@ -1,4 +1,4 @@
-"""What a plan gives: the motion, its certificate and its report."""
+"""Results of plans: the motion, its certificate and its report."""
 
 from __future__ import annotations
 
@@ -31,20 +31,28 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class PlanResult(Record, InNotebook):
-    """A plan.
+    """Result of a plan.
 
     Attributes:
-        motion: The transit, with all that it was made from.
+        motion: The transit, with the problem and the path that it was made from.
         trajectory: The timed motion, all phases.
-        certificate: What was shown of it.
-        phases: The parts of the trajectory.
-        grasp: Where the tool takes the fruit, or reaches the point; None where the goal is given by joints.
-        time_ms: How long each stage took, and all of them [ms].
-        bound: A lower bound of the durations of all transits between the same configurations, or of all motions to the
-            grasp where transit and approach are one; None where it was not asked for, or nothing was certified.
-        begins_s: When the trajectory begins, on the controller's clock (`hplan.Planner`); NaN where that was not told
-            [s]. All else counts from there: rows, phases, and the tracks of `scene`.
-        told: What the report says of plans with a deadline, past what moves, or along a path that was given.
+        certificate: The certificate of the trajectory.
+        phases: The phases of the trajectory.
+        grasp: Configuration and approach at the fruit, point or pose; None for a goal given as joints.
+        time_ms: Time of each stage and the total [ms].
+        bound: Lower bound of the duration of all transits between the same configurations, or of all motions to the
+            grasp if transit and approach are blended; None if not requested or not certified.
+        begins_s: Start time of the trajectory on the controller's clock (`hplan.Planner`); NaN if unknown [s]. All
+            other times count from there: samples, phases, and the tracks of `scene`.
+        told: Additional report sections: deadline, moving obstacles, or a given path.
+
+    Examples:
+        >>> from hplan import PlanOptions, load_robot, load_scene, plan
+        >>> result = plan(load_robot(), load_scene(), PlanOptions(effort="quick"))
+        >>> [phase.name for phase in result.phases]
+        ['transit']
+        >>> result.stop_at(0.5).trajectory.duration < result.trajectory.duration
+        True
     """
 
     motion: Transit
@@ -59,27 +67,27 @@ class PlanResult(Record, InNotebook):
 
     @cached_property
     def report(self) -> dict[str, Any]:
-        """The numbers of `report.json`."""
+        """The contents of `report.json`."""
         return plan_report(self)
 
     @property
     def problem(self) -> Problem:
-        """Start and goal of the transit, and the joints that may move."""
+        """Start, goal and movable joints of the transit."""
         return self.motion.problem
 
     @property
     def occupancy(self) -> Any:
-        """The C-space that was searched; None where nothing was searched."""
+        """The C-space of the grid search; None without a search."""
         return None if self.motion.search is None else self.motion.search.occupancy
 
     @property
     def search(self) -> Any:
-        """The search; None where nothing was searched."""
+        """The grid search; None without a search."""
         return None if self.motion.search is None else self.motion.search.search
 
     @property
     def grid_path(self) -> FloatArray:
-        """(m, dof) waypoints of the transit's path before it was smoothed."""
+        """(m, dof) waypoints of the transit's path before smoothing."""
         return self.motion.waypoints
 
     @property
@@ -94,35 +102,37 @@ class PlanResult(Record, InNotebook):
 
     @property
     def scene(self) -> Scene:
-        """Obstacles and task, as they were given."""
+        """Obstacles and task, as given."""
         return self.motion.problem.scene
 
     @property
     def picked(self) -> dict[str, float]:
-        """The fruit that is picked, if any, and when the tool is at it [s]."""
+        """The picked fruit, if any, and the time of the grasp [s]."""
         fruit = self.scene.goal.fruit
         reached = [phase.end_s for phase in self.phases if phase.name != "retreat"]
         return {} if fruit is None else {fruit: reached[-1]}
 
     def stop_at(self, t: float) -> CertifiedMotion:
-        """The trajectory up to the first row at or after a time, and from there on the quickest stop on its path.
+        """The trajectory with a stop: the quickest one on its path.
+
+        It is unchanged up to the first sample at or after `t`.
 
         Args:
-            t: The time since the trajectory begins [s].
+            t: Time since the start of the trajectory [s].
 
         Raises:
-            OptionError: A time before the trajectory or after it.
+            OptionError: `t` is before or after the trajectory.
         """
         return self._retimed(stopped(self.trajectory, t, self.robot))
 
     def scaled(self, profile: Profile) -> CertifiedMotion:
-        """The trajectory at other speeds, on its path.
+        """The trajectory on the same path with another speed.
 
         Args:
             profile: Fraction of its own speed over time (`hplan.trajectory.trajectory.scaled`).
 
         Raises:
-            OptionError: Factors that are none, beyond what limits allow, or with which the motion does not end.
+            OptionError: The factors are invalid, exceed the limits, or do not lead to the end of the motion.
             TimingError: No motion within the limits was found.
         """
         return self._retimed(scaled(self.trajectory, profile, self.robot))
@@ -137,12 +147,15 @@ class PlanResult(Record, InNotebook):
 
 
 def bounded_phases(transit: Transit) -> int:
-    """How many phases of a plan a bound is of: up to rest, the transit, or approach too where that does not stop."""
+    """Number of phases that a bound covers.
+
+    It covers the phases up to the first rest: the transit, or transit and approach if they are blended.
+    """
     return 1 if np.abs(transit.trajectory.velocity[-1]).max() <= REST else 2
 
 
 def plan_report(plan: PlanResult) -> dict[str, Any]:
-    """The report of a plan, in the shape of `report.json`."""
+    """The report of a plan, as in `report.json`."""
     motion, grasp = plan.motion, plan.grasp
     scene, options, path = motion.problem.scene, motion.problem.options, motion.path
     expansions = dict.fromkeys(("layers", "sparse", "fallback", "total", "flooded_cells"), 0)
@@ -185,7 +198,7 @@ def plan_report(plan: PlanResult) -> dict[str, Any]:
 
 
 def _bound_report(bound: DurationBound | None, phases: Sequence[str]) -> dict[str, Any] | None:
-    """What compares the durations of some phases with the bound of all; None where there is none."""
+    """The bound and the duration that it covers, or None."""
     if bound is None:
         return None
     return {

@@ -1,4 +1,4 @@
-"""Anytime search for certified motions from a start to any of several goals.
+"""Anytime search for certified motions to any of several goals.
 
 The path finders of a problem are tried in turn. Near the paths that they yield the solver optimizes, times and
 certifies a motion, and yields each one that is faster than those before. Callers take the first motion, the last,
@@ -42,7 +42,9 @@ Found: TypeAlias = tuple[int, Transit]
 
 
 def motions(problem: Problem) -> Iterator[Found]:
-    """Certified motions to any of a problem's goals, each faster than the one before, as far as the effort goes.
+    """Certified motions to any of a problem's goals, each faster than before.
+
+    The search ends when the effort is spent.
 
     Args:
         problem: The problem; goals that promise the fastest motions come first.
@@ -51,7 +53,7 @@ def motions(problem: Problem) -> Iterator[Found]:
         The number of the goal, and the motion.
 
     Raises:
-        FailuresError: None was found; why not, for each goal.
+        FailuresError: No motion was found; holds the reason for each goal.
         TimingError: A straight motion cannot be timed.
     """
     at_goal = next((number for number in range(len(problem.goals)) if problem.to(number).is_empty), None)
@@ -73,7 +75,7 @@ def motions(problem: Problem) -> Iterator[Found]:
         if math.isfinite(budget.best_s):
             return
         if not left:
-            break  # no path leads to any goal: searching on would be in vain
+            break  # no path leads to any goal: further search is futile
     raise FailuresError(tuple(failures[number] for number in sorted(failures)) or tuple(_reasons(problem)))
 
 
@@ -84,7 +86,7 @@ def best_motion(problem: Problem) -> Found:
         NoPathError: No path to any goal exists on the grid.
         TimingError: The path cannot be timed.
         CertificationError: No motion could be certified.
-        NotFoundError: None was found within memory and effort, and none was proved impossible.
+        NotFoundError: No motion was found within memory and effort; this does not prove that none exists.
     """
     try:
         return best_of(motions(problem))
@@ -93,7 +95,7 @@ def best_motion(problem: Problem) -> Found:
 
 
 def path_finders(problem: Problem) -> Sequence[PathFinder]:
-    """The path finders of a problem, in the order in which they are tried."""
+    """The path finders of a problem, in order of preference."""
     specialist = specialist_of(problem.robot)
     found = None if specialist is None else specialist.path_finders(problem)
     if found is None:
@@ -102,12 +104,12 @@ def path_finders(problem: Problem) -> Sequence[PathFinder]:
 
 
 def reuse_motion(problem: Problem, previous: Transit) -> Transit | None:
-    """An earlier motion to one of a problem's goals, among obstacles that have changed since.
+    """Keep or repair an earlier motion among changed obstacles.
 
     Returns:
         The earlier motion itself if it can still be certified, and is straight or still has an obstacle to avoid;
-        otherwise a motion along its waypoints, repaired. None if neither can be had, or start, goal or joint limits
-        have changed.
+        otherwise a motion along its waypoints, repaired. None if both fail, or start, goal or joint limits have
+        changed.
     """
     old = previous.problem
     for number in range(len(problem.goals)):
@@ -129,20 +131,20 @@ def reuse_motion(problem: Problem, previous: Transit) -> Transit | None:
 
 
 def motion_near(problem: Problem, paths: Sequence[PromisingPath]) -> Transit | None:
-    """The fastest certified motion near some paths of trees; None if there is none."""
+    """The fastest certified motion near some paths of trees, or None."""
     with suppress(CertificationError, TimingError):
         return quickest(problem, [Path(path.waypoints, "trees") for path in paths], problem.margin) if paths else None
     return None
 
 
 def searches_first(problem: Problem) -> bool:
-    """True if the robot's specialist searches a grid before a straight motion is tried."""
+    """True if the robot's specialist searches a grid before a straight motion."""
     specialist = specialist_of(problem.robot)
     return specialist is not None and specialist.searches_first(problem)
 
 
 def prove_infeasible(problem: Problem) -> list[NoPathError | None]:
-    """For each goal the error that proves that no path leads there; None if that is open."""
+    """For each goal the error that proves it unreachable; None if open."""
     specialist = specialist_of(problem.robot)
     if specialist is None or not problem.effort.proof_nodes:
         return [None] * len(problem.goals)
@@ -150,7 +152,10 @@ def prove_infeasible(problem: Problem) -> list[NoPathError | None]:
 
 
 def _motions_near(problem: Problem, group: Sequence[Path], budget: Budget) -> Iterator[Found]:
-    """The motions near a group of paths that are faster than all before; the budget notes their durations."""
+    """Motions near a group of paths that are faster than all before.
+
+    The budget notes their durations.
+    """
     number = group[0].goal
     one = problem.to(number)
     margin = one.margin if group[0].margin is None else group[0].margin
@@ -179,7 +184,7 @@ def _rest(problem: Problem) -> Transit:
 
 
 def _reasons(problem: Problem) -> Iterator[NoPathError | NotFoundError]:
-    """For each goal the error that proves that no path leads there, or says what was tried."""
+    """For each goal an infeasibility proof, or the attempts of the search."""
     specialist = specialist_of(problem.robot)
     tried = ["straight motion", describe_trees(problem)]
     if specialist is not None and problem.effort.proof_nodes:

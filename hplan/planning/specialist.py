@@ -1,7 +1,7 @@
-"""Specialists: what a room at the edge adds to planning for a family of robots that it recognizes.
+"""Specialists: additions to planning for one family of robots.
 
-A specialist has path finders and a proof of infeasibility of its own. Planning itself knows none of
-them; `hplan.base.extensions` says how they are loaded.
+A specialist has path finders and an infeasibility proof of its own. Planning does not know any of them;
+`hplan.base.extensions` describes how they are loaded.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ class Specialist:
 
     Attributes:
         recognizes: True for the robots of the family.
-        path_finders: The finders for a problem, in the order in which they are tried; None for those of all robots.
+        path_finders: The finders for a problem, in order of preference; None for the finders of all robots.
         prove_infeasible: For each goal of a problem the error that proves that no path leads there, or None.
         describe_proof: The kind of proof that was attempted, for the error if it did not succeed.
         searches_first: True if a problem is searched on a grid before a straight motion is tried.

@@ -1,6 +1,6 @@
-"""Stages of a plan: their names, their times, and who listens to their progress.
+"""Stages of a plan: names, times and progress callbacks.
 
-The current clock is a context variable, as deadlines are: it belongs to the call that began it and need not be passed
+The current clock is a context variable, as deadlines are: it belongs to the call that started it and need not be passed
 through every function.
 """
 
@@ -29,7 +29,7 @@ def no_progress(_: str) -> None:
 
 
 class StageClock:
-    """Wall-clock time of each stage [s]; a stage that is entered again adds up.
+    """Wall-clock time of each stage [s], accumulated over repeated stages.
 
     Attributes:
         seconds: Time by stage [s].
@@ -80,7 +80,7 @@ def stage_clock(progress: Progress = no_progress) -> Iterator[StageClock]:
 
 
 def current_clock() -> StageClock:
-    """Return the clock of the innermost `stage_clock`; outside of any, a new one."""
+    """Return the clock of the innermost `stage_clock`, or a new one."""
     return _CURRENT.get() or StageClock()
 
 

@@ -1,9 +1,9 @@
-"""Plans that begin in motion: blended with one that is planned from rest, or brought to rest first.
+"""Plans from a start in motion: blended, or stopped first.
 
-A motion from where the arm is, planned as if it were at rest, is blended with the state of motion and optimised with
-its timing (`hplan.optimization.minimize_time`). Where that is not to be had, or not asked for, the arm stops as quickly
-as is clear, each joint on its own or on the path of the running motion, and a motion goes on from there. Both go on
-from the state without a jump of position, velocity or acceleration.
+A motion planned from the current configuration at rest is blended with the initial state of motion and optimized with
+its timing (`hplan.optimization.minimize_time`). If this fails or does not apply, the arm stops as quickly as is
+collision-free, each joint on its own or on the path of the running motion, and a plan continues from there. Position,
+velocity and acceleration are continuous at the initial state either way.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ from hplan.robot.model import Robot
 from hplan.trajectory.braking import braking
 from hplan.trajectory.trajectory import Trajectory, joined
 
-#: Parts of the acceleration limits with which stops are tried in turn.
+#: Fractions of the acceleration limits for stops, tried in turn.
 _PUSHES: Final = (1.0, 0.7, 0.4, 0.2)
 
-#: A joint that is to stop with the slowest one gets so much more acceleration than its part [rad/s^2].
+#: Extra acceleration of a joint that stops together with the slowest one [rad/s^2].
 _TOGETHER: Final = 1e-3
 
 
@@ -39,15 +39,17 @@ def plans_in_motion(
     plans_from: Callable[[FloatArray], Iterator[Plan]],
     stop: Trajectory | None = None,
 ) -> Iterator[Plan]:
-    """Plans that begin in motion, not each quicker than the one before.
+    """Plans from a start in motion, not necessarily each faster than before.
 
     Args:
-        plans_from: Ever quicker plans that begin at rest at a configuration; raises where there is none.
-        stop: A motion from the state to rest to be tried before others; None for none.
+        problem: The problem, with the start configuration of `state`.
+        state: Position, velocity and acceleration at the start.
+        plans_from: Returns anytime plans from rest at a configuration, or raises `HplanError`.
+        stop: A motion from the state to rest, tried before others; None for none.
 
     Raises:
-        UnavoidableContactError: Neither a motion nor a stop was found that is certified.
-        HplanError: No motion was found; what `plans_from` raises where the arm would begin at rest.
+        UnavoidableContactError: Neither a motion nor a stop was certified.
+        HplanError: No motion was found, as raised by `plans_from`.
     """
     is_found, failure = False, None
     options = problem.options
@@ -96,7 +98,10 @@ def _is_within(problem: Problem, state: BoundaryState) -> bool:
 
 
 def _blended(plan: Plan, state: BoundaryState) -> Plan | None:
-    """A plan whose transit is blended with a state, or optimised if it begins so; None if none is certified."""
+    """A plan with its transit blended with a state, or None.
+
+    A transit that already begins in motion is optimized.
+    """
     problem, transit = plan.transit.problem, plan.transit.trajectory
     if transit.samples == 1:
         return None
@@ -121,7 +126,7 @@ def _blended(plan: Plan, state: BoundaryState) -> Plan | None:
 
 
 def _stopping_first(stop: Motion, plan: Plan) -> Plan:
-    """A stop and a plan from there as one."""
+    """Join a stop and the plan from its end into one plan."""
     transit = plan.transit
     trajectory = joined([stop.trajectory, transit.trajectory])
     certificate = all_of([stop.certificate, transit.certificate])
@@ -137,17 +142,18 @@ def after_stop(
     *,
     certify: bool = True,
 ) -> Plan:
-    """What goes on from the end of the first stop that is certified and from which anything does.
+    """The plan after the first certified stop that has one.
 
     Args:
         motions: Motions to rest, in the order in which they are tried.
-        certificate_of_stop: What is shown of one of them.
-        onward: A plan with a stop at its begin; None, or an error, where there is none.
-        certify: Whether stops have to be certified.
+        certificate_of_stop: Returns the certificate of a stop.
+        onward: Returns the plan that starts with a stop; None or an error if there is no such plan.
+        certify: True if the stop must be certified.
 
     Raises:
-        UnavoidableContactError: No stop is certified; holds the one with the most clearance.
-        HplanError: As `onward` from the end of the first stop that is.
+        UnavoidableContactError: No certified stop has a plan, and `onward` raised no error; holds the stop with the
+            largest clearance.
+        HplanError: As raised by `onward` for the first certified stop.
     """
     failure: HplanError | None = None
     tried: list[Motion] = []
@@ -172,11 +178,13 @@ def after_stop(
 
 
 def stops(robot: Robot, state: BoundaryState, period: float, given: Trajectory | None) -> Iterator[Trajectory]:
-    """Motions from a state to rest: the given one, each joint as quickly as it can, all joints at once; then slower.
+    """Motions from a state to rest, in order of preference.
+
+    The given one first; then, for decreasing accelerations, each joint as quickly as it can, and all joints together.
 
     Args:
-        period: Time between their rows [s].
-        given: The one to be tried before others; None for none.
+        period: Sampling period [s].
+        given: A stop to try first; None for none.
     """
     if given is not None:
         yield given

@@ -1,4 +1,4 @@
-"""When the arms of a cell set out: each motion as soon as what the others are already to do leaves room for it."""
+"""Start times of a workcell's arms: each as early as possible."""
 
 from __future__ import annotations
 
@@ -16,51 +16,53 @@ from hplan.planning.options import PlanOptions
 from hplan.trajectory.cubics import Rows
 from hplan.trajectory.trajectory import Trajectory, joined
 
-#: Of so many samples one is looked at, in turn until a pair is too near.
+#: Sampling strides for distance queries, coarse first, until a pair is too close.
 _COARSE: Final = (32, 4, 1)
 
-#: Distances between arms that samples have beyond the one to keep, in turn until the whole is certified [m].
+#: Distances between arms beyond the required one at samples, tried in turn until the whole motion is certified [m].
 SPARES: Final = (5e-4, 1.5e-3, 4e-3, 2e-2)
 
 
 class Timetable:
-    """Motions of arms, one set out after the other; nothing here is a proof.
+    """Motions of arms, scheduled one by one; a heuristic, not a proof.
 
-    A motion is set out where it keeps clear of all that the others are to do from then on, and the arm where it then
-    rests as well: there is no deadlock, at worst a motion that never can.
+    A motion is scheduled if the arm keeps clear of everything that the others do from then on, and of them at its final
+    configuration, too. There is no deadlock: at worst a motion has no feasible start time.
 
     Attributes:
-        legs: For each arm its motions, and when each begins [s].
-        places: For each arm (n, dof) where it is at multiples of the step, up to where it rests for good.
+        legs: For each arm its motions with their start times [s].
+        places: For each arm (n, dof) configurations at multiples of the step, up to its final rest.
     """
 
     def __init__(self, cell: Cell, options: PlanOptions, spare: float) -> None:
-        """Begin with all arms at their starts.
+        """Start with all arms at their starts.
 
         Args:
-            options: For the rows of motions: arms set out at one.
-            spare: Distance between arms at samples beyond the one to keep [m]; inf lets one move at a time, unseen.
+            cell: The arms.
+            options: Options with the sampling rate; motions start at samples.
+            spare: Distance between arms beyond the required one at samples [m]; inf runs one arm at a time without
+                distance queries.
         """
         start = cell.configuration({})
         self._cell, self._least = cell, cell.scene.clearance + spare
-        # Times at which arms are compared before they are certified [s].
+        # Time between distance queries before certification [s].
         self._step = max(1, round(0.005 * options.rate_hz)) / options.rate_hz
         self.places = {arm.name: start[arm.joints][None] for arm in cell.arms}
         self.legs: dict[str, list[tuple[float, Trajectory]]] = {arm.name: [] for arm in cell.arms}
 
     @property
     def duration(self) -> float:
-        """When the last motion ends [s]."""
+        """End time of the last motion [s]."""
         return max((begin + motion.duration for legs in self.legs.values() for begin, motion in legs), default=0.0)
 
     @property
     def begins_s(self) -> dict[str, float]:
-        """When the first motion of each arm that moves begins [s]."""
+        """Start time of the first motion of each arm that moves [s]."""
         return {name: legs[0][0] for name, legs in self.legs.items() if legs}
 
     @property
     def motions(self) -> dict[str, Trajectory]:
-        """The motion of each arm that moves, from the common begin on."""
+        """The motion of each arm that moves, from the common start on."""
         return {name: self._joined(name) for name, legs in self.legs.items() if legs}
 
     def _joined(self, name: str) -> Trajectory:
@@ -73,7 +75,7 @@ class Timetable:
         return joined(parts) if len(parts) > 1 else parts[0]
 
     def run(self, name: str, motion: Trajectory) -> None:
-        """Let an arm run a motion from the begin on, without a look at the others."""
+        """Let an arm run a motion from the start, without distance queries."""
         self.places[name] = self._sampled(motion)
         self.legs[name].append((0.0, motion))
 
@@ -88,19 +90,22 @@ class Timetable:
         known: dict[tuple[str, str], FloatArray],
         backward: Collection[str],
     ) -> bool:
-        """Let arms that stand at their starts run motions one after the other so that all are done soonest.
+        """Schedule several motions of each arm so that all end soonest.
 
-        Each waits where it rests alone: what two arms have done at an instant is a place in a square, and how they go
-        on a path through it, around where they are too near to each other. Further arms are put in one by one.
+        Arms wait only where their motions end. The progress of two arms at a time is a point in a rectangle, and a
+        schedule is a path through it that avoids the points with too small a distance. Further arms are added one by
+        one.
 
         Args:
-            known: Distances in the squares of each two, for the next call.
-            backward: Arms whose motions are reversed since these were taken.
+            motions: The motions of each arm, from its start on.
+            sooner_than: Duration that the schedule must stay below [s].
+            known: Cache of the distances of each pair of arms, for the next call.
+            backward: Arms whose motions are reversed since the distances were cached.
 
         Returns:
-            False where no such way was found that is done sooner than a time [s].
+            False if no such schedule was found.
         """
-        # Samples of the square, and what is kept at them beyond the rest, in turn: arms go on between them [m].
+        # Stride of the samples, and extra distances at them, tried in turn: the arms move on between the samples [m].
         every, beyond = 15, (0.02, 0.01, 0.003, 0.0)
         step = every * self._step
         arms = sorted(motions, key=lambda name: -sum(motion.duration for motion in motions[name]))
@@ -139,39 +144,50 @@ class Timetable:
         self, first: str, name: str, places: Mapping[str, FloatArray], known: dict[tuple[str, str], FloatArray],
         backward: Collection[str],
     ) -> FloatArray:  # fmt: skip
-        """(n, m) distances of an arm at each of its places from another at each of its, as for `run_together` [m]."""
+        """(n, m) cached distances between the configurations of two arms [m].
+
+        `known` and `backward` as in `run_together`.
+        """
         turns = tuple(slice(None, None, -1 if each in backward else 1) for each in (first, name))
         if (first, name) not in known:
             known[first, name] = self._distances(first, name, places)[turns]
         return known[first, name][turns]
 
     def _distances(self, first: str, name: str, places: Mapping[str, FloatArray]) -> FloatArray:
-        """(n, m) of an arm at each of its places from another at each of its; inf where they are far apart [m]."""
+        """(n, m) distances between the configurations of two arms [m].
+
+        Pairs that are far apart have inf.
+        """
         n, m = len(places[first]), len(places[name])
 
         def apart(i: IntArray, j: IntArray) -> FloatArray:
             q = self._cell.configuration({first: places[first][i], name: places[name][j]})
             return between(self._cell, q, name, [first])
 
-        # Of squares of so many samples the middles first: what is so far apart there is far apart in all of it [m].
+        # Query the centers of blocks of this size first: a block whose center is this far apart is far apart as a whole
+        # [m].
         size, far = 4, 0.3
         i, j = np.meshgrid(np.arange(0, n, size), np.arange(0, m, size), indexing="ij")
         middle = apart(np.minimum(i + size // 2, n - 1).ravel(), np.minimum(j + size // 2, m - 1).ravel())
         near = np.kron((middle <= far).reshape(i.shape), np.ones((size, size), dtype=np.bool_))[:n, :m]
         found = np.full((n, m), math.inf)
-        for begin in range(0, n, 64):  # as many as fit the memory, whatever the tours
+        for begin in range(0, n, 64):  # bounds the memory for tours of any length
             check_deadline()
             rows, columns = np.nonzero(near[begin : begin + 64])
             found[rows + begin, columns] = apart(rows + begin, columns)
         return found
 
     def set_out(self, name: str, motion: Trajectory) -> bool:
-        """Let an arm run a motion from where it is, as soon as there is room; False where there never is."""
+        """Let an arm run a motion as soon as there is room.
+
+        Returns:
+            False if there is no feasible start time.
+        """
         own = self.places[name]
         moving = self._sampled(motion)[1:]
         last = max(map(len, self.places.values()))
         one_by_one = math.isinf(self._least)
-        # How many of them a motion begins later at a time.
+        # Number of samples between two start times that are tried.
         later = 8
         for begin in [last] if one_by_one else range(len(own), max(len(own), last) + later + 1, later):
             check_deadline()
@@ -183,7 +199,10 @@ class Timetable:
         return False
 
     def _is_clear(self, name: str, planned: FloatArray, first: int) -> bool:
-        """True if an arm keeps clear of the others from a sample on, and where it then rests from all they will do."""
+        """True if an arm keeps clear of the others from `first` on.
+
+        At its final configuration it must keep clear of everything that they do later.
+        """
         last = max(first + len(planned), *(len(places) for places in self.places.values()))
         others = [arm.name for arm in self._cell.arms if arm.name != name]
         for coarse in _COARSE:
@@ -199,7 +218,7 @@ class Timetable:
 
 
 def _standing(motion: Trajectory, seconds: float) -> Trajectory:
-    """Standing for a time where a motion begins."""
+    """A motion that rests at the start of another one."""
     position, torque = (np.repeat(values[:1], 2, axis=0) for values in (motion.position, motion.torque))
     still = np.zeros_like(position)
     rows = Rows(np.array([0.0, seconds]), position, still, still, torque)
@@ -207,12 +226,12 @@ def _standing(motion: Trajectory, seconds: float) -> Trajectory:
 
 
 def _soonest(clear: BoolArray, first: BoolArray, then: BoolArray) -> IntArray:
-    """(k, 2) how far two have come step by step, both done soonest; (0, 2) where there is no way.
+    """(k, 2) fastest joint progress of two arms; (0, 2) if infeasible.
 
     Args:
-        clear: (n, m) where both may be at once.
-        first: (n,) where the first may wait.
-        then: (m,) where the second may.
+        clear: (n, m) True if the arms keep clear at these configurations.
+        first: (n,) True if the first arm may wait.
+        then: (m,) True if the second arm may wait.
     """
     steps = _steps(clear, first, then)
     i, j = clear.shape[0] - 1, clear.shape[1] - 1
@@ -231,7 +250,7 @@ def _soonest(clear: BoolArray, first: BoolArray, then: BoolArray) -> IntArray:
 
 @kernel
 def _steps(clear: BoolArray, first: BoolArray, then: BoolArray) -> IntArray:
-    """(n, m) the least number of steps in which two come as far; below 0 where they never do."""
+    """(n, m) minimum number of steps to each pair; negative if unreachable."""
     n, m = clear.shape
     steps, never = np.full((n, m), -1), n + m
     for i in range(n):

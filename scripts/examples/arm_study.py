@@ -15,7 +15,7 @@ TREE = Path(__file__).parent / "trees" / "apple_1_tallspindle.csv"
 
 
 def main(tree: str | None = None, rows: str | None = None, workers: int | None = None) -> hplan.StudyResult:
-    """Measure, or go on where ROWS.csv ends, and print what no other choice beats."""
+    """Run or continue a study (ROWS.csv), and print its Pareto front."""
     study = hplan.Study(
         name="spindle",
         arms=(

@@ -1,23 +1,23 @@
-"""Pick fruit beside a controller at 100 Hz: cloud in, fruit chosen, motion spliced, stop on demand, in MuJoCo.
+"""Pick fruit with a 100 Hz controller: clouds, splices, stops, in MuJoCo.
 
     python scripts/examples/control_loop.py [SECONDS] [--unknown solid] [--tree FILE --distance M]
 
-What the planner knows of the trees is what four depth cameras see of the simulated ones, with noise: above and below,
-on both sides of the arm. While the arm rests they look closely, at all their pixels for several frames; what they see
-then is known, and remembered where fruit or arm hide it. While it moves they look coarsely, in turns, and what is not
-known yet counts as well. The running motion goes on while it is certified among all of that; else a new one takes over
-from where the arm will be. Time in the simulation stands still while hplan plans.
+The planner knows the trees only from four depth cameras in the simulation, with noise: above and below, on both sides
+of the arm. While the arm rests they look closely, with all pixels for several frames; the observed points are then
+known, and remembered while fruit or arm hide them. While it moves they look coarsely, in turns, and points that are not
+known yet count as well. The running motion continues while it is certified among all of these points; otherwise a new
+one takes over from the arm's state at the handover. Simulated time stops while hplan plans.
 
-A certificate covers what was seen, each point with a ball about it, and no more. Not covered: what no camera sees,
-being hidden, out of view or between pixels (unseen space counts as free); what comes to the arm faster than frames do;
-wood within `CLOSE_NOISE_M` of a fruit, which cannot be told from it; a point measured farther off than the ball is
-wide. What the arm touches is therefore counted by MuJoCo, among the true trees.
+A certificate covers the observed points only, each with a ball around it. Not covered: objects that no camera sees,
+because they are hidden, out of view or between pixels (unseen space counts as free); objects that approach the arm
+faster than frames arrive; wood within `CLOSE_NOISE_M` of a fruit, which is indistinguishable from the fruit; a point
+with a measurement error larger than the ball. MuJoCo therefore counts the contacts of the arm with the true trees.
 
 With `--unknown solid` the arm stays in space that a close look has seen through, and in the lane that the machine has
-driven in. Where it cannot get to a fruit so, a fifth camera on a mast looks from where `Planner.next_view` proposes. A
-ray that nothing returns is taken to be free as far as the camera measures: true here, of a real camera to be shown.
-Not covered then: wood thinner than the pixels of a close look are apart, 9 mm 2 m away, and wood in a voxel of
-`VOXEL_M` that a fruit to be picked is in.
+driven in. If it cannot reach a fruit that way, a fifth camera on a mast looks from the view that `Planner.next_view`
+proposes. A ray without a return counts as free up to the camera's range: true here, to be verified for a real camera.
+Not covered then: wood thinner than the pixel spacing of a close look, 9 mm at 2 m, and wood in the same voxel of
+`VOXEL_M` as a fruit to be picked.
 """
 
 from __future__ import annotations
@@ -46,31 +46,31 @@ from hplan.trajectory.trajectory import Trajectory
 #: Period of the loop, of the camera, and how far ahead a new motion takes over [s].
 TICK_S, FRAME_S, AHEAD_S = 0.01, 0.1, 0.2
 
-#: When somebody steps in, and for how long [s].
+#: When a person steps in, and for how long [s].
 STEPS_IN_S, STAYS_S = 4.0, 0.5
 
-#: How long the cameras look closely, and at how many frames a second of which they take the mean [s, 1/s].
+#: Duration and frame rate of a close look; the frames are averaged [s, 1/s].
 LOOK_S, CLOSE_RATE = 0.3, 30.0
 
-#: Largest error of a point 2 m away: four standard deviations, of a single frame and of a close look [m].
+#: Maximum error of a point at 2 m: four standard deviations, of a single frame and of a close look [m].
 NOISE_M, CLOSE_NOISE_M = 0.016, 0.005
 
-#: Radius of the ball about each point: half the distance between points 2 m away, and half the largest error [m].
+#: Radius of the ball around each point: half the distance between points at 2 m, and half the maximum error [m].
 RADIUS_M, CLOSE_RADIUS_M = 0.016, 0.008
 
-#: What is not known yet is planned past with so much to spare, lest noise bring the next frame too near [m].
+#: Extra clearance from points that are not known yet, so that noise in the next frame does not violate the margin [m].
 SPARE_M = 0.005
 
-#: What a controller may be off by [rad].
+#: Maximum tracking error of the controller [rad].
 TRACKING_ERROR_RAD = 0.0002
 
-#: How far a camera measures, and the edge of the voxels of what was seen [m].
+#: Range of a camera, and edge length of the voxels of seen space [m].
 RANGE_M, VOXEL_M = 6.0, 0.03
 
-#: What the machine has driven through: free, where unknown space is solid.
+#: The lane that the machine has driven through: free, even if unknown space is solid.
 LANE = Box(name="lane", center=(-1.0, 0.0, 1.25), size=(2.5, 6.0, 2.5))
 
-#: Radius of the smallest fruit [m].
+#: Minimum radius of a fruit [m].
 LEAST_FRUIT_M = 0.015
 
 #: How long the mast takes to bring its camera elsewhere [s], and from how many places it may look at one fruit's way.
@@ -98,7 +98,10 @@ class Camera:
         self._random = np.random.default_rng(1)
 
     def frame(self, machine: SimulatedArm, *, closely: bool, beyond: float = np.nan) -> np.ndarray:
-        """(n, 3) points in the camera's frame: the mean of several frames, or a few; `beyond` where nothing is [m]."""
+        """(n, 3) points in the camera's frame, possibly averaged.
+
+        A close look averages several frames. `beyond` is the depth of pixels without a return [m].
+        """
         rays = self._rays.reshape(-1, 3) if closely else self._rays[::3, ::3].reshape(-1, 3)
         distance, _ = machine.cast_rays(self.pose[:3, 3], rays @ self.pose[:3, :3].T)
         distance[~(distance < RANGE_M)] = beyond
@@ -110,7 +113,7 @@ class Camera:
 
 @dataclass
 class Log:
-    """What happened: fruits reached and left, motions to them, frames, splices, stops, times, contacts."""
+    """Events: fruits reached and left, motions, frames, splices, stops, times, contacts."""
 
     picked: list[str] = field(default_factory=list)
     views: int = 0
@@ -129,7 +132,7 @@ class ControlLoop:
     """A planner, a controller and a simulated arm."""
 
     def __init__(self, scene: Scene, options: hplan.PlanOptions, unknown: Unknown = "free") -> None:
-        """Begin at the start of a scene; its obstacles are the simulation's alone, its fruits have been detected."""
+        """Start at a scene's start: the planner gets its fruits, not its obstacles."""
         robot = hplan.load_robot(scene.robot)
         home = np.array(scene.start.configuration)
         there = scene.with_(goal=Goal(joints_rad=tuple(home.tolist())))
@@ -169,13 +172,13 @@ class ControlLoop:
             still = np.zeros_like(self.resting)
             state = self.resting, still, still
             if self.running is not None:
-                # A hair before it begins, sums of small steps being what they are, a motion that runs stands still.
+                # Rounding may put the clock slightly before the motion's start, when it is at rest.
                 state = self.running.trajectory.state_at(max(self.machine.time_s - self.running.begins_s, 0.0))
             self.log.farthest_off_rad = max(self.log.farthest_off_rad, np.abs(self.machine.position - state[0]).max())
             self.machine.follow(*state)
 
     def look(self, cameras: dict[str, Camera]) -> None:
-        """Look closely, the arm at rest: what is seen is known from then on."""
+        """Look closely with the arm at rest; the points are known afterwards."""
         solid = self.unknown == "solid"
         for name, camera in cameras.items():
             self.planner.set_cloud(
@@ -189,7 +192,7 @@ class ControlLoop:
         self.has_looked = True
 
     def look_again(self) -> bool:
-        """Look at the way to a fruit from where most of it is seen that is not known; False if nothing helps."""
+        """View unknown space on the way to a fruit; False if useless."""
         left = [name for name in self.mast if name not in self.looked_from]
         if self.unknown == "free" or len(self.looked_from) == MOST_VIEWS:
             return False
@@ -198,7 +201,7 @@ class ControlLoop:
                 [self.mast[name].pose for name in left], field_of_view_deg=tuple(Camera.view_deg), farthest_m=RANGE_M
             )
         except HplanError:
-            return False  # what is known is in the way
+            return False  # known points block it
         if view is None:
             return False
         name = left[view.number]
@@ -258,7 +261,7 @@ class ControlLoop:
                 return
             except HplanError:
                 if self.unknown == "solid" and self.fruit not in self.later:
-                    self.later.add(self.fruit)  # first what nothing more has to be seen for
+                    self.later.add(self.fruit)  # first the fruits that need no further view
                     self.todo.append(self.todo.pop(0))
                     continue
                 if self.look_again():
@@ -267,7 +270,7 @@ class ControlLoop:
             self.looked_from = []
 
     def stop(self) -> None:
-        """Stop on the path, and wait; what is coming to rest already goes on to do so."""
+        """Stop on the path, and wait; an arm that is already stopping continues."""
         if isinstance(self.running, hplan.PlanResult):
             now = min(self.machine.time_s, self.ends_s)
             self.running = self.planner.stop_at(now, now=now, measured=self.machine.position)
@@ -292,7 +295,10 @@ class ControlLoop:
 
 
 def tree_in_front(file: Path, distance_m: float, arm: str) -> Scene:
-    """A measured tree. Its fruits are balls about what hung there, some with wood inside: those end before it."""
+    """A measured tree in front of the arm.
+
+    Its fruits are balls around the measured ones, some with wood inside, which ends at the ball.
+    """
     scene = measured_orchard([file], MeasuredOptions(distance=distance_m))
     wood = solid_rows([solid for item in scene.obstacles for solid in item.solids], 0.0)
     room = distances_from_bodies(np.array([fruit.center for fruit in scene.fruits]), *wood) - 2.0 * CLOSE_NOISE_M

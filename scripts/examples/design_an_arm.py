@@ -17,12 +17,15 @@ from hplan.scene.orchard import MeasuredOptions, measured_orchard
 
 TREE = Path(__file__).parent / "trees" / "apple_1_tallspindle.csv"
 
-#: Upper arm, forearm and hand, the shortest arm first [m].
+#: Lengths of upper arm, forearm and hand, in increasing order [m].
 LENGTHS_M = ((0.7, 0.6, 0.3), (0.8, 0.7, 0.4), (0.9, 0.75, 0.4), (1.0, 0.8, 0.4), (1.1, 1.0, 0.4))
 
 
 def main(urdf: str | None = None) -> hplan.PlanResult:
-    """Count the fruit that each arm can pick, write the shortest of the best, load it from its file and plan."""
+    """Choose the shortest arm that picks the most fruit, and plan with it.
+
+    It is written to a file and loaded again.
+    """
     trees = MeasuredOptions(distance=1.7, wood_yields=0.02, fruit_yields=0.02)
     scene, picked = measured_orchard([TREE], trees), {}
     for lengths in LENGTHS_M:

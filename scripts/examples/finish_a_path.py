@@ -1,4 +1,4 @@
-"""Somebody else's path, OMPL's or a recorded one: where does it touch, and what is the certified motion near it?
+"""Certify a motion along a given path, or report its contacts.
 
 python scripts/examples/finish_a_path.py [WAYPOINTS.csv]
 """

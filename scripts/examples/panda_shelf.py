@@ -1,4 +1,4 @@
-"""Plan a Panda's motion into a shelf, certified, and see what is in the way of a straight one.
+"""Plan a certified motion of a Panda into a shelf.
 
 pip install 'hplan[robots]'
 python scripts/examples/panda_shelf.py
@@ -29,7 +29,7 @@ def shelf() -> Scene:
 
 
 def main() -> hplan.PlanResult:
-    """Plan, and say what a straight motion would have touched."""
+    """Plan, and print the contact of a straight motion."""
     robot, scene = hplan.load_robot("panda", hold={"panda_finger_joint1": 0.04}), shelf()
     result = hplan.plan(robot, scene)
     nearest = result.certificate.nearest

@@ -15,7 +15,7 @@ TREE = Path(__file__).parent / "trees" / "apple_1_tallspindle.csv"
 
 
 def main(tree: str | None = None, step: str | float = 0.4) -> hplan.RowResult:
-    """Plan the row from both sides and print what a grower counts."""
+    """Plan the row from both sides and print a grower's numbers."""
     files = [TREE if tree is None else tree] * 2
     trees = MeasuredOptions(distance=1.2, spacing=1.0, wood_yields=0.02, fruit_yields=0.02)
     scene = measured_orchard(files, trees)

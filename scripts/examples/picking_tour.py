@@ -1,4 +1,4 @@
-"""Pick several fruits in the order that takes the least time, with a drop-off after every second one.
+"""Pick several fruits in the fastest order, with a drop-off after every second one.
 
 python scripts/examples/picking_tour.py
 """

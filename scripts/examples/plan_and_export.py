@@ -1,4 +1,4 @@
-"""Plan one motion to a fruit and write what a controller and a person want: the CSV and the animated page.
+"""Plan one motion to a fruit; write CSV and animated page.
 
 python scripts/examples/plan_and_export.py [FOLDER]
 """
@@ -15,7 +15,10 @@ from hplan.apps.view.playback import Playback
 
 
 def main(folder: str | None = None) -> hplan.PlanResult:
-    """Plan the shipped trellis scene and export the motion, into a temporary folder where none is named."""
+    """Plan the shipped trellis scene and export the motion.
+
+    By default into a temporary folder.
+    """
     out = Path(tempfile.mkdtemp(prefix="hplan-") if folder is None else folder)
     out.mkdir(parents=True, exist_ok=True)
     robot, scene = hplan.load_robot(), hplan.load_scene("trellis")

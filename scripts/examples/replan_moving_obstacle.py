@@ -1,4 +1,4 @@
-"""Plan again and again while an obstacle moves, as a program beside a controller does.
+"""Replan repeatedly while an obstacle moves, next to a controller.
 
 python scripts/examples/replan_moving_obstacle.py
 """

@@ -1,14 +1,14 @@
 #!/usr/bin/env python3
-"""A ROS 2 node: a depth camera's cloud comes in, a certified motion goes out as the action `FollowJointTrajectory`.
+"""A ROS 2 node from depth clouds to certified `FollowJointTrajectory` goals.
 
     python scripts/examples/ros2_node.py --ros-args -r points:=/camera/depth/points -r joint_states:=/joint_states \
         -p scene:=cell.yaml -p controller:=/joint_trajectory_controller/follow_joint_trajectory
 
-It needs a workspace with rclpy, control_msgs, sensor_msgs and std_srvs. The cloud is to be in `base_link` (let tf2 turn
-it). `ros2 service call /plan std_srvs/srv/Trigger` plans from where the arm is to the scene's goal, among what the
-camera has seen, and sends the motion. The arm's state is the last position of each of its joints, whichever messages
-they come in; if one is missing or old, nothing is planned. The log has the controller's answer and the result.
-`points_of`, `ArmState`, `goal_of` and `outcome_of` are all that knows of messages, and need no ROS.
+It needs a workspace with rclpy, control_msgs, sensor_msgs and std_srvs. The cloud must be in `base_link` (transform it
+with tf2). `ros2 service call /plan std_srvs/srv/Trigger` plans from the arm's current state to the scene's goal, among
+the points that the camera has seen, and sends the motion. The arm's state is the last position of each joint, from any
+message; if one is missing or old, nothing is planned. The log has the controller's answer and the result. All message
+handling is in `points_of`, `ArmState`, `goal_of` and `outcome_of`, which need no ROS.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ from hplan.scene import Start
 #: Radius of the ball about each point of the cloud [m].
 RADIUS_M = 0.01
 
-#: Age from which on a joint's last position no longer says where the arm is [s].
+#: Maximum age of a joint's last position [s].
 MAX_AGE_S = 0.5
 
-#: What the error codes of `control_msgs/action/FollowJointTrajectory` mean.
+#: The error codes of `control_msgs/action/FollowJointTrajectory`.
 ERROR_CODES = {
     0: "successful",
     -1: "invalid goal",
@@ -42,7 +42,7 @@ ERROR_CODES = {
 
 
 def points_of(cloud: Any) -> np.ndarray:
-    """The (n, 3) points of a `sensor_msgs/msg/PointCloud2`, with NaN where there is none [m]."""
+    """The (n, 3) points of a `sensor_msgs/msg/PointCloud2`; NaN without a return [m]."""
     order = ">" if cloud.is_bigendian else "<"
     fields = {field.name: (field.offset, f"{order}f{4 if field.datatype == 7 else 8}") for field in cloud.fields}
     offsets, formats = zip(*(fields[axis] for axis in "xyz"), strict=True)
@@ -77,12 +77,15 @@ class ArmState:
 
 
 def goal_of(motion: hplan.PlanResult) -> dict[str, Any]:
-    """A `control_msgs/action/FollowJointTrajectory` goal as a dict: begun as soon as it is received."""
+    """A `FollowJointTrajectory` goal as a dict, with immediate start.
+
+    The type is `control_msgs/action/FollowJointTrajectory`.
+    """
     return {"trajectory": to_joint_trajectory(motion.trajectory)}
 
 
 def outcome_of(result: Any) -> tuple[bool, str]:
-    """Whether a `FollowJointTrajectory` result says that the motion was run, and the words for it."""
+    """Success of a `FollowJointTrajectory` result, and its message."""
     meaning = ERROR_CODES.get(result.error_code, f"error code {result.error_code}")
     return result.error_code == 0, ": ".join(text for text in (meaning, result.error_string) if text)
 

@@ -15,7 +15,7 @@ WAYPOINTS_DEG = ((0, -90, 0, 0, 0, 0), (45, -60, 60, -90, 0, 0), (90, -90, 90, -
 
 
 def main() -> hplan.Trajectory:
-    """Time the path and print what it takes."""
+    """Time the path and print its duration."""
     ur5 = read_machine("ur5").model
     trajectory = time_waypoints(ur5, np.radians(WAYPOINTS_DEG), limits_of(ur5, acceleration=8.0))
     print(f"{trajectory.duration:.3f} s, {trajectory.samples} rows at 250 Hz")

@@ -1,4 +1,4 @@
-"""Two arms side by side reach into one row of trees, certified against the trees and against one another.
+"""Two arms reach into one row of trees, certified against trees and each other.
 
 python scripts/examples/two_arms.py
 """
@@ -11,7 +11,7 @@ from hplan.scene import Goal, Start
 from hplan.scene.cell import CellRobot, CellScene
 from hplan.scene.orchard import TUCKED_DEG
 
-#: Which fruit each arm reaches for, and how far beside the middle of the row it stands [m].
+#: The goal of each arm, and its offset from the middle of the row [m].
 FRUITS, ASIDE_M = {"left": "fruit 20", "right": "fruit 19"}, {"left": 0.4, "right": -0.4}
 
 

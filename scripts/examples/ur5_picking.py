@@ -1,10 +1,12 @@
-"""A UR5 with a picking tube on a platform picks the apples of a measured tree and drops each into a bin beside it.
+"""A UR5 with a picking tube picks a measured tree's apples.
+
+It is on a platform, and drops each apple into a bin next to it.
 
 pip install 'hplan[robots]'
 python scripts/examples/ur5_picking.py [TREE.csv] [FOLDER]
 
-The tree is a list of capsules (kind,x1,y1,z1,x2,y2,z2,radius: `hplan.scene.orchard.import_capsules`); one is grown
-without.
+The tree is a list of capsules (kind,x1,y1,z1,x2,y2,z2,radius: `hplan.scene.orchard.import_capsules`); without a file
+one is generated.
 """
 
 from __future__ import annotations
@@ -21,7 +23,7 @@ from hplan.robot.files import named_robot
 from hplan.scene import Box, Capsule, Goal, Scene
 from hplan.scene.orchard import FruitZone, MeasuredOptions, OrchardOptions, generate, measured_orchard
 
-#: A tube of 18 cm at the flange, along z of its frame; the tool frame at its mouth says where fruit is taken.
+#: A tube of 18 cm at the flange, along z of its frame; the tool frame at its mouth is the grasp point.
 SHAPE = '<origin xyz="0 0 0.09"/><geometry><cylinder radius="0.02" length="0.18"/></geometry>'
 TUBE = f"""
 <link name="tube"><visual>{SHAPE}</visual><collision>{SHAPE}</collision></link>
@@ -42,7 +44,10 @@ def ur5() -> hplan.Robot:
 
 
 def orchard(tree: str | None) -> Scene:
-    """The tree before the arm, which stands on a platform 70 cm above the ground, and its apples within reach."""
+    """The tree in front of the arm, and its apples within reach.
+
+    The arm is on a platform 70 cm above the ground.
+    """
     zone = FruitZone(low=-0.25, high=0.75, reach=0.95)
     if tree is None:
         grown = OrchardOptions(
@@ -63,7 +68,13 @@ def orchard(tree: str | None) -> Scene:
 
 
 def main(tree: str | None = None, folder: str | None = None, most: int | None = None) -> hplan.TourResult:
-    """Plan the tour over all apples, or the first so many, certified; write CSV, report and page."""
+    """Plan a certified tour over the apples; write all files.
+
+    Args:
+        tree: File of the tree; None to generate one.
+        folder: Output folder of CSV, report and page.
+        most: Maximum number of apples; None for all.
+    """
     robot, scene, out = ur5(), orchard(tree), Path(tempfile.mkdtemp(prefix="hplan-") if folder is None else folder)
     names = [fruit.name for fruit in scene.fruits[:most]]
     result = hplan.plan_tour(robot, scene, fruits=names, tour=hplan.TourOptions(drop_off=BIN, back=True))

@@ -1,12 +1,12 @@
-"""Any arm: random scenes, MotionBenchMaker's problems for the Panda.
+"""General arms: random scenes, and MotionBenchMaker's problems for the Panda.
 
-A random scene comes of its own seed, (seed, number). Boxes, balls, capsules and clouds stand where the tool gets to,
-over a floor just below the base; start and goal are drawn uniformly from the joint ranges (at most half a turn to
-either side) until the arm keeps `FREE_M` clear of everything, and the tool lies `APART` of the reach apart.
+A random scene has its own seed, (seed, number). Boxes, balls, capsules and clouds are within reach of the tool, over a
+floor just below the base; start and goal are drawn uniformly from the joint ranges (at most half a turn to either side)
+until the arm keeps `FREE_M` clear of everything, and the tool positions are at least `APART` of the reach apart.
 
 MotionBenchMaker's problems are read as VAMP distributes them, one JSON list for each set. The robot is
-example-robot-data's Panda. Its fingers stand where the problems have them, which is farther apart than its URDF lets
-them go, and some goals have joint 4 up to 0.07 rad beyond it: both limits are widened.
+example-robot-data's Panda. Its fingers are farther apart in the problems than its URDF permits, and some goals have
+joint 4 up to 0.07 rad beyond its limit: both limits are widened.
 """
 
 from __future__ import annotations
@@ -43,10 +43,10 @@ KINDS = ((10, 8, 8, 0), (4, 4, 4, 2), (14, 0, 0, 0), (0, 16, 0, 0), (0, 0, 18, 0
 #: Clearance of start and goal, as coal has it [m].
 FREE_M = 3e-3
 
-#: Least distance of the tool at the start from that at the goal, as a fraction of the reach.
+#: Minimum distance between the tool positions at start and goal, as a fraction of the reach.
 APART = 0.4
 
-#: Where obstacles stand, as fractions of the reach from the base's axis and height.
+#: Distances of obstacles from the base's axis and height, as fractions of the reach.
 NEAREST, FARTHEST = 0.25, 1.0
 
 #: Configurations drawn for the ends of a scene, before its obstacles are drawn again.
@@ -69,7 +69,7 @@ def random_scene(robot: Robot, seed: int, number: int) -> Scene:
 
 
 def reach_of(robot: Robot, rng: np.random.Generator) -> float:
-    """Largest distance of the tool from the base, of 500 configurations [m]."""
+    """Maximum distance of the tool from the base, over 500 configurations [m]."""
     q = rng.uniform(*_ranges(robot), (500, robot.dof))
     return float(np.linalg.norm(robot.tool_positions(q), axis=1).max())
 
@@ -81,14 +81,14 @@ def scene_between(name: str, start: FloatArray, goal: FloatArray, obstacles: Seq
 
 
 def _ranges(robot: Robot) -> tuple[FloatArray, FloatArray]:
-    """(dof,) lower and upper ends of the joint ranges, at most half a turn to either side."""
+    """(dof,) lower and upper joint limits, at most half a turn to either side."""
     return np.maximum(robot.lower, -np.pi), np.minimum(robot.upper, np.pi)
 
 
 def _obstacles(
     robot: Robot, rng: np.random.Generator, counts: tuple[int, int, int, int], extent: float
 ) -> list[Obstacle]:
-    """The floor, and so many boxes, balls, capsules and clouds that nothing of which the base holds touches."""
+    """The floor, and random obstacles clear of the base."""
     bottom = min(-0.01, _lowest(robot))
     # Thickness of the floor, and its depth below the base [m].
     floor_m = 0.05
@@ -127,7 +127,7 @@ def _obstacle(rng: np.random.Generator, kind: int, name: str, extent: float) -> 
 
 
 def _lowest(robot: Robot) -> float:
-    """Height of the lowest point of what stands still [m]."""
+    """Height of the lowest point of the static bodies [m]."""
     still = [body.core[:, 2].min() - body.rounding for body in collision_bodies(robot) if body.joint < 0]
     return float(min(still, default=0.0))
 
@@ -135,11 +135,12 @@ def _lowest(robot: Robot) -> float:
 def free_ends(
     robot: Robot, rng: np.random.Generator, obstacles: Sequence[Obstacle], extent: float
 ) -> tuple[FloatArray, FloatArray] | None:
-    """(dof,) start and goal; None where too few of the draws are free.
+    """(dof,) start and goal; None if too few draws are free.
 
     Args:
-        rng: What configurations are drawn with.
-        obstacles: What they are to be free of.
+        robot: The arm.
+        rng: Random generator of the configurations.
+        obstacles: Obstacles to keep clear of.
         extent: Reach of the arm [m].
     """
     checker = CoalScene(robot, tuple(solid for obstacle in obstacles for solid in obstacle.solids))
@@ -154,13 +155,13 @@ def free_ends(
     return None
 
 
-#: Distances between configurations that OMPL checks, one after the other, as fractions of the space's extent; how long
-#: it has [s]; paths are looked at from outside so often, by the joint that turns farthest [rad].
+#: Resolutions of OMPL's motion checks, tried in turn, as fractions of the space's extent; its time limit [s]; distance
+#: between independent checks of a path, of the joint that moves most [rad].
 FINE, FIND_S, EVERY_RAD = (0.002, 0.0005), 5.0, 5e-3
 
 
 def _random(asked: Asked, number: int) -> Row:
-    """What a straight motion, OMPL's RRTConnect and hplan make of a scene; contacts by coal."""
+    """Results of a straight motion, OMPL's RRTConnect and hplan; contacts by coal."""
     robot = asked.arm()
     scene = random_scene(robot, asked.seed, number)
     goal = scene.goal.configuration
@@ -183,7 +184,7 @@ def _random(asked: Asked, number: int) -> Row:
 
 
 def _is_clear(robot: Robot, scene: Scene, path: FloatArray) -> bool:
-    """Whether straight motions between the waypoints of a path touch nothing."""
+    """True if the straight motions between a path's waypoints are collision-free."""
     ends = itertools.pairwise(path)
     parts = [np.linspace(a, b, max(2, int(np.ceil(np.abs(b - a).max() / EVERY_RAD)) + 1)) for a, b in ends]
     return path_is_clear(robot, scene, np.concatenate(parts))
@@ -202,12 +203,12 @@ RANDOM = Study(
 
 SETS = ("bookshelf_small", "bookshelf_tall", "bookshelf_thin", "box", "cage", "table_pick", "table_under_pick")
 
-#: Where the fingers stand [m], and limits of the URDF that give way.
+#: Positions of the fingers [m], and the widened limits of the URDF.
 FINGERS = 0.065
 WIDENED = (('lower="0.0" upper="0.04"', 'lower="0.0" upper="0.08"'), ('upper="-0.0698"', 'upper="0.0873"'))
 
 
-#: Where the URDF is written to, which is read again.
+#: Folder of the URDF that is written and read again.
 _FOLDER = TemporaryDirectory()
 
 
@@ -258,7 +259,7 @@ def panda_scene(robot: Robot, problem: dict[str, Any], name: str) -> Scene:
 
 
 def panda_scenes(asked: Asked) -> Iterable[tuple[str, Robot, Scene]]:
-    """The problems of all sets, so many of each: its name, the robot, the scene."""
+    """Problems of all sets, as name, robot and scene."""
     if asked.files is None:
         return []
     robot, found = panda(), []

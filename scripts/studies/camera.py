@@ -1,17 +1,17 @@
-"""Frames of a depth camera among trees, to certified motions.
+"""Certified motions among trees from frames of a depth camera.
 
 Rays are cast into a scene's true solids. A pinhole camera looks along its z axis, x to the right and y down. Every
-pixel has one ray, along its middle; a frame is an organised cloud, row by row, with rows of NaN where nothing is within
-range. Depths have noise of a standard deviation that grows with their square, and a fraction of all returns are
+pixel has one ray, through its center; a frame is an organized cloud, row by row, with NaN for pixels without a return
+in range. Depths have noise with a standard deviation proportional to their square, and a fraction of all returns are
 outliers. The arm is in the picture as the capsules of its links and the hulls of turret and pedestal.
 
-The planner knows the floor and where the arm is; wood and fruit it knows from frames alone. To each of a few stand-offs
-of fruits that have `ROOM_M` it plans a motion with the first frame, and again with every frame that comes: the same
-picture with other noise. The clock begins with the array and ends with the certified motion, or with the answer that
-there is none within `DEADLINE_S`. Balls are as large as the gaps between pixels, and outliers are looked for within
-three of these; but no smaller than `RADIUS_M` and `NEAR_M`.
+The planner knows the floor and the arm's state; wood and fruit it knows from frames alone. It plans a motion to each of
+a few stand-offs of fruits with `ROOM_M`, first with the first frame, and again with every new frame: the same picture
+with other noise. The clock starts with the array and ends with the certified motion, or with a failure within
+`DEADLINE_S`. Balls are as large as the gaps between pixels, and outliers are searched within three of these; but no
+smaller than `RADIUS_M` and `NEAR_M`.
 
-With `--values around=COUNT` so many points are drawn on wood and fruit from all sides, as several cameras see them.
+With `--values around=COUNT` that number of points is drawn on wood and fruit from all sides, as by several cameras.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ from hplan.scene.solids import Hull
 #: Returns of a frame, about; frames of each motion, the first one among them, and motions in each orchard.
 SIZES, FRAMES, GOALS = (10_000, 100_000, 300_000, 1_000_000), 4, 4
 
-#: Least radius of the ball about each point, and least distance within which a point has others about it [m].
+#: Minimum radius of the ball around each point, and minimum distance within which a point needs neighbours [m].
 RADIUS_M, NEAR_M = 5e-3, 8e-3
 
 #: A point with fewer about it, itself counted, is an outlier.
@@ -51,12 +51,11 @@ LEAST_POINTS = 3
 #: Clearance of a goal from true wood and fruit [m], and how long a plan may take [s].
 ROOM_M, DEADLINE_S = 0.03, 1.0
 
-#: Random configurations at which distances are timed.
+#: Number of random configurations for timing distance queries.
 _LOOKS = 300
 
-#: Where the camera is and what its axis goes through [m], its horizontal angle of view [deg], depths that it measures
-#: [m], the standard deviation of a depth of 1 m [m], the fraction of outliers, and what the trees' distance is taken
-#: to be [m].
+#: Position of the camera and a point on its axis [m], its horizontal angle of view [deg], range of depths [m], the
+#: standard deviation of a depth of 1 m [m], the fraction of outliers, and the assumed distance of the trees [m].
 POSITION, TARGET, VIEW_DEG, RANGE_M = (-0.35, 0.5, 1.7), (1.4, 0.0, 0.9), 87.0, (0.1, 6.0)
 SIGMA_M, OUTLIERS, TREES_M = 2e-3, 0.02, 1.5
 
@@ -65,10 +64,10 @@ AROUND_SIGMA_M = 5e-3
 
 
 class DepthCamera:
-    """A pinhole depth camera that stands still beside the arm, above the shoulder, before some solids."""
+    """A static pinhole depth camera next to the arm, above the shoulder."""
 
     def __init__(self, pixels: int, solids: Sequence[Solid]) -> None:
-        """Cast its rays: about so many, three wide to two high."""
+        """Cast its rays: about `pixels`, three wide to two high."""
         self.width = round(math.sqrt(1.5 * pixels))
         height = round(pixels / self.width)
         along = np.subtract(TARGET, POSITION) / np.linalg.norm(np.subtract(TARGET, POSITION))
@@ -84,7 +83,7 @@ class DepthCamera:
 
     @property
     def spacing_m(self) -> float:
-        """Distance of two neighbouring pixels' rays where the trees are taken to be [m]."""
+        """Distance between neighbouring pixels' rays at the assumed distance of the trees [m]."""
         return 2.0 * TREES_M * math.tan(math.radians(0.5 * VIEW_DEG)) / self.width
 
     @property
@@ -93,7 +92,7 @@ class DepthCamera:
         return float(np.isfinite(self._depth).mean())
 
     def frame(self, random: np.random.Generator) -> NDArray[np.float32]:
-        """(pixels, 3) points of a frame, in the camera's frame [m], NaN where nothing is within range."""
+        """(pixels, 3) points in the camera's frame [m]; NaN out of range."""
         depth = np.where(np.isfinite(self._depth), self._depth, np.nan)
         depth += random.normal(size=depth.shape) * SIGMA_M * depth**2
         strays = np.isfinite(depth) & (random.random(depth.shape) < OUTLIERS)
@@ -102,17 +101,17 @@ class DepthCamera:
 
 
 class PointsAround:
-    """Points drawn on balls and capsules, but not their caps, with noise; where a `DepthCamera` is asked for.
+    """Noisy points on balls and capsules without caps, as a camera.
 
     Attributes:
-        pose: None: they are in `base_link`.
-        spacing_m: Distance of neighbours, on the average [m].
+        pose: None: the points are in `base_link`.
+        spacing_m: Mean distance of neighbours [m].
     """
 
     pose = None
 
     def __init__(self, count: int, solids: Sequence[Solid]) -> None:
-        """So many points of each frame."""
+        """Prepare frames with `count` points."""
         round_ones = [solid for solid in solids if isinstance(solid, Sphere | Capsule)]
         self._ends = np.array([solid.core[[0, -1]] for solid in round_ones])
         self._radii = np.array([solid.rounding for solid in round_ones])
@@ -140,14 +139,17 @@ def ground(size_m: float = 12.0) -> Box:
 
 
 def depths(rays: FloatArray, pose: FloatArray, solids: Sequence[Solid]) -> FloatArray:
-    """(n,) depths at which (n, 3) rays of a camera first meet balls, capsules, boxes and hulls; infinite for none."""
+    """(n,) depths of the first intersections of (n, 3) rays with solids.
+
+    The solids are balls, capsules, boxes and hulls; inf without an intersection.
+    """
     rotation, position = pose[:3, :3], pose[:3, 3]
     best = np.full(len(rays), np.inf)
     for solid in solids:
         core = (solid.core - position) @ rotation
         middle = 0.5 * (core.min(axis=0) + core.max(axis=0))
         radius = float(np.linalg.norm(core - middle, axis=1).max()) + getattr(solid, "rounding", 0.0)
-        # Only rays that pass by a ball about it are looked at.
+        # Only check rays that pass through a bounding ball.
         along = rays @ middle
         square = (rays**2).sum(axis=1)
         near = np.flatnonzero((middle @ middle - radius**2) * square <= np.maximum(along, radius) ** 2)
@@ -174,7 +176,7 @@ def _planes(solid: Solid) -> FloatArray:
 
 
 def _capsule_depths(rays: FloatArray, start: FloatArray, end: FloatArray, radius: float) -> FloatArray:
-    """(n,) depths at which rays first meet a capsule: the cylinder between its ends, or a ball about one of them."""
+    """(n,) depths of the first hits of a capsule."""
     axis, square = end - start, (rays**2).sum(axis=1)
     best = np.full(len(rays), np.inf)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -193,7 +195,7 @@ def _capsule_depths(rays: FloatArray, start: FloatArray, end: FloatArray, radius
 
 
 def _hull_depths(rays: FloatArray, planes: FloatArray) -> FloatArray:
-    """(n,) depths at which rays enter a hull; infinite where they do not, or begin inside."""
+    """(n,) entry depths of rays into a hull; inf for none."""
     enter, leave = np.full(len(rays), -np.inf), np.full(len(rays), np.inf)
     for *normal, offset in planes:
         slope = rays @ np.array(normal)

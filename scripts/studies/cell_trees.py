@@ -1,8 +1,8 @@
-"""Two arms and more pick one tree together (--trees), beside the quicker alone; judged by Pinocchio and coal alone.
+"""Several arms pick one tree (--trees), compared with the fastest single arm.
 
-Orchard arms stand side by side or above one another, `DISTANCE` from the trunk; thin wood and fruit give way, and what
-of it is in a base is left out. Fruit hangs as the files have it, or at tips of branches; a tree in which an arm would
-stand or wait is turned by a quarter.
+Judged by Pinocchio and coal alone. Orchard arms are next to or above each other, `DISTANCE` from the trunk; thin wood
+and fruit are compliant, and parts of the tree in a base are left out. Fruit hangs as in the files, or at tips of
+branches; a tree that overlaps an arm's base or waiting pose is turned by a quarter.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ from hplan.scene.orchard import MeasuredOptions, measured_orchard
 from hplan.tour.cell_tour import CellTour, plan_cell_tour
 from hplan.tour.tour import TourOptions, plan_tour
 
-#: Of the trunk from the bases, how far what is thin gives way [m], and how many fruits hang there at most.
+#: Distance of the trunk from the bases, compliance of thin parts [m], and the maximum number of fruits.
 DISTANCE, YIELDS, FRUITS = 1.4, 0.02, 80
 
-#: Where arms wait, below others and elsewhere [deg]; where their bases stand [m].
+#: Waiting poses of the arms, below others and elsewhere [deg]; positions of their bases [m].
 BELOW, ABOVE, HIGHER = (0.0, 65.0, -140.0, -100.0), (0.0, 90.0, 90.0, 90.0), 1.2
 STANDS = {
     "side by side": [(0.0, -0.45, 0.0), (0.0, 0.45, 0.0)],
@@ -36,7 +36,7 @@ STANDS = {
     "four": [(0.0, y, z) for y in (-0.45, 0.45) for z in (0.0, HIGHER)],
 }
 
-#: Both have about half of the fruit where nobody has a smaller share of an equal one than this.
+#: The fruit is shared evenly if every arm has at least this fraction of an equal share.
 EQUAL = 0.8
 
 
@@ -59,11 +59,11 @@ def cell_of(robot: Robot, tree: Scene, stands: str) -> Cell:
 
 
 def _picked(asked: Asked, file: Path, stands: str, yaw_deg: float) -> tuple[CellTour, float]:
-    """A tree, picked, and the CPU time that this took [ms].
+    """A picked tree, and the CPU time of planning [ms].
 
     Raises:
-        InputError: An arm stands or waits in the tree.
-        HplanError: As `plan_cell_tour`.
+        InputError: An arm's base or waiting pose is in the tree.
+        HplanError: As in `plan_cell_tour`.
     """
     robot, fruits = load_robot("orchard_harvester"), int(asked.values.get("fruits", (FRUITS,))[0])
     options = MeasuredOptions(

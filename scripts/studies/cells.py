@@ -1,8 +1,9 @@
-"""Several arms: the Pandas of xECBS (ICAPS 2024) planned on one clock, judged by Pinocchio and coal alone.
+"""Several arms: the Pandas of xECBS (ICAPS 2024).
 
-Problems are those of the repository `yoraish/xecbs_icaps24_experiments`, read from a copy of it (`--files DIR`): Pandas
-in a circle, at bins and at shelves; bases from its xacro, tasks and boxes from its YAML. Hands are mounted as there,
-fingers are closed and their meshes as there, the table is 2 mm lower than there, so that the bases do not touch it.
+They are planned on one clock, and judged by Pinocchio and coal alone. The problems come from the repository
+`yoraish/xecbs_icaps24_experiments`, read from a copy (`--files DIR`): Pandas in a circle, at bins and at shelves; bases
+from its xacro, tasks and boxes from its YAML. Hands, closed fingers and meshes are as in the repository; the table is 2
+mm lower, so that the bases do not touch it.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ _FINGER = "package://example-robot-data/robots/panda_description/meshes/collisio
 #: How long one problem may take [s].
 LIMIT_S = 300.0
 
-#: Times between the configurations that are looked at [s].
+#: Time between the checked configurations [s].
 LOOK_S = 2e-3
 
 
@@ -56,7 +57,7 @@ def problems(asked: Asked) -> list[tuple[str, str, dict[str, Any]]]:
 
 @cache
 def bases(folder: Path) -> dict[str, tuple[tuple[float, ...], tuple[float, ...]]]:
-    """Where each arm's base stands [m], and how it is turned [deg]."""
+    """Position [m] and orientation [deg] of each arm's base."""
     (file,) = (path for path in sorted(folder.glob("*/urdf/*.xacro")) if not path.name.endswith("_.urdf.xacro"))
     text = re.sub(r"<!--.*?-->", "", file.read_text(), flags=re.DOTALL)
     names = dict(re.findall(r'<xacro:arg name="(\w+)" default="(\w+)"', text))
@@ -136,7 +137,7 @@ def _row(asked: Asked, problem: tuple[str, str, dict[str, Any]]) -> Row:
 
 
 def _deepest(cell: Cell, q: FloatArray) -> float:
-    """Least distance of two bodies of different arms [m], by coal, with the meshes as they are."""
+    """Minimum distance of two bodies of different arms, by coal with original meshes [m]."""
     model, geometry = cell.robot.model, between_arms(cell)
     data, seen = model.createData(), geometry.createData()
     for each in q:

@@ -1,10 +1,10 @@
-"""How far motions are from the fastest known: 200 problems, the best duration ever found of each, and who found it.
+"""Durations compared with the fastest known motions of 200 problems.
 
-The file `best_known.json` says what each problem is made from. In each the straight motion is in contact: discs in the
-plane of the default arm and of the orchard arm, pinches for both and for arms drawn at random, all with the base
-locked; and measured trees, one at a time, with all joints. A digest of robot and scene makes sure that it is still the
-problem whose best duration is known. A motion counts only if hplan certifies its rows. The file
-has durations of RRTConnect's paths, of detours and of IPOPT on the whole timed motion too; these are no longer run.
+The file `best_known.json` has the source of each problem, the best known duration and its planner. The straight motion
+of each problem is in contact: discs in the plane of the default arm and of the orchard arm, pinches for both and for
+randomly drawn arms, all with a locked base; and measured trees, one at a time, with all joints. A digest of robot and
+scene verifies that the problem is unchanged. A motion counts only if hplan certifies it. The file also has durations of
+RRTConnect's paths, of detours and of IPOPT on the whole timed motion; these are no longer run.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ SEED, _DECIMALS = 14, 9
 
 
 class FastestProblem(NamedTuple):
-    """A problem, what the file says of it, its arm and scene."""
+    """A problem: its record, arm and scene."""
 
     record: dict[str, Any]
     robot: Robot
@@ -45,7 +45,7 @@ class FastestProblem(NamedTuple):
 
 
 def group_of(record: dict[str, Any]) -> str:
-    """What a problem is counted with."""
+    """The group of a problem in the summary."""
     return "trees" if record["kind"] == "tree" else "planar"
 
 
@@ -53,8 +53,8 @@ def problem_of(record: dict[str, Any], trees: Path | None) -> FastestProblem:
     """The problem of a record.
 
     Args:
-        record: What the set's file says.
-        trees: Folder of measured trees; None will do for planar problems.
+        record: Entry of the set's file.
+        trees: Folder of measured trees; may be None for planar problems.
     """
     robot, scene = _made(record, trees)
     found, name = digest_of(robot, scene), record["name"]
@@ -102,15 +102,15 @@ def _rounded(value: Any) -> Any:
 
 
 def read_records(path: Path = BEST_KNOWN) -> list[dict[str, Any]]:
-    """What the file says of each problem."""
+    """The records of all problems in the file."""
     found: list[dict[str, Any]] = json.loads(path.read_text(encoding="utf-8"))["problems"]
     return found
 
 
 def improve(rows: Iterable[Row]) -> int:
-    """Write durations of a run that are shorter than the best known to the file; returns how many.
+    """Write durations shorter than the best known; returns their number.
 
-    The caller writes it only where it is asked to: a run alone leaves the file as it is.
+    Call it only on request: a run alone leaves the file unchanged.
     """
     records, improved = read_records(), 0
     best = {row["name"]: row for row in rows if row.get("improved")}
@@ -133,7 +133,7 @@ def _row(_: Asked, problem: FastestProblem) -> Row:
     record, robot, scene = problem
     row: Row = {"name": record["name"], "group": group_of(record), "certified": True, "fault": False}
     found: dict[str, float | None] = {}
-    planned(robot, scene, PlanOptions(effort="quick"))  # the first plan makes what is kept of a scene
+    planned(robot, scene, PlanOptions(effort="quick"))  # the first plan fills the caches of a scene
     for effort in EFFORT_NAMES:
         told = planned(robot, scene, PlanOptions(effort=effort))[1]
         found[effort] = told.get("duration_s") if told["certified"] else None

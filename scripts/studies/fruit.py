@@ -16,7 +16,7 @@ from hplan.planning.options import PlanOptions
 from hplan.scene.file import load_scene
 from hplan.scene.model import Goal, Scene
 
-#: Deadlines [ms], and by which share of one an answer is late.
+#: Deadlines [ms], and the multiple of a deadline beyond it counts as late.
 DEADLINES_MS, LATE = (20.0, 50.0, 100.0), 1.1
 
 
@@ -64,7 +64,7 @@ def _deadlines_in_cpu_time() -> Iterator[None]:
 
 
 def _deadline_row(asked: Asked, problem: FruitProblem) -> Row:
-    """A plan without a deadline, and one with each: whether it is there in time, when it comes back, how long it is."""
+    """Plans without and with each deadline: success in time, return time, duration."""
     robot = asked.arm()
     with _deadlines_in_cpu_time():
         _, row = planned(robot, problem.scene)

@@ -1,12 +1,11 @@
-"""One harness for all studies: a study is a set of problems and a row of numbers for each, and the rest is here.
+"""One harness for all studies: problems, rows of numbers, summaries.
 
-`run` hands out rows as they are made, in this process or on any executor of `concurrent.futures`; `summary` tells what
-they say, `compare` what has changed from one run to another, problem by problem. What a row says of one problem is
-named by its keys:
+`run` yields rows as they are made, in this process or on any executor of `concurrent.futures`; `summary` tabulates
+them, `compare` lists changes between two runs, problem by problem. The keys of a row name its results for one problem:
 
 - `name`: the problem, the same in every run;
-- `fault`: true where hplan is at fault, as a certified motion in contact is;
-- texts are counted, truths too, and of numbers the median, the 95th percentile and the largest are told.
+- `fault`: true if hplan is at fault, for example with a certified motion in contact;
+- texts and truths are counted; for numbers the median, the 95th percentile and the maximum are reported.
 """
 
 from __future__ import annotations
@@ -28,10 +27,10 @@ from hplan.errors import InputError, OptionError
 from hplan.planning.options import EffortName
 from hplan.robot.model import Robot, load_robot
 
-#: What is told of one problem.
+#: Results for one problem.
 Row: TypeAlias = dict[str, Any]
 
-#: Groups of a summary that has all rows.
+#: Group of a summary with all rows.
 ALL = "all"
 
 #: Studies whose kernels this process has loaded.
@@ -40,15 +39,15 @@ _WARM: set[str] = set()
 
 @dataclass(frozen=True)
 class Asked:
-    """What a run of a study asks for.
+    """Settings of a study's run.
 
     Attributes:
-        count: How many problems, or of each group; None for as many as there are.
+        count: Number of problems, or of problems in each group; None for all.
         first: Number of the first problem.
-        seed: Of the problems, and of planners that draw.
-        effort: What hplan spends on a motion.
-        peer: Who solves the problems too, one of OMPL's planners or roboplan; None for nobody.
-        robot: The arm, where a study takes any; None for its own.
+        seed: Random seed of the problems, and of sampling-based planners.
+        effort: hplan's effort preset.
+        peer: Another planner for the same problems: one of OMPL's planners or roboplan; None for none.
+        robot: The arm, if a study takes any; None for its own.
         trees: Folder of measured trees, a CSV of capsules each.
         files: Folder of problems in files.
         values: Further numbers that a study names, such as `deadlines`.
@@ -65,7 +64,7 @@ class Asked:
     values: Mapping[str, Sequence[float]] = field(default_factory=dict)
 
     def arm(self, name: str = "harvester") -> Robot:
-        """The robot asked for, else the one of a name."""
+        """The robot of the settings, otherwise the named one."""
         return load_robot(name) if self.robot is None else self.robot
 
     @property
@@ -81,20 +80,20 @@ def numbered(asked: Asked) -> Iterable[Any]:
 
 @dataclass(frozen=True)
 class Study:
-    """A set of problems and what is measured of each.
+    """A set of problems and the measurements of each.
 
     Attributes:
         name: Its name on the command line, and of its file.
-        about: What it tells, in a line.
-        row: From what is asked for and a problem to its row, or its rows, or None where it does not count.
-        columns: Keys of the rows that the summary tells, in order.
-        totals: Keys of numbers, and of counts by kind, that it adds up over all rows.
-        problems: The problems, given what is asked for.
+        about: Its subject, in a line.
+        row: Maps the settings and a problem to its row, its rows, or None if it does not count.
+        columns: Keys of the rows in the summary, in order.
+        totals: Keys of numbers, and of counts by kind, that the summary adds up over all rows.
+        problems: Maps the settings to the problems.
         by: Key of the rows that groups them; empty for no groups.
-        count: Problems where no number is asked for, None for all; and in a quick run.
-        needs: What has to be given: `trees`, `files`, `robot`.
-        peers: Who can solve its problems too.
-        warm: So many problems are solved in each process before any counts, so that kernels are loaded.
+        count: Default number of problems, None for all; and the number in a quick run.
+        needs: Required settings: `trees`, `files`, `robot`.
+        peers: Other planners that can solve its problems.
+        warm: Number of problems that each process solves first without counting them, to load kernels.
     """
 
     name: str
@@ -113,12 +112,13 @@ class Study:
 def run(
     study: Study, asked: Asked, *, executor: Executor | None = None, told: Callable[[int, int], None] = lambda *_: None
 ) -> Iterator[Row]:
-    """Rows of a study, in the order of its problems, each as soon as it and those before it are there.
+    """Yield the rows of a study, in the order of its problems.
 
     Args:
-        asked: How much of it, with what.
-        executor: Where rows are made; None for here.
-        told: Called with how many problems are done, and of how many.
+        study: The study.
+        asked: Its settings.
+        executor: Executor that makes the rows; None for this process.
+        told: Called with the number of finished problems, and their total.
     """
     missing = [name for name in study.needs if getattr(asked, name) is None]
     if missing:
@@ -136,7 +136,7 @@ def run(
 
 
 def _rows(study: Study, asked: Asked, warm: Sequence[Any], problem: Any) -> list[Row]:
-    """The rows of one problem; the first call in a process solves others before."""
+    """The rows of one problem; the first call in a process warms up."""
     if study.name not in _WARM:
         _WARM.add(study.name)
         for one in warm:
@@ -146,7 +146,7 @@ def _rows(study: Study, asked: Asked, warm: Sequence[Any], problem: Any) -> list
 
 
 def evenly_chosen(problems: Sequence[Any], most: int | None, group: Callable[[Any], str]) -> list[Any]:
-    """So many problems of each group at most, evenly spread over it."""
+    """At most `most` problems of each group, evenly spread over it."""
     kept: list[Any] = []
     for name in dict.fromkeys(map(group, problems)):
         ours = [problem for problem in problems if group(problem) == name]
@@ -163,7 +163,7 @@ def number(value: float, digits: int = 3) -> str:
 
 
 def told_of(values: Sequence[Any]) -> str:
-    """What a cell says of values of one column, those that are not there left out."""
+    """The summary of one column's values, without missing ones."""
     kept = [value for value in values if value is not None]
     if not kept:
         return "-"
@@ -183,7 +183,7 @@ def table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
 
 
 def summary(study: Study, rows: Sequence[Row]) -> list[str]:
-    """Lines in Markdown: a table with a row for each group, and what is at fault by name."""
+    """Markdown lines: a table with a row per group, and the faults."""
     groups = list(dict.fromkeys(str(row.get(study.by)) for row in rows)) if study.by else []
     chosen = {name: [row for row in rows if str(row.get(study.by)) == name] for name in groups} | {ALL: rows}
     kept = [key for key in study.columns if any(row.get(key) is not None for row in rows)]
@@ -212,10 +212,10 @@ def _total(values: Sequence[Any]) -> str:
 
 
 def compare(before: Sequence[Row], after: Sequence[Row], columns: Sequence[str]) -> list[str]:
-    """Lines in Markdown: of the problems that both runs have, what has changed in each column.
+    """Markdown lines: changes in each column between two runs.
 
-    Of numbers the ratios after : before are told (of their sums, then median, 95 % and largest over problems), of
-    truths and texts how many have become what.
+    Only problems of both runs count. For numbers the ratios after : before are reported (of their sums, then median, 95
+    % and maximum over problems), for truths and texts the number of each change.
     """
     old = {row["name"]: row for row in before}
     pairs = [(old[row["name"]], row) for row in after if row["name"] in old]
@@ -244,7 +244,7 @@ def compare(before: Sequence[Row], after: Sequence[Row], columns: Sequence[str])
 
 
 def read_rows(file: Path) -> list[Row]:
-    """Rows of a file that a run has written."""
+    """Read the rows that a run has written."""
     try:
         lines = [json.loads(line) for line in file.read_text(encoding="utf-8").splitlines()]
     except (OSError, ValueError) as error:
@@ -253,7 +253,7 @@ def read_rows(file: Path) -> list[Row]:
 
 
 def plain(value: Any) -> Any:
-    """A value as JSON has it: numbers of NumPy as Python's, what is not finite as null."""
+    """A value for JSON: NumPy's numbers as Python's, null if not finite."""
     if isinstance(value, dict):
         return {key: plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

@@ -195,7 +195,7 @@ def _read(path: Path) -> dict[str, object]:
 def _faults(
     folder: Path, before: dict[str, str], theirs: list[str], result: str, status: int, number: signal.Signals, said: str
 ) -> list[str]:
-    """What is wrong with the folder and the end of the process."""
+    """Faults of the folder's contents and of the process's exit."""
     out, after = folder / "out", _contents(folder)
     faults = []
     early = status == -number  # Python itself was not ready

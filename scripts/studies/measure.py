@@ -1,7 +1,7 @@
-"""What rows are made of: CPU time, plans as rows, and on what they were measured.
+"""Building blocks of rows: CPU time, plans as rows, and the machine.
 
-Times are CPU times of the calling thread: what is measured runs on one thread, and other load on the machine does not
-count then.
+Times are CPU times of the calling thread: the measured code runs on one thread, and other load on the machine does not
+count.
 """
 
 from __future__ import annotations
@@ -30,21 +30,24 @@ _T = TypeVar("_T")
 
 
 def timed(run: Callable[[], _T]) -> tuple[_T, float]:
-    """What a function returns, and its CPU time [ms]."""
+    """The result of a function, and its CPU time [ms]."""
     begin = time.thread_time()
     value = run()
     return value, 1e3 * (time.thread_time() - begin)
 
 
 def median_ms(run: Callable[[], object], repetitions: int) -> float:
-    """Median CPU time of repeated calls, the first not counted; fewer of those that take long [ms]."""
+    """Median CPU time of repeated calls without the first [ms].
+
+    Slow functions are repeated less often.
+    """
     once, budget_ms = timed(run)[1], 1500.0
     affordable = min(repetitions, int(budget_ms / max(once, 1e-3)))
     return float(np.median([timed(run)[1] for _ in range(affordable)])) if affordable > 1 else once
 
 
 def or_error(run: Callable[[], _T]) -> _T | HplanError:
-    """What a function returns, or hplan's error that it raises."""
+    """The result of a function, or the `HplanError` that it raises."""
     try:
         return run()
     except HplanError as error:
@@ -52,7 +55,7 @@ def or_error(run: Callable[[], _T]) -> _T | HplanError:
 
 
 def outcome(found: PlanResult | HplanError, ms: float) -> Row:
-    """What is told of any plan: whether there is one, its CPU time [ms] and duration [s], where its path comes from."""
+    """Row of a plan: success, CPU time [ms], duration [s], path origin."""
     if isinstance(found, HplanError):
         return {"solved": False, "certified": False, "ms": ms, "origin": found.kind, "message": found.message}
     certified = found.certificate.verified
@@ -67,7 +70,7 @@ def outcome(found: PlanResult | HplanError, ms: float) -> Row:
 
 
 def planned(robot: Robot, scene: Scene, options: PlanOptions | None = None) -> tuple[PlanResult | None, Row]:
-    """The plan for a scene, or None, and what is told of it."""
+    """The plan of a scene, or None, and its row."""
     found, ms = timed(lambda: or_error(lambda: plan(robot, scene, options)))
     return None if isinstance(found, HplanError) else found, outcome(found, ms)
 
@@ -80,7 +83,7 @@ def ratio(value: float | None, other: float | None) -> float | None:
 def environment() -> dict[str, Any]:
     """Processor, system and versions."""
     found = versions()
-    for package in ("ompl", "scipy"):  # beside those of a report
+    for package in ("ompl", "scipy"):  # in addition to a report's packages
         try:
             found[package] = metadata.version(package)
         except metadata.PackageNotFoundError:

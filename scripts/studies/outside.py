@@ -1,4 +1,4 @@
-"""Motions looked at from outside: contacts by `studies.validation.judge`, limits by differences."""
+"""Independent checks of motions: contacts by `studies.validation.judge`, limits by differences."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from hplan.scene.model import Scene
 from hplan.scene.obstacle_kind import FromData
 from hplan.trajectory.trajectory import Trajectory
 
-#: Limits are looked at so often [s].
+#: Time between the samples for limits [s].
 EVERY_S = 1e-3
 
 
@@ -38,7 +38,7 @@ class TimedMotion:
     positions: Callable[[FloatArray], FloatArray]
 
 
-#: A motion of anybody's, or hplan's rows with cubics between them.
+#: A motion from any source, or hplan's samples with cubics between them.
 Motion = TimedMotion | Trajectory
 
 
@@ -48,7 +48,7 @@ def contacts(robot: Robot, scene: Scene, motion: Motion) -> tuple[int, int]:
 
 
 def path_is_clear(robot: Robot, scene: Scene, path: FloatArray) -> bool:
-    """Whether no body touches anything at (n, dof) configurations close together, one after the other."""
+    """True if closely spaced (n, dof) configurations are all collision-free."""
     numbers = np.arange(len(path), dtype=np.float64)
     return not any(touching_at(robot, scene, numbers, TimedMotion(numbers[-1], lambda _: path)))
 
@@ -65,7 +65,10 @@ def _found(robot: Robot, scene: Scene, motion: judge.Motion) -> list[judge.Conta
 
 
 def between_arms(cell: Cell, more: Sequence[pin.GeometryObject] = ()) -> pin.GeometryModel:
-    """The bodies of a cell with their meshes as they are, and some more, and all pairs of those of different arms."""
+    """The original meshes of a workcell, with pairs of different arms.
+
+    Bodies of `more` are added.
+    """
     geometry = pin.GeometryModel(cell.robot.collision_model)
     geometry.removeAllCollisionPairs()
     for body in more:
@@ -95,7 +98,7 @@ def things_of(scene: Scene | CellScene) -> list[Thing]:
 def arm_of(robot: Robot) -> Arm:
     """The robot as the judge reads it."""
     touch = tuple((first, second) for first, second, _ in robot.may_touch)
-    # Several arms as one robot have no file. Of others the file is read: in the text, what is held is fixed already.
+    # Several arms as one robot have no file. For others the file is read: in the text, held joints are already fixed.
     urdf = robot.urdf_path if robot.urdf_path.is_file() else robot.urdf_text or robot.urdf_path
     return _arm(urdf, tuple(robot.held.items()), touch, robot.tool_frame)
 
@@ -116,7 +119,7 @@ def _arm(
 
 
 def findings(robot: Robot, scene: Scene, motion: Motion, every_s: float = EVERY_S) -> Row:
-    """What fine samples of a motion show: contacts, excess over joint limits, shares of the other limits.
+    """Contacts and use of limits at fine samples of a motion.
 
     Velocity and acceleration are differences of equally spaced positions, torque is inverse dynamics of these.
     """

@@ -1,6 +1,6 @@
-"""Peers: OMPL's planners with hplan's compiled distances as their checker, toppra on a spline, stops at corners.
+"""Peers: OMPL's planners with hplan's distances, toppra on a spline, stops at corners.
 
-None limits the jerk, which hplan does where the robot's limits ask for it.
+None of them limits the jerk, as hplan does if the robot has jerk limits.
 """
 
 from __future__ import annotations
@@ -27,19 +27,19 @@ from hplan.planning.world import World
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 
-#: What a planner has to find a path, and to simplify it [s of CPU]; what motions of its path keep [m].
+#: CPU time for a planner to find a path, and to simplify it [s]; clearance required of the motions of its path [m].
 PATIENCE_S, SIMPLIFY_S, MARGIN_M = 10.0, 1.0, 1e-5
 
-#: A share of a limit that counts as beyond it: cubics between a peer's rows of 5 ms add up to a tenth.
+#: Use of a limit that counts as a violation: cubics between a peer's samples of 5 ms add up to a tenth.
 _OVER = 1.2
 
-#: Fraction of the space's extent by which OMPL steps along motions unless it is told otherwise.
+#: OMPL's default step along motions, as a fraction of the space's extent.
 RESOLUTION = 0.01
 
 #: Numbers of shortcuts after which a polyline is tried with stops at its corners.
 _SHORTCUTS = (0, 5, 10, 20, 40, 80, 200)
 
-#: Grid points at which toppra chooses the path speed: so many on the whole path, and on each of its segments.
+#: Number of grid points of toppra's path speed: on the whole path, and on each of its segments.
 _GRID_POINTS, _GRID_POINTS_EACH = 300, 10
 
 
@@ -75,15 +75,16 @@ def ompl_path(
     seconds: float = PATIENCE_S,
     resolution: float | None = None,
 ) -> FloatArray | None:
-    """(m, dof) the simplified path of a planner; None where it found none in time.
+    """(m, dof) the simplified path of a planner; None if not found in time.
 
     Args:
-        scene: Start, and joints that are locked.
+        world: Arm and obstacles.
+        scene: Start and locked joints.
         goal: (dof,) configuration.
-        planner: RRTConnect stops at its first path, BITstar when time is up.
-        seconds: CPU time to find it.
-        resolution: Distance between configurations that are checked, as a fraction of the space's extent, as OMPL has
-            it; a path may then touch something in between. None to have each motion verified by hplan's kernel.
+        planner: RRTConnect stops at its first path, BITstar at the time limit.
+        seconds: CPU time to find the path.
+        resolution: Distance between checked configurations, as a fraction of the space's extent, as in OMPL; a path may
+            then be in contact between them. None to verify each motion with hplan's kernel.
     """
     base, geometric, _ = ompl()
     robot, begin = world.robot, scene.start.configuration
@@ -131,9 +132,9 @@ def ompl_path(
 
 
 def solve(setup: Any, seconds: float) -> bool:
-    """Whether a `SimpleSetup` finds a path within so much CPU time [s].
+    """True if a `SimpleSetup` finds a path within a CPU time [s].
 
-    Where an end is in collision OMPL sleeps, which takes no CPU time: it is woken by the clock.
+    If an end is in collision OMPL sleeps without CPU time: a wall-clock timer wakes it.
     """
     until_s, patience_s = time.thread_time() + seconds, time.monotonic() + 1.5 * seconds
     setup.solve(
@@ -148,7 +149,7 @@ def world_of(robot: Robot, scene: Scene) -> World:
 
 
 def finished_s(robot: Robot, scene: Scene, path: FloatArray | None) -> float | None:
-    """Duration of the certified motion that hplan makes of somebody's path; None where there is none [s]."""
+    """Duration of hplan's motion along a peer's path, or None [s]."""
     if path is None:
         return None
     found = or_error(lambda: finish(robot, scene, path))
@@ -156,10 +157,11 @@ def finished_s(robot: Robot, scene: Scene, path: FloatArray | None) -> float | N
 
 
 def peer_row(asked: Asked, robot: Robot, scene: Scene, duration_s: float | None, seconds: float = PATIENCE_S) -> Row:
-    """What the planner asked for makes of a scene: its path, splines through it, the same finished by hplan.
+    """Results of a peer for a scene, with hplan's motions.
 
-    `to_spline` and `to_peer` are the durations of hplan's motion to that of toppra's on a cubic spline through the
-    path, whether it touches something or not, and to that of the path finished.
+    They are for its path, for splines through it, and for its path finished by hplan. `to_spline` and `to_peer` are the
+    ratios of the duration of hplan's motion to toppra's on a cubic spline through the path, with or without contact,
+    and to hplan's motion along the peer's path.
     """
     if asked.peer is None:
         return {}
@@ -180,7 +182,10 @@ def peer_row(asked: Asked, robot: Robot, scene: Scene, duration_s: float | None,
 
 
 def roboplan_row(asked: Asked, robot: Robot, scene: Scene, duration_s: float | None) -> Row:
-    """What roboplan makes of a scene: CPU of path, shortcuts and timing; the arm is loaded before."""
+    """Results of roboplan for a scene: CPU times of all steps.
+
+    The steps are path, shortcuts and timing; the arm is loaded before.
+    """
     from studies.roboplan_peer import RoboplanArm
 
     arm = RoboplanArm(robot, scene, asked.seed + 1)
@@ -247,10 +252,10 @@ def toppra_motion(robot: Robot, path: FloatArray, *, defaults: bool = False) -> 
 
 
 def quickest_polyline(robot: Robot, path: FloatArray, field: ClearanceField) -> FloatArray:
-    """The shortened path that is quickest with stops at its corners, after more or fewer shortcuts.
+    """The shortened path that is fastest with stops at its corners.
 
-    Many shortcuts give the shortest path, but one with many corners; without any it goes from each waypoint to the
-    farthest that can be seen.
+    It is chosen among paths after more and fewer shortcuts. Many shortcuts give the shortest path, but many corners;
+    without any it goes from each waypoint to the farthest visible one.
     """
     polylines = [shorten(path, field, margin=MARGIN_M, rounds=rounds) for rounds in _SHORTCUTS]
     return min(polylines, key=lambda polyline: stopping_duration(robot, polyline))
@@ -259,7 +264,7 @@ def quickest_polyline(robot: Robot, path: FloatArray, field: ClearanceField) -> 
 def stopping_duration(robot: Robot, path: FloatArray) -> float:
     """Duration of straight motions from waypoint to waypoint, at rest at each [s].
 
-    Each is the time-optimal trapezoid under velocity and acceleration limits; torque is not looked at.
+    Each is the time-optimal trapezoid under velocity and acceleration limits; torque is ignored.
     """
     total = 0.0
     for turn in np.abs(np.diff(path, axis=0)):

@@ -24,24 +24,24 @@ from hplan.robot.model import Robot, load_robot
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Sphere
 
-#: Kinds of arms: those that ship, and members of the family drawn with wide ranges.
+#: Kinds of arms: the shipped ones, and members of the family drawn with wide ranges.
 ARMS = ("harvester", "orchard_harvester", "drawn")
 
-#: What balls leave beside the sweep [m].
+#: Distances of the balls from the sweep [m].
 ROOMS = (2e-4, 5e-4, 2e-3, 6e-3)
 
-#: Balls of a pinch, how many of them leave no more than the room, their radii, and what the others leave more [m].
+#: Number of balls of a pinch, number of those within the room, their radii, and the extra distance of the others [m].
 BALLS, CLOSE_BALLS, RADII, FARTHER = (6, 12), (2, 4), (0.02, 0.25), (0.005, 0.06)
 
 #: Spacing of the samples of a pinch's motion [rad].
 SAMPLE = math.radians(0.1)
 
-#: Start, goal, and what is drawn about them.
+#: Start, goal, and the balls drawn around them.
 _Drawn: TypeAlias = tuple[FloatArray, FloatArray, Sequence[Sphere]]
 
 
 def pinch(seed: int, number: int, arm: str, room: float) -> tuple[Robot, Scene]:
-    """Arm and scene of the pinch with a number, for one of `ARMS`, with so much room [m]."""
+    """Arm and scene of a numbered pinch with a room [m]."""
     random = np.random.default_rng([seed, number])
     robot = drawn_member(seed, number) if arm == "drawn" else load_robot(arm)
     while True:
@@ -68,7 +68,7 @@ def _is_narrow(robot: Robot, scene: Scene) -> bool:
     except HplanError:
         return False
     ends = np.stack([problem.start, problem.goal])
-    # Start and goal have so much clearance [m].
+    # Minimum clearance of start and goal [m].
     least = 1e-3
     return problem.spare_clearances[0] >= least and not problem.field.is_clear(ends, 1e-6)
 
@@ -97,7 +97,7 @@ def drawn_member(seed: int, number: int) -> Robot:
 
 
 def _drawn(robot: Robot, random: np.random.Generator, room: float) -> _Drawn | None:
-    """A motion with a corner or two, and balls in the arm plane beside what it sweeps."""
+    """A motion with one or two corners, and balls next to it."""
     arm = robot.arm
     corners = random.uniform(arm.lower, arm.upper, (int(random.integers(3, 5)), arm.link_count))
     parts = []

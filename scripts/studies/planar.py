@@ -21,7 +21,7 @@ from hplan.robot.model import Robot
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Sphere
 
-#: Spacing of the joint grid, and how far start and goal are apart in joint space at least [deg].
+#: Spacing of the joint grid, and minimum distance of start and goal in joint space [deg].
 STEP_DEG, APART_DEG = 1.0, 30.0
 
 #: Pairs of nodes drawn before a scene's discs are drawn anew.
@@ -51,9 +51,10 @@ class PlanarScene:
 
 
 def random_scene(robot: Robot, seed: int, number: int) -> PlanarScene:
-    """A scene of 1 to 12 discs within reach, with start and goal drawn from the free nodes.
+    """A random scene of 1 to 12 discs within reach.
 
-    Discs in which pedestal or turret stand are no problem of planning, which refuses them: they are drawn anew.
+    Start and goal are random free nodes. Discs that overlap pedestal or turret are drawn anew, since planning refuses
+    them.
     """
     random = np.random.default_rng([seed, number])
     grid = joint_grid(robot.arm, np.radians(STEP_DEG))
@@ -76,7 +77,7 @@ def random_scene(robot: Robot, seed: int, number: int) -> PlanarScene:
                 break
         else:
             continue
-        # The base is looked at last: so the numbers drawn for scenes in which it is free are the same as without.
+        # The base is checked last, so that scenes with a free base have the same random numbers as without the check.
         scene = planar_scene(robot, f"clutter-{number}", discs, ends[0], ends[1])
         world = World.of_scene(robot, scene, PlanOptions())
         try:
@@ -87,7 +88,7 @@ def random_scene(robot: Robot, seed: int, number: int) -> PlanarScene:
 
 
 def discs_in_plane(robot: Robot, discs: FloatArray) -> list[Sphere]:
-    """Balls from (k, 3) rows: centre in the arm plane at yaw 0, and radius [m]."""
+    """Balls from (k, 3) discs: centre in the arm plane at yaw 0, and radius [m]."""
     centres = robot.plane_origin + discs[:, :2] @ robot.plane_axes
     return [
         Sphere(name=f"disc {i}", center=(float(x), float(y), float(z)), radius=float(radius))
@@ -108,7 +109,7 @@ def planar_scene(robot: Robot, name: str, discs: list[Sphere], start: FloatArray
 
 
 def _clutter(asked: Asked, number: int) -> Row:
-    """Both searches, the motion, and what else becomes of the grid path."""
+    """Results of both searches, the motion, and other post-processing."""
     robot = asked.arm()
     drawn = random_scene(robot, asked.seed, number)
     fast_runs = [timed(lambda: two_level_search(drawn.space, drawn.start, drawn.goal)) for _ in range(3)]

@@ -20,13 +20,14 @@ from hplan.robot.planar_family import PlanarArm
 
 
 def joint_grid(arm: PlanarArm, step: float | FloatArray) -> Grid:
-    """Grid over the joint range of the planar joints.
+    """Grid over the ranges of the planar joints.
 
     Args:
-        step: Largest spacing [rad], one number or one for each joint.
+        arm: The arm.
+        step: Maximum spacing [rad], one number or one for each joint.
 
     Raises:
-        OptionError: A step that is not positive, or too small.
+        OptionError: `step` is not positive, or too small.
     """
     return Grid.over(arm.lower, arm.upper, step)
 
@@ -63,7 +64,7 @@ class RoundedPolygon:
     """The hull of `vertices` grown by `radius`: a planar convex set.
 
     Attributes:
-        vertices: (k, 2) points [m], counter-clockwise where there are three or more.
+        vertices: (k, 2) points [m], counter-clockwise for three or more.
         radius: Rounding [m].
     """
 

@@ -1,4 +1,4 @@
-"""The reference scene: its stages, searches, C-space and motions beside those of peers."""
+"""The reference scene: stages, searches, C-space and motions, compared with peers."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def _searches(robot: Robot, scene: Scene) -> list[Row]:
 
 
 def _cspace(robot: Robot, scene: Scene) -> list[Row]:
-    """The analytic C-space beside coal's sampling of the same grid."""
+    """The analytic C-space compared with coal's sampling of the same grid."""
     ours, ms = space_of(robot, scene), median_ms(lambda: space_of(robot, scene), 3 * REPETITIONS)
     checker = CoalScene(robot, scene.solids)
     theirs, coal_ms = timed(lambda: sampled_occupancy(checker, ours.grid))
@@ -126,7 +126,7 @@ def _stages(robot: Robot, scene: Scene) -> list[Row]:
 
 
 def _motions(robot: Robot, scene: Scene) -> list[Row]:
-    """The motions of hplan, and what else becomes of the grid path; each looked at every millisecond."""
+    """Motions by hplan and other post-processing, checked every millisecond."""
     result, field = plan(robot, scene), world_of(robot, scene).field
     grid = result.grid_path
     taut = quickest_polyline(robot, grid, field)
@@ -153,7 +153,10 @@ def _motions(robot: Robot, scene: Scene) -> list[Row]:
 
 
 def _planners(asked: Asked, robot: Robot, scene: Scene) -> list[Row]:
-    """OMPL's planners, each several times, where one is asked for: their paths through toppra and through hplan."""
+    """OMPL's planners, each several times: their paths through toppra and through hplan.
+
+    Only if a peer is selected.
+    """
     if asked.peer is None:
         return []
     seed_ompl(asked.seed + 1)

@@ -29,10 +29,10 @@ from hplan.scene.obstacles import Box, Capsule, Cylinder, Obstacle, Sphere
 with extra("bench", "a peer needs roboplan"):
     from roboplan import core, rrt, toppra
 
-#: What obstacles are part of, and their colour.
+#: Parent frame of the obstacles, and their colour.
 _WORLD, _COLOR = "universe", np.ones(4)
 
-#: Group of all joints; most nodes of a tree, and seconds for it; steps between rows of a trajectory [s].
+#: Group of all joints; maximum number of nodes of a tree, and its time [s]; sampling period of a trajectory [s].
 _GROUP, _NODES, _PATIENCE_S, _STEP_S = "arm", 20_000, 10.0, 0.005
 
 
@@ -85,7 +85,7 @@ class RoboplanArm:
         return [name, *(part for ball in balls for part in self._place(ball))]
 
     def motion(self, start: FloatArray, goal: FloatArray) -> TimedMotion | None:
-        """RRT-Connect, shortcuts and TOPP-RA between two (dof,) configurations; None where it finds none."""
+        """RRT-Connect, shortcuts and TOPP-RA between two (dof,) configurations, or None."""
         try:
             shortcutter = core.PathShortcutter(self._scene, core.PathShortcuttingOptions(_GROUP, seed=self._seed))
             return self._timed(shortcutter.shortcut(self._path(start, goal)))
@@ -105,7 +105,7 @@ class RoboplanArm:
 
 
 def _motion(trajectory: Any) -> TimedMotion:
-    """Its rows with cubics between them."""
+    """Its samples with cubics between them."""
     from scipy.interpolate import CubicHermiteSpline
 
     spline = CubicHermiteSpline(trajectory.times, trajectory.positions, trajectory.velocities)

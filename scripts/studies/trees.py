@@ -1,9 +1,9 @@
-"""Motions among trees: from the tucked home pose to each fruit, from each fruit to the next, and picking tours.
+"""Motions among trees: home to fruit, fruit to fruit, picking tours.
 
-Measured trees, one at a time, stand in front of the base at several distances. Fruit hangs at the tips of their
-branches, at those within the arm's reach first. The orchards that ship with hplan are there as they are. A fruit is a
-goal where some grasp of it is clear and has a straight approach of `STANDOFF`; the motion ends where the approach
-begins, in the configuration that promises the shortest motion from home. All fruits are obstacles.
+Measured trees, one at a time, are in front of the base at several distances. Fruit hangs at the tips of their branches,
+at the tips within the arm's reach first. The shipped orchards are included unchanged. A fruit is a goal if it has a
+clear grasp with a straight approach of `STANDOFF`; the motion ends at the start of the approach, in the configuration
+with the shortest expected motion from home. All fruits are obstacles.
 """
 
 from __future__ import annotations
@@ -34,14 +34,14 @@ from hplan.scene.model import Fruit, Goal, Scene, Start
 from hplan.scene.orchard import SHIPPED, TUCKED_DEG, fruit_at_tips, import_capsules
 from hplan.tour.tour import plan_tour
 
-#: Where the trunk of a measured tree stands in front of the base [m].
+#: Distances of a measured tree's trunk in front of the base [m].
 DISTANCES = (1.4, 1.0, 1.8)
 
 #: Fruits on each measured tree, their radius, and the length of the straight approach to one [m].
 FRUITS, RADIUS, STANDOFF = 20, 0.04, 0.1
 
-#: Configurations at a fruit that are looked at, about; the clearance of a grasp and of its stand-off, half of it all
-#: along the approach [m].
+#: Approximate number of configurations per fruit; clearance of a grasp and of its stand-off, half of it along the
+#: approach [m].
 GRASPS, SPARE = 64, 1e-3
 
 
@@ -50,8 +50,8 @@ class Orchard:
     """Trees with fruit.
 
     Attributes:
-        name: Which it is.
-        group: What it is counted with.
+        name: Its name.
+        group: Its group in the summary.
         scene: Trees, fruit, and the home pose as its start.
     """
 
@@ -91,10 +91,11 @@ def measured_orchards(robot: Robot, folder: Path) -> list[Orchard]:
     """Measured trees, one at a time, at each of the distances.
 
     Args:
-        folder: Where the trees are, a CSV of capsules each.
+        robot: The arm.
+        folder: Folder of the trees, a CSV of capsules each.
 
     Raises:
-        InputError: A file that is not in order, or a tree with too little room for its fruit.
+        InputError: A file is invalid, or a tree has too little room for its fruit.
     """
     return [measured_orchard(robot, file, distance) for distance in DISTANCES for file in sorted(folder.glob("*.csv"))]
 
@@ -104,7 +105,7 @@ def measured_orchard(robot: Robot, file: Path, distance: float) -> Orchard:
     wood = import_capsules(file, position=(distance, 0.0, 0.0))
     branches = sum(piece.name.split()[0] != "trunk" for piece in wood)
     try:
-        # One at each tip; more, behind the tips, only where there are few.
+        # One at each tip; additional ones, behind the tips, only if there are few tips.
         hung = fruit_at_tips(wood, max(FRUITS, branches), RADIUS)
     except OptionError as error:
         raise InputError(f"{file}: {error.message}", path=str(file)) from error
@@ -124,7 +125,7 @@ def _is_within_reach(robot: Robot, fruit: Fruit) -> bool:
 
 
 def crop_of(robot: Robot, orchard: Orchard) -> tuple[dict[str, FloatArray], Counter[str]]:
-    """Where the approach to each fruit begins that can be taken, and how many cannot, by the reason."""
+    """Start of the approach to each reachable fruit, and counts of failures by reason."""
     scene, home = orchard.scene, orchard.scene.start.configuration
     goals: dict[str, FloatArray] = {}
     without: Counter[str] = Counter()
@@ -149,7 +150,10 @@ def motions_in(robot: Robot, orchard: Orchard) -> list[TreeProblem]:
 
 
 def _standoff(robot: Robot, scene: Scene, fruit: Fruit, home: FloatArray) -> FloatArray | str:
-    """Where the approach to a fruit begins, or why there is none; the last link alone may touch the fruit."""
+    """Start of the approach to a fruit, or the reason without one.
+
+    The last link alone may touch the fruit.
+    """
     world = ClearanceField.of(robot, scene.solids_with_goal, clearance=scene.clearance)
     touching = world.sparing(np.array([solid.name == fruit.name for solid in scene.solids_with_goal]))
     try:
@@ -169,7 +173,7 @@ def _standoff(robot: Robot, scene: Scene, fruit: Fruit, home: FloatArray) -> Flo
 
 
 def orchards_of(asked: Asked) -> list[Orchard]:
-    """Measured trees where a folder of them is given, and the orchards that ship with hplan for the arm."""
+    """Measured trees, if their folder is given, and the shipped orchards for the arm."""
     robot = asked.arm()
     return [*(() if asked.trees is None else measured_orchards(robot, asked.trees)), *shipped_orchards(robot)]
 

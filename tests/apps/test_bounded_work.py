@@ -1,4 +1,4 @@
-"""`certify` answers on any finite numbers, in time and memory proportional to the rows."""
+"""`certify` accepts any finite numbers, with time and memory linear in the samples."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def motion(robot, scene):
 
 @pytest.fixture(autouse=True)
 def quiet():
-    """No warning from NumPy, whatever overflows."""
+    """Silence NumPy's warnings about overflow."""
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         yield
@@ -87,7 +87,7 @@ def test_rows_hardly_apart(robot, scene, motion, gap):
 
 
 def test_a_budget_that_is_used_up_is_said(robot, scene, monkeypatch):
-    """A motion that stays 0.1 mm beside an obstacle, to be looked at every 50 um of its way."""
+    """A motion 0.1 mm from an obstacle, with distance queries every 50 um."""
     distance = 2.2 + 0.03 + 0.05 + 1e-4
     wall = [
         Sphere(name=f"bead {k}", center=(distance * np.cos(a), 0.0, 0.6 + distance * np.sin(a)), radius=0.05)
@@ -110,11 +110,11 @@ def test_a_budget_that_is_used_up_is_said(robot, scene, monkeypatch):
     assert whole.checks > 60
     at = float(certificate.violations[0].split()[5])
     assert 0.0 < at < 1.0
-    assert certificate.min_clearance_m == pytest.approx(1e-4, abs=1e-5)  # the smallest distance found, all the same
+    assert certificate.min_clearance_m == pytest.approx(1e-4, abs=1e-5)  # the minimum distance found, all the same
 
 
 def test_time_grows_with_the_rows(robot, scene, motion):
-    """A hundred times to and fro: 90,000 rows."""
+    """A hundred times back and forth: 90,000 samples."""
     there = [motion, motion.reversed] * 100
     long = hplan.trajectory.trajectory.joined(there)
     certificate = certified_as_required(robot, scene, long, check_ends=False)

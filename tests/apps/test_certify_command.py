@@ -1,4 +1,4 @@
-"""`hplan certify`, and `hplan time --scene`: exit statuses, what is compared, what is said, and files."""
+"""`hplan certify` and `hplan time --scene`: exit statuses, comparisons, messages, files."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def job(done, tmp_path) -> Path:
 
 
 def said(capsys, *arguments):
-    """Exit status and what is printed as JSON."""
+    """Exit status and the printed JSON."""
     status = cli.main(["certify", *map(str, arguments), "--json"])
     return status, json.loads(capsys.readouterr().out)
 
@@ -61,7 +61,7 @@ def test_a_trajectory_by_itself(done, capsys):
 
 
 def test_a_risk(tmp_path, capsys):
-    """A plan at risk is certified again as its folder says it was, by a stricter risk it is not."""
+    """A plan with a risk is certified again with it, but not with a smaller risk."""
     scene, folder = tmp_path / "vague.yaml", tmp_path / "out"
     sure = load_scene()
     ball = sure.obstacles[0].model_copy(update={"covariance": ((4e-4, 0.0, 0.0), (0.0, 1e-4, 0.0), (0.0, 0.0, 1e-4))})
@@ -78,7 +78,7 @@ def test_a_risk(tmp_path, capsys):
 
 
 def test_a_trajectory_that_was_changed_a_little(job, capsys):
-    """Still within limits and clear: but not what the report is about."""
+    """The motion is within limits and clear, but differs from the report's."""
     motion = read_csv(job / "trajectory.csv")
     torque = np.array(motion.torque)
     torque[5, 1] += 1e-9
@@ -160,7 +160,7 @@ def test_a_path_becomes_a_job(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert report["given"]["waypoints"] == 4
     assert read_csv(out / "trajectory.csv").position[[0, -1]] == pytest.approx(np.array(rows)[[0, -1]], abs=1e-7)
     assert load_scene(out / "scene.yaml").goal.joints() == pytest.approx(rows[-1])
-    # What was written is certified again as it stands.
+    # The written files are certified again unchanged.
     assert main(["certify", str(out), str(out / "scene.yaml")]) == 0
     assert main(["certify", str(out), "--quiet"]) == 0  # its report names the robot, and the scene is in the folder
     assert main(["view", str(out), "--no-serve", "--quiet"]) == 0

@@ -204,15 +204,15 @@ def test_options_out_of_range(run: Run, option: str, value: str, capsys: pytest.
 def fails(
     run: Run, done: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> Callable[..., tuple[dict[str, Any], str]]:
-    """Run a job that must fail in a folder with an earlier job's files; returns the error's facts and the message.
+    """Run a job that must fail; returns the error's facts and message.
 
-    What cannot be read changes no file; a plan that fails leaves its report alone.
+    The folder has an earlier job's files. Unreadable input changes no file; a plan that fails leaves its report alone.
     """
     shown: list[hplan.HplanError] = []
     show = terminal.show_error
     monkeypatch.setattr(terminal, "show_error", lambda console, error: (shown.append(error), show(console, error)))
 
-    # Errors of what is read, before a job begins.
+    # Errors of the input, before a job begins.
     of_reading = {"InputError", "OptionError", "RobotFamilyError", "RobotFileError", "SceneError"}
 
     def job(status: int, *arguments: object, of_plan: bool = False) -> tuple[dict[str, Any], str]:
@@ -261,7 +261,7 @@ def test_arm_too_weak_to_hold_itself(fails: Fails, tmp_path: Path) -> None:
 
 
 def test_motion_that_cannot_be_certified(fails: Fails, scene_file: SceneFile) -> None:
-    """A thin plate that the nodes of a coarse grid step over; the motion between them cannot."""
+    """A thin plate between the nodes of a coarse grid, which the motion hits."""
     out = math.radians(30)
     plate = {
         "name": "plate",
@@ -364,7 +364,7 @@ def member(folder: Path, links: int, has_yaw: bool) -> Path:
 def test_a_grid_too_large_for_memory_is_no_fault(
     scene_file: SceneFile, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Nine links: trees find what no grid can hold; where a grid is insisted on, it is said that none fits."""
+    """With nine links trees find a path, and a required grid is refused as too large."""
     scene = scene_file(
         start={"joints_rad": [0.1] * 9}, goal={"joints_rad": [0.2] * 9}, obstacles=None, locked_joints=None
     )

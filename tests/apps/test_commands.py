@@ -1,4 +1,4 @@
-"""What holds for every subcommand of `hplan`: help, version, terminals, signals, shipped scenes by name."""
+"""Properties of every subcommand of `hplan`: help, version, terminals, signals, shipped scenes."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ SCRIPTS = {
 HEAVY = ("numpy", "matplotlib", "meshcat", "numba", "pinocchio", "coal", "pydantic", "rich", "scipy", "toppra",
     "trimesh", "yaml", "yourdfpy")  # fmt: skip
 
-#: Arguments of each command that end well, in a folder with a job in `job`, and those that name something missing.
+#: Valid arguments of each command, in a folder with a job in `job`, and arguments that name a missing file.
 GOOD = {
     "plan": ["plan", "--out", "new"],
     "tour": ["tour", "--out", "new", "--fruits", "fruit 01"],
@@ -58,7 +58,7 @@ MISSING = {
 }
 #: The report of each command that leaves one after a signal.
 REPORTS = {"plan": "report.json", "tour": "tour.json", "row": "row.json", "study": "study.json"}
-#: Where the work of each command is done.
+#: Functions that do the work of each command.
 INSIDE = {
     "plan": ("hplan.planning.plan", "plan"),
     "tour": ("hplan.tour.tour", "plan_tour"),
@@ -179,7 +179,7 @@ def test_a_signal_ends_a_command_and_leaves_its_report_alone(
     before = {path: path.read_bytes() for path in work.rglob("*") if path.is_file()}
     monkeypatch.chdir(work)
     monkeypatch.setattr(".".join(INSIDE[command]), lambda *_, **__: (signal.raise_signal(number), time.sleep(60)))
-    # Started in the background, or under nohup, a process is told to ignore them.
+    # In the background, or under nohup, a process ignores them.
     kept = {each: signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM)}
     signal.signal(signal.SIGINT, signal.default_int_handler)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)

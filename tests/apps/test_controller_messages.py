@@ -1,4 +1,4 @@
-"""What a ROS 2 controller makes of messages: the curve that it runs, when it begins, and what it refuses."""
+"""Messages as a ROS 2 controller reads them: curve, start time, refusals."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def warm(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(scope="module")
 def swing(robot: Robot) -> PlanResult:
-    """A motion that begins at 100 s on the controller's clock."""
+    """A motion that starts at 100 s on the controller's clock."""
     return planner_of(robot).plan(begins_s=100.0)
 
 
@@ -50,7 +50,7 @@ def planner_of(robot: Robot) -> hplan.Planner:
 
 
 def sparse(robot: Robot, apart_s: float, fields: int) -> tuple[dict[str, Any], Trajectory]:
-    """Rows of a stranger: with accelerations, the curve between them swings out to one side."""
+    """Foreign samples: with accelerations, the curve between them bends to one side."""
     points = []
     for k, push in enumerate((-0.75, 0.0, 0.75)):
         rows = np.array([A, np.zeros(4), np.zeros(4)])
@@ -88,7 +88,7 @@ def test_points_with_different_fields_are_refused(robot: Robot) -> None:
 
 @pytest.mark.parametrize("apart_s", [1.0, 0.5])
 def test_the_curve_that_the_controller_runs_is_judged(robot: Robot, apart_s: float) -> None:
-    """The cubic is clear of a ball; the quintic through the same rows is not."""
+    """The cubic is clear of a ball; the quintic through the same samples is not."""
     _, motion = sparse(robot, apart_s, 3)
     rows = np.stack([motion.position, motion.velocity, motion.acceleration], axis=1)
     true = BPoly.from_derivatives(motion.time, rows)(np.linspace(0.0, motion.duration, 400))
@@ -148,7 +148,7 @@ def test_a_controller_runs_what_was_certified(robot: Robot, swing: PlanResult) -
 
 
 def handed_out(robot: Robot, now: float) -> dict[str, tuple[Trajectory, float]]:
-    """Motions that take over from one that runs, and when their first rows are."""
+    """Motions that take over from a running one, with the times of their first samples."""
     planner = planner_of(robot)
     running = planner.plan(begins_s=100.0)
     since = now + 0.05 - 100.0
@@ -253,7 +253,7 @@ class Future:
 
 
 class Ros:
-    """Stand-ins for what the node takes from ROS; `spin` is what happens when the node spins."""
+    """Replacements for ROS functions; `spin` runs when the node spins."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, spin: Callable[[Ros], None]) -> None:
         self.calls: dict[str, Any] = {}

@@ -1,4 +1,4 @@
-"""Signals at chosen and at random instants of commands: the report is there, and nothing of others is lost."""
+"""Signals at chosen and random instants of commands: reports stay, no files are lost."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def test_a_signal_at_a_random_instant(number: int) -> None:
 
 
 def test_an_earlier_job_that_is_read_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The command's input stands in the folder that it writes into."""
+    """The command's input is in its output folder."""
     words = ["plan", "--effort", "quick", "--quiet", "--out", str(tmp_path)]
     assert main(words) == 0
     before = (tmp_path / "trajectory.csv").read_bytes()
@@ -88,12 +88,12 @@ def test_an_earlier_job_that_is_read_stays(tmp_path: Path, monkeypatch: pytest.M
     assert json.loads((tmp_path / "report.json").read_text())["status"] == "interrupted"
 
 
-# Where a signal is raised
+# Places of the signal
 
 
 @pytest.fixture(autouse=True)
 def usual_handlers() -> object:
-    """As a program has them, which one that runs in the background has not."""
+    """The signal handlers of a foreground program."""
     kept = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
     signal.signal(signal.SIGINT, signal.default_int_handler)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)

@@ -1,4 +1,4 @@
-"""A job's files stand together or not at all, and what the terminal cannot take changes nothing of that."""
+"""A job's files are written together or not at all, on any terminal."""
 
 from __future__ import annotations
 
@@ -116,7 +116,7 @@ runpy.run_path(sys.argv[0], run_name="__main__")
 
 
 def test_a_signal_between_trajectory_and_report_leaves_the_report_alone(done: Path, tmp_path: Path) -> None:
-    """Of a terminal that is closed, as an interrupt would; the exit status is what shells give."""
+    """A hangup acts like an interrupt; the exit status is the shell's."""
     out = shutil.copytree(done, tmp_path / "out")
     code = AT_THE_REPORT.format(number=int(signal.SIGHUP))
     command = [sys.executable, "-c", code, SCRIPTS["plan_and_time"][1], "--effort", "quick", "--out", out]
@@ -175,7 +175,7 @@ def test_what_cannot_be_understood_or_read_changes_no_file(
 
 @pytest.mark.parametrize("later", ["report.json", "tour.json"])
 def test_a_failed_job_takes_its_own_files_alone(later: str, done: Path, tmp_path: Path) -> None:
-    """Those of the job before it, where that was a plan too; a tour's, or the user's, stay."""
+    """It removes an earlier plan's files, but keeps a tour's and the user's."""
     (tmp_path / "scene.yaml").write_text(SCENE.replace("1.0, 0.0, 1.9", "1.0, 0.0, 0.6"), encoding="utf-8")
     out = shutil.copytree(done, tmp_path / "out")
     for name in ("motion.mcap", "tour.csv", "tour-1-mine.csv", "scene.yaml", "a.csv"):
@@ -192,7 +192,7 @@ def test_a_failed_job_takes_its_own_files_alone(later: str, done: Path, tmp_path
 
 
 def test_a_cloud_that_the_scene_names_stays(tmp_path: Path) -> None:
-    """It stands in the folder of the job, under a name that hplan writes itself."""
+    """It is in the job's folder, under a name that hplan itself writes."""
     scene = hplan.load_scene()
     cloud = PointCloud.of("cloud", [[0.9, 0.0, 2.5]], 0.01)
     hplan.save_scene(scene.model_copy(update={"obstacles": (cloud,)}), tmp_path / "scene.yaml")
@@ -283,7 +283,7 @@ def test_a_name_that_the_terminal_cannot_show(tmp_path: Path) -> None:
 
 
 def test_a_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    """What is written at first fits, the page does not."""
+    """The first files fit, the page does not."""
     assert main(["--out", str(tmp_path), "--quiet"]) == 0
     make: Callable[..., int] = os.open
     made: list[object] = []
@@ -303,7 +303,7 @@ def test_a_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: py
 
 @pytest.mark.parametrize("name", ["hplan", "time_waypoints"])
 def test_commands_run_nothing_of_the_working_directory(name: str, tmp_path: Path) -> None:
-    """But for `python -m`, which looks there by itself unless told not to."""
+    """Except `python -m`, which searches there by default."""
     for module in ("yaml", "rich", "numpy"):
         (tmp_path / f"{module}.py").write_text("raise SystemExit('a module of the working directory was run')")
     command = [part if part != "-m" else "-Pm" for part in SCRIPTS[name]]

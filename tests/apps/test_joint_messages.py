@@ -31,10 +31,10 @@ def definitions() -> Any:
 
 @pytest.fixture
 def swing(robot: Robot) -> Trajectory:
-    """A motion of three rows, each number of which is another."""
+    """A motion of three samples with distinct numbers."""
     numbers = iter(range(100))
     rows = [[[next(numbers) / 7.0 for _ in range(4)] for _ in range(3)] for _ in range(4)]
-    rows[1][0] = [0.0] * 4  # it begins at rest, as what is sent without a stamp
+    rows[1][0] = [0.0] * 4  # it begins at rest, like a message without a stamp
     return Trajectory(robot.joint_names, [0.0, 0.999999999, 2.0], *rows, interpolation="quintic")
 
 

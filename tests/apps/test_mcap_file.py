@@ -231,7 +231,7 @@ def test_nearest_points_of_a_cloud(picked: PlanResult) -> None:
 
 
 def test_obstacles_that_move(picked: PlanResult, tmp_path: Path) -> None:
-    """In frames of their own; where they are, and their nearest points, by the scene as it stands at each time."""
+    """Moving obstacles have frames of their own, with nearest points at each time."""
     times, up = (0.0, 0.5, 1.5), (0.0, 0.0, 0.6)
     turns = ((0.0, 0.0, 0.0), (0.0, 0.0, 40.0), (0.0, 30.0, 40.0))
     gate = {"rpy_deg": turns, "about": (1.0, -1.0, 1.0), "shifts_m": ((0.0, 0.0, 0.0), up, (0.1, 0.0, 0.6))}
@@ -281,7 +281,7 @@ def test_a_tour(robot: Robot, tmp_path: Path) -> None:
 
 
 def test_a_run_of_a_motion_its_stop_and_what_follows(picked: PlanResult, tmp_path: Path) -> None:
-    """Each runs up to where the next takes over: the stop where it leaves the plan, the second plan by its clock."""
+    """Each is recorded up to the start of the next on its clock."""
     stop = picked.stop_at(0.2)
     later = replace(picked, begins_s=1.5)
     found = Recorded(write_mcap([picked, stop, later], tmp_path / "run.mcap", rate_hz=1e4, stamp_s=1.0))
@@ -332,7 +332,7 @@ def test_of_plans_and_of_tours(tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert "motion.mcap" in capsys.readouterr().out
     assert {file.name for file in tmp_path.iterdir()} == {*files, "motion.mcap"}
     assert "/joint_trajectory" in topics(tmp_path / "motion.mcap")
-    # An earlier job's file does not stand beside this one's report.
+    # An earlier job's file must not remain with this one's report.
     assert main(["plan", "--effort", "quick", "--quiet", "--out", folder]) == 0
     assert {file.name for file in tmp_path.iterdir()} == set(files)
     assert main(["tour", "--fruits", "fruit 01", "--grasps", "1", "--mcap", "--quiet", "--out", folder]) == 0

@@ -1,4 +1,4 @@
-"""The panel of a motion's page: certificate, time line, charts; what a person does with it."""
+"""The panel of a motion's page: certificate, time line, charts, user actions."""
 
 from __future__ import annotations
 
@@ -205,7 +205,7 @@ document.title = JSON.stringify(seen);
 
 
 def tried(page: str, acts: str, folder: Path) -> dict[str, Any]:
-    """What is seen of a page after some acts, in a window 500 px wide, the least that there is."""
+    """State of a page after some actions, in a window of minimum width (500 px)."""
     run = browse(page.replace("</body>", f"{acts}</body>"), folder, "--dump-dom", (500, 844))
     found = re.search(r"<title>(\{.*?\})</title>", run.stdout)
     assert found is not None, run.stderr[-2000:]

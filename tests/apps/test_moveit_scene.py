@@ -1,4 +1,4 @@
-"""Scene files of MoveIt, of both kinds, against the numbers that stand in them."""
+"""Scene files of MoveIt, of both kinds, against the numbers in them."""
 
 from __future__ import annotations
 

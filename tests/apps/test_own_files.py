@@ -1,4 +1,4 @@
-"""What hplan did not write, or what was changed since, is not replaced without `--force`."""
+"""Foreign or changed files are not replaced without `--force`."""
 
 from __future__ import annotations
 

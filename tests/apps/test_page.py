@@ -1,4 +1,4 @@
-"""Pages of motions: the arm, obstacles and fruit are where they are, whatever they are called; robots of any kind."""
+"""Pages of motions: positions of arm, obstacles and fruit, names, kinds of robots."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Planning scenes of MoveIt as messages, in the words of ROS and in those of benchmarks."""
+"""Planning scenes of MoveIt as messages, with field names of ROS and of benchmarks."""
 
 from __future__ import annotations
 
@@ -237,7 +237,7 @@ def allowed(one: str, other: str) -> dict[str, Any]:
     return {"entry_names": names, "entry_values": [{"enabled": row} for row in rows]}
 
 
-#: Parts that would change which motions are allowed: the part, what holds it, the key, and what is said.
+#: Parts that would change which motions are allowed: the part, its container, the key, and the message.
 PARTS: list[tuple[str, dict[str, Any], str, str]] = [
     ("attached_collision_objects", {"robot_state": held("pole")}, "robot_state.", "'pole' is attached to link 'tool0'"),
     ("link_padding", {"link_padding": [{"link_name": "wrist", "padding": 0.05}]}, "link_padding", "0.05 m or more"),

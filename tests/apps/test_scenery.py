@@ -117,7 +117,7 @@ def test_of_a_tour_the_tool_holds_one_fruit_until_it_lets_it_go(robot: Robot) ->
     commands = stage(robot, scene, Playback(trajectory, picked=times, dropped={"ripe": 2.0, "green": 3.8}))
     held = tracks(commands)["/hplan/picked/fruit ripe"][".visible"]
     assert [seen_at(held, time) for time in (0.5, 1.5, 2.5)] == [False, True, False]
-    # None of several fruits is the one to pick, and no one pose is the goal's.
+    # With several fruits none is the one to pick, and the goal has no single pose.
     assert len(objects(commands)["/hplan/fruits/fruit ripe"]["object"]["children"]) == 1
     assert not any("pose" in path for path in objects(commands))
 
@@ -134,7 +134,7 @@ def test_a_cylinder_lies_where_it_is() -> None:
     np.testing.assert_allclose(matrix[:3, 3], can.center, atol=1e-6)
 
 
-# What moves.
+# Moving obstacles
 
 TURNING = Track(
     times_s=(0.0, 1.0, 3.0),
@@ -158,7 +158,7 @@ def test_what_has_a_track_is_where_the_scene_has_it(robot: Robot, creeping: bool
     paths = objects(commands)
     assert f"{nodes['cart']}/box cart" in paths
     assert f"{nodes['cart']}/Wood" in paths
-    # The rest stands still, or moves with the base alone.
+    # The others are static, or move with the base alone.
     rest = nodes[CAPSULES[1].name] if creeping else "/hplan/obstacles"
     assert f"{rest}/Wood" in paths
     clips = {

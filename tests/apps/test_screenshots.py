@@ -1,7 +1,7 @@
-"""The three main pages as a browser draws them, on a desk and on a phone, beside the pictures kept of them.
+"""The three main pages in a browser, on desktop and phone, against stored pictures.
 
-Where a page was meant to change, its new picture is in the folder that the failure names: look at it, and put it beside
-this file, in `screenshots`.
+If a page was changed on purpose, its new picture is in the folder that the failure names: look at it, and copy it to
+`screenshots`.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ DESK, PHONE = (1280, 860), (390, 844)
 #: Pixels that are compared as one: letters of another font, and edges of another renderer, are less than that.
 BLOCK = 20
 
-#: By how much of 255 a block may differ, and what share of them by more.
+#: Maximum difference of a block, of 255, and the maximum fraction of blocks that differ by more.
 DIFFERENT, SHARE = 24.0, 0.005
 
 STILL = "<script>player.pause(); player.seek(0.5 * motion.duration);</script>"
@@ -54,7 +54,7 @@ def cspace_page() -> str:
 
 
 def taken(page: str, size: tuple[int, int], folder: Path, name: str) -> Image.Image:
-    """A page as Chromium draws it; a window narrower than 500 pixels is a frame within one that it can have."""
+    """A page as drawn by Chromium; narrow windows are frames in a wider one."""
     (folder / "inner.html").write_text(page, encoding="utf-8")
     html = f'<body style="margin:0"><iframe src="inner.html" style="border:0;width:{size[0]}px;height:{size[1]}px">'
     picture = folder / f"{name}.png"

@@ -1,4 +1,4 @@
-"""Motions executed in MuJoCo, by machines that are others than their controller believes too."""
+"""Motions executed in MuJoCo, also by machines that differ from the controller's model."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def off_deg(result: Execution) -> float:
 @needs_mujoco
 @pytest.mark.parametrize("yields", [0.0, 0.02])
 def test_what_gives_way_is_pushed_and_not_touched(yields: float) -> None:
-    """A ball half-way of the hand's tip, 12 mm deep in its way; to the upper arm all is firm."""
+    """A ball in the path of the hand's tip, 12 mm deep; rigid to the upper arm."""
     robot = load_robot()
     start, goal = (0.0, 0.5, 0.4, 0.2), (0.6, 0.5, 0.4, 0.2)
     middle = np.array([0.3, 0.5, 0.4, 0.2])
@@ -107,12 +107,12 @@ def test_the_exported_reference_plan(robot: Robot, scene: Scene, planned: PlanRe
     assert not result.position.flags.writeable
 
 
-# What is wrong is caught
+# Faults are detected
 
 
 @needs_mujoco
 def test_a_motion_that_only_grazes(robot: Robot) -> None:
-    """The tip passes a small ball that reaches 2 mm into its way, or stays 2 mm clear of it."""
+    """The tip grazes a small ball by 2 mm, or misses it by 2 mm."""
     arm = robot.arm
     tip = robot.tool_positions(np.radians([0.0, 30.0, 0.0, 0.0]))
     outward = (tip - robot.plane_origin) / np.linalg.norm(tip - robot.plane_origin)
@@ -270,7 +270,7 @@ def around_a_post(robot: Robot) -> PlanResult:
 
 @needs_mujoco
 def test_a_late_command_is_a_lag_of_as_long(robot: Robot, around_a_post: PlanResult) -> None:
-    """Every joint is behind by its velocity times the delay, and so within a model of that delay alone."""
+    """Every joint lags by its velocity times the delay, within that model."""
     delay = 5e-3
     late = execute(
         robot,
@@ -305,7 +305,7 @@ def test_other_masses_sag_and_a_stiffer_controller_sags_less(
 @needs_mujoco
 @pytest.mark.parametrize("factor", [0.8, 1.2])
 def test_nothing_is_touched_within_the_model(robot: Robot, factor: float) -> None:
-    """Between two twigs to a fruit: planned with the model, run late by a machine of other masses."""
+    """Between two twigs to a fruit: planned with the model, run late with other masses."""
     scene = between_twigs()
     options = PlanOptions(tracking_error=MODEL.still_rad, tracking_delay_s=MODEL.delay_s)
     result = execute(robot, scene, plan(robot, scene, options).trajectory, Plant(factor, 1e-3, STIFF, decoupled=True))

@@ -1,4 +1,4 @@
-"""`hplan view`: the page of a job anew, byte for byte; what it refuses; what it serves."""
+"""`hplan view`: the page of a job, byte for byte; refusals; the served pages."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The command `hplan warmup`, and how commands tell what they compile: what fails too, in lines of 80 columns."""
+"""The command `hplan warmup`, and progress messages of compilation, in 80 columns."""
 
 from __future__ import annotations
 

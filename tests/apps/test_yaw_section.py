@@ -80,7 +80,7 @@ def test_the_region_is_where_coal_finds_the_arm_in_collision(robot: Robot, secti
 
 def test_clearance_uncertainty_and_tracking_error_grow_the_region(robot: Robot, section: YawSection) -> None:
     grown = yaw_section(robot, scene(clearance=0.02), Playback(motion(robot)))
-    near = section.field < FAR - 0.02  # farther is not told apart
+    near = section.field < FAR - 0.02  # larger distances are clamped
     np.testing.assert_allclose(grown.field[near], section.field[near] - 0.02, atol=1e-9)
     assert near.any()
     assert (grown.field[~near] >= FAR - 0.04 - 1e-9).all()
@@ -132,6 +132,6 @@ def test_the_command_line_writes_the_view(tmp_path: Path) -> None:
     files = {"trajectory.csv", "report.json", "scene.html", "cspace.html", "cspace.png"}
     assert {path.name for path in tmp_path.iterdir()} == files
     assert "C-space at yaw 10.0°" in (tmp_path / "cspace.html").read_text(encoding="utf-8")
-    # What another job leaves is not taken for this one's; a yaw beyond the limits is told before any work.
+    # Files of another job do not count as this one's; a yaw beyond the limits is refused before any work.
     assert main(["--cspace-yaw", "200", "--out", str(tmp_path), "--quiet"]) == 2
     assert {path.name for path in tmp_path.iterdir()} == files

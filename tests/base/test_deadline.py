@@ -1,4 +1,4 @@
-"""Limits of time: what Python code and kernels see of them."""
+"""Time limits, in Python code and in kernels."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from hplan.base.deadline import NEVER, TimeIsUpError, check_deadline, current, i
 from hplan.base.kernels import kernel
 from hplan.errors import PlanCancelledError
 
-#: So long a kernel below would run that nothing stops [loops]: most of a minute.
+#: Number of loops of the kernel below if nothing stops it: most of a minute.
 LOOPS = 10**11
 
-#: Long for a kernel that is to come back at once; only a kernel that does not come back takes so long [s].
+#: Maximum duration of a kernel that must return at once; generous, since one that does not takes far longer [s].
 SOON = 5.0
 
 
@@ -150,13 +150,13 @@ def test_garbage_is_left_alone_until_the_last_thread_is_out() -> None:
     try:
         with time_limit(0.9):
             pass
-        assert not gc.isenabled()  # as the program wants it
+        assert not gc.isenabled()  # as set by the program
     finally:
         gc.enable()
 
 
 def test_garbage_of_calls_does_not_grow_old() -> None:
-    """What a call holds in a circle until it returns is gone with the next one, without a collection of everything."""
+    """Reference cycles of a call are collected by the next call, without a full collection."""
 
     class Held:
         pass

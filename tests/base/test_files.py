@@ -66,7 +66,7 @@ def test_failure_while_writing_leaves_the_old_file(tmp_path, monkeypatch, fault)
 
 @contextmanager
 def without_privileges():
-    """Root may write anywhere; inside, this process is nobody in particular."""
+    """Drop root's privileges inside the block: root may write anywhere."""
     if os.geteuid() != 0:
         yield
         return

@@ -1,4 +1,4 @@
-"""Kernels, and what is compiled of them on disk: whatever is the matter with it, programs run, and say so once."""
+"""Kernels and their cache on disk: with any defect programs run and warn once."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 def run(folder: Path, code: str = USE, **environment: str) -> tuple[str, str]:
-    """What a program says on its two outputs; it must succeed."""
+    """Standard output and error of a program, which must succeed."""
     inherited = {name: value for name, value in os.environ.items() if not name.startswith(("NUMBA", "XDG"))}
     done = subprocess.run(
         [sys.executable, "-P", "-c", code],
@@ -72,7 +72,7 @@ def run(folder: Path, code: str = USE, **environment: str) -> tuple[str, str]:
 
 @pytest.fixture(scope="module")
 def compiled(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Such a folder after its first run, all in it long ago."""
+    """A folder after its first run, with old file times."""
     folder = tmp_path_factory.mktemp("compiled")
     (folder / "kernels.py").write_text(KERNELS)
     os.utime(folder / "kernels.py", (1e9, 1e9))
@@ -84,7 +84,7 @@ def compiled(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def kept(compiled: Path, tmp_path: Path) -> Path:
-    """A copy of it that keeps times; the sources' change times, of now, are later than all of them."""
+    """A copy with the same times; the sources' change times are later."""
     return Path(shutil.copytree(compiled, tmp_path / "there"))
 
 
@@ -127,7 +127,10 @@ def twice(x):
 
 
 def test_a_kernel_that_is_not_tiny_is_compiled_once(folder: Path) -> None:
-    """What calls it has it by a name that is the same in every process; where its own file is lost it is made anew."""
+    """Its callers refer to it by a name that is the same in every process.
+
+    If its own file is lost, it is compiled again.
+    """
     (folder / "long.py").write_text(LONG)
     whole, values = "import long; print(long.twice(2.0) == 2.0 * long.long(2.0))", "import long; print(long.twice(2.0))"
     assert run(folder, whole) == ("True", "")
@@ -154,7 +157,7 @@ def test_processes_do_not_compile_the_same(folder: Path) -> None:
 
 
 def test_nowhere_to_keep_them(folder: Path) -> None:
-    (folder / "__pycache__").touch()  # a file where the folder should be stops root as well
+    (folder / "__pycache__").touch()  # a file instead of the folder stops root as well
     said, warned = run(folder, **NOWHERE)
     assert said == "False False 4.0 6.0"
     assert warned.count("KernelCacheWarning") == 1
@@ -179,7 +182,7 @@ def _slope(values: FloatArray) -> float:
 
 
 def test_no_damage_goes_unnoticed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Bits, ends and pieces of a file, and the file of another kernel, or for other types, under its name."""
+    """Changed bits, missing ends and pieces of a file, and other kernels' files."""
     monkeypatch.setattr(nb.config, "CACHE_DIR", str(tmp_path))
     compiled: Any = _slope
     ones, whole = np.ones(3), np.ones(3, dtype=np.int64)
@@ -212,7 +215,7 @@ from hplan.base import kernels as of_hplan
 of_hplan._SHIPPED = pathlib.Path("{}")
 """
 
-#: Notes what is compiled.
+#: Records the compilations.
 COUNTED = """
 from numba.core import event
 compiled = event.RecordingListener()
@@ -221,7 +224,7 @@ event.register("numba:compile", compiled)
 
 
 def test_kernels_that_came_with_the_package(folder: Path, tmp_path: Path) -> None:
-    """Compiled for many processors, read where nothing can be written; those of other versions are not used."""
+    """Compiled for many processors, read from read-only folders; other versions are ignored."""
     brought = tmp_path / "kernels"
     brought.mkdir()
     run(folder, USE, **kernels.portable_processor(), NUMBA_CACHE_DIR=str(tmp_path / "cache"))
@@ -304,7 +307,7 @@ for function in kernels():
 
 
 def test_what_a_kernel_takes_from_elsewhere_was_changed(folder: Path) -> None:
-    """The file of the kernels stays as it is; each takes another thing from the file that is changed."""
+    """The kernels' file is unchanged; each uses another part of the changed file."""
 
     def answers(text: str) -> dict[str, tuple[str, float]]:
         (folder / "read.py").write_text(text)
@@ -343,7 +346,7 @@ def test_what_a_kernel_takes_from_elsewhere_was_changed(folder: Path) -> None:
 
 
 def test_a_constant_changed_while_the_program_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nobody knows whether it is in the code that numba makes from then on, so that is not kept."""
+    """It may or may not be in the code that numba compiles later, so that is not cached."""
     monkeypatch.setattr(nb.config, "CACHE_DIR", str(tmp_path))
     assert _shifted(1) == 2
     assert len(list(tmp_path.rglob("*.nbc"))) == 1
@@ -369,7 +372,7 @@ def test_what_is_not_known_is_not_kept(tmp_path: Path, monkeypatch: pytest.Monke
 
 
 class Colour(enum.Enum):
-    """What numba knows and digests do not."""
+    """A type that numba knows and digests do not."""
 
     RED = 1
 
@@ -397,7 +400,7 @@ def test_no_room_to_keep_them(folder: Path) -> None:
 
 
 def test_an_installation_that_nobody_may_write_to(tmp_path: Path) -> None:
-    """The package as it is, on a machine without a home; what is asked of it takes few kernels."""
+    """The package without a writable home; the program uses few kernels."""
     site = tmp_path / "site"
     shutil.copytree(ROOT / "hplan", site / "hplan", ignore=shutil.ignore_patterns("__pycache__"))
     shutil.copytree(ROOT / "urdf", site / "urdf")
@@ -443,4 +446,4 @@ def _all_of_them(x: float, times: int) -> float:
 def test_a_constant_is_no_kind_of_its_own() -> None:
     assert _all_of_them(2.0, 5) == 32.0 + 8.0 + 4.0
     assert isinstance(_THREE, np.int64)
-    assert len(_power.overloads) <= 1  # 0 where the kernel that calls it comes from disk
+    assert len(_power.overloads) <= 1  # 0 if the calling kernel comes from disk

@@ -90,7 +90,7 @@ PATIENCE_S = 120.0
 
 
 def child_works(work: Callable[[], object]) -> bool:
-    """Whether a forked child gets through some work."""
+    """True if a forked child completes some work."""
     child = os.fork()
     if child == 0:
         try:
@@ -111,7 +111,7 @@ def child_works(work: Callable[[], object]) -> bool:
 
 @contextmanager
 def elsewhere(held: AbstractContextManager[object], seconds: float = PATIENCE_S) -> Iterator[None]:
-    """Another thread is inside something, so long or until the block ends."""
+    """Another thread holds a context, for a time or until the block ends."""
     inside, done = threading.Event(), threading.Event()
 
     def hold() -> None:
@@ -155,7 +155,7 @@ class _Slow:
 @pytest.mark.skipif(not hasattr(_Slow.__dict__["value"], "lock"), reason="cached properties have no locks any more")
 @pytest.mark.parametrize("is_frozen", [False, True])
 def test_while_another_thread_computes_a_cached_property(is_frozen: bool) -> None:
-    """Whether what is there is frozen for the collector or not, as it is once kernels are loaded ahead."""
+    """With or without objects frozen for the collector, as after loading kernels ahead."""
     if is_frozen:
         gc.freeze()
     with elsewhere(_Slow.__dict__["value"].lock):

@@ -1,4 +1,4 @@
-"""The certificate against dense sampling with coal at 0.1 ms, and against motions that are wrong by little."""
+"""The certificate against coal at 0.1 ms, and against slightly wrong motions."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ FINE = 1e-4
 
 
 def certify(*arguments, rest_to_rest=False, check_ends=False, **options):
-    """Many motions here run through at speed, and few from a scene's start to its goal."""
+    """Certify motions that need not begin and end at rest, or at start and goal."""
     return certificates.certify(*arguments, rest_to_rest=rest_to_rest, check_ends=check_ends, **options)
 
 
 def rows(robot, time, position, velocity, acceleration=None):
-    """A trajectory from its rows."""
+    """A trajectory from its samples."""
     position, velocity = np.asarray(position, dtype=float), np.asarray(velocity, dtype=float)
     acceleration = np.zeros_like(position) if acceleration is None else acceleration
     return Trajectory(robot.joint_names, np.asarray(time, dtype=float), position, velocity, acceleration, 0 * position)
 
 
 def interpolated(trajectory, step=FINE):
-    """The cubic Hermite curve through the rows, sampled every `step` seconds."""
+    """The cubic Hermite curve through the samples, evaluated every `step` seconds."""
     time = np.union1d(np.arange(0.0, trajectory.duration, step), trajectory.time)
     return on_cubics(trajectory, time)
 
@@ -83,12 +83,12 @@ def test_near_miss_is_verified_and_its_clearance_close(robot, scene):
         certificate = certify(robot, scene.with_obstacles([grazed_ball(-gap, 0.604)]), trajectory)
         assert certificate.verified, certificate.violations
         assert 0.3 * gap < certificate.min_clearance_m <= gap + 1e-9
-    # The scene's clearance is asked for.
+    # The scene's clearance is required.
     scene = scene.with_obstacles([grazed_ball(-0.01, 0.604)])
     assert certify(robot, scene.model_copy(update={"clearance": 0.0099}), trajectory).verified
     refused = certify(robot, scene.model_copy(update={"clearance": 0.0101}), trajectory)
     assert not refused.verified
-    assert refused.min_clearance_m == pytest.approx(0.0101, abs=2e-5)  # where the proof gave up
+    assert refused.min_clearance_m == pytest.approx(0.0101, abs=2e-5)  # the distance where the proof failed
 
 
 def test_contact_at_an_end_is_refused(robot, scene):
@@ -148,7 +148,7 @@ def test_random_motions_are_judged_as_dense_sampling_judges_them(robot, scene):
 
 
 def test_no_more_is_certified_than_what_is_left_when_the_motion_ends_before_the_next_look(robot, scene):
-    """The stretched arm turns straight towards a ball, as fast as can be bounded, and stops at some distance."""
+    """The stretched arm turns toward a ball at maximum speed, and stops before it."""
     ball = Sphere(name="far", center=(0.0, 2.0, 0.6), radius=0.05)
     world = scene.with_obstacles([ball])
     checker = CoalScene(robot, world.solids)
@@ -162,7 +162,10 @@ def test_no_more_is_certified_than_what_is_left_when_the_motion_ends_before_the_
 
 @pytest.mark.parametrize("links", ["capsule", "box", "urdf"])
 def test_no_point_of_a_link_travels_farther_than_its_bound(robot, scene, links):
-    """Points of the shapes along random lines; of capsules of the ends of their axes, about which they are balls."""
+    """Points of the shapes along random lines; for capsules the ends of their axes.
+
+    A capsule is two balls around them, and their hull.
+    """
     checker, rng = CoalScene(robot, scene.solids, links=links), np.random.default_rng(3)
     lines = np.linspace(0.0, 1.0, 4)[:, None] * 0.3 * rng.normal(size=(30, 1, 4))
     bezier = rng.uniform(robot.lower, robot.upper, (30, 1, 4)) + lines
@@ -261,7 +264,7 @@ def test_limits_are_exact_for_random_rows(robot, scene):
 
 
 def test_velocity_column_that_leads_into_the_obstacle(robot, scene):
-    """Two equal rows far from the obstacle, with velocities that carry the curve between them into it."""
+    """Two equal samples far from the obstacle; their velocities bend the curve into it."""
     position = np.tile([0.0, 0.5, 0.05, 0.05], (2, 1))
     velocity = np.array([[0, 1.0, 0, 0], [0, -1.0, 0, 0]])
     trajectory = rows(robot, [0.0, 1.0], position, velocity)  # rises by 0.25 rad half-way

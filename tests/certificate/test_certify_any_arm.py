@@ -1,4 +1,4 @@
-"""Certificates of general (non-planar) arms, against coal at close times; joints that slide, in metres."""
+"""Certificates of general (non-planar) arms against coal; prismatic joints in metres."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def load(tmp_path_factory):
 
 
 def free_configurations(robot: Robot, count: int, seed: int, clearance: float = 0.01) -> np.ndarray:
-    """Random configurations at which the robot keeps clear of itself."""
+    """Random configurations without self-collision."""
     rng, checker = np.random.default_rng(seed), CoalScene(robot, ())
     found: list[np.ndarray] = []
     low, high = np.maximum(robot.lower, -2.5), np.minimum(robot.upper, 2.5)
@@ -56,7 +56,7 @@ def free_configurations(robot: Robot, count: int, seed: int, clearance: float = 
 
 
 def motion_between(robot: Robot, start: np.ndarray, end: np.ndarray, samples: int = 40) -> Trajectory:
-    """From rest to rest, straight in joint space, within the limits but for torque."""
+    """A rest-to-rest motion, straight in joint space, within all limits but torque."""
     way = end - start
     fastest = max(
         (1.875 * np.abs(way) / robot.velocity_limit).max(),
@@ -75,7 +75,7 @@ def scene_of(robot: Robot, trajectory: Trajectory, obstacles, clearance: float) 
 
 
 def random_obstacles(rng: np.random.Generator, count: int) -> list:
-    """Obstacles about the arm, some of which it may meet."""
+    """Obstacles around the arm; it may touch some of them."""
     found = []
     for number in range(count):
         direction = rng.normal(size=3)
@@ -97,9 +97,9 @@ def random_obstacles(rng: np.random.Generator, count: int) -> list:
 
 
 def least_distances(robot: Robot, obstacles, bezier: np.ndarray, looks: int) -> tuple[float, float, float]:
-    """Minimum distances at many places of a motion, by coal alone.
+    """Minimum distances at many samples of a motion, by coal alone.
 
-    From obstacles; of checked pairs of the robot that keep the clearance; of those that only must not touch.
+    From obstacles; of checked self-pairs with the clearance; of self-pairs that only must not touch.
     """
     shapes, pairs = body_shapes(robot), self_pairs(robot)
     geometry = pin.GeometryModel()
@@ -122,7 +122,7 @@ def least_distances(robot: Robot, obstacles, bezier: np.ndarray, looks: int) -> 
 
 @pytest.mark.parametrize("name", ARMS)
 def test_verified_motions_are_clear_at_close_times(load, name):
-    """Some random motions are verified, some meet something; the shown clearance is below what brute force finds."""
+    """Certified clearances are below the sampled ones; some motions are in contact."""
     robot, rng = load(name), np.random.default_rng(8)
     ends = free_configurations(robot, 6, seed=9)
     outcomes = set()
@@ -147,7 +147,7 @@ def test_verified_motions_are_clear_at_close_times(load, name):
 
 @pytest.mark.parametrize("name", ARMS)
 def test_grazing_motions_are_never_verified(load, name):
-    """A ball stands so that the arm comes 0.1 to 5 mm nearer than the clearance, between rows."""
+    """The arm violates a ball's clearance by 0.1 to 5 mm between samples."""
     robot, rng = load(name), np.random.default_rng(10)
     ends = free_configurations(robot, 5, seed=11)
     refused = 0
@@ -179,7 +179,7 @@ def test_grazing_motions_are_never_verified(load, name):
 
 @pytest.mark.parametrize("name", ARMS)
 def test_no_body_travels_farther_than_its_bound(load, name):
-    """Points of the bodies, and those of one seen from another, along random cubics."""
+    """Points of the bodies along random cubics, also relative to another body."""
     robot, rng = load(name), np.random.default_rng(12)
     checker = CoalScene(robot, [Sphere(name="far", center=(9.0, 0.0, 0.0), radius=0.1)])
     bodies, pairs = collision_bodies(robot), self_pairs(robot)
@@ -216,7 +216,7 @@ def test_no_body_travels_farther_than_its_bound(load, name):
 
 @pytest.mark.parametrize("name", ["panda", "lift"])
 def test_what_short_pieces_have_in_common_bounds_travel_between_any_two_places(load, name):
-    """Of a smooth motion in rows so close that several pieces have one bound."""
+    """A smooth motion with samples so close that several segments share one bound."""
     robot, rng = load(name), np.random.default_rng(16)
     checker = CoalScene(robot, [Sphere(name="far", center=(9.0, 0.0, 0.0), radius=0.1)])
     bodies, data = collision_bodies(robot), robot.model.createData()
@@ -272,7 +272,7 @@ def test_tracking_errors_take_from_the_clearance(load, name):
     exact = certify(robot, scene, trajectory, tracking_error=0.0)
     loose = certify(robot, scene, trajectory, tracking_error=0.01, tracking_delay_s=0.01)
     assert loose.min_clearance_m < exact.min_clearance_m
-    # Configurations that are off by as much keep the clearance that was shown.
+    # Configurations with this tracking error keep the certified clearance.
     if not [line for line in loose.violations if "comes to" in line]:
         bezier, _ = trajectory.segments
         checker, rng = CoalScene(robot, [ball]), np.random.default_rng(14)
@@ -324,7 +324,10 @@ def straight_in(robot: Robot, grasp: np.ndarray, length: float, aside: float = 0
 
 @pytest.mark.parametrize("name", ["toy", "panda", "ur5"])
 def test_fruit_may_be_touched_on_a_straight_approach_along_the_tools_axis(load, name):
-    """Everything within the window, between rows too, keeps to line and direction; what comes aside has none there."""
+    """Within the window, between samples too, all motions keep line and direction.
+
+    Motions from the side have no window.
+    """
     robot = load(name)
     grasp = np.array([0.3, -0.6, 0.5, -1.6, 0.2, 1.2, 0.4] if name == "panda" else [0.3, -1.2, 1.4, -0.6, 1.1, 0.4])
     length, found = 0.12, []
@@ -367,7 +370,7 @@ def test_bends_of_the_tool_are_bounded(load, name):
 
 @pytest.mark.parametrize("name", ["seven", "lift"])
 def test_obstacles_that_move(load, name):
-    """A ball flies past, or through, an arm that moves slowly; against coal at close times."""
+    """A ball flies past, or through, a slowly moving arm; against coal."""
     robot, rng = load(name), np.random.default_rng(20)
     start, end = free_configurations(robot, 2, seed=21)
     trajectory = motion_between(robot, start, start + 0.1 * (end - start))
@@ -422,9 +425,9 @@ def scene(*obstacles: Sphere) -> Scene:
 @pytest.mark.parametrize(("far", "clear"), [(0.05, True), (6.0, True), (8.0, False), (1e3, False), (1e300, False)])
 @pytest.mark.parametrize("kind", ["at rest", "of velocity"])
 def test_a_trolley_may_be_off_as_far_as_the_tracking_error_says(kind: str, far: float, clear: bool) -> None:
-    """Whatever it is: more than 2 pi is a whole turn of a joint that turns alone."""
+    """For any kind of joint: more than 2 pi is a full turn of a revolute joint alone."""
     ball = Sphere(name="ball", center=(9.0, 0.0, 1.0), radius=0.1)
-    # The fastest row is at 0.1875 m/s, and its cubic is bounded by a little more.
+    # The fastest sample is at 0.1875 m/s, and its cubic's bound is slightly larger.
     options = {"tracking_error": far} if kind == "at rest" else {"tracking_delay_s": far / 0.19}
     assert certify(ROBOT, scene(ball), motion(), **options).verified == clear
 

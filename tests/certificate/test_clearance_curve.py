@@ -1,4 +1,4 @@
-"""What a certificate tells along the motion: the curve of its clearance against coal, the use of position limits."""
+"""Values along the motion: the clearance curve against coal, use of position limits."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from hplan.trajectory.trajectory import Trajectory
 
 
 def random_motion(robot: Robot, random: np.random.Generator, duration: float, count: int = 40) -> Trajectory:
-    """Rows along a few sines; between them the cubics of their positions and velocities."""
+    """Samples of a few sines, with cubics of their positions and velocities."""
     time = np.sort(np.append([0.0, duration], random.uniform(0.0, duration, count - 2)))
     frequency, phase = random.uniform(0.5, 4.0, (2, 3, robot.dof))
     size = random.uniform(0.0, 0.4, (3, robot.dof))
@@ -146,7 +146,7 @@ def test_of_a_plan_it_covers_all_phases(picked: Any) -> None:
     assert curve.time[-1] == pytest.approx(picked.trajectory.duration, abs=1e-9)
     assert curve.clearance_m.min() >= certificate.min_clearance_m
     check_against_coal(certificate, step=5e-3)
-    # The fruit itself may be touched by the last link from the stand-off on.
+    # The last link may touch the fruit from the stand-off on.
     fruit = load_scene("trellis").goal.fruit
     approach = picked.phases[1]
     assert ("hand", fruit) not in {

@@ -1,4 +1,4 @@
-"""Digests: the same for the same, others for whatever differs."""
+"""Digests: equal for equal content, different for any difference."""
 
 from __future__ import annotations
 
@@ -128,7 +128,7 @@ GRIPPER = (
 
 
 def test_of_a_general_arm_every_frame_counts():
-    """A goal may name any of them."""
+    """A goal may use any of them."""
     robots = [load_robot(GANTRY.replace("</robot>", GRIPPER.format(place))) for place in (0.1, 0.1, 0.2)]
     assert robots[0].tool_frame == "tool0"
     first, same, other = (robot_digest(robot) for robot in robots)

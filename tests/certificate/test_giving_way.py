@@ -1,4 +1,4 @@
-"""What gives way: pushed by the links that may, so deep and no deeper, and told; all else as rigid as ever."""
+"""Compliant obstacles: deflected by permitted links within bounds; all else is rigid."""
 
 import itertools
 
@@ -25,7 +25,7 @@ YIELDS = 0.02
 
 
 def orchard(seed, **options):
-    """Grown trees before the orchard arm, whose thin wood and fruit give way."""
+    """Generated trees in front of the orchard arm, with compliant thin wood and fruit."""
     given = {"wood_yields": YIELDS, "yields_below": 0.012, "fruit_yields": YIELDS} | options
     zone = REACHED["orchard_harvester"]
     grown = OrchardOptions(robot="orchard_harvester", seed=seed, fruits=40, distance=1.2, fruit_zone=zone, **given)
@@ -33,7 +33,7 @@ def orchard(seed, **options):
 
 
 def depths(arm, scene, result, step_s=2e-3):
-    """Times, and by link and obstacle how deep they are in one another there [m]: plain distances of segments."""
+    """Times, and depths by link and obstacle [m]: plain distances of segments."""
     motion = result.trajectory
     clock = np.append(np.arange(0.0, motion.duration, step_s), motion.duration)
     axes = np.array([link_axes(arm, q) for q in motion.positions(clock)])
@@ -60,7 +60,7 @@ def arm():
 
 @pytest.fixture(scope="module")
 def motions(arm):
-    """Scenes with plans of which some push, and how deep (`depths`)."""
+    """Scenes with plans, some with contact, and the depths (`depths`)."""
     found = []
     for seed, fruit in itertools.product((1, 2), range(0, 40, 6)):
         scene = orchard(seed)
@@ -115,7 +115,7 @@ def test_pushed_no_deeper_than_allowed_by_the_links_that_may_and_all_of_it_told(
 
 
 def test_what_is_pushed_deeper_than_allowed_is_not_verified(arm, motions):
-    """The bound of what is pushed deepest, just above the true depth and just below it."""
+    """A bound on the largest depth, just above the true depth and just below it."""
     outcomes = []
     for scene, result, _, found in motions:
         (_, name), depth = max(found.items(), key=lambda item: item[1].max())
@@ -138,7 +138,7 @@ def test_what_is_pushed_deeper_than_allowed_is_not_verified(arm, motions):
 
 
 def test_pushes_of_a_motion_that_is_not_verified_are_as_deep_as_they_are(arm, motions):
-    """The bound of each obstacle that is pushed is a third of the true depth."""
+    """The bound of each obstacle in contact is a third of the true depth."""
     seen = 0
     for scene, result, _, found in motions:
         deepest = dict[str, float]()
@@ -206,7 +206,10 @@ def test_sections_of_what_gives_way_are_smaller_to_the_links_that_push():
 
 @pytest.fixture(scope="module")
 def hanging(arm):
-    """Rigid trees whose fruit says what it hangs from; plans that were blocked without it, and depths (`depths`)."""
+    """Rigid trees whose fruit names its support, with plans and depths (`depths`).
+
+    The plans are blocked without the name.
+    """
     found = []
     for seed, fruit in itertools.product((1, 2), range(0, 40, 3)):
         scene = orchard(seed, wood_yields=0.0, fruit_yields=0.0, hangs_within=0.02)
@@ -237,7 +240,7 @@ def test_what_a_fruit_hangs_from_gives_way_while_that_fruit_may_be_touched(arm, 
         fruits = tuple(fruit.model_copy(update={"hangs_from": ()}) for fruit in scene.fruits)
         alone = scene.model_copy(update={"fruits": fruits})
         assert not certify(arm, alone, result.trajectory, goal_contact=contact).verified
-        # Depths told are bounds; a true one is what no less leaves room for.
+        # Reported depths are upper bounds; a depth is true if no smaller one is feasible.
         (_, name), depth = max(((key, deep.max()) for key, deep in found.items()), key=lambda item: item[1])
         less = tuple(
             one.model_copy(update={"yields": 0.5 * depth}) if one.name == name else one for one in scene.obstacles

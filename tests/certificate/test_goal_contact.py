@@ -1,4 +1,4 @@
-"""The fruit that is the goal: touched by the last link alone, on a straight approach and back; stops, other timings."""
+"""Contact with the goal's fruit: last link, straight approach, stops, retiming."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ GRASP = np.radians([0.0, 20.0, 20.0, 20.0])
 
 @pytest.fixture(scope="module")
 def apple(robot):
-    """A fruit where the tool is at `GRASP`."""
+    """A fruit at the tool's position at `GRASP`."""
     return Fruit(name="apple", center=tuple(robot.tool_positions(GRASP).tolist()), radius=0.04)
 
 
@@ -52,7 +52,7 @@ def orchard(fruit, start, **changes):
 
 
 def through(robot, *configurations, seconds=4.0, rate=250):
-    """From rest to rest along straight joint motions, one after the other."""
+    """A rest-to-rest motion along straight joint motions, one after the other."""
     parts = []
     for start, end in itertools.pairwise(configurations):
         time = np.linspace(0.0, seconds, round(seconds * rate) + 1)
@@ -72,11 +72,11 @@ def test_what_plan_exports_certify_verifies(robot, picked, tmp_path):
     certificate = certify(robot, scene, again)
     assert certificate.verified, certificate.violations
     begin, end = certificate.contact_s
-    # At least approach and retreat; where the transit comes to the stand-off it is straight too.
+    # At least approach and retreat; the end of the transit is straight, too.
     assert (begin, end) == pytest.approx(result.certificate.contact_s, abs=1e-12)
     assert begin <= result.phases[1].start_s < end == result.trajectory.duration
     assert result.phases[1].start_s - begin < 0.1
-    # There the last link may be at the fruit, which the plan keeps it from until the stand-off.
+    # There the last link may be at the fruit, but the plan keeps it away until the stand-off.
     assert certificate.min_clearance_m >= 0.8 * result.certificate.min_clearance_m
     assert certificate.goal_contact == result.certificate.goal_contact == "approach"
     assert certificate.digests == result.certificate.digests
@@ -95,7 +95,7 @@ def test_forearm_through_the_fruit_is_refused(robot):
 
 
 def test_last_link_sideways_through_the_fruit_is_refused(robot, apple):
-    """By the yaw: past the fruit, and up to it, where the tool is at its centre in the end."""
+    """By the yaw: past the fruit, and up to its centre."""
     for last in (20.0, 0.0):
         for wrist in (20.0, 5.0):
             q = np.radians([0.0, 20.0, 20.0, wrist])
@@ -126,9 +126,9 @@ def test_deeper_than_to_the_centre_is_refused(robot, picked):
 
 
 def test_a_second_visit_is_refused(robot, picked):
-    """Straight to the fruit and back twice: a picked fruit is gone, another visit is not asked for."""
+    """Straight to the fruit and back twice: a picked fruit is gone."""
     scene, _ = picked
-    result = hplan.plan(robot, scene, hplan.PlanOptions(effort="quick"))  # it stops at the stand-off
+    result = hplan.plan(robot, scene, hplan.PlanOptions(effort="quick"))  # with a stop at the stand-off
     approach = result.phases[1]
     rows = (result.trajectory.time >= approach.start_s - 1e-9) & (result.trajectory.time <= result.phases[-1].end_s)
     first = int(np.flatnonzero(rows)[0])
@@ -138,7 +138,7 @@ def test_a_second_visit_is_refused(robot, picked):
         *(getattr(result.trajectory, name)[rows] for name in ("position", "velocity", "acceleration", "torque")),
     )
     again = joined([result.trajectory, there])
-    # All of it is one straight stretch: back and forth on the line is no contact of another kind.
+    # All of it is one straight segment: motion back and forth on the line is no other kind of contact.
     assert certify(robot, scene, again).verified
     aside = there.position[0] + np.radians([8.0, 0.0, 0.0, 0.0])
     away = joined([result.trajectory, through(robot, there.position[0], aside, there.position[0]), there])
@@ -148,7 +148,7 @@ def test_a_second_visit_is_refused(robot, picked):
 
 
 def test_curves_between_rows_far_apart_are_not_taken_for_straight(robot, apple):
-    """Rows on the line, the cubic between them beside it."""
+    """The samples are on the line, the cubic between them is not."""
     scene = orchard(apple, np.radians([0.0, 30.0, 20.0, 10.0]))
     result = hplan.plan(robot, scene)
     bezier, _ = result.trajectory.segments
@@ -195,7 +195,10 @@ def test_without_a_straight_approach_the_certificate_says_so(robot):
 
 
 def test_last_link_that_pivots_about_the_fruit_leaves_its_direction(robot, apple):
-    """The tool stays at the centre, the hand turns about it by 10 deg: at most `TURN` to both sides is one approach."""
+    """The hand turns about the fruit's centre by 10 deg.
+
+    At most `TURN` to both sides is one approach.
+    """
     q, rows = GRASP, []
     for angle in np.arange(52.0, 62.01, 0.1):
         found = reach(robot, apple.center, approach_deg=angle).configurations
@@ -214,7 +217,7 @@ def test_last_link_that_pivots_about_the_fruit_leaves_its_direction(robot, apple
 
 
 class Touching(frozenset):
-    """Names of what may be touched, in place of a collision checker."""
+    """Names of touchable bodies, in place of a collision checker."""
 
     def touching(self, name, hangs_from):
         return Touching(self | {name})
@@ -222,7 +225,7 @@ class Touching(frozenset):
 
 @pytest.mark.parametrize("seed", range(20))
 def test_windows_of_several_fruits(seed):
-    """Piece by piece what the windows say that hold all of the piece."""
+    """Each segment may touch the fruits whose windows cover all of it."""
     random = np.random.default_rng(seed)
     clock = np.cumsum(random.uniform(0.001, 0.1, random.integers(1, 12)))
     ends = [np.sort(random.choice([*clock, *random.uniform(0.0, clock[-1], 4)], 2)) for _ in range(random.integers(4))]
@@ -279,7 +282,7 @@ def test_the_clearance_is_less_by_what_the_arm_is_off_the_path():
 
 @pytest.mark.parametrize("part", np.linspace(0.0, 1.0, 6))
 def test_stops_in_a_pick(part):
-    """On the approach too, where the last link may touch the fruit."""
+    """Also during the approach, when the last link may touch the fruit."""
     result = picking()
     found = result.stop_at(part * result.trajectory.duration)
     assert found.certificate.verified, found.certificate.violations
@@ -302,7 +305,7 @@ def test_where_the_clearance_does_not_suffice_it_is_shown_anew(robot):
 
 
 def test_what_is_not_clear_is_not_certified(robot):
-    """An obstacle on the path, and a certificate that does not hold."""
+    """An obstacle on the path, and an invalid certificate."""
     result = reference()
     scene = result.motion.problem.scene
     tool = robot.tool_positions(result.trajectory.position[[100]])[0]

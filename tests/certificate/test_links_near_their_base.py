@@ -1,6 +1,7 @@
-"""Links of planar arms that begin near what carries them: as capsules they always touch it, as they are they may not.
+"""Links of planar arms that begin close to their base: capsules and true shapes.
 
-A boom stands 3 cm above a cabinet's plate, or a turret's: it goes over its edge, and may not go down into it.
+As capsules they always touch the base; their true shapes may not touch it. A boom is 3 cm above a cabinet's plate, or a
+turret's: it passes over the plate's edge, but may not go below it.
 """
 
 from __future__ import annotations
@@ -144,7 +145,7 @@ def test_a_clearance_is_kept_as_far_as_it_can_be():
     assert not certify(
         robot, scene(start, lifted(robot, 0.0), 0.01), straight(robot, start, lifted(robot, 0.0), 5.0, 6.0)
     ).verified
-    # Never as far apart as that: it is asked only whether they touch.
+    # They never keep that clearance: only contact is checked.
     assert certify(robot, scene(start, goal, 0.2), straight(robot, start, goal, 5.0, 6.0)).verified
     error = certify(robot, scene(start, goal), straight(robot, start, goal, 5.0, 6.0), tracking_error=0.4)
     assert not error.verified

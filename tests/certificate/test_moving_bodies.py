@@ -1,4 +1,4 @@
-"""All that moves is in the proof, and the planner knows it: turret, masts, cabinets, folds. Truth is coal's."""
+"""Moving bodies in proof and planner: turret, masts, cabinets, folds, against coal."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ POST = Capsule(name="post", start=(0.0, -0.4, 0.3), end=(0.0, -0.4, 0.55), radiu
 
 
 def shown(certificate) -> bool:
-    """Whether the clearance is, whatever is said of limits."""
+    """True if the clearance is certified, regardless of limits."""
     return not any("comes to" in violation for violation in certificate.violations)
 
 
@@ -55,13 +55,13 @@ def solids_of(obstacles):
 
 
 def own(robot, mover="", **made):
-    """Names of the arm's own pairs of which a part of a name moves; of all without one."""
+    """Names of the arm's self-pairs whose moving body has a string in its name."""
     pairs = CoalScene(robot, [], **made).parts.own
     return [(pair.mover_name, pair.other_name) for pair in pairs if mover in ("", pair.mover_name)]
 
 
 def turret_radius(robot):
-    """Largest distance of what turns with the turret from the yaw axis [m]."""
+    """Maximum distance of the turret's moving bodies from the yaw axis [m]."""
     return max((shape.radius for shape in turning_shapes(robot)), default=0.0)
 
 
@@ -80,7 +80,7 @@ def test_a_counterweight_does_not_sweep_through_a_post(tmp_path, kind):
     assert certificate.min_clearance_m < -0.08
     with pytest.raises(NoPathError, match="'turret' is in obstacle 'post'") as caught:
         plan(robot, scene_of(REST, FAR, [POST]))
-    # The yaws that are said to be blocked are, and those beside them are not.
+    # The reported yaws are blocked, the adjacent ones are not.
     (blocker,) = caught.value.blockers
     low, high = blocker["slices_deg"]
     for yaw in np.linspace(0.0, 120.0, 481):
@@ -131,7 +131,7 @@ def test_ranges_of_yaw_are_those_of_coal(tmp_path, clearance, sigma):
             found = [1.0]
             for (_, _, shape, placement), low in zip(turning, lowest, strict=True):
                 where = coal.Transform3s(*_turned(yaw, placement))
-                # What is below for good is left out.
+                # Obstacles that are below the turret at all yaws are left out.
                 reached = solids_of(o for o in obstacles if o.center[2] + o.radius + 2.0 * sigma > low)
                 found += [distance(shape, where, *solid) for solid in reached]
             return min(found) - clearance - 2.0 * sigma
@@ -154,7 +154,7 @@ def _turned(yaw, placement):
 
 
 def test_the_ground_is_below_whatever_the_yaw(tmp_path):
-    """A counterweight may stand on the floor, and a box that turns above a table."""
+    """A counterweight may rest on the floor, and a box may turn above a table."""
     robot = fitted(tmp_path, {"turret": [box((0.5, 0.1, 0.2), (-0.3, 0.0, 0.1))]})
     floor = Box(name="floor", center=(0.0, 0.0, -0.05), size=(6.0, 6.0, 0.1))
     checker = CoalScene(robot, [floor], clearance=0.02)
@@ -168,7 +168,7 @@ def test_the_ground_is_below_whatever_the_yaw(tmp_path):
 
 
 def test_what_may_stand_higher_than_seen_is_in_the_way_of_the_turret(tmp_path):
-    """What is 5 mm below it may be 9 mm higher; the floor that carries it may not."""
+    """An obstacle 5 mm below it may be 9 mm higher; the supporting floor may not."""
     robot = fitted(tmp_path, {"turret": [box((0.5, 0.1, 0.2), (-0.3, 0.0, 0.1))]})
     bottom = next(shape.bottom for shape in turning_shapes(robot))
     crate = Box(name="crate", center=(0.0, 0.3, bottom - 0.055), size=(0.1, 0.1, 0.1))
@@ -181,7 +181,7 @@ def test_what_may_stand_higher_than_seen_is_in_the_way_of_the_turret(tmp_path):
 @pytest.mark.parametrize("depth", [1e-4, 5e-4, 9e-4, -1e-3])
 @pytest.mark.parametrize("kind", ["ball", "box"])
 def test_what_the_turret_grazes_from_above_is_in_its_way(tmp_path, kind, depth):
-    """However little: it does not stand on it, but turns into it."""
+    """Even a small overlap: the turret does not rest on it, but turns into it."""
     robot = fitted(tmp_path, {"turret": [box((0.2, 0.1, 0.1), (-0.3, 0.0, 0.45))]})
     top = max((shape for shape in base_shapes(robot) if shape.carrier == TURRET), key=lambda shape: shape.radius).bottom
     top += depth
@@ -221,7 +221,7 @@ def test_what_the_turret_may_not_touch_counts_with_its_uncertainty(tmp_path):
 def test_turret_and_pedestal_are_pairs_where_they_can_touch(tmp_path, kind):
     stop = box((0.1, 0.1, 0.3), (0.0, -0.4, 0.4))
     if kind == "mesh":
-        # Rounder than what a body has corners for.
+        # Rounder than the corners of a body can represent.
         turns = np.linspace(0.0, 2.0 * math.pi, 90, endpoint=False)
         ring = 0.05 * np.column_stack([np.cos(turns), np.sin(turns)])
         stop = mesh(tmp_path / "stop.obj", [(*at, z) for z in (0.25, 0.55) for at in ring], (0.0, -0.4, 0.0))
@@ -385,7 +385,7 @@ def test_neighbours_fold_up_to_the_convention(tmp_path):
     wide = fitted(tmp_path, low=-150.0, high=150.0, name="wide")
     assert not {("forearm", "upper_arm"), ("hand", "forearm")} & set(own(wide))
     robot = fitted(tmp_path, low=0.0, high=(90.0, 178.0), lengths=(1.0, 0.7), widths=(0.05, 0.04), name="fold")
-    assert own(robot) == [("link_2", "link_1")] * 2  # what of either is beyond the joint's own reach
+    assert own(robot) == [("link_2", "link_1")] * 2  # the rest of either link is outside the joint's own zone
     low = math.pi - math.asin(1.0 / 3.0)
     goal = (0.0, 80.0, 177.0)
     with pytest.raises(ConfigurationInCollisionError, match=r"'link_2' is .* mm deep in link 'link_1'"):
@@ -402,7 +402,7 @@ def test_neighbours_fold_up_to_the_convention(tmp_path):
 @pytest.mark.parametrize("aside", [0.0, 0.06])
 @pytest.mark.parametrize("lengths", [(1.0, 0.7), (0.26, 0.7), (0.7, 0.26), (0.2, 0.8)])
 def test_folded_angles_are_those_of_coal(tmp_path, lengths, aside):
-    """Whichever link is the shorter one; what lies beyond the joint's own reach is trimmed by the test itself."""
+    """For either order of lengths; the test itself trims the rest of the links."""
     robot = fitted(tmp_path, low=-179.0, high=(90.0, 179.0), lengths=lengths, widths=(0.05, 0.04))
     robot = robot.with_arm(replace(robot.arm, lateral=np.array([0.0, aside])))
     checker, reach = CoalScene(robot, []), 0.27
@@ -433,7 +433,7 @@ def test_an_elbow_does_not_pass_through_its_fold(tmp_path):
         plan(robot, scene_of(start, goal))
     low, high = caught.value.blockers[0]["slices_deg"]
     assert (low, high) == (pytest.approx(160.5, abs=0.1), pytest.approx(199.5, abs=0.1))
-    # A clearance makes what is the joint's own as much larger: the angle is the same.
+    # A clearance enlarges the joint's own zone by the same amount: the angle is the same.
     with pytest.raises(NoPathError) as wider:
         plan(robot, scene_of(start, goal, clearance=0.03))
     assert wider.value.blockers[0]["slices_deg"] == pytest.approx((low, high), abs=0.2)
@@ -471,7 +471,7 @@ def test_what_a_deviation_or_a_clearance_brings_together_is_asked(tmp_path):
     for error, clearance, expected in ((0.0, 0.0, True), (0.5, 0.0, False), (0.0, 0.02, False), (0.01, 0.0, True)):
         certificate = certify(robot, scene_of(end, clearance=clearance), motion, tracking_error=math.radians(error))
         assert shown(certificate) == expected
-    # Whatever the scene in coal was made for.
+    # For any obstacles of the coal scene.
     checker = CoalScene(robot, [])
     assert "upper_arm" not in checker.obstacle_names
     assert not shown(certify(robot, scene_of(end), motion, tracking_error=0.01, checker=checker))
@@ -482,7 +482,7 @@ def test_what_a_deviation_or_a_clearance_brings_together_is_asked(tmp_path):
 
 
 def test_certified_motions_of_random_arms_touch_nothing(tmp_path):
-    """Coal on all of the URDF's bodies finds no contact where a certificate says there is none."""
+    """Coal finds no contact of the URDF's bodies in certified motions."""
     rng = np.random.default_rng(8)
     verified = {"any": 0, "turret": 0}
     refused = 0

@@ -1,4 +1,4 @@
-"""Certificates in space and time, against coal alone at times close together."""
+"""Certificates in space and time, against coal alone at closely spaced times."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def track(*points: tuple[float, tuple[float, float, float]], **more) -> Track:
 
 
 def shown(certificate) -> bool:
-    """Whether the clearance is, whatever is said of limits."""
+    """True if the clearance is certified, regardless of limits."""
     return not any("comes to" in violation or "comes into" in violation for violation in certificate.violations)
 
 
@@ -52,7 +52,7 @@ turns = st.tuples(*(st.floats(-60.0, 60.0),) * 3)
     st.floats(-0.5, 0.8),
 )
 def test_what_is_shown_is_clear_at_all_times(robot, poses, spacing, kind, creeps, row, begin):
-    """An obstacle that passes near the motion: wherever coal sees contact, nothing is certified."""
+    """An obstacle passes near the motion: nothing in contact is certified."""
     motion = quintic(robot, REST, AWAY, duration=1.5, count=76)
     middle = robot.tool_positions(motion.position[20 * row])
     path = Track(
@@ -74,7 +74,7 @@ def test_what_is_shown_is_clear_at_all_times(robot, poses, spacing, kind, creeps
     if shown(certificate):
         assert least >= certificate.min_clearance_m - 1e-6 > -1e-6
     else:
-        # What is refused is refused for a reason: the proof gives up within micrometres of contact.
+        # The refusal has a reason: the proof fails within micrometres of contact.
         assert certificate.min_clearance_m < 1e-4
         assert least < 0.03  # between times 10 ms apart an obstacle and a link may come that much nearer
     assert certificate.nearest.obstacle == "it" or certificate.nearest.distance_m > 0.0
@@ -86,7 +86,7 @@ def test_a_grazing_pass_is_decided_to_a_tenth_of_a_millimetre(robot):
     radius, links = 0.1, robot.arm.half_widths[-1]
     end = tip(robot, REST)
     for gap in (1e-3, 1e-4, -1e-4, -1e-3):
-        # Beyond the tip, along the last link, so that the tip's cap is what it passes.
+        # Beyond the tip, along the last link, so that the obstacle passes the tip's cap.
         ahead = end - tip_before(robot)
         place = end + (radius + links + gap) * ahead / np.linalg.norm(ahead)
         side = np.cross(ahead, [0.0, 0.0, 1.0])
@@ -117,7 +117,7 @@ def test_a_track_without_motion_gives_what_no_track_gives(robot):
     assert still.verified
     assert (still.nearest_s, still.clear_until_s) == (None, None)
     assert tracked.clear_until_s == math.inf
-    # Of what has a track no box bounds the distance: coal is asked more often.
+    # No box bounds the distance of an obstacle with a track: coal needs more queries.
     same = {"nearest_s": None, "clear_until_s": None, "digests": None, "checks": 0}
     assert replace(tracked, **same) == replace(still, **same)
 
@@ -162,7 +162,7 @@ def test_an_obstacle_may_not_come_into_the_base(robot):
 
 
 def test_every_kind_moves_and_sways(robot):
-    """A cloud, a mesh and a swaying box that pass through the arm are all seen, one that passes beside it is not."""
+    """A cloud, a mesh and a swaying box hit the arm, another passes next to it."""
     motion = quintic(robot, REST, AWAY, duration=3.0)
     end = tip(robot, REST)
     away = track((0.0, (0.0, 0.0, 1.5)), (1.0, (0.0, 0.0, 0.0)), (2.0, (0.0, 0.0, 1.5)))
@@ -216,7 +216,7 @@ def test_a_checker_of_moving_obstacles_wants_a_time(robot):
 
 
 def test_many_obstacles_are_in_several_models(robot):
-    """Those that move beyond the first model are put where they are too, and stay put from look to look."""
+    """Obstacles beyond the first model are moved, too, and keep their poses between queries."""
     rng = np.random.default_rng(1)
     places = rng.uniform([-2, -2, 0], [2, 2, 2], (300, 3))
     balls = [

@@ -1,4 +1,4 @@
-"""Cubics, quintics and straight lines between rows against SciPy's polynomials, and what is bounded on them."""
+"""Cubics, quintics and lines between samples against SciPy's polynomials; their bounds."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ CURVES: tuple[Interpolation, ...] = get_args(Interpolation)
 
 
 def rows_of(robot: Robot, rng: np.random.Generator, apart_s: float, curve: Interpolation) -> tuple[Trajectory, BPoly]:
-    """Seven random rows, and the polynomials between them by SciPy."""
+    """Seven random samples, and the polynomials between them by SciPy."""
     time = np.concatenate([[0.0], np.cumsum(rng.uniform(0.5, 1.5, 6) * apart_s)])
     shape = (7, robot.dof)
     position = 0.3 * rng.normal(size=robot.dof) + np.cumsum(apart_s * rng.uniform(-1.5, 1.5, shape), axis=0)
@@ -39,7 +39,7 @@ def rows_of(robot: Robot, rng: np.random.Generator, apart_s: float, curve: Inter
 
 
 def dense(motion: Trajectory, count: int = 201) -> np.ndarray:
-    """Times within each segment, close to its ends too, none of them at a row."""
+    """Times within each segment, some close to its ends, none at a sample."""
     inner = np.linspace(1e-9, 1.0 - 1e-9, count)
     return (motion.time[:-1, None] + np.diff(motion.time)[:, None] * inner).ravel()
 

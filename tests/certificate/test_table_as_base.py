@@ -1,4 +1,4 @@
-"""What no joint moves, where it is far from convex: an obstacle under a table is not in it."""
+"""A static, far from convex base: an obstacle under a table is outside it."""
 
 from __future__ import annotations
 

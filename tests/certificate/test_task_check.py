@@ -1,4 +1,4 @@
-"""What `certify` judges besides clearance and limits, as `plan` does: start, goal, locked joints, sigma, the base."""
+"""Checks that `certify` shares with `plan`: start, goal, locked joints, sigma, base."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ def test_scene_of_another_robot_is_refused(robot, free, motion):
 
 
 def test_uncertain_obstacles_are_grown(robot, free, motion):
-    """As for `plan`: by three standard deviations, or as many as asked for; of an obstacle and of a fruit."""
+    """By three standard deviations by default, as in `plan`; for obstacles and fruit."""
     tool = np.array([robot.tool_positions(q) for q in motion.position])
     center = tool[len(tool) // 2] + np.array([0.0, 0.0, 0.25])
     for kind in ("obstacle", "fruit"):
@@ -123,7 +123,7 @@ def test_uncertain_obstacles_are_grown(robot, free, motion):
 
 
 def test_obstacle_in_the_base_is_refused(robot, free, motion):
-    """What `plan` refuses; the ground may touch the pedestal."""
+    """As in `plan`; the ground may touch the pedestal."""
     for depth, verified in ((0.0, True), (0.05, False)):
         ground = Box(name="ground", center=(0.0, 0.0, depth - 0.5), size=(4.0, 4.0, 1.0))
         scene = free.model_copy(update={"obstacles": (ground,)})
@@ -135,5 +135,5 @@ def test_obstacle_in_the_base_is_refused(robot, free, motion):
             assert "'ground' is 50 mm deep" in certificate.violations[0]
             with pytest.raises(InputError, match="ground"):
                 hplan.plan(robot, scene)
-            # Among solids of the caller's own nothing is asked about the base.
+            # With the caller's own checker the base is not checked.
             assert certify(robot, scene, motion, checker=CoalScene(robot, scene.solids)).verified

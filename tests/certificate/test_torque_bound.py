@@ -1,4 +1,7 @@
-"""The torque's bound between samples against dense sampling with Pinocchio; on a base that tilts too."""
+"""Torque bounds between samples against dense sampling with Pinocchio.
+
+Including a tilting base.
+"""
 
 from __future__ import annotations
 
@@ -50,7 +53,7 @@ def joint_share(robot, torque):
 
 @pytest.mark.parametrize("name", [*VARIANTS, "lift"])
 def test_bound_holds_and_is_close_for_random_rows(name, tmp_path, tmp_path_factory):
-    """Rows 1 ms to 1 s apart, slow and fast, accelerations that jump at them; joints that slide too."""
+    """Samples 1 ms to 1 s apart, slow and fast, with acceleration jumps; prismatic joints."""
     robot = loaded_arm(name, tmp_path_factory) if name == "lift" else load_variant(name, tmp_path)
     rng = np.random.default_rng(1)
     for apart in (1e-3, 4e-3, 0.03, 0.2, 1.0):
@@ -62,7 +65,7 @@ def test_bound_holds_and_is_close_for_random_rows(name, tmp_path, tmp_path_facto
         true = sampled(robot, bezier, duration, 400)
         assert (bound >= np.abs(true).max(axis=(0, 1)) * (1.0 - 1e-12)).all()
         share = (bound / robot.torque_limit).max()
-        # What lies between samples of a 400th, about the largest; a parabola through three neighbours at most.
+        # Excess between samples of a 400th, near the maximum: at most the excess of a parabola through three samples.
         between = np.abs(np.diff(true, 2, axis=1)).max() / 8.0 / robot.torque_limit.min()
         assert share <= joint_share(robot, true) + GAP + 2.0 * between
 
@@ -85,7 +88,7 @@ def test_second_derivative_is_bounded(tmp_path, tmp_path_factory):
 
 @pytest.mark.parametrize("name", ["upright on a yaw", "lift"])
 def test_pieces_that_share_a_remainder_have_that_of_all(name, tmp_path, tmp_path_factory):
-    """Of pieces as fast as can be and of slow ones, each as long as any."""
+    """For segments at maximum speed and slow ones, each as long as any."""
     robot = loaded_arm(name, tmp_path_factory) if name == "lift" else load_variant(name, tmp_path)
     rng, sizes = np.random.default_rng(3), robot.dynamics.sizes
     for _ in range(20):
@@ -99,7 +102,7 @@ def test_pieces_that_share_a_remainder_have_that_of_all(name, tmp_path, tmp_path
 
 @pytest.mark.parametrize("speed", [0.1, 3.0])
 def test_second_derivative_at_constant_speed(tmp_path, speed):
-    """Slowly, gravity makes it; fast, what turns does."""
+    """Dominated by gravity at low speed, by rotation at high speed."""
     robot = load_variant("upright on a yaw", tmp_path)
     for joint in range(robot.dof):
         position, velocity = np.tile([0.2, 0.4, 0.3, -0.5], (2, 1)), np.zeros((2, 4))
@@ -111,7 +114,10 @@ def test_second_derivative_at_constant_speed(tmp_path, speed):
 
 
 def test_torque_that_jumps_at_rows_is_seen_on_both_sides(tmp_path):
-    """The shoulder creeps down from row to row, still at each: its torque is largest just before a row."""
+    """The shoulder moves down in steps, at rest at each sample.
+
+    Its torque is maximal just before a sample.
+    """
     write_robot(replace(HARVESTER, name="weak", effort=(150.0, 115.0, 120.0, 30.0)), tmp_path / "weak.urdf")
     robot, push = load_robot(tmp_path / "weak.urdf"), 3.0
     data = robot.model.createData()
@@ -209,7 +215,7 @@ def test_torques_are_bounded_whatever_the_tilt(first, second, third):
 def test_the_largest_tilt_is_that_of_many_times(first, second, third):
     base = Poses.of(scene((first, second, third)).base_track)
     for begin, end in ((-3.0, -2.0), (-1.0, 1.5), (-2.0, 5.0), (4.0, 5.0)):
-        rows = [time for time in base.times if begin <= time <= end]  # where the tilt has its peaks
+        rows = [time for time in base.times if begin <= time <= end]  # peaks of the tilt
         clock = np.sort(np.append(np.linspace(begin, end, 300), rows))
         seen = np.arccos(np.clip(base_at((first, second, third), clock)[:, 2, 2], -1.0, 1.0))
         assert seen.max() - 1e-7 <= largest_tilt(base, begin, end) <= seen.max() + 5e-3

@@ -1,4 +1,4 @@
-"""Bounds of the probability of a contact: half-spaces against coal, probabilities against draws, motions at risk."""
+"""Bounds of contact probabilities: half-spaces against coal, draws, motions at risk."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ ROUND = ((1e-4, 0.0, 0.0), (0.0, 1e-4, 0.0), (0.0, 0.0, 1e-4))
 
 
 def things(shift: FloatArray | None = None) -> tuple[AnyObstacle, ...]:
-    """Obstacles about the way of `motion`, all of them shifted."""
+    """Obstacles around the path of `motion`, all of them shifted."""
     by = np.zeros(3) if shift is None else shift
     ends, box = np.array([[0.65, 0.95, 1.0], [1.45, 0.95, 1.2]]), np.array([1.36, 0.4, 1.75])
     points = np.random.default_rng(5).normal(size=(40, 3)) * 0.05 + [1.1, -0.55, 1.42]
@@ -69,7 +69,7 @@ def test_errors_within_the_half_spaces_touch_nothing(robot: Robot, motion: Traje
     for name, part in rows.items():
         for _ in range(25):
             along = random.normal(size=3)
-            # As far in a direction as the half-spaces leave, and what is far.
+            # Up to the nearest half-space in a direction, or to the maximum distance.
             reach = part[:, 4] / np.maximum(part[:, 1:4] @ along, 1e-12)
             shift = along * min(0.999 * reach.min(), far[name] / float(np.linalg.norm(along)))
             thing = next(thing for thing in things(shift) if thing.name == name)

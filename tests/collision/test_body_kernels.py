@@ -1,4 +1,4 @@
-"""Clearances of arms of any kind, against coal at sampled configurations, and what motions they show clear."""
+"""Clearances of general arms and verified motions, against coal at samples."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def arm(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 
 @pytest.fixture(scope="module")
 def solids() -> list[Solid]:
-    """One of every kind, and so many balls and tilted boxes that they are in groups."""
+    """One solid of every kind, and enough balls and tilted boxes to form groups."""
     generator = np.random.default_rng(3)
     points = generator.normal(size=(40, 3))
     return [
@@ -200,6 +200,6 @@ def test_gradients_are_those_of_differences(arm: Robot, solids: list[Solid], see
         off = step * (np.arange(arm.dof) == joint)
         ahead, behind = field.link_clearances(q + off), field.link_clearances(q - off)
         forward, backward = (ahead - clear) / step, (clear - behind) / step
-        # Where the two sides agree, the nearest points do not jump.
+        # If the two one-sided derivatives agree, the nearest points do not jump.
         smooth = (np.abs(forward - backward) < 1e-3) & (clear < FAR - 1e-3)
         assert gradient[smooth, column] == pytest.approx(0.5 * (forward + backward)[smooth], abs=2e-3)

@@ -157,7 +157,7 @@ def test_only_some_of_the_solids(robot):
 
 
 def test_some_solids_are_none_to_the_last_link(robot):
-    """Clouds and hulls too, and where only what is near is left of the field."""
+    """Including clouds and hulls, and fields reduced to nearby obstacles."""
     rng = np.random.default_rng(13)
     for _ in range(6):
         solids, keep = crowd(rng)
@@ -174,7 +174,7 @@ def test_some_solids_are_none_to_the_last_link(robot):
 
 
 def test_near_a_motion_the_field_is_the_whole_one(robot):
-    """Along the motion, wherever something is nearer than the distance asked for."""
+    """Along the motion, for all distances below the requested one."""
     rng = np.random.default_rng(11)
     left_out = nearer = 0
     for distance in (0.05, 0.3):
@@ -190,7 +190,7 @@ def test_near_a_motion_the_field_is_the_whole_one(robot):
                     q = a + t * (b - a)
                     whole, part = field.link_clearances(q, ALL), some.link_clearances(q, ALL)
                     assert (part >= whole - 1e-12).all()
-                    # Between two looks a link may come nearer by what it moves in half a step.
+                    # Between two samples a link may come closer by its travel in half a step.
                     near = (whole < distance - 0.025 * 7.0 * 0.5) & (whole > 0.0)
                     np.testing.assert_allclose(part[near], whole[near], atol=1e-12)
                     nearer += int(near.sum())
@@ -224,13 +224,13 @@ def test_no_axis_point_moves_farther_than_the_bound(variant):
         before = link_axes(variant, start)
         for t in np.linspace(0.0, 1.0, 41):
             moved = np.linalg.norm(link_axes(variant, start + t * (end - start)) - before, axis=2)
-            farthest = moved.max(axis=1)  # on a segment the displacement is largest at an end
+            farthest = moved.max(axis=1)  # on a segment the displacement is maximal at an end
             assert (farthest <= t * bounds + 1e-12).all()
             closest = max(closest, (farthest / np.maximum(t * bounds, 1e-12)).max())
     assert closest > 0.5
 
 
-# Motions shown clear
+# Motions verified collision-free
 
 
 def dense_clearance(checker, start, end, samples=240):
@@ -238,7 +238,7 @@ def dense_clearance(checker, start, end, samples=240):
 
 
 def random_motions(robot, rng, count):
-    """Motions that pass near obstacles: their clearance is small beside that of random ones."""
+    """Motions that pass close to obstacles, with smaller clearances than random ones."""
     found = 0
     while found < count:
         obstacles = random_obstacles(rng, 3)
@@ -263,7 +263,7 @@ def test_no_motion_in_contact_is_accepted_and_few_others_refused(robot):
             assert sampled >= 0.5 * margin
         else:
             refused += 1
-            # What was refused comes closer than the margin, at least between the samples.
+            # A refused motion comes closer than the margin, at least between the samples.
             assert sampled < margin + bounds_of(field, end - start).max() / 400
     assert min(accepted, refused) > 100
 
@@ -288,9 +288,9 @@ def test_motion_that_is_not_a_number_is_not_clear(robot, scene, joint):
 
 
 def test_many_solids_in_groups_are_those_in_none(robot, monkeypatch):
-    """Groups change no distance, by a digit, whatever is left out; each holds what stands below it.
+    """Groups change no digit of any distance; each contains all its members.
 
-    How deep it is among several that a body is in, which of them comes first decides.
+    The depth in several obstacles depends on which of them comes first.
     """
     rng = np.random.default_rng(23)
     for count in (15, 31, 300):

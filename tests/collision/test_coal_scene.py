@@ -1,4 +1,4 @@
-"""Distances that coal has, of all kinds of obstacles and clouds, and how exact they are."""
+"""Distances by coal, of all kinds of obstacles and clouds, and their accuracy."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ def test_a_cloud_is_its_balls(robot, shape, links):
     assert min(table) == pytest.approx(checker.distances(configurations[0]).min())
 
 
-# Grown obstacles, and those that may be touched
+# Grown obstacles, and touchable obstacles
 
 
 @pytest.mark.parametrize("links", ["capsule", "box", "urdf"])
@@ -128,7 +128,7 @@ def test_growth_of_each_obstacle(robot, links):
             least.append(float(grown.distances(q).min()))
             grown.place(q)
             one_by_one = grown.distances_of(np.arange(len(grown.pairs)))
-            np.testing.assert_allclose(grown.pair_distances(q), one_by_one, atol=1e-5)  # coal begins elsewhere
+            np.testing.assert_allclose(grown.pair_distances(q), one_by_one, atol=1e-5)  # coal starts from another guess
             assert grown.nearest(q).distance_m == pytest.approx(least[-1], abs=1e-5)
         sure = np.abs(least) > 1e-4
         np.testing.assert_array_equal(grown.in_collision(configurations)[sure], (np.array(least) <= 0.0)[sure])
@@ -167,7 +167,10 @@ def test_the_last_link_may_touch(robot, links):
 
 @pytest.mark.parametrize("name", VARIANTS)
 def test_beams_lie_along_the_links(name, tmp_path):
-    """A bead on the axis is within, one half a width beside it is on the skin; across the plane and in it."""
+    """A bead on the axis is inside, one at half a width is on the surface.
+
+    Across the plane and in it.
+    """
     robot = load_variant(name, tmp_path)
     q = np.random.default_rng(3).uniform(robot.lower, robot.upper)
     ends = link_axes(robot, q)
@@ -234,7 +237,7 @@ def test_in_collision_is_what_the_distances_say(robot, links, margin):
     assert seen.min() > 10
 
 
-# What the planar joints do not move
+# Static bodies
 
 
 def test_base_contacts(robot):
@@ -253,7 +256,7 @@ def test_base_contacts(robot):
 
 @pytest.mark.parametrize(("offsets", "least"), [({}, 0.6), ({"yaw_axis": (0.5, -0.4), "shoulder_offset": 0.6}, 1.4)])
 def test_ball_about_the_base(offsets, least, tmp_path):
-    """It holds pedestal and turret at every yaw: nothing beyond it touches them, and it is not far too large."""
+    """It encloses pedestal and turret at every yaw, and is not far too large."""
     robot = load_robot(write_robot(replace(HARVESTER, **offsets), tmp_path / "arm.urdf")[0])
     radius = base_radius(robot)
     assert least < radius < least + 0.25
@@ -265,7 +268,8 @@ def test_ball_about_the_base(offsets, least, tmp_path):
 
 
 def test_deep_collisions_are_not_missed(robot):
-    # Axes of links in the faces of boxes, and boxes amid beams: coal 3.0 says no to some, asked for yes or no alone.
+    # Axes of links in the faces of boxes, and boxes amid beams: coal 3.0 misses some contacts in queries without
+    # distances.
     boxes = [
         Box(name=f"box {i}", center=(x, y, 0.6 + z), size=(0.2, 0.1, 0.04))
         for i, (x, y, z) in enumerate((x, y, z) for x in (0.5, 1.0, 1.1, 2.1) for y in (0.0, 0.05) for z in (0.0, 0.02))
@@ -386,7 +390,7 @@ def test_nearly_parallel_capsules(first, second):
         )  # fmt: skip
         worst = max(worst, float(found - true))
     assert worst <= allowed
-    # What is allowed for is really there.
+    # The allowed error really occurs.
     assert worst > 0.8 * PARALLEL / max(first, second)
 
 
@@ -414,14 +418,17 @@ def test_capsules_above_large_boxes(size):
 
 
 def from_cylinder(points, cylinder):
-    """Distances of (k, 3) points from a cylinder that stands on z at the origin."""
+    """Distances of (k, 3) points from a cylinder on z at the origin."""
     beyond = np.abs(points[:, 2]) - 0.5 * cylinder.length
     outside = np.hypot(points[:, 0], points[:, 1]) - cylinder.radius
     return np.hypot(np.maximum(beyond, 0.0), np.maximum(outside, 0.0))
 
 
 def least_along(start, end, cylinder):
-    """Distance of a segment from it, a convex function along the segment, by ever finer rasters."""
+    """Distance of a segment from the cylinder, by successively finer grids.
+
+    The distance is a convex function along the segment.
+    """
     low, high = 0.0, 1.0
     for _ in range(12):
         share = np.linspace(low, high, 33)
@@ -459,7 +466,7 @@ def test_capsules_about_cylinders(sizes, farthest):
         else:
             assert found <= 1e-6
     assert len(over) > 100
-    # What is allowed for is needed, far away.
+    # The allowance is needed, far away.
     assert max(over) > (0.0 if farthest < 1.0 else 0.3 * CURVED)
 
 
@@ -480,7 +487,7 @@ def test_one_for_each_pair(robot):
 
 
 def test_the_proof_takes_them_off(robot, monkeypatch):
-    """At rest, half of what there is to spare is shown: of the distance, less the error."""
+    """At rest, half of the slack is certified: of the distance less the error."""
     zero = np.zeros((1, 4))
     still = Trajectory(
         robot.joint_names, np.zeros(1), zero, zero, zero, robot.dynamics.torques(zero, zero, zero), robot.slides

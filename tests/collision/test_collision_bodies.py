@@ -1,4 +1,4 @@
-"""Collision bodies, how far joints move them, and which pairs are looked at, against sampled points and Pinocchio."""
+"""Collision bodies, their travel per joint and pairs, against samples and Pinocchio."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def load(tmp_path_factory):
 
 
 def surface_points(geometry: coal.CollisionGeometry, rng: np.random.Generator) -> np.ndarray:
-    """Points of the outside of a shape, those farthest out among them."""
+    """Points on the surface of a shape, including the outermost ones."""
     if isinstance(geometry, coal.BVHModelBase):
         corners = np.array(geometry.vertices())
         faces = [geometry.tri_indices(number) for number in range(geometry.num_tris)]
@@ -45,7 +45,7 @@ def surface_points(geometry: coal.CollisionGeometry, rng: np.random.Generator) -
 
 @pytest.mark.parametrize("name", [*ARMS, "harvester"])
 def test_bodies_hold_the_urdfs_shapes(load, name):
-    """Each point of a shape is in one of its bodies: in no direction it is beyond that body."""
+    """Each point of a shape is in one of its bodies, in every direction."""
     robot, rng = load(name), np.random.default_rng(1)
     directions = trimesh.unitize(rng.normal(size=(1000, 3)))
     bodies = collision_bodies(robot)
@@ -87,7 +87,7 @@ def test_bodies_stand_out_beyond_what_coal_judges_by_no_more_than_said(load, nam
 
 
 def test_meshes_are_cut_or_made_hulls(tmp_path, monkeypatch):
-    """A ring is far from convex; with a triangle missing there is no inside, and it is one hull."""
+    """A ring is far from convex; without one triangle it is a single hull."""
     ring = trimesh.Trimesh(*torus(n=12))
     ring.export(tmp_path / "ring.stl")
     trimesh.Trimesh(ring.vertices, ring.faces[1:]).export(tmp_path / "torn.stl")
@@ -153,7 +153,7 @@ def test_meshes_that_are_mirrored_or_inside_out_are_what_their_surface_holds(tmp
 
 
 def points_of(body, shape):
-    """Points of a body's core, and the vertices by which coal judges a mesh, in the frame of its joint."""
+    """Points of a body's core, and the mesh vertices of coal, in its joint's frame."""
     if not isinstance(shape.geometry, coal.Convex):
         return body.core
     vertices = np.array(shape.geometry.points()) @ shape.placement.rotation.T + shape.placement.translation
@@ -205,7 +205,7 @@ def test_no_body_moves_farther_than_reach_says(load, name):
 
 @pytest.mark.parametrize("name", ["toy", "lift", "panda", "ur5"])
 def test_pairs_that_are_left_out(load, name):
-    """Every pair is in one of the lists; those said not to touch do not, those said to touch always do."""
+    """Every pair is in one list; pairs that never, or always, touch do so."""
     robot, rng = load(name), np.random.default_rng(5)
     bodies, shapes, pairs = collision_bodies(robot), body_shapes(robot), self_pairs(robot)
     listed = [*pairs.checked, *(pair[:2] for pair in pairs.allowed)]

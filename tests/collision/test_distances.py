@@ -1,4 +1,4 @@
-"""Compiled distances: of bodies, pairs and convex shapes, and bounds of them, against coal."""
+"""Compiled distances of bodies, pairs and convex shapes, and their bounds, against coal."""
 
 from __future__ import annotations
 
@@ -44,7 +44,10 @@ def point_to_segment(point, start, along):
 
 
 def segment_to_segment(a, u, b, v):
-    """Least over the ends of both, and over the inside of both where the lines' nearest points lie there."""
+    """Minimum distance over the ends of both segments and over their interiors.
+
+    The interiors count if the lines' nearest points are there.
+    """
     ends = [
         point_to_segment(a, b, v),
         point_to_segment(a + u, b, v),
@@ -119,7 +122,7 @@ def test_segment_to_box(a, u, half):
 @given(vector, vector, vector, vector, st.sampled_from([1.0, 1e-3, 1e-6, 1e-7, 1e-9]))
 @example((0, 0, 1.015625), (0, 0, 1.5), (0, 0, 0), (2, 0, 1.0096783638000488), 1.0)
 def test_what_vectors_between_segments_show_is_no_more_than_their_distance(a, u, b, turn, angle):
-    """Of segments that are nearly parallel the vector may end beside the nearest points."""
+    """For nearly parallel segments the vector may miss the nearest points."""
     a, u, b, v = (np.array(x, dtype=float) for x in (a, u, b, np.array(u) + angle * np.array(turn)))
     placed = np.zeros((2, PLACED))
     placed[:, START:ALONG], placed[:, ALONG:PLACED] = [a, b], [u, v]
@@ -167,7 +170,10 @@ def many(rng, copies=40):
 
 
 def others(rng, copies=40):
-    """Cylinders, and a hull: how deep coal finds something in a cylinder depends on what it was asked before."""
+    """Cylinders and a hull.
+
+    The depth that coal finds in a cylinder depends on its previous queries.
+    """
     found = []
     for number in range(copies):
         center, rpy = rng.uniform(-1.8, 1.8, 3), rng.uniform(-180.0, 180.0, 3)
@@ -238,7 +244,7 @@ def test_capsules_placed_together_are_those_placed_alone():
 
 @pytest.fixture(scope="module")
 def wide(tmp_path_factory):
-    """An arm that can touch itself and what carries it."""
+    """An arm that can touch itself and its base."""
     spec = ArmSpec(
         name="wide",
         has_yaw=True,
@@ -312,7 +318,7 @@ def test_scenes_that_share_a_model_of_the_arms_own_pairs_answer_each_for_itself(
 
 EXACT = Wanted(np.inf, 0.0, 1e-12, 0.0)
 
-#: Whole numbers: most of what is drawn is flat, doubled, touching or symmetric in some way.
+#: Whole numbers: most draws are flat, doubled, touching or symmetric in some way.
 SHAPES = st.lists(st.tuples(*[st.integers(-2, 2)] * 3), min_size=1, max_size=10).map(
     lambda rows: np.array(rows, dtype=np.float64)
 )
@@ -322,7 +328,7 @@ SEEDS = st.integers(0, 2**32 - 1)
 
 
 def with_table(points: FloatArray) -> tuple[FloatArray, int]:
-    """Coordinates and, after them, the table of the corners; and where it is."""
+    """Coordinates followed by the table of the corners, and its offset."""
     table = corner_table(points, 0, points.size)
     return np.concatenate([points.ravel(), table]), points.size if len(table) else 0
 
@@ -330,7 +336,7 @@ def with_table(points: FloatArray) -> tuple[FloatArray, int]:
 def measured(
     first: FloatArray, rotation: FloatArray, shift: FloatArray, second: FloatArray, wanted: Wanted = EXACT
 ) -> tuple[float, FloatArray]:
-    """Distance, less the depth where there is none, and what the kernels leave behind."""
+    """Distance, negative by the depth in contact, and the kernels' scratch."""
     work = np.zeros(WORK)
     pose = (*rotation.ravel().tolist(), *shift.tolist())
     shape, table = with_table(first)

@@ -1,4 +1,4 @@
-"""Parts of motions that a look shows clear, against samples of them, and the bounds of motion behind."""
+"""Certified segments of motions against samples, and their motion bounds."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from hplan.scene.solids import Cloud
 
 SEEDS = st.integers(0, 2**32 - 1)
 
-#: Two arms on the column of `LIFT`: bodies of which neither carries the other.
+#: Two arms on the column of `LIFT`: neither body carries the other.
 FORK = LIFT.replace(
     "</robot>",
     limb("left", "column_link", "revolute", "0 0 1", "0.2 0.3 0.3", '<box size="0.05 0.1 0.2"/>')
@@ -54,7 +54,7 @@ def field(arm: Robot) -> ClearanceField:
 
 
 def points_of(arm: Robot, field: ClearanceField, q: FloatArray) -> list[FloatArray]:
-    """The corners of each body, and of capsules that stand for several, in `base_link`."""
+    """The corners of each body, and of capsules that cover several, in `base_link`."""
     data, found = arm.model.createData(), []
     pin.forwardKinematics(arm.model, data, q)
     for row in field.movers[: int(field.numbers[BODIES])]:
@@ -180,7 +180,7 @@ def test_a_sweep_uses_up_what_the_worst_point_of_the_ball_does(seed: int) -> Non
     sweep = Sweep(tuple(velocity), tuple(spin), radius, back, forward, 0.01, 0.02, 1e9, 0.05)
     normal = direction / np.linalg.norm(direction)
     across = np.cross(spin, normal)
-    worst = radius * across / np.linalg.norm(across)  # x with the largest n . (w x x)
+    worst = radius * across / np.linalg.norm(across)  # x with the maximum n . (w x x)
     nearer = -normal @ (velocity + np.cross(spin, np.stack([worst, -worst]))).T
     expected = max(0.05, 0.025 + forward * nearer.max() + 0.02, 0.025 + back * (-nearer).max() + 0.01)
     assert used_up(sweep, tuple(direction), float(np.linalg.norm(direction))) == pytest.approx(expected)

@@ -44,7 +44,7 @@ def column_arm(at: float, column: str = "0.09 0.09 0.2", base: str = "0.1 0.1 0.
 
 
 def beside_a_post(gap: float, clearance: float) -> Cell:
-    """The column of arm a beside the base of arm b, whose own column stands 1 m behind."""
+    """The column of arm a next to the base of arm b, whose column is 1 m behind."""
     robots = {"a": load_robot(column_arm(0.0)), "b": load_robot(column_arm(-1.0))}
     first = {"name": "a", "start": {"joints_deg": (0, -30)}, "goal": {"joints_deg": (90, -30)}}
     second = {"name": "b", "position": (-(0.045 + gap + 0.05), 0, 0), "start": {"joints_deg": (0, -30)}}
@@ -115,7 +115,7 @@ def test_no_pair_of_two_arms_is_exempt():
 
 
 def test_declared_pairs_of_two_arms_may_touch():
-    """Names are exact: arm `a` with a link `b_base_link` would not be taken for arm `a_b`."""
+    """Names are exact: arm `a` with a link `b_base_link` is not arm `a_b`."""
     robot, places = load_robot(column_arm(0.0)), (0.0, 0.08)
     arms = {
         name: (robot, pin.SE3(np.eye(3), np.array([0.0, y, 0.0]))) for name, y in zip(("a", "a_b"), places, strict=True)

@@ -1,4 +1,4 @@
-"""Configurations with the tool at a point: planar arms in closed form, any arm from many starts."""
+"""Inverse kinematics: planar arms in closed form, general arms from many starts."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def nearest(candidates, q) -> float:
 
 
 def scan(robot: Robot, point: complex, angles: np.ndarray) -> np.ndarray:
-    """(angles,) whether the planar arm's tool reaches a point with these angles of the last link, one by one."""
+    """(angles,) True if the planar tool reaches a point with the last link's angle."""
     arm = robot.arm
     l1, l2, l3 = arm.lengths
     found = np.zeros(len(angles), dtype=bool)
@@ -101,7 +101,7 @@ def scan(robot: Robot, point: complex, angles: np.ndarray) -> np.ndarray:
     return found
 
 
-# What can be reached
+# Reachable points
 
 
 @pytest.mark.parametrize("name", SMALL)
@@ -129,7 +129,7 @@ def test_every_configuration_is_found(variants, name):
 
 
 def test_harvester_grid_is_found(robot):
-    """Joints at their limits, stretched elbows and points above the axis among them."""
+    """Including joints at limits, stretched elbows and points above the axis."""
     grid = np.radians(np.arange(0.0, 91.0, 15.0))
     for theta in np.stack(np.meshgrid(grid, grid, grid), axis=-1).reshape(-1, 3):
         q = np.array([0.4, *theta])
@@ -215,7 +215,10 @@ def test_locked_joints_keep_their_values(variants, name, locked):
 
 @pytest.mark.parametrize("name", ["plane beside the yaw axis", "links beside each other, off the axis"])
 def test_points_nearer_to_the_yaw_axis_than_the_plane(variants, name):
-    """Just outside there are two yaws, with the point ahead and with it behind; inside it is told by how much."""
+    """Just outside there are two yaws, with the point ahead and behind.
+
+    Inside, the error gives the distance.
+    """
     robot = variants[name]
     _, across = robot.shoulder_from_axis
     assert abs(across) > 0.1
@@ -239,7 +242,10 @@ def test_points_nearer_to_the_yaw_axis_than_the_plane(variants, name):
 
 
 def test_not_found_is_not_unreachable(variants):
-    """Just in reach of the stretched arm, which no joint of the grid points at: nothing else is claimed."""
+    """Just in reach of the stretched arm, which no grid angle reaches.
+
+    Only "not found" is claimed.
+    """
     robot = variants["five links on a yaw"]
     direction = np.array([np.cos(0.3), 0.0, np.sin(0.3)])
     with pytest.raises(UnreachableError, match="j0, j1 at values of a grid") as caught:
@@ -247,7 +253,7 @@ def test_not_found_is_not_unreachable(variants):
     assert caught.value.reason == "not_found"
 
 
-# What cannot be reached
+# Unreachable points
 
 
 def test_approach_out_of_reach(robot):
@@ -265,7 +271,7 @@ def test_approach_out_of_reach(robot):
 @settings(max_examples=60, suppress_health_check=list(HealthCheck))
 @given(seed=st.integers(0, 2**32 - 1))
 def test_limits_in_the_way(robot, seed):
-    """With the limits that are named moved by as much as is said, the point is reached; by less, it is not."""
+    """Moving the named limits by the stated amount makes the point reachable; less does not."""
     rng = np.random.default_rng(seed)
     arm = random_arm(robot, rng)
     while True:
@@ -319,7 +325,7 @@ def drawn(arm: Robot, seed: int) -> FloatArray:
 
 
 def off(arm: Robot, q: FloatArray, pose: FloatArray, frame: str | None = None) -> tuple[float, float]:
-    """How far a frame is from a pose [m, rad], by Pinocchio."""
+    """Distance of a frame from a pose [m, rad], by Pinocchio."""
     there = arm.forward_kinematics(q, frame)
     turn = pin.log3(there[:3, :3].T @ pose[:3, :3])
     return float(np.linalg.norm(there[:3, 3] - pose[:3, 3])), float(np.linalg.norm(turn))

@@ -39,7 +39,7 @@ def test_a_planar_arm_keeps_its_last_link_on_the_line(name: str, tmp_path) -> No
 
 
 def test_no_line_begins_where_the_elbow_is_straight() -> None:
-    """Joint speeds pass all bounds there; a little beside it a motion keeps its limits, and the tool its line."""
+    """Joint speeds are unbounded there; nearby, limits and line are kept."""
     robot = load_robot("orchard_harvester")
     goals = np.array([[1.6, 0.38, 0.0, 1.2], [1.6, 0.38, 0.1, 1.2]])
     lines = lines_back(robot, goals, 0.1)

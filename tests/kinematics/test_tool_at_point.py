@@ -1,4 +1,4 @@
-"""The tool of any robot at a point: what is found is there, from directions as they are asked for."""
+"""Inverse kinematics of any robot at a point, from requested directions."""
 
 from __future__ import annotations
 

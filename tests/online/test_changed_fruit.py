@@ -1,4 +1,4 @@
-"""Running motions to a fruit that is another one by now: contact is allowed with the very fruit alone."""
+"""Running motions to a changed fruit: contact is allowed with the original alone."""
 
 from __future__ import annotations
 
@@ -35,14 +35,14 @@ def picking(robot: Robot) -> PlanResult:
 
 
 def a_planner(robot: Robot) -> Planner:
-    """One whose motion to the apple runs."""
+    """A planner whose motion to the apple runs."""
     planner = Planner(robot, SCENE)
     planner.last = picking(robot)
     return planner
 
 
 def in_the_hand(robot: Robot, trajectory: Trajectory, time_s: float) -> tuple[float, float, float]:
-    """The middle of the last link at a time."""
+    """Middle of the last link at a time."""
     q = trajectory.positions(np.array([time_s]))[0]
     points, (origin, axes) = robot.arm.joint_points(q[robot.arm_slice]), robot.plane_at(robot.yaw_of(q))
     x, y, z = (origin + 0.5 * (points[-1] + points[-2]) @ axes[:2]).tolist()
@@ -89,14 +89,14 @@ def test_what_stands_in_the_base_is_said_of_stops_too(robot: Robot) -> None:
 
 @pytest.mark.parametrize("seed", range(16))
 def test_random_stops_among_changed_fruit_are_clear(robot: Robot, seed: int) -> None:
-    """What is certified touches no fruit but the one that the motion goes to, looked at by coal alone every 0.5 ms."""
+    """Certified stops touch only the goal's fruit, by coal every 0.5 ms."""
     random = np.random.default_rng(seed)
     planner, running = a_planner(robot), picking(robot)
     motion, contact_s = running.trajectory, running.certificate.contact_s
     at_s = random.uniform(contact_s[0] - 0.1, motion.duration)
     kind = seed % 4
     ball: Fruit | Sphere = APPLE
-    if kind == 1:  # a little beside where it was
+    if kind == 1:  # near its previous position
         ball = APPLE.model_copy(update={"center": tuple(np.add(APPLE.center, random.normal(0.0, 0.03, 3)).tolist())})
     elif kind == 2:  # anywhere about the last link
         near = np.array(in_the_hand(robot, motion, random.uniform(at_s, motion.duration)))
@@ -114,7 +114,7 @@ def test_random_stops_among_changed_fruit_are_clear(robot: Robot, seed: int) -> 
     among = SCENE.with_obstacles([Sphere(name="ball", center=ball.center, radius=ball.radius)])
     row = int(np.searchsorted(stop.trajectory.time, at_s + 1e-9)) - 1
     left = stop.trajectory.since(row)
-    # The tool stands out of the last link's capsule by nothing: links are all there is.
+    # The tool does not protrude from the last link's capsule: the links suffice.
     clock = np.append(np.arange(0.0, left.duration, 5e-4), left.duration)
     least = min(float(coal_distances(robot, q, among.obstacles).min()) for q in left.positions(clock))
     assert stop.certificate.verified == (least > 0.0) or abs(least) < 1e-3
@@ -140,7 +140,7 @@ PASSING = Sphere(name="passing", center=(-1.5, 0.0, 1.0), radius=0.1, track=AWAY
 
 
 def leaving_the_apple(robot: Robot, goal: Goal, *obstacles: Sphere) -> tuple[Planner, SplicedResult]:
-    """A planner whose motion goes elsewhere as soon as the tool is out of the apple, told before it is in it."""
+    """A planner that leaves the apple, redirected before the tool is in it."""
     planner = Planner(robot, SCENE.model_copy(update={"fruits": (APPLE, PEAR)}).with_obstacles(obstacles))
     begin_s, end_s = planner.plan(begins_s=5.0).certificate.contact_s
     planner.aim(goal=goal)
@@ -152,11 +152,11 @@ def leaving_the_apple(robot: Robot, goal: Goal, *obstacles: Sphere) -> tuple[Pla
 def agrees(
     robot: Robot, planner: Planner, trajectory: Trajectory, certificate: Certificate, row_s: float = 0.0
 ) -> None:
-    """What is verified is so by `certify`, told of the same contacts; and nothing of it is without them.
+    """The certificate agrees with `certify` for the same contacts, and fails without them.
 
-    A window that was carried over from a faster motion begins at a row of that, between whose rows more is allowed for
-    how far it bends: `certify`, which finds the goal's window by rows of the motion itself, may find that it begins
-    before, by less than two rows of the faster one last here.
+    A window carried over from a faster motion begins at one of its samples, with a larger allowance for curvature
+    between them. `certify` finds the goal's window from the samples of the motion itself, and may find an earlier
+    start, by less than two of the faster motion's samples, measured here.
     """
     assert certificate.verified, certificate.violations
     scene = planner.scene.since(planner.last.begins_s)

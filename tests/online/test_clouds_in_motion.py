@@ -1,4 +1,4 @@
-"""Clouds seen from a base that moves: where they are put, what is kept of them, and motions past them."""
+"""Clouds seen from a moving base: placement, memory, and motions past them."""
 
 from __future__ import annotations
 
@@ -30,7 +30,10 @@ def a_scene(track: Track | None = CREEP, **more: object) -> Scene:
 
 
 def base_poses(track: Track, clock: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(k, 3, 3) rotations and (k, 3) places: what the base sees at y is listed at R y + s; by SciPy alone."""
+    """(k, 3, 3) rotations and (k, 3) positions of the base, by SciPy alone.
+
+    A point that the base sees at y is at R y + s.
+    """
     inside = np.clip(clock, track.times_s[0], track.times_s[-1])
     shifts = np.array([np.interp(inside, track.times_s, column) for column in np.array(track.shifts_m).T]).T
     if track.rpy_deg is None:
@@ -73,7 +76,7 @@ def random_track(random: np.random.Generator) -> Track:
 
 
 def test_points_stand_where_they_were_seen(robot: Robot) -> None:
-    """Seen at 10 s, when the base is a metre on: in the way of the arm then, and so of the motion."""
+    """Seen at 10 s, when the base is 1 m farther: then it blocks the motion."""
     planner = Planner(robot, a_scene(), QUICK)
     free = planner.plan(begins_s=10.0)
     tip = robot.tool_positions(free.trajectory.position[[int(0.6 * free.trajectory.samples)]])
@@ -88,14 +91,20 @@ def test_points_stand_where_they_were_seen(robot: Robot) -> None:
 
 
 def test_random_motions_past_clouds_on_a_base_that_moves(robot: Robot) -> None:
-    """What is certified keeps from every point as it was seen, at a random time, by a random camera, by NumPy alone."""
+    """Certified motions keep clear of every observed point, by NumPy alone.
+
+    Times and cameras are random.
+    """
     free = plan(robot, a_scene(None), QUICK).trajectory
     near = [past_a_cloud(robot, free, seed) for seed in range(12)]
     assert sum(distance < 0.2 for distance in near) >= 5, near
 
 
 def past_a_cloud(robot: Robot, free: Trajectory, seed: int) -> float:
-    """The least distance of a certified motion from a random cloud beside a free one; infinite where there is none."""
+    """Minimum distance of a certified motion from a random cloud next to a free motion.
+
+    Infinite without a certified motion.
+    """
     random = np.random.default_rng(seed)
     track, (taken_s, begins_s) = random_track(random), random.uniform(0.0, 8.0, 2)
     planner = Planner(robot, a_scene(track), QUICK)
@@ -113,7 +122,7 @@ def past_a_cloud(robot: Robot, free: Trajectory, seed: int) -> float:
     try:
         result = planner.plan(begins_s=begins_s)
     except HplanError:
-        return np.inf  # it stands in the base, or in the way whatever the arm does
+        return np.inf  # it is in the base, or blocks every motion
     assert result.certificate.verified
     least = least_distance(robot, track, result.trajectory, begins_s, listed)
     assert least > 0.01 + 0.005 - 1e-6
@@ -157,7 +166,7 @@ def test_what_is_ignored_is_where_it_is_by_then(robot: Robot) -> None:
     report = planner.set_cloud("seen", points, radius=0.01, time_s=10.0, ignore=["apple", "bird"])
     assert (report.ignored, report.kept) == (400, 0)
     assert planner.set_cloud("seen", points, radius=0.01, time_s=15.0, ignore=["apple", "bird"]).ignored < 100
-    # The base may stand still: what moves is looked for at the frame's time all the same.
+    # The base may be at rest: moving obstacles are evaluated at the frame's time all the same.
     planner = Planner(robot, a_scene(None, obstacles=(bird,)))
     with pytest.raises(OptionError, match="what is to be ignored moves"):
         planner.set_cloud("seen", listed, radius=0.01, ignore=["bird"])
@@ -185,7 +194,7 @@ def test_a_cloud_that_was_cropped_for_less_is_refused(robot: Robot) -> None:
     planner.plan(begins_s=0.0)
     scene = planner.scene
     planner.scene = scene.model_copy(update={"clearance": 0.1})
-    planner.plan(begins_s=0.0)  # so much was kept
+    planner.plan(begins_s=0.0)  # all points were kept
     changes = [
         {"scene": scene.model_copy(update={"clearance": 0.2})},
         {"options": PlanOptions(effort="quick", tracking_error=0.05)},

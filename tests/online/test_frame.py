@@ -26,7 +26,7 @@ TUCKED = np.radians([20.0, 90.0, 90.0, 90.0])
 
 
 def cloud_about_the_arm(rng: np.random.Generator, count: int) -> np.ndarray:
-    """Points in and about the arm's reach, dense in places; some rows are not finite."""
+    """Points in and around the arm's reach, dense in places; some are not finite."""
     blobs = rng.uniform(-1.5, 1.5, (8, 3)) + np.array([0.0, 0.0, 0.6])
     points = blobs[rng.integers(0, 8, count)] + rng.normal(size=(count, 3)) * 0.02
     points[::3] = rng.uniform(-3.0, 3.0, (len(points[::3]), 3))
@@ -81,7 +81,7 @@ def test_every_point_is_accounted_for(robot, seed, kind, growth_m):
     assert report.ignored == (finite & near & ~in_arm & in_fruit).sum()
     stays = world[finite & near & ~in_arm & ~in_fruit]
     gaps = np.linalg.norm(stays[:, None] - found.points, axis=2)
-    # Every point that stays is in a ball, and the growth is the largest that is needed.
+    # Every kept point is in a ball, and the growth is the maximum required.
     cells = np.floor((stays - [x, y, z]) / (2.0 * growth_m / np.sqrt(3.0)))
     _, first, cell = np.unique(cells, axis=0, return_index=True, return_inverse=True)
     boxes = [stays[cell.ravel() == number] for number in range(len(first))]
@@ -144,7 +144,7 @@ def test_the_arm_is_in_its_reach_ball(robot):
     for q in rng.uniform(robot.lower, robot.upper, (50, robot.dof)):
         solids = arm_solids(robot, q)
         far = max(np.linalg.norm(solid.core - centre, axis=1).max() + solid.rounding for solid in solids)
-        assert far <= radius + 1e-3  # prisms stand out of the cylinders
+        assert far <= radius + 1e-3  # prisms protrude from the cylinders
         assert apart(robot.tool_positions(q)[None], solids)[0] <= 0.0
     assert radius < 2.3
 
@@ -233,7 +233,7 @@ def test_many_voxels_and_the_memory_of_frames_before(robot):
     assert len(count) < len(points)
 
 
-# What may be given
+# Accepted input
 
 
 @pytest.mark.parametrize(
@@ -327,7 +327,7 @@ def test_what_is_hidden_is_remembered_for_its_time(robot):
 
 
 def test_what_is_remembered_keeps_its_radius(robot):
-    """A wide ball is no smaller where the next frame's are, in that frame and in those after it."""
+    """A large ball stays large among the next frames' smaller balls."""
     first = take(robot, wall(1.4, half=0.05), 0.0)
     seen, kept = first.seen, first.report.kept
     for time_s, radius in ((0.2, 0.3 * RADIUS), (0.4, 0.1 * RADIUS), (0.6, 0.5 * RADIUS)):
@@ -340,7 +340,7 @@ def test_what_is_remembered_keeps_its_radius(robot):
 
 def test_what_the_camera_looks_through_is_forgotten(robot):
     first = take(robot, wall(0.8, half=0.1), 0.0)
-    assert take(robot, wall(1.4), 0.1, first.seen).report.remembered == 0  # it looks past where that was
+    assert take(robot, wall(1.4), 0.1, first.seen).report.remembered == 0  # it sees past the previous position
     assert take(robot, wall(0.79), 0.1, first.seen).report.remembered == 0  # and sees it again, but for noise
     unseen = take(robot, wall(1.4, half=0.02), 0.1, first.seen).report.remembered
     assert 0.8 * first.report.kept < unseen < first.report.kept  # at the rim nothing was measured
@@ -349,7 +349,7 @@ def test_what_the_camera_looks_through_is_forgotten(robot):
 
 @pytest.mark.parametrize("axis", range(3))
 def test_where_a_turned_camera_looks(robot, axis):
-    """To all six sides of the camera: what is behind it tells nothing of what is ahead."""
+    """To all six sides: points behind the camera say nothing about points ahead."""
 
     def look(points, time_s, before=None):
         pose = [*CAMERA, 20.0, -30.0, 100.0]
@@ -385,7 +385,7 @@ def test_the_arm_stands_in_a_ball_by_its_growth_too(robot, beyond_m, stays):
 
 
 def test_what_the_padding_hides_is_remembered(robot):
-    """A branch 25 mm beside the arm is taken for the arm in the next frame, but not forgotten."""
+    """A branch 25 mm from the arm counts as the arm in the next frame, but is kept."""
     reaching = np.zeros(robot.dof)
     x, y, z = robot.tool_positions(reaching) - CAMERA
     beside = robot.arm.half_widths[-1] + 0.025

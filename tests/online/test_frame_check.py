@@ -49,7 +49,7 @@ def rows_of(points: FloatArray) -> FloatArray:
     return np.arange(len(points))[:, None]
 
 
-#: What is wrong with a frame of points, as arguments of `see`.
+#: Faults of a frame of points, as arguments of `see`.
 BAD: dict[str, Any] = {
     "all NaN": lambda points: {"points": np.full_like(points, NAN)},
     "all infinite": lambda points: {"points": np.full_like(points, -INF)},
@@ -113,7 +113,7 @@ def test_no_motion_is_certified_through_the_plant_after_a_bad_frame(robot: Robot
 
 
 def test_pixels_without_a_return_are_no_obstacles(robot: Robot, plant: FloatArray) -> None:
-    """A camera on the arm: balls at the camera would leave a trail, as memory holds what is hidden."""
+    """A camera on the arm: balls at the camera would leave a trail in the memory."""
     planner = Planner(robot, SCENE)
     frame = np.concatenate([plant, np.zeros((500, 3))]).reshape(50, 50, 3)
     for number in range(5):
@@ -140,7 +140,7 @@ def test_a_camera_that_fades_is_noticed(robot: Robot, plant: FloatArray) -> None
     assert "the camera may be failing" in found.reason
     assert found.data["given"] == len(plant)
     assert 0.5 * len(plant) <= found.data["not_finite"] < 0.7 * len(plant)
-    # A frame of fewer points, all of them returns, is no loss: drivers leave out what has no return.
+    # A frame with fewer points, all of them returns, is no loss: drivers omit pixels without a return.
     see(planner, plant[:100], time_s=99.0)
 
 
@@ -191,7 +191,7 @@ def test_the_order_of_stamps(robot: Robot, plant: FloatArray) -> None:
 
 
 def test_plans_rely_on_frames_of_a_stated_age(robot: Robot, plant: FloatArray) -> None:
-    """One of two cameras is dead; a stop is certified among what it last saw, and says so."""
+    """With one of two cameras dead, a stop is certified with its last frame, and reports it."""
     planner = Planner(robot, SCENE)
     planner.plan(begins_s=0.0)
     aside, options = plant + np.array([0.0, 0.0, 1.0]), CloudOptions(max_age_s=0.2)

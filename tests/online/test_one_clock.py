@@ -1,4 +1,4 @@
-"""One clock for all that a planner is told, and one state: where the arm is when a motion is taken over."""
+"""One clock for all input of a planner, and one state at the handover of a motion."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def planned(robot: Robot) -> PlanResult:
 
 
 def a_planner(robot: Robot, begins_s: float | None = 0.0) -> Planner:
-    """One whose motion begins at a time."""
+    """A planner with a motion that starts at a time."""
     planner = Planner(robot, a_scene(), QUICK)
     planner.last = planned(robot)
     if begins_s is not None:
@@ -48,7 +48,7 @@ def a_planner(robot: Robot, begins_s: float | None = 0.0) -> Planner:
 
 @pytest.mark.parametrize("begins_s", [0.0, 1e3, 1.7e9])
 def test_a_loop_by_the_controllers_clock_is_where_it_should_be(robot: Robot, begins_s: float) -> None:
-    """Five calls as the README shows them: what is kept is followed as the first motion is."""
+    """Five calls as in the README; a kept motion is followed like the first one."""
     planner, first = a_planner(robot, begins_s), planned(robot)
     result: PlanResult = planner.last
     for tick in range(5):
@@ -61,7 +61,7 @@ def test_a_loop_by_the_controllers_clock_is_where_it_should_be(robot: Robot, beg
     stop = planner.stop_at(begins_s + 0.6, now=begins_s + 0.5, measured=q)
     assert stop.begins_s == result.begins_s
     np.testing.assert_allclose(stop.trajectory.state_at(begins_s + 0.5 - stop.begins_s)[0], q, atol=1e-5)
-    # As before; and a splice after what is kept goes on from there.
+    # As before; and a splice continues from the kept motion.
     planner.aim(goal=BACK)
     spliced = planner.replan(at=begins_s + 0.7, now=begins_s + 0.6)
     assert not spliced.is_kept

@@ -1,4 +1,4 @@
-"""Planning as the scene changes: motions kept, mended, planned anew; kernels compiled before."""
+"""Planning as the scene changes: motions kept, repaired, planned anew; warm-up."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def planner_for(robot: Robot, obstacles: Any = (), **more: Any) -> Planner:
 
 
 def assert_fresh(robot: Robot, planner: Planner, result: PlanResult) -> None:
-    """Certified with a judge of its own among the obstacles as they are now."""
+    """Check the certificate among the current obstacles with a new checker."""
     assert planner.last is result
     assert_sound(robot, planner.scene, result)
     solids = planner.scene.solids
@@ -61,7 +61,7 @@ def method(result: PlanResult) -> str:
 
 
 def test_plan_is_that_of_the_function(robot: Robot) -> None:
-    """Whatever was planned before."""
+    """Regardless of earlier plans."""
     planner = planner_for(robot)
     for obstacles in ([], [POST], [POST.model_copy(update={"radius": 0.1})], [POST], []):
         planner.scene = planner.scene.with_obstacles(obstacles)
@@ -99,7 +99,7 @@ def test_motion_is_mended_where_an_obstacle_grazes_it(robot: Robot) -> None:
 
 
 def test_obstacle_that_wanders_through(robot: Robot) -> None:
-    """A post comes along the arm's way in small steps; every motion is certified among what is there."""
+    """A post approaches the arm in small steps; every motion is certified."""
     planner = planner_for(robot)
     planner.add(AWAY)
     seen = set()
@@ -109,7 +109,7 @@ def test_obstacle_that_wanders_through(robot: Robot) -> None:
         try:
             result = planner.replan()
         except ConfigurationInCollisionError:
-            continue  # it stands where the start or the goal is
+            continue  # it overlaps the start or the goal
         seen.add(method(result))
         assert_fresh(robot, planner, result)
     assert seen >= {"direct", "kept", "mended", "trees"}
@@ -179,7 +179,7 @@ def test_what_stands_in_the_base_is_refused(robot: Robot) -> None:
 
 @pytest.mark.parametrize("seed", range(5))
 def test_random_changes(robot: Robot, seed: int) -> None:
-    """Obstacles of a random scene come one by one, and go; all of them leave a motion, and each is sound."""
+    """Obstacles of a random scene come and go one by one; every motion is sound."""
     whole = random_scene(3 * seed + 1, robot)
     planner = Planner(robot, whole.with_obstacles([]), PlanOptions(step_deg=3.0))
     changes: list[Any] = [("add", item) for item in whole.obstacles]
@@ -321,7 +321,7 @@ def test_nothing_is_compiled_or_loaded_afterwards(program: str, tmp_path_factory
 
 @pytest.mark.parametrize("name", ARMS)
 def test_any_arm_has_a_motion_to_make_ready_with(name: str, tmp_path_factory: pytest.TempPathFactory) -> None:
-    """But for one whose motors cannot hold it."""
+    """Except an arm whose motors cannot hold it."""
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always", NotReadyWarning)
         hplan.warm_up(loaded_arm(name, tmp_path_factory))

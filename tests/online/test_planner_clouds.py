@@ -1,4 +1,4 @@
-"""A planner that takes frames of a depth camera."""
+"""A planner that receives frames of a depth camera."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ def test_what_is_hidden_is_kept_between_frames(robot):
     first = planner.set_cloud("seen", far * [1.0, 0.5, 0.5], radius=0.01, pose=pose, keep_s=1.0, time_s=0.0)
     second = planner.set_cloud("seen", near, radius=0.01, pose=pose, keep_s=1.0, time_s=0.5)
     assert second.remembered == first.kept
-    assert planner.set_cloud("seen", near, radius=0.01, pose=pose, time_s=0.6).remembered == 0  # not asked for
+    assert planner.set_cloud("seen", near, radius=0.01, pose=pose, time_s=0.6).remembered == 0  # not requested
 
 
 def test_what_tracking_errors_bring_near_is_within_reach(robot):
@@ -131,7 +131,7 @@ def test_a_cloud_that_is_removed_has_seen_nothing(robot):
 
 @pytest.fixture
 def new_clouds():
-    """Counts the clouds that are alive, and their blocks, without those of tests before this one."""
+    """Counts live clouds and their blocks, except clouds of earlier tests."""
     gc.collect()
     gc.freeze()
     yield lambda: Counter(type(o) for o in gc.get_objects() if isinstance(o, (PointCloud, Cloud, PointBlocks)))

@@ -1,4 +1,4 @@
-"""Space that was seen: what a frame frees is in view, what closes off the rest has no gap, motions stay within."""
+"""Observed space: freed space is in view, its boundary is closed, motions stay inside."""
 
 from __future__ import annotations
 
@@ -192,7 +192,7 @@ def test_the_next_view_frees_the_way(robot: Robot) -> None:
         assert planner._space is not None
         places = np.floor((view.unseen - planner._space._corner) / planner._space.edge).astype(int)
         known = planner._space.times[tuple(places.T)] >= planner._known_since_s
-        assert known.mean() >= 0.9 * view.shown  # what was promised
+        assert known.mean() >= 0.9 * view.shown  # as promised
         shares.append(known.mean())
     assert shares[0] > 0.3
     assert len(shares) <= 3

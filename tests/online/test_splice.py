@@ -1,4 +1,4 @@
-"""A new motion spliced into a running one: what stays, the seam, the whole; and what is said where none is found."""
+"""A new motion spliced into a running one: the seam, the whole, and failures."""
 
 from __future__ import annotations
 
@@ -26,20 +26,20 @@ BACK = Goal(joints_deg=(-30.0, 60.0, 40.0, 30.0))
 
 
 def a_planner(robot: Robot, **options: object) -> tuple[Planner, PlanResult]:
-    """A planner whose motion leads about a post."""
+    """A planner whose motion goes around a post."""
     scene = task((-40.0, 45.0, 40.0, 30.0), (40.0, 45.0, 40.0, 30.0), [POST, BALL])
     planner = Planner(robot, scene, PlanOptions(**options))
     return planner, planner.plan()
 
 
 def on_the_way(robot: Robot, trajectory: Trajectory, part: float) -> tuple[float, float, float]:
-    """Where the tool is at a part of a motion."""
+    """Position of the tool at a fraction of a motion."""
     x, y, z = robot.tool_positions(trajectory.position[[int(part * (trajectory.samples - 1))]])[0].tolist()
     return x, y, z
 
 
 def assert_spliced(robot: Robot, scene: Scene, before: PlanResult, result: SplicedResult) -> None:
-    """The running motion up to the seam row for row, continuous cubics there, the whole certified and clear."""
+    """Check a splice: samples up to the seam, continuity, certificate, clearance."""
     trajectory = result.trajectory
     assert_goes_on(before, result)
     now = result.scene
@@ -94,7 +94,7 @@ def test_around_an_obstacle_that_has_come_in_the_way(robot):
     result = planner.replan(at=0.25, now=0.2)
     assert not result.is_kept
     assert_spliced(robot, planner.scene, before, result)
-    # And on: what was spliced runs.
+    # The next splice starts from the spliced motion.
     planner.aim(goal=BACK)
     again = planner.replan(at=0.5, now=0.4)
     assert_spliced(robot, planner.scene, result, again)

@@ -1,4 +1,4 @@
-"""Splices and stops among what moves: certified in time, clear by coal alone, and by which clock all this is told."""
+"""Splices and stops among moving obstacles: certified in time, clear by coal, clocks."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ PLANAR = {"locked_joints": ("base_yaw",)}
 
 
 def tool_at(robot: Robot, trajectory: Trajectory, part: float) -> np.ndarray:
-    """Where the tool is at a part of a motion."""
+    """Position of the tool at a fraction of a motion."""
     return robot.tool_positions(trajectory.positions(np.array([part * trajectory.duration])))[0]
 
 
@@ -53,21 +53,23 @@ def coming(center: np.ndarray, at_s: float, *, speed: float = 1.0, radius: float
 
 
 def a_planner(robot: Robot, *obstacles: Sphere, **options: object) -> Planner:
-    """A planner whose motion runs where nothing is in the way yet."""
+    """A planner whose motion is clear at first."""
     planner = Planner(robot, task(START, GOAL, obstacles, **PLANAR), PlanOptions(**options))
     assert planner.plan().certificate.verified
     return planner
 
 
 def assert_spliced(robot: Robot, before: PlanResult, scene: Scene, planner: Planner, result: SplicedResult) -> None:
-    """As it ran up to the seam, continuous there; certified in time and clear by coal; the scene stays as it was.
+    """Check a splice: unchanged up to the seam, continuous, certified, clear by coal.
+
+    The scene is unchanged.
 
     Args:
         robot: The arm.
-        before: What ran.
-        scene: The planner's scene then.
+        before: The running motion.
+        scene: The planner's scene at that time.
         planner: The planner.
-        result: What runs now.
+        result: The spliced motion.
     """
     motion = result.trajectory
     assert_goes_on(before, result)
@@ -170,7 +172,7 @@ def test_stops_of_the_running_motion_are_certified_in_time(robot):
     late = planner.stop_at(at_s)
     assert not late.certificate.verified
     assert late.certificate.clear_until_s is None
-    # Where the ball has gone already the arm may stop.
+    # After the ball has passed the arm may stop.
     planner.move("ball", track=crossing(middle, -0.5).track)
     assert planner.stop_at(at_s).certificate.verified
 
@@ -208,7 +210,7 @@ def test_what_is_in_the_way_before_the_seam_gives_the_stop(robot):
 
 
 def test_a_state_of_motion_that_cannot_be_left_is_said(robot):
-    """It is clear up to the seam, and hit right after it whatever it does."""
+    """It is clear up to the seam, and then collides with every motion."""
     planner = a_planner(robot)
     running = planner.last.trajectory
     q = running.positions(np.array([0.5 * running.duration]))[0]

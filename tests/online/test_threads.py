@@ -1,4 +1,4 @@
-"""Threads that plan at once get what they would have got one after the other."""
+"""Concurrent planning in threads gives the same results as sequential planning."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from hplan.scene.obstacles import Sphere
 
 @pytest.fixture(autouse=True)
 def switching() -> Iterator[None]:
-    """Threads take turns as often as Python lets them."""
+    """Threads switch as often as Python permits."""
     before = sys.getswitchinterval()
     sys.setswitchinterval(1e-5)
     yield
@@ -42,7 +42,7 @@ def scenes() -> list[Scene]:
 
 
 def at_once(jobs: list[Callable[[], Any]]) -> list[Any]:
-    """Run jobs in threads that begin together."""
+    """Run jobs in threads that start together."""
     gate = threading.Barrier(len(jobs))
 
     def run(job: Callable[[], Any]) -> Any:
@@ -69,7 +69,7 @@ def test_plans_with_one_robot(robot: Robot) -> None:
 
 
 def test_queries_of_one_collision_scene(robot: Robot) -> None:
-    """Where the arm is placed for one question must not move before it is answered."""
+    """The arm's placement must not change during a query."""
     scene = CoalScene(robot, scenes()[0].solids)
     pairs = np.arange(len(scene.pairs))
     workers = 4
@@ -88,7 +88,7 @@ def test_queries_of_one_collision_scene(robot: Robot) -> None:
 
 
 def test_one_planner(robot: Robot) -> None:
-    """Every plan is of a scene that there was, whole; none is of one that was being changed."""
+    """Every plan is for one complete scene, never for a partly changed one."""
     start = scenes()[0]
     planner = hplan.Planner(robot, start, hplan.PlanOptions(step_deg=2.0))
     planner.plan()
@@ -132,7 +132,7 @@ def test_changes_frames_and_stops_do_not_wait_for_a_plan(robot: Robot, monkeypat
 
 
 def test_frames_while_others_plan(robot: Robot) -> None:
-    """Each thread's last frame stands; the memory of frames and the plans are whole."""
+    """Each thread's last frame is valid; the memory of frames and the plans are complete."""
     planner = hplan.Planner(robot, scenes()[0], hplan.PlanOptions(step_deg=2.0))
     planner.plan()
     frames = [np.random.default_rng(number).uniform((0.9, -1.2, 1.0), (1.1, -1.0, 1.2), (2000, 3)) for number in (0, 1)]
@@ -156,7 +156,7 @@ def test_frames_while_others_plan(robot: Robot) -> None:
 
 
 def test_layers_are_counted_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Many threads that put layers in and push others out."""
+    """Many threads that insert layers and evict others."""
     layers = LayerCache(10_000)
     words = np.zeros(16, dtype=np.uint64)
 

@@ -1,4 +1,7 @@
-"""Motions that begin and end in motion: their outer control points, programs and optima against differences."""
+"""Motions with nonzero boundary velocities: control points, programs, optima.
+
+They are compared with differences.
+"""
 
 from __future__ import annotations
 
@@ -61,7 +64,7 @@ def moved(spline, unknowns, time_scale):
 
 
 def values_of(rows, unknowns, time_scale):
-    """What each side of a program is over its right-hand side."""
+    """Ratio of left to right side of each constraint of a program."""
     value = np.zeros(len(rows.upper))
     for row, (start, end) in enumerate(zip(rows.starts[:-1], rows.starts[1:], strict=True)):
         value[row] = rows.entries[start:end] @ unknowns[rows.columns[start:end]]
@@ -108,7 +111,7 @@ def test_the_program_is_the_limits_to_first_order_in_step_and_time_scale(robot, 
         kinematic_sides(moved(spline, unknowns, time_scale), limits, time_scale),
     )
     assert len(sides(np.zeros(count), 1.0)) == len(here) == 2 * (3 * (PIECES + 3) - 12) * 2
-    # In whatever order: each value, and its change.
+    # In any order: each value, and its derivative.
     order, other = np.argsort(here), np.argsort(sides(np.zeros(count), 1.0))
     np.testing.assert_allclose(sides(np.zeros(count), 1.0)[other], here[order], atol=1e-9)
     change = (sides(unknowns, time_scale) - sides(np.zeros(count), 1.0))[other]
@@ -186,7 +189,7 @@ def fastest(robot, ends, limits=None):
 
 
 def assert_kept(robot, motion, ends):
-    """Rows between the states, pieces at rows, limits kept at all times."""
+    """Check samples between the states, segments at samples, and limits at all times."""
     rows = motion.trajectory(robot.dynamics, 250.0)
     for row, state in ((0, ends[0]), (-1, ends[1])):
         for name in ("position", "velocity", "acceleration"):

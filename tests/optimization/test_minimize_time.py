@@ -1,4 +1,4 @@
-"""Motions made faster: the whole, its linear programs, and when it is enough."""
+"""Faster motions: the optimizer, its linear programs, and its termination."""
 
 from __future__ import annotations
 
@@ -204,7 +204,7 @@ def test_a_motion_that_keeps_the_program_keeps_the_limits(motion, limits, robot)
     both = len(rows.lower)
     for _ in range(200):
         unknowns = rng.uniform(-TRUST, TRUST, count)
-        # The least time scale at which the program's limits are kept.
+        # Minimum time-scaling factor that satisfies the program's limits.
         value = matrix[:both, :-1] @ unknowns
         with np.errstate(divide="ignore", invalid="ignore"):
             needed = np.maximum(value - rows.upper[:both], -value - rows.lower) / -rows.time_scale[:both]
@@ -220,7 +220,7 @@ SWAY = np.array([[2e-3, 1e-3, 0.0, 0.0], [2e-3, 2e-3, 1e-3, 0.0], [3e-3, 2e-3, 2
 
 @pytest.mark.parametrize("sway", [np.zeros((0, 4)), SWAY], ids=["exact", "tracking errors"])
 def test_clearances_less_what_tracking_errors_take_follow_step_and_time_scale(motion, limits, robot, sway):
-    """Errors that grow with speed bring links nearer; a slower motion leaves more room."""
+    """Velocity-dependent tracking errors reduce clearance; a slower motion gains some."""
     control, knots = motion
     field, count, by = field_of(robot), (PIECES - 3) * 2, 1e-4
     rows = first_order(at_rest(control, knots), limits._replace(sway=sway), field.arrays, MARGIN, TRUST)
@@ -228,7 +228,7 @@ def test_clearances_less_what_tracking_errors_take_follow_step_and_time_scale(mo
     lever = sway if len(sway) else 0.0 * SWAY
 
     def left(values, time_scale):
-        """Clearances in the order of the rows."""
+        """Clearances in the order of the constraint rows."""
         spline, breaks = BSpline(knots, values, 3), knots[3:-3]
         clock = (breaks[:-1, None] + np.diff(breaks)[:, None] * np.arange(PLACES) / PLACES).ravel()
         return (field.along(spline(clock)) - np.abs(spline(clock, 1)) @ lever.T / time_scale).ravel()
@@ -241,7 +241,7 @@ def test_clearances_less_what_tracking_errors_take_follow_step_and_time_scale(mo
     expected = -(matrix[both:, :-1] @ unknowns + matrix[both:, -1] * by) * SCALE
     np.testing.assert_allclose(change[touched], expected, atol=2e-9 + 1e-3 * np.abs(expected).max())
     assert (np.abs(matrix[both:, -1]).max() > 0.0) == (len(sway) > 0)
-    if not len(sway):  # where there is more than the margin, the margin is asked for
+    if not len(sway):  # the margin is required if the clearance exceeds it
         spare = (here[touched] - rows.upper[both:] * SCALE)[here[touched] > 2.0 * MARGIN]
         np.testing.assert_allclose(spare, MARGIN, atol=1e-12)
 
@@ -259,10 +259,13 @@ ACCURACY = 1e-8
 
 
 def drawn(seed: int, count: int, band: int, one_sided: int) -> tuple[ProgramRows, np.ndarray, np.ndarray]:
-    """A program with a solution, its rows as a dense matrix with the time scale last, and the right-hand sides."""
+    """A program with a solution: rows, dense matrix, right-hand sides.
+
+    The time scale is the last column.
+    """
     rng = np.random.default_rng(seed)
     both = 3 * count
-    # Of the rows of one side two at a time have the same columns, as clearances at one place have.
+    # Every two one-sided rows have the same columns, like clearances at one configuration.
     first = np.append(np.tile(np.arange(count), 3), np.repeat(np.arange(count), 2)[:one_sided])
     first = np.minimum(first, max(0, count - band - 1))
     width = min(band + 1, count)
@@ -272,7 +275,7 @@ def drawn(seed: int, count: int, band: int, one_sided: int) -> tuple[ProgramRows
     upper = rng.uniform(-0.5, 0.5, both + one_sided)
     upper[both:] = rng.uniform(0.05, 0.5, one_sided)
     lower = rng.uniform(-0.5, 0.5, both)
-    # Changes are bounded, as by the largest step.
+    # Changes are bounded, as by the step limit.
     columns = first[:, None] + np.arange(width)
     rows = ProgramRows(
         np.concatenate([np.arange(both + 1) * width, both * width + np.arange(1, count + 1),
@@ -302,7 +305,7 @@ def test_the_time_scale_is_the_least_that_highs_finds(seed, count, band, one_sid
     assert best.status == 0
     assert found
     assert (matrix @ x - right).max() < 1e-6
-    # The squares of the changes, which are at most 1, count a little.
+    # The squares of the changes, at most 1 each, have a small weight.
     assert best.fun - 1e-6 <= x[-1] <= best.fun + 0.5e-4 * count + 1e-6
 
 

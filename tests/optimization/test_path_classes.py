@@ -18,7 +18,7 @@ def field(robot):
 
 
 def bent(sideways):
-    """(12, 4) points of a path that turns the base by so much halfway."""
+    """(12, 4) points of a path, with the base turned midway."""
     parts = np.linspace(0.0, 1.0, 14)[1:-1, None]
     return START + parts * (GOAL - START) + np.sin(np.pi * parts) * np.array([sideways, 0.0, 0.0, 0.0])
 

@@ -1,4 +1,4 @@
-"""Motions mended and ways out of tight places, judged by coal."""
+"""Repaired motions and escapes from tight places, judged by coal."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def test_out_between_obstacles_that_hold_two_links_from_two_sides(robot, locked)
     assert field.clearance(ways[-1][-1]) >= 0.01
 
 
-# Whatever is between the nodes
+# Obstacles between the nodes
 
 ROBOT = load_robot()
 FAR = 1e-3
@@ -108,7 +108,7 @@ def test_joints_one_after_the_other() -> None:
 
 
 def test_locked_joints_do_not_move() -> None:
-    """The push uses the joints that may move only; where none of these helps the motion is named."""
+    """Only movable joints are used; if none helps the motion is named."""
     ball = Sphere(name="ball", center=(1.7, 0.0, 0.54), radius=0.05)
     path = np.array([[-0.2, 0.0, 0.0, 0.0], [0.2, 0.0, 0.0, 0.0]])
     field = ClearanceField.of(ROBOT, [ball])

@@ -1,4 +1,4 @@
-"""Paths made smooth, and the fastest of several starts."""
+"""Smooth paths, and the fastest of several starts."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def samples_of(path, spacing=2e-3):
 
 
 def assert_kept(robot, checker, path, start, goal):
-    """Ends kept, within the joint limits, clear under dense sampling, and the base where it was."""
+    """Check ends, joint limits, clearance at dense samples, and the base."""
     samples = samples_of(path)
     if not isinstance(path, SplinePath):
         np.testing.assert_array_equal(path[[0, -1]], [start, goal])
@@ -126,7 +126,10 @@ def test_shortened_reference_path(robot, field, checker, grid_path, margin):
 
 
 def test_shortened_random_paths(robot):
-    """Wandering paths among random balls: those that are clear stay so and never grow, locked joints stay."""
+    """Shortened clear paths among random balls stay clear and never grow.
+
+    Locked joints stay.
+    """
     rng = np.random.default_rng(5)
     seen = 0
     while seen < 25:
@@ -179,11 +182,11 @@ def test_corner_in_contact_cannot_be_rounded(robot):
         clear_rounding(path, ClearanceField.of(robot, [ball]), margin=1e-3)
 
 
-# Splines pushed, and how fast they are
+# Splines moved away from obstacles, and their speed
 
 
 def test_pushing_keeps_the_joint_limits(robot, field, grid_path, options):
-    """Limits as narrow as the path: pushing would leave them on one side or the other."""
+    """Limits as narrow as the path: without them it would leave the range."""
     taut = shorten(grid_path, field, margin=MARGIN)
     tight = replace(options, lower=taut.min(axis=0), upper=taut.max(axis=0))
     left = 0
@@ -209,11 +212,14 @@ def test_coarse_profile_is_about_that_of_toppra(robot, field, grid_path, options
 
 @pytest.mark.parametrize("seed", range(4))
 def test_largest_speeds_at_which_all_joints_can_accelerate(options, seed):
-    """Against linear programs: the largest x with |q' u + q'' x| <= a for some u, and |q'|^2 x <= v^2."""
+    """Against linear programs: the maximum x with |q' u + q'' x| <= a for some u.
+
+    And |q'|^2 x <= v^2.
+    """
     control = np.random.default_rng(seed).uniform(-1.0, 1.0, (9, 4))
     grid = coarse._grid_of(SplinePath.through(control).knots, 6)
     demands = np.empty((len(grid.first), 9))
-    velocity = 100.0 * options.velocity  # where joints disagree, not how fast each of them is
+    velocity = 100.0 * options.velocity  # for the limits by acceleration alone
     coarse._demands(control, grid, replace(options, velocity=velocity, movable=np.arange(4)).joints, demands)
     for row, (weights, bends) in enumerate(zip(grid.first, grid.second, strict=True)):
         piece = min(row // 8, 5)
@@ -299,11 +305,11 @@ def test_random_clear_paths(robot, options, smoothed):
         assert_same(found, smoothed(path, field, options))
 
 
-# Straight motions, and what is far away
+# Straight motions, and distant obstacles
 
 
 def test_clear_straight_motion_stays_straight(robot, options):
-    """Where one joint takes longest anyway, the straight line is as fast as any: no search, whatever way led there."""
+    """If one joint limits the duration the straight line is optimal: no search."""
     free = replace(options, movable=np.arange(4))
     field = ClearanceField.of(robot, [Sphere(name="far", center=(-1.5, 0.0, 1.0), radius=0.1)])
     start, end = np.array([0.0, 0.4, 0.3, 0.2]), np.array([1.0, 0.7, 0.3, 0.3])
@@ -315,7 +321,7 @@ def test_clear_straight_motion_stays_straight(robot, options):
 
 
 def test_what_the_optimisers_left_out_is_not_touched(robot, options, monkeypatch):
-    """With next to nothing in sight the proof still has everything, and the search is repeated with all of it."""
+    """With few obstacles in the search the proof still has all; the search repeats."""
     monkeypatch.setattr(postprocess_path, "NEAR", 1e-6)
     monkeypatch.setattr(postprocess_path, "FEW", 0)
     ball = Sphere(name="ball", center=(1.0, 0.0, 1.9), radius=0.15)

@@ -207,7 +207,7 @@ def test_rows_are_the_motion(robot):
     for end in (0, -1):
         assert not rows.velocity[end].any()
         assert not rows.acceleration[end].any()
-    # The cubics between the rows, as the certificate reads them, are the spline.
+    # The cubics between the samples, as read by the certificate, equal the spline.
     bezier, durations = rows.segments
     middle = (bezier * np.array([1.0, 3.0, 3.0, 1.0])[:, None] / 8.0).sum(axis=1)
     np.testing.assert_allclose(middle, spline.path.evaluate(rows.time[:-1] + 0.5 * durations), atol=1e-13)

@@ -86,7 +86,7 @@ def test_the_dense_search_is_refused_where_there_is_no_grid(arm: Robot) -> None:
 
 
 def test_a_table_in_which_the_foot_stands_is_refused(arm: Robot) -> None:
-    """The first thing that a newcomer plans among: it is told which obstacle, which link and how deep."""
+    """A common first scene: the error names obstacle, link and depth."""
     table = Box(name="table", center=(0.0, 0.0, -0.1), size=(1.0, 1.0, 0.1))
     with pytest.raises(
         InputError, match=r"'table' is .* deep in the robot's 'base_link', which does not move: move the"
@@ -110,7 +110,7 @@ def test_a_robot_without_shapes_is_neither_planned_for_nor_certified() -> None:
 
 @pytest.mark.parametrize("leaves_s", [0.6, 2.0])
 def test_it_waits_for_a_ball_that_leaves_its_path(arm: Robot, leaves_s: float) -> None:
-    """The ball is put where its track has it, and is as far off as the certificate says."""
+    """The ball follows its track, at the distance that the certificate states."""
     start, goal = np.array([-1.3, -0.6, 1.0, 0.2, 0.3, 0.0]), np.array([1.3, -0.6, 1.0, 0.2, 0.3, 0.0])
     middle, rise = arm.tool_positions(0.5 * (start + goal)), np.array([0.0, 0.0, 0.8])
     away = Track(times_s=(0.0, leaves_s), shifts_m=((0.0, 0.0, 0.0), tuple(rise.tolist())))

@@ -1,4 +1,4 @@
-"""Approaches that flow out of the transit, and motions that begin in motion."""
+"""Blended approaches, and motions that begin in motion."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Told:
 
 @pytest.fixture(scope="module")
 def plans(robot: Robot) -> dict[str, tuple[Scene, PlanResult, Told]]:
-    """Plans of scenes, with what they would be with a stop."""
+    """Plans of scenes, with the same plans with a stop."""
     found = {}
     with pytest.MonkeyPatch.context() as patch:
         for name in SCENES:
@@ -61,13 +61,16 @@ def plans(robot: Robot) -> dict[str, tuple[Scene, PlanResult, Told]]:
 
 
 def seam_of(result: PlanResult) -> int:
-    """The row at which the approach begins."""
+    """The sample where the approach begins."""
     approach = next(phase for phase in result.phases if phase.name == "approach")
     return int(np.argmin(np.abs(result.trajectory.time - approach.start_s)))
 
 
 def offset_of(robot: Robot, result: PlanResult, motion: Trajectory) -> float:
-    """How far the tool is off its straight line at most, from the stand-off to the grasp and back, between rows too."""
+    """Maximum offset of the tool from its straight line.
+
+    From the stand-off to the grasp and back, between samples too.
+    """
     assert result.grasp is not None
     tip, off = robot.tool_positions(result.grasp.goal), robot.tool_positions(result.grasp.standoff)
     line = (off - tip) / np.linalg.norm(off - tip)
@@ -96,7 +99,7 @@ def test_the_approach_begins_in_motion_and_is_straight_and_smooth(robot: Robot, 
     step = np.diff(motion.time)[0]
     jerk = np.diff(motion.acceleration[near], axis=0) / step
     assert (np.abs(jerk) <= robot.jerk_limit * 1.0005).all()
-    # The rows' velocities and accelerations are those of their positions.
+    # The samples' velocities and accelerations are the derivatives of their positions.
     mean = 0.5 * (motion.velocity[1:] + motion.velocity[:-1])[near]
     slip = np.diff(motion.position, axis=0)[near] / step - mean
     assert (np.abs(slip) <= robot.jerk_limit * step**2 / 12.0 + 1e-6).all()
@@ -144,7 +147,7 @@ def test_at_few_rows_a_second_approaches_in_motion_are_straight_too(robot: Robot
     pick = told.approach
     slow = replace(pick, problem=replace(pick.problem, options=PlanOptions(rate_hz=25.0)))
     found = [slow.non_stop(lead) for lead in LEADS]
-    assert any(part is None for part in found)  # off their line by more, between rows
+    assert any(part is None for part in found)  # off their line by more, between samples
     for part in found:
         assert part is None or straightness(robot, pick, part) <= 1e-4
 
@@ -175,12 +178,12 @@ def start_of(trajectory: Trajectory, row: int) -> Start:
 
 
 def begun(row: int, **changes: object) -> Scene:
-    """The scene of the running motion, which is at a row of it."""
+    """The scene of the running motion at a sample of it."""
     return running().motion.problem.scene.model_copy(update={"start": start_of(running().trajectory, row), **changes})
 
 
 def assert_goes_on(scene: Scene, result: PlanResult) -> None:
-    """It leaves the start's state as it is, keeps limits and distances, comes to rest, and is certified as a whole."""
+    """Check that the motion continues the start's state, within limits, to rest, certified."""
     robot, trajectory = load_robot(), result.trajectory
     start = scene.start
     np.testing.assert_allclose(trajectory.position[0], start.configuration, rtol=0, atol=1e-12)
@@ -240,7 +243,7 @@ def test_a_start_in_motion_at_its_goal(robot):
 
 
 def test_slower_than_the_start(robot):
-    """A fraction of full speed at which the arm moves already."""
+    """At a fraction of full speed below the current speed."""
     row = int(np.abs(running().trajectory.velocity).max(axis=1).argmax())
     scene = begun(row)
     assert_goes_on(scene, plan(robot, scene, PlanOptions(speed=0.3)))

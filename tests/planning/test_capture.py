@@ -1,4 +1,4 @@
-"""Fruit that is not where it was seen: how likely the gripper catches it, and the approach that is best for that."""
+"""Uncertain fruit positions: the capture probability, and the best approach."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from hplan.scene.model import Fruit, Goal, Scene, Start
 
 CAPTURE = (0.008, 0.02)
 
-#: Depth, seen along x, is what is least certain.
+#: Depth, along x, is the least certain direction.
 COVARIANCE = np.diag([0.015, 0.003, 0.003]) ** 2
 
 SCENE = Scene(
@@ -41,7 +41,7 @@ def test_shares_are_those_of_the_normal_distribution() -> None:
 
 
 def test_the_approach_is_best_against_the_error(robot: Robot) -> None:
-    # Of the fruit that is grown by three sigmas, stand-offs of 10 cm would not be clear.
+    # With a growth of three sigmas, stand-offs of 10 cm would not be clear.
     plain, found = (
         hplan.plan(robot, SCENE, hplan.PlanOptions(standoff=0.2, capture_m=most)) for most in (None, CAPTURE)
     )

@@ -1,4 +1,4 @@
-"""Several arms on one clock: planned together, certified against one another, judged by Pinocchio and coal alone."""
+"""Several arms on one clock: planned, certified, judged by Pinocchio and coal."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ FROM, TO = (-40.0, 60.0, 60.0, 60.0), (40.0, 60.0, 60.0, 60.0)
 
 
 def facing(robot, distance: float, start=TO, goal=FROM, **more) -> Cell:
-    """Two harvesters that look at each other; where they are near, their straight motions meet."""
+    """Two harvesters facing each other; if close, their straight motions collide."""
     left = CellRobot(name="left", start=Start(joints_deg=FROM), goal=Goal(joints_deg=TO))
     right = CellRobot(
         name="right", position=(distance, 0.0, 0.0), rpy_deg=(0.0, 0.0, 180.0), start=Start(joints_deg=start),
@@ -51,7 +51,7 @@ def facing(robot, distance: float, start=TO, goal=FROM, **more) -> Cell:
 
 
 def apart(cell: Cell, q: np.ndarray) -> float:
-    """Least distance of two bodies of different arms, by Pinocchio and coal."""
+    """Minimum distance of two bodies of different arms, by Pinocchio and coal."""
     model, geometry = cell.robot.model, between_arms(cell)
     data, seen = model.createData(), geometry.createData()
     found = []
@@ -154,7 +154,7 @@ def test_one_begins_later_where_that_is_all_there_is(robot, monkeypatch, error):
 
 @pytest.mark.parametrize("right", [{"start": FROM, "goal": TO}, {"start": (0.0, 60.0, 60.0, 60.0), "goal": None}])
 def test_arms_go_around_others_that_stand_and_step_aside(robot, monkeypatch, right):
-    """Both are where the other is to be; or one stays in the way of the other."""
+    """Each is at the other's goal; or one blocks the other."""
 
     def none(*_):
         raise CertificationError("none")
@@ -380,7 +380,7 @@ def test_the_command_writes_each_arms_file(write, tmp_path, capsys):
 
 
 def test_fruits_are_picked_around_each_other(robot, monkeypatch):
-    """Without motions at once, or one later: the transits are planned together, the approaches after them."""
+    """Without independent motions: transits are planned together, then the approaches."""
     scheduled = _CellPlanner._scheduled
     monkeypatch.setattr(_CellPlanner, "_scheduled", lambda *given: scheduled(*given) if len(given) > 3 else None)
     monkeypatch.setattr(_CellPlanner, "_in_turn", lambda *_: None)

@@ -1,4 +1,4 @@
-"""Files of workcells are judged as given: each on its own samples, and all against one another on one exact clock."""
+"""Files of workcells: each on its own samples, all on one exact clock."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def picker():
 
 
 def beside(picker, aside: float = -4.0, names=("left", "right"), goal=None, lean=0.0, **more) -> Cell:
-    """Two arms beside each other; the first has a goal."""
+    """Two arms next to each other; the first has a goal."""
     first, second = names
     arms = (
         CellRobot(name=first, start=Start(joints_deg=FROM), goal=Goal(joints_deg=TO)),
@@ -48,7 +48,7 @@ def beside(picker, aside: float = -4.0, names=("left", "right"), goal=None, lean
 
 
 def foreign(picker, duration: float = 6.0, step: float = 1.0, start=FROM, goal=TO) -> Trajectory:
-    """A motion of another program: a quintic, sampled seldom."""
+    """A motion of another program: a coarsely sampled quintic."""
     q0, q1 = np.radians(start), np.radians(goal)
     t = np.append(np.arange(0.0, duration - 1e-9, step), duration)
     s = t / duration
@@ -111,7 +111,7 @@ def test_each_arm_has_the_certificate_that_it_has_alone(picker):
 
 
 def test_one_clock_holds_both_files_exactly(picker):
-    """Samples at irrational distances, some of them 1e-9 s and one rounding apart."""
+    """Samples at irrational times, some of them 1e-9 s or one rounding apart."""
     cell, rng = beside(picker), np.random.default_rng(4)
     files = {}
     for name, step in (("left", 1.0 / math.pi), ("right", math.sqrt(2.0) / 10.0)):
@@ -154,7 +154,7 @@ def test_who_ends_in_motion_before_another_is_compared_up_to_there(picker, speed
     short, long = moving_at_its_end(foreign(picker, 2.0, 0.5), speed), foreign(picker, 6.0)
     found = certify_cell(cell, {"left": short, "right": long})
     merged = found.between.subject.motions[0][0].trajectory
-    if speed < 1e-6:  # counts as rest: it stands where its file ends
+    if speed < 1e-6:  # counts as rest: it stays where its file ends
         assert found.verified
         after = merged.positions(np.linspace(2.0 + 1e-11, 6.0, 500))[:, cell.arm("left").joints]
         assert np.ptp(after, axis=0).max() < 1e-15
@@ -199,7 +199,7 @@ def test_an_obstacle_that_comes_to_an_arm_that_has_arrived_is_seen(picker):
     far = np.add(picker.tool_positions(np.radians(TO)), (0.0, 0.0, 3.0)).tolist()
     track = Track(times_s=(0.0, 4.0, 5.0), shifts_m=((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, -3.0)))
     ball = Sphere(name="ball", center=tuple(far), radius=0.05, track=track)
-    # Tracks are those of the cell's frame: the arm that stands elsewhere leans a little, and is judged there too.
+    # Tracks are in the workcell's frame: the other arm's base leans a little, and is checked there, too.
     cell = beside(picker, goal=TO, obstacles=(ball,), lean=0.1)
     short = foreign(picker, 3.0, 0.5)
     names = cell.arm("right").robot.joint_names
@@ -292,7 +292,7 @@ def test_owners_go_by_exact_names(picker, names):
 
 
 def test_an_arm_whose_joints_begin_with_its_name(picker, write):
-    """A robot with an arm's name in its own: the name stands twice in the cell's robot."""
+    """A robot with an arm's name in its own: the prefix is doubled."""
 
     def named(text: str) -> str:
         return text.replace("base_yaw", "left_yaw").replace("tool0", "left_tool")

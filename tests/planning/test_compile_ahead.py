@@ -1,4 +1,4 @@
-"""The first run: what is compiled, by which process, and that neither is left behind."""
+"""The first run: which process compiles which kernels, and no process remains."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def called_by(code: str) -> dict[str, int]:
 
 
 def test_each_process_compiles_its_half_once() -> None:
-    """What is called with two kinds of argument doubles its share of the first run, and of every start."""
+    """A kernel called with two argument types doubles its share of every start."""
     later = called_by("from hplan.planning.compile_ahead import compile_from_postprocessing_on as work\nwork()\n")
     everything = called_by("import hplan\nhplan.plan(hplan.load_robot(), hplan.load_scene())\n")
     assert {name.split(".")[0] for name in later} >= set(LATER)
@@ -42,7 +42,7 @@ def test_each_process_compiles_its_half_once() -> None:
 
 
 def test_a_first_run_is_one_without_kernels_on_disk(tmp_path: Path) -> None:
-    """How it is told is tested with the cache itself."""
+    """The cache's own tests cover the detection."""
     compile_ahead.compile_from_postprocessing_on()
     assert not compile_ahead.is_first_run()
     code = "from hplan.planning.compile_ahead import is_first_run; raise SystemExit(not is_first_run())"
@@ -51,7 +51,7 @@ def test_a_first_run_is_one_without_kernels_on_disk(tmp_path: Path) -> None:
 
 
 def begun(code: str) -> subprocess.Popen[bytes]:
-    """A process that stands for the other one."""
+    """A process in place of the compiling one."""
     return subprocess.Popen([sys.executable, "-c", code])
 
 

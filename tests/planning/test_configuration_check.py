@@ -1,4 +1,4 @@
-"""Configurations among obstacles: what `hplan.check` says of them is what coal, asked pair by pair, says."""
+"""Configurations among obstacles: `hplan.check` against coal, pair by pair."""
 
 from __future__ import annotations
 
@@ -73,7 +73,10 @@ def test_where_obstacles_move_a_time_is_asked_for(robot):
 
 
 def test_neighbours_that_touch_are_named_and_can_be_allowed(six_axes):
-    """A forearm as wide as that touches the upper arm where the elbow is bent: the error says what to do about it."""
+    """A wide forearm touches the upper arm if the elbow is bent.
+
+    The error says how to allow it.
+    """
     wide = six_axes.with_name("wide.urdf")
     wide.write_text(six_axis_arm().replace('size="0.07 0.07 0.38"', 'size="0.07 0.3 0.3"'))
     wide.with_name("wide.limits.yaml").write_text(SIX_AXIS_LIMITS)

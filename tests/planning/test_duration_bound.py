@@ -1,4 +1,7 @@
-"""Bounds of durations: exact where that is known, below every certified motion; their joints, cells and searches."""
+"""Duration bounds: exact in known cases, below all certified motions; their parts.
+
+The parts are joints, cells and searches.
+"""
 
 from __future__ import annotations
 
@@ -58,7 +61,7 @@ def coarse(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def tolerated(distance: float, velocity: float, acceleration: float, jerk: float | None) -> float:
-    """Duration of the fastest motion of a joint that the certificate just lets pass."""
+    """Duration of a joint's fastest motion within the certificate's tolerances."""
     limits = [None if limit is None else LIMIT_TOLERANCE * limit for limit in (velocity, acceleration, jerk)]
     return rest_to_rest(np.array([distance]), *limits).item()
 
@@ -178,9 +181,9 @@ def joint(goal: float, velocity: float, acceleration: float, jerk: float = np.in
 
 
 def largest_place(motion: JointMotions, total: float, when: int, pieces: int = 60) -> float:
-    """The largest position at a sample by linear programming, the jerk constant in each of many pieces.
+    """The maximum position at a sample by linear programming, with piecewise constant jerk.
 
-    Fewer motions than there are, so that it is a lower bound of the largest one.
+    A subset of all motions, so that it is a lower bound of the maximum.
     """
     h = total / pieces
     state, rows = np.zeros((3, pieces)), [np.zeros((3, pieces))]  # position, velocity, acceleration over the jerks
@@ -318,7 +321,7 @@ def test_so_they_are_whatever_the_joints_without_an_axis_do(robot: Robot) -> Non
 
 
 def test_so_they_are_of_an_arm_of_meshes() -> None:
-    """Whose depths are those of hulls, and which has joints without an axis."""
+    """Its depths are between hulls, and some joints have no axis."""
     arm, order = load_robot("panda"), [0, 1, 3]
     start, goal = (tuple(np.radians(q)) for q in ([-10, 20, 0, -90, 0, 100, 0], [10, 25, 5, -80, 5, 105, 5]))
     board = Box(name="board", center=(0.4, 0.0, 1.0), size=(0.8, 0.5, 0.5))
@@ -330,7 +333,7 @@ def test_so_they_are_of_an_arm_of_meshes() -> None:
 def excluded_are_in_contact(
     robot: Robot, scene: Scene, found: tuple[GridSearch, JointMotions, list[int]], longest: float, least: float
 ) -> tuple[BoolArray, float]:
-    """Look at excluded cells with coal; the cells that are not, and which part of their middles is in contact."""
+    """Excluded cells that coal does not confirm, and the fraction in contact."""
     search, motions, order = found
     free, random = bits(search), np.random.default_rng(order[0])
     checker, others = CoalScene(robot, scene.solids), motions.ranges(longest, 30)
@@ -346,7 +349,7 @@ def excluded_are_in_contact(
 
 
 def test_no_obstacle_is_taken_for_larger_than_it_is(robot: Robot) -> None:
-    """A cylinder least of all, of which kernels see the prism about it."""
+    """Least of all a cylinder, which the kernels enclose in a prism."""
     random = np.random.default_rng(9)
     for solid in OBSTACLES.values():
         scene = task([0, 5, 0, 0], [0, 80, 5, 5], [solid], clearance=0.01)
@@ -357,7 +360,7 @@ def test_no_obstacle_is_taken_for_larger_than_it_is(robot: Robot) -> None:
 
 
 def plain(free: BoolArray, samples: Samples) -> bool:
-    """By the definition."""
+    """Reachability by its definition."""
     first, last = samples
     cells = {tuple(cell) for cell in np.argwhere(free).tolist()}
 

@@ -1,4 +1,4 @@
-"""Paths of others among obstacles: finished and certified, or refused with the place where they are in contact."""
+"""Given paths among obstacles: certified, or refused with the place of contact."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from hplan.trajectory.corner_rounding import largest_deviation
 
 QUICK = PlanOptions(effort="quick")
 
-#: A configuration of each arm, from which its first joint turns to both sides.
+#: A configuration of each arm: its first joint turns to both sides from there.
 MIDDLE = {
     "harvester": np.radians([20.0, 45.0, 40.0, 30.0]),
     "panda": np.array([0.2, -0.3, 0.0, -1.8, 0.0, 1.6, 0.8]),
@@ -58,7 +58,7 @@ def swing(middle: FloatArray, half: float = 0.3) -> FloatArray:
 
 
 def zigzag(middle: FloatArray, amplitude: float = 0.1, count: int = 7) -> FloatArray:
-    """The swing in steps, another joint going to and fro."""
+    """The swing in steps, with another joint moving back and forth."""
     first, last = swing(middle)
     points = np.linspace(first, last, count)
     points[1:-1:2, -1] += amplitude
@@ -80,7 +80,7 @@ def far_ball(robot: Robot, q: FloatArray) -> Sphere:
 
 
 def check(robot: Robot, result: PlanResult, points: FloatArray) -> None:
-    """Certified, from the first waypoint to the last, and certified again from outside."""
+    """Check the certificate, from the first to the last waypoint, independently."""
     assert result.certificate.verified
     assert result.trajectory.position[[0, -1]] == pytest.approx(points[[0, -1]], abs=1e-9)
     assert certify(robot, result.scene, result.trajectory).verified
@@ -205,7 +205,7 @@ def test_ends_that_are_too_close_are_refused(harvester: tuple[Robot, FloatArray]
 @settings(max_examples=12, deadline=None)
 @given(distance=st.floats(-3e-3, 3e-3), seed=st.integers(0, 99))
 def test_nothing_in_contact_is_verified(distance: float, seed: int) -> None:
-    """Whatever the path and however near: it is certified for coal too, or refused."""
+    """For any path at any distance: certified by coal, too, or refused."""
     robot, middle = load_robot(), MIDDLE["harvester"]
     rng = np.random.default_rng(seed)
     ball = ball_at(robot, middle, distance)

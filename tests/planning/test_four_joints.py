@@ -1,4 +1,7 @@
-"""The whole way where the base turns, and to fruits and points; every motion judged by coal at and between its rows."""
+"""The whole pipeline with a turning base, to fruits and points, judged by coal.
+
+Every motion is checked at and between its samples.
+"""
 
 from __future__ import annotations
 
@@ -68,7 +71,7 @@ def test_straight_motion_without_search(robot: Robot) -> None:
 
 
 def around_the_bar() -> Scene:
-    """A bar in the arm plane above start and below goal: past it only beside it."""
+    """A bar in the arm plane above start and below goal: the only path is around it."""
     bar = Sphere(name="ball", center=(1.3, 0.0, 1.6), radius=0.15)
     return task((0.0, 10.0, 10.0, 10.0), (0.0, 70.0, 10.0, 10.0), [bar])
 
@@ -85,7 +88,7 @@ def test_base_moves_where_the_plane_is_closed(robot: Robot) -> None:
 
 @pytest.mark.parametrize("turned_deg", [0.0, 8.0])
 def test_base_moves_whenever_that_is_better(robot: Robot, turned_deg: float) -> None:
-    """The ball of the reference scene: in the plane the arm folds around it, beside it it need not."""
+    """The ball of the reference scene: folding in the plane, or turning the base."""
     ball = Sphere(name="ball", center=at(0.5 * turned_deg, 1.0, 1.9), radius=0.15)
     scene = task((0.0, 0.0, 0.0, 0.0), (turned_deg, 45.0, 60.0, 70.0), [ball])
     free = plan(robot, scene)
@@ -95,7 +98,7 @@ def test_base_moves_whenever_that_is_better(robot: Robot, turned_deg: float) -> 
 
 @pytest.mark.parametrize(("enclosed", "step_deg"), [("start", 1.0), ("start", 3.0), ("goal", 3.0)])
 def test_no_path_whatever_the_yaw(robot: Robot, enclosed: str, step_deg: float) -> None:
-    """A frame of four bars about the upper arm: it cannot be drawn out, and the proof is quick."""
+    """A frame of four bars around the upper arm: it is enclosed, and quickly proved."""
     inside, outside = (60.0, 20.0, 20.0, 20.0), (0.0, 70.0, 20.0, 20.0)
     ends = (inside, outside) if enclosed == "start" else (outside, inside)
     scene = task(*ends, frame_about_upper_arm(60.0, 20.0))
@@ -103,7 +106,7 @@ def test_no_path_whatever_the_yaw(robot: Robot, enclosed: str, step_deg: float) 
         plan(robot, scene, PlanOptions(step_deg=step_deg))
     error = caught.value
     assert error.reached_cells > 0
-    # What holds the arm above and below: walls are looked for in the plane.
+    # The obstacles that block the arm above and below: walls are searched in the plane.
     assert {wall["obstacle"] for wall in error.blockers} == {"bar 0", "bar 2"}
     assert error.blockers[0]["link"] == "upper_arm"
     assert error.exit_status == 3
@@ -117,7 +120,7 @@ def bytes_of(step_deg: float) -> float:
 
 
 def test_nothing_is_left_behind(robot: Robot) -> None:
-    """A plan that tries several grids frees them at once: robot control may have turned garbage collection off."""
+    """A plan with several grids frees them at once: garbage collection may be disabled."""
     enclosed = task((0.0, 70.0, 20.0, 20.0), (60.0, 20.0, 20.0, 20.0), frame_about_upper_arm(60.0, 20.0))
     for _ in range(2):  # kernels are loaded the first time
         gc.collect()
@@ -157,7 +160,7 @@ def test_tracking_error_and_clearance(robot: Robot) -> None:
 
 @pytest.mark.parametrize("sigmas", [0.0, 1.0, 3.0])
 def test_uncertain_obstacles_are_passed_farther_away(robot: Robot, sigmas: float) -> None:
-    """By a multiple of what their places are known to, and not much more."""
+    """By a multiple of their standard deviation, and not much more."""
     sure, vague = post("sure", 20.0, 1.3, 0.0, 1.9), post("vague", 40.0, 1.3, 0.0, 1.9, sigma=0.02)
     scene = task(START, GOAL, [sure, vague])
     result = plan(robot, scene, PlanOptions(step_deg=2.0, sigmas=sigmas))
@@ -169,7 +172,7 @@ def test_uncertain_obstacles_are_passed_farther_away(robot: Robot, sigmas: float
 
 
 def test_uncertainty_takes_the_place_of_start_and_goal(robot: Robot) -> None:
-    """No sigmas: the obstacle counts as it stands; three: the goal is too near to it."""
+    """Without sigmas the obstacle has its own size; with three the goal is too close."""
     tip = robot.tool_positions(np.radians(GOAL))
     ball = Sphere(name="ball", center=tuple(np.add(tip, (0.0, 0.0, 0.15)).tolist()), radius=0.1, sigma=0.01)
     scene = task(START, GOAL, [ball])
@@ -280,7 +283,7 @@ def test_no_straight_approach(robot: Robot, start: tuple[float, ...], locked: tu
     assert result.report["grasp"]["standoff_m"] == 0.0
 
 
-# Where the fruit cannot be had
+# Unreachable fruit
 
 
 @pytest.mark.parametrize(
@@ -299,7 +302,7 @@ def test_unreachable(robot: Robot, target: Any, reason: str) -> None:
 
 
 def test_start_at_the_fruit(robot: Robot) -> None:
-    """The start touches what is to be picked: refused as any other collision."""
+    """The start touches the fruit to pick: refused like any other collision."""
     start = (40.0, 60.0, 45.0, 20.0)
     point = tuple(robot.tool_positions(np.radians(start)).tolist())
     scene = task(start, Goal(fruit="apple"), fruits=({"name": "apple", "center": point, "radius": 0.04},))
@@ -358,7 +361,7 @@ def scene_to(fruit: tuple[float, float, float]) -> Scene:
 
 
 def test_a_fruit_is_picked_and_nothing_touched(aside: Robot) -> None:
-    """By Pinocchio and coal, for everything that the URDF describes, at every other row."""
+    """By Pinocchio and coal, with the whole URDF, at every other sample."""
     result = plan(aside, scene_to(FRUIT))
     assert result.certificate.verified
     rows, model, data = result.trajectory.position, aside.model, aside.model.createData()

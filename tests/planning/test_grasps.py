@@ -1,4 +1,4 @@
-"""Grasps: the tool at the point, a straight way there along the last link, and what is said where there is none."""
+"""Grasps: tool position, straight approach along the last link, error messages."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def test_grasps_among_obstacles(robot: Robot, seed: int) -> None:
     without_clearance = World.of(robot, [*obstacles, fruit])
     assert_grasps(robot, ways, without_clearance, without_clearance.touching("fruit"), point)
     assert {grasp.distance for grasp in ways} <= {0.12, 0.08, 0.0}
-    # The distance is the longest that can be had: all of one kind, or shorter ones where the longer is in the way.
+    # The distance is the maximum possible: one for all, or shorter ones if an obstacle blocks the longer.
     with_approach = [grasp for grasp in ways if grasp.distance > 0.0]
     assert not with_approach or len(with_approach) == len(ways)
 
@@ -100,7 +100,7 @@ def test_standoff_is_shorter_where_a_long_one_is_in_the_way(robot: Robot) -> Non
     wrist = np.array(FRUIT.center) - 0.4 * heading
     lengths = {}
     for gap in (0.3, 0.085, 0.045, 0.015):
-        # Beside the forearm's end, on the side to which it goes back.
+        # Next to the forearm's end, on the side of the retreat.
         place = wrist - (0.04 + gap + 0.01) * heading
         bead = Sphere(name="bead", center=tuple(place.tolist()), radius=0.01)
         try:
@@ -142,7 +142,7 @@ def test_obstacles_on_the_way_in_are_seen(robot: Robot) -> None:
     assert seen >= 3
 
 
-# Where there are none
+# Targets without a grasp
 
 
 def test_blocked_names_what_is_in_the_way(robot: Robot) -> None:

@@ -1,4 +1,4 @@
-"""The whole way: what `plan` gives back, its report and seeds, and when it refuses."""
+"""The whole pipeline: results of `plan`, reports, seeds, refusals."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def test_start_equal_to_goal(robot: Robot, scene: Scene) -> None:
 
 
 def joined(robot: Robot, scene: Scene, step_deg: float) -> bool:
-    """By brute force: whether start and goal are connected on the grid, every node judged by coal."""
+    """True if start and goal are connected on the grid, by brute force with coal."""
     ndimage = pytest.importorskip("scipy.ndimage")
     grid = Grid.over(robot.lower[1:], robot.upper[1:], math.radians(step_deg))
     checker = CoalScene(robot, scene.solids)

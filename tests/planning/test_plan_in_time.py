@@ -1,4 +1,4 @@
-"""Plans that have a deadline, or are cancelled; what takes still scenes only."""
+"""Plans with a deadline or a cancellation; tasks for static scenes alone."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from hplan.scene.model import Fruit, Goal, Scene
 from hplan.scene.obstacles import Sphere
 from hplan.scene.tracks import Track
 
-#: Long for what is to come back at once; only what does not come back takes so long [s].
+#: Generous maximum for calls that must return at once; only a hanging call takes longer [s].
 SOON = 10.0
 
 #: Time for everything, kernels to be compiled among it [s].
@@ -33,7 +33,7 @@ ENOUGH_S = 1e6
 
 
 def blocked() -> Scene:
-    """A post stands between start and goal."""
+    """A post between start and goal."""
     return task((-40.0, 30.0, 30.0, 30.0), (40.0, 30.0, 30.0, 30.0), [post("post", 0.0, 1.2, 0.3, 2.0)])
 
 

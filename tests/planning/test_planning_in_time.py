@@ -1,4 +1,4 @@
-"""Plans among obstacles that move: it waits, goes around, or goes at once; judged by coal at times close together."""
+"""Plans among moving obstacles: waiting, going around, going first; judged by coal."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ PLANAR = {"locked_joints": ("base_yaw",)}
 
 
 def on_the_way(robot: Robot) -> np.ndarray:
-    """Where the tool is in the middle of the motion."""
+    """Position of the tool in the middle of the motion."""
     return robot.tool_positions(np.radians([0.0, 20.0, 30.0, 35.0]))
 
 
@@ -64,7 +64,7 @@ def test_a_motion_that_is_not_in_the_way_is_as_if_nothing_moved(robot):
 
 
 def test_it_goes_at_once_before_what_comes(robot):
-    """Something comes that stays: planned around as it will be, the motion takes longer than going at once does."""
+    """An obstacle arrives and stays: going around it later takes longer than going first."""
     comes = ball(robot, (0.0, (0.0, 2.0, 0.0)), (1.3, (0.0, 0.0, 0.0)))
     scene = task(START, GOAL, [comes], **PLANAR)
     result = plan(robot, scene)
@@ -123,13 +123,13 @@ def test_a_start_that_is_met_at_once_is_named(robot):
     with pytest.raises(ObstacleInTimeError) as caught:
         plan(robot, task(START, GOAL, [there], **PLANAR))
     assert caught.value.obstacle == "it"
-    # What stands still there is an error of its own, as ever.
+    # Static obstacles there raise their usual error.
     with pytest.raises(ConfigurationInCollisionError):
         plan(robot, task(START, GOAL, [wall(0.1), there.model_copy(update={"track": None, "name": "still"})]))
 
 
 def test_the_base_creeps_along_the_row(robot):
-    """Trees go by: posts that stand in a row, and a base that moves past them while the arm swings."""
+    """A row of posts moves past the creeping base while the arm swings."""
     creep = Track(times_s=(0.0, 10.0), shifts_m=((0.0, 0.0, 0.0), (0.0, 2.0, 0.0)))
     end = on_the_way(robot)
     post = Sphere(name="post", center=(float(end[0]), 0.45, float(end[2])), radius=0.2)
@@ -145,7 +145,7 @@ def test_the_base_creeps_along_the_row(robot):
 
 
 def test_a_fruit_is_picked_while_something_passes(robot):
-    """All phases are in the new timing, and the contact with the fruit is where it was on the path."""
+    """All phases have the new timing; the contact stays at its place on the path."""
     apple = Fruit(name="apple", center=(1.3, 0.3, 1.5), radius=0.04)
     still = task(START, Goal(fruit="apple"), [], fruits=(apple,))
     first = plan(robot, still)
@@ -181,7 +181,7 @@ def test_poses_that_stand_for_a_movement_are_close_together(robot):
 
 
 def test_parts_that_only_tracking_errors_bring_together(tmp_path):
-    """A mast that the upper arm touches where it is higher by a little than it may be."""
+    """A mast that the upper arm touches only with a tracking error."""
     mast = box((0.05, 0.05, 0.8), (0.3, 0.0, 1.2))
     robot = fitted(tmp_path, {"turret": [mast]}, high=(20.0, 60.0, 30.0))
     item = ball(robot, (0.0, (0.0, -1.5, 0.0)), (0.5, (0.0, 1.5, 0.0)))
@@ -218,7 +218,7 @@ def test_what_moves_is_passed_farther_off_where_it_is_uncertain(robot):
 
 
 def test_the_speed_changes_where_acceleration_and_torque_have_room(robot):
-    """By the equations of motion, for an arm that is barely strong enough."""
+    """By the equations of motion, for a barely strong enough arm."""
     motion = plan(robot, task(START, GOAL, [], **PLANAR), PlanOptions(effort="quick")).trajectory
     arm = replace(robot, torque_limit=1.02 * np.abs(motion.torque).max(axis=0))
     stations = 9
@@ -238,7 +238,7 @@ def test_the_speed_changes_where_acceleration_and_torque_have_room(robot):
 
 
 class Window:
-    """Cells of a path that is blocked in the middle until a row."""
+    """Cells of a path whose middle is blocked until a row."""
 
     def __init__(self, stations: int, opens: int) -> None:
         self.configurations = np.zeros((stations, 1))
@@ -301,7 +301,7 @@ def test_the_earliest_schedule_against_a_search_of_all(at_rest):
 
 
 def test_phases_by_another_clock_hold_all_that_they_held(robot):
-    """From the last row up to the begin to the first from the end on."""
+    """From the last sample before the start to the first one after the end."""
     motion, random = plan(robot, task(START, GOAL, **PLANAR)).trajectory, np.random.default_rng(0)
     retimed = scaled(motion, [(0.0, 0.4), (0.3, 1.0), (0.6, 0.5)], robot)
     clock, time = retimed.clock, retimed.trajectory.time

@@ -1,4 +1,7 @@
-"""A motion to one of several grasps: all are tried, with little room too, before it is said that there is none."""
+"""A motion to one of several grasps: all are tried before planning fails.
+
+Grasps with little room are included.
+"""
 
 from __future__ import annotations
 
@@ -54,7 +57,7 @@ BRANCH = to_apple(
     bar("branch", (0.001, 0.069, 1.859), (0.242, -0.718, 2.732), 0.012),
 )
 
-#: The tool reaches the fruit between obstacles only at angles between those of the evenly spaced configurations.
+#: The tool reaches the fruit only at angles between the evenly spaced configurations.
 TIGHT = {
     "turning": to_apple(
         (0.0, 1.570796, 1.570796, 1.570796),
@@ -105,7 +108,7 @@ def test_finer_angles_before_blocked(robot: Robot, name: str, monkeypatch: pytes
 
 
 def test_blocked_says_how_many_were_tried_and_by_how_much(robot: Robot) -> None:
-    """The best clearance said is that of no configuration, however finely they are spaced."""
+    """No configuration has the reported best clearance, however fine the spacing."""
     scene = TIGHT["base locked"]
     tight = scene.with_obstacles(
         [
@@ -173,7 +176,7 @@ def test_no_path_to_any_in_a_pocket(robot: Robot) -> None:
     with pytest.raises(NoPathError) as caught:
         best_motion(merged(tasks))
     assert caught.value.goals == 4
-    # What is said of the first is what is said of it alone; and one outside is reached, whatever is said of the others.
+    # The errors of the first fruit alone and among others agree; a fruit outside is reached in any case.
     with pytest.raises(NoPathError) as alone:
         best_motion(tasks[0])
     assert caught.value.reached_cells == alone.value.reached_cells > 0
@@ -190,7 +193,7 @@ def test_no_path_to_any_in_a_pocket(robot: Robot) -> None:
 
 @pytest.mark.parametrize("clearance", [0.0, 0.005, 0.02])
 def test_least_standoff_keeps_the_clearance(robot: Robot, clearance: float) -> None:
-    """Where a short approach is asked for it is as long as it has to be, not left out."""
+    """A short approach is lengthened as required, not omitted."""
     scene = task(
         (10.0, 80.0, 80.0, 80.0), Goal(fruit="apple"), clearance=clearance,
         fruits=({"name": "apple", "center": (1.0, 0.8, 1.6), "radius": 0.04},),
@@ -233,7 +236,10 @@ def test_approach_with_a_locked_joint_among_more_than_three(tmp_path: Path) -> N
     ],
 )
 def test_no_link_touches_the_fruit_before_the_approach(robot: Robot, there: Any, start: Any) -> None:
-    """The shortest transits to the stand-off lead through the fruit, of a plan and of a tour."""
+    """The shortest transits to the stand-off pass through the fruit.
+
+    In a plan and in a tour.
+    """
     point = tuple(robot.tool_positions(np.radians(there)).tolist())
     scene = task(start, Goal(fruit="apple"), fruits=({"name": "apple", "center": point, "radius": 0.04},))
     checker = CoalScene(robot, scene.solids_with_goal)
@@ -245,7 +251,7 @@ def test_no_link_touches_the_fruit_before_the_approach(robot: Robot, there: Any,
         assert min(checker.distances(q).min() for q in between_rows(trajectory, rows)) > 0.0
 
 
-#: How thick what stands beside the last link is [m].
+#: Thickness of the obstacles next to the last link [m].
 THICK = 0.01
 
 APPLE = Fruit(name="apple", center=(1.1, 0.6, 1.3), radius=0.035)
@@ -285,7 +291,7 @@ def orchard_arm() -> Robot:
 
 @pytest.mark.parametrize(("approach_deg", "room"), [(-20.0, 1e-4), (35.0, 1e-4), (-20.0, 3e-4), (35.0, 6e-4)])
 def test_a_slot_with_little_room_is_entered(orchard_arm: Robot, room: float, approach_deg: float) -> None:
-    """Straight, certified, and the grasp says what room it has."""
+    """Straight and certified; the grasp reports its room."""
     posed = slot(orchard_arm, approach_deg, room)
     found = plan(orchard_arm, posed)
     assert_sound(orchard_arm, posed, found)
@@ -303,7 +309,10 @@ def test_a_slot_with_less_is_refused_with_the_room_there_is(orchard_arm: Robot) 
 
 
 def test_a_stand_off_with_little_room_is_better_than_none(orchard_arm: Robot) -> None:
-    """A ball behind the wrist at the stand-off: the fruit is touched on the approach only, not on the whole motion."""
+    """A ball is behind the wrist at the stand-off.
+
+    The fruit is touched during the approach only, not during the whole motion.
+    """
     free, room = scene(orchard_arm, 10.0), 3e-4
     options = PlanOptions(standoff=0.0)  # the shortest approach alone
     target = Target.of_fruit(World.of_scene(orchard_arm, free, options), APPLE, free, options)

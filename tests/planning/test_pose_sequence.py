@@ -1,4 +1,4 @@
-"""Sequences of tool poses: straight lines and tilt are kept at all times, and what cannot be had is refused."""
+"""Sequences of tool poses: continuous line and tilt constraints, and refusals."""
 
 from __future__ import annotations
 

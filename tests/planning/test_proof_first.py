@@ -1,4 +1,4 @@
-"""The proof that there is no path is the error, with a deadline too, and nothing is searched after it."""
+"""A proof of infeasibility is the error, with a deadline too, and ends the search."""
 
 from __future__ import annotations
 

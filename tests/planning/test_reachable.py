@@ -1,4 +1,4 @@
-"""Which fruits can be picked: what `plan` then does, what is said of those that can and of those that cannot."""
+"""Reachable fruits: agreement with `plan`, and messages for both outcomes."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def arm() -> Robot:
 
 
 def canopy(seed: int) -> Scene:
-    """Fruits at random, near and far, and a few twigs beside each, half of which give way."""
+    """Random fruits, near and far, each with a few twigs, half of them compliant."""
     rng = np.random.default_rng(seed)
     fruits, twigs = [], []
     for number in range(8):

@@ -100,7 +100,7 @@ def test_locked_joints_stay(robot: Robot, scene: Scene) -> None:
 
 
 def test_of_several_each_pair_is_one_that_grows_alone(robot: Robot, blocked: tuple[Problem, World]) -> None:
-    """The quickest path of every class first."""
+    """The fastest path of every class first."""
     (problem, world), velocity = blocked, robot.velocity_limit
     grown = (path_of(robot, problem, world, TreeEffort(50_000, seed)) for seed in range(3))
     alone = [path for path in grown if path is not None]

@@ -1,4 +1,4 @@
-"""One motion: which goal and which try are taken, and what an earlier motion is good for."""
+"""One motion: choice of goal and attempt, and reuse of an earlier motion."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def test_locked_base_tries_the_goals_in_turn(robot: Robot) -> None:
 
 
 def test_what_is_not_certified_is_refused_unless_wanted(robot: Robot) -> None:
-    """A motion timed without the ball, judged with it."""
+    """A motion timed without the ball, certified with it."""
     motion = best_motion(posed(robot, task(BELOW, ABOVE)))[1]
     with_ball = posed(robot, task(BELOW, ABOVE, BAR))
     shown = certificate_of(with_ball, motion.trajectory)

@@ -1,4 +1,4 @@
-"""Motions of arms on one clock: who waits where, against every way of waiting."""
+"""Schedules of arms on one clock, against all possible waiting times."""
 
 from __future__ import annotations
 

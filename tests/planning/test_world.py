@@ -1,4 +1,4 @@
-"""What keeps the arm away: growth, the fruit that may be touched, the base; a scene posed to a robot."""
+"""Clearances of the arm: growth, touchable fruit, base; scenes posed to robots."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def test_each_obstacle_grows_by_its_own_uncertainty(robot: Robot) -> None:
 
 
 def test_the_arm_keeps_the_clearance_from_itself_too(tmp_path: Path) -> None:
-    """With and without obstacles, and whatever their uncertainty."""
+    """With and without obstacles, for any uncertainty."""
     spec = ArmSpec(
         name="bendy",
         has_yaw=False,
@@ -67,10 +67,12 @@ def test_the_arm_keeps_the_clearance_from_itself_too(tmp_path: Path) -> None:
     plain, seen = ClearanceField.of(bendy, []), 0
     for solids in ([], [far]):
         world = World.of(bendy, solids, clearance=0.03, tracking_error=0.001, sigmas=3.0)
-        # From the pedestal a link keeps its own sway; two links keep what the outer one may sway, seen from the inner.
+        # From the pedestal a link keeps its own displacement bound; two links keep the bound of the outer relative to
+        # the inner.
         keep = world.clearance + 0.001 * float(bendy.arm.lengths[1:] @ [1, 2])
         most = world.clearance + float(bendy.sway(0.001).max())
-        # The first link, too, is asked against the pedestal, which does not carry its joint: it sways least.
+        # The first link is checked against the pedestal, too, which does not carry its joint: its displacement bound is
+        # minimal.
         least = world.clearance + float(bendy.sway(0.001)[0])
         for q in rng.uniform(bendy.lower, bendy.upper, (60, bendy.dof)):
             before, after = plain.clearance(q), world.field.clearance(q)
@@ -86,7 +88,10 @@ def test_the_arm_keeps_the_clearance_from_itself_too(tmp_path: Path) -> None:
 
 
 def test_each_link_sways_by_its_own(robot: Robot) -> None:
-    """Field and sections are those of an arm that is as much thicker; coal has the same distances less the sway."""
+    """Field and sections equal a thicker arm's.
+
+    Coal has the same distances less the displacement bound.
+    """
     error, rng = 0.01, np.random.default_rng(4)
     arm = replace(robot.arm, half_widths=robot.arm.half_widths + robot.sway(error))
     thicker = robot.with_arm(arm)
@@ -115,7 +120,7 @@ def test_bodies_of_the_sections_are_grown_by_clearance_and_uncertainty(robot: Ro
 
 
 def test_refusal_of_a_configuration_names_the_largest_error(robot: Robot) -> None:
-    """True: with a little less the configuration is taken, with a little more it is not."""
+    """With a slightly smaller error the configuration is accepted, with a larger one refused."""
     rng, kinds = np.random.default_rng(6), {"free": 0, "margin": 0, "contact": 0}
 
     def check(q: FloatArray, error: float) -> None:
@@ -163,12 +168,12 @@ def test_the_last_link_alone_may_touch(robot: Robot) -> None:
         mine, all_ = (list(one.obstacle_of[one.link_start[link] : one.link_start[link + 1]]) for one in (some, every))
         assert 3 in all_
         assert mine == [number for number in all_ if number != 3 or link < 2]
-    # What it was made from is as it was.
+    # The original is unchanged.
     assert prepared(world).links is None
     assert world.checker.distances(np.zeros(4))[-1, 3] < np.inf
 
 
-# What stands in the base
+# Obstacles in the base
 
 
 def test_ground_may_touch_the_pedestal(robot: Robot) -> None:
@@ -201,7 +206,7 @@ def test_what_stands_in_the_base_is_named(robot: Robot, obstacle, link: str, yaw
 
 
 def test_no_obstacle_is_missed(robot: Robot) -> None:
-    """Only what is near the base is asked for; the answer is that of all."""
+    """Only obstacles near the base are checked; the result holds for all."""
     rng, refused = np.random.default_rng(2), 0
     for _ in range(60):
         solids = random_obstacles(rng, 6)

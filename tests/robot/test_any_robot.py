@@ -1,4 +1,4 @@
-"""Robots by name, trees of joints, what an SRDF says; their dynamics against Pinocchio, least durations."""
+"""Robots by name, trees of joints, SRDF entries; dynamics against Pinocchio, durations."""
 
 from __future__ import annotations
 
@@ -129,7 +129,7 @@ def test_srdf(tmp_path):
 
 
 def test_a_tool_frame_that_is_missing_is_told_before_joints_that_only_it_lets_move():
-    """Without it no chain is known, and fingers that mimic one another would seem to be of the arm."""
+    """Without it there is no chain, and mimicking fingers would seem to be joints of the arm."""
     finger = '<joint name="finger" type="revolute"><parent link="base_link"/><child link="finger_link"/>'
     limit = '<axis xyz="0 0 1"/><limit lower="0" upper="1" velocity="1" effort="1"/>'
     mimics = f'{finger}{limit}<mimic joint="wrist"/></joint><link name="finger_link"/></robot>'

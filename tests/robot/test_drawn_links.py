@@ -1,4 +1,4 @@
-"""Links that are drawn but not covered by collision shapes: who is warned, what is named, what shapes are built."""
+"""Drawn links without collision shapes: warnings, names, generated shapes."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def sliding(name, more=""):
 
 
 def arm(links=None, more="", base=None):
-    """Six joints; `links` replaces the bodies of links l1 ... l6, `base` that of the base."""
+    """Six joints; `links` replaces the bodies of l1 to l6, `base` the base's."""
     inertia = '<inertia ixx="0.01" ixy="0" ixz="0" iyy="0.01" iyz="0" izz="0.01"/>'
     base = body("collision", '<geometry><box size="0.2 0.2 0.1"/></geometry>', "0 0 0") if base is None else base
     found, parent = [f'<robot name="arm"><link name="base_link">{base}</link>'], "base_link"
@@ -182,7 +182,7 @@ def test_missing_visual_meshes_are_warnings(meshes, file):
     assert [warning.category for warning in found] == [MissingVisualWarning]
     assert path in str(found[0].message)
     assert robot_digest(robot) == robot_digest(loaded(arm())[0])
-    # A link that nobody can draw is drawn all the same as far as the certificate goes.
+    # A link whose mesh is unreadable still has its generated shape in the certificate.
     robot, found = loaded(arm({3: body("visual", mesh(path))}), collision_from_visual=True)
     assert robot.uncovered_links == ("l3",)
     assert [warning.category for warning in found] == [MissingVisualWarning, UncoveredLinkWarning]

@@ -1,4 +1,4 @@
-"""Planar arms: how URDFs of the family are read and written, and what is refused."""
+"""Planar arms: reading and writing URDFs of the family, and refusals."""
 
 from __future__ import annotations
 
@@ -57,9 +57,9 @@ def collision_of_hand(new: str) -> tuple[str, str]:
 
 
 def assert_kinematics_match(robot: Robot) -> None:
-    """Joint points and tool positions are Pinocchio's, at random configurations and at random yaw.
+    """Joint and tool positions equal Pinocchio's, at random configurations and yaw.
 
-    The tool is in the plane; of a joint it is where its axis meets the plane that counts.
+    The tool is in the plane; a joint's position is the intersection of its axis with the plane.
     """
     rng = np.random.default_rng(0)
     data = robot.model.createData()
@@ -213,7 +213,7 @@ FAMILY_FAULTS = {
 @pytest.mark.parametrize("case", FAMILY_FAULTS)
 def test_family_faults_name_the_element(load_edited, case):
     edits, message = FAMILY_FAULTS[case]
-    # Faults for which it is not a robot at all.
+    # Faults that make it invalid as a robot.
     no_robot = ("continuous joint", "axis without direction", "no tool frame", "limits swapped", "limits equal")
     of_any_robot = case in no_robot
     with pytest.raises(RobotFileError if of_any_robot else RobotFamilyError) as caught:
@@ -431,7 +431,7 @@ def arm(n: int, *, has_yaw: bool = True, name: str = "test_arm") -> ArmSpec:
 
 @pytest.mark.parametrize("spec", [HARVESTER, ORCHARD_HARVESTER], ids=lambda spec: spec.name)
 def test_shipped_robots_are_what_the_writer_writes(tmp_path, spec):
-    """Inertia, joints, limits and what collides; what one sees of them is drawn."""
+    """Inertia, joints, limits and collision shapes; only drawn shapes differ."""
     written = load_robot(write_robot(spec, tmp_path / f"{spec.name}.urdf")[0])
     assert robot_digest(written) == robot_digest(load_robot(spec.name))
     seen, checked = written.visual_model.geometryObjects, written.collision_model.geometryObjects

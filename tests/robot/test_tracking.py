@@ -28,7 +28,7 @@ def trajectory_of(robot: Robot, time: np.ndarray, position: np.ndarray, velocity
 
 
 def swinging(robot: Robot, start: np.ndarray, end: np.ndarray, rng: np.random.Generator, rows: int = 15) -> Trajectory:
-    """Between two configurations, every joint at a velocity of its own that changes much from row to row."""
+    """A motion between two configurations, with strongly varying velocities."""
     time = np.cumsum(np.append(0.0, rng.uniform(0.01, 0.1, rows - 1)))
     share = (time / time[-1])[:, None]
     position = start + (end - start) * share * share * (3.0 - 2.0 * share)
@@ -36,7 +36,7 @@ def swinging(robot: Robot, start: np.ndarray, end: np.ndarray, rng: np.random.Ge
 
 
 def sampled(trajectory: Trajectory, per_piece: int) -> tuple[np.ndarray, np.ndarray]:
-    """Position and velocity of the cubics through the rows, densely."""
+    """Position and velocity of the cubics through the samples, densely."""
     h = np.diff(trajectory.time)[:, None, None]
     t = np.linspace(0.0, 1.0, per_piece)[:, None]
     q, v = trajectory.position[:, None], trajectory.velocity[:, None]
@@ -61,7 +61,7 @@ def cluttered(rng: np.random.Generator) -> list[Solid]:
 
 
 def keeps_clear(certificate: Certificate) -> bool:
-    """Whether clearance is shown, whatever the limits say."""
+    """True if the clearance is certified, regardless of limits."""
     return not any(violation.startswith("link") for violation in certificate.violations)
 
 
@@ -76,7 +76,7 @@ def test_deviations_grow_with_speed() -> None:
 
 @pytest.mark.parametrize("seed", range(3))
 def test_no_deviation_inside_the_model_comes_nearer_than_certified(robot: Robot, scene: Scene, seed: int) -> None:
-    """Every joint off by as much as the model allows at its speed, either way, or by less, at dense instants."""
+    """Every joint is off by at most the modelled error, at dense instants."""
     rng = np.random.default_rng(seed)
     shown = 0
     while shown < 4:
@@ -99,14 +99,14 @@ def test_no_deviation_inside_the_model_comes_nearer_than_certified(robot: Robot,
 
 
 def stretched(robot: Robot, shoulder: np.ndarray, speed: np.ndarray, step: float) -> Trajectory:
-    """The stretched arm, the shoulder alone moving, in rows `step` apart [s]."""
+    """The stretched arm with the shoulder alone moving, in samples `step` apart [s]."""
     position, velocity = np.zeros((2, len(shoulder), robot.dof))
     position[:, 1], velocity[:, 1] = shoulder, speed
     return trajectory_of(robot, step * np.arange(len(shoulder)), position, velocity)
 
 
 def beside_the_tip(robot: Robot, joint: int, gap: float) -> Sphere:
-    """A ball `gap` from the tip of the arm stretched out level, where a joint's turn would take the tip."""
+    """A ball `gap` from the tip of the level stretched arm, in a joint's turning direction."""
     tip = robot.tool_positions(np.zeros(4))
     turn = robot.tool_positions(1e-6 * np.eye(4)[joint]) - tip
     out = (robot.arm.half_widths[-1] + 0.02 + gap) * turn / np.linalg.norm(turn)
@@ -116,7 +116,10 @@ def beside_the_tip(robot: Robot, joint: int, gap: float) -> Sphere:
 @pytest.mark.parametrize("joint", range(4))
 @pytest.mark.parametrize("still", [0.0, 0.002])
 def test_sway_is_as_large_as_it_has_to_be(robot: Robot, scene: Scene, joint: int, still: float) -> None:
-    """One joint leaves an obstacle at a constant speed: refused where a deviation would touch it, and only there."""
+    """One joint leaves an obstacle at constant speed.
+
+    Refused exactly where a tracking error would touch it.
+    """
     levers = np.array([2.2, 2.2, 1.2, 0.4])  # of the tip about the joints
     speed, delay = 0.5, 0.01
     level, upright = still * levers[0], still * levers[1:].sum()
@@ -131,7 +134,7 @@ def test_sway_is_as_large_as_it_has_to_be(robot: Robot, scene: Scene, joint: int
 
 
 def test_jerks_on_the_spot_count_by_their_speed(robot: Robot, scene: Scene) -> None:
-    """Jerky motions with hardly any travel, their sway rising and falling from row to row, a ball a little farther."""
+    """Jerky motions with hardly any travel, and a ball slightly beyond the bound."""
     rng = np.random.default_rng(5)
     closest, refused, touching = math.inf, 0, 0
     for _ in range(150):
@@ -158,7 +161,10 @@ def test_jerks_on_the_spot_count_by_their_speed(robot: Robot, scene: Scene) -> N
 
 
 def test_the_upper_arm_keeps_what_it_may_sway_itself(robot: Robot) -> None:
-    """A ball 60 mm beside the upper arm: that sways 35 mm with 1 deg a joint, the tool 105 mm, and nowhere near it."""
+    """A ball 60 mm from the upper arm, far from the tool.
+
+    The upper arm is displaced by at most 35 mm with 1 deg per joint, the tool by 105 mm.
+    """
     along = math.radians(57.0)
     center = 0.5 * math.cos(along), 0.16, 0.6 + 0.5 * math.sin(along)
     scene = Scene(

@@ -1,4 +1,4 @@
-"""URDFs are read strictly, and what Pinocchio has is what the file says."""
+"""URDFs are read strictly, and Pinocchio's model equals the file."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def test_a_gripper_counts(tmp_path):
 
 
 FAULTS = {
-    # What was read before, and what is not: each of these was accepted, or lost without a word.
+    # Formerly accepted, or lost without a message; now refused.
     "decimal comma in an inertial's origin": ('"0.1 0 0"', '"0,1 0 0"', "link 'tool0': xyz of <origin> is '0,1 0 0'"),
     "decimal comma in a mass": ('mass value="3"', 'mass value="3,5"', "value of <mass> is '3,5', expected a finite"),
     "decimal comma in a size": ('"0.05 0.1 0.02"', '"0,05 0.1 0.02"', "size of <box> is '0,05 0.1 0.02', expected 3"),
@@ -159,7 +159,10 @@ def test_a_joint_may_be_called_as_a_link(tmp_path):
 
 
 def test_inertias_count_where_a_joint_moves_them(tmp_path):
-    """The base of an ANYmal, a sensor of a TIAGo: exporters write what no body has, and nothing depends on it."""
+    """The base of an ANYmal, a sensor of a TIAGo.
+
+    Exporters write impossible inertias, and no result depends on them.
+    """
     body, none = 'izz="0.392"', 'izz="3.92"'
     assert SHIPPED.index(body) < SHIPPED.index('<link name="turret">')
     load_robot(write(tmp_path, SHIPPED.replace(body, none, 1)))

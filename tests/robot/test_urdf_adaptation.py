@@ -1,4 +1,4 @@
-"""URDFs as they come: what is adapted is the robot that a plain URDF of it would be, and the rest is refused."""
+"""Real-world URDFs: an adapted robot equals its plain URDF, or is refused."""
 
 from __future__ import annotations
 
@@ -86,12 +86,12 @@ def plain():
 
 
 def whole_model(text: str) -> pin.Model:
-    """All joints as Pinocchio reads them, those that mimic too."""
+    """All joints as read by Pinocchio, mimic joints included."""
     return pin.buildModelFromXML(re.sub("<mimic [^>]*/>", "", text))
 
 
 def assert_is_part_of(robot: Robot, text: str) -> None:
-    """Torques and places of links are those of the whole model with its other joints where they are held."""
+    """Torques and link poses equal the whole model's with its other joints held."""
     whole, rng = whole_model(text), np.random.default_rng(3)
     data, part = whole.createData(), robot.model.createData()
     own = [whole.joints[whole.getJointId(name)].idx_v for name in robot.joint_names]
@@ -112,7 +112,7 @@ def assert_is_part_of(robot: Robot, text: str) -> None:
                 np.testing.assert_allclose(here.homogeneous, there.homogeneous, atol=1e-14)
 
 
-# What ships
+# Shipped robots
 
 
 def test_what_ships_is_not_changed(plain):
@@ -123,7 +123,7 @@ def test_what_ships_is_not_changed(plain):
     assert robot_digest(plain) == "sha256:a7bd66d2d8fd54d2c3a6560f51173feebb65451359af6179995cba21e18f2fdd"
 
 
-# Joints that stand still
+# Fixed joints
 
 
 def test_fingers_are_held_with_their_mass_and_shapes(load, plain):
@@ -134,7 +134,7 @@ def test_fingers_are_held_with_their_mass_and_shapes(load, plain):
     assert robot.joint_names == plain.joint_names
     np.testing.assert_array_equal(robot.arm.lengths, plain.arm.lengths)
     assert_is_part_of(robot, text)
-    # Corners of the boxes: 0.35 to 0.41 m along the hand of 0.4 m, 5 mm beyond where the finger is, 10 mm high.
+    # Corners of the boxes: 0.35 to 0.41 m along the hand of 0.4 m, 5 mm beyond the finger, 10 mm high.
     assert robot.arm.half_widths.tolist() == pytest.approx([0.05, 0.04, 0.03], rel=1e-12)
     wide = load(text, hold={"grip": 0.05})
     assert wide.held == {"grip": 0.05, "grip_too": pytest.approx(-0.074)}
@@ -223,7 +223,7 @@ def test_refused_with_what_would_make_it_work(load, case):
 
 
 def test_advice_works(load):
-    """What the sentences above advise is accepted."""
+    """The advice of the messages above is accepted."""
     assert load(edited(MIMIC), hold={"elbow": 0.3}).held == {"elbow": 0.3, "wrist": 0.3}
     assert load(edited(CONTINUOUS, ('velocity="1.5"', "")), hold={"base_yaw": 1.0}).has_yaw is False
     lifted = load(edited(more=LIFT), hold={"mount": 0.02})
@@ -293,7 +293,7 @@ def test_a_goal_is_reached_the_short_way(load):
     assert not certify(wide, scene, result.trajectory).verified
 
 
-# What carries base_link
+# The parent of base_link
 
 
 def test_a_world_below_the_base_does_not_count(load, plain):
@@ -434,7 +434,7 @@ def test_commands_pass_it_on(tmp_path, capsys):
     assert run("plan", "--out", out, "--quiet", *held) == 0
     assert run("certify", out, "--quiet", *held) == 0
     assert run("view", out, "--no-serve", "--quiet", *held) == 0
-    # Another robot, where the fingers are elsewhere.
+    # Another robot, with the fingers in another position.
     assert run("certify", out, "--quiet", *robot, "--hold", "grip=0.03", "--package-dir", tmp_path / "far") == 5
     capsys.readouterr()
     assert run("plan", "--out", out, "--quiet", *robot, "--hold", "grip") == 2

@@ -266,7 +266,7 @@ def sheet(rng: np.random.Generator, thickness: float) -> tuple[np.ndarray, np.nd
 @settings(max_examples=8)
 @given(st.integers(0, 10_000))
 def test_sheets_among_solids_are_held(seed):
-    """All points of all triangles, of panels and leaves too, beside, through and on solids."""
+    """All points of panels and leaves, next to, through and on solids."""
     rng = np.random.default_rng(seed)
     filled = rng.random((2, 2, 2)) < 0.6
     filled[0, 0, 0] = True
@@ -347,7 +347,7 @@ def a_tetrahedron(name: str, corners: list[str]) -> str:
     ],
 )
 def test_mesh_files_with_wrong_rows_are_refused(name: str, corners: list[str], tmp_path: Path) -> None:
-    """Ragged rows whose numbers are right in all, and decimal commas."""
+    """Ragged rows with the right total of numbers, and decimal commas."""
     file = tmp_path / name
     file.write_text(a_tetrahedron(name, ["0 0 0", "1 0 0", "0 1 0", "0 0 1"]))
     assert Mesh(name="a", file=str(file)).surface[0].max() == 1.0

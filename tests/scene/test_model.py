@@ -36,7 +36,7 @@ def test_box_turns_as_urdf_does():
 
 
 def test_solids_with_and_without_the_goal():
-    """The fruit that is the goal is no obstacle, the others are; sigma goes with them."""
+    """The goal's fruit is not an obstacle, the others are; sigma is kept."""
     blurred = PEAR.model_copy(update={"sigma": 0.01})
     scene = a_scene(goal=Goal(fruit="apple"), fruits=(APPLE, blurred), obstacles=(BALL,))
     assert [solid.name for solid in scene.solids] == ["ball", "pear"]
@@ -119,7 +119,7 @@ def test_what_is_out_of_reach_is_left_out_but_for_the_goal_and_what_moves():
 
 
 def test_covariances() -> None:
-    """They are read and written, known to the digest, turned with the scene; `sigma` is that of the worst direction."""
+    """Read, written, digested, rotated with the scene; `sigma` is the maximum over directions."""
     rows = ((4e-4, 1e-4, 0.0), (1e-4, 1e-4, 0.0), (0.0, 0.0, 9e-4))
     ball = Sphere(name="ball", center=(1.0, 0.0, 1.0), radius=0.1, covariance=rows)
     fruit = Fruit(name="apple", center=(0.0, 1.0, 1.0), radius=0.04, covariance=rows)

@@ -138,7 +138,7 @@ def test_hull_of_a_block():
     assert sorted(map(tuple, hull.planes)) == sorted(
         [(1, 0, 0, 1), (-1, 0, 0, 0), (0, 1, 0, 2), (0, -1, 0, 0), (0, 0, 1, 3), (0, 0, -1, 0)]
     )
-    # Twelve edges; the diagonals of the sides are none.
+    # Twelve edges, without the diagonals of the sides.
     assert sorted(np.linalg.norm(hull.edges[:, 3:], axis=1)) == [1] * 4 + [2] * 4 + [3] * 4
     assert not hull.core.flags.writeable
     assert not hull.planes.flags.writeable
@@ -308,7 +308,7 @@ def test_other_formats_and_missing_files(tmp_path):
 
 
 def test_a_large_cloud_is_no_burden(tmp_path):
-    """A hundred thousand points in a file, and no trace of them in the scene's text; the tree is built once."""
+    """A hundred thousand points in a file: none in the scene's text, one tree."""
     points = np.random.default_rng(0).uniform(0, 1, (100_000, 3))
     cloud = PointCloud.of("canopy", points, 0.01)
     assert cloud.solids[0] is cloud.solids[0]

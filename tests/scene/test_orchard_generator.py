@@ -60,7 +60,7 @@ def test_same_seed_same_scene(grown):
 
 
 def test_all_wood_of_a_tree_hangs_together(grown):
-    """From the trunk's foot every piece is reached through pieces that begin where another one is."""
+    """Every piece is connected to the trunk's foot through other pieces."""
     _, scene = grown
     tree = [piece for piece in wood_of(scene) if piece.name.startswith("tree 1 ")]
     canopy = Canopy(tree, 0.04, FruitZone())
@@ -116,7 +116,10 @@ def test_picked_fruit_is_gone():
 
 
 def within_reach(robot, point, *, clear_of=None) -> bool:
-    """Whether the tool can be at a point: a sweep of the hand's angle, the other two joints in closed form."""
+    """True if the tool can be at a point, by a sweep of the hand's angle.
+
+    The other two joints are in closed form.
+    """
     lengths = robot.arm.lengths
     yaw, z = math.atan2(point[1], point[0]), point[2] - 0.6
     for angle in np.radians(np.arange(0.0, 270.5, 1.0)):
@@ -140,7 +143,7 @@ def test_start_is_tucked_away_from_trees_and_vehicle(grown, robot):
     options, scene = grown
     start = scene.start.joints()
     assert scene.start.joints_deg == TUCKED_DEG
-    # At any yaw the arm is behind its axis or beside it.
+    # At any yaw the arm is behind its axis or to the side of it.
     obstacles = [o for o in (*scene.obstacles, *balls(scene)) if o.name not in ("vehicle", "ground")]
     assert CoalScene(robot, obstacles).distances(start).min() > 0.3
     if options.vehicle:
@@ -209,7 +212,7 @@ BRANCHES = [
 ]
 TREE = [TRUNK, *BRANCHES]
 
-#: Gap between a fruit and wood that it touches: none, or what rounding to tenths of a millimetre leaves.
+#: Gap between a fruit and wood in contact: zero up to rounding to tenths of a millimetre.
 TOUCHING = (-1e-9, 2e-4)
 
 

@@ -1,4 +1,4 @@
-"""Scene files: what they hold, what is refused, how large they may be."""
+"""Scene files: contents, refusals, maximum size."""
 
 from __future__ import annotations
 
@@ -315,7 +315,7 @@ obstacles:
 
 
 def test_aliases_count_what_they_repeat(write) -> None:
-    """A few lines that stand for 9^7 values."""
+    """A few lines that represent 9^7 values."""
     lines = ["a0: &a0 [1, 1, 1, 1, 1, 1, 1, 1, 1]"]
     lines += [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]" for i in range(1, 8)]
     with pytest.raises(SceneError, match="more than 500,000 values"):

@@ -1,4 +1,4 @@
-"""Tracks and sways: what a scene file says of them, poses over time, swept solids."""
+"""Tracks and sways: scene file entries, poses over time, swept solids."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def test_a_digest_knows_how_things_move():
     swaying = a_scene(Sphere(name="ball", center=(1.0, 0.0, 1.0), radius=0.1, sway=SWAY))
     creeping = still.model_copy(update={"base_track": CREEP})
     assert len({scene_digest(scene) for scene in (moving, still, swaying, creeping)}) == 4
-    # The digest of a still scene is what it was before there were tracks.
+    # The digest of a static scene has not changed with the introduction of tracks.
     assert scene_digest(still) == "sha256:58b921970ba4bd59e3437507ca88aeebb03deabae34644bb9acf11402c8ab91d"
 
 

@@ -1,4 +1,4 @@
-"""Copies with other values are checked however they are made, and what slips past is refused at the entrance."""
+"""Modified copies are validated in every way of copying; bypassed values are refused later."""
 
 from __future__ import annotations
 

@@ -41,7 +41,7 @@ def trees(tmp_path: Path) -> str:
 
 
 def rows_of(study: str, out: Path, *options: str) -> list[dict]:
-    harness._WARM.add(study)  # no time is looked at here
+    harness._WARM.add(study)  # skips the warm-up, since times do not matter here
     assert script.main([study, "--count", "1", "--out", str(out), *options]) == 0
     return read_rows(out / f"{study}.jsonl")
 

@@ -39,7 +39,7 @@ def test_rows_come_in_order_on_any_executor() -> None:
     rows = list(run(STUDY, Asked(count=5), told=lambda *now: told.append(now)))
     assert [row["name"] for row in rows] == ["0", "2", "2 again", "3", "4"]
     assert told == [(done, 5) for done in range(6)]
-    assert SOLVED == [0, 3, 0, 1, 2, 3, 4]  # two of them, evenly chosen, before any counts
+    assert SOLVED == [0, 3, 0, 1, 2, 3, 4]  # two of them, evenly chosen, as warm-up
     with ThreadPoolExecutor(2) as pool:
         assert list(run(STUDY, Asked(count=5), executor=pool)) == rows
     assert [row["name"] for row in run(STUDY, Asked(count=2, first=3))] == ["3", "4"]

@@ -1,4 +1,4 @@
-"""Contacts of motions as studies ask the judge for them: obstacles of each kind, fruit, what moves."""
+"""Contacts of motions by the studies' judge: all obstacles, fruit, moving obstacles."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ STILL = TimedMotion(1.0, lambda clock: np.zeros((len(clock), 4)) + 0.5)
 
 
 def scene_with(robot: Robot, kind: str, off_m: float) -> Scene:
-    """Something in the tool of the arm that stands still, or so far above it."""
+    """An obstacle in the tool of the arm at rest, or at a distance above it."""
     at = robot.tool_positions(np.full((1, 4), 0.5))[0] + [0.0, 0.0, off_m]
     where, empty = tuple(at.tolist()), task((0.0, 0.0, 0.0, 0.0), Goal(joints_deg=(0.0, 1.0, 1.0, 1.0)), [])
     listed, shifts = tuple((at + np.array([9.0, 0.0, 0.0])).tolist()), ((0.0,) * 3, (-9.0, 0.0, 0.0), (0.0,) * 3)

@@ -1,4 +1,4 @@
-"""The paper, reproduced: its numbers, what its text leaves open, the files that are written."""
+"""Reproduction of the paper: numbers, open choices, output files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The C-space held against coal on random scenes of every kind, and that what is wrong would be seen."""
+"""The C-space against coal on random scenes of every kind; faults are detected."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_nothing_is_missed_and_little_lost(robot: Robot, kind: Kind) -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_nothing_in_contact_is_free(robot: Robot, kind: Kind) -> None:
-    """Where a motion into an obstacle just touches, by bisection, the intervals forbid and the distance is nearly 0."""
+    """At first contact, found by bisection, the intervals forbid and the distance is nearly 0."""
     tolerance = 5e-7 if kind == "points" else CONTACT_TOLERANCE
     looked_at = 0
     for number in range(3):
@@ -68,7 +68,7 @@ def test_nothing_in_contact_is_free(robot: Robot, kind: Kind) -> None:
             node = Grid(q[1:], np.ones(robot.dof - 1), (1,) * (robot.dof - 1))
             sections = sections_at(robot, bodies, float(q[0]))
             assert occupancy(robot.arm, sections, node).occupied_count == 1, (number, q)
-            # Pieces stand out of a mesh and balls out of points; elsewhere coal's own accuracy is what differs.
+            # Hulls protrude from a mesh and balls from points; elsewhere the difference is coal's accuracy.
             assert -5e-6 - 2e-3 * (kind in ("mesh", "points")) <= field.clearance(q) <= 1e-11
     assert looked_at > 20
 

@@ -1,4 +1,7 @@
-"""The judge of certified motions sees what touches, and nothing else; what is handed out is handed to it."""
+"""The judge of certified motions finds contacts, and only contacts.
+
+It gets the files that are handed out.
+"""
 
 from __future__ import annotations
 
@@ -120,7 +123,7 @@ def test_fruit_may_be_touched_in_its_window_by_the_last_link_alone(harvester: Dr
 
 
 def test_what_hplan_is_not_told_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The planner is told that all obstacles stand 5 m away."""
+    """The planner gets all obstacles at a distance of 5 m."""
     whole = World.scene
 
     def elsewhere(world: World) -> Any:
@@ -169,7 +172,7 @@ def test_a_wrong_certificate_of_a_workcell_is_found(monkeypatch: pytest.MonkeyPa
 
 @pytest.mark.parametrize("times", [1.0, 2.0])
 def test_what_is_pushed_too_deep_is_found(monkeypatch: pytest.MonkeyPatch, times: float) -> None:
-    """The planner is told that all gives way twice as much; case 5 pushes what a fruit hangs from."""
+    """The planner gets twice the compliance; case 5 deflects a fruit's support."""
 
     def planned(robot: Any, scene: Any, options: Any) -> Any:
         more = {
@@ -193,5 +196,5 @@ def test_studies(study: Study) -> None:
     assert re.search(r"motions: \d+\. .* At fault: none\.$", summary(study, rows)[-2])
 
 
-#: A case whose planner makes motions in most of its worlds.
+#: A case with motions in most of its worlds.
 CASE = 8

@@ -1,4 +1,4 @@
-"""Studies: rows that stay, go on and do not hang on who makes them; files and their faults; the front."""
+"""Studies: rows independent of processes, continuation, files and faults, Pareto front."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def as_made_by_anyone(result: StudyResult) -> list[StudyRow]:
 
 
 def invented(design: Design) -> StudyRow:
-    """A row that costs nothing to make."""
+    """A row without computation."""
     return StudyRow(
         design.digest, design.arm, design.tree, design.distance, design.height, design.turn_deg, design.yields.wood,
         design.yields.below, design.yields.fruit, design.measure, 2.5, 4, len(design.arm) % 4, 1, None, None, 0.1,
@@ -105,7 +105,7 @@ def test_a_row_of_a_real_tree_is_the_same_on_other_workers(file: Path) -> None:
 
 
 def killing(design: Design) -> StudyRow:
-    """A row; the first design of a study kills the process that measures it, once."""
+    """A row; the first design of a study kills its process, once."""
     mark = design.trees[0].with_name("killed")
     if design.turn_deg and not mark.exists():
         mark.touch()

@@ -33,7 +33,7 @@ DROP = Goal(joints_deg=(0.0, 100.0, 100.0, 60.0))
 
 @pytest.fixture(scope="module")
 def orchard() -> tuple[Cell, CellScene]:
-    """Two orchard arms before a row, and their scene."""
+    """Two orchard arms in front of a row, and their scene."""
     scene = load_scene("orchard-arm-row")
     robot = load_robot(scene.robot)
     arms = (
@@ -89,7 +89,7 @@ def test_two_arms_pick_at_once(orchard, result):
         tools = cell.robot.forward_kinematics(result.trajectory.positions(list(picked.values())), f"{name}_tool0")
         for fruit, tool in zip(picked, tools[:, :3, 3], strict=True):
             assert np.linalg.norm(tool - where[fruit]) < 2e-3
-        # What an arm does is in its tours, phase by phase, and nothing else; it stops no more often than alone.
+        # The phases of an arm's tours cover its motion completely; it stops no more often than alone.
         planned = [(tour.trajectory, own.start_s, own.end_s) for tour in tours for own in tour.phases]
         for phase in result.phases[name]:
             lasts = phase.end_s - phase.start_s
@@ -102,7 +102,7 @@ def test_two_arms_pick_at_once(orchard, result):
 
 
 def test_arms_that_are_in_each_others_way_wait(orchard):
-    """So near to each other that their motions at once would meet."""
+    """So close to each other that simultaneous motions would collide."""
     cell, scene = orchard
     near = scene.model_copy(
         update={

@@ -1,4 +1,4 @@
-"""Rows: stops chosen by set cover, tours at each, and what is told of them."""
+"""Rows: stops chosen by set cover, tours at each, and their report."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def row(arm: Robot, scene: Scene) -> RowResult:
 
 
 def by_trying_all(costs: list[dict[str, float]], each: float, need: int) -> tuple[int, float]:
-    """Fewest sets that hold enough, and the least cost of any, by trying all."""
+    """Minimum number of sets that hold enough, and minimum cost, by brute force."""
     names = sorted({name for held in costs for name in held})
     fewest, cost = len(costs), math.inf
     for some in itertools.product((False, True), repeat=len(costs)):
@@ -90,7 +90,7 @@ def test_covers_are_those_of_trying_all(seed: int) -> None:
 
 @pytest.mark.parametrize("place", [Place(1, 0.3, 0.0), Place(2, -0.4, 0.2)])
 def test_what_is_seen_from_a_place(scene: Scene, place: Place) -> None:
-    """A base at the place, facing the row, has fruits ahead of it as far as they are from it."""
+    """A base at the place, facing the row, has the fruits ahead at their distance."""
     seen = place.seen(scene, COARSE)
     base = np.array([2.0 * COARSE.distance if place.side == 2 else 0.0, place.along, place.height])
     ahead: FloatArray = np.array([-1.0 if place.side == 2 else 1.0, 0.0, 0.0])

@@ -41,7 +41,7 @@ DROP = Goal(joints_deg=(100.0, 60.0, 80.0, 60.0))
 
 
 def fruit(robot: Robot, name: str, joints_deg: Sequence[float], radius: float = 0.04) -> Fruit:
-    """A fruit where the tool is at these joints."""
+    """A fruit at the tool's position at these joints."""
     x, y, z = robot.tool_positions(np.radians(joints_deg)).tolist()
     return Fruit(name=name, center=(x, y, z), radius=radius)
 
@@ -75,7 +75,10 @@ def carried(robot: Robot, scene: Scene) -> TourResult:
 
 
 def times_of_contact(result: TourResult) -> dict[str, tuple[float, float]]:
-    """When the last link may touch the fruit that it comes to: from the stand-off on; without one, on the whole leg."""
+    """Times when the last link may touch the goal's fruit, by fruit.
+
+    From the stand-off on; without one, during the whole leg.
+    """
     return {
         leg.fruit: (
             next((phase.start_s for phase in leg.phases if phase.name == "approach"), leg.begin_s),
@@ -137,7 +140,7 @@ def assert_sound(robot: Robot, scene: Scene, result: TourResult) -> None:
 
 
 def checkers(robot: Robot, scene: Scene, result: TourResult) -> Callable[[float], CoalScene]:
-    """What is still there at a time, in coal."""
+    """The remaining obstacles at a time, in coal."""
     made: dict[int, CoalScene] = {}
 
     def at(time: float) -> CoalScene:
@@ -176,7 +179,7 @@ def test_order_is_best_and_certified(robot: Robot, scene: Scene, tour: TourResul
 
 
 def test_costs_are_on_a_raster(robot: Robot, scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Motions last whole periods, so that sums of them tie: no order of adding them up may decide."""
+    """Motions last whole periods, so that sums tie in any order of addition."""
     seen: list[Costs] = []
     monkeypatch.setattr("hplan.tour.tour.nearest", lambda costs: seen.append(costs) or nearest(costs))
     plan_tour(robot, scene, OPTIONS, tour=TourOptions(order="nearest", drop_off=DROP, back=True))
@@ -241,7 +244,10 @@ def test_a_link_beside_the_tool_holds_what_the_tool_carries(robot: Robot) -> Non
 
 
 def test_gap_that_only_the_empty_arm_fits_into(robot: Robot) -> None:
-    """Beside the fruit, 35 mm from the last link's axis on both sides: 30 mm thick empty, 40 mm as it carries."""
+    """Next to the fruit, 35 mm from the last link's axis on both sides.
+
+    The link is 30 mm thick empty, 40 mm with a fruit.
+    """
     x, y, z = fruit(robot, "a", (0.0, 30.0, 40.0, 20.0)).center
     sides = [Sphere(name=f"side {s}", center=(x, y + s * 0.085, z), radius=0.05) for s in (-1, 1)]
     between = fruit(robot, "between", (0.0, 30.0, 40.0, 20.0))
@@ -253,7 +259,7 @@ def test_gap_that_only_the_empty_arm_fits_into(robot: Robot) -> None:
     assert {o["obstacle"] for o in result.unreached[0].error.obstacles} <= {"side -1", "side 1"}
 
 
-# What is not picked
+# Fruits that are not picked
 
 
 def test_unreachable_fruits_are_listed_with_reasons(robot: Robot) -> None:
@@ -304,7 +310,7 @@ def test_no_fruit_at_all_is_an_error_with_all_reasons(robot: Robot) -> None:
 
 
 def moves_of_seconds(robot: Robot, seconds: dict[tuple[int, int], float], stops: Sequence[Stop]) -> Moves:
-    """Moves among stops of which some motions are there already, named by their ends."""
+    """Moves among stops; some motions are known, named by their ends."""
     scene = orchard(robot, fruits=False)
     moves = Moves(Problem.of(robot, scene, OPTIONS), None)
     for stop in stops:
@@ -331,13 +337,13 @@ def test_motions_are_joined_where_that_is_quicker(robot: Robot) -> None:
     assert path(moves, 2, 0) == (2.5, [(2, 1), (1, 0)])
     assert path(moves, 0, 3) == (2.9, [(0, 3)])
     assert moves.seconds(np.array([3, 0, 2]), False)[1, 2] == 2.5
-    # At a stop where the last link is at a fruit no motion to elsewhere passes by.
+    # At a stop at a fruit, no motion to other places passes by.
     moves = moves_of_seconds(robot, seconds, [*stops[:1], Stop(stops[1].configuration, "a"), *stops[2:]])
     assert path(moves, 0, 2) == (3.0, [(0, 2)])
 
 
 def test_joins_are_those_over_all_stops_at_once() -> None:
-    """Beside sweeps over all stops, as motions come one after the other, some of them twice."""
+    """Against sweeps over all stops, as motions arrive in sequence, some of them twice."""
     rng = np.random.default_rng(3)
     for _ in range(20):
         stops = rng.permutation(60)[:18].tolist()
@@ -488,7 +494,7 @@ def test_a_drop_off_at_a_pose_says_what_to_use(robot: Robot, scene: Scene) -> No
 def random_costs(
     seed: int, n: int, *, capacity: int, absent: float = 0.0, round_numbers: bool = False, most: int = 3
 ) -> Costs:
-    """Costs that know no symmetry and no triangle inequality; some of them infinite."""
+    """Costs without symmetry or triangle inequality; some of them infinite."""
     random = np.random.default_rng(seed)
     begin = np.concatenate([[0], np.cumsum(random.integers(1, most + 1, n))])
     m = int(begin[-1])
@@ -503,7 +509,7 @@ def random_costs(
 
 
 def cost_of(costs: Costs, visits: Visits) -> float:
-    """What a tour costs, counted leg by leg; infinite if it carries too much."""
+    """Cost of a tour, leg by leg; infinite if it exceeds the capacity."""
     total, load = costs.first[visits.places[0]], 1
     for a, b, over in zip(visits.places, visits.places[1:], visits.dropped, strict=False):
         total += costs.drop[a] + costs.away[b] if over else costs.onward[a, b]
@@ -514,7 +520,7 @@ def cost_of(costs: Costs, visits: Visits) -> float:
 
 
 def brute_force(costs: Costs, orders: list[tuple[int, ...]]) -> float:
-    """The least cost over some orders, all places and all drop-offs."""
+    """Minimum cost over some orders, all places and all drop-offs."""
     n, least = costs.fruits, math.inf
     for order in orders:
         choices = [range(costs.begin[f], costs.begin[f + 1]) for f in order]
@@ -588,7 +594,7 @@ def test_every_change_costs_what_the_changed_order_does(capacity: int) -> None:
             assert (other[0], sorted(other[1:-1]), other[-1]) == (n, list(range(n)), n + 1)
             trial = ordering._trial(order, ends, (kind, i, j), known, here)
             assert trial == pytest.approx(ordering._cost(other[1:-1], costs, table), rel=1e-12)
-            # What is written anew where the order has changed is what is written of all of it.
+            # Updating the changed part equals computing everything.
             anew = ordering.Segments(*(array.copy() for array in known))
             whole = ordering.Segments(*(np.full(shape, np.nan) for shape in shapes))
             ordering._fill_segments(other, ends, (min(i, j), ordering._after((kind, i, j))), anew)

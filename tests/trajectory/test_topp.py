@@ -51,7 +51,7 @@ class HalfPlanes(constraint.LinearConstraint):
 
 
 def toppras(rows, grid, rates):
-    """Speeds, accelerations and sets by toppra's own algorithm, None where it finds none; its return code."""
+    """Speeds, accelerations and sets by toppra, or None; and its return code."""
     line = toppra.SplineInterpolator(grid[[0, -1]], np.array([[0.0], [1.0]]))
     own = algorithm.TOPPRA([HalfPlanes(rows)], line, gridpoints=grid, solver_wrapper="seidel")
     u, speed, _, sets = own.compute_parameterization(*rates, return_data=True)
@@ -113,7 +113,7 @@ def test_passes_are_toppras(dynamics, limits, seed, span, locked, torque, faster
 
 
 def test_outcomes_of_many_paths(dynamics, limits):
-    """What toppra times is timed, what it cannot time for its limits neither."""
+    """Paths that toppra times are timed, the others are not."""
     rng, outcomes = np.random.default_rng(4), set()
     for _ in range(60):
         path, rates = spline(rng, 1.0, None), rng.choice([0.0, 0.0, 0.5, 50.0], 2)
@@ -125,7 +125,7 @@ def test_outcomes_of_many_paths(dynamics, limits):
 @settings(max_examples=30)
 @given(seed=st.integers(0, 10**6), span=st.sampled_from([1.0, 1e-2, 1e-4, 1e-6]))
 def test_speeds_use_a_limit_and_pass_none(dynamics, limits, seed, span):
-    """At the middles of the grid's intervals, whatever the length of the path."""
+    """Checked at the middles of the grid's intervals, for any length."""
     path = spline(np.random.default_rng(seed), span, None)
     grid = cosine(path.end, 300)
     speed = fastest_speed(path, dynamics, limits, grid)
@@ -157,7 +157,7 @@ def test_half_planes_without_a_point(dynamics, limits, a, c, at):
     assert caught.value.cause == "FailUncontrollable"
 
 
-#: By so much a limit may be passed, of acceleration and torque, and of jerk.
+#: Maximum ratio to the limit, of acceleration and torque, and of jerk.
 TOLERANCE, JERK_TOLERANCE = 1.001, 1.035
 
 
@@ -177,7 +177,7 @@ def with_motion() -> st.SearchStrategy[Trajectory]:
 
 
 def assert_within_limits(robot: Robot, trajectory: Trajectory) -> None:
-    """At rows and, for what is linear between them, everywhere."""
+    """At samples, and everywhere for quantities linear between them."""
     for values, limit, most in (
         (trajectory.velocity, robot.velocity_limit, TOLERANCE),
         (trajectory.acceleration, robot.acceleration_limit, TOLERANCE),
@@ -192,7 +192,7 @@ def assert_within_limits(robot: Robot, trajectory: Trajectory) -> None:
 
 
 def assert_smooth(trajectory: Trajectory) -> None:
-    """The cubics between rows have the rows' accelerations at both ends: the acceleration is continuous."""
+    """Check that the acceleration is continuous, equal to the samples' at both ends."""
     if trajectory.samples == 1:
         return
     bezier, duration = trajectory.segments
@@ -202,7 +202,7 @@ def assert_smooth(trajectory: Trajectory) -> None:
 
 
 def assert_on_path(robot: Robot, retimed: Retimed, motion: Trajectory) -> None:
-    """The tool is where it is at some time of the motion, to a tenth of a millimetre, between rows too."""
+    """The tool passes the motion's positions within 0.1 mm, between samples too."""
     trajectory, row = retimed.trajectory, retimed.row
     assert retimed.off_path_m <= OFF_PATH
     for field in ("time", "position", "velocity", "acceleration", "torque"):
@@ -213,7 +213,7 @@ def assert_on_path(robot: Robot, retimed: Retimed, motion: Trajectory) -> None:
     there = robot.tool_positions(motion.positions(np.clip(near, 0.0, motion.duration).ravel()))
     here = robot.tool_positions(trajectory.positions(clock))
     off = np.linalg.norm(there.reshape(*near.shape, 3) - here[:, None], axis=2).min(axis=1)
-    assert off.max() <= OFF_PATH + 1e-5  # the places that are looked at are a little apart
+    assert off.max() <= OFF_PATH + 1e-5  # the checked places are a little apart
 
 
 @settings(max_examples=30)
@@ -234,7 +234,7 @@ def test_a_stop_is_on_the_path_within_limits_and_ends_at_rest(robot, motion, par
 @settings(max_examples=20)
 @given(motion=with_motion(), part=st.floats(0.2, 0.8), later=st.floats(0.0, 1.0))
 def test_a_stop_of_a_stop_keeps_limits_too(robot, motion, part, later):
-    """What a limit is passed by does not add up."""
+    """Excesses over a limit do not accumulate."""
     first = stopped(motion, part * motion.duration, robot)
     begin = motion.time[min(first.row, motion.samples - 1)]
     again = stopped(first.trajectory, begin + later * (first.trajectory.duration - begin), robot)
@@ -248,7 +248,7 @@ def test_a_stop_of_a_stop_keeps_limits_too(robot, motion, part, later):
 @settings(max_examples=20)
 @given(motion=with_motion(), part=st.floats(0.05, 0.6))
 def test_a_stop_is_about_as_quick_as_limits_allow(robot, motion, part):
-    """Beside the least time that one joint alone needs, the jerk's ramps and what the other joints do come to it."""
+    """Minimum time of one joint alone, plus jerk ramps and the other joints' needs."""
     found = stopped(motion, part * motion.duration, robot)
     seconds = found.trajectory.duration - motion.time[found.row]
     speed, push = np.abs(motion.velocity[found.row]), robot.acceleration_limit

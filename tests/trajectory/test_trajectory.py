@@ -1,4 +1,4 @@
-"""Trajectories: rows and files, stops, jerk-limited rows of a timed path, rounded corners."""
+"""Trajectories: samples and files, stops, jerk-limited timing, rounded corners."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def test_positions_and_states_between_rows_are_those_of_the_cubics():
     np.testing.assert_allclose(outside, trajectory.position[[0, -1]], rtol=0, atol=1e-12)
     np.testing.assert_array_equal(some_trajectory(1).positions(np.zeros(2)), some_trajectory(1).position[[0, 0]])
     assert trajectory.velocity[0].any()
-    for t in (-1e-13, 0.0, 0.3 * trajectory.duration, 0.71 * trajectory.duration):  # rounding is not before the begin
+    for t in (-1e-13, 0.0, 0.3 * trajectory.duration, 0.71 * trajectory.duration):  # rounding is not before the start
         for order, values in enumerate(trajectory.state_at(t)):
             np.testing.assert_allclose(values, curve(max(t, 0.0), order), rtol=1e-9, atol=1e-9)
     for t, row in ((-1.0, 0), (trajectory.duration, -1), (trajectory.duration + 1.0, -1)):
@@ -312,7 +312,7 @@ def joint_turn(robot, joint, angle, start=0.1):
 
 
 def hermite(trajectory, step=FINE):
-    """Time and position of the cubic Hermite curve through the rows, every `step` seconds."""
+    """Time and position of the cubic Hermite curve through the samples, every `step` s."""
     time = np.arange(0.0, trajectory.duration + 0.5 * step, step)
     return on_cubics(trajectory, time)
 
@@ -323,7 +323,7 @@ def inverse_dynamics(model, q, v, a):
 
 
 def row_uses(trajectory, limits):
-    """(rows,) largest share of any limit, jerk between rows included where it is limited."""
+    """(samples,) maximum use of any limit, jerk between samples included."""
     shares = [np.abs(trajectory.velocity) / limits.velocity, np.abs(trajectory.acceleration) / limits.acceleration]
     if limits.torque is not None:
         shares.append(np.abs(trajectory.torque) / limits.torque)
@@ -335,13 +335,13 @@ def row_uses(trajectory, limits):
 
 
 def jerk_uses(trajectory, limits):
-    """(rows - 1,) share of the jerk limit; between rows acceleration is linear."""
+    """(samples - 1,) use of the jerk limit; acceleration is linear between samples."""
     step = np.diff(trajectory.time)[:, None]
     return (np.abs(np.diff(trajectory.acceleration, axis=0)) / step / limits.jerk).max(axis=1)
 
 
 def assert_sound(trajectory, model, limits, *, rate=RATE, path=None, jerk=True):
-    """Uniform time, rest, exact ends, columns that belong together, limits at rows and between."""
+    """Check uniform time, rest, ends, consistent columns, limits at and between samples."""
     steps = np.diff(trajectory.time)
     assert trajectory.time[0] == 0.0
     assert (steps > 0.0).all()
@@ -361,7 +361,8 @@ def assert_sound(trajectory, model, limits, *, rate=RATE, path=None, jerk=True):
         assert jerk_uses(trajectory, limits).max(initial=0.0) <= 1.001
     if trajectory.samples < 3:
         return
-    # The rows are one cubic spline: acceleration by position and velocity of two rows is that of the column.
+    # The samples form one cubic spline: its acceleration from positions and velocities of two samples equals the
+    # column.
     h, q, w = 1.0 / rate, np.diff(trajectory.position, axis=0), trajectory.velocity
     noise = 5e-12 / h**2 * (1.0 + np.abs(trajectory.position).max()) + 1e-7
     np.testing.assert_allclose(6 * q / h**2 - (4 * w[:-1] + 2 * w[1:]) / h, trajectory.acceleration[:-1], atol=noise)
@@ -428,7 +429,7 @@ def test_tight_torque_slows_the_motion_and_is_kept(robot, smooth_limits):
 
 
 def torque_bound(robot, smooth_limits, path, share):
-    """Limits where torque, a share beyond what gravity takes, is what binds."""
+    """Limits that make the torque binding, a fraction above gravity's."""
     data = robot.model.createData()
     static = [
         np.abs(pin.computeGeneralizedGravity(robot.model, data, q))
@@ -458,7 +459,7 @@ def test_rows_are_near_the_path(robot, limits):
 
 @pytest.mark.parametrize("seed", [2, 7])
 def test_little_is_lost_with_few_points(robot, smooth_limits, seed):
-    """What passes a limit between two of few points is remedied there: it does not slow the whole motion."""
+    """Excesses between two of few points are corrected locally."""
     path = curve(seed, robot)
     few, many = (
         time_path(path, robot.model, smooth_limits, grid=parameter_grid(path, points)) for points in (GRID_POINTS, 3200)
@@ -504,7 +505,7 @@ def test_share_of_the_speed(robot, limits, smooth_limits):
 
 @pytest.mark.parametrize(("where", "share"), [("begin", (0.0, 0.0, 0.0, 1.0)), ("end", (0.0, 3.0, -3.0, 1.0))])
 def test_a_path_whose_parameter_stands_still_is_refused(robot, limits, where, share):
-    """As that of an optimised motion, which begins and ends at rest."""
+    """As in an optimized motion, which begins and ends at rest."""
 
     class Path:
         breaks = np.array([0.0, 1.0])
@@ -578,7 +579,7 @@ def test_rates(robot, limits, smooth_limits, rate, with_jerk):
 
 
 def test_motions_of_too_many_rows_are_refused_before_they_are_made(robot, scene):
-    """A thousandth of full speed: half an hour, 450,000 rows."""
+    """A thousandth of full speed: half an hour, 450,000 samples."""
     begin = time.process_time()
     tracemalloc.start()
     with pytest.raises(OptionError, match=r"lasts 1\d\d\d s and would have 4\d\d,\d\d\d") as error:
@@ -593,7 +594,7 @@ def test_motions_of_too_many_rows_are_refused_before_they_are_made(robot, scene)
 
 
 def test_a_sharp_bend_does_not_slow_the_whole_motion(robot: Robot) -> None:
-    """A corner rounded within 1e-4 rad: what grid points about it miss must not cost the rest of the motion."""
+    """A corner rounded within 1e-4 rad must not slow the rest of the motion."""
     corner = np.array([[0.0, 0.2, 0.2, 0.2], [0.0, 0.9, 0.2, 0.9], [0.0, 0.9, 0.9, 0.9]])
     path = rounded_path(corner, 1e-4)
     limits = Limits(robot.velocity_limit, robot.acceleration_limit, robot.torque_limit, robot.jerk_limit)
@@ -606,7 +607,7 @@ def test_a_sharp_bend_does_not_slow_the_whole_motion(robot: Robot) -> None:
 
 
 def frechet_distance_is_within(curve: np.ndarray, points: np.ndarray, bound: float) -> bool:
-    """Whether dense points of two curves can be gone through side by side within a bound (discrete Frechet)."""
+    """True if the discrete Frechet distance of dense points is within a bound."""
     near = np.linalg.norm(curve[:, None] - points[None], axis=2) <= bound
     reach = np.zeros_like(near)
     for i, j in itertools.product(*map(range, near.shape)):
@@ -660,7 +661,7 @@ def test_path_runs_along_the_polyline(points, deviation):
 
 
 def test_deviation_is_used():
-    """At a lone corner the path passes the corner at just what thinning leaves of the deviation."""
+    """At a lone corner the deviation is the allowed one after thinning."""
     path = rounded_path([[0, 0], [1, 0], [1, 1]], 0.02)
     s = np.linspace(0, path.end, 20_001)
     assert np.linalg.norm(path.evaluate(s) - [1, 0], axis=1).min() == pytest.approx(0.015, rel=1e-6)

@@ -41,7 +41,7 @@ def test_waypoints_in_any_order_with_other_columns(write):
 
 
 def check_by_differencing(model: pin.Model, motion, limits: Limits, allowed: float = 1.001) -> None:
-    """Limits of the rows, of what differencing their positions gives, and of the torque by inverse dynamics."""
+    """Check limits of samples, of their differences, and torques by inverse dynamics."""
     step = np.diff(motion.time)[:, None]
     change = np.diff(motion.position, axis=0) / step
     assert (np.abs(change) <= allowed * limits.velocity).all()
@@ -145,7 +145,7 @@ def test_script_writes_the_csv(script, capsys, files, tmp_path):
     np.testing.assert_array_equal(motion.position[-1], [0.5, -1.0])
     for word in ("w.csv", "toy", f"{motion.duration:.3f} s", "1 deg allowed", "holds the motion back"):
         assert word in text
-    # What hplan wrote can be timed again.
+    # hplan's output can be timed again.
     status, text, _ = run(script, capsys, files[0], out, "--acceleration", 4, "--out", tmp_path / "o2.csv", "--quiet")
     assert (status, text) == (0, "")
     assert read_csv(tmp_path / "o2.csv").duration == pytest.approx(motion.duration, rel=0.1)
@@ -269,7 +269,7 @@ def test_mimic_is_held_with_the_one_it_mimics(load):
     for name in ("finger", "other"):
         with pytest.raises(InputError, match=f"'{name}' cannot be moved: .* move as one"):
             load(*joints, joints=[name])
-    # Where that stands elsewhere, it follows.
+    # The mimicking joint follows if the other is elsewhere.
     joints = [*one, other + '<mimic joint="finger" multiplier="-0.5" offset="0.1"/>']
     assert load(*joints, hold={"finger": 0.4}).held == {"finger": 0.4, "other": pytest.approx(-0.1)}
     with pytest.raises(InputError, match="'other' cannot be held by itself, for it mimics 'finger'"):

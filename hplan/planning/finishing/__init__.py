@@ -1,1 +1,1 @@
-"""Paths that others have planned: checked, and made into certified motions."""
+"""Paths of other planners: checked, and made into certified motions."""

@@ -1,4 +1,4 @@
-"""Somebody else's path made into a certified motion: waypoints of any planner, from start to goal."""
+"""Certified motions along given paths: waypoints of any planner, start to goal."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ from hplan.trajectory.timing import corner_grid
 
 
 class _ClearPath(NamedTuple):
-    """A polyline verified collision-free, near the one that was given.
+    """A polyline verified collision-free, near the given one.
 
     Attributes:
         waypoints: (m, dof) the polyline.
-        moved: Numbers of the motions of the one that was given, counted from 1, that are not in it as they were.
+        moved: Numbers of the given motions that it changes, counted from 1.
     """
 
     waypoints: FloatArray
@@ -53,41 +53,52 @@ def finish(
     progress: Progress = no_progress,
     cancel: Cancel | None = None,
 ) -> PlanResult:
-    """The certified motion along somebody else's path.
+    """Make a certified motion along a given path.
 
-    The path is one of straight motions in joint space. It is verified collision-free; where it merely comes closer than
-    the clearance to keep it is moved away; then it is shortened, smoothed, timed and certified like hplan's own paths.
-    Whatever planned it: nothing is taken on trust. The motion begins at the first waypoint and ends at the last, at
-    rest; start and goal of the scene do not matter, and a fruit that is its goal is an obstacle like the others.
+    The path consists of straight motions in joint space. It is verified collision-free; if it only violates the
+    required clearance it is moved away. Then it is shortened, smoothed, timed and certified like hplan's own paths:
+    nothing about its source is trusted. The motion begins at the first waypoint and ends at the last, at rest. The
+    scene's start and goal do not matter, and a fruit that is its goal is an obstacle like the others.
 
     Args:
         robot: The arm.
-        scene: Obstacles, clearance to keep, locked joints.
+        scene: Obstacles, required clearance, locked joints.
         waypoints: (n, dof) configurations, n >= 2, from start to goal; repeated ones count once.
-        options: How to finish it; those of searches do not matter.
-        keep_within_rad: Largest distance of the motion's path from the polyline (Euclidean norm over all joints), where
-            its shape is to be kept and only its corners rounded; less where obstacles leave no room. At least 1e-4.
-            None to shorten and smooth it. Where the path comes too close and is moved away, it is that from the moved
-            one.
+        options: How to smooth and time the path; search options do not matter.
+        keep_within_rad: Maximum distance of the motion's path from the polyline (Euclidean norm over all joints): keeps
+            the shape and only rounds the corners, more tightly if obstacles leave no room. At least 1e-4. None to
+            shorten and smooth the path. If the path is moved away from obstacles, the distance counts from the moved
+            path.
         progress: Called with the name of each stage as it begins.
-        cancel: A function or an event that says whether the motion is cancelled.
+        cancel: A function or an event that reports cancellation.
 
     Returns:
-        The motion as of a plan, for the scene with the path's ends as start and goal (`result.scene`). Its report has
-        in `given`: how many waypoints there were, which motions between them were moved, and lengths.
+        The motion as the result of a plan, for the scene with the path's ends as start and goal (`result.scene`).
+        Section `given` of its report has the number of waypoints, the motions between them that were moved, and the
+        lengths.
 
     Raises:
-        InputError: Waypoints that are none, fewer than two, or all the same; joints that are locked and move; a path
-            that ends where it begins and is to be shortened.
-        JointLimitError: A waypoint outside the joint limits; names it and the joint.
-        PathInContactError: The path touches something, or comes too close and could not be moved away; names the
-            waypoint or the motion between two, link, obstacle and depth.
-        MovingObstacleError: Something in the scene moves.
-        OptionError: A distance that cannot be kept.
+        InputError: `waypoints` are invalid, fewer than two, or all the same; a locked joint moves; or a path to be
+            shortened ends where it begins.
+        JointLimitError: A waypoint violates the joint limits; names it and the joint.
+        PathInContactError: The path is in contact, or is too close to an obstacle and could not be moved away; names
+            the waypoint or the motion between two, link, obstacle and depth.
+        MovingObstacleError: The scene has a moving obstacle or a moving base.
+        OptionError: `keep_within_rad` is too small or not finite.
         TimingError: The path cannot be timed.
         CertificationError: No motion along the path could be certified.
-        NotInTimeError: None was found before the deadline.
+        NotInTimeError: No motion was found before the deadline.
         PlanCancelledError: It was cancelled.
+
+    Examples:
+        >>> import numpy as np
+        >>> from hplan import finish, load_robot, load_scene
+        >>> waypoints = np.radians([(0, 0, 0, 0), (0, 0, 90, 90), (0, 45, 60, 70)])
+        >>> result = finish(load_robot(), load_scene(), waypoints)
+        >>> result.certificate.verified
+        True
+        >>> result.report["given"]["waypoints"]
+        3
     """
     check_task(robot, scene, options, progress)
     options = PlanOptions() if options is None else options
@@ -106,7 +117,7 @@ def finish(
 
 
 def _finished(problem: Problem, path: GivenPath, keep_within_rad: float | None) -> PlanResult:
-    """The motion."""
+    """The result for a validated path."""
     robot, points = problem.robot, path.points
     problem.world.check_base(robot.yaw_of(points[0]))
     clear = _shown_clear(problem, path)
@@ -117,14 +128,14 @@ def _finished(problem: Problem, path: GivenPath, keep_within_rad: float | None) 
 
 
 def _shown_clear(problem: Problem, path: GivenPath) -> _ClearPath:
-    """The path, moved away from what it merely comes too close to.
+    """The path, moved away from bodies that it is too close to.
 
     Raises:
-        PathInContactError: It touches something, or could not be moved away.
-        CertificationError: It was not verified collision-free, though no contact was found.
+        PathInContactError: The path is in contact, or could not be moved away.
+        CertificationError: The path was not verified collision-free, though no contact was found.
     """
     world, field, points = problem.world, problem.field, path.points
-    # Fraction of the margin that the path itself is to have; smoothing asks for the whole where it can be had.
+    # Fraction of the margin required of the path itself; smoothing uses the whole margin if possible.
     path_margin = 0.1
     with stage("postprocess"):
         spare = float(field.along(points[[0, -1]]).min())
@@ -155,7 +166,10 @@ def _shown_clear(problem: Problem, path: GivenPath) -> _ClearPath:
 
 
 def _smoothed(problem: Problem, waypoints: FloatArray) -> Transit:
-    """The motion along the path shortened and smoothed; where it cannot be certified, with its corners rounded."""
+    """The motion along the path, shortened and smoothed.
+
+    If it cannot be certified, the motion along the path with rounded corners.
+    """
     try:
         return quickest(problem, [Path(waypoints, "given")], problem.margin)
     except (CertificationError, TimingError):
@@ -164,16 +178,21 @@ def _smoothed(problem: Problem, waypoints: FloatArray) -> Transit:
         raise
 
 
-#: Largest distance from the polyline where corners are only rounded because nothing else can be certified [rad].
+#: Maximum distance from the polyline if the corners are only rounded because nothing else can be certified [rad].
 ROUNDING = 0.02
 
 
 def _kept(problem: Problem, waypoints: FloatArray, deviation_rad: float) -> Transit:
-    """The motion along the path with its corners rounded, as far as can be verified collision-free.
+    """The motion along the path with its corners rounded.
+
+    The rounding is as large as can be verified collision-free.
+
+    Args:
+        deviation_rad: Maximum distance from the polyline [rad].
 
     Raises:
         CertificationError: No rounding was verified collision-free, or the motion is not certified.
-        TimingError: It cannot be timed.
+        TimingError: The path cannot be timed.
     """
     margin = 0.5 * SMALLEST_FRACTION * problem.margin
     allowed = deviation_rad
@@ -189,7 +208,7 @@ def _kept(problem: Problem, waypoints: FloatArray, deviation_rad: float) -> Tran
 
 
 def _result(path: GivenPath, clear: _ClearPath, motion: Transit) -> PlanResult:
-    """The result of a plan, with what became of the path in its report."""
+    """The result of a plan; its report describes the path."""
     result = plan_result(Plan(motion))
     given: dict[str, Any] = {
         "waypoints": path.count,

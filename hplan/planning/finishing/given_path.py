@@ -1,4 +1,4 @@
-"""A path of straight motions that was given: its waypoints, checked, and the scene from its first to its last."""
+"""Given waypoints of straight motions, validated, and the scene between their ends."""
 
 from __future__ import annotations
 
@@ -12,17 +12,19 @@ from hplan.errors import InputError, MovingObstacleError
 from hplan.robot.model import Robot
 from hplan.scene.model import Goal, Scene, Start
 
-#: Waypoints nearer to each other than this, joint by joint, are one; ends so near to the scene's are those [rad].
+#: Waypoints closer to each other than this in every joint are one; the same holds for path ends and the scene's start
+#: and goal [rad].
 SAME = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
 class GivenPath(Record):
-    """Waypoints within the joint limits, no two neighbours the same.
+    """Waypoints within the joint limits, without consecutive repetitions.
 
     Attributes:
         points: (m, dof) waypoints, m >= 2.
-        numbers: (m,) their numbers among those that were given, counted from 1; of repeated ones the first.
+        numbers: (m,) their numbers among the given ones, counted from 1; for repeated ones the first.
+        count: Number of given waypoints, repetitions included.
     """
 
     points: FloatArray
@@ -31,14 +33,14 @@ class GivenPath(Record):
 
 
 def given_path(robot: Robot, waypoints: ArrayLike) -> GivenPath:
-    """Check waypoints; those that repeat the one before are left out.
+    """Validate waypoints and drop consecutive repetitions.
 
     Args:
         waypoints: (n, dof) configurations, start to goal.
 
     Raises:
-        InputError: No (n, dof) array of finite numbers, fewer than two waypoints, or all the same.
-        JointLimitError: A waypoint outside the joint limits; names it, counted from 1, and the joint.
+        InputError: `waypoints` is not an (n, dof) array of finite numbers, has fewer than two, or all are the same.
+        JointLimitError: A waypoint violates the joint limits; names it, counted from 1, and the joint.
     """
     points = numbers("waypoints", waypoints, (None, robot.dof))
     if len(points) < 2:
@@ -54,14 +56,16 @@ def given_path(robot: Robot, waypoints: ArrayLike) -> GivenPath:
 
 
 def scene_along(robot: Robot, scene: Scene, path: GivenPath) -> Scene:
-    """The scene with the ends of a path as start and goal; the same scene where these are its own.
+    """The scene with the ends of a path as start and goal.
+
+    The same scene if they are its own.
 
     Args:
-        scene: What is around it; a fruit that is its goal is an obstacle as all others are.
+        scene: The obstacles; a fruit that is its goal is an obstacle like all others.
 
     Raises:
-        InputError: Joints that are locked move along the path, or the scene's start is in motion.
-        MovingObstacleError: Something in the scene moves.
+        InputError: A locked joint moves along the path, or the scene's start is in motion.
+        MovingObstacleError: The scene has a moving obstacle or a moving base.
     """
     if scene.moves:
         raise MovingObstacleError(scene.first_moving)

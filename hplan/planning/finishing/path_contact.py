@@ -1,7 +1,7 @@
-"""Where a path of straight motions touches something, or comes closer to it than the clearance to keep.
+"""Contacts of a path of straight motions, and near contacts.
 
-Motions that the compiled distances show clear are. Of the others the place that comes nearest is looked for among
-configurations close to each other, and coal says what is there.
+Motions that the compiled distances verify are clear. On each of the others the place with the minimum clearance is
+searched among closely spaced configurations, and coal determines the bodies and the depth.
 """
 
 from __future__ import annotations
@@ -19,22 +19,21 @@ from hplan.errors import ConfigurationInCollisionError, PathInContactError
 from hplan.planning.finishing.given_path import GivenPath
 from hplan.planning.world import World
 
-#: No point of the arm moves farther than this between two configurations that are looked at [m], unless they are as
-#: many as the most.
+#: Maximum displacement of any point of the arm between two sampled configurations [m], and the maximum number of steps.
 STEP_M, MOST_STEPS = 2e-3, 4000
 
-#: Of the configurations with the least clearance along a motion, so many valleys and so many others are put to coal.
+#: Number of valleys, and of other configurations with too little clearance, that coal checks on each motion.
 _VALLEYS, _SPREAD = 12, 48
 
 
 class Place(NamedTuple):
-    """A place along a path that touches something, or comes too close.
+    """A place on a path in contact or with too little clearance.
 
     Attributes:
-        number: Of the waypoint, or of the first of the motion's two, among those of the path, from 0.
-        fraction: How far along the motion it is; 0 at a waypoint.
+        number: Number of the waypoint, or of the first waypoint of the motion, from 0.
+        fraction: Fraction of the motion before the place; 0 at a waypoint.
         at_waypoint: True if the waypoint itself is the place.
-        error: Link, obstacle, depth and clearance to keep.
+        error: Link, obstacle, depth and required clearance.
     """
 
     number: int
@@ -44,15 +43,17 @@ class Place(NamedTuple):
 
     @property
     def touches(self) -> bool:
-        """True if the bodies touch; False if they are only closer than the clearance to keep."""
+        """True if the bodies touch; False if they are only too close."""
         return self.error.depth_m >= self.error.clearance_m
 
 
 def places_of(world: World, path: GivenPath, margin: float) -> Iterator[Place]:
-    """The places of a path where it is in contact or too close, in order: waypoints, and motions between free ones.
+    """The places of a path in contact or too close, in order.
+
+    They are waypoints, and places on motions between clear waypoints.
 
     Args:
-        margin: Clearance beyond the one to keep with which motions are verified collision-free [m].
+        margin: Clearance beyond the required one for motions to be verified collision-free [m].
     """
     points = path.points
     low = np.flatnonzero(world.field.along(points).min(axis=1) < margin).tolist()
@@ -70,7 +71,7 @@ def places_of(world: World, path: GivenPath, margin: float) -> Iterator[Place]:
 
 
 def refuse(path: GivenPath, places: list[Place]) -> PathInContactError:
-    """The error that names places of a path, one or more."""
+    """The error that names one or more places of a path."""
     facts = [_facts(path, place) for place in places]
     first, fact = places[0], facts[0]
     if first.at_waypoint:
@@ -87,7 +88,7 @@ def _facts(path: GivenPath, place: Place) -> dict[str, object]:
     number, error = int(path.numbers[place.number]), place.error
     return {
         "waypoint": number if place.at_waypoint else None,
-        # Of repeated waypoints the motion leads away from the last.
+        # With repeated waypoints the motion starts at the last of them.
         "segment": None if place.at_waypoint else int(path.numbers[place.number + 1]) - 1,
         "fraction": place.fraction,
         "link": error.link,
@@ -99,7 +100,7 @@ def _facts(path: GivenPath, place: Place) -> dict[str, object]:
 
 
 def _judged(world: World, q: FloatArray) -> ConfigurationInCollisionError | None:
-    """What a configuration touches or comes too close to, by coal; None for nothing."""
+    """Check a configuration with coal: the error, or None if clear."""
     try:
         world.check_clear(q, "it")
     except ConfigurationInCollisionError as error:
@@ -108,7 +109,7 @@ def _judged(world: World, q: FloatArray) -> ConfigurationInCollisionError | None
 
 
 def _nearest(world: World, ends: FloatArray, number: int) -> Place | None:
-    """The deepest place found on a motion between two free waypoints; None where coal finds it clear."""
+    """The deepest contact found between two clear waypoints, or None."""
     first, step = ends[0], ends[1] - ends[0]
     travel = float((reach(world.robot) @ np.abs(step)).max(initial=0.0))
     count = int(min(max(2, math.ceil(travel / STEP_M)), MOST_STEPS))
@@ -130,7 +131,7 @@ def _nearest(world: World, ends: FloatArray, number: int) -> Place | None:
     else:
         centre = deepest[0]
     width = 1.0 / count
-    # Halvings of the distance between two configurations about the nearest one.
+    # Bisection around the nearest configuration.
     for _ in range(12):
         width *= 0.5
         tried = np.clip([centre - width, centre, centre + width], 0.0, 1.0)
@@ -149,7 +150,10 @@ def _excess(error: ConfigurationInCollisionError) -> float:
 
 
 def _candidates(clearances: FloatArray) -> IntArray:
-    """Of the configurations along a motion those that coal is to look at: the lowest valleys, and some of the rest."""
+    """Indices of the configurations along a motion that coal checks.
+
+    They are the lowest valleys, and evenly spread ones of those without clearance.
+    """
     padded = np.concatenate([[math.inf], clearances, [math.inf]])
     valleys = np.flatnonzero((clearances <= padded[:-2]) & (clearances <= padded[2:]))
     lowest = valleys[np.argsort(clearances[valleys], kind="stable")[:_VALLEYS]]

@@ -1,5 +1,6 @@
-"""Lower bounds of the duration of a motion: proofs that no motion between two configurations is faster.
+"""Lower bounds of the duration of all motions between two configurations.
 
-`joint_tubes` bounds where each joint can be when, `occupied_cells` and `reachability` what the arm can pass in that
-time, `duration_bound` searches the longest duration that is shown to be too short. The proof is in `docs/proof.md`.
+`joint_tubes` bounds each joint's position over time, `occupied_cells` and `reachability` decide which cells the arm can
+pass in that time, and `duration_bound` searches the longest duration that is proved infeasible. The proof is in
+`docs/proof.md`.
 """

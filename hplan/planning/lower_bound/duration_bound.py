@@ -1,7 +1,7 @@
-"""A duration that no motion between two configurations can fall below, shown rather than estimated.
+"""Certified lower bound of the duration of a motion between two configurations.
 
-For every problem that of the slowest joint alone. Where something is in the way, reachability on ever finer grids of
-three joints excludes longer ones. `docs/proof.md` has the proof.
+For every problem it is at least the bound of the slowest joint alone. If obstacles block the way, reachability on
+increasingly fine grids of three joints excludes longer durations. `docs/proof.md` has the proof.
 """
 
 from __future__ import annotations
@@ -28,33 +28,33 @@ from hplan.planning.world import World
 from hplan.robot.limits import Limits
 from hplan.robot.model import Robot
 
-#: Samples of motions, and above which part that is left of the duration of the one that is known so many are looked at.
+#: Numbers of samples of a motion, each with its minimum relative gap between bound and known duration.
 SAMPLES = ((64, 0.01), (128, 0.015), (256, 0.02))
 
-#: The part of the duration that the search distinguishes.
+#: Resolution of the search, as a fraction of the duration.
 _STEP = 0.002
 
-#: Motions are looked at next that are so many times as long as what is excluded already.
+#: Ratio of the next duration to try to the longest excluded one.
 _LONGER = 1.3
 
-#: Most words of 8 bytes that a grid may have; finer ones are left out.
+#: Maximum size of a grid, in words of 8 bytes; finer grids are skipped.
 _MOST_WORDS = 6_000_000
 
 
 @dataclass(frozen=True)
 class DurationBound:
-    """A lower bound of the durations of all motions from one configuration to another, at rest at both.
+    """A lower bound of the duration of rest-to-rest motions.
 
-    It holds for every motion that `hplan.certify` verifies and that keeps the jerk limits, where there are any, from
-    the rest before to the rest after it: with acceleration 0 at both ends. Limits are taken with the certificate's
+    It holds for every motion between two configurations that `hplan.certify` verifies and that satisfies the jerk
+    limits, if any, from rest to rest: with zero acceleration at both ends. The limits include the certificate's
     tolerance.
 
     Attributes:
-        seconds: No motion is shorter [s].
-        joints_s: The shortest duration of the slowest joint alone [s].
-        duration_s: Duration of the motion that it was asked for [s].
-        method: `joints` for the slowest joint alone; where obstacles and several joints together count too, `planar`
-            if the arm moves in a plane and `spatial` for all others.
+        seconds: The lower bound [s].
+        joints_s: Minimum duration of the slowest joint alone [s].
+        duration_s: Duration of the motion to compare with [s].
+        method: `joints` for the slowest joint alone; with obstacles and several joints together, `planar` if the arm
+            moves in a plane and `spatial` otherwise.
         joint: Name of the slowest joint.
     """
 
@@ -66,26 +66,27 @@ class DurationBound:
 
     @property
     def gap(self) -> float:
-        """Fraction by which the motion may at most be longer than the shortest one; 0 for an empty motion."""
+        """Maximum relative excess of the duration over the shortest motion's."""
         return self.duration_s / self.seconds - 1.0 if self.seconds > 0.0 else 0.0
 
 
 def duration_bound(
     world: World, problem: Problem, limits: Limits, duration_s: float, *, thorough: bool = False
 ) -> DurationBound:
-    """Bound the durations of motions from below.
+    """Compute a lower bound of the duration of motions.
 
-    Torque limits, contacts of the arm with itself and tracking errors are left out: motions that they forbid are not
-    excluded. Of joints without an axis of the grids only the range counts.
+    Torque limits, self-contacts and tracking errors are neglected, so that motions they forbid are not excluded. For
+    joints without a grid axis only the range counts.
 
     Args:
-        world: The arm, and what it must keep clear of.
-        problem: Start and goal, and the joints that may move.
+        world: The arm and its obstacles.
+        problem: Start, goal and movable joints.
+        limits: Limits of the motions.
         duration_s: Duration of a motion that solves the problem within the limits [s].
-        thorough: Whether all grids are searched, however near the bound is already.
+        thorough: True to search all grids even if the bound is already tight.
 
     Raises:
-        BoundError: It is shown that there is no motion so short: the duration given, or the proof, is wrong.
+        BoundError: The given duration is proved impossible: it, or the proof, is wrong.
     """
     robot = world.robot
     motions = _joint_motions(world, problem, limits)
@@ -106,7 +107,7 @@ def duration_bound(
 
 
 def _moves_in_a_plane(robot: Robot, problem: Problem) -> bool:
-    """True if all joints that may move turn about parallel axes."""
+    """True if all movable joints rotate about parallel axes."""
     data = robot.model.createData()
     pin.forwardKinematics(robot.model, data, problem.start)
     axes = []
@@ -119,7 +120,10 @@ def _moves_in_a_plane(robot: Robot, problem: Problem) -> bool:
 
 
 def _contradiction(duration_s: float, joints: Sequence[str]) -> BoundError:
-    """The error that names the joints of a bound; the last of them moves bodies fastest."""
+    """The error that names the joints of a bound.
+
+    The last joint moves bodies fastest.
+    """
     named = f"joint{'s' if len(joints) > 1 else ''} {', '.join(map(repr, joints))}"
     return BoundError(
         f"a motion of {duration_s:.6g} s was found, and shown to be impossible by the bound of {named}",
@@ -129,7 +133,7 @@ def _contradiction(duration_s: float, joints: Sequence[str]) -> BoundError:
 
 
 def _joint_motions(world: World, problem: Problem, limits: Limits) -> JointMotions:
-    """The motions of all joints within the limits, as the certificate takes them."""
+    """The motions of all joints within the limits and the certificate's tolerance."""
     robot, count = world.robot, world.robot.dof
     moves = np.zeros(count, dtype=np.bool_)
     moves[problem.movable] = True
@@ -149,21 +153,22 @@ def _joint_motions(world: World, problem: Problem, limits: Limits) -> JointMotio
 def _on_grids(
     world: World, motions: JointMotions, samples: Sequence[tuple[int, float]], excluded: float, duration_s: float
 ) -> float:
-    """The longest duration that is excluded.
+    """The longest duration that the grids exclude.
 
     Args:
-        samples: As `SAMPLES`.
+        samples: Numbers of samples with their gaps, as in `SAMPLES`.
         excluded: A duration that is excluded already [s].
-        duration_s: That of a motion [s].
+        duration_s: Duration of a known motion [s].
 
     Raises:
-        BoundError: The duration of the motion that is known is excluded.
+        BoundError: The duration of the known motion is excluded.
     """
     obstacles = _obstacles(world)
     excess = _excess(world.robot, obstacles)
     for count, gap in samples:
         while duration_s > excluded * (1.0 + gap):
-            # In less time joints are in fewer places, and cells are smaller; nothing is excluded where start is goal.
+            # A shorter duration confines the joints and makes cells smaller; nothing is excluded if start and goal are
+            # the same.
             longest = min(duration_s, _LONGER * excluded) or duration_s
             axes = _axes(obstacles, motions, longest)
             grid = TimedGrid.of(motions.only(axes), longest, count)
@@ -180,7 +185,10 @@ def _on_grids(
 
 
 def _axes(obstacles: ClearanceField, motions: JointMotions, duration_s: float) -> IntArray:
-    """The joints that can move some body farthest in a time, `AXES` at most; the one that does so least is first."""
+    """The joints that can move a body farthest, at most `AXES`.
+
+    The first one moves bodies most slowly.
+    """
     lower, upper = motions.ranges(duration_s, 16)
     reaches = obstacles.reaches.max(axis=0)
     farthest = np.where(motions.velocity > 0.0, (upper - lower) * reaches, 0.0)
@@ -190,16 +198,19 @@ def _axes(obstacles: ClearanceField, motions: JointMotions, duration_s: float) -
 
 
 def _excess(robot: Robot, obstacles: ClearanceField) -> FloatArray:
-    """(bodies,) by how much bodies are larger than the shapes that the certificate judges by, at most [m]."""
+    """(bodies,) maximum excess of bodies over the certificate's shapes [m]."""
     excess = np.zeros(len(obstacles.movers))
-    if robot.planar is None:  # of planar arms both see the same capsules
+    if robot.planar is None:  # planar arms have the same capsules in both
         growth = [body.growth for body in collision_bodies(robot)]
         excess[: len(growth)] = growth
     return excess
 
 
 def _obstacles(world: World) -> ClearanceField:
-    """Obstacles with the clearance to keep, without tracking errors and the arm itself; none is too large."""
+    """Obstacles with the required clearance, without tracking errors and self-pairs.
+
+    None is larger than the certificate's.
+    """
     linked = world.linked
     excess = np.array([solid.excess for solid in linked.solids])
     field = replace(linked, growth=linked.growth - excess).field(world.robot, own_clearance=world.clearance)
@@ -209,9 +220,13 @@ def _obstacles(world: World) -> ClearanceField:
 
 
 def _longest(search: GridSearch, excluded: float, possible: float) -> float:
-    """The longest duration excluded, by bisection from one that is and one that is not.
+    """The longest excluded duration, by bisection.
 
-    The first that is tried is a step longer than what is excluded already: often no grid excludes more.
+    The first duration to try is one step longer than the excluded one: often no grid excludes more.
+
+    Args:
+        excluded: A duration that is excluded [s].
+        possible: A duration that is not excluded [s].
     """
     step = _STEP * possible
     middle = excluded + step

@@ -1,4 +1,4 @@
-"""Which lengths of motion reachability on a grid of up to three joints excludes."""
+"""Infeasible durations by reachability on a grid of up to three joints."""
 
 from __future__ import annotations
 
@@ -14,23 +14,24 @@ from hplan.planning.lower_bound.joint_tubes import JointMotions
 from hplan.planning.lower_bound.occupied_cells import AXES, Cells, take_occupied
 from hplan.planning.lower_bound.reachability import Samples, is_reachable
 
-#: Into how many parts a cell is cut; the bits of 64 cells.
+#: Number of parts of a cell, and the bits of 64 free cells.
 _PARTS, _ALL = 16, np.uint64(2**64 - 1)
 
-#: How many configurations of bodies that the same joints move are looked at in a grid, about, and of hulls fewer.
+#: Approximate maximum number of configurations to query per group of bodies that the same joints move; fewer with
+#: hulls.
 _LOOKS = 4e6
 
 
 @dataclass(frozen=True, eq=False)
 class TimedGrid(Record):
-    """A grid over some joints with the time between samples, for motions of up to some length.
+    """A grid over joints and time, for motions up to a duration.
 
     Attributes:
-        motions: The joints, in the order of the axes; for an axis that is missing one that stands still.
-        longest: Length of the longest motions [s].
+        motions: The joints, in the order of the axes; a missing axis has a joint at rest.
+        longest: Maximum duration of the motions [s].
         period: Time between samples [s].
-        lower: (AXES,) where the first cells begin [rad, m].
-        sizes: (AXES,) sizes of cells: how far joints move from sample to sample at most [rad, m].
+        lower: (AXES,) lower edges of the first cells [rad, m].
+        sizes: (AXES,) sizes of the cells: the maximum travel of the joints between samples [rad, m].
         counts: (AXES,) numbers of cells.
     """
 
@@ -43,18 +44,18 @@ class TimedGrid(Record):
 
     @classmethod
     def of(cls, motions: JointMotions, longest: float, samples: int) -> TimedGrid:
-        """The grid for motions no longer than some length.
+        """The grid for motions up to a duration.
 
         Args:
-            motions: Of `AXES` joints at most, in the order of the axes.
-            longest: Length of the longest motion [s].
-            samples: Samples of it.
+            motions: Motions of at most `AXES` joints, in the order of the axes.
+            longest: Maximum duration of the motions [s].
+            samples: Number of samples of the longest motion.
         """
         motions = motions.with_still_ones(AXES)
         period = longest / samples
-        # Rounding never makes a cell too small to be left by one step alone.
+        # Rounding must never make a cell so small that one step crosses more than its neighbour.
         travel = motions.velocity * period * (1.0 + 1e-9)
-        # Size of the cells of a joint that stands still [rad].
+        # Size of the cells of a joint at rest [rad].
         sizes = np.where(travel > 0.0, travel, 1e-3)
         lower, upper = motions.ranges(longest, samples)
         counts = np.floor((upper - lower) / sizes).astype(np.int64) + 1
@@ -62,11 +63,15 @@ class TimedGrid(Record):
 
     @property
     def words(self) -> int:
-        """Words of memory that the cells take."""
+        """Memory of the cells, in words of 8 bytes."""
         return int(self.counts[1:].prod() * ((self.counts[0] + 63) // 64))
 
     def samples(self, total: float) -> Samples | None:
-        """Bounds of motions of some length, of two samples or more; None where they leave nothing."""
+        """Bounds of motions of a duration at their samples; None if contradictory.
+
+        Args:
+            total: Duration, two samples or more [s].
+        """
         count = int(total / self.period + 1e-9)
         time = np.maximum(total - self.period * np.arange(count, -1, -1.0), 0.0)[:, None]
         lower, upper = self.motions.places(time, total)
@@ -79,17 +84,18 @@ class TimedGrid(Record):
 
 @dataclass(frozen=True, eq=False)
 class GridSearch(Record):
-    """The search for the largest length at which no motion of some joints exists.
+    """The search for the longest infeasible duration.
 
     Attributes:
-        free: Its cells that are not in contact whole.
+        grid: The grid.
+        free: Bits of the cells that are not entirely in contact.
     """
 
     grid: TimedGrid
     free: WordArray
 
     def is_possible(self, total: float) -> bool:
-        """False if it is shown that no motion of a length exists."""
+        """False if it is proved that no motion of a duration exists."""
         if total < 2.0 * self.grid.period:
             return True
         samples = self.grid.samples(total)
@@ -101,18 +107,19 @@ class GridSearch(Record):
     ) -> GridSearch:
         """The search over a grid.
 
-        Bodies that the same joints move are looked at together, those of the fewest joints first: what is in contact
-        then is so whatever the others do.
+        Bodies that the same joints move are checked together, in order of increasing number of joints: cells in contact
+        then are in contact for all values of the other joints.
 
         Args:
             obstacles: Bodies and obstacles, without pairs of bodies.
-            excess: (bodies,) by how much bodies are larger than what they stand for at most [m].
-            motions: Those of all joints.
+            excess: (bodies,) maximum excess of bodies over the shapes that they represent [m].
+            motions: Motions of all joints.
             joints: Numbers of the joints of the grid's axes.
+            grid: The grid.
         """
         free = np.full((*grid.counts[1:], (grid.counts[0] + 63) // 64), _ALL)
         samples = grid.samples(grid.longest)
-        if samples is None:  # no motion is so long, and no cell matters
+        if samples is None:  # no motion has this duration, and no cell matters
             return cls(grid, free)
         lower, upper = motions.ranges(grid.longest, len(samples.first) - 1)
         sizes = upper - lower
@@ -122,13 +129,13 @@ class GridSearch(Record):
         for group in sorted({tuple(row) for row in moved[meets].tolist()}, key=lambda row: (sum(row), row)):
             chosen = meets & (moved == np.array(group)).all(axis=1)
             parts = _parts(obstacles.reaches[chosen].max(axis=0) * sizes, int(joints[0]))
-            # Bodies that a part may move by more than their own radius are not looked at: they are hardly ever so deep.
+            # Skip bodies that a part may move by more than their own radius: they are hardly ever in contact so deeply.
             chosen &= 0.5 * obstacles.reaches @ (sizes / parts) < obstacles.movers[:, BALL_RADIUS]
             if not chosen.any():
                 continue
             axes = np.full(AXES, -1, dtype=np.int64)
             axes[: len(joints)] = np.where(np.array(group)[joints], joints, -1)
-            axes[0] = joints[0]  # those that it does not move are in contact along all of it
+            axes[0] = joints[0]  # bodies that it does not move are in contact along all of it
             numbers = obstacles.numbers.copy()
             numbers[BODIES] = chosen.sum()
             field = obstacles.arrays._replace(movers=obstacles.movers[chosen], numbers=numbers)
@@ -143,16 +150,18 @@ class GridSearch(Record):
 
 
 def _along(axes: IntArray) -> tuple[slice, ...]:
-    """Of an array of cells the first ones along axes without a joint."""
+    """Index of the first cells along axes without a joint."""
     return tuple(slice(None) if joint >= 0 else slice(0, 1) for joint in axes[1:])
 
 
 def _parts(moved: FloatArray, first: int) -> IntArray:
-    """(dof,) into how many parts cells are cut: in halves by the joint that moves bodies farthest within a part.
+    """(dof,) numbers of parts into which cells are divided.
+
+    Parts are halved along the joint that moves bodies farthest within a part.
 
     Args:
-        moved: (dof,) how far joints move bodies within a cell, or all of their range, at most [m].
-        first: The joint of the first axis, along which clearances are followed.
+        moved: (dof,) maximum travel of bodies by each joint within a cell, or within its whole range [m].
+        first: The joint of the first axis, along which clearances are extrapolated.
     """
     parts = np.ones(len(moved), dtype=np.int64)
     moved[first] = 0.0

@@ -1,12 +1,14 @@
-r"""Cells of a joint grid that are in contact whole, whatever the joints do that have no axis: no motion passes them.
+r"""Cells of a joint grid that are entirely in contact.
 
-The configurations of a box differ from its middle by half of its size, :math:`e_j` of joint :math:`j`, at most, so
-body :math:`k` of the arm is nowhere farther than :math:`s_k = \sum_j R_{kj} e_j` from where it is at the middle, with
-the motion-bound coefficients :math:`R` (`hplan.collision.reach`), and its clearance, negative by the depth in contact,
-is nowhere larger by more than that. If it is below :math:`-s_k` at the middle, the whole box is in contact.
+No motion passes them. They are in contact for all values of the joints without an axis. The configurations of a box
+differ from its center by at most half of its size, :math:`e_j` in joint :math:`j`. Body :math:`k` of the arm is
+therefore nowhere farther than :math:`s_k = \sum_j R_{kj} e_j` from its position at the center, with the motion-bound
+coefficients :math:`R` (`hplan.collision.reach`), and its clearance (negative by the depth in contact) is nowhere larger
+by more than that. If it is below :math:`-s_k` at the center, the whole box is in contact.
 
-A cell is cut into parts for that, and so are the ranges of the joints that have no axis: it is in contact whole if each
-part is. Along the first axis clearances change by no more than :math:`R_{kj}` for each radian: cells between are known.
+A cell is divided into parts for this test, and so are the ranges of the joints without an axis: it is entirely in
+contact if each part is. Along the first axis clearances change by at most :math:`R_{kj}` per radian, which decides the
+cells in between.
 """
 
 from __future__ import annotations
@@ -20,29 +22,29 @@ from hplan.base.kernels import kernel
 from hplan.collision.body_kernels import body_clearances
 from hplan.collision.obstacle_rows import FieldArrays
 
-#: What kernels' distances are exact to; a hull that is flat made thicker is in it [m].
+#: Accuracy of the kernels' distances, including the thickness added to flat hulls [m].
 ACCURACY = 1e-4
 
-#: Axes of a grid; those that are missing have one cell.
+#: Number of axes of a grid; missing axes have one cell.
 AXES = 3
 
-#: Larger clearances are not looked for [m].
+#: Clearances are clamped to this value [m].
 _FAR = 0.1
 
 
 class Cells(NamedTuple):
-    """A grid over some joints; the first axis is the one whose cells are bits.
+    """A grid over some joints; bits run along the first axis.
 
     Attributes:
         joints: (AXES,) numbers of the joints in a configuration; -1 for an axis without one.
-        lower: (dof,) where the first cells of joints with an axis begin, and the ranges of the others [rad, m].
-        sizes: (dof,) sizes of cells, and of the ranges of joints that have no axis [rad, m].
-        parts: (dof,) into how many parts each of them is cut; 1 for the first axis.
-        first: (n, AXES) first cells where the joints can be at some times.
-        last: (n, AXES) last cells; others are not looked at.
+        lower: (dof,) lower edges of the first cells of joints with an axis, and of the ranges of the others [rad, m].
+        sizes: (dof,) sizes of cells, and of the ranges of joints without an axis [rad, m].
+        parts: (dof,) number of parts of each of them; 1 for the first axis.
+        first: (n, AXES) first cells that the joints can occupy at some times.
+        last: (n, AXES) last cells that the joints can occupy at these times; cells outside are not checked.
         coefficients: (bodies, dof) motion-bound coefficients [m, 1].
-        excess: (bodies,) by how much bodies are larger than the shapes that they stand for, at most [m].
-        most_looks: After so many configurations no further row is looked at: its cells stay.
+        excess: (bodies,) maximum excess of bodies over the shapes that they represent [m].
+        most_looks: Number of distance queries after which no further row is checked: its cells stay.
     """
 
     joints: IntArray
@@ -58,11 +60,12 @@ class Cells(NamedTuple):
 
 @kernel
 def take_occupied(free: WordArray, field: FieldArrays, cells: Cells) -> None:
-    """Clear the bits of cells that are shown to be in contact whole.
+    """Clear the bits of cells proved to be entirely in contact.
 
     Args:
         free: (counts[1], counts[2], words) bit i of a row is cell i of the first axis.
-        field: Obstacles and bodies, without pairs of them.
+        field: Obstacles and bodies, without pairs of bodies.
+        cells: The grid.
     """
     bodies, dof = cells.coefficients.shape
     sway, clear = cells.excess + ACCURACY, np.empty(bodies)
@@ -94,7 +97,10 @@ def take_occupied(free: WordArray, field: FieldArrays, cells: Cells) -> None:
 
 @kernel
 def _window(cells: Cells, at: IntArray) -> tuple[int, int]:
-    """First and last cell of the first axis where the joints can be while the others are in a row."""
+    """First and last cell of a row that a motion can occupy.
+
+    `at` has the cells of the other axes.
+    """
     low, high = cells.last.max(), -1
     for sample in range(cells.first.shape[0]):
         inside = True
@@ -114,13 +120,18 @@ def _sift_row(
     field: FieldArrays,
     cells: Cells,
 ) -> int:
-    """Leave those cells of a row held that are in contact whole; how many configurations were looked at.
+    """Mark the cells of a row that are entirely in contact.
 
     Args:
-        held: Cells that are looked at.
-        window: The first of them and the last.
-        work: (dof,) where the row begins, (dof,) numbers, (bodies,) how far bodies move from the middle of a part and
-            by how much they are too large, (bodies,) numbers.
+        held: Cells to check; those not proved to be in contact become False.
+        window: The first and the last of them.
+        work: (dof,) the configuration where the row begins, (dof,) scratch, (bodies,) maximum travel of bodies from the
+            center of a part plus their excess, (bodies,) scratch.
+        field: Obstacles and bodies, without pairs of bodies.
+        cells: The grid.
+
+    Returns:
+        The number of distance queries.
     """
     origin, q, sway, clear = work
     first, (low, high) = cells.joints[0], window
@@ -138,7 +149,7 @@ def _sift_row(
             q[first] = cells.lower[first] + (cell + 0.5) * cells.sizes[first]
             body_clearances(q, field, _FAR, clear)
             looks += 1
-            # Cells from here on that are in contact, and that are not shown to be, as far as is known.
+            # Numbers of cells from here on that are in contact, and that are not proved to be, as far as is known.
             occupied, unknown = 0.0, np.inf
             for k in range(len(clear)):
                 travel = cells.coefficients[k, first] * cells.sizes[first]

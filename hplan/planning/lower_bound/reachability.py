@@ -1,7 +1,8 @@
-r"""Which cells a motion can be in at equally spaced times: more than there are, and never fewer.
+r"""Superset of the reachable cells of a joint grid over time.
 
-Cells are as large as joints can move at full speed from one sample to the next, so that from cell to cell a joint
-changes by one at most. A cell is kept where it is not in contact whole and inside the bounds of that time.
+The times are equally spaced. Cells are as large as the joints can move at full speed from one sample to the next, so
+that a joint moves by at most one cell per sample. A cell is kept if it is not entirely in contact and is within the
+bounds of that time.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ _FIRST = any_int(0)
 
 
 class Samples(NamedTuple):
-    """Bounds of the motion at its samples; cells are counted along each axis.
+    """Bounds of the motion at its samples, in cells along each axis.
 
     Attributes:
         first: (n, 3) first cells.
@@ -31,10 +32,10 @@ class Samples(NamedTuple):
 
 @kernel
 def is_reachable(free: WordArray, samples: Samples) -> bool:
-    """True if some sequence of cells leads from the first sample to the last.
+    """True if cells connect the first sample with the last.
 
     Args:
-        free: (nx, ny, words) bits of cells not in contact whole, those of the first axis in each row.
+        free: (nx, ny, words) bits of the cells not entirely in contact; the first axis is along the words.
         samples: Bounds of the motion at its samples.
     """
     states = free.copy()
@@ -49,7 +50,7 @@ def is_reachable(free: WordArray, samples: Samples) -> bool:
 
 @kernel
 def _advance(states: WordArray, samples: Samples, k: int) -> None:
-    """Add the neighbours of the cells of the sample before k, in place."""
+    """Add the neighbours of sample k - 1's cells, in place."""
     first, last = samples
     _, ny, words = states.shape
     low_x, high_x = min(first[k - 1, 1], first[k, 1]), max(last[k - 1, 1], last[k, 1])
@@ -63,18 +64,22 @@ def _advance(states: WordArray, samples: Samples, k: int) -> None:
 
 @kernel
 def _keep(states: WordArray, free: WordArray, samples: Samples, k: int) -> bool:
-    """Clear the cells that are not in the bounds of sample k, or in contact whole; true if any are left.
+    """Clear cells out of bounds at sample k or entirely in contact.
 
     Args:
         states: (nx, ny, words) the cells.
-        free: Bits of cells not in contact whole.
-        samples: Bounds.
+        free: Bits of the cells not entirely in contact.
+        samples: Bounds of the motion at its samples.
+        k: Number of the sample.
+
+    Returns:
+        True if any cell is left.
     """
     first, last = samples
     window = np.zeros(states.shape[2], dtype=np.uint64)
     for cell in range(first[k, 0], last[k, 0] + 1):
         window[cell >> 6] |= np.uint64(1) << np.uint64(cell & 63)
-    # Cells of the first sample are sought among all, those of the others among neighbours.
+    # The first sample starts with all cells, later ones with the neighbours of the previous sample's cells.
     low_x, high_x, low_y, high_y = 0, states.shape[0] - 1, 0, states.shape[1] - 1
     if k > 0:
         low_x, high_x = min(first[k - 1, 1], first[k, 1]), max(last[k - 1, 1], last[k, 1])
@@ -91,7 +96,7 @@ def _keep(states: WordArray, free: WordArray, samples: Samples, k: int) -> bool:
 
 @kernel
 def _spread(rows: WordArray, low: int, high: int, begin: int, end: int) -> None:
-    """Unite each row from low to high with those before and after it, in columns from begin to end."""
+    """Unite the rows low to high with their neighbours, in place."""
     for i in range(low, high):
         for w in range(begin, end):
             rows[i, w] |= rows[i + 1, w]
@@ -102,7 +107,7 @@ def _spread(rows: WordArray, low: int, high: int, begin: int, end: int) -> None:
 
 @kernel
 def _widen(row: WordArray) -> None:
-    """Unite the bits of a row with those before and after them."""
+    """Unite the bits of a row with their neighbours."""
     one, last, below = np.uint64(1), np.uint64(63), np.uint64(0)
     for w in range(len(row)):
         value = row[w]

@@ -1,4 +1,4 @@
-"""Motions among obstacles that move: where on a path it is clear when, and the quickest timing through that.
+"""Motions among moving obstacles: clear cells of path and time, fastest schedule.
 
 Nothing here is a proof: the certificate is.
 """

@@ -1,4 +1,4 @@
-"""Scenes in which nothing moves that stand for one in which something does."""
+"""Static scenes that approximate a scene with moving obstacles."""
 
 from __future__ import annotations
 
@@ -13,13 +13,16 @@ from hplan.scene.model import Fruit, Scene
 from hplan.scene.obstacle_kind import moved
 from hplan.scene.obstacles import AnyObstacle, Sphere
 
-#: Poses of one obstacle are so far apart, at most, unless there would be more of them than this [m].
+#: Maximum displacement between consecutive poses of one obstacle [m], and the maximum number of poses.
 APART_M: Final = 0.03
 _MOST_POSES: Final = 24
 
 
 def without_moving(scene: Scene) -> Scene:
-    """The scene without what moves; where the base moves, as it stands at the begin, without what moves besides."""
+    """The scene without its moving obstacles.
+
+    On a moving base: the other obstacles, at their initial poses.
+    """
     at_first = scene.at(0.0)
     kept = {item.name for item in (*scene.obstacles, *scene.fruits) if item.track is None}
     return at_first.copy_unchecked(
@@ -31,11 +34,13 @@ def without_moving(scene: Scene) -> Scene:
 
 
 def among_poses(scene: Scene, from_s: float, to_s: float) -> Scene:
-    """The scene with what moves at all places where it is within an interval of time, one close to the next.
+    """The scene with moving obstacles at all their poses within an interval.
+
+    Consecutive poses are close to each other (`APART_M`).
 
     Args:
-        from_s: Begin of the interval [s].
-        to_s: End of it [s].
+        from_s: Start of the interval [s].
+        to_s: End of the interval [s].
     """
     moving = set(scene.poses_at([from_s]))
     still_fruits = tuple(fruit for fruit in scene.fruits if fruit.name not in moving)
@@ -57,7 +62,7 @@ def among_poses(scene: Scene, from_s: float, to_s: float) -> Scene:
 
 
 def _apart(steps: FloatArray) -> Iterator[int]:
-    """Which of poses to take: the first, the last, and of those between as few as are close to one another."""
+    """Choose poses: the first, the last, and few close ones between them."""
     gone = math.inf
     for number, step in enumerate([0.0, *steps.tolist()]):
         following = float(steps[number]) if number < len(steps) else math.inf
@@ -74,5 +79,5 @@ def _ball(fruit: Fruit) -> Sphere:
 
 
 def _points(item: AnyObstacle) -> FloatArray:
-    """(k, 3) points of an obstacle whose travel is looked at."""
+    """(k, 3) core points of an obstacle, to measure its travel."""
     return np.concatenate([solid.core for solid in item.solids])

@@ -1,9 +1,9 @@
-"""When it is clear where on a motion's path: cells of path and time, by the compiled distances.
+"""Clear cells of a motion's path and time, by compiled distances.
 
-A cell is a part of the motion that takes `_STATION_S` at full speed, at a time give or take half a step and what is
-kept for a timing that is off. It counts as clear where the arm in its middle is farther from everything that moves than
-arm and obstacles travel within the cell; its time is halved until that is decided, or obstacles travel less than
-`_RESOLUTION_M`, and then its part of the motion is looked at in `_PARTS`. What stands still is not looked at.
+A cell is the segment of the motion that takes `_STATION_S` at full speed, during a time interval of one step plus an
+allowance for timing errors on both sides. It is clear if the arm at its middle is farther from all moving obstacles
+than arm and obstacles travel within the cell. Its interval is halved until that is decided or obstacles travel less
+than `_RESOLUTION_M`; then its segment is checked in `_PARTS` parts. Static obstacles are not checked.
 """
 
 from __future__ import annotations
@@ -25,29 +25,31 @@ from hplan.scene.obstacles import Solid
 from hplan.scene.tracks import Movement
 from hplan.trajectory.trajectory import Trajectory
 
-#: Time that a motion takes from station to station at full speed [s].
+#: Time from station to station at full speed [s].
 _STATION_S: Final = 0.00625
 
-#: Obstacles that travel no farther than this to either side of a time are not looked at more often [m].
+#: Intervals in which obstacles travel no farther than this to either side are not halved again [m].
 _RESOLUTION_M: Final = 8e-3
 
-#: Parts of a cell that is looked at closely.
+#: Number of parts of a cell's segment in the final check.
 _PARTS: Final = 8
 
 
 class MovingField:
-    """Distances from what moves in a scene, by time.
+    """Distances from the moving obstacles of a scene, by time.
 
     Attributes:
-        at_rest_s: Time from which on nothing moves [s].
+        at_rest_s: Time after which nothing moves [s].
     """
 
     def __init__(self, robot: Robot, scene: Scene, *, sigmas: Sigmas, tracking_error: float) -> None:
-        """Take what moves.
+        """Collect the moving obstacles of a scene.
 
         Args:
-            sigmas: How many standard deviations of its place an obstacle grows by.
-            tracking_error: Deviation of any joint at rest that is to be allowed for [rad].
+            robot: The arm.
+            scene: Obstacles and their tracks.
+            sigmas: Growth of an uncertain obstacle, in standard deviations of its position.
+            tracking_error: Tracking error of each joint at rest [rad].
         """
         listed = zip(scene.listed_solids, scene.movements, strict=True)
         moving = [(solid, how) for solid, how in listed if how is not None]
@@ -61,7 +63,7 @@ class MovingField:
         self.at_rest_s = scene.at_rest_s
 
     def at(self, time_s: float) -> ClearanceField:
-        """The field as it is at a time [s]; the arm itself is not in it."""
+        """The field at a time [s]; without the arm's own pairs."""
         clock = np.array([time_s])
         poses = {id(how): tuple(part[0] for part in how.at(clock)) for _, how in self._moving}
         solids = tuple(posed(solid, *poses[id(how)]) for solid, how in self._moving)
@@ -69,7 +71,7 @@ class MovingField:
         return field.only(np.ones(len(solids), dtype=np.bool_), arm=False)
 
     def travel(self, from_s: float, to_s: float) -> float:
-        """How far any point of what moves travels at most within an interval of time [m]."""
+        """Maximum travel of the moving obstacles within an interval [m]."""
         clock = np.array([from_s, to_s])
         return (to_s - from_s) * max(float(largest_rates(*rates, clock)[0]) for rates in self._rates)
 
@@ -78,17 +80,19 @@ class PathInTime:
     """Cells of a motion's path and of time.
 
     Attributes:
-        configurations: (n,) stations along the motion, (n, dof) [rad].
+        configurations: (n, dof) configurations at the stations of the motion [rad].
         step_s: Time between rows of cells [s].
-        at_rest_s: Time from which on all rows are alike [s].
+        at_rest_s: Time after which all rows are alike [s].
     """
 
     def __init__(self, motion: Trajectory, field: MovingField, *, step_s: float, spare_s: float) -> None:
-        """Look at nothing yet.
+        """Prepare the stations; cells are computed on demand.
 
         Args:
+            motion: The motion at full speed.
+            field: The moving obstacles.
             step_s: Time between rows of cells [s].
-            spare_s: How much earlier or later than meant the arm may be anywhere [s].
+            spare_s: Allowed deviation from the schedule, earlier or later [s].
         """
         count = max(1, math.ceil(motion.duration / _STATION_S))
         self.configurations = np.ascontiguousarray(motion.positions(np.linspace(0.0, motion.duration, count + 1)))
@@ -101,7 +105,7 @@ class PathInTime:
         self._last: tuple[int, BoolArray] | None = None
 
     def clear(self, row: int) -> BoolArray:
-        """(n,) mask of the stations that are clear in a row of cells."""
+        """(n,) mask of the clear stations in a row of cells."""
         last_row = math.ceil((self.at_rest_s + self._half) / self.step_s) + 1
         row = min(row, last_row)
         if self._last is None or self._last[0] != row:
@@ -111,11 +115,11 @@ class PathInTime:
         return self._last[1]
 
     def _clear(self, stations: IntArray, begin_s: float, end_s: float) -> BoolArray:
-        """Mask of the stations, of some, that are clear within an interval of time."""
+        """Mask of the given stations that are clear within a time interval."""
         travel = 0.5 * self._field.travel(begin_s, end_s)
         middle_s = 0.5 * (begin_s + end_s)
         field = self._field.at(middle_s)
-        # Clearance asked for beyond the one to keep [m]: less than that with which paths are planned.
+        # Clearance required beyond the scene's own [m]: less than the margin of planned paths.
         margin_m = 2e-4
         spare = field.along(self.configurations[stations]) - margin_m
         clear: BoolArray = np.all(spare - self._travel[stations] > travel, axis=1)

@@ -1,15 +1,16 @@
-r"""The earliest schedule through cells of path and time: how fast a motion is run, when.
+r"""The earliest time scaling of a motion through clear cells.
 
-A motion is run by a clock of its own, :math:`\sigma(t)`, whose speed :math:`r = \dot\sigma \in [0, 1]` is a multiple
-of :math:`1 / m` at times that are a step :math:`h` apart, and linear between them. Places :math:`\sigma` are then
-multiples of :math:`h / 2m`, so that nothing is rounded. A change of the speed is taken where acceleration and torque
-have room: with :math:`q(\sigma)` the motion,
+A cell is a station of the path at a time. A motion is run with its own clock :math:`\sigma(t)`. The speed :math:`r =
+\dot\sigma \in [0, 1]` of the clock is a multiple of :math:`1 / m` at times that are one step :math:`h` apart, and
+linear between them. Places :math:`\sigma` are then multiples of :math:`h / 2m`, so that nothing is rounded. A change of
+speed is allowed if acceleration and torque stay within limits: with :math:`q(\sigma)` the motion,
 
 .. math:: \ddot q = q'' r^2 + q' \dot r, \qquad \tau = r^2 (\tau_1 - g) + g + \dot r M q',
 
-:math:`\tau_1` the torque at full speed and :math:`g` that of gravity. From rest a motion may begin at any speed, for it
-is at rest there. Of all states that can be reached at a time all successors are looked at; the first time at which the
-end is among them is the earliest. Of the schedules to it one with the fewest changes of speed is taken.
+where :math:`\tau_1` is the torque at full speed and :math:`g` the torque of gravity. A motion from rest may start at
+any speed, since its velocity is zero there. The search expands all successors of all states reachable at a time; the
+first time when they include the end is the earliest. Among the schedules to it one with the fewest changes of speed is
+returned.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from hplan.base.kernels import kernel
 from hplan.robot.model import Robot
 from hplan.trajectory.trajectory import Trajectory
 
-#: Time between choices of the speed [s], the number of speeds above 0, and by how many the speed may change at once.
+#: Time between choices of the speed [s], the number of speeds above 0, and the maximum change of speed per step.
 STEP_S: Final = 0.05
 LEVELS: Final = 16
 CHANGES: Final = 2
@@ -35,14 +36,14 @@ CHANGES: Final = 2
 #: Fraction of acceleration and torque limits that a change of speed may use.
 USED: Final = 0.98
 
-#: Longest time that is looked through [s], and longest motion [s].
+#: Maximum duration of a schedule [s].
 _LONGEST_S: Final = 120.0
 
 _NONE: Final = 1 << 30
 
 
 class Cells(Protocol):
-    """Where on a path it is clear, row by row of time."""
+    """Clear stations of a path, row by row of time."""
 
     configurations: FloatArray
 
@@ -56,8 +57,8 @@ class Schedule(Record):
 
     Attributes:
         time: (n,) times [s].
-        place: (n,) the motion's own time at them [s].
-        speed: (n,) its speed, a fraction of the motion's own.
+        place: (n,) time of the original motion at them [s].
+        speed: (n,) speed as a fraction of the original one.
     """
 
     time: FloatArray
@@ -66,36 +67,39 @@ class Schedule(Record):
 
     @property
     def waiting_s(self) -> float:
-        """How long the motion stands still [s]."""
+        """Total waiting time [s]."""
         return float(np.diff(self.time)[np.diff(self.place) == 0.0].sum())
 
     @property
     def slows_down(self) -> bool:
-        """True if it runs at less than full speed without standing still at some time."""
+        """True if it runs slowly, but does not wait, at some time."""
         between = (self.place[:-1] > 0.0) & (np.diff(self.place) > 0.0)
         return bool((between & (self.speed[:-1] < 1.0)).any())
 
     @property
     def profile(self) -> FloatArray:
-        """(k, 2) rows of time and speed factor, as `hplan.trajectory.trajectory.scaled` takes them."""
+        """(k, 2) rows of time and speed factor, as in `hplan.trajectory.trajectory.scaled`."""
         rows: list[tuple[float, float]] = []
         for i, (time, speed) in enumerate(zip(self.time.tolist(), self.speed.tolist(), strict=True)):
             begins = i + 1 < len(self.time) and self.place[i] == 0.0 and speed == 0.0 and self.speed[i + 1] > 0.0
             rows.append((time, speed))
-            if begins:  # from rest at any speed at once, in the middle of the step
+            if begins:  # from rest the speed may jump, at half of the step
                 middle = 0.5 * (time + float(self.time[i + 1]))
                 rows += [(middle, 0.0), (middle, float(self.speed[i + 1]))]
         time, speed = rows[-1]
-        rows[-1] = time, max(speed, 1.0 / LEVELS)  # it runs to its end
+        rows[-1] = time, max(speed, 1.0 / LEVELS)  # the final speed is positive, so that the motion ends
         return np.array(rows)
 
 
 def room_to_change(motion: Trajectory, robot: Robot, stations: int) -> BoolArray:
-    """(stations, levels + 1, 2 changes + 1) where the speed may change by so many levels within a step.
+    """Allowed changes of speed, (stations, levels + 1, 2 changes + 1).
+
+    Entry [i, j, k] is True if the speed may change by k - changes levels from level j at station i within a step.
 
     Args:
+        motion: The motion at full speed.
         robot: The arm, for its limits.
-        stations: How many places evenly spaced in the motion's own time are looked at.
+        stations: Number of stations, evenly spaced in the motion's own time.
     """
     clock = np.linspace(0.0, motion.duration, stations)
     row = np.clip(np.searchsorted(motion.time, clock), 0, motion.samples - 1)
@@ -110,7 +114,7 @@ def room_to_change(motion: Trajectory, robot: Robot, stations: int) -> BoolArray
     torque_limit = np.maximum(USED * robot.torque_limit, np.abs(gravity[:, None, None]))
     kept: BoolArray = np.all(np.abs(accelerations) <= USED * robot.acceleration_limit, axis=3)
     kept &= np.all(np.abs(torques) <= torque_limit, axis=3)
-    kept[:, :, CHANGES] = True  # what is no change is the motion, more slowly
+    kept[:, :, CHANGES] = True  # without a change the motion is just slower
     return kept
 
 
@@ -123,25 +127,25 @@ def earliest_schedule(
     at_rest: bool = True,
     quicker_than_s: float = math.inf,
 ) -> Schedule | None:
-    """The earliest schedule from the begin of a path to its end; None where there is none.
+    """The earliest schedule of a whole path; None if infeasible.
 
     Args:
-        cells: Where the path is clear, in rows `STEP_S` apart; its stations are evenly spaced in the motion's own time.
+        cells: Clear stations, in rows `STEP_S` apart; the stations are evenly spaced in the motion's own time.
         duration_s: Duration of the motion at full speed [s].
-        room: Where the speed may change (`room_to_change`), at the same stations.
-        at_rest_s: Time from which on all rows are alike [s].
-        at_rest: Whether the motion begins at rest.
-        quicker_than_s: Later than this is of no use [s].
+        room: Allowed changes of speed (`room_to_change`), at the same stations.
+        at_rest_s: Time after which all rows are alike [s].
+        at_rest: True if the motion begins at rest.
+        quicker_than_s: Maximum useful duration [s].
     """
     unit = STEP_S / (2.0 * LEVELS)
     places = max(1, math.ceil(duration_s / unit - 1e-9))
     stations = len(cells.configurations)
-    along = np.minimum(np.arange(places + 1) * unit, duration_s) / max(duration_s, unit * 1e-9)  # 0 of none
+    along = np.minimum(np.arange(places + 1) * unit, duration_s) / max(duration_s, unit * 1e-9)  # 0 if empty
     station_of = np.rint(along * (stations - 1)).astype(np.int64)
     cost = np.full((places + 1, LEVELS + 1), _NONE, dtype=np.int64)
     if not cells.clear(0)[0]:
         return None
-    # From rest the motion may wait; in motion it goes on as it is.
+    # From rest the motion may wait; a start in motion continues at full speed.
     cost[0, 0 if at_rest else LEVELS] = 0
     came: list[NDArray[np.int8]] = []
     rows = math.ceil(min(at_rest_s + 2.0 * duration_s + 2.0, quicker_than_s, _LONGEST_S) / STEP_S) + 1
@@ -160,7 +164,7 @@ def earliest_schedule(
 
 
 def _blocked(clear: BoolArray) -> IntArray:
-    """(n + 1,) how many stations before each are not clear."""
+    """(n + 1,) number of obstructed stations before each station."""
     return np.concatenate([[0], np.cumsum(~clear)])
 
 
@@ -168,17 +172,18 @@ def _blocked(clear: BoolArray) -> IntArray:
 def _advance(
     cost: IntArray, before: IntArray, after: IntArray, room: BoolArray, station_of: IntArray
 ) -> tuple[IntArray, IntArray, IntArray]:
-    """One step of time.
+    """Advance all states by one step of time.
 
     Args:
-        cost: (places + 1, levels + 1) fewest changes of speed with which each state is reached.
-        before: (stations + 1,) how many stations before each are not clear in this row.
-        room: As `room_to_change`.
+        cost: (places + 1, levels + 1) minimum number of speed changes to each state.
+        before: (stations + 1,) number of obstructed stations before each station in this row.
+        after: (stations + 1,) the same number in the next row.
+        room: Allowed changes of speed, as returned by `room_to_change`.
         station_of: (places + 1,) station of each place.
 
     Returns:
-        The costs at the next row; for each state there the speed before it, -1 for none; and of the best one to the
-        end cost, place and speed before, and speed.
+        The costs at the next row; for each state there the previous speed, -1 for none; and for the best path to the
+        end its cost, previous place, previous speed, and speed.
     """
     places, levels = cost.shape[0] - 1, cost.shape[1] - 1
     changes = room.shape[2] // 2

@@ -1,1 +1,1 @@
-"""Paths by sampling, by RRT-Connect, with edges verified collision-free over continuous time."""
+"""Sampling-based planning: RRT-Connect with edges verified over continuous time."""

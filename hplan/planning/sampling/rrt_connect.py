@@ -1,11 +1,12 @@
-"""Bidirectional rapidly-exploring random trees (RRT-Connect), its edges verified over continuous time.
+"""RRT-Connect with edges verified collision-free over continuous time.
 
-Two trees grow from start and goal (Kuffner and LaValle 2000, "RRT-Connect: an efficient approach to single-query path
-planning"). An edge goes as far as conservative advancement shows it clear, so it ends close to what stops it, and no
-resolution has to be chosen. The cost follows what lies between start and goal, not the joint ranges: there is no grid.
+Two rapidly-exploring random trees grow from start and goal (Kuffner and LaValle 2000, "RRT-Connect: an efficient
+approach to single-query path planning"). An edge extends as far as conservative advancement verifies it, so it ends
+close to the obstacle that blocks it, and no resolution has to be chosen. The cost depends on the obstacles between
+start and goal, not on the joint ranges: there is no grid.
 
-Samples come from a seeded generator and the effort is counted in evaluations of the clearance, so that the same problem
-gives the same path on every machine. Where no path is found, nothing is shown.
+Samples come from a seeded generator and the effort is counted in distance queries, so that the same problem gives the
+same path on every machine. If no path is found, nothing is proved.
 """
 
 from __future__ import annotations
@@ -23,33 +24,33 @@ from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.obstacle_rows import FieldArrays
 from hplan.kinematics.damped_steps import Chain, solve
 
-#: Samples drawn at a time, and nodes that a tree may have.
+#: Number of samples drawn at a time, and maximum number of nodes of a tree.
 _CHUNK, _MOST_NODES = 500, 20_000
 
-#: Longest edge, in time at the velocity limits [s].
+#: Maximum length of an edge, in time at the velocity limits [s].
 EDGE_S = 0.25
 
-#: An edge that gets less far is not worth a node [s].
+#: Minimum length of an edge [s].
 LEAST_S = 0.002
 
-#: Looks at the clearance along one edge before the rest of it is given up.
+#: Maximum number of distance queries along one edge.
 LOOKS = any_int(64)
 
-#: Samples are drawn from the box of start and goal, this much larger on all sides [rad], and about either of them
-#: within 1 rad, half of that, and so on.
+#: Samples are drawn from the box of start and goal, larger by this on all sides [rad], and around either of them within
+#: 1 rad, half of it, and so on, at this number of scales.
 _ASIDE, _SCALES = 0.6, 7
 
-#: No target is farther beyond start and goals than this in any joint [rad, m].
+#: Maximum distance of a sample beyond start and goals in any joint [rad, m].
 _FAR = 4.0 * np.pi
 
 
 @dataclass(frozen=True)
 class TreeEffort:
-    """Effort of the trees.
+    """Effort of one pair of trees.
 
     Attributes:
-        evaluations: Evaluations of the clearance, all links at one configuration each.
-        seed: Of the samples.
+        evaluations: Number of distance queries, each of all links at one configuration.
+        seed: Seed of the samples.
     """
 
     evaluations: int
@@ -62,8 +63,8 @@ class SamplingProblem(Protocol):
     Attributes:
         start: (dof,) start configuration.
         goal: (dof,) goal configuration.
-        lower: (n, dof) joint limits; the first row counts.
-        upper: (n, dof) the same.
+        lower: (n, dof) lower joint limits; only the first row is used.
+        upper: (n, dof) upper joint limits; only the first row is used.
     """
 
     @property
@@ -80,9 +81,9 @@ class Tree(NamedTuple):
     """Nodes of one tree.
 
     Attributes:
-        points: (most, dof) configurations.
-        parents: (most,) numbers of the nodes that they were reached from.
-        size: (1,) how many there are.
+        points: (capacity, dof) configurations.
+        parents: (capacity,) numbers of the parent nodes.
+        size: (1,) number of nodes.
     """
 
     points: FloatArray
@@ -91,12 +92,15 @@ class Tree(NamedTuple):
 
 
 class Pair(NamedTuple):
-    """Two trees that have not met so far, to be grown on.
+    """Two trees that have not met yet and can grow on.
 
     Attributes:
-        samples: Where they were to grow to next, from the second of `looks` on.
-        looks: (2,) evaluations that were left, and the number of the next sample.
-        evaluations: Those that there were in all.
+        first: The tree at the start.
+        second: The tree at the goals.
+        generator: Generator of the samples.
+        samples: The current samples; those before the second entry of `looks` are used up.
+        looks: (2,) remaining distance queries, and number of the next sample.
+        evaluations: Total budget of distance queries up to now.
     """
 
     first: Tree
@@ -107,16 +111,16 @@ class Pair(NamedTuple):
     evaluations: int
 
 
-#: Pairs by their seed and margin, by which field it is, and by their goals.
+#: Pairs by seed, margin, identity of the field, and goals.
 Pairs: TypeAlias = dict[tuple[int, float, int, bytes], Pair]
 
 
 class Held(NamedTuple):
-    """What all nodes of trees keep.
+    """A constraint that all nodes of the trees satisfy.
 
     Attributes:
-        chain: With `hplan.kinematics.damped_steps.UPRIGHT`.
-        edge_s: Longest edge, in time at the velocity limits, between whose ends it is kept well enough [s].
+        chain: Chain with `hplan.kinematics.damped_steps.UPRIGHT`.
+        edge_s: Maximum length of an edge on which the constraint holds well enough, in time at the velocity limits [s].
     """
 
     chain: Chain
@@ -124,12 +128,13 @@ class Held(NamedTuple):
 
 
 class Surroundings(NamedTuple):
-    """Arm and obstacles that edges are checked with.
+    """Arm and obstacles for the verification of edges.
 
     Attributes:
-        slowness: (dof,) times for a unit of each joint at its velocity limit [s/rad].
-        margin: Clearance asked for wherever a motion is evaluated [m].
-        edge_s: Longest edge, in time at the velocity limits [s].
+        slowness: (dof,) time per unit of each joint at its velocity limit [s/rad].
+        field: Arm and obstacles.
+        margin: Clearance required beyond the scene's own during motions [m].
+        edge_s: Maximum length of an edge, in time at the velocity limits [s].
     """
 
     slowness: FloatArray
@@ -142,19 +147,21 @@ def tree_path(
     problem: SamplingProblem, field: ClearanceField, velocity: FloatArray, margin: float, effort: TreeEffort,
     *, goals: FloatArray | None = None, held: Held | None = None, pairs: Pairs | None = None,
 ) -> tuple[FloatArray | None, int]:  # fmt: skip
-    """A clear path of straight motions from start to goal.
+    """A collision-free path of straight motions from start to goal.
 
     Args:
         problem: Start, goal and joint limits.
+        field: Arm and obstacles.
         velocity: (dof,) velocity limits [rad/s]; distances are times at these.
-        margin: Clearance asked for wherever a motion is evaluated [m].
-        goals: (k, dof) configurations of which one is to be reached, whichever comes first; None for the problem's.
-        held: What all nodes keep, as start and goals do; None for nothing.
-        pairs: Those from the same start that have grown with less effort: this one grows on, and is left there where
-            its trees do not meet. None where each begins anew.
+        margin: Clearance required beyond the scene's own during motions [m].
+        effort: Budget and seed.
+        goals: (k, dof) alternative goals, whichever is reached first; None for the problem's goal.
+        held: Constraint that all nodes satisfy, as start and goals do; None for none.
+        pairs: Pairs of trees from the same start that have grown with less effort. This pair grows on, and stays there
+            if its trees do not meet. None to start from the roots.
 
     Returns:
-        (m, dof) waypoints, m >= 2, or None where none was found; and the evaluations that it took.
+        (m, dof) waypoints, m >= 2, or None if no path was found; and the number of distance queries.
     """
     ends = np.array(problem.goal[None] if goals is None else goals)
     key = effort.seed, margin, id(field), ends.tobytes()
@@ -182,7 +189,10 @@ def tree_path(
 
 
 def _samples(generator: np.random.Generator, problem: SamplingProblem, goals: FloatArray) -> FloatArray:
-    """(_CHUNK, dof) targets in turn: anywhere; in the box of start and goals; about start, or a goal, at all scales."""
+    """(_CHUNK, dof) samples of three kinds in turn.
+
+    Anywhere; in the box of start and goals; around start or a goal at all scales.
+    """
     first, last = np.minimum(problem.start, goals.min(axis=0)), np.maximum(problem.start, goals.max(axis=0))
     lower, upper = np.maximum(problem.lower[0], first - _FAR), np.minimum(problem.upper[0], last + _FAR)
     samples: FloatArray = generator.random((_CHUNK, len(lower)))
@@ -197,7 +207,7 @@ def _samples(generator: np.random.Generator, problem: SamplingProblem, goals: Fl
 
 
 def _tree(roots: FloatArray) -> Tree:
-    """A tree of roots alone, each its own parent."""
+    """A tree with roots alone, each its own parent."""
     count, dof = roots.shape
     tree = Tree(np.empty((_MOST_NODES, dof)), np.zeros(_MOST_NODES, dtype=np.int64), np.array([count], dtype=np.int64))
     tree.points[:count], tree.parents[:count] = roots, np.arange(count)
@@ -216,7 +226,7 @@ def _branch(tree: Tree, node: int) -> FloatArray:
 def _grow(
     samples: FloatArray, first: Tree, second: Tree, arm: Surroundings, chain: Chain | tuple[()], looks: IntArray
 ) -> IntArray:
-    """Grow both trees by some samples; the nodes at which they meet, or -1."""
+    """Grow both trees by samples; the nodes where they meet."""
     joined = np.full(2, -1, dtype=np.int64)
     while looks[1] < samples.shape[0] and looks[0] > 0 and not is_up(arm.field.until):
         s = looks[1]
@@ -240,7 +250,10 @@ def _grow(
 
 @kernel
 def _nearest(tree: Tree, target: FloatArray, arm: Surroundings) -> int:
-    """The node from which the target is reached soonest, by Euclidean distance in time; the first of several."""
+    """The node nearest to a target, by Euclidean distance in time.
+
+    The first of several with the same distance.
+    """
     nearest, least = 0, np.inf
     for n in range(tree.size[0]):
         square = 0.0
@@ -255,9 +268,10 @@ def _nearest(tree: Tree, target: FloatArray, arm: Surroundings) -> int:
 def _extend(
     tree: Tree, node: int, target: FloatArray, arm: Surroundings, chain: Chain | tuple[()], looks: IntArray
 ) -> int:
-    """Add a node on the way from a node to a target, as far as an edge is verified; -1 without progress.
+    """Extend a tree toward a target; the new node, or -1.
 
-    With a chain its end is first brought to what the chain holds, by no more than half of the way.
+    The edge ends at the last verified configuration. With a chain its end is first projected onto the constraint, at a
+    distance of at most half of the step.
     """
     if tree.size[0] >= tree.points.shape[0]:
         return -1
@@ -285,7 +299,7 @@ def _extend(
 
 @kernel
 def motion_time(start: FloatArray, end: FloatArray, slowness: FloatArray) -> float:
-    """Least time of the straight motion at the velocity limits [s]."""
+    """Minimum duration of the straight motion at the velocity limits [s]."""
     time = 0.0
     for k in range(len(start)):
         time = max(time, abs(end[k] - start[k]) * slowness[k])

@@ -1,4 +1,4 @@
-"""Several pairs of trees, of which each may find another path."""
+"""Paths of several pairs of trees, in several homotopy classes."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from hplan.optimization.shortcut import shorten
 from hplan.optimization.smooth_path import START_SHORTCUTS
 from hplan.planning.sampling.rrt_connect import Pairs, SamplingProblem, TreeEffort, tree_path
 
-#: So many paths of a class are of use, as smoothing may fail.
+#: Maximum number of paths of one homotopy class; more than one, since smoothing may fail.
 OF_A_CLASS = 3
 
 
@@ -25,8 +25,9 @@ class TreesEffort:
     """Effort of several pairs of trees.
 
     Attributes:
-        each: Evaluations of the clearance by each of them, at most.
-        seed: Of the first of them; those of the others follow it.
+        pairs: Number of pairs.
+        each: Maximum number of distance queries of each pair.
+        seed: Seed of the first pair; the others have the following ones.
     """
 
     pairs: int
@@ -36,13 +37,13 @@ class TreesEffort:
 
 @dataclass(frozen=True, eq=False)
 class PromisingPath(Record):
-    """A clear path, and what it may come to, which is found when it is first asked for: beside others.
+    """A collision-free path with its length after shortcuts, computed on demand.
 
     Attributes:
-        waypoints: (m, dof) its waypoints as they were found.
-        field: What it is clear of.
+        waypoints: (m, dof) waypoints as found.
+        field: The obstacles that it avoids.
         velocity: (dof,) velocity limits [rad/s].
-        margin: Clearance asked for wherever a motion is evaluated [m].
+        margin: Clearance required beyond the scene's own during motions [m].
     """
 
     waypoints: FloatArray
@@ -56,12 +57,12 @@ class PromisingPath(Record):
 
     @property
     def seconds(self) -> float:
-        """Its time after shortcuts [s]."""
+        """Its duration after shortcuts [s]."""
         return path_time(self._shorter, self.velocity)
 
     @property
     def points(self) -> FloatArray:
-        """(k, dof) points of what shortcuts leave of it, at `PARTS` of its time."""
+        """(k, dof) points of the shortened path, at `PARTS` of its duration."""
         return _evenly(self._shorter, self.velocity)
 
 
@@ -75,18 +76,21 @@ def promising_paths(
     grown: int = 0,
     pairs: Pairs | None = None,
 ) -> list[PromisingPath]:
-    """Clear paths of straight motions from start to goal, the most promising of every class.
+    """Collision-free paths from start to goal, the fastest of every class.
 
     Args:
         problem: Start, goal and joint limits.
+        field: Arm and obstacles.
         velocity: (dof,) velocity limits [rad/s].
-        margin: Clearance asked for wherever a motion is evaluated [m].
-        grown: How many of the pairs have grown already, and found these.
-        pairs: As `hplan.planning.sampling.rrt_connect.tree_path`.
+        margin: Clearance required beyond the scene's own during motions [m].
+        effort: Number of pairs, budget and seed.
+        known: Paths that are known already.
+        grown: Number of pairs that have grown already and found the known paths.
+        pairs: Trees that can grow on, as in `hplan.planning.sampling.rrt_connect.tree_path`.
 
     Returns:
-        The paths, those that are known among them, the quickest first; of each class
-        (`hplan.optimization.path_classes`) `OF_A_CLASS` at most.
+        The paths, known ones included, fastest first; at most `OF_A_CLASS` of each homotopy class
+        (`hplan.optimization.path_classes`).
     """
     found = list(known)
     for seed in range(grown, effort.pairs):
@@ -104,11 +108,14 @@ def promising_paths(
 
 
 def path_time(path: FloatArray, velocity: FloatArray) -> float:
-    """About how long a motion along waypoints takes: at the velocity limits, and 0.02 s for each corner [s]."""
+    """Approximate duration of a motion along waypoints [s].
+
+    Time at the velocity limits, plus 0.02 s for each corner.
+    """
     return float((np.abs(np.diff(path, axis=0)) / velocity).max(axis=1).sum() + 0.02 * (len(path) - 2))
 
 
 def _evenly(path: FloatArray, velocity: FloatArray) -> FloatArray:
-    """(k, dof) points of a path, at `PARTS` of its time at the velocity limits."""
+    """(k, dof) points of a path, at `PARTS` of its duration."""
     clock = np.concatenate([[0.0], np.cumsum((np.abs(np.diff(path, axis=0)) / velocity).max(axis=1))])
     return frozen(np.stack([np.interp(PARTS * clock[-1], clock, joint) for joint in path.T], axis=1))

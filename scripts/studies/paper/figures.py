@@ -32,8 +32,8 @@ SLICES_DEG, LAYERS = (0.0, 22.0, 44.0, 45.0, 66.0, 70.0), (5.0, 6.0, 12.0, 18.0,
 #: Elevation and azimuth of the viewer [deg]: the gap between obstacle and limits in front; the goal's side.
 VIEW, OTHER_VIEW = (27.0, 128.0), (27.0, -38.0)
 
-#: The size of the example's first link, half its width and its obstacle's radius [m], for Figures 2 to 4; and for each
-#: of the three cases what happens, its condition, its half-angle, and the distance drawn [m].
+#: The length of the example's first link, half its width and its obstacle's radius [m], for Figures 2 to 4; and for
+#: each of the three cases its description, condition, half-angle, and the drawn distance [m].
 LINK, BEARING = (1.0, 0.05, 0.15), math.radians(40.0)
 CASES = {
     1: ("the side of the link touches", r"$R < \rho \leq \sqrt{L^2 + R^2}$", r"$\delta = \arcsin(R / \rho)$", 0.8),
@@ -79,7 +79,10 @@ def _numbered(number: int, draw: Callable[[], Figure]) -> Figure:
 
 
 def half_angles(rho: ArrayLike, length: float, radius: float) -> FloatArray:
-    """Half of the forbidden interval by equations (1)-(3): NaN where there is none, pi where all is forbidden."""
+    """Half of the forbidden interval by equations (1)-(3).
+
+    NaN if no angle is forbidden, pi if all are.
+    """
     distance = np.asarray(rho, dtype=np.float64)
     safe = np.maximum(distance, radius)
     side = np.arcsin(np.clip(radius / safe, -1.0, 1.0))
@@ -119,7 +122,7 @@ def _nearest(grid: Grid, values: Sequence[float]) -> list[int]:
     return [int(number) for number in np.rint((np.array(values) - grid.lower[-1]) / grid.step[-1])]
 
 
-# What several figures draw
+# Parts of several figures
 
 
 def _line(label: str, color: str, width: float = 2.4, **more: Any) -> Any:
@@ -135,7 +138,7 @@ def _patch(label: str, color: str) -> Any:
 
 
 def _legend(figure: Figure, *handles: Any) -> None:
-    """Legend below the panels: what is given, then start and goal."""
+    """Legend below the panels: the given handles, then start and goal."""
     ends = [_line("start", look.START, 0.0, marker="o", ms=7), _line("goal", look.GOAL, 0.0, marker="s", ms=7)]
     figure.legend(handles=[*handles, *ends], loc="outside lower center", ncols=6, columnspacing=1.3, handlelength=1.5)
 
@@ -217,7 +220,7 @@ def _joint_space(figure: Figure, evidence: Evidence, view: tuple[float, float], 
 
 
 def _line_3d(axes: Any, points: FloatArray, covered: BoolArray, color: Any, width: float, zorder: float) -> None:
-    """A 3-D line, what is covered dotted and faint."""
+    """A 3-D line, dotted and faint where covered."""
     changes = np.flatnonzero(covered[1:] != covered[:-1]) + 1
     for first, last in zip([0, *changes], [*changes, len(points) - 1], strict=True):
         piece = points[first : last + 1].T
@@ -271,7 +274,10 @@ def link_case(case: int) -> Figure:
 
 @styled
 def two_links(evidence: Evidence) -> Figure:
-    """Figure 5: the angles of the second link that equations (1)-(3) forbid over theta1, and those of the grid."""
+    """Figure 5: forbidden angles of the second link over theta1.
+
+    Both by equations (1)-(3) and on the grid.
+    """
     arm, grid, (centre, radius) = evidence.robot.arm, evidence.occupancy.grid, (evidence.centre, evidence.radius)
     figure = new_figure(11.0, 5.2, "Two links and a circle: which angles of link 2 are forbidden")
     left, right = figure.subplots(1, 2)
@@ -302,7 +308,7 @@ def two_links(evidence: Evidence) -> Figure:
 
 
 def _link_occupied(evidence: Evidence, links: int) -> BoolArray:
-    """(N1, N2) mask of the nodes at which one of the first one or two links collides."""
+    """(N1, N2) mask of nodes with the first links in collision."""
     grid = evidence.occupancy.grid
     mesh = np.stack(np.meshgrid(grid.axis(0), grid.axis(1), [0.0], indexing="ij"), axis=-1).reshape(-1, 3)
     occupied: BoolArray = _clearance(evidence, mesh, links) <= 0.0
@@ -342,7 +348,7 @@ def workspace_path(evidence: Evidence) -> Figure:
 
 @styled
 def workspace_layers(evidence: Evidence) -> Figure:
-    """Figure 7: six layers from above, the path of each, and what the path of Figure 6 takes of it."""
+    """Figure 7: six layers from above, with their paths."""
     grid, path, layers = evidence.demo.grid, path_found(evidence.demo_result), evidence.demo_result.slice_paths
     figure = new_figure(10.4, 7.6, "Six layers of the workspace and their paths")
     for axes, number in zip(figure.subplots(2, 3).flat, _nearest(grid, LAYERS), strict=True):
@@ -403,7 +409,7 @@ def _six(figure: Figure, evidence: Evidence) -> list[tuple[Any, int, float]]:
 
 @styled
 def slices(evidence: Evidence) -> Figure:
-    """Figure 10: occupancy of six theta3 slices, and whether each has a path."""
+    """Figure 10: occupancy of six theta3 slices, and the existence of a path in each."""
     grid = evidence.occupancy.grid
     inner, ends = _link_occupied(evidence, 2), np.degrees(grid.coordinates(np.stack([evidence.start, evidence.goal])))
     figure = new_figure(9.6, 6.9, r"Slices of the C-space at constant $\theta_3$")
@@ -486,7 +492,7 @@ def paths_in_cspace(evidence: Evidence) -> Figure:
     dense, two_level = path_found(evidence.dense), path_found(evidence.plain.second)
     figure = new_figure(8.4, 6.8, "Both paths in the C-space")
     axes, towards = _joint_space(figure, evidence, VIEW)
-    # The wider line below shows on both sides where the two coincide.
+    # The wider line is visible on both sides where the paths coincide.
     _joint_path(axes, evidence, dense, towards, look.PATH, 5.0)
     covered = hidden(_field(evidence), two_level.astype(np.float64), towards)
     _line_3d(axes, np.degrees(grid.coordinates(two_level)), covered, look.INK, 1.8, 11.0)
@@ -522,7 +528,7 @@ def paths_in_workspace(evidence: Evidence) -> Figure:
 
 @styled
 def comparison(numbers: Reproduction, evidence: Evidence) -> Figure:
-    """Figure 16: nodes, time and cost, the paper's and the measured ones, and where the nodes go."""
+    """Figure 16: nodes, time and cost, of the paper and measured, and the nodes' distribution."""
     runs = {
         "paper: dense A*": PAPER_DENSE, "paper: two-level": PAPER_TWO_LEVEL, "here: dense A*": numbers.runs["dense"],
         "here: two-level, plain": numbers.runs["plain"], "here: two-level, hplan": numbers.runs["hplan"],

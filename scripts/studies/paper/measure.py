@@ -1,4 +1,4 @@
-"""The paper's numbers measured again: the example by three searches, link models, what the text leaves open."""
+"""The paper's numbers measured again: three searches, link models, open choices."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ _T = TypeVar("_T")
 DEMO_LOWER, DEMO_UPPER, DEMO_CENTRE, DEMO_DIAMETER = (0.0, 0.0, 5.0), (60.0, 60.0, 25.0), (30.0, 30.0, 15.0), 15.0
 DEMO_START, DEMO_GOAL = (5.0, 10.0, 5.0), (55.0, 50.0, 25.0)
 
-#: How often `measure` tells what is being done.
+#: Number of progress reports of `measure`.
 STEPS = 8
 
 
 class Run(NamedTuple):
-    """One search: cost [deg, or the workspace's unit], points, entries taken from open lists, nodes flooded, time [ms].
+    """One search: cost [deg, or the workspace's unit], points, expansions, floods, time [ms].
 
-    `layers` are the entries of the slices, `second` those of the search that finds the path: nodes, and rows settled
-    beforehand for its bound.
+    `layers` are the entries taken from the open lists of the slices, `second` the entries of the search that finds the
+    path: nodes, and rows settled beforehand for its bound. `flooded` counts nodes.
     """
 
     cost: float
@@ -51,13 +51,13 @@ class Run(NamedTuple):
         return self.layers + self.second
 
 
-#: What the paper reports (Fig. 16 and text); its two-level search counts the second level alone.
+#: The paper's reported values (Fig. 16 and text); its two-level search counts the second level alone.
 PAPER_DENSE, PAPER_TWO_LEVEL = Run(145.214952, 107, 0, 154_647, 0, 23_500.0), Run(145.800739, 108, 0, 6_605, 0, 2_560.0)
 
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """What the numbers were taken from; the figures are drawn from it.
+    """Sources of the numbers; the figures are drawn from them.
 
     Attributes:
         robot: The arm.
@@ -94,7 +94,7 @@ class Reproduction:
         nodes: Nodes of the joint grid.
         runs: Searches of the example: `dense`, `plain`, `straight` (plain A* and the paper's bound), `hplan`.
         models: A row for each link model.
-        variants: A row for each choice of what the text leaves open.
+        variants: A row for each choice that the text leaves open.
         demo: Searches of the demonstration: `dense` and `two-level`.
         without: Slices without a path that the plain method searches, and the nodes that it expands there.
     """
@@ -113,7 +113,10 @@ class Reproduction:
 
 
 def measure(repetitions: int = 5, report: Callable[[str], None] = lambda _: None) -> tuple[Reproduction, Evidence]:
-    """Measure everything; each time is the median of some runs, told what is being done."""
+    """Measure everything; each time is the median of several runs.
+
+    `report` is called with the current step.
+    """
     robot, scene = load_robot(), load_scene()
     grid = joint_grid(robot.arm, math.radians(1.0))
     start, goal = (grid.nearest(end.configuration[robot.arm_slice]) for end in (scene.start, scene.goal))
@@ -214,7 +217,7 @@ def _variant_row(
 
 
 def markdown(r: Reproduction) -> str:
-    """The report as Markdown: the paper's numbers beside the measured ones."""
+    """The report as Markdown: the paper's numbers next to the measured ones."""
     runs = {"paper": PAPER_TWO_LEVEL} | {name: r.runs[name] for name in ("plain", "straight", "hplan")}
     dense, own = PAPER_DENSE, r.runs["dense"]
     empty = [""] * 3
@@ -257,7 +260,7 @@ def markdown(r: Reproduction) -> str:
 
 
 def _told(rows: list[Row]) -> list[str]:
-    """Rows as a table, a column for each key."""
+    """Rows as a table, with a column for each key."""
     cells = [
         [f"{v:.6f}" if isinstance(v, float) else f"{v:,}" if isinstance(v, int) else v for v in row.values()]
         for row in rows

@@ -1,9 +1,9 @@
 """The paper's method to the letter, in a page of plain code.
 
-The paper's text leaves two things open, and both are arguments here: which theta3 slices are searched, and what
-connectivity restoration carries back. It says that the "first waypoint" is "propagated backward" and truncated before
-contact. Read as the first slice path, waypoint by waypoint from its first one, it gives the paper's cost; read as that
-one waypoint alone, it does not. The first reading is the default.
+The paper's text leaves two things open, and both are arguments here: which theta3 slices are searched, and which
+waypoints connectivity restoration carries back. It says that the "first waypoint" is "propagated backward" and
+truncated before contact. Read as the first slice path, waypoint by waypoint from its first one, it gives the paper's
+cost; read as that one waypoint alone, it does not. The first reading is the default.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from hplan.errors import NoPathError
 from hplan.grid import SearchResult, dense_search
 from hplan.grid.grid import Grid, Occupancy
 
-#: What restoration carries back towards the start: the first slice path, or its first waypoint alone.
+#: The waypoints that restoration carries back towards the start: the first slice path, or its first waypoint alone.
 Restoration: TypeAlias = Literal["path", "first waypoint"]
 RESTORATIONS: tuple[Restoration, ...] = get_args(Restoration)
 
@@ -50,14 +50,14 @@ def plain_two_level(
     last_slice: int | None = None,
     restoration: Restoration = "path",
 ) -> PlainTwoLevel:
-    """A* in every slice, restoration on the start's side, A* on the union.
+    """A* in every slice, restoration at the start, A* on the union.
 
     Args:
         occupancy: The (N1, N2, N3) C-space.
         start: (3,) node index.
         goal: (3,) node index, in a slice not below the start's.
         last_slice: Last slice searched, not below the goal's; by default the goal's.
-        restoration: What is carried back towards the start.
+        restoration: The waypoints to carry back towards the start.
     """
     flat = _slice_grid(occupancy.grid)
     last = int(goal[2]) if last_slice is None else last_slice

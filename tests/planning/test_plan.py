@@ -208,7 +208,8 @@ def test_results_are_a_line(robot: Robot, scene: Scene) -> None:
 
 def test_what_is_not_finite_becomes_null(tmp_path: Path) -> None:
     path = write_report({"a": math.inf, "b": [-math.inf, {"c": (math.nan, 1.5)}], "d": None}, tmp_path / "r.json")
-    assert json.loads(path.read_text()) == {"a": None, "b": [None, {"c": [None, 1.5]}], "d": None}
+    expected = {"format": "hplan-report/1", "a": None, "b": [None, {"c": [None, 1.5]}], "d": None}
+    assert json.loads(path.read_text()) == expected
 
 
 def test_failure_report_carries_the_facts(tmp_path: Path) -> None:
@@ -224,7 +225,8 @@ def test_failure_report_carries_the_facts(tmp_path: Path) -> None:
         "lower_rad": 0.0,
         "upper_rad": math.pi / 2,
     }
-    assert json.loads(write_report(report, tmp_path / "r.json").read_text()) == report
+    written = json.loads(write_report(report, tmp_path / "r.json").read_text())
+    assert written == {"format": "hplan-report/1", **report}
 
 
 @pytest.mark.parametrize("sigmas", [0.0, 1.0, 3.0, 4.5])

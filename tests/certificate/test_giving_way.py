@@ -12,6 +12,7 @@ from hplan.certificate.digests import scene_digest
 from hplan.collision.giving_way import HANGING_M, pushing_links, yielded
 from hplan.errors import BlockedError, ConfigurationInCollisionError, OptionError, SceneError
 from hplan.grid.sections import sections_at
+from hplan.planar.grids import prepared
 from hplan.planning.plan import plan
 from hplan.planning.world import World
 from hplan.robot.model import load_robot
@@ -190,7 +191,7 @@ def test_sections_of_what_gives_way_are_smaller_to_the_links_that_push():
     robot, scene = load_robot(), orchard(1)
     soft = World.of(robot, scene.solids_with_goal)
     firm = World.of(robot, [solid.model_copy(update={"yields": 0.0}) for solid in scene.solids_with_goal])
-    cuts = [sections_at(robot, world.bodies()) for world in (soft, firm)]
+    cuts = [sections_at(robot, prepared(world)) for world in (soft, firm)]
     radii = [
         [
             {cut.obstacle_names[o]: r for o, r in zip(cut.obstacle_of[at], cut.radii[at], strict=True)}

@@ -104,7 +104,7 @@ def test_turns_are_taken_up_to_the_obstacle(tmp_path):
     goal = (edge - 0.3, *REST[1:])
     result = plan(robot, scene_of(REST, goal, [POST]))
     assert result.certificate.verified
-    assert result.problem.upper[0] < math.radians(edge + 0.3)
+    assert result.problem.upper[0, 0] < math.radians(edge + 0.3)
     with pytest.raises(ConfigurationInCollisionError, match=r"'turret' is .* mm deep in obstacle 'post'"):
         plan(robot, scene_of(REST, (90.0, *REST[1:]), [POST]))
     with pytest.raises(InputError, match="deep in the robot's 'turret', at a yaw of 90 deg"):
@@ -395,8 +395,8 @@ def test_neighbours_fold_up_to_the_convention(tmp_path):
     assert (certificate.nearest.link, certificate.nearest.obstacle) == ("link_2", "link_1")
     result = plan(robot, scene_of((0.0, 80.0, 60.0), (0.0, 60.0, 159.0)))
     assert result.certificate.verified
-    assert result.problem.upper[2] < low
-    assert result.problem.upper[2] > low - 0.02
+    assert result.problem.upper[0, 2] < low
+    assert result.problem.upper[0, 2] > low - 0.02
 
 
 @pytest.mark.parametrize("aside", [0.0, 0.06])

@@ -347,13 +347,14 @@ class Robot(PlanarNames, Record):
         return readonly(np.clip(values, self.lower, self.upper))
 
     def limit_fault(self, q: FloatArray, which: str) -> JointLimitError | None:
-        """Error for the first joint of a (dof,) configuration that is outside its limits; None if there is none.
+        """Error for the first joint outside its limits, or None.
 
         Joints may be outside by 1e-9 rad or m. If the configuration would be within the limits in degrees, the error
         says so.
 
         Args:
-            which: What the configuration is, for the error.
+            q: (dof,) configuration.
+            which: Name of the configuration, for the error.
         """
         outside = ~((self.lower - 1e-9 <= q) & (q <= self.upper + 1e-9))
         if not outside.any():

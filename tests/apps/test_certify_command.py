@@ -196,7 +196,7 @@ def test_a_path_in_contact_is_told(tmp_path: Path, capsys: pytest.CaptureFixture
     out = tmp_path / "job"
     out.mkdir()
     (out / "trajectory.csv").write_text("of an earlier job", encoding="utf-8")
-    assert main(["time", "harvester", str(way), "--scene", str(given), "--out", str(out)]) == 5
+    assert main(["time", "harvester", str(way), "--scene", str(given), "--out", str(out), "--force"]) == 5
     assert "ball" in capsys.readouterr().err
     assert [path.name for path in out.iterdir()] == ["report.json"]
     error = json.loads((out / "report.json").read_text(encoding="utf-8"))["error"]

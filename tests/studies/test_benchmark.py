@@ -81,7 +81,7 @@ def test_the_reference_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     assert rows["dense A*"]["cost_deg"] == pytest.approx(rows["two-level"]["cost_deg"]) == pytest.approx(145.214952)
     assert (rows["C-space"]["occupied"], rows["coal at each node"]["differ"]) == (128_891, 0)
     assert rows["grid path, toppra"]["ratio"] > 2.0
-    assert rows["hplan"]["contacts"] == 0 < rows["shortened, toppra"]["contacts"]
+    assert rows["hplan"]["contacts"] == 0 < rows["shortened, toppra's defaults"]["contacts"]
 
 
 def test_motions_among_trees(tmp_path: Path, trees: str, monkeypatch: pytest.MonkeyPatch) -> None:

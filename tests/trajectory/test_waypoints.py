@@ -168,7 +168,7 @@ def test_script_writes_the_csv(script, capsys, files, tmp_path):
 def test_script_failures(script, capsys, files, tmp_path, arguments, status, reason):
     out = tmp_path / "o.csv"
     out.write_text("an earlier result")
-    result, _, text = run(script, capsys, *files, *arguments, "--out", out)
+    result, _, text = run(script, capsys, *files, *arguments, "--force", "--out", out)
     assert result == status
     assert reason in text
     assert out.read_text() == "an earlier result"

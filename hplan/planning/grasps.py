@@ -1,9 +1,9 @@
-"""Grasps of a fruit, or of a point: where the tool ends, where its straight approach begins.
+"""Grasps of a fruit or a point: goal configurations and their straight approaches.
 
-Of the configurations with the tool at the point (`hplan.planning.tool_paths`) each has an approach along the last link
-or, of a general (non-planar) arm, along the z axis of the tool frame, from a stand-off that is as long as asked for
-where that can be had, else shorter. Only the last link may touch the fruit that is reached for, and only on the
-approach; where no straight approach is clear, on the whole motion.
+Each configuration with the tool at the point (`hplan.planning.tool_paths`) gets a straight approach along the last
+link or, for a general (non-planar) arm, along the z axis of the tool frame. The approach starts at a stand-off of the
+requested distance, or of a shorter one if that is not collision-free. Only the last link may touch the target fruit,
+and only during the approach; if no straight approach is collision-free, it may touch the fruit during the whole motion.
 """
 
 from __future__ import annotations
@@ -35,19 +35,19 @@ from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel, name_margin
 from hplan.scene.model import Fruit, Scene
 
-#: Configurations that are looked at, about.
+#: Approximate number of candidate configurations.
 COUNT = 64
 
-#: To how many grasps routes are searched where no straight motion leads to them.
+#: Maximum number of grasps used as goals of a route search if no straight motion leads to them.
 SEARCHED = 8
 
-#: What counts as the clearance of a configuration that no motion leads to, as a joint is blocked before [m].
+#: Clearance assigned to a configuration that no motion reaches because a joint is blocked on the way [m].
 _BEYOND = -1.0
 
-#: Clearance that a grasp and its stand-off have beyond the one to keep, and half of it all along the approach [m].
+#: Clearance of a grasp and its stand-off beyond the required clearance; half of it along the whole approach [m].
 SPARE = 1e-3
 
-#: Where there is none with that, less is asked for, as little as the last of these [m].
+#: Values of that clearance in the order in which they are tried; the last one is the minimum [m].
 ROOMS = (SPARE, 5e-4, 2e-4, 5e-5)
 
 
@@ -57,14 +57,14 @@ class Grasp(Record):
 
     Attributes:
         goal: (dof,) configuration with the tool at the point.
-        standoff: (dof,) configuration where the straight approach begins; the goal itself where there is none.
+        standoff: (dof,) configuration at the start of the straight approach; the goal itself without an approach.
         distance: Length of the approach [m].
-        approach: Absolute angle of the last link in the arm plane; of a general (non-planar) arm the approach angle
+        approach: Absolute angle of the last link in the arm plane; for a general (non-planar) arm the approach angle
             of its tool (`hplan.kinematics.tool_at_point`) [rad].
-        least_duration: Duration that no motion from the start by the stand-off to the goal can undercut [s].
-        room: Clearance beyond the one to keep that grasp and stand-off have, `SPARE` where they have more [m].
-        keeps_turn: Whether the tool does not turn about its axis on the approach.
-        caught: Probability that the fruit is within the gripper's capture range; None where that is not asked.
+        least_duration: Lower bound on the duration of any motion from the start through the stand-off to the goal [s].
+        room: Clearance of grasp and stand-off beyond the required clearance, at most `SPARE` [m].
+        keeps_turn: Whether the tool keeps its rotation about its axis during the approach.
+        caught: Probability that the fruit is within the gripper's capture range; None without `capture_m`.
     """
 
     goal: FloatArray
@@ -77,7 +77,7 @@ class Grasp(Record):
     caught: float | None = None
 
     def path(self, robot: Robot, locked: tuple[str, ...] = ()) -> StraightLine | None:
-        """The approach, or None where there is none."""
+        """The approach; None for a grasp without one."""
         if self.distance <= 0.0:
             return None
         return tool_of(robot, locked, self.keeps_turn).path(self.goal, self.distance)
@@ -85,40 +85,40 @@ class Grasp(Record):
 
 @dataclass(frozen=True, eq=False)
 class _Measured:
-    """Configurations with the tool at a point, and (k, moving bodies) how clear they are [m]."""
+    """Configurations with the tool at a point, and their (k, moving bodies) clearances [m]."""
 
     candidates: Candidates
     rooms: FloatArray
 
     @cached_property
     def least(self) -> FloatArray:
-        """(k,) least clearance of any link at each [m]."""
+        """(k,) minimum clearance over all links at each configuration [m]."""
         least: FloatArray = self.rooms.min(axis=1)
         return least
 
     @property
     def most(self) -> float:
-        """The largest of these [m]."""
+        """Maximum of these minimum clearances [m]."""
         return float(self.least.max())
 
 
 @dataclass(frozen=True, eq=False)
 class Target(Record):
-    """A point that the tool is to reach, or a pose.
+    """A point or a pose that the tool has to reach.
 
     Attributes:
-        what: What is at the point, for errors.
+        what: Name of the target in error messages.
         position: (3,) the point, in `base_link` [m].
-        world: The arm among everything, for the motion to the stand-off.
+        world: The arm among all solids, for the motion to the stand-off.
         world_touching: The same for the approach: the last link may touch the fruit.
         approach_deg: Approach angle or an interval of it; None for all [deg].
-        fruit: The fruit at the point; None for none.
-        least_standoff: Shortest approach [m].
-        pose: (4, 4) pose of the tool frame or of another one; None where any orientation will do.
-        frame: Name of that other frame; None for the tool frame.
-        capture_m: How far the fruit's middle may be off for the gripper to take it, across the approach and along it;
-            None where that is not asked [m].
-        covariance: (3, 3) of the fruit's place [m^2].
+        fruit: The fruit at the point; None for a bare point.
+        least_standoff: Minimum length of the approach [m].
+        pose: (4, 4) pose of `frame`; None for any orientation.
+        frame: Name of the frame at the pose; None for the tool frame.
+        capture_m: Maximum offset of the fruit's center that the gripper tolerates, across the approach and along
+            it [m]; None to ignore the capture range.
+        covariance: (3, 3) covariance of the fruit's position [m^2].
     """
 
     what: str
@@ -135,7 +135,7 @@ class Target(Record):
 
     @classmethod
     def of_fruit(cls, world: World, fruit: Fruit, scene: Scene, options: PlanOptions) -> Target:
-        """The center of a fruit, one of a world's solids; the tool is clear of it where the approach begins."""
+        """Return the target at a fruit's center; the stand-off keeps the tool clear of the fruit."""
         least = fruit.radius + tool_of(world.robot).thickness(world.deviation) + world.clearance + 2.0 * SPARE
         return cls(
             f"fruit {fruit.name!r}", fruit.center, world, world.touching(fruit.name, fruit.hangs_from),
@@ -144,20 +144,20 @@ class Target(Record):
         )  # fmt: skip
 
     def transit_world(self, grasp: Grasp) -> World:
-        """The world of the motion to the stand-off; without an approach it leads to the fruit itself."""
+        """World of the motion to the stand-off; without an approach the motion may touch the fruit."""
         return self.world_touching if grasp.distance == 0.0 else self.world
 
 
 @dataclass(frozen=True, eq=False)
 class Blocked(Record):
-    """A target of which no configuration with the tool there is clear.
+    """A target with a collision at every configuration that reaches it.
 
     Attributes:
         ranges: The intervals in which the joints can move.
         configurations: (n, dof), n >= 1, at evenly spaced approach angles.
-        best: (dof,) the one that comes nearest to being clear, of those and of the finer ones.
-        best_m: Its clearance [m]; -1 where something blocks a joint on every path to it.
-        refined: How many more were tried at finer angles.
+        best: (dof,) the configuration with the maximum clearance, refined angles included.
+        best_m: Its clearance [m]; -1 if a joint is blocked on every path to it.
+        refined: Number of further configurations tried at finer approach angles.
     """
 
     target: Target
@@ -169,20 +169,20 @@ class Blocked(Record):
 
     @property
     def tried(self) -> int:
-        """How many configurations were tried in all."""
+        """Total number of configurations tried."""
         return len(self.configurations) + self.refined
 
     def contact_at(self, q: FloatArray) -> Contact | None:
-        """What is in the way of a (dof,) configuration, or of a joint on every path to it."""
+        """Contact at a (dof,) configuration, or the one that blocks a joint on every path to it."""
         wall = self.ranges.wall_before(q)
         return self.target.world_touching.checker.nearest(q) if wall is None else wall.contact
 
     def error(self) -> BlockedError:
-        """The error that names what is in the way of all configurations, the most frequent first."""
+        """Error that names the obstacles blocking the configurations, the most frequent first."""
         nearest: list[Contact | None] = []
         for q in self.configurations:
             if nearest and is_over():
-                break  # that they are blocked is known; the first of them say by what
+                break  # all are known to be blocked; the first ones suffice to name the obstacles
             nearest.append(self.contact_at(q))
         counts = Counter((contact.link, contact.obstacle) for contact in nearest if contact is not None)
         obstacles = [
@@ -208,10 +208,10 @@ class Blocked(Record):
 def grasps(
     target: Target, start: FloatArray, *, standoff: float, locked: Sequence[str] = (), count: int = COUNT
 ) -> tuple[Grasp, ...]:
-    """All grasps found of a target, as `grasps_or_blocked`.
+    """Return all grasps found of a target, or raise, as `grasps_or_blocked`.
 
     Raises:
-        BlockedError: Obstacles are in the way of all that do, or block a joint on every path there; names them.
+        BlockedError: Obstacles block every configuration there, or a joint on every path to it; names them.
         HplanError: As `grasps_or_blocked`.
     """
     found = grasps_or_blocked(target, start, standoff=standoff, locked=locked, count=count)
@@ -223,20 +223,20 @@ def grasps(
 def grasps_or_blocked(
     target: Target, start: FloatArray, *, standoff: float, locked: Sequence[str] = (), count: int = COUNT
 ) -> tuple[Grasp, ...] | Blocked:
-    """All grasps found of a target, by the least duration that any motion there can have; else what is in the way.
+    """Return the grasps found, sorted by minimum duration, or the blocked target.
 
     Args:
         target: The point to reach, and the worlds to reach it in.
-        start: (dof,) configuration from which the arm comes.
-        standoff: Length of the straight approach asked for [m]; where it cannot be had, shorter ones are tried.
+        start: (dof,) start configuration.
+        standoff: Requested length of the straight approach [m]; shorter ones are tried if it is not collision-free.
         locked: Names of joints that keep their start values.
-        count: How many configurations are looked at, about, as far as approach angles are free.
+        count: Approximate number of candidate configurations if the approach angle is free.
 
     Raises:
-        UnreachableError: No configuration reaches the point, whatever is in the way; of a general (non-planar) arm,
-            none was found.
-        ConfigurationInCollisionError: The start touches something that blocks a joint.
-        InputError: A position or an approach that is none.
+        UnreachableError: No configuration reaches the point, obstacles ignored; for a general (non-planar) arm, none
+            was found.
+        ConfigurationInCollisionError: The start is in contact with an obstacle that blocks a joint.
+        InputError: The position or the approach is invalid.
         OptionError: As `hplan.planning.tool_paths.Tool.at`.
     """
     ranges = joint_ranges(target.world.checker, start, LEAST_MARGIN)
@@ -260,7 +260,7 @@ def grasps_or_blocked(
         chosen = _clear_approaches(target, ranges, along, lengths, less)
         if chosen:
             approached = _sorted(target, found, chosen, start)
-            # What has less room may turn out not to be certified.
+            # Grasps with less clearance may fail certification, so direct motions follow them.
             return approached if less == room else (*approached, *_sorted(target, found, direct, start))
     return _sorted(target, found, direct, start)
 
@@ -268,7 +268,7 @@ def grasps_or_blocked(
 def _sorted(
     target: Target, found: Candidates, chosen: dict[int, tuple[float, FloatArray]], start: FloatArray
 ) -> tuple[Grasp, ...]:
-    """Grasps of the lengths of their approaches and their stand-offs, by the number of the candidate."""
+    """Return grasps, sorted by minimum duration, from approach length and stand-off by candidate number."""
     numbers, robot = list(chosen), target.world.robot
     goals, begins = found.configurations[numbers], np.array([begin for _, begin in chosen.values()])
     distances = np.array([distance for distance, _ in chosen.values()])
@@ -292,7 +292,7 @@ def _sorted(
 
 
 def promising(found: Sequence[Grasp], target: Target, start: FloatArray) -> list[Grasp]:
-    """The first grasp that a straight motion leads to, and a few that promise more, evenly taken from all of those."""
+    """The first grasp with a straight motion, and an even selection of the quicker ones before it."""
     clear = (
         target.transit_world(grasp).field.is_clear(np.stack([start, grasp.standoff]), 0.9 * grasp.room)
         for grasp in found
@@ -305,10 +305,12 @@ def promising(found: Sequence[Grasp], target: Target, start: FloatArray) -> list
 def _clear_candidates(
     target: Target, ranges: JointRanges, start: FloatArray, locked: Sequence[str], count: int
 ) -> tuple[Candidates, float] | Blocked:
-    """Configurations with the tool at the point that are clear: at evenly spaced approach angles, else at finer ones.
+    """Collision-free configurations with the tool at the point.
+
+    Evenly spaced approach angles are tried first, finer ones if all of those collide.
 
     Returns:
-        The configurations, and which of `ROOMS` they have; what is in the way where none is clear.
+        The configurations and their member of `ROOMS`; a `Blocked` if none is collision-free.
 
     Raises:
         UnreachableError: No configuration reaches the point.
@@ -343,10 +345,10 @@ def _clear_candidates(
 
 
 def _distances(standoff: float, least: float) -> list[float]:
-    """Lengths of the approach to try, the one asked for first."""
+    """Approach lengths to try, the requested one first [m]."""
     if standoff <= 0.0 and least <= 0.0:
         return []
-    # Stand-offs tried in turn, as fractions of the one asked for.
+    # Stand-offs tried in turn, as fractions of the requested one.
     shorter = {max(least, fraction * standoff) for fraction in (1.0, 0.5, 0.2)}
     return sorted(shorter, reverse=True)
 
@@ -354,10 +356,9 @@ def _distances(standoff: float, least: float) -> list[float]:
 def _clear_approaches(
     target: Target, ranges: JointRanges, along: Callable[[float], Approaches], lengths: Sequence[float], room: float
 ) -> dict[int, tuple[float, FloatArray]]:
-    """Length of the approach and stand-off of the goals, by their number, where arm and approach are clear.
+    """Approach length and stand-off by goal number, for goals with a collision-free approach.
 
-    The approach is looked at along a polyline of a few points; `Grasp.path` has more, and the certificate is about
-    that.
+    The approach is checked along a polyline of a few points; the certificate covers the exact path, `Grasp.path`.
     """
     chosen: dict[int, tuple[float, FloatArray]] = {}
     enough = tool_of(target.world.robot).enough

@@ -1,10 +1,10 @@
-"""Ranges of joints that turret and neighbouring links leave free: intervals about the start.
+"""Joint ranges left free by turret and neighboring links: intervals around the start.
 
-A contact of a turning shape of the turret with an obstacle, or with the pedestal, depends on the yaw alone; one of
-neighbours that fold into each other, or of the first link and what carries it, on the joint between them. A motion is
-continuous, so each of these coordinates stays in the free interval in which it begins. The planner knows that as
-narrower joint limits. A goal in another interval cannot be reached by any motion: that is shown, not a matter of the
-grid.
+A contact between a turning turret shape and an obstacle, or the pedestal, depends on the yaw alone. A contact between
+neighboring links that fold into each other, or between the first link and its support, depends on the joint between
+them alone. A motion is continuous, so each of these coordinates stays in the free interval that holds its start value.
+The planner treats the intervals as narrower joint limits. A goal in another interval is proved unreachable,
+independently of the grid.
 """
 
 from __future__ import annotations
@@ -21,25 +21,25 @@ from hplan.base.arrays import BoolArray, FloatArray, IntArray, frozen
 from hplan.collision.coal_scene import CoalScene, Contact
 from hplan.errors import NoPathError
 
-#: Clearance that intervals leave beyond the one to keep, at most [m]; less where start or goal have less.
+#: Maximum clearance of the intervals beyond the required one [m]; less if start or goal have less.
 MARGIN: Final = 1e-3
 
-#: Where a goal is out of reach with the margin, it is so with this one [m]: less cannot be certified.
+#: A goal out of reach with `MARGIN` is checked again with this margin [m]; less cannot be certified.
 LEAST_MARGIN: Final = 3e-5
 
-#: A configuration that is beyond a wall by less than this is at it [rad].
+#: A configuration beyond a wall by less than this counts as on it [rad].
 _ROUNDING: Final = 1e-9
 
 
 @dataclass(frozen=True)
 class Wall:
-    """One end of the free interval of a joint, and what blocks the joint there.
+    """One end of a joint's free interval, and the contact that blocks it.
 
     Attributes:
         joint: Number of the joint.
-        angle: Where the free interval ends [rad].
-        is_upper: True if that is its upper end.
-        contact: The two bodies, and what they have there beyond the distance to keep [m].
+        angle: End of the free interval [rad].
+        is_upper: True for the upper end.
+        contact: The two bodies, and their distance beyond the required clearance [m].
     """
 
     joint: int
@@ -48,19 +48,19 @@ class Wall:
     contact: Contact
 
     def is_before(self, q: FloatArray) -> bool:
-        """True if a (dof,) configuration is beyond it."""
+        """True if a (dof,) configuration is beyond this wall."""
         value = float(q[self.joint])
         return value > self.angle + _ROUNDING if self.is_upper else value < self.angle - _ROUNDING
 
 
 @dataclass(frozen=True, eq=False)
 class JointRanges:
-    """Free intervals of all joints about a configuration.
+    """Free intervals of all joints around a configuration.
 
     Attributes:
-        lower: (dof,) where they begin [rad].
-        upper: (dof,) where they end [rad].
-        walls: What bounds those that are narrower than the joint limits.
+        lower: (dof,) lower ends [rad].
+        upper: (dof,) upper ends [rad].
+        walls: Ends of the intervals that are narrower than the joint limits.
     """
 
     lower: FloatArray
@@ -68,7 +68,7 @@ class JointRanges:
     walls: tuple[Wall, ...]
 
     def hold(self, configurations: FloatArray) -> BoolArray:
-        """(n,) True for those of (n, dof) configurations that are in the intervals."""
+        """(n,) mask of the (n, dof) configurations inside the intervals."""
         held = np.ones(len(configurations), dtype=np.bool_)
         for wall in self.walls:
             beyond = configurations[:, wall.joint] - wall.angle
@@ -76,17 +76,17 @@ class JointRanges:
         return held
 
     def wall_before(self, q: FloatArray) -> Wall | None:
-        """The wall that a motion to a (dof,) configuration meets first; None where that is in the intervals."""
+        """First wall on the way to a (dof,) configuration; None for one inside the intervals."""
         return next((wall for wall in reversed(self.walls) if wall.is_before(q)), None)
 
 
 def joint_ranges(scene: CoalScene, q: FloatArray, margin: float = MARGIN) -> JointRanges:
-    """The intervals in which joints can move from a configuration.
+    """Return the intervals in which the joints can move from a configuration.
 
     Args:
-        scene: The arm among obstacles, made for the tracking error and the clearance to keep.
-        q: (dof,) a configuration with more clearance than `margin` beyond the one to keep.
-        margin: Clearance to leave beyond the one to keep [m].
+        scene: The arm among obstacles, built with the tracking error and the required clearance.
+        q: (dof,) configuration with more clearance than `margin` beyond the required one.
+        margin: Clearance of the intervals beyond the required one [m].
     """
     robot = scene.robot
     lower, upper = robot.lower.copy(), robot.upper.copy()
@@ -103,16 +103,16 @@ def joint_ranges(scene: CoalScene, q: FloatArray, margin: float = MARGIN) -> Joi
 
 
 def narrowed(scene: CoalScene, start: FloatArray, goal: FloatArray, clearance: float) -> JointRanges:
-    """The intervals about a start, its goal among them.
+    """Return the free intervals around a start, with its goal inside.
 
     Args:
-        scene: The arm among obstacles, made for the tracking error and the clearance to keep.
+        scene: The arm among obstacles, built with the tracking error and the required clearance.
         start: (dof,) configuration.
         goal: (dof,) configuration.
-        clearance: Clearance of both beyond the one to keep [m].
+        clearance: Clearance of both beyond the required one [m].
 
     Raises:
-        NoPathError: The goal is beyond what no motion passes; names it, and the angles that are blocked.
+        NoPathError: A blocked joint separates the goal from the start; names the obstacle and the blocked angles.
     """
     ranges = joint_ranges(scene, start, min(MARGIN, 0.5 * clearance))
     if ranges.wall_before(goal) is None:
@@ -128,7 +128,7 @@ def narrowed(scene: CoalScene, start: FloatArray, goal: FloatArray, clearance: f
 
 
 def _no_path(scene: CoalScene, wall: Wall, other: float) -> NoPathError:
-    """The error that names what blocks a joint from a wall to another angle."""
+    """Return the error that names the contact blocking a joint from a wall to another angle."""
     low, high = sorted(np.degrees([wall.angle, other]).tolist())
     contact = wall.contact
     message = (
@@ -141,7 +141,7 @@ def _no_path(scene: CoalScene, wall: Wall, other: float) -> NoPathError:
 
 
 class _Turn(NamedTuple):
-    """A joint, the (k,) numbers of the pairs that it alone decides, and by how much each comes nearer as it turns."""
+    """A joint, the (k,) pairs that it alone determines, and their motion-bound coefficients."""
 
     joint: int
     pairs: IntArray
@@ -149,20 +149,19 @@ class _Turn(NamedTuple):
 
 
 def _turns_that_decide(scene: CoalScene) -> Iterator[_Turn]:
-    """The joints that alone decide some pairs: of the turret with obstacles, and of parts of the arm."""
+    """Yield the joints that alone determine some pairs: turret with obstacles, and self-collision pairs."""
     _, counts = scene.parts.movers
     (_, reaches), alone = scene.parts.reaches(), len(scene.parts.shapes)
     decided = np.repeat(np.arange(len(counts)), np.repeat([scene.own_first, 1], [alone, len(counts) - alone]))
     one = counts.sum(axis=1) == 1.0
-    one[: len(scene.link_shapes)] = False  # obstacles of the first link are the trees' matter
+    one[: len(scene.link_shapes)] = False  # the search trees handle obstacles of the first link
     for joint in np.flatnonzero(counts[one].any(axis=0)).tolist():
         pairs = np.flatnonzero((one & (counts[:, joint] > 0.0))[decided])
         if len(pairs):
             yield _Turn(joint, pairs, np.maximum(reaches[decided[pairs], joint], _ROUNDING))
 
 
-#: Ends of free intervals that were found before, by joint, its value, end of the range and margin: every grasp of a
-#: fruit asks.
+#: Cache of interval ends by joint, joint value, end of the range and margin; every grasp of a fruit needs them.
 _KNOWN: WeakKeyDictionary[CoalScene, dict[tuple[int, float, float, float], tuple[float, Contact | None]]] = (
     WeakKeyDictionary()
 )
@@ -171,26 +170,27 @@ _KNOWN: WeakKeyDictionary[CoalScene, dict[tuple[int, float, float, float], tuple
 def _known_free(
     scene: CoalScene, turn: _Turn, q: FloatArray, end: float, margin: float
 ) -> tuple[float, Contact | None]:
-    """As `_free`, which the joint alone decides."""
+    """Cached `_free`; the result depends on this joint's value alone."""
     known, key = _KNOWN.get(scene, {}), (turn.joint, float(q[turn.joint]), end, margin)
     if key not in known:
-        # Tables are replaced and never changed: another thread may read the one before.
+        # Replace tables instead of changing them: another thread may be reading the old one.
         known = _KNOWN[scene] = {**known, key: _free(scene, turn, q, end, margin)}
     return known[key]
 
 
 def _free(scene: CoalScene, turn: _Turn, q: FloatArray, end: float, margin: float) -> tuple[float, Contact | None]:
-    """The value up to which a joint can turn towards an end of its range, and what stops it before, if anything.
+    """Joint value reachable towards a range end, and the contact that blocks the rest.
 
-    Conservative advancement, each pair with steps of its own: none comes nearer by more than the turn times its radius,
-    so the joint may turn by d / radius before a pair that is d apart, and more, is asked again.
+    Conservative advancement with separate steps for each pair: a turn by an angle brings no pair closer by more than
+    angle * radius, so a pair with distance d to spare needs no new distance query before a turn by d / radius. If the
+    joint reaches the end of its range, the contact is missing (None).
     """
     pairs, joint = turn.pairs, turn.joint
     kept = np.broadcast_to(scene.kept(scene.clearance), len(scene.pairs))[pairs]
     kept = kept + scene.deviation * turn.radii + margin
     at, length, direction = q.copy(), abs(end - float(q[joint])), 1.0 if end >= q[joint] else -1.0
     turned, due = 0.0, np.zeros(len(pairs))
-    # An interval ends where the clearance left is less than this fraction of its margin.
+    # The interval ends when the remaining clearance is below this fraction of its margin.
     enough = 0.1
     while True:
         asked = np.flatnonzero(due <= turned)

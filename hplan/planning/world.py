@@ -1,8 +1,8 @@
-"""The arm among the solids that it has to keep clear of, made ready for planning and for certificates.
+"""The arm among its obstacles, prepared for planning and certification.
 
-The clearance to keep differs from obstacle to obstacle: for one whose place is uncertain a chosen number of its
-standard deviations comes to the scene's own. And it differs from link to link, by what a tracking error may take: the
-outer links sway farther.
+The required clearance differs between obstacles: an uncertain position adds a chosen number of standard deviations to
+the scene's clearance. It also differs between links, by the tracking displacement bound, which is larger for the outer
+links.
 """
 
 from __future__ import annotations
@@ -33,24 +33,24 @@ from hplan.robot.tracking import TrackingModel, largest_fraction, name_margin
 from hplan.scene.model import Scene, hanging_from
 from hplan.scene.obstacle_kind import Sigmas, Solid, growths
 
-#: So many clearances are remembered at most.
+#: Maximum number of cached clearances.
 _KNOWN = 4096
 
 
 @dataclass(frozen=True, eq=False)
 class World(Record):
-    """An arm among solids.
+    """An arm among solid obstacles.
 
     Attributes:
-        clearance: Clearance to keep from all of them [m].
-        deviation: By how much every joint may be off where the arm rests [rad].
-        field: Distances between arm and solids, less the clearance to keep and what the deviation may take.
-        checker: The solids in coal, each grown for its uncertainty.
-        linked: The solids, and which links keep clear of them and by how much, as `field` has them.
-        growth: (solids,) by how much each is grown for its uncertainty [m].
-        yield_links: Names of the links that may push what gives way; None for those of the last two joints.
+        clearance: Required clearance from all solids [m].
+        deviation: Tracking error of each joint at rest [rad].
+        field: Distances between arm and solids, less the required clearance and the tracking displacement bound.
+        checker: The solids in coal, each inflated for its position uncertainty.
+        linked: The solids with their links and required clearances, as in `field`.
+        growth: (solids,) inflation of each solid for its position uncertainty [m].
+        yield_links: Names of the links that may push compliant obstacles; None for the links of the last two joints.
         touched: Names of the solids that the last link may touch.
-        hanging: Names of those from which what may be touched hangs.
+        hanging: Names of the solids that touchable solids are attached to.
     """
 
     robot: Robot
@@ -76,16 +76,16 @@ class World(Record):
         sigmas: Sigmas = 0.0,
         yield_links: Sequence[str] | None = None,
     ) -> World:
-        """Make solids ready.
+        """Prepare solids for planning.
 
         Args:
-            clearance: Clearance to keep [m].
-            tracking_error: Deviation of any joint at rest that is to be allowed for [rad].
-            sigmas: How many standard deviations of its place an obstacle grows by; by name where they differ.
-            yield_links: Names of the links that may push what gives way; None for those of the last two joints.
+            clearance: Required clearance [m].
+            tracking_error: Tracking error of any joint at rest [rad].
+            sigmas: Inflation of an obstacle in standard deviations of its position; a mapping by name if they differ.
+            yield_links: Links that may push compliant obstacles; None for the links of the last two joints.
 
         Raises:
-            OptionError: A name of no link.
+            OptionError: `yield_links` names an unknown link.
         """
         growth = growths(solids, sigmas)
         linked = LinkedSolids.of(robot, solids, clearance + growth, yield_links, growth)
@@ -100,12 +100,12 @@ class World(Record):
     def of_scene(cls, robot: Robot, scene: Scene, options: PlanOptions) -> World:
         """Return the robot among the scene's solids, all fruits included.
 
-        The robot keeps its last two worlds: planning again among the same solids starts sooner.
+        The robot caches its last two worlds, so planning again among the same solids starts sooner.
 
         Raises:
             OptionError: `scene.yield_links` names an unknown link.
         """
-        # A motion that need not be certified need not leave room for tracking errors; it is certified all the same.
+        # Without required certification, no clearance is reserved for tracking errors; motions are certified anyway.
         tracking_error = options.tracking.still_rad
         key = scene.solids_with_goal, scene.clearance, tracking_error, options.sigmas, scene.yield_links
         check_deadline()
@@ -121,7 +121,7 @@ class World(Record):
         return world
 
     def touching(self, name: str, hangs_from: Sequence[str] = ()) -> World:
-        """The world where the last link may touch the solid of a name, and others push what it hangs from."""
+        """World in which the last link may touch a solid, and other links push its supports."""
         rigid = [solid.name for solid in self.solids if solid.name in hangs_from and not solid.yields]
         touched, hanging = (*self.touched, name), (*self.hanging, *rigid)
         checker = self.checker.touching(name, rigid)
@@ -135,15 +135,17 @@ class World(Record):
         return replace(self, field=field, checker=checker, linked=linked, touched=touched, hanging=hanging)
 
     def check_clear(self, q: FloatArray, which: str) -> float:
-        """The clearance of a configuration at rest beyond the one to keep and each link's displacement bound [m].
+        """Clearance of a configuration at rest beyond the requirement [m].
+
+        The requirement is the clearance to keep plus the tracking displacement bound of each link.
 
         Args:
             q: (dof,) configuration.
-            which: What it is, for the error.
+            which: Name of the configuration, for the error.
 
         Raises:
-            ConfigurationInCollisionError: It has less; names link, obstacle or other part of the arm, and depth, and
-                where it is the deviation that leaves too little, the largest that would do.
+            ConfigurationInCollisionError: It has less; names link, obstacle or other part of the arm, and depth. If the
+                tracking error alone is too large, it also names the largest one that would fit.
         """
         key = q.tobytes()
         found = self._known.get(key)
@@ -155,7 +157,7 @@ class World(Record):
 
     @cached_property
     def _known(self) -> dict[bytes, float]:
-        """Clearances of configurations that were found clear: tours ask for those of their stops again and again."""
+        """Cached clearances of collision-free configurations; tours check their stops repeatedly."""
         return {}
 
     def _checked(self, q: FloatArray, which: str) -> float:
@@ -171,14 +173,14 @@ class World(Record):
             raise
 
     def fraction_of_deviation(self, configurations: FloatArray, wanted: float) -> float:
-        """Largest fraction of the deviation at which one of some configurations still has a clearance.
+        """Largest fraction of the deviation that leaves one configuration the clearance.
 
         Args:
             configurations: (n, dof).
-            wanted: Clearance asked for beyond the one to keep [m].
+            wanted: Requested clearance beyond the required one [m].
 
         Returns:
-            A fraction for which that is so, as `hplan.robot.tracking.largest_fraction` finds it; 0 where there is none.
+            The fraction, found as in `hplan.robot.tracking.largest_fraction`; 0 if no fraction suffices.
         """
 
         def is_clear(fraction: float) -> bool:
@@ -191,12 +193,12 @@ class World(Record):
         return largest_fraction(is_clear)
 
     def check_base(self, yaw: float) -> None:
-        """Refuse obstacles in which pedestal or turret stand: no motion of the arm changes that.
+        """Refuse obstacles that intersect pedestal or turret, because no joint motion changes that.
 
         The ground may touch the pedestal.
 
         Raises:
-            InputError: There is one; names it, the body and the depth.
+            InputError: An obstacle intersects them; names it, the body and the depth.
         """
         boxes = self.checker.boxes[0][len(self.checker.parts.all_shapes) :]
         sizes = np.linalg.norm(boxes[:, HALF:RADIUS], axis=1) + boxes[:, RADIUS]
@@ -217,16 +219,16 @@ class World(Record):
 
 
 def check_clear(checker: CoalScene, q: FloatArray, clearance: float, which: str, *, sway: ArrayLike = 0.0) -> float:
-    """Distance of a configuration beyond the clearance to keep [m], inf without obstacles.
+    """Return the distance of a configuration beyond the required clearance [m], inf without obstacles.
 
     Args:
         q: (dof,) configuration.
-        clearance: Clearance to keep [m].
+        clearance: Required clearance [m].
         which: Name of the configuration, for the error.
-        sway: By how much each of the checker's pairs may come nearer than at this configuration [m].
+        sway: Tracking displacement bound of each of the checker's pairs [m].
 
     Raises:
-        ConfigurationInCollisionError: It touches an obstacle or itself, or comes closer than `clearance` and
+        ConfigurationInCollisionError: It touches an obstacle or itself, or comes closer than `clearance` plus
             displacement bound; names link, obstacle or other part of the arm, and depth.
     """
     if not checker.pairs:
@@ -254,7 +256,7 @@ def check_clear(checker: CoalScene, q: FloatArray, clearance: float, which: str,
 
 
 def _name_neighbours(error: ConfigurationInCollisionError, checker: CoalScene, q: FloatArray) -> None:
-    """Say which of the links that touch one another have one joint between them: most robots mean them to."""
+    """Name the touching links that share a joint: most robots have them overlap by design."""
     neighbours = {frozenset(pair[:2]) for pair in neighbouring_links(checker.robot.model)}
     apart = checker.pair_distances(q)[len(checker.pairs) - len(checker.parts.own) :].tolist()
     touching = dict.fromkeys(
@@ -270,16 +272,17 @@ def _name_neighbours(error: ConfigurationInCollisionError, checker: CoalScene, q
 
 
 def without_inside(robot: Robot, scene: Scene) -> tuple[Scene, tuple[str, ...]]:
-    """The scene without what `World.check_base` would refuse: obstacles and fruits in pedestal or turret.
+    """Return the scene without obstacles and fruits inside pedestal or turret.
 
-    Trees that were measured without an arm between them may stand in it. What is left out is in no proof. Meshes and
-    clouds stay, of which only a part is inside. Where the goal is a fruit that is left out, the next one is the goal.
+    These are the ones that `World.check_base` refuses; trees measured without an arm may overlap it. Removed solids are
+    not covered by any certificate. Meshes and point clouds stay, because only a part of each is inside. If the goal
+    fruit is removed, the first remaining fruit becomes the goal.
 
     Args:
-        scene: The scene; the turret is taken as it stands at the start.
+        scene: The scene; the turret is placed at its start yaw.
 
     Returns:
-        The scene, and the names of what was left out, in the order of the scene.
+        The scene, and the names of the removed obstacles and fruits, in scene order.
     """
     yaw = robot.yaw_of(scene.start.configuration)
     whole = {obstacle.name for obstacle in scene.obstacles if obstacle.kind in ("mesh", "points")}

@@ -1,4 +1,4 @@
-"""Configurations among the obstacles of a scene: what touches, and what is nearest; for anybody's own planner."""
+"""Collision and limit checks of configurations in a scene, for use in other planners."""
 
 from __future__ import annotations
 
@@ -21,14 +21,17 @@ from hplan.scene.model import Scene, checked_scene
 
 @dataclass(frozen=True, eq=False)
 class ConfigurationCheck(Record):
-    """Configurations among obstacles; arrays have the shape (...) of (..., dof) configurations, () of one.
+    """Results of a configuration check; arrays have shape (...) for (..., dof) configurations.
+
+    For one configuration the shape is ().
 
     Attributes:
-        valid: True where the joints are within their limits and the arm is farther from everything than it is to keep.
-        in_contact: True where it touches an obstacle or itself, or pushes deeper than what gives way may be pushed.
-        distance_m: Signed distance of the nearest pair, that with the least beyond what it is to keep; negative is the
-            depth, inf where there is nothing to meet [m].
-        contacts: That pair of each configuration in turn: link, and obstacle or other link; None for nothing to meet.
+        valid: True if the joints are within their limits and all distances exceed the required clearance.
+        in_contact: True if the arm touches an obstacle or itself, or exceeds the allowed deflection of a compliant
+            obstacle.
+        distance_m: Signed distance of the nearest pair, the one with the minimum distance beyond its required
+            clearance; negative for penetration depth, inf without any pair [m].
+        contacts: That pair for each configuration in turn: link, and obstacle or other link; None without any pair.
         limit_faults: For each configuration in turn the message about the first joint outside its limits; None if all
             are within.
     """
@@ -41,7 +44,7 @@ class ConfigurationCheck(Record):
 
     @property
     def nearest(self) -> Contact | None:
-        """The nearest pair of all configurations; None for nothing to meet."""
+        """The nearest pair over all configurations; None without any pair."""
         found = [contact for contact in self.contacts if contact is not None]
         return found[ties.argmin([contact.distance_m for contact in found])] if found else None
 
@@ -49,25 +52,25 @@ class ConfigurationCheck(Record):
 def check(
     robot: Robot, scene: Scene, q: ArrayLike, *, time_s: float | None = None, sigmas: float = 3.0
 ) -> ConfigurationCheck:
-    """Check joint limits and distances of configurations, with the collision checker that judges motions (coal).
+    """Check joint limits and distances of configurations with coal, the certificate's collision checker.
 
-    All fruit counts as obstacle, that of the goal too. Not checked is what pedestal and turret stand in, as no joint
-    changes that. What is free at some configurations may be in contact between them: `finish`
-    certifies a path. The checker is kept for the next call with the same robot and scene.
+    All fruits count as obstacles, the goal fruit included. Overlaps of obstacles with pedestal and turret are not
+    checked, because no joint changes them. A path between valid configurations may still collide: `finish` certifies a
+    path. The checker is cached for the next call with the same robot and scene.
 
     Args:
         robot: The arm.
-        scene: Obstacles, fruit, and the clearance to keep.
-        q: (dof,) configuration, or (..., dof) of them [rad; of joints that slide, m].
-        time_s: Where obstacles move, the time at which they are looked at, as their tracks count it [s].
-        sigmas: How many standard deviations of its place an obstacle is grown by, where the scene gives one.
+        scene: Obstacles, fruit, and the required clearance.
+        q: (dof,) configuration, or (..., dof) configurations [rad; m for prismatic joints].
+        time_s: Time of the check for moving obstacles, on the clock of their tracks [s].
+        sigmas: Inflation of obstacles with uncertain positions, in standard deviations.
 
     Raises:
-        InputError: No such array of finite numbers.
-        MovingObstacleError: Obstacles move, and no time is given.
-        OptionError: No robot or scene, a time that is not finite, a negative number of standard deviations;
-            `yield_links` that the robot does not have.
-        SceneError: A value of the scene was changed past its checks.
+        InputError: `q` is not an array of finite numbers with the robot's number of joints.
+        MovingObstacleError: The scene has moving obstacles, but no time is given.
+        OptionError: The robot or the scene is of the wrong type, the time is not finite, `sigmas` is negative, or
+            `yield_links` names an unknown link.
+        SceneError: A value of the scene was changed without validation.
     """
     instance("robot", robot, Robot, "load_robot")
     check_yield_links(robot, checked_scene(scene).yield_links)
@@ -92,7 +95,7 @@ def check(
 
 
 class _LastChecker:
-    """The last collision checker that was made, and what of: another one takes its place."""
+    """Cache of the last collision checker; a new scene or `sigmas` replaces it."""
 
     def __init__(self) -> None:
         self._kept: tuple[Scene, float, CoalScene] | None = None
@@ -108,7 +111,7 @@ class _LastChecker:
 def _looked_at(
     checker: CoalScene, q: FloatArray, clearance: float, time_s: float | None
 ) -> tuple[bool, bool, Contact | None]:
-    """Whether a configuration is valid, whether it touches, and its nearest pair."""
+    """Return whether a configuration is valid, whether it is in contact, and its nearest pair."""
     if not checker.pairs:
         return True, False, None
 

@@ -1,4 +1,4 @@
-"""Why no motion leads to goals: one error for all of several goals."""
+"""Combine the planning failures of several goals into one error."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from hplan.errors import (
     TimingError,
 )
 
-#: Errors that say that there is no motion, or that none was found; any other one is a fault of the input.
+#: Errors that report a missing motion; any other one is a fault of the input.
 NO_MOTION = (
     BlockedError,
     NoPathError,
@@ -34,14 +34,14 @@ class UnexplainedNoPathError(NoPathError):
 
     @abstractmethod
     def explained(self) -> NoPathError:
-        """Return the error with the obstacles that block the way."""
+        """Return the error with the blocking obstacles."""
 
 
 class FailuresError(Exception):
-    """No motion was found to any of several goals. It stays inside planning: `as_one` is what users see.
+    """Planning failed for every one of several goals; internal, users see `as_one`.
 
     Attributes:
-        errors: One for each goal, in the goals' order; at least one.
+        errors: One error for each goal, in the order of the goals; at least one.
     """
 
     def __init__(self, errors: tuple[HplanError, ...]) -> None:
@@ -50,17 +50,17 @@ class FailuresError(Exception):
 
     @property
     def is_proof(self) -> bool:
-        """True if it was proved for each goal that no path leads there."""
+        """True if the absence of a path was proved for each goal."""
         return all(isinstance(error, NoPathError) for error in self.errors)
 
     def as_one(self, goals: str = "goals") -> HplanError:
-        """The one error to raise.
+        """Return the one error to raise.
 
-        `NoPathError` only where no path was shown for every goal; `NotFoundError` where it was shown for some and no
-        motion was found to the others.
+        `NoPathError` if the absence of a path is proved for every goal; `NotFoundError` if it is proved for some and
+        the search for the others was inconclusive.
 
         Args:
-            goals: What the goals are, in the plural.
+            goals: Plural noun for the goals in the message.
         """
         first, count = self.errors[0], len(self.errors)
         if isinstance(first, NoPathError) and self.is_proof:

@@ -1,4 +1,4 @@
-"""The goal as a pose: configurations with a frame there that are clear of everything."""
+"""Collision-free configurations for a pose goal."""
 
 from __future__ import annotations
 
@@ -17,22 +17,23 @@ from hplan.scene.model import Goal
 
 
 def configurations_at(world: World, goal: Goal, start: FloatArray, locked: Sequence[str] = ()) -> FloatArray:
-    """Configurations with a frame at the pose of a goal, clear of everything, those nearest to the start first.
+    """Return collision-free configurations with a frame at the goal pose, nearest first.
 
     Args:
-        world: The arm, and what it must keep clear of.
+        world: The arm among its obstacles.
         goal: The goal, with a pose.
-        start: (dof,) configuration from which the arm comes.
+        start: (dof,) start configuration.
         locked: Names of joints that keep their start values.
 
     Returns:
-        (k, dof) configurations, k >= 1; there may be others (`hplan.kinematics.inverse_kinematics`).
+        (k, dof) configurations, k >= 1, by distance from the start; more may exist
+        (`hplan.kinematics.inverse_kinematics`).
 
     Raises:
-        InputError: The goal has no pose, or a frame that the robot does not have; the arm is of the planar family,
-            which has too few joints for most poses.
-        UnreachableError: No configuration was found, whatever is in the way.
-        BlockedError: Obstacles, or parts of the arm, are in the way of all that were found; names them.
+        InputError: The goal has no pose, or an unknown frame; or the arm is planar and has too few joints for most
+            poses.
+        UnreachableError: No configuration was found, obstacles ignored.
+        BlockedError: Obstacles, or parts of the arm, block every configuration found; names them.
     """
     robot, pose = world.robot, pose_of(world.robot, goal)
     found = inverse_kinematics(robot, pose, start=start, frame=goal.frame, locked=locked)
@@ -58,10 +59,10 @@ def configurations_at(world: World, goal: Goal, start: FloatArray, locked: Seque
 
 
 def pose_of(robot: Robot, goal: Goal) -> FloatArray:
-    """The (4, 4) pose of a goal.
+    """Return the (4, 4) pose of a goal.
 
     Raises:
-        InputError: The goal has none; the robot is of the planar family, which has too few joints for most poses.
+        InputError: The goal has no pose; or the arm is planar and has too few joints for most poses.
     """
     if goal.pose is None:
         raise InputError("expected a goal with position and quaternion_xyzw")

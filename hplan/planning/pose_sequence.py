@@ -1,10 +1,10 @@
-"""Certified motions along poses of the tool: straight or free between them, upright within an angle.
+"""Certified motions through tool poses: straight or free between them, with bounded tilt.
 
-Straight from pose to pose the joints follow the tool, from the configuration before; where they have a choice (seven
-joints, or several configurations at the end of a free motion before), one is taken with which all straight lines up to
-the next free motion can be had. A free motion is that of `hplan.planning.solver`; where the tool is to stay upright,
-one of trees whose nodes do (`hplan.kinematics.damped_steps.UPRIGHT`). The arm stops at each pose. Deviation and tilt of
-the timed motion are bounded at all times (`hplan.certificate.tool_bounds`).
+On a straight segment the joints follow the tool from the previous configuration. If the joints have a choice (seven
+joints, or several configurations at the end of a preceding free motion), the planner picks one that allows all straight
+segments up to the next free motion. A free motion comes from `hplan.planning.solver`; if the tool has to stay upright,
+it comes from trees with upright nodes (`hplan.kinematics.damped_steps.UPRIGHT`). The arm stops at each pose. Deviation
+and tilt of the timed motion are bounded at all times (`hplan.certificate.tool_bounds`).
 """
 
 from __future__ import annotations
@@ -56,28 +56,28 @@ from hplan.scene.model import QUATERNION_LENGTH, Goal, Scene
 from hplan.scene.solids import quaternion_rotation
 from hplan.trajectory.spline import SplinePath
 
-#: Most poses.
+#: Maximum number of poses.
 _MOST_POSES = 10_000
 
-#: Nodes of trees, and the paths between them, lean by this fraction of the tilt at most; what is between has the rest.
+#: Tree nodes and the paths between them use at most this fraction of the allowed tilt; the rest covers the timed curve.
 _OF_TILT = 0.7
 
-#: Upright motions that take more than so many times the least duration are made quicker, and lean by no more than this
-#: fraction of the tilt where that is looked at then.
+#: Upright motions longer than this multiple of the duration bound are optimized; during that, the samples tilt by at
+#: most this fraction of the allowed tilt.
 _FAST, _OPTIMIZED = 1.02, 0.98
 
-#: Rows of an upright motion are about so far apart [rad]; smoother paths of fewer of them are tried first.
+#: Approximate spacing of the samples of an upright motion [rad]; smoother paths with fewer samples are tried first.
 _ROW, _COARSER = 0.05, (12, 6, 3, 1)
 
-#: So many shortcuts are tried in a path of trees, and so many trees with an effort grow.
+#: Number of shortcuts tried in a tree path, and evaluation budgets of the successive tree searches.
 _SHORTCUTS, _TREES = 100, (2_000, 2_000, 8_000, 8_000)
 
-#: Joints that change by less from pose to pose stand still [rad, m].
+#: A joint with a smaller change from pose to pose counts as unmoved [rad, m].
 _STILL = 1e-9
 
 
 class _Leg(NamedTuple):
-    """From a pose to the next: rows to be timed, the smooth path through them where it is straight; the motion."""
+    """Leg to the next pose: samples to be timed, the smooth path of a straight leg, the motion."""
 
     number: int
     problem: Problem
@@ -88,24 +88,24 @@ class _Leg(NamedTuple):
 
 
 class _Tilt(NamedTuple):
-    """How far the tool may tilt [rad], and for the kernels what is upright."""
+    """Maximum tilt of the tool [rad], and the kernel arrays of the upright constraint."""
 
     most: float
     chain: Chain
 
     def within(self, to: Problem) -> Chain:
-        """What is upright, within the joint ranges of a motion."""
+        """Return the upright constraint within the joint ranges of a motion."""
         return self.chain._replace(lower=np.array(to.lower[0]), upper=np.array(to.upper[0]))
 
 
 @dataclass(frozen=True, eq=False)
 class _Poses:
-    """What is asked.
+    """A task of `plan_poses`.
 
     Attributes:
-        upright: What is up in `base_link`.
-        direction: What of the tool is up at the start, in its frame.
-        tilt: None where the tool may be turned at will.
+        upright: Unit vector pointing up, in `base_link`.
+        direction: The same vector at the start, in the tool frame.
+        tilt: The tilt constraint; None for free orientation.
     """
 
     problem: Problem
@@ -129,37 +129,37 @@ def plan_poses(
     progress: Progress = no_progress,
     cancel: Cancel | None = None,
 ) -> PlanResult:
-    """The certified motion from the scene's start through poses of the tool, in turn.
+    """Plan a certified motion from the scene's start through tool poses.
 
     Args:
-        robot: An arm that is not of the planar family.
-        scene: Start, obstacles, clearance to keep, locked joints; its goal does not matter, and a fruit that is its
-            goal is an obstacle like the others.
+        robot: A general (non-planar) arm.
+        scene: Start, obstacles, required clearance, locked joints. Its goal is ignored; a fruit that is its goal is an
+            obstacle like the others.
         poses: (n, 4, 4) poses of the tool frame in `base_link` [m].
         options: How to plan.
-        straight: Whether the tool goes straight to each pose, turning evenly meanwhile, or as it likes; one for each,
-            or one for all.
-        tilt_rad: How far the tool may tilt: the largest angle at any time between what of it is up at the start and
-            up; how it turns about that does not count. None where it may be turned at will.
-        deviation_m: How far the tool may leave the straight lines.
-        progress: Called with the name of each stage as it begins.
+        straight: Whether the tool moves to each pose on a straight line with evenly changing orientation, or freely;
+            one value for each pose, or one for all.
+        tilt_rad: Maximum angle, at any time, between the vertical and the tool direction that is vertical at the start;
+            rotation about the vertical does not count. None for free orientation.
+        deviation_m: Maximum deviation of the tool from the straight lines.
+        progress: Called with the name of each stage as it starts.
         cancel: A function or an event that says whether the motion is cancelled.
 
     Returns:
-        The motion as of a plan, a phase `pose N` to each pose, for the scene with its ends as start and goal. Its
-        report has in `poses`, for each phase, the bounds shown of deviation and tilt at all times, tracking errors
-        among them.
+        The motion as a plan result, with a phase `pose N` to each pose, for the scene with the motion's ends as start
+        and goal. Its report has `poses`: for each phase, certified bounds on deviation and tilt at all times, tracking
+        errors included.
 
     Raises:
-        InputError: Poses that are none, or tilted by more than is allowed; the start is not clear, or in motion.
+        InputError: The poses are invalid, or tilted beyond the limit; the start is not collision-free, or in motion.
         UnreachableError: No configuration with the tool at a pose was found.
-        BlockedError: Obstacles are in the way at a pose.
+        BlockedError: Obstacles block a pose.
         NotFoundError: No motion was found.
-        TimingError: It cannot be timed.
-        CertificationError: It could not be certified, or leaves a line, or tilts, by more than is allowed.
-        MovingObstacleError: Something in the scene moves.
-        NotInTimeError: None was found before the deadline.
-        PlanCancelledError: It was cancelled.
+        TimingError: The path cannot be timed.
+        CertificationError: The motion failed certification, or exceeds the allowed deviation or tilt.
+        MovingObstacleError: An obstacle in the scene moves.
+        NotInTimeError: The deadline passed before a motion was found.
+        PlanCancelledError: Planning was cancelled.
     """
     check_task(robot, scene, options, progress)
     options = PlanOptions() if options is None else options
@@ -200,10 +200,10 @@ def plan_poses(
 
 
 def pose_matrices(rows: FloatArray) -> FloatArray:
-    """(n, 4, 4) matrices of (n, 7) rows of a place and a quaternion (x, y, z, w).
+    """Return (n, 4, 4) matrices from (n, 7) positions and quaternions (x, y, z, w).
 
     Raises:
-        InputError: A quaternion that is not of length 1.
+        InputError: A quaternion is not of unit length.
     """
     lengths = np.linalg.norm(rows[:, 3:], axis=1)
     for row in np.flatnonzero(~(np.abs(lengths - 1.0) <= QUATERNION_LENGTH)).tolist():
@@ -215,7 +215,7 @@ def pose_matrices(rows: FloatArray) -> FloatArray:
 
 
 def _upright_chain(robot: Robot, scene: Scene, up: FloatArray, direction: FloatArray, lean: float) -> Chain:
-    """The tool's frame turned so that its z axis is the direction, which is to be up."""
+    """Return the chain of the tool frame, rotated so that its z axis is `direction`."""
     z = np.array([0.0, 0.0, 1.0])
     pose = np.eye(4)
     pose[:3, :3] = pin.Quaternion.FromTwoVectors(z, up).toRotationMatrix()
@@ -228,10 +228,10 @@ def _upright_chain(robot: Robot, scene: Scene, up: FloatArray, direction: FloatA
 
 
 def _check_upright(poses: Sequence[FloatArray], up: FloatArray, direction: FloatArray, most: float) -> None:
-    """Refuse poses that are tilted by more than trees may tilt.
+    """Refuse poses tilted beyond the tilt limit of the trees.
 
     Raises:
-        InputError: There is one.
+        InputError: A pose is tilted too far.
     """
     for k, pose in enumerate(poses):
         lean = math.acos(min(1.0, float(up @ pose[:3, :3] @ direction)))
@@ -245,10 +245,10 @@ def _check_upright(poses: Sequence[FloatArray], up: FloatArray, direction: Float
 
 
 def _through(task: _Poses, begin: FloatArray, number: int) -> list[_Leg]:
-    """The certified legs from a configuration to all poses from one on.
+    """Return certified legs from a configuration through the remaining poses.
 
     Raises:
-        HplanError: There are none; why the first that was tried does not go on.
+        HplanError: No legs were found; the error explains the failure of the first attempt.
     """
     if number == len(task.poses):
         return []
@@ -257,7 +257,7 @@ def _through(task: _Poses, begin: FloatArray, number: int) -> list[_Leg]:
     for leg in _lines(task, begin, number) if task.straight[number] else _free(task, begin, number, given_up):
         try:
             found = _certified(task, leg)
-            given_up.append(leg.problem)  # there is no other way on from its end
+            given_up.append(leg.problem)  # no continuation exists from its end
             return [found, *_through(task, leg.rows[-1], number + 1)]
         except (NotFoundError, BlockedError, TimingError, CertificationError) as error:
             failure = failure or error
@@ -267,7 +267,7 @@ def _through(task: _Poses, begin: FloatArray, number: int) -> list[_Leg]:
 
 
 def _lines(task: _Poses, begin: FloatArray, number: int) -> Iterator[_Leg]:
-    """Straight to a pose: as the joints move least, then towards each configuration there."""
+    """Yield straight legs to a pose: minimum joint motion first, then towards each configuration."""
     problem, pose = task.problem, task.poses[number]
     locked = problem.scene.locked_joints
     longest = 0.0
@@ -300,10 +300,10 @@ def _ways_there(task: _Poses, begin: FloatArray, number: int) -> Iterator[FloatA
 
 
 def _free(task: _Poses, begin: FloatArray, number: int, given_up: Sequence[Problem]) -> Iterator[_Leg]:
-    """To configurations at a pose from which the straight lines that follow can be had, the nearest ones first.
+    """Yield free legs to configurations that allow the following straight segments, nearest first.
 
     Args:
-        given_up: Motions to be left out from now on, whatever is added to them.
+        given_up: Problems to skip from now on; the caller may append to it.
     """
     problem = task.problem
     ends = [end for end in _ends(task, begin, number) if _goes_on(task, end, number + 1)]
@@ -327,7 +327,7 @@ def _free(task: _Poses, begin: FloatArray, number: int, given_up: Sequence[Probl
 
 
 def _goes_on(task: _Poses, begin: FloatArray, number: int) -> bool:
-    """Whether the straight lines up to the next free motion can be had."""
+    """True if the straight segments up to the next free motion are feasible."""
     if number == len(task.poses) or not task.straight[number]:
         return True
     with suppress(NotFoundError):
@@ -336,7 +336,7 @@ def _goes_on(task: _Poses, begin: FloatArray, number: int) -> bool:
 
 
 def _ends(task: _Poses, begin: FloatArray, number: int) -> FloatArray:
-    """Clear configurations at a pose, those nearest first; errors as `configurations_at`."""
+    """Collision-free configurations at a pose, the nearest first; errors as `configurations_at`."""
     problem, pose = task.problem, task.poses[number]
     quaternion = tuple(pin.Quaternion(pose[:3, :3]).coeffs().tolist())
     goal = Goal(position=tuple(pose[:3, 3].tolist()), quaternion_xyzw=quaternion)
@@ -345,10 +345,10 @@ def _ends(task: _Poses, begin: FloatArray, number: int) -> FloatArray:
 
 
 def _upright(tilt: _Tilt, tasks: Sequence[Problem], number: int, given_up: Sequence[Problem]) -> Iterator[_Leg]:
-    """Paths to whichever configurations can be reached upright: as the joints go there, or of trees.
+    """Yield upright paths to reachable configurations: direct in joint space, or from trees.
 
     Raises:
-        NotFoundError: None was found.
+        NotFoundError: No path was found.
     """
     if not tasks:
         return
@@ -359,7 +359,7 @@ def _upright(tilt: _Tilt, tasks: Sequence[Problem], number: int, given_up: Seque
             reached = True
             yield _Leg(number, to, rows)
     first, least = tasks[0], 0.1 * min(to.margin for to in tasks)
-    # Longest edge of trees that stay upright, for a tilt of one radian [s]; it goes with the root of the tilt.
+    # Longest edge of upright trees for a tilt of one radian [s]; it scales with the square root of the tilt.
     held = Held(tilt.within(first), 0.1 * math.sqrt(_OF_TILT * tilt.most))
     for seed, evaluations in enumerate(_TREES):
         left = [to for to in tasks if to not in given_up]
@@ -378,7 +378,7 @@ def _upright(tilt: _Tilt, tasks: Sequence[Problem], number: int, given_up: Seque
 
 
 def _followed(tilt: _Tilt, to: Problem, begin: FloatArray, end: FloatArray) -> FloatArray | None:
-    """(m, dof) configurations from one to another, upright and close together; None where they are not."""
+    """(m, dof) closely spaced upright configurations between two configurations; None if they do not connect."""
     count = max(2, math.ceil(float(np.abs(end - begin).max()) / _ROW) + 1)
     chain = tilt.within(to)
     rows, poses = np.repeat(begin[None], count, axis=0), np.repeat(chain.pose[None], count, axis=0)
@@ -391,7 +391,7 @@ def _followed(tilt: _Tilt, to: Problem, begin: FloatArray, end: FloatArray) -> F
 
 
 def _shorter(tilt: _Tilt, to: Problem, path: FloatArray) -> FloatArray:
-    """The path with shortcuts that stay upright."""
+    """Return the path with upright shortcuts."""
     parts = [np.linspace(*pair, max(2, math.ceil(float(np.abs(pair[1] - pair[0]).max()) / _ROW) + 1))[1:]
              for pair in pairwise(path)]  # fmt: skip
     rows, draw = np.vstack([path[:1], *parts]), np.random.Generator(np.random.PCG64(to.effort.trees.seed))
@@ -415,13 +415,13 @@ def _margin(to: Problem) -> float:
 
 
 def _moving(rows: FloatArray) -> FloatArray:
-    """The rows that differ from the one before."""
+    """The samples that differ from their predecessor."""
     moving: FloatArray = rows[np.append(True, np.abs(np.diff(rows, axis=0)).max(axis=1) > _STILL)]
     return moving
 
 
 def _interpolated(rows: FloatArray) -> SplinePath:
-    """The smooth path through configurations."""
+    """Return the cubic spline that interpolates the configurations."""
     points = _moving(rows)
     if len(points) < 4:
         points = np.vstack([np.linspace(low, high, 4)[:-1] for low, high in pairwise(points)] + [points[-1:]])
@@ -432,7 +432,7 @@ def _interpolated(rows: FloatArray) -> SplinePath:
 
 
 def _smooth(leg: _Leg) -> Iterator[SplinePath]:
-    """Paths to be timed, the smoothest first; straight lines have one."""
+    """Yield paths to be timed, the smoothest first; a straight leg has one."""
     if leg.path is not None:
         yield leg.path
         return
@@ -449,10 +449,10 @@ def _smooth(leg: _Leg) -> Iterator[SplinePath]:
 
 
 def _result(task: _Poses, legs: Sequence[_Leg]) -> PlanResult:
-    """The motion of certified legs."""
+    """Assemble the plan result from certified legs."""
     robot, rows = task.problem.robot, np.vstack([leg.rows for leg in legs])
     along = scene_along(robot, task.problem.scene, given_path(robot, rows))
-    # Where the arm is at a pose before, it does not move.
+    # A leg without a motion starts and ends at the same configuration.
     moved = [(leg, leg.motion, leg.bounds) for leg in legs if leg.motion is not None and leg.bounds is not None]
     told = [
         {
@@ -474,11 +474,11 @@ def _result(task: _Poses, legs: Sequence[_Leg]) -> PlanResult:
 
 
 def _certified(task: _Poses, leg: _Leg) -> _Leg:
-    """A leg with its certified motion, within what is allowed; with none where the arm is there.
+    """Return the leg with its certified motion; without one if the arm is already there.
 
     Raises:
-        TimingError: It cannot be timed.
-        CertificationError: None was certified, or kept what is allowed.
+        TimingError: The path cannot be timed.
+        CertificationError: No motion was certified within the allowed deviation and tilt.
     """
     to, name, failure = leg.problem, f"pose {leg.number + 1}", None
     if leg.motion is not None:
@@ -509,7 +509,7 @@ def _certified(task: _Poses, leg: _Leg) -> _Leg:
 
 
 def _quicker(task: _Poses, motion: Transit, bounds: ToolBounds) -> tuple[Transit, ToolBounds]:
-    """An upright motion, or a quicker one near it that is."""
+    """Return an optimized upright motion, or the given one if the tilt grows too large."""
     if task.tilt is None or motion.trajectory.duration <= _FAST * motion.problem.least_duration:
         return motion, bounds
     chain = task.tilt.within(motion.problem)

@@ -1,4 +1,4 @@
-"""Which fruits of a scene can be picked from its start, with a way to take each, and why the others cannot."""
+"""Determine the fruits that can be picked from a scene's start, with a grasp or a reason."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ from hplan.planning.stages import Progress, no_progress, stage_clock
 from hplan.robot.model import Robot
 from hplan.scene.model import Fruit, Scene
 
-#: Why a fruit cannot be picked: no configuration reaches it, or none was found; something is in the way of all that do;
-#: no approach to any of those that are clear is certified; no motion from the start to any of them was found.
+#: Reasons why a fruit cannot be picked: no configuration reaches it, or none was found; obstacles block all that do; no
+#: approach to a collision-free one is certified; no motion from the start was found.
 Reason = Literal["out_of_reach", "blocked", "no_approach", "no_motion"]
 
 
@@ -42,17 +42,17 @@ class FruitReach(Record):
     """Whether a fruit can be picked, and how, or why not.
 
     Attributes:
-        fruit: Its name.
-        reason: Why it cannot be picked; None where it can.
-        detail: The reason as a sentence; empty where there is none.
-        grasp: How it can be taken: its arrays are read-only; None where it cannot be.
-        motions: The certified approach and retreat, after the transit where motions are asked for. None at all where
-            it cannot be picked, and no approach where no straight one is clear: then the grasp is certified
-            clear, and the last link may touch the fruit on the whole motion.
-        contact: Where it is blocked: what is in the way at the configuration that comes nearest to being clear, and
-            their distance, where negative how deep they are in one another [m].
-        best_clearance_m: Where it is blocked the clearance of that configuration beyond the one to keep [m]; what gives
-            way counts from where it is pushed as deep as it may be.
+        fruit: Name of the fruit.
+        reason: Why it cannot be picked; None if it can.
+        detail: The reason as a sentence; empty without a reason.
+        grasp: The grasp, with read-only arrays; None if the fruit cannot be picked.
+        motions: The certified approach and retreat, preceded by the transit if motions were requested. Empty if the
+            fruit cannot be picked. Without a collision-free straight approach there is no approach: then the grasp is
+            certified collision-free, and the last link may touch the fruit during the whole motion.
+        contact: For a blocked fruit: the contact at the configuration with the maximum clearance, with its signed
+            distance, negative for the penetration depth [m].
+        best_clearance_m: For a blocked fruit: the clearance of that configuration beyond the required one [m]; for a
+            compliant obstacle it counts from the maximum allowed deflection.
     """
 
     fruit: str
@@ -65,7 +65,7 @@ class FruitReach(Record):
 
     @property
     def can_be_picked(self) -> bool:
-        """True if nothing that was looked at is in the way."""
+        """True if no check found an obstacle."""
         return self.reason is None
 
 
@@ -78,29 +78,29 @@ def reachable(
     progress: Progress = no_progress,
     cancel: Cancel | None = None,
 ) -> Mapping[str, FruitReach]:
-    """Which fruits of a scene can be picked, each among all the others; of the scene's goal only `approach_deg` counts.
+    """Determine the fruits that can be picked, each with all others as obstacles.
 
-    That a fruit can be picked means: of the grasps that `plan` would try, one has a straight approach and retreat that
-    are certified, or where no straight approach is clear, is certified clear itself. Whether a motion leads there
-    from the start is **not** looked at unless `motions` asks for it; then one was found, and is certified.
-    Where a fruit cannot be picked `plan` refuses it too; only `no_motion` is no proof, as `plan` may search longer.
+    A fruit can be picked if one of the grasps that `plan` would try has a certified straight approach and retreat. If
+    no straight approach is collision-free, the grasp itself has to be certified collision-free. A motion from the start
+    is **not** checked unless `motions` is True; then one was found and certified. If a fruit cannot be picked, `plan`
+    refuses it too; `no_motion` alone is not a proof, because `plan` may search longer.
 
     Args:
         robot: The arm.
-        scene: Obstacles and fruits, which all are obstacles to one another.
-        options: As for `plan`. With a deadline all fruits have to be looked at before it.
-        motions: True also looks for motions from the start, with the effort `quick`, which takes ten times as long.
-        progress: Called with what is being done.
+        scene: Obstacles and fruits; each fruit is an obstacle to the others. Only `approach_deg` of the goal is used.
+        options: As for `plan`. A deadline has to cover all fruits.
+        motions: True also plans motions from the start, with the effort `quick`, which takes ten times as long.
+        progress: Called with the name of each step.
         cancel: As for `hplan.plan`.
 
     Returns:
-        For each fruit, by its name and in the order of the scene, whether it can be picked.
+        For each fruit, by name and in scene order, whether it can be picked.
 
     Raises:
-        InputError: The scene does not fit the robot, or the start cannot be taken.
-        OptionError: An option that the robot has no use for.
-        NotInTimeError: The deadline came before all fruits were looked at.
-        PlanCancelledError: It was cancelled.
+        InputError: The scene does not fit the robot, or the start is not collision-free.
+        OptionError: An option does not apply to the robot.
+        NotInTimeError: The deadline passed before all fruits were checked.
+        PlanCancelledError: The check was cancelled.
     """
     check_task(robot, scene, options, progress)
     truth("motions", motions)

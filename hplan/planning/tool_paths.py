@@ -1,7 +1,7 @@
-"""Configurations with the tool at a point or a pose, and straight approaches to them, of robots of any kind.
+"""Configurations with the tool at a point or pose, and straight approaches, for any robot.
 
-Configurations of the planar family are in closed form, those of any other robot are sought; the tool of either comes
-along its axis (`Robot.tool_axis`), as `hplan.kinematics.straight_line` finds.
+Planar arms use closed-form inverse kinematics, all others a numerical search. The tool approaches along its axis
+(`Robot.tool_axis`), see `hplan.kinematics.straight_line`.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from hplan.kinematics.straight_line import StraightLine, lines_back
 from hplan.kinematics.tool_at_point import approach_angles, tool_at_point
 from hplan.robot.model import Robot
 
-#: Where an approach is checked, as fractions of its length: whole steps of `hplan.kinematics.straight_line`.
+#: Points of an approach that are checked, as fractions of its length: whole steps of `hplan.kinematics.straight_line`.
 _LOOKS = (0.25, 0.5, 0.75, 1.0)
 
 
@@ -30,7 +30,7 @@ class Approaches(NamedTuple):
     """Straight approaches of one length to several goals.
 
     Attributes:
-        feasible: (k,) mask of the goals to which there is one.
+        feasible: (k,) mask of the goals with an approach.
         polylines: (k, points, dof) configurations from the goals to the stand-offs.
     """
 
@@ -39,11 +39,11 @@ class Approaches(NamedTuple):
 
 
 class Tool:
-    """Where the tool of an arm can be, and how it comes there straight; of a general (non-planar) arm.
+    """Configurations and straight approaches of the tool of a general (non-planar) arm.
 
     Attributes:
-        enough: Where so many grasps have an approach, no shorter ones are looked for.
-        more: How many directions, of a planar arm configurations, are tried where none of fewer is clear.
+        enough: With this number of approaches, shorter ones are not searched.
+        more: Number of directions (configurations for a planar arm) tried if all of a smaller number collide.
     """
 
     enough: float = 8
@@ -51,24 +51,26 @@ class Tool:
     _is_sorted = True
 
     def __init__(self, robot: Robot, locked: Sequence[str] = (), keeps_turn: bool = False) -> None:
-        """Of a robot.
+        """Set up the tool of a robot.
 
         Args:
             locked: Names of joints that keep their start values.
-            keeps_turn: Whether the tool of a general (non-planar) arm may not turn about its axis on approaches.
+            keeps_turn: Whether the tool of a general (non-planar) arm keeps its rotation about its axis on approaches.
         """
         self._robot, self._locked, self._keeps_turn = robot, tuple(locked), keeps_turn
 
     def at(
         self, position: ArrayLike, *, approach_deg: float | tuple[float, float] | None, count: int, start: FloatArray
     ) -> Candidates:
-        """Configurations with the tool at a position; of a planar arm all of them, up to about `count` samples.
+        """Configurations with the tool at a position; for a planar arm all of them.
+
+        Continua of a planar arm are sampled with about `count` configurations.
 
         Args:
             position: (3,) in `base_link` [m].
-            approach_deg: Approach angle, or an interval of it; None for all [deg].
-            count: About how many configurations, or directions of the tool.
-            start: (dof,) configuration from which the arm comes.
+            approach_deg: Approach angle, or an interval (low, high) [deg]; None for all.
+            count: Approximate number of configurations, or of tool directions.
+            start: (dof,) start configuration.
 
         Raises:
             HplanError: As `hplan.kinematics.planar_inverse_kinematics.reach` and `hplan.kinematics.tool_at_point`.
@@ -87,31 +89,31 @@ class Tool:
         return Candidates(found, approach_angles(self._robot, found, pose[:3, 3]))
 
     def soonest(self, found: Candidates, count: int) -> Candidates:
-        """Those that are reached soonest, so many at most; of a planar arm all: fewer, and not in that order."""
+        """At most `count` of the configurations, the quickest to reach; unchanged for a planar arm."""
         if not self._is_sorted or len(found.approach) <= count:
             return found
         return Candidates(frozen(found.configurations[:count]), frozen(found.approach[:count]))
 
     def approaches(self, goals: FloatArray, length: float) -> Approaches:
-        """Straight approaches of a length [m] to (k, dof) goals."""
+        """Return straight approaches of a length [m] to (k, dof) goals."""
         lines = lines_back(self._robot, goals, length, locked=self._locked, keeps_turn=self._keeps_turn)
         steps = len(lines.distances) - 1
         return Approaches(lines.reached > steps, lines.rows[:, [0, *(round(look * steps) for look in _LOOKS)]])
 
     def path(self, goal: FloatArray, standoff: float) -> StraightLine:
-        """The straight approach from a stand-off [m] to a (dof,) goal."""
+        """Return the straight approach from a stand-off [m] to a (dof,) goal."""
         return StraightLine(self._robot, goal, standoff, self._locked, self._keeps_turn)
 
     def largest_standoff(self, goal: FloatArray, longest: float) -> float:
-        """From how far the tool can come straight to a (dof,) goal, at most `longest` [m]."""
+        """Maximum distance of a straight approach to a (dof,) goal, at most `longest` [m]."""
         lines = lines_back(self._robot, goal[None], longest, locked=self._locked, keeps_turn=self._keeps_turn)
         return float(lines.distances[lines.reached[0] - 1])
 
     def thickness(self, deviation: float) -> float:
-        """How far a tool at a point stands out towards it or, of a planar arm, about it [m].
+        """Extent of the tool beyond its frame along its axis [m]; a planar arm's half-width.
 
         Args:
-            deviation: By how much every joint may be off [rad].
+            deviation: Tracking error of every joint [rad].
         """
         robot = self._robot
         frame = robot.model.frames[robot.frame_number(robot.tool_frame)].placement
@@ -124,7 +126,7 @@ class Tool:
 
 
 class _PlanarTool(Tool):
-    """That of a planar arm."""
+    """The tool of a planar arm."""
 
     enough = math.inf
     more = 512
@@ -140,5 +142,5 @@ class _PlanarTool(Tool):
 
 
 def tool_of(robot: Robot, locked: Sequence[str] = (), keeps_turn: bool = False) -> Tool:
-    """The tool of a robot, as `Tool`."""
+    """Return the tool of a robot, planar or general."""
     return (Tool if robot.planar is None else _PlanarTool)(robot, locked, keeps_turn)

@@ -110,7 +110,9 @@ class Tool:
         return float(lines.distances[lines.reached[0] - 1])
 
     def thickness(self, deviation: float) -> float:
-        """Extent of the tool beyond its frame along its axis [m]; a planar arm's half-width.
+        """Extent of the tool beyond its frame along its axis, tracking error included [m].
+
+        For a planar arm it is the half-width of the last link plus the tracking displacement bound.
 
         Args:
             deviation: Tracking error of every joint [rad].

@@ -1,4 +1,4 @@
-"""The arm as it carries fruit: with room for the thickest of them at its tool."""
+"""Robot model of an arm that carries fruit."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from hplan.base.arrays import readonly
 from hplan.collision.collision_bodies import reuse_bodies
 from hplan.robot.model import Robot
 
-#: Name of the shape of what is carried.
+#: Name of the collision shape of the carried fruit.
 CARRIED = "carried fruit"
 
 
 def carrying(robot: Robot, radius: float, frames: Sequence[str] = ()) -> Robot:
-    """The arm as it carries a fruit, as one that is so thick all along.
+    """Return the arm with a carried fruit as part of its collision geometry.
 
-    Of a planar arm the last link is as thick as the fruit; any other has a ball at the tool frame, on the joint that
-    carries it.
+    On a planar arm the whole last link is thickened to the radius of the fruit; any other arm gets a ball at the tool
+    frame, attached to the joint that carries the frame.
 
     Args:
         radius: Radius of the fruit [m].
-        frames: Of several arms as one robot the tool frames of those that carry.
+        frames: Tool frames of the loaded arms of a composite robot.
     """
     if robot.planar is not None:
         widths = np.array(robot.arm.half_widths)

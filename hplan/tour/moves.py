@@ -1,10 +1,10 @@
-"""Certified motions between stops, planned quickly at first, and joined where that is quicker than any one of them.
+"""Certified motions between stops, planned lazily, and concatenated if that is quicker.
 
-Where the straight motion is blocked, a tour first reckons with a guess, then with the time of the path that a pair of
-trees finds, and the motion near that is planned only where a tour is still to be made of it. It is taken however much
-longer it lasts than it has to; grids are searched for those motions alone that a tour is to be made of. Motions that
-are there already are joined where no motion was found, or where their sum is less: the arm then stops at stops that it
-does not pick from. A motion and its reverse take the same time, so each is planned once.
+If the straight motion is blocked, the tour first uses an estimate of its duration, then the duration of the path found
+by a pair of trees. The motion near that path is planned only if a candidate tour uses it, and is accepted even if it is
+much longer than its lower bound. Grids are searched only for the motions of a candidate tour. Existing motions are
+concatenated if no direct motion was found, or if their sum is shorter: the arm then stops at intermediate stops without
+picking. A motion and its reverse take the same time, so each is planned once.
 """
 
 from __future__ import annotations
@@ -32,24 +32,24 @@ from hplan.robot.limits import Limits, rest_to_rest
 from hplan.scene.model import Fruit
 from hplan.tour.joins import GAIN_S, Joins
 
-#: So many rows of bounds are computed at a time.
+#: Number of rows of the bounds matrix computed at a time.
 _ROWS: Final = 64
 
 
 @dataclass(frozen=True, eq=False)
 class Stop:
-    """A configuration in which motions begin and end: at rest.
+    """A configuration at rest, at the start or end of a motion.
 
     Attributes:
         configuration: (dof,).
-        fruit: The fruit that the last link is at; None elsewhere.
+        fruit: The fruit at the last link; None without a fruit.
     """
 
     configuration: FloatArray
     fruit: Fruit | None = None
 
 
-#: Two stops, the lower number first, and whether the arm carries something between them.
+#: Two stops, the lower number first, and whether the arm is loaded between them.
 _Key: TypeAlias = tuple[int, int, bool]
 
 
@@ -58,7 +58,7 @@ def _key(a: int, b: int, loaded: bool) -> _Key:
 
 
 def _transit(problem: Problem, *, at_once: bool = False) -> Motion | None:
-    """The motion that is found first, or the last and quickest one; None where there is none.
+    """Return the first motion found, or the last and quickest one; None without a motion.
 
     Raises:
         HplanError: One of `NO_MOTION`.
@@ -74,15 +74,15 @@ class Moves:
 
     Attributes:
         stops: The stops, by their numbers.
-        planned: How many motions between stops were planned, those among them that were not found.
+        planned: Number of motions planned between stops, failed attempts included.
     """
 
     def __init__(self, empty: Problem, loaded: Problem | None) -> None:
-        """Begin without stops.
+        """Start without stops.
 
         Args:
-            empty: The arm as it is, among its obstacles.
-            loaded: The arm as it carries; None where nothing is carried.
+            empty: The unloaded arm among its obstacles.
+            loaded: The loaded arm; None if it never carries anything.
         """
         self.stops: list[Stop] = []
         self.planned = 0
@@ -94,8 +94,8 @@ class Moves:
         self._blocked: set[_Key] = set()
         self._joins = {carries: Joins(partial(self._may_pass, carries)) for carries in (False, True)}
         self._routes: dict[_Key, list[PromisingPath]] = {}
-        # Stops, pair after pair: those a motion between which was planned; those it is not, with estimates, the last of
-        # a pair the best.
+        # Flat lists of stop pairs: pairs with planned motions, and pairs with estimates only; the last estimate of
+        # a pair is the best.
         self._looked = {carries: array("q") for carries in (False, True)}
         self._estimated = {carries: (array("q"), array("d")) for carries in (False, True)}
         self._last_least = np.zeros(0, dtype=np.int64), np.zeros((0, 0))
@@ -105,23 +105,23 @@ class Moves:
         self.limits = limits.velocity, limits.acceleration, limits.jerk
 
     def stop(self, stop: Stop) -> int:
-        """The number of a stop, a new one unless there is the same already."""
+        """Return the number of a stop; an equal stop keeps its number."""
         for number, other in enumerate(self.stops):
             if other.fruit == stop.fruit and np.array_equal(other.configuration, stop.configuration):
                 return number
         return self.add(stop)
 
     def add(self, stop: Stop) -> int:
-        """The number of a new stop."""
+        """Add a stop and return its number."""
         self.stops.append(stop)
         return len(self.stops) - 1
 
     def drop_at(self, hub: int) -> None:
-        """Say at which stop what is carried is let go: there loaded motions end."""
+        """Set the drop-off stop, the end of loaded motions."""
         self._hub = hub
 
     def keep(self, a: int, b: int, loaded: bool, motion: Motion) -> None:
-        """Keep a motion that is there."""
+        """Store an existing motion."""
         self._take(_key(a, b, loaded), motion if a < b else motion.reversed)
 
     def is_known(self, a: int, b: int, loaded: bool) -> bool:
@@ -129,10 +129,10 @@ class Moves:
         return a == b or _key(a, b, loaded) in self._found
 
     def look(self, a: int, b: int, loaded: bool) -> None:
-        """Look for a motion, no farther than it takes to know better how long it lasts.
+        """Refine the known duration of a motion by one step.
 
-        Where the straight motion is blocked that is first reckoned with, then the time of the path that trees find, and
-        the motion near that is planned where it is looked for once more.
+        If the straight motion is blocked, the first call stores an estimate, the second one the duration of a tree
+        path, and the third one plans the motion near that path.
         """
         key = _key(a, b, loaded)
         if self.is_known(a, b, loaded):
@@ -147,7 +147,7 @@ class Moves:
                 routes = first_tree_path(problem)
                 if routes and routes[0].seconds < self._joins[loaded].between(a, b):
                     self._routes[key] = routes
-                    # A motion near a path of trees lasts about so many times as long as that at the velocity limits.
+                    # A motion near a tree path takes about this multiple of the path's duration at the velocity limits.
                     self._estimate(key, 1.2 * routes[0].seconds)
                 else:
                     self._plan(key, None)
@@ -161,9 +161,9 @@ class Moves:
             self._plan(key, None)
 
     def take(self, a: int, b: int, loaded: bool) -> list[tuple[tuple[int, int], Motion]] | None:
-        """The quickest motions that are there, with the stops that they are between; looked for if need be.
+        """Return the quickest known motions between two stops, planned if necessary.
 
-        None where there are none.
+        Each motion comes with its pair of stops. None if the stops are not connected.
         """
         while not self.is_known(a, b, loaded):
             self.look(a, b, loaded)
@@ -173,7 +173,7 @@ class Moves:
         return None if way is None else [((one, other), self._one(one, other, loaded)) for one, other in pairwise(way)]
 
     def made_quicker(self, a: int, b: int, loaded: bool) -> bool:
-        """True if a thorough search, done once where it may pay, gives quicker motions than there are."""
+        """Search thoroughly, once and if promising; True if that yields quicker motions."""
         key, taken = _key(a, b, loaded), self.take(a, b, loaded)
         duration_s = math.inf if taken is None else seconds([motion for _, motion in taken])
         if key in self._thorough or duration_s <= CLOSE * self.least([a, b])[0, 1]:
@@ -188,7 +188,7 @@ class Moves:
         return False
 
     def seconds(self, stops: IntArray, loaded: bool) -> FloatArray:
-        """(k, k) durations between k stops: true ones where motions were planned, else what none can undercut [s]."""
+        """Return (k, k) durations between k stops: exact if planned, otherwise estimates or bounds [s]."""
         if not np.array_equal(self._last_least[0], stops):
             self._last_least = stops, self.least(stops)
         least = self._last_least[1]
@@ -212,7 +212,7 @@ class Moves:
         return seconds
 
     def least(self, stops: IntArray | Sequence[int]) -> FloatArray:
-        """(k, k) durations that no motion between k stops can undercut [s]."""
+        """(k, k) lower bounds on the durations of motions between k stops [s]."""
         there = np.array([self.stops[stop].configuration for stop in stops])
         least = np.empty((len(there), len(there)))
         for begin in range(0, len(there), _ROWS):
@@ -221,20 +221,20 @@ class Moves:
         return least
 
     def problem(self, a: int, b: int, loaded: bool) -> Problem:
-        """The problem of the motion between two stops."""
+        """Return the planning problem of the motion between two stops."""
         ends, problem = (self.stops[a], self.stops[b]), self._contexts[loaded]
         for fruit in {end.fruit.name: end.fruit for end in ends if end.fruit is not None}.values():
-            # At a fruit the last link may touch it.
+            # The last link may touch the fruit at its stop.
             problem = problem.among(problem.world.touching(fruit.name, fruit.hangs_from))
         return problem.between(*(end.configuration for end in ends))
 
     def _plan(self, key: _Key, found: Motion | None) -> None:
-        """Keep what was found of a motion."""
+        """Count and store the result of planning a motion."""
         self.planned += 1
         self._take(key, found)
 
     def _take(self, key: _Key, found: Motion | None) -> None:
-        """Keep a motion, or that there is none, in place of one that is slower."""
+        """Store a motion, or the failure to find one, and update the concatenations."""
         self._found[key] = found
         a, b, loaded = key
         self._looked[loaded].extend((a, b))
@@ -242,23 +242,23 @@ class Moves:
             self._joins[carries].add(a, b, math.inf if found is None else found.trajectory.duration)
 
     def _block(self, key: _Key) -> None:
-        """Keep that the straight motion is blocked."""
+        """Record that the straight motion is blocked."""
         self._blocked.add(key)
-        # What it is reckoned with until trees look for it.
+        # Provisional estimate until a tree search.
         self._estimate(key, 1.5 * self.least(key[:2])[0, 1])
 
     def _estimate(self, key: _Key, seconds: float) -> None:
-        """Keep about how long a motion lasts that is not planned yet [s]."""
+        """Store a duration estimate for an unplanned motion [s]."""
         pairs, estimates = self._estimated[key[2]]
         pairs.extend(key[:2])
         estimates.append(seconds)
 
     def _may_pass(self, loaded: bool, stop: int) -> bool:
-        """Whether the arm may stop there on its way: unless the fruit would be touched, what is carried dropped."""
+        """True if the arm may stop here in transit: no fruit contact, and no release of its load."""
         return self.stops[stop].fruit is None and not (loaded and stop == self._hub)
 
     def _one(self, a: int, b: int, loaded: bool) -> Motion:
-        """The quicker of the direct motions that are there: the empty arm may move as if it carried."""
+        """Return the quicker known direct motion; an unloaded arm may use a loaded motion."""
         both = [self._found.get(_key(a, b, also)) for also in (loaded, loaded or self._carries)]
         there = min((one for one in both if one is not None), key=lambda one: one.trajectory.duration)
         return there if a < b else there.reversed

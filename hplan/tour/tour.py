@@ -1,8 +1,8 @@
-"""Picking tours: many fruits from one start, in the order in which the arm is done soonest.
+"""Picking tours: pick many fruits from one start in the quickest order.
 
-The order is sought by the durations of certified motions (`hplan.tour.motions`, `hplan.tour.ordering`). Fruits that
-cannot be reached among all the others are tried again once those are picked, and come last. Times are those of motions:
-what the tool takes to grip or to let go is not in them, and the arm stands still where it would.
+The order is optimized by the durations of certified motions (`hplan.tour.motions`, `hplan.tour.ordering`). Fruits that
+cannot be reached among all the others are tried again after those have been picked, and come last. The arm is at rest
+while the tool grips or releases; the times count the motions only, not gripping and releasing.
 """
 
 from __future__ import annotations
@@ -52,15 +52,15 @@ class TourOptions(Options):
     """Options of a tour.
 
     Attributes:
-        drop_off: Where fruit is let go, by joints or by a position of the tool; None where the arm takes it in itself
-            (into a tube or a bin of its own) and carries nothing.
-        every: How many fruits are carried to the drop-off at most; one where this is None.
-        back: True if the arm goes back to the start in the end.
-        order: `best`; `nearest`: always on to the fruit that is taken soonest; `given`: as the fruits are listed.
-        stops: True if the arm stops between legs, so that each can be run by itself.
+        drop_off: Place where fruit is released, by joints or by a tool position; None if the arm takes the fruit in
+            itself (into a tube or a bin of its own) and carries nothing.
+        every: Maximum number of fruits carried to the drop-off at a time; None for one.
+        back: True if the arm returns to the start at the end.
+        order: `best`; `nearest`: the next fruit is always the quickest to reach; `given`: in the order of the list.
+        stops: True if the arm stops between legs, so that each leg can be run by itself.
         compare: True if the report gives the durations of all three orders.
-        grasps: Number of grasps of a fruit among which the best is sought at a time; with more than one, others take
-            the place of those that are not used, as long as the tour becomes shorter.
+        grasps: Number of grasps considered for each fruit at a time; with more than one, unused grasps are replaced by
+            others as long as the tour becomes shorter.
     """
 
     drop_off: Goal | None = None
@@ -89,27 +89,28 @@ def plan_tour(
     progress: Progress = no_progress,
     cancel: Cancel | None = None,
 ) -> TourResult:
-    """Plan a picking tour from the scene's start; of its goal only `approach_deg` counts, for all fruits.
+    """Plan a picking tour from the scene's start.
 
     Args:
         robot: The arm.
-        scene: Obstacles and fruits; all fruits are obstacles until they are picked.
+        scene: Obstacles and fruits; fruits are obstacles until they are picked. Of the goal only `approach_deg` is
+            used, for all fruits.
         options: How to plan.
-        fruits: Names of the fruits to pick; all where this is None.
+        fruits: Names of the fruits to pick; None for all.
         tour: Options of the tour.
-        progress: Called with what is being done.
+        progress: Called with the name of each step.
         cancel: As for `hplan.plan`.
 
     Raises:
-        InputError: The scene does not fit the robot, or the start cannot be taken.
-        OptionError: A fruit that is not there or named twice, or none at all.
-        TourError: None of the fruits can be picked; says why.
-        UnreachableError: No configuration has the tool at the drop-off.
-        BlockedError: Obstacles are in the way of all that do; names them.
-        NoPathError: No path from the start to the drop-off exists on the grid; names what blocks it.
+        InputError: The scene does not fit the robot, or the start is not collision-free.
+        OptionError: `fruits` names an unknown fruit, names one twice, or is empty.
+        TourError: No fruit can be picked; the message says why.
+        UnreachableError: No configuration puts the tool at the drop-off.
+        BlockedError: Obstacles block every configuration at the drop-off; names them.
+        NoPathError: No path from the start to the drop-off exists on the grid; names the blocking obstacles.
         CertificationError: No motion to the drop-off could be certified.
-        NotInTimeError: The deadline came before the tour was complete: there is no part of one.
-        PlanCancelledError: It was cancelled.
+        NotInTimeError: The deadline passed before the tour was complete; partial tours are not returned.
+        PlanCancelledError: Planning was cancelled.
     """
     check_task(robot, scene, options, progress)
     if tour is not None:
@@ -118,7 +119,7 @@ def plan_tour(
     options = options or PlanOptions()
     with time_limit(options.deadline_s, cancel) as limit:
         try:
-            # It is the whole that is wanted in time: motions are planned as without a deadline.
+            # The deadline applies to the whole tour; single motions are planned without one.
             whole = replace(options, deadline_s=None)
             return TourPlanner(robot, scene, whole, tour or TourOptions(), names, progress).run(names)
         except TimeIsUpError:
@@ -126,10 +127,10 @@ def plan_tour(
 
 
 def _names(scene: Scene, fruits: Sequence[str] | None) -> list[str]:
-    """The fruits to pick.
+    """Return the fruits to pick.
 
     Raises:
-        OptionError: One that is not there or named twice, or none at all.
+        OptionError: A name is unknown or given twice, or the list is empty.
     """
     known = [fruit.name for fruit in scene.fruits]
     names = known if fruits is None else list(list_of("fruits", fruits, str, "names"))
@@ -145,7 +146,7 @@ def _names(scene: Scene, fruits: Sequence[str] | None) -> list[str]:
 
 @dataclass(frozen=True, eq=False)
 class _Stage:
-    """A tour among one set of obstacles: its motions and what was found."""
+    """A tour among one set of obstacles: its motions, its order and the unreached fruits."""
 
     motions: Motions
     visits: Visits
@@ -154,7 +155,7 @@ class _Stage:
 
 
 class TourPlanner:
-    """Tours of an arm: what one finds of motions among all fruits those over other fruits have."""
+    """Plans tours for one arm; tours over subsets of the fruits share cached motions."""
 
     def __init__(
         self,
@@ -165,7 +166,7 @@ class TourPlanner:
         names: Sequence[str],
         progress: Progress = no_progress,
     ) -> None:
-        """Arguments and errors as those of `plan_tour`; `names` are the fruits that may be picked."""
+        """Set up; arguments and errors as in `plan_tour`, with `names` for the fruits to pick."""
         self._begin = time.perf_counter()
         self.robot, self.scene, self.options, self.tour, self.progress = robot, scene, options, tour, progress
         self._carrying: Robot | None = None
@@ -185,7 +186,7 @@ class TourPlanner:
         self._whole = self._motions(scene, Stop(self.start))
 
     def _motions(self, scene: Scene, here: Stop) -> Motions:
-        """The motions among what hangs in a scene, from where the arm is."""
+        """Return motions among a scene's obstacles and fruits, starting at the arm's stop."""
         return Motions(
             Problem.of(self.robot, scene, self.options),
             None if self._carrying is None else Problem.of(self._carrying, scene, self.options),
@@ -193,7 +194,10 @@ class TourPlanner:
         )  # fmt: skip
 
     def run(self, names: Sequence[str]) -> TourResult:
-        """The tour over some of the fruits; what is blocked is tried again among what those picked before it leave."""
+        """Plan the tour over the named fruits.
+
+        Fruits that are blocked are tried again without the fruits picked before.
+        """
         motions, scene, stages = self._whole, self.scene, list[_Stage]()
         left, unreached = names, list[Unreached]()
         while left:
@@ -213,7 +217,7 @@ class TourPlanner:
         return self._result(stages, unreached)
 
     def costs(self, names: Collection[str]) -> tuple[dict[str, FloatArray], Costs]:
-        """As `Motions.costs`, of those of some fruits that can be reached among all the others."""
+        """Return `Motions.costs` for the named fruits that are reachable among all others."""
         for fruit in self.scene.fruits:
             if fruit.name in names:
                 with suppress(UnreachableError, *NO_MOTION):
@@ -222,12 +226,12 @@ class TourPlanner:
         return self._whole.costs()
 
     def reversed(self, tour: TourResult) -> TourResult | None:
-        """The reversed tour; None where that is not known to be one."""
+        """Return the reversed tour; None if its motions are not all known."""
         visits = self._whole.through([leg.grasp for leg in reversed(tour.legs) if leg.grasp is not None])
         return None if visits is None else self._result([_Stage(self._whole, visits, {}, [])], tour.unreached)
 
     def _stage(self, motions: Motions, fruits: Sequence[Fruit]) -> _Stage:
-        """The tour over all those of some fruits that can be reached."""
+        """Plan the tour over the given fruits that are reachable."""
         unreached, given = list[Unreached](), list[str]()
         for number, fruit in enumerate(fruits):
             self.progress(f"fruit {number + 1} of {len(fruits)}")
@@ -245,7 +249,7 @@ class TourPlanner:
             found = {order: _visits(motions, order, given) for order in (orders if self.tour.compare else orders[:1])}
         totals = {order: self._duration(motions, visits) for order, visits in found.items()}
         if self.tour.order == "best" and found:
-            # By durations with stops; without them another order may be quicker.
+            # Compared with stops at each leg; blended legs might favor another order.
             quickest = list(totals)[ties.argmin(list(totals.values()))]
             found["best"], totals["best"] = found[quickest], totals[quickest]
         visits = found.get(self.tour.order, Visits(math.inf, np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.bool_)))
@@ -255,13 +259,13 @@ class TourPlanner:
         return _Stage(motions, visits, {order: totals[order] for order in _ORDERS if order in totals}, unreached)
 
     def _result(self, stages: Sequence[_Stage], unreached: Sequence[Unreached]) -> TourResult:
-        """The tour and its report."""
+        """Assemble the tour and its report."""
         drafts = list[LegMotions]()
         for stage in stages:
             drafts += self._legs(stage.motions, stage.visits, back=self.tour.back and stage is stages[-1])
         here, begin, legs = self.start, 0.0, list[Leg]()
         for fruit, grasp, parts in drafts:
-            if not parts:  # the arm rests where it is
+            if not parts:  # the arm stays at rest
                 rest = resting(self.robot.model, here)
                 parts = [Motion("return", rest, require_certificate(self.problem, certificate_of(self.problem, rest)))]
             legs.append(Leg(fruit, grasp, begin, *in_sequence(parts, begin)))
@@ -287,11 +291,11 @@ class TourPlanner:
         )
 
     def _legs(self, motions: Motions, visits: Visits, *, back: bool) -> list[LegMotions]:
-        """The legs of a tour among one set of obstacles."""
+        """Return the legs of a tour among one set of obstacles."""
         return motions.legs(visits, back=back, stops=self.tour.stops)
 
     def _duration(self, motions: Motions, visits: Visits) -> float:
-        """How long a tour takes, as it is driven; infinite where there is none [s]."""
+        """Duration of a tour as executed; infinite for an infeasible tour [s]."""
         if not math.isfinite(visits.cost):
             return math.inf
         legs = self._legs(motions, visits, back=self.tour.back)
@@ -300,7 +304,7 @@ class TourPlanner:
     def _report(
         self, stages: Sequence[_Stage], legs: Sequence[Leg], picked: Mapping[str, float], unreached: Sequence[Unreached]
     ) -> dict[str, Any]:
-        """The first part of the report of a tour, in the shape of `tour.json`."""
+        """Return the tour-specific part of the report, in the format of `tour.json`."""
         caught = [leg.grasp.caught for leg in legs if leg.grasp is not None and leg.grasp.caught is not None]
         return {
             "status": "ok",
@@ -328,7 +332,7 @@ class TourPlanner:
             ],
             "unreached": [{"fruit": item.fruit, "error": item.error.as_dict()} for item in unreached],
             **({"expected_fruit": sum(caught)} if caught else {}),
-            # Of the fruits that can be reached among all the others; by true durations.
+            # For the fruits reachable among all the others; durations of the planned motions.
             "totals_s": {"fruits": len(stages[0].motions.fruits), **stages[0].totals},
             "planner": {
                 "time_ms": round(1e3 * (time.perf_counter() - self._begin), 4),
@@ -339,7 +343,7 @@ class TourPlanner:
 
 
 def _visits(motions: Motions, order: Order, given: Sequence[str]) -> Visits:
-    """The tour in the best order, in that of the nearest neighbour, or in the one given; places as good as can be."""
+    """Return the tour in the given kind of order, with optimized grasps."""
     if order == "best":
         return motions.settle(best)
     fixed = np.array([motions.fruits.index(name) for name in given])
@@ -349,7 +353,7 @@ def _visits(motions: Motions, order: Order, given: Sequence[str]) -> Visits:
 
 
 def _times(legs: Sequence[Leg]) -> tuple[dict[str, float], dict[str, float]]:
-    """When each fruit is picked, and when it is let go at the drop-off [s]."""
+    """Pick time of each fruit, and its release time at the drop-off [s]."""
     picked: dict[str, float] = {}
     dropped: dict[str, float] = {}
     for leg in legs:

@@ -1,4 +1,4 @@
-"""Approach angles: those asked for, and configurations with the tool at a point and the angles that they have."""
+"""Intervals of approach angles, and configurations with the tool at a point."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from hplan.base.arrays import BoolArray, FloatArray, Record
 from hplan.errors import OptionError
 
-#: An angle this far outside the interval asked for is in it [rad].
+#: Tolerance at the ends of an interval [rad].
 WINDOW_TOLERANCE = 1e-7
 
 
@@ -19,27 +19,27 @@ class Window(Record):
     """An interval of approach angles.
 
     Attributes:
-        low: Where it begins.
-        width: How wide it is, in [0, 2 pi]; 0 for one angle.
+        low: Lower end [rad].
+        width: Width in [0, 2 pi]; 0 for a single angle [rad].
     """
 
     low: float
     width: float
 
     def holds(self, angle: FloatArray) -> BoolArray:
-        """True for angles in it, whole turns aside."""
+        """True for angles inside the interval, modulo 2 pi."""
         inside: BoolArray = above(angle, self.low - WINDOW_TOLERANCE) <= self.width + 2.0 * WINDOW_TOLERANCE
         return inside
 
     @classmethod
     def of(cls, approach_deg: float | tuple[float, float] | None) -> Window | None:
-        """The interval that is asked for; None for all angles.
+        """Return the interval for an `approach_deg` argument; None for all angles.
 
         Args:
-            approach_deg: Approach angle, or an interval (low, high) of it; None for all [deg].
+            approach_deg: Approach angle, or an interval (low, high) [deg]; None for all.
 
         Raises:
-            OptionError: It is no angle or interval.
+            OptionError: `approach_deg` is not an angle or an interval.
         """
         if approach_deg is None:
             return None
@@ -59,10 +59,10 @@ class Candidates(Record):
     """Configurations that put the tool at a point.
 
     Attributes:
-        configurations: (k, dof), k >= 1, within the limits; of a planar arm in the order of their joint values, of any
-            other those first that are reached soonest.
-        approach: (k,) approach angle in (-pi, pi]: of a planar arm the absolute angle of the last link in the arm
-            plane, of any other that of the tool frame's z axis (`hplan.kinematics.tool_at_point`).
+        configurations: (k, dof), k >= 1, within the limits; sorted by joint values for a planar arm, quickest to reach
+            first for any other.
+        approach: (k,) approach angle in (-pi, pi]: for a planar arm the absolute angle of the last link in the arm
+            plane, for any other the angle of the tool frame's z axis (`hplan.kinematics.tool_at_point`).
     """
 
     configurations: FloatArray
@@ -70,6 +70,6 @@ class Candidates(Record):
 
 
 def above(angle: FloatArray, low: FloatArray | float) -> FloatArray:
-    """Differences of angles from another, in [0, 2 pi)."""
+    """Angle minus low, wrapped to [0, 2 pi)."""
     difference: FloatArray = (angle - low) % math.tau
     return difference

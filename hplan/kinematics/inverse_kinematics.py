@@ -1,9 +1,9 @@
-"""Configurations of any robot with a frame at a pose.
+"""Numerical inverse kinematics of any robot with a frame at a pose.
 
-They are sought by damped least squares (`hplan.kinematics.damped_steps`) from several starts: the configuration that
-the arm comes from, the middle of the joint ranges, and others spread over them, always the same. So what is found is
-reached, but what is not found need not be out of reach; and of an arm with more joints than the pose has conditions
-there are more than those found.
+Damped least squares (`hplan.kinematics.damped_steps`) runs from several fixed starts: the given start configuration,
+the middle of the joint ranges, and others spread over the ranges. Every solution returned reaches the pose, but a pose
+without a solution need not be out of reach. An arm with more joints than the pose has constraints has more solutions
+than those returned.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ from hplan.errors import InputError, UnreachableError
 from hplan.kinematics.damped_steps import ABOUT_Z, KEPT, Chain, solve_all
 from hplan.robot.model import Robot
 
-#: Starts, and the most that may be asked for.
+#: Default and maximum number of starts.
 _SEEDS, MOST_SEEDS = 64, 100_000
 
-#: Solutions that differ by less in every joint are one [rad, m].
+#: Solutions that differ by less in every joint are duplicates [rad, m].
 SAME = 1e-3
 
 
@@ -41,28 +41,29 @@ def inverse_kinematics(
     locked: Sequence[str] = (),
     seed: int = 0,
 ) -> FloatArray:
-    """Configurations with a frame at a pose, each within the joint limits and to 1e-6 m and 1e-6 rad at least.
+    """Return configurations with a frame at a pose, within the joint limits.
+
+    Each one reaches the pose within 1e-6 m and 1e-6 rad.
 
     Args:
         pose: (4, 4) homogeneous matrix in `base_link` [m].
-        start: (dof,) configuration from which the arm comes; None for the middle of the joint ranges. Joints that do
-            not carry the frame keep its values.
+        start: (dof,) start configuration; None for the middle of the joint ranges. Joints that do not carry the frame
+            keep its values.
         frame: Name of the frame; None for the tool frame.
-        seeds: How many starts are tried.
-        free_turn: Whether the frame may be turned about its z axis.
+        seeds: Number of starts.
+        free_turn: Whether rotation about the frame's z axis is free.
         locked: Names of joints that keep their start values.
-        seed: Of the starts beyond the first two.
+        seed: Random seed of the starts beyond the first two.
 
     Returns:
-        (k, dof) configurations, k >= 1, each with turning joints at the whole turn nearest to the start; those that
-        differ by 1e-3 at least in some joint, the one first that is reached from the start in the shortest time at the
-        largest speeds.
+        (k, dof) configurations, k >= 1, pairwise different by at least 1e-3 in some joint. Each revolute joint is
+        at the whole turn nearest to the start. Sorted by the time to reach them from the start at maximum velocity.
 
     Raises:
-        UnreachableError: None was found from any start; that does not show that there is none.
-        InputError: A pose, start, frame or joint that is none.
+        UnreachableError: No start led to a solution; this does not prove that none exists.
+        InputError: A pose, start, frame or joint is invalid.
         JointLimitError: The start is outside the joint limits.
-        OptionError: An option that is none.
+        OptionError: An option is invalid.
     """
     middle = 0.5 * (robot.lower + robot.upper)
     begin = robot.check_configuration(middle if start is None else start, "start")
@@ -83,9 +84,9 @@ def inverse_kinematics(
 
 
 def spread_starts(robot: Robot, begin: FloatArray, chain: Chain, count: int, seed: int = 0) -> FloatArray:
-    """(count, dof) the configuration that the arm comes from, the middle of the ranges, others, by a seed.
+    """Return (count, dof) seeded starts: the given one, mid-range, and random others.
 
-    Joints that do not move, or do not move the frame, keep the values of the first.
+    Locked joints, and joints that do not move the frame, keep the values of the first start.
     """
     spread = np.random.default_rng(seed).random((max(0, count - 2), robot.dof))
     middle = 0.5 * (robot.lower + robot.upper)
@@ -94,19 +95,19 @@ def spread_starts(robot: Robot, begin: FloatArray, chain: Chain, count: int, see
 
 
 def checked_pose(pose: ArrayLike, name: str = "pose") -> FloatArray:
-    """The pose as an array.
+    """Return the pose as an array.
 
     Args:
-        name: What it is called.
+        name: Name of the pose in the error message.
 
     Raises:
-        InputError: It is no homogeneous matrix of a rotation and a place.
+        InputError: The pose is not a homogeneous matrix of a rotation and a position.
     """
     matrix = numbers(name, pose, (4, 4))
     turn = matrix[:3, :3]
     with np.errstate(over="ignore", invalid="ignore"):
         off = float(np.abs(turn.T @ turn - np.eye(3)).max())
-        # How far the columns of a rotation may be from orthonormal.
+        # Tolerance on the orthonormality of the rotation's columns.
         right_handed = off <= 1e-6 and float(np.linalg.det(turn)) > 0.0
     if not right_handed or np.abs(matrix[3] - [0.0, 0.0, 0.0, 1.0]).max() > 0.0:
         raise InputError(f"{name}: expected a (4, 4) homogeneous matrix of a rotation and a place", option=name)
@@ -114,11 +115,11 @@ def checked_pose(pose: ArrayLike, name: str = "pose") -> FloatArray:
 
 
 def chain_of(robot: Robot, pose: FloatArray, turn: float, name: str | None = None) -> Chain:
-    """The arrays of the kernels.
+    """Return the kernel arrays of the chain from base to frame.
 
     Args:
         pose: (4, 4) homogeneous matrix in `base_link`.
-        turn: What of it counts: `KEPT`, `ABOUT_Z`, `ANY_TURN` or `UPRIGHT`.
+        turn: Orientation constraint: `KEPT`, `ABOUT_Z`, `ANY_TURN` or `UPRIGHT`.
         name: Name of the frame; None for the tool frame.
     """
     frame = robot.model.frames[robot.frame_number(robot.tool_frame if name is None else name)]
@@ -139,7 +140,7 @@ def chain_of(robot: Robot, pose: FloatArray, turn: float, name: str | None = Non
 
 
 def distinct(robot: Robot, solutions: FloatArray, start: FloatArray, chain: Chain) -> FloatArray:
-    """Those of (k, dof) solutions that differ, the one nearest to the start first, as few turns from it as can be."""
+    """Return distinct (k, dof) solutions at the turns nearest to the start, nearest first."""
     near = solutions.copy()
     for joint in np.flatnonzero(chain.moves).tolist():
         if not joint_axis(robot, joint)[1]:

@@ -1,10 +1,10 @@
-"""Straight lines of a tool: to its goal along its axis (`Robot.tool_axis`), which does not turn, or to a pose.
+"""Straight tool lines: to the goal along the tool axis without tilting, or to a pose.
 
-The tool is drawn back from the goal along the axis by short steps (`hplan.kinematics.damped_steps.draw_back`); about
-the axis it may turn, or keeps its turn. Cubic splines lead through the configurations, as functions of the distance,
-with continuous second derivatives. A step that changes a joint by too much is not made: the arm is near a singular
-configuration there, or would go on in another branch. At a goal that is singular itself, as with a straight elbow, a
-first step that is much shorter shows it.
+The tool is drawn back from the goal along its axis (`Robot.tool_axis`) in short steps
+(`hplan.kinematics.damped_steps.draw_back`); rotation about the axis is free or fixed. Cubic splines interpolate the
+configurations as functions of the distance, with continuous second derivatives. A step that changes a joint by too much
+is rejected: the arm is near a singular configuration there, or would switch to another solution branch. A goal that is
+itself singular, for example with a straight elbow, is detected by a much shorter first step.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ from hplan.robot.model import Robot
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
 
-#: Longest step of the tool, and the least number of steps; it is a multiple of this, so that quarters are whole steps.
+#: Maximum step of the tool [m], and minimum number of steps; any number is a multiple of it, for whole quarters.
 STEP_M, _STEPS = 5e-3, 4
 
-#: The most that a joint may change for each metre of the tool: turning [rad/m], sliding [m/m].
+#: Maximum change of a joint per meter of tool motion: revolute [rad/m], prismatic [m/m].
 TURNING, _SLIDING = 25.0, 10.0
 
-#: Part of the first step in which no joint may change by more than that either.
+#: Fraction of the first step that is checked against the same limit, for singular goals.
 _AT_GOAL = 1.0 / 64.0
 
 
@@ -43,9 +43,9 @@ class Lines(NamedTuple):
     """Straight lines of the tool back from several goals.
 
     Attributes:
-        distances: (m,) distances of the tool from the goals, from 0 to the one asked for [m].
-        rows: (k, m, dof) configurations there; beyond `reached` the last one that is.
-        reached: (k,) how many of the distances can be had.
+        distances: (m,) distances of the tool from the goals, from 0 to the requested one [m].
+        rows: (k, m, dof) configurations at these distances; beyond `reached` the last one reached is repeated.
+        reached: (k,) number of distances reached.
     """
 
     distances: FloatArray
@@ -56,15 +56,15 @@ class Lines(NamedTuple):
 def lines_back(
     robot: Robot, goals: FloatArray, distance: float, *, locked: Sequence[str] = (), keeps_turn: bool = False
 ) -> Lines:
-    """Straight lines of the tool back from (k, dof) goals.
+    """Return straight tool lines back from (k, dof) goals.
 
     Args:
         goals: (k, dof) configurations within the limits.
-        distance: How far back [m].
-        keeps_turn: Whether the tool may not turn about the axis.
+        distance: Requested distance [m].
+        keeps_turn: Whether rotation of the tool about its axis is fixed.
 
     Raises:
-        InputError: A joint that does not exist.
+        InputError: A locked joint does not exist.
     """
     count = _STEPS * math.ceil(distance / (STEP_M * _STEPS))
     distances: FloatArray = distance * np.arange(count + 1) / count
@@ -85,19 +85,19 @@ def lines_back(
 def line_to(
     robot: Robot, start: FloatArray, pose: FloatArray, towards: FloatArray | None = None, *, locked: Sequence[str] = ()
 ) -> tuple[FloatArray, float]:
-    """Configurations with the tool on the straight line from where it is to a pose; its turn goes evenly with it.
+    """Return configurations along the straight tool line to a pose, with evenly changing orientation.
 
     Args:
         start: (dof,) configuration within the limits.
         pose: (4, 4) homogeneous matrix in `base_link`.
-        towards: (dof,) configuration to which joints go that the pose leaves free; None where they move least.
+        towards: (dof,) configuration that a redundant arm moves towards; None for minimum joint motion.
 
     Returns:
-        (m, dof) configurations close together, m >= 2, as many as are reached; and what fraction of the line that is.
+        (m, dof) closely spaced configurations, m >= 2, up to the last one reached; and the fraction of the line.
     """
     here = robot.forward_kinematics(start)
     shift, turn = pose[:3, 3] - here[:3, 3], pin.log3(here[:3, :3].T @ pose[:3, :3])
-    # Longest step of a tool that turns [rad]; it counts as `STEP_M`.
+    # Maximum step of a rotating tool [rad]; equivalent to `STEP_M`.
     steps = max(_STEPS, math.ceil(np.linalg.norm(shift) / STEP_M), math.ceil(np.linalg.norm(turn) / 0.03))
     on_line = [
         (here[:3, :3] @ pin.exp3(part * turn), here[:3, 3] + part * shift) for part in np.arange(steps + 1) / steps
@@ -105,8 +105,8 @@ def line_to(
     poses = np.array([np.append(rotation.ravel(), place) for rotation, place in on_line])
     poses[-1] = np.append(pose[:3, :3].ravel(), pose[:3, 3])
     chain = chain_of(robot, pose, KEPT)
-    # Lines to a pose keep so far from the joint limits, or as far as their start: a curve through them may pass them by
-    # a little [rad, m].
+    # Lines to a pose keep this distance from the joint limits, or the start's if smaller, because an interpolating
+    # curve may overshoot a little [rad, m].
     off_limits = 2e-3
     chain.lower[:] = np.minimum(robot.lower + off_limits, start)
     chain.upper[:] = np.maximum(robot.upper - off_limits, start)
@@ -120,12 +120,14 @@ def line_to(
 
 @dataclass(frozen=True, eq=False)
 class StraightLine(Record):
-    """A straight path of the tool from the stand-off to the goal; its parameter is the distance, scaled to `length`.
+    """A straight tool path from the stand-off to the goal.
+
+    The parameter is the tool's distance, scaled to `length`.
 
     Attributes:
         goal: (dof,) configuration at the goal.
-        standoff: Distance of the tool from its goal where the path begins [m].
-        keeps_turn: Whether the tool may not turn about its axis.
+        standoff: Distance of the tool from its goal at the start of the path [m].
+        keeps_turn: Whether rotation of the tool about its axis is fixed.
     """
 
     robot: Robot
@@ -136,7 +138,7 @@ class StraightLine(Record):
 
     @cached_property
     def _lines(self) -> Lines:
-        """The line."""
+        """The sampled line."""
         back = lines_back(self.robot, self.goal[None], self.standoff, locked=self.locked, keeps_turn=self.keeps_turn)
         if back.reached[0] < len(back.distances):
             largest = float(back.distances[back.reached[0] - 1])
@@ -146,7 +148,7 @@ class StraightLine(Record):
 
     @cached_property
     def _spline(self) -> CubicSpline:
-        """The joints over the distance from the goal."""
+        """The joint spline over the distance from the goal."""
         from scipy.interpolate import CubicSpline
 
         return CubicSpline(self._lines.distances, self._lines.rows[0])
@@ -163,13 +165,13 @@ class StraightLine(Record):
 
     @cached_property
     def breaks(self) -> FloatArray:
-        """Increasing parameters where the spline's pieces meet, the ends among them."""
+        """Increasing parameters of the spline's breakpoints, both ends included."""
         breaks = self.end * (1.0 - self._lines.distances[::-1] / self.standoff)
         breaks[-1] = self.end
         return frozen(breaks)
 
     def evaluate(self, s: ArrayLike, derivative: int = 0) -> FloatArray:
-        """Points or derivatives with respect to the parameter.
+        """Return points or derivatives with respect to the parameter.
 
         Args:
             s: (...) parameters in [0, end]; clipped to it.
@@ -182,8 +184,8 @@ class StraightLine(Record):
         distance, rate = self.standoff * (1.0 - fraction), -self.standoff / self.end
         values: FloatArray = self._spline(distance, derivative)
         if derivative > 0:
-            return values * rate**derivative + 0.0  # no zero has a sign
-        # Rounding, and what a spline leaves a limit by.
+            return values * rate**derivative + 0.0  # avoids negative zeros
+        # Clip rounding errors, and overshoot of the spline beyond a limit.
         q = np.minimum(np.maximum(values, self.robot.lower), self.robot.upper)
         q[distance == self.standoff], q[distance == 0.0] = self._lines.rows[0, -1], self.goal
         return q

@@ -1,16 +1,16 @@
-r"""Configurations of any robot with the tool at a point, whatever the direction that it comes from.
+r"""Configurations of any robot with the tool at a point, from any direction.
 
-The tool comes along the z axis of its frame, and may be turned about it. The *approach angle* is that of this axis
-against the horizontal, as a planar arm has it in its plane: 0 outward from the base, 90 degrees straight up, 180 back
-towards the base. With :math:`\hat\rho` the horizontal direction from the first joint to the point and :math:`\hat z`
-upward, the direction with the angle :math:`\alpha` and the heading :math:`\psi \in [-90, 90)` degrees is
+The tool approaches along the z axis of its frame; rotation about this axis is free. The *approach angle* is the angle
+of the axis against the horizontal, as for a planar arm in its plane: 0 is outward from the base, 90 degrees straight
+up, 180 back towards the base. With :math:`\hat\rho` the horizontal direction from the first joint to the point and
+:math:`\hat z` upward, the direction with the angle :math:`\alpha` and the heading :math:`\psi \in [-90, 90)` degrees is
 
 .. math:: \cos\alpha (\cos\psi \, \hat\rho + \sin\psi \, \hat z \times \hat\rho) + \sin\alpha \, \hat z.
 
-Directions are spread evenly over the sphere, or over that part of it that is asked for, always the same ones; for each
-the configurations are sought from several starts (`hplan.kinematics.damped_steps`). Others are sought without regard to
-the direction: an arm with fewer than five joints takes that which it has, and near the end of its reach any arm does.
-So what is found is reached, but what is not found need not be out of reach.
+A fixed set of directions is spread evenly over the sphere, or over the requested part of it. For each direction the
+configurations are computed from several starts (`hplan.kinematics.damped_steps`). A further search ignores the
+direction: an arm with fewer than five joints cannot choose it, nor can any arm near the boundary of its workspace.
+Every configuration returned reaches the point, but a point without one need not be out of reach.
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ from hplan.kinematics.damped_steps import ABOUT_Z, ANY_TURN, Chain, solve_each
 from hplan.kinematics.inverse_kinematics import MOST_SEEDS, chain_of, distinct, spread_starts
 from hplan.robot.model import Robot
 
-#: Directions that are tried, and from how many starts each.
+#: Number of directions, and number of starts for each.
 _COUNT, _STARTS = 64, 6
 
-#: Headings follow one another by this part of half a turn.
+#: Step between successive headings, as a fraction of half a turn (golden ratio).
 _GOLDEN = 0.5 * (5.0**0.5 - 1.0)
 
-#: A tool this near to the axis of its joint is on it [m].
+#: Distance from the joint axis below which a tool counts as on the axis [m].
 _ON_AXIS = 1e-9
 
 
@@ -49,21 +49,21 @@ def tool_at_point(
     start: ArrayLike | None = None,
     locked: Sequence[str] = (),
 ) -> Candidates:
-    """Configurations with the tool frame at a position, to 1e-6 m at least.
+    """Return configurations with the tool frame at a position, within 1e-6 m.
 
     Args:
         position: (3,) in `base_link` [m].
-        approach_deg: Approach angle, or an interval (low, high) of it; None for all [deg].
-        count: How many directions are tried.
-        start: (dof,) configuration from which the arm comes; None for the middle of the joint ranges.
+        approach_deg: Approach angle, or an interval (low, high) [deg]; None for all.
+        count: Number of directions.
+        start: (dof,) start configuration; None for the middle of the joint ranges.
         locked: Names of joints that keep their start values.
 
     Raises:
-        UnreachableError: The position is beyond the reach of the stretched arm, or no configuration was found; only the
-            first is a proof.
-        InputError: A position, start or joint that is none.
+        UnreachableError: The position is farther away than the stretched arm is long, or no configuration was found;
+            only the former is a proof.
+        InputError: A position, start or joint is invalid.
         JointLimitError: The start is outside the joint limits.
-        OptionError: An option that is none.
+        OptionError: An option is invalid.
     """
     place, window = numbers("position", position, (3,)), Window.of(approach_deg)
     directions = whole("count", count, 1, MOST_SEEDS)
@@ -75,7 +75,7 @@ def tool_at_point(
     pose[:3, 3] = place
     outward = _outward(robot, place)
     found: list[FloatArray] = []
-    # So many joints take a tool to a point with a direction.
+    # Minimum number of joints for a position and a tool direction.
     directed = 5
     for turn, towards in ((ABOUT_Z, _directions(outward, window, directions)), (ANY_TURN, outward[None])):
         chain = chain_of(robot, pose, turn)
@@ -99,7 +99,7 @@ def tool_at_point(
 
 
 def approach_angles(robot: Robot, configurations: FloatArray, position: FloatArray) -> FloatArray:
-    """(k,) approach angles, in (-pi, pi], of (k, dof) configurations with the tool at a (3,) position."""
+    """(k,) approach angles, in (-pi, pi], of (k, dof) configurations with the tool at (3,) `position`."""
     along = robot.forward_kinematics(configurations)[:, :3, 2]
     outward = _outward(robot, np.array(position))
     level = np.copysign(np.hypot(along[:, 0], along[:, 1]), along @ outward)
@@ -108,7 +108,7 @@ def approach_angles(robot: Robot, configurations: FloatArray, position: FloatArr
 
 
 def _check_reach(robot: Robot, place: FloatArray) -> None:
-    """Refuse a (3,) position that is farther from the first joint than the stretched arm is long."""
+    """Refuse a (3,) position farther from the first joint than the stretched arm."""
     model = robot.model
     chain = carriers(robot, robot.tool_joint - 1)
     if not chain:
@@ -126,7 +126,7 @@ def _check_reach(robot: Robot, place: FloatArray) -> None:
 
 
 def _outward(robot: Robot, place: FloatArray) -> FloatArray:
-    """(3,) horizontal unit vector from the first joint to a (3,) position; x of the base where that is above it."""
+    """(3,) horizontal unit vector from the first joint to a position; base x if directly above."""
     away: FloatArray = place - robot.model.jointPlacements[1].translation
     away[2] = 0.0
     length = float(np.linalg.norm(away))
@@ -134,11 +134,14 @@ def _outward(robot: Robot, place: FloatArray) -> FloatArray:
 
 
 def _directions(outward: FloatArray, window: Window | None, count: int) -> FloatArray:
-    """(count, 3) unit vectors, spread evenly over those with an approach angle in a window; see the module's text."""
+    """(count, 3) unit vectors spread evenly over a window of approach angles.
+
+    See the module docstring for the parametrization.
+    """
     low, width = (-np.pi, 2.0 * np.pi) if window is None else (window.low, window.width)
-    # Angles at which the spread of directions is measured.
+    # Angles for the numerical integration of the density of directions.
     angles = low + width * np.linspace(0.0, 1.0, 721)
-    # Of directions that are asked for, those near the vertical count as if they were so far from it: there are few.
+    # Lower bound on the density: otherwise a requested window near the vertical would get very few directions.
     least_cosine = 0.05
     density = np.maximum(np.abs(np.cos(angles)), least_cosine)
     share = np.concatenate([[0.0], np.cumsum(density[:-1] + density[1:])])
@@ -152,13 +155,13 @@ def _directions(outward: FloatArray, window: Window | None, count: int) -> Float
 
 
 def _solved(robot: Robot, begin: FloatArray, chain: Chain, directions: FloatArray, count: int) -> FloatArray:
-    """(k, dof) configurations with the frame at the chain's place and its z axis along one of (n, 3) directions.
+    """(k, dof) configurations with the frame at the chain's position, z along a direction.
 
     Args:
-        begin: (dof,) configuration from which the arm comes.
-        chain: The robot as arrays, with the place.
+        begin: (dof,) start configuration.
+        chain: The robot as arrays, with the position.
         directions: (n, 3) unit vectors.
-        count: From how many starts each is looked for.
+        count: Number of starts for each direction.
     """
     starts = spread_starts(robot, begin, chain, 1 + len(directions) * (count - 1))
     starts = np.concatenate([np.broadcast_to(begin, (len(directions), robot.dof)), starts[1:]])
@@ -173,7 +176,10 @@ def _solved(robot: Robot, begin: FloatArray, chain: Chain, directions: FloatArra
 
 
 def _spinning(robot: Robot, chain: Chain) -> list[int]:
-    """The joint that does nothing but turn the tool about its z axis, if there is one: it can stay as it is."""
+    """Return the joint that only rotates the tool about its z axis, if any.
+
+    Such a joint can keep its value.
+    """
     carrier = int(chain.carrier[0])
     if carrier == robot.dof:
         return []

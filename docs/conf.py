@@ -1,4 +1,4 @@
-"""The documentation as a site: `sphinx-build -W -b html docs docs/_build` (extra `docs`; Chromium for the gallery)."""
+"""Sphinx configuration: `sphinx-build -W -b html docs docs/_build` (extra `docs`; the gallery needs Chromium)."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ exclude_patterns = ["_build", "pictures"]
 myst_enable_extensions = ["dollarmath", "colon_fence"]
 myst_heading_anchors = 4
 
-#: `name` in a docstring is code.
+#: Single backticks in a docstring mark code.
 default_role = "code"
 
 html_theme, html_title = "furo", "hplan"
 html_math_renderer = "mathml"
 html_static_path, html_css_files = ["site.css"], ["site.css"]
-html_extra_path = ["generated/extra"]  # pages and pictures of the gallery
+html_extra_path = ["generated/extra"]  # gallery pages and pictures
 html_show_copyright = False
 html_copy_source = False
 
-# What the reference says of a name is in its docstring: arguments, attributes, what it raises.
+# Docstrings are the only source of the reference: arguments, attributes, exceptions.
 autodoc_member_order = "bysource"
 autodoc_typehints_format = "short"
 autodoc_inherit_docstrings = False

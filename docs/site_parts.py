@@ -1,8 +1,8 @@
-"""What the site is made of beside its pages: commands from their parsers, the reference from the package, formulas.
+"""Generated parts of the site: command pages, the API reference, the gallery, formulas.
 
-The directive `command` of a page gives what `hplan plan --help` says. The reference has a page for each room of the
-package (`docs/generated/reference`) with the names that are public: those of `hplan.__all__` and of the rooms' own, and
-those that a page of the documentation or an example imports. Formulas become MathML, which needs no script.
+The directive `command` of a page inserts the text of `hplan plan --help`. The reference has a page for each subpackage
+(`docs/generated/reference`) with its public names: the members of `hplan.__all__` and of the subpackages' own
+`__all__`, and names imported by a documentation page or an example. Formulas become MathML, which needs no script.
 """
 
 from __future__ import annotations
@@ -37,17 +37,17 @@ DOCS = Path(__file__).parent
 ROOT = DOCS.parent
 PACKAGE, EXAMPLES = ROOT / "hplan", ROOT / "scripts" / "examples"
 REFERENCE, GALLERY = DOCS / "generated" / "reference", DOCS / "generated" / "gallery"
-#: What goes into the site as it is: pages of motions, pictures.
+#: Files copied to the site unchanged: pages of motions, pictures.
 EXTRA = DOCS / "generated" / "extra" / "motions"
 
 
 class Command(Directive):
-    """Usage, arguments and options of a command, as its parser has them."""
+    """Usage, arguments and options of a command, generated from its parser."""
 
     optional_arguments = 1
 
     def run(self) -> list[nodes.Node]:
-        """What `hplan NAME --help` says; without a name a table of all commands."""
+        """Return the text of `hplan NAME --help`; without a name a table of all commands."""
         if self.arguments:
             name = self.arguments[0]
             lines = _command_lines(importlib.import_module(f"hplan.apps.cli.{name}").parser(f"hplan {name}"))
@@ -60,7 +60,7 @@ class Command(Directive):
 
 
 def _command_lines(parser: argparse.ArgumentParser) -> Iterator[str]:
-    """Markdown of a parser."""
+    """Yield the Markdown of a parser."""
     yield from (" ".join((parser.description or "").split()), "", "```text")
     yield from (*parser.format_usage().splitlines(), "```", "")
     usual = {"positional arguments", "options"}
@@ -77,7 +77,7 @@ _ASIDE = (argparse._HelpAction, argparse._VersionAction)
 
 
 def _row(action: argparse.Action) -> str:
-    """An argument or option as a row of a table."""
+    """Return the table row of an argument or option."""
     shown = argparse.HelpFormatter("", width=200)._format_action_invocation(action)
     text = (action.help or "") % (vars(action) | {"prog": ""})
     return "| `{}` | {} |".format(*(part.replace("|", "\\|") for part in (shown, text)))
@@ -87,7 +87,7 @@ def _row(action: argparse.Action) -> str:
 
 
 def public_names() -> dict[str, dict[str, str]]:
-    """Paths of the public names by their room, each with the module that it is documented in; every name once."""
+    """Paths of the public names by subpackage, each once, with the documenting module."""
     rooms: dict[str, dict[str, str]] = {"hplan": {}}
     seen: set[int] = set()
     listed = [_module(path) for path in sorted(PACKAGE.rglob("__init__.py"), key=lambda path: len(path.parts))]
@@ -114,7 +114,7 @@ def _module(init: Path) -> str:
 
 
 def _imported_by_docs() -> set[tuple[str, str]]:
-    """What pages and examples import from the package: module and name."""
+    """Module and name of all imports from the package in pages and examples."""
     pages = "\n".join(path.read_text(encoding="utf-8") for path in [ROOT / "README.md", *DOCS.glob("*.md")])
     texts = [block for _, block in code_blocks(pages, "python")]
     texts += [path.read_text(encoding="utf-8") for path in EXAMPLES.glob("*.py")]
@@ -127,13 +127,13 @@ def _imported_by_docs() -> set[tuple[str, str]]:
 
 
 def code_blocks(page: str, *languages: str) -> list[tuple[str, str]]:
-    """Language and text of the fenced blocks of a page, in their order."""
+    """Language and text of a page's fenced blocks, in order."""
     found = re.findall(r"^```(\w+)\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)
     return [(language, text) for language, text in found if language in languages]
 
 
 def _reference_page(room: str, names: dict[str, str]) -> str:
-    """A room's page: what the room is for, then its names."""
+    """Return the page of a subpackage: its purpose, then its names."""
     doc = inspect.getdoc(importlib.import_module(room)) or ""
     lines = [f"# {room}", "", doc, ""]
     for path, module in names.items():
@@ -142,7 +142,7 @@ def _reference_page(room: str, names: dict[str, str]) -> str:
 
 
 def _entry(path: str, module: str) -> list[str]:
-    """A name as reStructuredText."""
+    """Return the reStructuredText entry of a name."""
     name = path.rpartition(".")[2]
     value = getattr(importlib.import_module(module), name)
     if inspect.isclass(value):
@@ -153,7 +153,7 @@ def _entry(path: str, module: str) -> list[str]:
 
 
 def _comment(module: str, name: str) -> list[str]:
-    """The `#:` comment of a constant, where it is assigned."""
+    """Return the `#:` comment above a constant's assignment."""
     tree = ast.parse(inspect.getsource(importlib.import_module(module)))
     for node in ast.walk(tree):
         if isinstance(node, ast.ImportFrom) and any(alias.name == name for alias in node.names):
@@ -162,7 +162,7 @@ def _comment(module: str, name: str) -> list[str]:
 
 
 def write_reference(_: Any = None) -> None:
-    """A page for each room that has public names, and one that leads to them."""
+    """Write a page for each subpackage with public names, and an index page."""
     REFERENCE.mkdir(parents=True, exist_ok=True)
     rooms = {room: names for room, names in public_names().items() if names}
     for room, names in rooms.items():
@@ -174,30 +174,30 @@ def write_reference(_: Any = None) -> None:
 
 
 def _write(path: Path, text: str) -> None:
-    """Write a page if it says something else: what stays need not be read again."""
+    """Write a page only if its text changed, so that Sphinx skips unchanged pages."""
     if not path.is_file() or path.read_text(encoding="utf-8") != text:
         path.write_text(text, encoding="utf-8")
 
 
 def _as_rst(_app: Sphinx, what: str, _name: str, _obj: Any, _options: Any, lines: list[str]) -> None:
-    """Docstrings are written for readers of source: bars and stars mean themselves, but in formulas."""
+    """Escape asterisks and bars in docstrings, except in formulas: they are literal there."""
     for number, line in enumerate(lines):
         if what != "module":
             parts = line.split("`")
             parts[::2] = [re.sub(r"[|*]|(?<=\w)_(?!\w)", r"\\\g<0>", part) for part in parts[::2]]
             lines[number] = "`".join(parts)
     if what == "property":
-        lines.insert(0, "")  # or napoleon takes the words before a colon for a type
+        lines.insert(0, "")  # prevents napoleon from parsing the words before a colon as a type
 
 
 # The gallery.
 
 
 def write_gallery(_: Any = None) -> None:
-    """Run the examples whose page is older than the package, draw them, and write a page for each."""
+    """Run and draw the outdated examples, and write a page for each example."""
     GALLERY.mkdir(parents=True, exist_ok=True)
     newest = max(path.stat().st_mtime for path in [*PACKAGE.rglob("*.py"), *PACKAGE.rglob("*.js")])
-    # What needs ROS runs where ROS is.
+    # Examples that need ROS run only on a machine with ROS.
     shown = sorted(path for path in EXAMPLES.glob("*.py") if "import rclpy" not in path.read_text(encoding="utf-8"))
     old = [path for path in shown if not _is_newer(EXTRA / f"{path.stem}.txt", max(newest, path.stat().st_mtime))]
     draw = [sys.executable, str(ROOT / "scripts" / "make_pictures.py"), "--gallery", str(EXTRA)]
@@ -219,7 +219,7 @@ def _is_newer(path: Path, than: float) -> bool:
 
 
 def _docstring(path: Path) -> tuple[str, str]:
-    """First sentence of an example's docstring, and all of it."""
+    """First sentence of an example's docstring, and the whole docstring."""
     text = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
     return text.split("\n")[0], text
 
@@ -230,13 +230,13 @@ def _title(name: str) -> str:
 
 def _card(path: Path) -> str:
     name = path.stem
-    is_drawn = (EXTRA / f"{name}.png").is_file()  # not where there is no Chromium
+    is_drawn = (EXTRA / f"{name}.png").is_file()  # False without Chromium
     picture = f'<img src="../../motions/{name}.png" alt="" loading="lazy">' if is_drawn else ""
     return f'<a href="{name}.html">{picture}<b>{_title(name)}</b><span>{html.escape(_docstring(path)[0])}</span></a>\n'
 
 
 def _example_page(path: Path) -> str:
-    """What an example does, its page to be played or its picture, what it prints, its source."""
+    """Return an example's page: description, player or picture, output, source."""
     name, said = path.stem, (EXTRA / f"{path.stem}.txt").read_text(encoding="utf-8")
     if (EXTRA / f"{name}.html").is_file():
         shown = f'<iframe class="motion" src="../../motions/{name}.html" title="{name}" loading="lazy"></iframe>'
@@ -260,10 +260,10 @@ def _display(translator: Any, node: nodes.math_block) -> None:
 
 
 def check_links(app: Sphinx, exception: Exception | None) -> None:
-    """Every address within the site leads to a file, and to something of that name in it.
+    """Check that every link within the site leads to an existing file and anchor.
 
     Raises:
-        SphinxError: One does not.
+        SphinxError: A link is broken.
     """
     if exception is not None or app.builder.format != "html":
         return
@@ -287,10 +287,12 @@ def check_links(app: Sphinx, exception: Exception | None) -> None:
 
 
 def check_widths(app: Sphinx, exception: Exception | None) -> None:
-    """Nothing of a page stands out of a desktop's window or a phone's, but what scrolls in itself; needs Chromium.
+    """Check that no page overflows the window of a desktop or a phone.
+
+    Elements that scroll by themselves are exempt. Needs Chromium.
 
     Raises:
-        SphinxError: Something does.
+        SphinxError: A page overflows.
     """
     if exception is not None or app.builder.format != "html" or shutil.which("chromium") is None:
         return
@@ -311,7 +313,7 @@ def check_widths(app: Sphinx, exception: Exception | None) -> None:
         raise SphinxError("cut off:\n" + "\n".join(found[1:]))
 
 
-#: Opens each page in windows of two widths, one after the other, and writes down what stands out of them.
+#: Opens each page at two window widths, one after the other, and records the overflowing elements.
 _MEASURE = """<!DOCTYPE html><body><script>
 (async () => {
   const found = [];
@@ -341,8 +343,8 @@ _MEASURE = """<!DOCTYPE html><body><script>
 
 
 def setup(app: Sphinx) -> dict[str, Any]:
-    """Make the parts known to Sphinx."""
-    EXTRA.mkdir(parents=True, exist_ok=True)  # Sphinx looks for it before there is anything in it
+    """Register the directive, the math renderer and event handlers with Sphinx."""
+    EXTRA.mkdir(parents=True, exist_ok=True)  # Sphinx requires it before it has any files
     app.add_directive("command", Command)
     app.add_html_math_renderer("mathml", (_inline, None), (_display, None))
     app.connect("builder-inited", write_reference)

@@ -1,19 +1,19 @@
-r"""Inverse kinematics of a planar chain with up to three free joints: all its solutions, in closed form.
+r"""Closed-form inverse kinematics of a planar chain: all solutions for up to three free joints.
 
-Joints that are held make rigid pieces of the links between free joints, so a chain with m free joints is one of m
-links. Write points of the plane as complex numbers, :math:`l_k` for the lengths and :math:`\alpha_k` for the absolute
-angles of those links: the tool is at :math:`\sum_k l_k e^{i \alpha_k}`. Two links reach a point at distance r with
-the angle :math:`e` or :math:`-e` between them,
+Locked joints merge the links between free joints into rigid links, so a chain with m free joints has m links. Write
+points of the plane as complex numbers, :math:`l_k` for the lengths and :math:`\alpha_k` for the absolute angles of
+those links: the tool is at :math:`\sum_k l_k e^{i \alpha_k}`. Two links reach a point at distance r with the angle
+:math:`e` or :math:`-e` between them,
 
 .. math::
     \cos e = \frac{r^2 - l_1^2 - l_2^2}{2 l_1 l_2}, \qquad
     \alpha_1 = \arg p \mp \arg(l_1 + l_2 e^{i e}), \qquad \alpha_2 = \alpha_1 \pm e.
 
-With three, :math:`\alpha_3` is free. Along it, on either side of the elbow, a joint comes to one of its limits only
-where the two links that this limit leaves (one joint held, its neighbours made one rigid piece) reach the point, and
-the two sides meet where the elbow is straight or folded. These *corners*, at most 16, are closed-form solutions
-themselves. Between neighbouring corners the same limits are kept throughout, so one look at the middle tells which
-intervals are feasible: none is overlooked, however narrow.
+With three links, :math:`\alpha_3` is free. As it varies, on either side of the elbow, a joint comes to one of its
+limits only if the two links left by this limit (one joint locked, its neighbors merged into one rigid link) reach the
+point, and the two sides meet if the elbow is straight or folded. These *corners*, at most 16, are closed-form solutions
+themselves. Between neighboring corners the same limits are satisfied throughout, so a check of the midpoint decides the
+feasibility of the whole interval: no interval is missed, however narrow.
 """
 
 from __future__ import annotations
@@ -30,15 +30,15 @@ from hplan.base.elementary import arccos, arctan2, argument, modulus
 from hplan.kinematics.approach_angles import WINDOW_TOLERANCE, Window, above
 from hplan.robot.planar_family import PlanarArm
 
-#: A joint this far beyond its limit is put on it [rad].
+#: A joint this far beyond its limit is clamped to the limit [rad].
 ANGLE_TOLERANCE = 1e-10
 
-#: Arms with no joint left to adjust reach a point from which they are this far away [m].
+#: Position tolerance for arms without a free joint [m].
 MATCH_TOLERANCE = 1e-6
 
 _SIDES = np.array([1.0, -1.0])
 
-#: Directions of the last link tried where limits are set aside, and how often the best is refined.
+#: Number of last-link directions tried with the limits ignored, and number of refinements of the best.
 _TRIED, _CLOSER = 720, 3
 
 
@@ -47,7 +47,7 @@ class Reached(Record):
     """Configurations that reach points.
 
     Attributes:
-        point: (k,) which point each reaches.
+        point: (k,) index of the point reached.
         joints: (k, m) angles of the free joints.
         direction: (k,) absolute angle of the last link.
     """
@@ -59,16 +59,16 @@ class Reached(Record):
 
 @dataclass(frozen=True, eq=False)
 class FreeChain(Record):
-    """The last links of a planar arm as a chain of those joints that are free; see the module's text.
+    """The last links of a planar arm as a chain of free joints; see the module docstring.
 
     Attributes:
-        free: Indices of the free planar joints, m of them.
-        lengths: (m,) lengths of the rigid pieces [m].
+        free: Indices of the m free planar joints.
+        lengths: (m,) lengths of the rigid links [m].
         signs: (m,) +1 or -1, sense of each joint.
-        offsets: (m,) relative angles of the pieces at q = 0.
+        offsets: (m,) relative angles of the links at q = 0.
         lower: (m,) lower joint limits.
         upper: (m,) upper joint limits.
-        tail: Angle from the last piece's chord to the arm's last link.
+        tail: Angle from the last rigid link's chord to the arm's last link.
     """
 
     free: tuple[int, ...]
@@ -81,11 +81,11 @@ class FreeChain(Record):
 
     @classmethod
     def of(cls, arm: PlanarArm, free: tuple[int, ...], held: FloatArray) -> FreeChain:
-        """The chain from the first free joint on.
+        """Return the chain from the first free joint on.
 
         Args:
             free: Indices of the free joints, increasing, at most three.
-            held: (n,) values of the joints; only those of joints that are held count.
+            held: (n,) joint values; values of free joints are ignored.
         """
         relative = arm.signs * held + arm.offsets
         ends = [*free[1:], arm.link_count][: len(free)]
@@ -105,7 +105,10 @@ class FreeChain(Record):
         )
 
     def joints(self, absolute: FloatArray) -> FloatArray:
-        """Joint angles (..., m) for absolute angles (..., m) of the pieces, each the first one not below its limit."""
+        """Joint angles (..., m) for absolute link angles (..., m).
+
+        Each is the smallest equivalent angle not below its lower limit.
+        """
         relative = absolute.copy()
         relative[..., 1:] -= absolute[..., :-1]
         q = self.signs * (relative - self.offsets) - self.lower
@@ -113,24 +116,24 @@ class FreeChain(Record):
         return q
 
     def keeps_limits(self, q: FloatArray) -> BoolArray:
-        """Mask of the (..., m) joint angles, as `joints` gives them, that are within the limits."""
+        """Mask of the (..., m) joint angles, as returned by `joints`, that are within the limits."""
         kept: BoolArray = np.all(q <= self.upper + ANGLE_TOLERANCE, axis=-1)
         return kept
 
     def reach(self, points: ComplexArray, turns: FloatArray, window: Window | None, count: int) -> Reached:
-        """All configurations that reach points; of a continuum the ends and about `count` in between.
+        """Return all configurations that reach points; continua are given by ends and samples.
 
         Args:
-            points: (b,) points, seen from the first free joint, along and across the piece before it [m].
-            turns: (b,) absolute angle of that piece.
-            window: Absolute angles of the last link to keep to; None for all.
-            count: Configurations between the ends of continua, in all.
+            points: (b,) points relative to the first free joint, along and across the link before it [m].
+            turns: (b,) absolute angle of that link.
+            window: Window of allowed absolute angles of the last link; None for all.
+            count: Total number of samples between the ends of the continua.
         """
         if len(self.free) == 3 and (window is None or window.width > 0.0):
             low = None if window is None else window.low - turns - self.tail
             index, absolute = self._sampled(points, low, 0.0 if window is None else window.width, count)
         elif window is not None and len(self.free) == 3:
-            # Where the elbow is straight, or a joint at its limit, the corners are the more exact ones.
+            # At a straight elbow or a joint limit, the corners are the more exact solutions.
             corners, solved = self._corners(points)
             index, absolute = self._directed(points, (window.low - turns - self.tail)[:, None])
             index = np.concatenate([index, np.nonzero(solved)[0]])
@@ -146,7 +149,7 @@ class FreeChain(Record):
         return Reached(index[kept], q, direction[kept])
 
     def feasible_directions(self, points: ComplexArray, turns: FloatArray) -> list[tuple[float, float]]:
-        """Intervals (low, high) of the last link's absolute angle with which points are reached, of all points."""
+        """Intervals (low, high) of the last link's absolute angle that reach the points, merged."""
         found = self.reach(points, turns, None, 1)
         spans = [(float(angle), 0.0) for angle in found.direction]
         if len(self.free) == 3:
@@ -157,13 +160,13 @@ class FreeChain(Record):
         return _merged(spans)
 
     def violations(self, points: ComplexArray) -> tuple[IntArray, FloatArray, FloatArray]:
-        """Solutions with limits set aside, and how far each joint is then beyond its limits.
+        """Return solutions that ignore the limits, and the violation of each joint limit.
 
-        Of three free joints, the corners, and directions of the last link at small intervals, smaller ones near the
-        least sum.
+        For three free joints these are the corners, and directions of the last link at small intervals, refined around
+        the minimum total violation.
 
         Returns:
-            (k,) which point, (k, m) joint angles, (k, m) distances from the range of each joint, 0 in it.
+            (k,) index of the point, (k, m) joint angles, (k, m) distances of each joint from its range, 0 inside.
         """
         if len(self.free) < 3:
             index, absolute = self._isolated(points)
@@ -184,13 +187,13 @@ class FreeChain(Record):
         return index, np.concatenate([q, at_corner]), np.concatenate([excess, beyond])
 
     def _excess(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Joint angles, whole turns taken off where that brings them nearer to their range, and their distance."""
+        """Joint angles, shifted by whole turns towards their ranges, and their distances from these."""
         below = q > 0.5 * (self.lower + self.upper) + np.pi
         q = np.where(below & ~(q <= self.upper), q - math.tau, q)
         return q, np.maximum(np.maximum(self.lower - q, q - self.upper), 0.0)
 
     def _isolated(self, points: ComplexArray) -> tuple[IntArray, FloatArray]:
-        """Number of the point, and absolute angles, for fewer than three free joints."""
+        """Index of the point, and absolute angles, for fewer than three free joints."""
         count = len(self.free)
         if count == 2:
             first, second, ok = _both_elbows(self.lengths[0], self.lengths[1], points)
@@ -199,20 +202,20 @@ class FreeChain(Record):
         return np.flatnonzero(ok), argument(points)[ok, None][:, :count]
 
     def _with_last(self, points: ComplexArray, last: FloatArray) -> tuple[FloatArray, BoolArray]:
-        """(..., 2, 3) absolute angles of three pieces, that of the last given, and whether they are solutions."""
+        """(..., 2, 3) absolute angles of three links, given the last one, and a mask of the solutions."""
         l1, l2, l3 = self.lengths
         first, second, ok = _both_elbows(l1, l2, points - l3 * np.exp(1j * last))
         return np.stack([first, second, np.broadcast_to(last[..., None], first.shape)], axis=-1), ok
 
     def _directed(self, points: ComplexArray, last: FloatArray) -> tuple[IntArray, FloatArray]:
-        """Number of the point, and absolute angles, for (b, j) absolute angles of the last of three pieces."""
+        """Index of the point, and absolute angles, for (b, j) absolute angles of the last of three links."""
         absolute, ok = self._with_last(points[:, None], last)
         return np.nonzero(ok)[0], absolute[ok]
 
     def _sampled(
         self, points: ComplexArray, low: FloatArray | None, width: float, count: int
     ) -> tuple[IntArray, FloatArray]:
-        """Number of the point, and absolute angles: the corners, and samples of what is feasible between them."""
+        """Index of the point, and absolute angles: corners, and samples of the feasible intervals."""
         corners, solved = self._corners(points)
         start, widths, feasible = self._intervals(points, corners, low, width)
         index, found = [np.nonzero(solved)[0]], [corners[solved]]
@@ -232,11 +235,11 @@ class FreeChain(Record):
         return np.concatenate(index), np.concatenate(found)
 
     def _corners(self, points: ComplexArray) -> tuple[FloatArray, BoolArray]:
-        """Solutions of the corners' two-link problems, both sides of each.
+        """Return both solutions of each corner's two-link problem.
 
         Returns:
-            (b, 16, 3) absolute angles of the three pieces at the corners: the first joint at its limits, the second at
-            its limits, straight or folded, the third at its limits; and (b, 16) whether there is a solution.
+            (b, 16, 3) absolute angles of the three links at the corners: the first joint at its limits, the second at
+            its limits, straight or folded, the third at its limits; and (b, 16) mask of existing solutions.
         """
         l1, l2, l3 = self.lengths
         ends = self.signs * np.stack([self.lower, self.upper]) + self.offsets
@@ -260,7 +263,10 @@ class FreeChain(Record):
     def _intervals(
         self, points: ComplexArray, corners: FloatArray, low: FloatArray | None, width: float
     ) -> tuple[FloatArray, FloatArray, BoolArray]:
-        """Intervals of the last piece's angle between corners: (b, j) starts and widths, (b, 2, j) feasible elbows."""
+        """Intervals of the last link's angle between corners, with their feasible elbow sides.
+
+        (b, j) starts and widths, and (b, 2, j) mask of the feasible sides.
+        """
         cuts = corners[..., 2] % math.tau
         if low is not None:
             cuts = np.concatenate([cuts, (low[:, None] + [0.0, width]) % math.tau], axis=1)
@@ -277,19 +283,19 @@ class FreeChain(Record):
 def _both_elbows(
     l1: FloatArray | float, l2: FloatArray | float, points: ComplexArray
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """(..., 2) absolute angles of two links that reach points, elbow to either side, and whether they are solutions.
+    """(..., 2) absolute angles of two links that reach points, and a mask of the solutions.
 
-    A straight or folded elbow is one configuration, not two.
+    The two solutions have the elbow on either side; a straight or folded elbow is a single configuration.
     """
     distance = modulus(points)
     product = np.maximum(2.0 * l1 * l2, 1e-300)
     squares, square = l1 * l1 + l2 * l2, distance * distance
     cos = (square - squares) / product
-    # Rounding of the last digit would bend a straight elbow by 1e-8; nearer than that it is straight, or folded.
+    # Rounding in the last digit would bend a straight elbow by 1e-8; a closer one counts as straight, or folded.
     cos = np.where(np.abs(cos) >= 1.0 - 1e-15 * (square + squares) / product, np.copysign(1.0, cos), cos)
     bend = arccos(cos)
     half = arctan2(l2 * np.sin(bend), l1 + l2 * cos)
-    # A point this far out of reach is reached by a straight or folded arm [m].
+    # A straight or folded arm reaches a point this far out of range [m].
     reach_tolerance = 1e-10
     ok = (distance <= l1 + l2 + reach_tolerance) & (distance >= np.abs(l1 - l2) - reach_tolerance)
     first = argument(points)[..., None] - _SIDES * half[..., None]
@@ -297,14 +303,14 @@ def _both_elbows(
 
 
 def _merged(spans: list[tuple[float, float]]) -> list[tuple[float, float]]:
-    """Intervals (low, width) of angles as few intervals (low, high), from low in (-pi, pi] on."""
+    """Merge intervals (low, width) of angles into disjoint (low, high), low in (-pi, pi]."""
     merged: list[list[float]] = []
     for low, width in sorted(((np.pi - (np.pi - low) % math.tau, width) for low, width in spans)):
         if merged and low <= merged[-1][1] + WINDOW_TOLERANCE:
             merged[-1][1] = max(merged[-1][1], low + width)
         else:
             merged.append([low, low + width])
-    # The last may run on into the first.
+    # The last interval may wrap around into the first.
     while len(merged) > 1 and merged[-1][1] >= merged[0][0] + math.tau - WINDOW_TOLERANCE:
         first = merged.pop(0)
         merged[-1][1] = max(merged[-1][1], first[1] + math.tau)

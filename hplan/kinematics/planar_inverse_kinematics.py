@@ -1,13 +1,14 @@
-r"""Inverse kinematics: all configurations with the tool at a point, or the reason why there is none.
+r"""Inverse kinematics of planar arms: all configurations with the tool at a point.
 
-The yaw that brings a point into the arm plane is found first. Let the plane pass the yaw axis at the distance d and the
-point stand at the distance :math:`\rho` from it. Then the point lies :math:`\pm\sqrt{\rho^2 - d^2}` from the axis along
-the plane: there are two yaws, one with the point ahead of the axis, one with the point behind it. What is nearer to the
-axis than the plane is in it at no yaw; where the plane holds the axis, a point on that lies in it at any yaw.
+If none exists, the error gives the reason. The yaw that brings a point into the arm plane is computed first. Let the
+plane have the distance d from the yaw axis and the point the distance :math:`\rho`. Then the point lies
+:math:`\pm\sqrt{\rho^2 - d^2}` from the axis along the plane: there are two yaws, one with the point ahead of the axis,
+one with the point behind it. A point with :math:`\rho < d` is in the plane at no yaw; if the plane contains the axis, a
+point on the axis is in the plane at every yaw.
 
-In the plane the chain of `hplan.kinematics.planar_chain` is left. Its free parameter, with three joints, is the
-*approach angle*: the absolute angle of the last link in the arm plane, 0 along the plane's horizontal axis, 90 degrees
-straight up. Joints beyond three are set to values of a grid, the ones nearest the base first.
+The in-plane problem is solved by the chain of `hplan.kinematics.planar_chain`. With three joints, its free parameter is
+the *approach angle*: the absolute angle of the last link in the arm plane, 0 along the plane's horizontal axis,
+90 degrees straight up. Joints beyond three take values from a grid, starting with those nearest to the base.
 """
 
 from __future__ import annotations
@@ -30,16 +31,16 @@ from hplan.kinematics.approach_angles import Candidates, Window
 from hplan.kinematics.planar_chain import ANGLE_TOLERANCE, MATCH_TOLERANCE, FreeChain, Reached
 from hplan.robot.model import Robot
 
-#: Configurations between the ends of continua, where no number is given.
+#: Default number of samples between the ends of continua.
 _COUNT = 32
 
-#: Yaws tried for a point on the yaw axis, where no start is given.
+#: Number of yaws tried for a point on the yaw axis without a start configuration.
 AXIS_YAWS = 5
 
-#: Joints are not said to pass a limit by less than this [rad].
+#: Violations of a joint limit below this are not reported [rad].
 ROUNDING = 1e-8
 
-#: Where a joint may turn by many whole turns, values farther than this from its start are left out [rad].
+#: For a joint with a range of several turns, values farther than this from its start are omitted [rad].
 _FARTHEST = 2.0 * math.tau
 
 
@@ -52,26 +53,25 @@ def reach(
     start: ArrayLike | None = None,
     locked: Sequence[str] = (),
 ) -> Candidates:
-    """All configurations that put the tool frame at a position.
+    """Return all configurations with the tool frame at a position.
 
-    Where they form continua, these are given by their ends, which are exact, and by about `count` samples spread
-    evenly over the approach angles in between; every continuum shows at least in its ends. Where a joint may turn by
-    a whole turn or more, each of its values within two turns of the start (without one, of the middle of its range) is
-    given. The tool is within 1e-9 m of the position; where locked joints
-    leave no joint to adjust, or no yaw, within 1e-6 m.
+    A continuum of configurations is represented by its exact ends and about `count` samples, spread evenly over the
+    approach angles in between; every continuum is represented by at least its ends. For a joint with a range of a whole
+    turn or more, all of its equivalent values within two turns of the start (by default, of the middle of its range)
+    are returned. The tool is within 1e-9 m of the position, or within 1e-6 m if the locked joints leave no free joint
+    or no free yaw.
 
     Args:
         position: (3,) in `base_link` [m].
-        approach_deg: Approach angle, or an interval (low, high) of it; None for all [deg].
-        count: Number of samples of the continua in all.
-        start: (dof,) configuration from which the arm comes: the values of locked joints, and the yaw for a point on
-            the yaw axis.
+        approach_deg: Approach angle, or an interval (low, high) [deg]; None for all.
+        count: Total number of samples of the continua.
+        start: (dof,) start configuration: gives the values of locked joints, and the yaw for a point on the yaw axis.
         locked: Names of joints that keep their start values.
 
     Raises:
-        InputError: A position that is not three finite numbers, an unknown joint, a start that is no configuration.
-        OptionError: An approach that is no angle or interval, a count below 1, or locked joints without a start.
-        UnreachableError: There is none; `reason` and `data` say why.
+        InputError: The position is not three finite numbers, a joint is unknown, or the start is no configuration.
+        OptionError: The approach is no angle or interval, the count is below 1, or joints are locked without a start.
+        UnreachableError: No configuration reaches the position; `reason` and `data` say why.
     """
     if count < 1:
         raise OptionError("count", count, "a number of configurations >= 1")
@@ -84,12 +84,12 @@ def reach(
 
 @dataclass(frozen=True, eq=False)
 class _Views:
-    """The position in the arm planes that hold it.
+    """The position in the arm planes that contain it.
 
     Attributes:
-        yaw: (v,) yaws; zeros for a robot without one.
-        point: (v,) the position in the plane, from the shoulder, as horizontal + i upward [m].
-        distance: Its distance from the plane, where no yaw can bring it there [m].
+        yaw: (v,) yaws; zeros for a robot without a yaw joint.
+        point: (v,) the position in the plane, relative to the shoulder, as horizontal + i upward [m].
+        distance: Minimum distance of the position from the plane, over all yaws unless the yaw is locked [m].
     """
 
     yaw: FloatArray
@@ -103,9 +103,9 @@ class _ReachTask:
 
     Attributes:
         position: (3,) [m].
-        window: Approach angles; None for all.
-        start: (dof,) start configuration; None where none was given.
-        held: (dof,) whether each joint is locked.
+        window: Window of approach angles; None for all.
+        start: (dof,) start configuration; None without one.
+        held: (dof,) mask of the locked joints.
     """
 
     robot: Robot
@@ -118,7 +118,7 @@ class _ReachTask:
     def of(
         cls, robot: Robot, position: ArrayLike, window: Window | None, start: ArrayLike | None, locked: Sequence[str]
     ) -> _ReachTask:
-        """Check what was given."""
+        """Validate the arguments and return the task."""
         target = numbers("position", position, (3,))
         held = robot.locked_mask(locked)
         if locked and start is None:
@@ -132,17 +132,17 @@ class _ReachTask:
 
     @property
     def gridded(self) -> tuple[int, ...]:
-        """Those of them that are beyond three and set to values of a grid."""
+        """Free joints beyond three, which take values from a grid."""
         return self.free[:-3]
 
     @property
     def rest(self) -> FloatArray:
-        """(dof,) the start, or some configuration where there is none."""
+        """(dof,) start configuration; the lower joint limits without one."""
         return self.robot.lower if self.start is None else self.start
 
     @cached_property
     def views(self) -> _Views:
-        """The planes that hold the position; those at yaws out of range too."""
+        """Arm planes that contain the position, at yaws beyond the limits too."""
         robot = self.robot
         if not robot.has_yaw or self.held[0]:
             yaw = robot.yaw_of(self.rest)
@@ -154,7 +154,7 @@ class _ReachTask:
         x, y = self.position[:2] - robot.yaw_axis
         distance = float(np.hypot(x, y))
         yaws: FloatArray
-        # A point so near the yaw axis is on it [m].
+        # A point this close to the yaw axis counts as on the axis [m].
         on_axis = 1e-9
         if distance <= on_axis >= abs(across):
             yaws = np.linspace(robot.lower[0], robot.upper[0], AXIS_YAWS) if self.start is None else self.start[:1]
@@ -167,7 +167,7 @@ class _ReachTask:
 
     @property
     def yaw_excess(self) -> FloatArray:
-        """(v,) how far the yaw of each view is out of its range."""
+        """(v,) violation of the yaw range by each view [rad]."""
         if not self.robot.has_yaw:
             return np.zeros(1)
         yaw, lower, upper = self.views.yaw, self.robot.lower[0], self.robot.upper[0]
@@ -176,11 +176,11 @@ class _ReachTask:
 
     @cached_property
     def chain(self) -> FreeChain:
-        """The chain from the first joint on that is neither locked nor set to values of a grid."""
+        """The chain from the first joint that is neither locked nor on the grid."""
         return FreeChain.of(self.robot.arm, self.free[len(self.gridded) :], self.rest[self.robot.arm_slice])
 
     def seen(self, base: FloatArray, views: IntArray) -> tuple[ComplexArray, FloatArray]:
-        """The position as the chain sees it, for (b, n) values of the joints before it and (v,) views.
+        """Return the position relative to the chain, for (b, n) base joints and (v,) views.
 
         Returns:
             (b * v,) points and (b * v,) turns for `FreeChain.reach`.
@@ -196,7 +196,10 @@ class _ReachTask:
         return points.ravel(), np.repeat(turns, len(views))
 
     def solve(self, count: int) -> tuple[FloatArray, FloatArray]:
-        """(k, dof) configurations, about `count` between the ends of continua, and (k,) angles of the last link."""
+        """Return (k, dof) configurations, and (k,) angles of the last link.
+
+        Continua have about `count` samples between their ends.
+        """
         views = np.flatnonzero(self.yaw_excess <= ANGLE_TOLERANCE)
         if self.views.distance <= MATCH_TOLERANCE and len(views):
             for base in self.grids():
@@ -206,12 +209,12 @@ class _ReachTask:
         return np.empty((0, self.robot.dof)), np.empty(0)
 
     def grids(self) -> list[FloatArray]:
-        """(b, n) values of planar joints before the chain: the locked ones', and ever finer grids of the others."""
+        """(b, n) planar joint values before the chain: locked values, and successively finer grids."""
         rest, gridded, arm = self.rest[self.robot.arm_slice], list(self.gridded), self.robot.arm
         if not gridded:
             return [rest[None]]
         grids: list[FloatArray] = []
-        # Values tried in turn of each joint beyond three, and how many combinations of them at most.
+        # Numbers of grid values per joint beyond three, tried in turn, and maximum number of combinations.
         grid_values, most_combinations = (5, 9, 17, 33), 1500
         for values in grid_values:
             if values ** len(gridded) <= most_combinations or not grids:
@@ -223,7 +226,7 @@ class _ReachTask:
         return grids
 
     def _assembled(self, found: Reached, base: FloatArray, views: IntArray) -> tuple[FloatArray, FloatArray]:
-        """Whole configurations, each once and in order, and their angles of the last link."""
+        """Return sorted, distinct full configurations, and their angles of the last link."""
         robot, shift = self.robot, self.robot.dof - self.robot.arm.link_count
         q = np.empty((len(found.point), robot.dof))
         q[:, shift:] = base[found.point // len(views)]
@@ -242,7 +245,7 @@ class _ReachTask:
         return q[other], direction[other]
 
     def _with_whole_turns(self, q: FloatArray, direction: FloatArray, joint: int) -> tuple[FloatArray, FloatArray]:
-        """Repeat solutions for every whole turn that a joint may make, `_FARTHEST` from the start."""
+        """Repeat solutions for every possible whole turn of a joint, within `_FARTHEST` of the start."""
         lower, upper = self.robot.lower[joint], self.robot.upper[joint]
         near = 0.5 * (lower + upper) if self.start is None else self.start[joint]
         first = max(0, math.floor((near - _FARTHEST - lower) / math.tau))
@@ -254,17 +257,17 @@ class _ReachTask:
         return turned[kept], np.repeat(direction, len(turns))[kept]
 
     def without(self, *, window: bool = False, locks: bool = False) -> _ReachTask:
-        """The task without its approach angles, or without its locked joints."""
+        """Return the task without its approach window, or without its locked joints."""
         held = np.zeros_like(self.held) if locks else self.held
         return replace(self, window=None if window else self.window, held=held)
 
     def is_possible(self) -> bool:
-        """True if some configuration is found."""
+        """True if a configuration exists."""
         return bool(len(self.solve(1)[0]))
 
 
 def _reason(task: _ReachTask) -> UnreachableError:
-    """Why there is no configuration: what was asked for first, then the arm."""
+    """Return the error for an unreachable position: options are blamed first, then the arm."""
     wider = task.without(window=True)
     if task.window is not None and wider.is_possible():
         return _approach_reason(wider, task.window)
@@ -276,7 +279,7 @@ def _reason(task: _ReachTask) -> UnreachableError:
 
 
 def _approach_reason(task: _ReachTask, window: Window) -> UnreachableError:
-    """Only with other approach angles."""
+    """Return the error for a position reachable only with other approach angles."""
     views = np.flatnonzero(task.yaw_excess <= ANGLE_TOLERANCE)
     spans: list[tuple[float, float]] = []
     for base in task.grids():
@@ -297,7 +300,7 @@ def _approach_reason(task: _ReachTask, window: Window) -> UnreachableError:
 
 
 def _locked_reason(task: _ReachTask) -> UnreachableError:
-    """Only with the locked joints elsewhere."""
+    """Return the error for a position reachable only with other values of the locked joints."""
     names = [task.robot.joint_names[joint] for joint in np.flatnonzero(task.held)]
     distance = task.views.distance
     detail = "" if distance <= MATCH_TOLERANCE else f": the arm plane passes it at {distance:.6g} m"
@@ -307,7 +310,7 @@ def _locked_reason(task: _ReachTask) -> UnreachableError:
 
 
 def _arm_reason(task: _ReachTask) -> UnreachableError:
-    """Never, with this arm."""
+    """Return the error for a position that this arm cannot reach."""
     lengths, points = task.robot.arm.lengths, task.views.point
     if task.views.distance > MATCH_TOLERANCE:
         distance = task.views.distance
@@ -327,7 +330,7 @@ def _arm_reason(task: _ReachTask) -> UnreachableError:
         return _unreachable(
             task, "too_near", f"it is {short:.6g} m nearer than the arm can fold, {nearest:.6g} m", excess_m=short
         )
-    if task.gridded:  # neither found nor excluded
+    if task.gridded:  # the grid search is inconclusive
         names = [task.robot.arm.joint_names[joint] for joint in task.gridded]
         detail = f"no configuration with {', '.join(names)} at values of a grid"
         return _unreachable(task, "not_found", detail, joints=names)
@@ -335,7 +338,7 @@ def _arm_reason(task: _ReachTask) -> UnreachableError:
 
 
 def _limit_reason(task: _ReachTask) -> UnreachableError:
-    """Not within the joint limits: which joints would have to pass theirs, where that is least in sum."""
+    """Return the error that names the joint limits violated, for the minimum total violation."""
     robot, shift = task.robot, task.robot.dof - task.robot.arm.link_count
     views = np.arange(len(task.views.yaw))
     points, _ = task.seen(task.grids()[0], views)

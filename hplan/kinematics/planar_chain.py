@@ -10,10 +10,10 @@ those links: the tool is at :math:`\sum_k l_k e^{i \alpha_k}`. Two links reach a
     \alpha_1 = \arg p \mp \arg(l_1 + l_2 e^{i e}), \qquad \alpha_2 = \alpha_1 \pm e.
 
 With three links, :math:`\alpha_3` is free. As it varies, on either side of the elbow, a joint comes to one of its
-limits only if the two links left by this limit (one joint locked, its neighbors merged into one rigid link) reach the
+limits only if the two links left by this limit (one joint locked, its neighbours merged into one rigid link) reach the
 point, and the two sides meet if the elbow is straight or folded. These *corners*, at most 16, are closed-form solutions
-themselves. Between neighboring corners the same limits are satisfied throughout, so a check of the midpoint decides the
-feasibility of the whole interval: no interval is missed, however narrow.
+themselves. Between neighbouring corners the same limits are satisfied throughout, so a check of the midpoint decides
+whether the whole interval is feasible: no interval is missed, however narrow.
 """
 
 from __future__ import annotations

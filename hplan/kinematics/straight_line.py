@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 #: Maximum step of the tool [m], and minimum number of steps; any number is a multiple of it, for whole quarters.
 STEP_M, _STEPS = 5e-3, 4
 
-#: Maximum change of a joint per meter of tool motion: revolute [rad/m], prismatic [m/m].
+#: Maximum change of a joint per metre of tool motion: revolute [rad/m], prismatic [m/m].
 TURNING, _SLIDING = 25.0, 10.0
 
 #: Fraction of the first step that is checked against the same limit, for singular goals.

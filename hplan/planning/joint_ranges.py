@@ -1,7 +1,7 @@
-"""Joint ranges left free by turret and neighboring links: intervals around the start.
+"""Joint ranges left free by turret and neighbouring links: intervals around the start.
 
 A contact between a turning turret shape and an obstacle, or the pedestal, depends on the yaw alone. A contact between
-neighboring links that fold into each other, or between the first link and its support, depends on the joint between
+neighbouring links that fold into each other, or between the first link and its support, depends on the joint between
 them alone. A motion is continuous, so each of these coordinates stays in the free interval that holds its start value.
 The planner treats the intervals as narrower joint limits. A goal in another interval is proved unreachable,
 independently of the grid.

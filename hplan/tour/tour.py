@@ -249,7 +249,7 @@ class TourPlanner:
             found = {order: _visits(motions, order, given) for order in (orders if self.tour.compare else orders[:1])}
         totals = {order: self._duration(motions, visits) for order, visits in found.items()}
         if self.tour.order == "best" and found:
-            # Compared with stops at each leg; blended legs might favor another order.
+            # Compared with stops at each leg; another order may be quicker with blended legs.
             quickest = list(totals)[ties.argmin(list(totals.values()))]
             found["best"], totals["best"] = found[quickest], totals[quickest]
         visits = found.get(self.tour.order, Visits(math.inf, np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.bool_)))

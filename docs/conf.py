@@ -1,4 +1,7 @@
-"""Sphinx configuration: `sphinx-build -W -b html docs docs/_build` (extra `docs`; the gallery needs Chromium)."""
+"""Sphinx configuration of the documentation.
+
+Build: `sphinx-build -W -b html docs docs/_build` (extra `docs`; the gallery needs Chromium).
+"""
 
 from __future__ import annotations
 

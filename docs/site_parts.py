@@ -1,4 +1,4 @@
-"""Generated parts of the site: command pages, the API reference, the gallery, formulas.
+"""Generated parts of the site: commands, API reference, gallery, formulas.
 
 The directive `command` of a page inserts the text of `hplan plan --help`. The reference has a page for each subpackage
 (`docs/generated/reference`) with its public names: the members of `hplan.__all__` and of the subpackages' own
@@ -47,7 +47,7 @@ class Command(Directive):
     optional_arguments = 1
 
     def run(self) -> list[nodes.Node]:
-        """Return the text of `hplan NAME --help`; without a name a table of all commands."""
+        """Return the help of a command, or a table of all commands."""
         if self.arguments:
             name = self.arguments[0]
             lines = _command_lines(importlib.import_module(f"hplan.apps.cli.{name}").parser(f"hplan {name}"))
@@ -87,7 +87,10 @@ def _row(action: argparse.Action) -> str:
 
 
 def public_names() -> dict[str, dict[str, str]]:
-    """Paths of the public names by subpackage, each once, with the documenting module."""
+    """Paths of the public names by subpackage, with their modules.
+
+    Every name occurs once, under the module that documents it.
+    """
     rooms: dict[str, dict[str, str]] = {"hplan": {}}
     seen: set[int] = set()
     listed = [_module(path) for path in sorted(PACKAGE.rglob("__init__.py"), key=lambda path: len(path.parts))]
@@ -114,7 +117,7 @@ def _module(init: Path) -> str:
 
 
 def _imported_by_docs() -> set[tuple[str, str]]:
-    """Module and name of all imports from the package in pages and examples."""
+    """(module, name) of all package imports in pages and examples."""
     pages = "\n".join(path.read_text(encoding="utf-8") for path in [ROOT / "README.md", *DOCS.glob("*.md")])
     texts = [block for _, block in code_blocks(pages, "python")]
     texts += [path.read_text(encoding="utf-8") for path in EXAMPLES.glob("*.py")]
@@ -162,7 +165,7 @@ def _comment(module: str, name: str) -> list[str]:
 
 
 def write_reference(_: Any = None) -> None:
-    """Write a page for each subpackage with public names, and an index page."""
+    """Write a page for each public subpackage, and an index."""
     REFERENCE.mkdir(parents=True, exist_ok=True)
     rooms = {room: names for room, names in public_names().items() if names}
     for room, names in rooms.items():
@@ -174,13 +177,13 @@ def write_reference(_: Any = None) -> None:
 
 
 def _write(path: Path, text: str) -> None:
-    """Write a page only if its text changed, so that Sphinx skips unchanged pages."""
+    """Write a page if its text changed; Sphinx skips unchanged files."""
     if not path.is_file() or path.read_text(encoding="utf-8") != text:
         path.write_text(text, encoding="utf-8")
 
 
 def _as_rst(_app: Sphinx, what: str, _name: str, _obj: Any, _options: Any, lines: list[str]) -> None:
-    """Escape asterisks and bars in docstrings, except in formulas: they are literal there."""
+    """Escape asterisks, bars and trailing underscores in docstrings, except between backticks."""
     for number, line in enumerate(lines):
         if what != "module":
             parts = line.split("`")
@@ -194,7 +197,7 @@ def _as_rst(_app: Sphinx, what: str, _name: str, _obj: Any, _options: Any, lines
 
 
 def write_gallery(_: Any = None) -> None:
-    """Run and draw the outdated examples, and write a page for each example."""
+    """Run and draw outdated examples, and write all example pages."""
     GALLERY.mkdir(parents=True, exist_ok=True)
     newest = max(path.stat().st_mtime for path in [*PACKAGE.rglob("*.py"), *PACKAGE.rglob("*.js")])
     # Examples that need ROS run only on a machine with ROS.
@@ -260,7 +263,7 @@ def _display(translator: Any, node: nodes.math_block) -> None:
 
 
 def check_links(app: Sphinx, exception: Exception | None) -> None:
-    """Check that every link within the site leads to an existing file and anchor.
+    """Check that every internal link leads to an existing anchor.
 
     Raises:
         SphinxError: A link is broken.
@@ -287,7 +290,7 @@ def check_links(app: Sphinx, exception: Exception | None) -> None:
 
 
 def check_widths(app: Sphinx, exception: Exception | None) -> None:
-    """Check that no page overflows the window of a desktop or a phone.
+    """Check that no page overflows a desktop or phone window.
 
     Elements that scroll by themselves are exempt. Needs Chromium.
 

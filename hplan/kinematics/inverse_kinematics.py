@@ -140,7 +140,7 @@ def chain_of(robot: Robot, pose: FloatArray, turn: float, name: str | None = Non
 
 
 def distinct(robot: Robot, solutions: FloatArray, start: FloatArray, chain: Chain) -> FloatArray:
-    """Return distinct (k, dof) solutions at the turns nearest to the start, nearest first."""
+    """Return distinct (k, dof) solutions, shifted towards the start, nearest first."""
     near = solutions.copy()
     for joint in np.flatnonzero(chain.moves).tolist():
         if not joint_axis(robot, joint)[1]:

@@ -1,4 +1,4 @@
-r"""Closed-form inverse kinematics of a planar chain: all solutions for up to three free joints.
+r"""Closed-form inverse kinematics of planar chains with up to three joints.
 
 Locked joints merge the links between free joints into rigid links, so a chain with m free joints has m links. Write
 points of the plane as complex numbers, :math:`l_k` for the lengths and :math:`\alpha_k` for the absolute angles of
@@ -59,7 +59,7 @@ class Reached(Record):
 
 @dataclass(frozen=True, eq=False)
 class FreeChain(Record):
-    """The last links of a planar arm as a chain of free joints; see the module docstring.
+    """The last links of a planar arm, from the first free joint.
 
     Attributes:
         free: Indices of the m free planar joints.
@@ -116,12 +116,12 @@ class FreeChain(Record):
         return q
 
     def keeps_limits(self, q: FloatArray) -> BoolArray:
-        """Mask of the (..., m) joint angles, as returned by `joints`, that are within the limits."""
+        """Limit check of (..., m) joint angles, as returned by `joints`."""
         kept: BoolArray = np.all(q <= self.upper + ANGLE_TOLERANCE, axis=-1)
         return kept
 
     def reach(self, points: ComplexArray, turns: FloatArray, window: Window | None, count: int) -> Reached:
-        """Return all configurations that reach points; continua are given by ends and samples.
+        """Return all configurations that reach points; continua are sampled.
 
         Args:
             points: (b,) points relative to the first free joint, along and across the link before it [m].
@@ -149,7 +149,10 @@ class FreeChain(Record):
         return Reached(index[kept], q, direction[kept])
 
     def feasible_directions(self, points: ComplexArray, turns: FloatArray) -> list[tuple[float, float]]:
-        """Intervals (low, high) of the last link's absolute angle that reach the points, merged."""
+        """Intervals (low, high) of the last link's angle that reach points.
+
+        The intervals of all points are merged.
+        """
         found = self.reach(points, turns, None, 1)
         spans = [(float(angle), 0.0) for angle in found.direction]
         if len(self.free) == 3:
@@ -160,7 +163,7 @@ class FreeChain(Record):
         return _merged(spans)
 
     def violations(self, points: ComplexArray) -> tuple[IntArray, FloatArray, FloatArray]:
-        """Return solutions that ignore the limits, and the violation of each joint limit.
+        """Return solutions that ignore the limits, and their limit violations.
 
         For three free joints these are the corners, and directions of the last link at small intervals, refined around
         the minimum total violation.
@@ -187,13 +190,13 @@ class FreeChain(Record):
         return index, np.concatenate([q, at_corner]), np.concatenate([excess, beyond])
 
     def _excess(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Joint angles, shifted by whole turns towards their ranges, and their distances from these."""
+        """Joint angles at the turns nearest to their ranges, and their violations."""
         below = q > 0.5 * (self.lower + self.upper) + np.pi
         q = np.where(below & ~(q <= self.upper), q - math.tau, q)
         return q, np.maximum(np.maximum(self.lower - q, q - self.upper), 0.0)
 
     def _isolated(self, points: ComplexArray) -> tuple[IntArray, FloatArray]:
-        """Index of the point, and absolute angles, for fewer than three free joints."""
+        """Point indices and absolute angles for fewer than three free joints."""
         count = len(self.free)
         if count == 2:
             first, second, ok = _both_elbows(self.lengths[0], self.lengths[1], points)
@@ -202,20 +205,23 @@ class FreeChain(Record):
         return np.flatnonzero(ok), argument(points)[ok, None][:, :count]
 
     def _with_last(self, points: ComplexArray, last: FloatArray) -> tuple[FloatArray, BoolArray]:
-        """(..., 2, 3) absolute angles of three links, given the last one, and a mask of the solutions."""
+        """(..., 2, 3) absolute link angles for given last ones, with mask.
+
+        The mask is True for solutions.
+        """
         l1, l2, l3 = self.lengths
         first, second, ok = _both_elbows(l1, l2, points - l3 * np.exp(1j * last))
         return np.stack([first, second, np.broadcast_to(last[..., None], first.shape)], axis=-1), ok
 
     def _directed(self, points: ComplexArray, last: FloatArray) -> tuple[IntArray, FloatArray]:
-        """Index of the point, and absolute angles, for (b, j) absolute angles of the last of three links."""
+        """Point indices and absolute angles for (b, j) given last angles."""
         absolute, ok = self._with_last(points[:, None], last)
         return np.nonzero(ok)[0], absolute[ok]
 
     def _sampled(
         self, points: ComplexArray, low: FloatArray | None, width: float, count: int
     ) -> tuple[IntArray, FloatArray]:
-        """Index of the point, and absolute angles: corners, and samples of the feasible intervals."""
+        """Point indices and absolute angles of corners and interval samples."""
         corners, solved = self._corners(points)
         start, widths, feasible = self._intervals(points, corners, low, width)
         index, found = [np.nonzero(solved)[0]], [corners[solved]]
@@ -263,7 +269,7 @@ class FreeChain(Record):
     def _intervals(
         self, points: ComplexArray, corners: FloatArray, low: FloatArray | None, width: float
     ) -> tuple[FloatArray, FloatArray, BoolArray]:
-        """Intervals of the last link's angle between corners, with their feasible elbow sides.
+        """Last-link angle intervals between corners, and their feasible elbow sides.
 
         (b, j) starts and widths, and (b, 2, j) mask of the feasible sides.
         """
@@ -283,7 +289,7 @@ class FreeChain(Record):
 def _both_elbows(
     l1: FloatArray | float, l2: FloatArray | float, points: ComplexArray
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """(..., 2) absolute angles of two links that reach points, and a mask of the solutions.
+    """(..., 2) absolute angles of two links, and a solution mask.
 
     The two solutions have the elbow on either side; a straight or folded elbow is a single configuration.
     """
@@ -303,7 +309,10 @@ def _both_elbows(
 
 
 def _merged(spans: list[tuple[float, float]]) -> list[tuple[float, float]]:
-    """Merge intervals (low, width) of angles into disjoint (low, high), low in (-pi, pi]."""
+    """Merge angle intervals (low, width) into disjoint intervals (low, high).
+
+    Each low is in (-pi, pi].
+    """
     merged: list[list[float]] = []
     for low, width in sorted(((np.pi - (np.pi - low) % math.tau, width) for low, width in spans)):
         if merged and low <= merged[-1][1] + WINDOW_TOLERANCE:

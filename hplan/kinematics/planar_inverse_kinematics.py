@@ -1,4 +1,4 @@
-r"""Inverse kinematics of planar arms: all configurations with the tool at a point.
+r"""Inverse kinematics of planar arms: all configurations for a tool position.
 
 If none exists, the error gives the reason. The yaw that brings a point into the arm plane is computed first. Let the
 plane have the distance d from the yaw axis and the point the distance :math:`\rho`. Then the point lies
@@ -176,11 +176,13 @@ class _ReachTask:
 
     @cached_property
     def chain(self) -> FreeChain:
-        """The chain from the first joint that is neither locked nor on the grid."""
+        """The chain from the first non-grid free joint on."""
         return FreeChain.of(self.robot.arm, self.free[len(self.gridded) :], self.rest[self.robot.arm_slice])
 
     def seen(self, base: FloatArray, views: IntArray) -> tuple[ComplexArray, FloatArray]:
-        """Return the position relative to the chain, for (b, n) base joints and (v,) views.
+        """Return the position relative to the chain, for base joints and views.
+
+        `base` has (b, n) values of the joints before the chain, `views` (v,) indices.
 
         Returns:
             (b * v,) points and (b * v,) turns for `FreeChain.reach`.
@@ -209,7 +211,10 @@ class _ReachTask:
         return np.empty((0, self.robot.dof)), np.empty(0)
 
     def grids(self) -> list[FloatArray]:
-        """(b, n) planar joint values before the chain: locked values, and successively finer grids."""
+        """(b, n) joint values before the chain, on successively finer grids.
+
+        Locked joints keep their values.
+        """
         rest, gridded, arm = self.rest[self.robot.arm_slice], list(self.gridded), self.robot.arm
         if not gridded:
             return [rest[None]]
@@ -245,7 +250,7 @@ class _ReachTask:
         return q[other], direction[other]
 
     def _with_whole_turns(self, q: FloatArray, direction: FloatArray, joint: int) -> tuple[FloatArray, FloatArray]:
-        """Repeat solutions for every possible whole turn of a joint, within `_FARTHEST` of the start."""
+        """Repeat solutions for every whole turn within `_FARTHEST` of the start."""
         lower, upper = self.robot.lower[joint], self.robot.upper[joint]
         near = 0.5 * (lower + upper) if self.start is None else self.start[joint]
         first = max(0, math.floor((near - _FARTHEST - lower) / math.tau))
@@ -267,7 +272,7 @@ class _ReachTask:
 
 
 def _reason(task: _ReachTask) -> UnreachableError:
-    """Return the error for an unreachable position: options are blamed first, then the arm."""
+    """Return the unreachability error: options are blamed first, then the arm."""
     wider = task.without(window=True)
     if task.window is not None and wider.is_possible():
         return _approach_reason(wider, task.window)
@@ -300,7 +305,7 @@ def _approach_reason(task: _ReachTask, window: Window) -> UnreachableError:
 
 
 def _locked_reason(task: _ReachTask) -> UnreachableError:
-    """Return the error for a position reachable only with other values of the locked joints."""
+    """Return the error for a position excluded by the locked joints."""
     names = [task.robot.joint_names[joint] for joint in np.flatnonzero(task.held)]
     distance = task.views.distance
     detail = "" if distance <= MATCH_TOLERANCE else f": the arm plane passes it at {distance:.6g} m"
@@ -338,7 +343,10 @@ def _arm_reason(task: _ReachTask) -> UnreachableError:
 
 
 def _limit_reason(task: _ReachTask) -> UnreachableError:
-    """Return the error that names the joint limits violated, for the minimum total violation."""
+    """Return the error that names the violated joint limits.
+
+    The solution with the minimum total violation determines them.
+    """
     robot, shift = task.robot, task.robot.dof - task.robot.arm.link_count
     views = np.arange(len(task.views.yaw))
     points, _ = task.seen(task.grids()[0], views)

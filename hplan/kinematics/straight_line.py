@@ -1,4 +1,4 @@
-"""Straight tool lines: to the goal along the tool axis without tilting, or to a pose.
+"""Straight tool lines: along the tool axis, or to a pose.
 
 The tool is drawn back from the goal along its axis (`Robot.tool_axis`) in short steps
 (`hplan.kinematics.damped_steps.draw_back`); rotation about the axis is free or fixed. Cubic splines interpolate the
@@ -85,7 +85,9 @@ def lines_back(
 def line_to(
     robot: Robot, start: FloatArray, pose: FloatArray, towards: FloatArray | None = None, *, locked: Sequence[str] = ()
 ) -> tuple[FloatArray, float]:
-    """Return configurations along the straight tool line to a pose, with evenly changing orientation.
+    """Return configurations along the straight tool line to a pose.
+
+    The orientation changes evenly along the line.
 
     Args:
         start: (dof,) configuration within the limits.

@@ -1,4 +1,4 @@
-r"""Configurations of any robot with the tool at a point, from any direction.
+r"""Inverse kinematics of any robot for a tool position, from any direction.
 
 The tool approaches along the z axis of its frame; rotation about this axis is free. The *approach angle* is the angle
 of the axis against the horizontal, as for a planar arm in its plane: 0 is outward from the base, 90 degrees straight
@@ -99,7 +99,10 @@ def tool_at_point(
 
 
 def approach_angles(robot: Robot, configurations: FloatArray, position: FloatArray) -> FloatArray:
-    """(k,) approach angles, in (-pi, pi], of (k, dof) configurations with the tool at (3,) `position`."""
+    """(k,) approach angles of configurations with the tool at `position`.
+
+    They are in (-pi, pi]; `configurations` is (k, dof), `position` is (3,).
+    """
     along = robot.forward_kinematics(configurations)[:, :3, 2]
     outward = _outward(robot, np.array(position))
     level = np.copysign(np.hypot(along[:, 0], along[:, 1]), along @ outward)
@@ -108,7 +111,7 @@ def approach_angles(robot: Robot, configurations: FloatArray, position: FloatArr
 
 
 def _check_reach(robot: Robot, place: FloatArray) -> None:
-    """Refuse a (3,) position farther from the first joint than the stretched arm."""
+    """Refuse a (3,) position beyond the length of the stretched arm."""
     model = robot.model
     chain = carriers(robot, robot.tool_joint - 1)
     if not chain:
@@ -126,7 +129,10 @@ def _check_reach(robot: Robot, place: FloatArray) -> None:
 
 
 def _outward(robot: Robot, place: FloatArray) -> FloatArray:
-    """(3,) horizontal unit vector from the first joint to a position; base x if directly above."""
+    """(3,) horizontal unit vector from the first joint to a position.
+
+    It is the x axis of the base if the position is on the vertical through the joint.
+    """
     away: FloatArray = place - robot.model.jointPlacements[1].translation
     away[2] = 0.0
     length = float(np.linalg.norm(away))
@@ -155,7 +161,9 @@ def _directions(outward: FloatArray, window: Window | None, count: int) -> Float
 
 
 def _solved(robot: Robot, begin: FloatArray, chain: Chain, directions: FloatArray, count: int) -> FloatArray:
-    """(k, dof) configurations with the frame at the chain's position, z along a direction.
+    """(k, dof) configurations at the chain's position along given directions.
+
+    The z axis of the frame points along one of the directions.
 
     Args:
         begin: (dof,) start configuration.
@@ -176,9 +184,9 @@ def _solved(robot: Robot, begin: FloatArray, chain: Chain, directions: FloatArra
 
 
 def _spinning(robot: Robot, chain: Chain) -> list[int]:
-    """Return the joint that only rotates the tool about its z axis, if any.
+    """Return the joint that only spins the tool, if any.
 
-    Such a joint can keep its value.
+    It rotates the tool about its z axis and can keep its value.
     """
     carrier = int(chain.carrier[0])
     if carrier == robot.dof:

@@ -1,4 +1,4 @@
-"""Collision and limit checks of configurations in a scene, for use in other planners."""
+"""Collision and limit checks of configurations, for use in other planners."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from hplan.scene.model import Scene, checked_scene
 
 @dataclass(frozen=True, eq=False)
 class ConfigurationCheck(Record):
-    """Results of a configuration check; arrays have shape (...) for (..., dof) configurations.
+    """Results of a configuration check.
 
-    For one configuration the shape is ().
+    Arrays have shape (...) for (..., dof) configurations, and () for one configuration.
 
     Attributes:
         valid: True if the joints are within their limits and all distances exceed the required clearance.
@@ -52,11 +52,12 @@ class ConfigurationCheck(Record):
 def check(
     robot: Robot, scene: Scene, q: ArrayLike, *, time_s: float | None = None, sigmas: float = 3.0
 ) -> ConfigurationCheck:
-    """Check joint limits and distances of configurations with coal, the certificate's collision checker.
+    """Check joint limits and distances of configurations.
 
-    All fruits count as obstacles, the goal fruit included. Overlaps of obstacles with pedestal and turret are not
-    checked, because no joint changes them. A path between valid configurations may still collide: `finish` certifies a
-    path. The checker is cached for the next call with the same robot and scene.
+    Distances come from coal, as in the certificate. All fruits count as obstacles, the goal fruit included. Overlaps of
+    obstacles with pedestal and turret are not checked, because no joint changes them. A path between valid
+    configurations may still collide: `finish` certifies a path. The checker is cached for the next call with the same
+    robot and scene.
 
     Args:
         robot: The arm.
@@ -95,7 +96,7 @@ def check(
 
 
 class _LastChecker:
-    """Cache of the last collision checker; a new scene or `sigmas` replaces it."""
+    """Cache of the last collision checker, by scene and `sigmas`."""
 
     def __init__(self) -> None:
         self._kept: tuple[Scene, float, CoalScene] | None = None
@@ -111,7 +112,7 @@ class _LastChecker:
 def _looked_at(
     checker: CoalScene, q: FloatArray, clearance: float, time_s: float | None
 ) -> tuple[bool, bool, Contact | None]:
-    """Return whether a configuration is valid, whether it is in contact, and its nearest pair."""
+    """Return validity, contact flag and nearest pair of a configuration."""
     if not checker.pairs:
         return True, False, None
 

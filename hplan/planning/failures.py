@@ -30,7 +30,10 @@ _MOST_REASONS = 3
 
 
 class UnexplainedNoPathError(NoPathError):
-    """A proof that no path exists, whose explanation takes longer to find than the proof itself."""
+    """A proof of infeasibility with an explanation computed on request.
+
+    Finding the explanation takes longer than the proof itself.
+    """
 
     @abstractmethod
     def explained(self) -> NoPathError:

@@ -1,4 +1,4 @@
-"""Grasps of a fruit or a point: goal configurations and their straight approaches.
+"""Grasps of a fruit or point: goal configurations with straight approaches.
 
 Each configuration with the tool at the point (`hplan.planning.tool_paths`) gets a straight approach along the last
 link or, for a general (non-planar) arm, along the z axis of the tool frame. The approach starts at a stand-off of the
@@ -85,7 +85,7 @@ class Grasp(Record):
 
 @dataclass(frozen=True, eq=False)
 class _Measured:
-    """Configurations with the tool at a point, and their (k, moving bodies) clearances [m]."""
+    """Candidate configurations, and their (k, moving bodies) clearances [m]."""
 
     candidates: Candidates
     rooms: FloatArray
@@ -135,7 +135,10 @@ class Target(Record):
 
     @classmethod
     def of_fruit(cls, world: World, fruit: Fruit, scene: Scene, options: PlanOptions) -> Target:
-        """Return the target at a fruit's center; the stand-off keeps the tool clear of the fruit."""
+        """Return the target at a fruit's center.
+
+        The minimum stand-off keeps the tool clear of the fruit.
+        """
         least = fruit.radius + tool_of(world.robot).thickness(world.deviation) + world.clearance + 2.0 * SPARE
         return cls(
             f"fruit {fruit.name!r}", fruit.center, world, world.touching(fruit.name, fruit.hangs_from),
@@ -144,7 +147,10 @@ class Target(Record):
         )  # fmt: skip
 
     def transit_world(self, grasp: Grasp) -> World:
-        """World of the motion to the stand-off; without an approach the motion may touch the fruit."""
+        """World of the motion to the stand-off.
+
+        Without an approach, that motion may touch the fruit.
+        """
         return self.world_touching if grasp.distance == 0.0 else self.world
 
 
@@ -173,7 +179,10 @@ class Blocked(Record):
         return len(self.configurations) + self.refined
 
     def contact_at(self, q: FloatArray) -> Contact | None:
-        """Contact at a (dof,) configuration, or the one that blocks a joint on every path to it."""
+        """Contact at a (dof,) configuration, or on every path to it.
+
+        The latter blocks a joint.
+        """
         wall = self.ranges.wall_before(q)
         return self.target.world_touching.checker.nearest(q) if wall is None else wall.contact
 
@@ -268,7 +277,10 @@ def grasps_or_blocked(
 def _sorted(
     target: Target, found: Candidates, chosen: dict[int, tuple[float, FloatArray]], start: FloatArray
 ) -> tuple[Grasp, ...]:
-    """Return grasps, sorted by minimum duration, from approach length and stand-off by candidate number."""
+    """Return grasps for the chosen approaches, sorted by minimum duration.
+
+    `chosen` maps the number of a candidate to approach length and stand-off.
+    """
     numbers, robot = list(chosen), target.world.robot
     goals, begins = found.configurations[numbers], np.array([begin for _, begin in chosen.values()])
     distances = np.array([distance for distance, _ in chosen.values()])
@@ -292,7 +304,10 @@ def _sorted(
 
 
 def promising(found: Sequence[Grasp], target: Target, start: FloatArray) -> list[Grasp]:
-    """The first grasp with a straight motion, and an even selection of the quicker ones before it."""
+    """Return the first grasp with a straight motion, and some quicker ones.
+
+    The latter are an even selection of the grasps before it.
+    """
     clear = (
         target.transit_world(grasp).field.is_clear(np.stack([start, grasp.standoff]), 0.9 * grasp.room)
         for grasp in found
@@ -356,7 +371,7 @@ def _distances(standoff: float, least: float) -> list[float]:
 def _clear_approaches(
     target: Target, ranges: JointRanges, along: Callable[[float], Approaches], lengths: Sequence[float], room: float
 ) -> dict[int, tuple[float, FloatArray]]:
-    """Approach length and stand-off by goal number, for goals with a collision-free approach.
+    """Return approach length and stand-off of goals with collision-free approaches.
 
     The approach is checked along a polyline of a few points; the certificate covers the exact path, `Grasp.path`.
     """

@@ -1,10 +1,10 @@
-"""Joint ranges left free by turret and neighbouring links: intervals around the start.
+"""Joint ranges left free by turret and neighbouring links.
 
-A contact between a turning turret shape and an obstacle, or the pedestal, depends on the yaw alone. A contact between
-neighbouring links that fold into each other, or between the first link and its support, depends on the joint between
-them alone. A motion is continuous, so each of these coordinates stays in the free interval that holds its start value.
-The planner treats the intervals as narrower joint limits. A goal in another interval is proved unreachable,
-independently of the grid.
+The ranges are intervals around the start. A contact between a turning turret shape and an obstacle, or the pedestal,
+depends on the yaw alone. A contact between neighbouring links that fold into each other, or between the first link and
+its support, depends on the joint between them alone. A motion is continuous, so each of these coordinates stays in the
+free interval that holds its start value. The planner treats the intervals as narrower joint limits. A goal in another
+interval is proved unreachable, independently of the grid.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _ROUNDING: Final = 1e-9
 
 @dataclass(frozen=True)
 class Wall:
-    """One end of a joint's free interval, and the contact that blocks it.
+    """One end of a joint's free interval, and the blocking contact.
 
     Attributes:
         joint: Number of the joint.
@@ -76,7 +76,7 @@ class JointRanges:
         return held
 
     def wall_before(self, q: FloatArray) -> Wall | None:
-        """First wall on the way to a (dof,) configuration; None for one inside the intervals."""
+        """First wall on the way to a configuration; None without one."""
         return next((wall for wall in reversed(self.walls) if wall.is_before(q)), None)
 
 
@@ -128,7 +128,10 @@ def narrowed(scene: CoalScene, start: FloatArray, goal: FloatArray, clearance: f
 
 
 def _no_path(scene: CoalScene, wall: Wall, other: float) -> NoPathError:
-    """Return the error that names the contact blocking a joint from a wall to another angle."""
+    """Return the error that names the contact blocking a joint.
+
+    The blocked range is from a wall to another angle.
+    """
     low, high = sorted(np.degrees([wall.angle, other]).tolist())
     contact = wall.contact
     message = (
@@ -141,7 +144,10 @@ def _no_path(scene: CoalScene, wall: Wall, other: float) -> NoPathError:
 
 
 class _Turn(NamedTuple):
-    """A joint, the (k,) pairs that it alone determines, and their motion-bound coefficients."""
+    """A joint, its (k,) pairs, and their motion-bound coefficients.
+
+    The joint alone determines the distances of these pairs.
+    """
 
     joint: int
     pairs: IntArray
@@ -149,7 +155,10 @@ class _Turn(NamedTuple):
 
 
 def _turns_that_decide(scene: CoalScene) -> Iterator[_Turn]:
-    """Yield the joints that alone determine some pairs: turret with obstacles, and self-collision pairs."""
+    """Yield the joints that alone determine some pairs.
+
+    These are pairs of the turret with obstacles, and self-collision pairs.
+    """
     _, counts = scene.parts.movers
     (_, reaches), alone = scene.parts.reaches(), len(scene.parts.shapes)
     decided = np.repeat(np.arange(len(counts)), np.repeat([scene.own_first, 1], [alone, len(counts) - alone]))
@@ -179,7 +188,7 @@ def _known_free(
 
 
 def _free(scene: CoalScene, turn: _Turn, q: FloatArray, end: float, margin: float) -> tuple[float, Contact | None]:
-    """Joint value reachable towards a range end, and the contact that blocks the rest.
+    """Joint value reachable towards a range end, and the blocking contact.
 
     Conservative advancement with separate steps for each pair: a turn by an angle brings no pair closer by more than
     angle * radius, so a pair with distance d to spare needs no new distance query before a turn by d / radius. If the

@@ -1,4 +1,4 @@
-"""Certified motions through tool poses: straight or free between them, with bounded tilt.
+"""Certified motions through tool poses, straight or free, with bounded tilt.
 
 On a straight segment the joints follow the tool from the previous configuration. If the joints have a choice (seven
 joints, or several configurations at the end of a preceding free motion), the planner picks one that allows all straight
@@ -77,7 +77,10 @@ _STILL = 1e-9
 
 
 class _Leg(NamedTuple):
-    """Leg to the next pose: samples to be timed, the smooth path of a straight leg, the motion."""
+    """Leg to the next pose: samples, path and motion.
+
+    `rows` are the samples to be timed, `path` is the smooth path of a straight leg.
+    """
 
     number: int
     problem: Problem
@@ -88,7 +91,7 @@ class _Leg(NamedTuple):
 
 
 class _Tilt(NamedTuple):
-    """Maximum tilt of the tool [rad], and the kernel arrays of the upright constraint."""
+    """Maximum tilt [rad], and kernel arrays of the upright constraint."""
 
     most: float
     chain: Chain
@@ -200,7 +203,9 @@ def plan_poses(
 
 
 def pose_matrices(rows: FloatArray) -> FloatArray:
-    """Return (n, 4, 4) matrices from (n, 7) positions and quaternions (x, y, z, w).
+    """Return (n, 4, 4) matrices of (n, 7) positions and quaternions.
+
+    Quaternions are in the order (x, y, z, w).
 
     Raises:
         InputError: A quaternion is not of unit length.
@@ -215,7 +220,7 @@ def pose_matrices(rows: FloatArray) -> FloatArray:
 
 
 def _upright_chain(robot: Robot, scene: Scene, up: FloatArray, direction: FloatArray, lean: float) -> Chain:
-    """Return the chain of the tool frame, rotated so that its z axis is `direction`."""
+    """Return the chain of the tool frame with z along `direction`."""
     z = np.array([0.0, 0.0, 1.0])
     pose = np.eye(4)
     pose[:3, :3] = pin.Quaternion.FromTwoVectors(z, up).toRotationMatrix()
@@ -267,7 +272,10 @@ def _through(task: _Poses, begin: FloatArray, number: int) -> list[_Leg]:
 
 
 def _lines(task: _Poses, begin: FloatArray, number: int) -> Iterator[_Leg]:
-    """Yield straight legs to a pose: minimum joint motion first, then towards each configuration."""
+    """Yield straight legs to a pose, the one with minimum motion first.
+
+    The others move a redundant arm towards each configuration at the pose.
+    """
     problem, pose = task.problem, task.poses[number]
     locked = problem.scene.locked_joints
     longest = 0.0
@@ -300,7 +308,9 @@ def _ways_there(task: _Poses, begin: FloatArray, number: int) -> Iterator[FloatA
 
 
 def _free(task: _Poses, begin: FloatArray, number: int, given_up: Sequence[Problem]) -> Iterator[_Leg]:
-    """Yield free legs to configurations that allow the following straight segments, nearest first.
+    """Yield free legs to configurations that allow the following straight segments.
+
+    The nearest configurations come first.
 
     Args:
         given_up: Problems to skip from now on; the caller may append to it.
@@ -327,7 +337,7 @@ def _free(task: _Poses, begin: FloatArray, number: int, given_up: Sequence[Probl
 
 
 def _goes_on(task: _Poses, begin: FloatArray, number: int) -> bool:
-    """True if the straight segments up to the next free motion are feasible."""
+    """True if the following straight segments are feasible."""
     if number == len(task.poses) or not task.straight[number]:
         return True
     with suppress(NotFoundError):
@@ -345,7 +355,7 @@ def _ends(task: _Poses, begin: FloatArray, number: int) -> FloatArray:
 
 
 def _upright(tilt: _Tilt, tasks: Sequence[Problem], number: int, given_up: Sequence[Problem]) -> Iterator[_Leg]:
-    """Yield upright paths to reachable configurations: direct in joint space, or from trees.
+    """Yield upright paths to configurations: direct in joint space, or from trees.
 
     Raises:
         NotFoundError: No path was found.
@@ -378,7 +388,7 @@ def _upright(tilt: _Tilt, tasks: Sequence[Problem], number: int, given_up: Seque
 
 
 def _followed(tilt: _Tilt, to: Problem, begin: FloatArray, end: FloatArray) -> FloatArray | None:
-    """(m, dof) closely spaced upright configurations between two configurations; None if they do not connect."""
+    """(m, dof) closely spaced upright configurations between two; None if infeasible."""
     count = max(2, math.ceil(float(np.abs(end - begin).max()) / _ROW) + 1)
     chain = tilt.within(to)
     rows, poses = np.repeat(begin[None], count, axis=0), np.repeat(chain.pose[None], count, axis=0)
@@ -432,7 +442,10 @@ def _interpolated(rows: FloatArray) -> SplinePath:
 
 
 def _smooth(leg: _Leg) -> Iterator[SplinePath]:
-    """Yield paths to be timed, the smoothest first; a straight leg has one."""
+    """Yield paths to be timed, the smoothest first.
+
+    A straight leg has one path.
+    """
     if leg.path is not None:
         yield leg.path
         return
@@ -474,7 +487,9 @@ def _result(task: _Poses, legs: Sequence[_Leg]) -> PlanResult:
 
 
 def _certified(task: _Poses, leg: _Leg) -> _Leg:
-    """Return the leg with its certified motion; without one if the arm is already there.
+    """Return the leg with its certified motion.
+
+    If the arm is already there, the leg has no motion.
 
     Raises:
         TimingError: The path cannot be timed.
@@ -509,7 +524,10 @@ def _certified(task: _Poses, leg: _Leg) -> _Leg:
 
 
 def _quicker(task: _Poses, motion: Transit, bounds: ToolBounds) -> tuple[Transit, ToolBounds]:
-    """Return an optimized upright motion, or the given one if the tilt grows too large."""
+    """Return an optimized upright motion, or the given one.
+
+    The given one is kept if it is close to its duration bound, or if the optimized one tilts too far.
+    """
     if task.tilt is None or motion.trajectory.duration <= _FAST * motion.problem.least_duration:
         return motion, bounds
     chain = task.tilt.within(motion.problem)

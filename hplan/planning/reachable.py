@@ -1,4 +1,4 @@
-"""Determine the fruits that can be picked from a scene's start, with a grasp or a reason."""
+"""Determine the fruits that can be picked from a scene's start."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def reachable(
     progress: Progress = no_progress,
     cancel: Cancel | None = None,
 ) -> Mapping[str, FruitReach]:
-    """Determine the fruits that can be picked, each with all others as obstacles.
+    """Determine the fruits that can be picked from the start.
 
     A fruit can be picked if one of the grasps that `plan` would try has a certified straight approach and retreat. If
     no straight approach is collision-free, the grasp itself has to be certified collision-free. A motion from the start

@@ -1,4 +1,4 @@
-"""Configurations with the tool at a point or pose, and straight approaches, for any robot.
+"""Tool configurations at a point or pose, and straight approaches.
 
 Planar arms use closed-form inverse kinematics, all others a numerical search. The tool approaches along its axis
 (`Robot.tool_axis`), see `hplan.kinematics.straight_line`.
@@ -62,9 +62,9 @@ class Tool:
     def at(
         self, position: ArrayLike, *, approach_deg: float | tuple[float, float] | None, count: int, start: FloatArray
     ) -> Candidates:
-        """Configurations with the tool at a position; for a planar arm all of them.
+        """Return configurations with the tool at a position.
 
-        Continua of a planar arm are sampled with about `count` configurations.
+        For a planar arm these are all configurations; continua are sampled with about `count` configurations.
 
         Args:
             position: (3,) in `base_link` [m].
@@ -89,7 +89,10 @@ class Tool:
         return Candidates(found, approach_angles(self._robot, found, pose[:3, 3]))
 
     def soonest(self, found: Candidates, count: int) -> Candidates:
-        """At most `count` of the configurations, the quickest to reach; unchanged for a planar arm."""
+        """Return the `count` quickest configurations to reach.
+
+        All configurations are returned for a planar arm: they are fewer, and not sorted by time.
+        """
         if not self._is_sorted or len(found.approach) <= count:
             return found
         return Candidates(frozen(found.configurations[:count]), frozen(found.approach[:count]))
@@ -105,14 +108,15 @@ class Tool:
         return StraightLine(self._robot, goal, standoff, self._locked, self._keeps_turn)
 
     def largest_standoff(self, goal: FloatArray, longest: float) -> float:
-        """Maximum distance of a straight approach to a (dof,) goal, at most `longest` [m]."""
+        """Maximum length of a straight approach, up to `longest` [m]."""
         lines = lines_back(self._robot, goal[None], longest, locked=self._locked, keeps_turn=self._keeps_turn)
         return float(lines.distances[lines.reached[0] - 1])
 
     def thickness(self, deviation: float) -> float:
-        """Extent of the tool beyond its frame along its axis, tracking error included [m].
+        """Extent of the tool beyond its frame, tracking error included [m].
 
-        For a planar arm it is the half-width of the last link plus the tracking displacement bound.
+        It is measured along the tool axis. For a planar arm it is the half-width of the last link plus the tracking
+        displacement bound.
 
         Args:
             deviation: Tracking error of every joint [rad].

@@ -121,7 +121,10 @@ class World(Record):
         return world
 
     def touching(self, name: str, hangs_from: Sequence[str] = ()) -> World:
-        """World in which the last link may touch a solid, and other links push its supports."""
+        """Return the world in which the last link may touch a solid.
+
+        Other links may push the solids that it is attached to.
+        """
         rigid = [solid.name for solid in self.solids if solid.name in hangs_from and not solid.yields]
         touched, hanging = (*self.touched, name), (*self.hanging, *rigid)
         checker = self.checker.touching(name, rigid)
@@ -193,9 +196,9 @@ class World(Record):
         return largest_fraction(is_clear)
 
     def check_base(self, yaw: float) -> None:
-        """Refuse obstacles that intersect pedestal or turret, because no joint motion changes that.
+        """Refuse obstacles that intersect pedestal or turret.
 
-        The ground may touch the pedestal.
+        No joint motion changes such an overlap. The ground may touch the pedestal.
 
         Raises:
             InputError: An obstacle intersects them; names it, the body and the depth.
@@ -219,7 +222,7 @@ class World(Record):
 
 
 def check_clear(checker: CoalScene, q: FloatArray, clearance: float, which: str, *, sway: ArrayLike = 0.0) -> float:
-    """Return the distance of a configuration beyond the required clearance [m], inf without obstacles.
+    """Return the distance beyond the required clearance [m], inf without obstacles.
 
     Args:
         q: (dof,) configuration.
@@ -256,7 +259,10 @@ def check_clear(checker: CoalScene, q: FloatArray, clearance: float, which: str,
 
 
 def _name_neighbours(error: ConfigurationInCollisionError, checker: CoalScene, q: FloatArray) -> None:
-    """Name the touching links that share a joint: most robots have them overlap by design."""
+    """Name the touching links that share a joint.
+
+    Most robots have them overlap by design.
+    """
     neighbours = {frozenset(pair[:2]) for pair in neighbouring_links(checker.robot.model)}
     apart = checker.pair_distances(q)[len(checker.pairs) - len(checker.parts.own) :].tolist()
     touching = dict.fromkeys(

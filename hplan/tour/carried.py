@@ -18,7 +18,7 @@ CARRIED = "carried fruit"
 
 
 def carrying(robot: Robot, radius: float, frames: Sequence[str] = ()) -> Robot:
-    """Return the arm with a carried fruit as part of its collision geometry.
+    """Return the arm with a carried fruit in its collision geometry.
 
     On a planar arm the whole last link is thickened to the radius of the fruit; any other arm gets a ball at the tool
     frame, attached to the joint that carries the frame.

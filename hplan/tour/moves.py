@@ -58,7 +58,7 @@ def _key(a: int, b: int, loaded: bool) -> _Key:
 
 
 def _transit(problem: Problem, *, at_once: bool = False) -> Motion | None:
-    """Return the first motion found, or the last and quickest one; None without a motion.
+    """Return the first motion found, or the quickest; None without one.
 
     Raises:
         HplanError: One of `NO_MOTION`.
@@ -188,7 +188,10 @@ class Moves:
         return False
 
     def seconds(self, stops: IntArray, loaded: bool) -> FloatArray:
-        """Return (k, k) durations between k stops: exact if planned, otherwise estimates or bounds [s]."""
+        """Return (k, k) durations of motions between k stops [s].
+
+        They are exact for planned motions, otherwise estimates or lower bounds.
+        """
         if not np.array_equal(self._last_least[0], stops):
             self._last_least = stops, self.least(stops)
         least = self._last_least[1]
@@ -212,7 +215,7 @@ class Moves:
         return seconds
 
     def least(self, stops: IntArray | Sequence[int]) -> FloatArray:
-        """(k, k) lower bounds on the durations of motions between k stops [s]."""
+        """(k, k) lower bounds on durations between k stops [s]."""
         there = np.array([self.stops[stop].configuration for stop in stops])
         least = np.empty((len(there), len(there)))
         for begin in range(0, len(there), _ROWS):
@@ -234,7 +237,7 @@ class Moves:
         self._take(key, found)
 
     def _take(self, key: _Key, found: Motion | None) -> None:
-        """Store a motion, or the failure to find one, and update the concatenations."""
+        """Store a motion, or None, and update the concatenations."""
         self._found[key] = found
         a, b, loaded = key
         self._looked[loaded].extend((a, b))
@@ -254,11 +257,17 @@ class Moves:
         estimates.append(seconds)
 
     def _may_pass(self, loaded: bool, stop: int) -> bool:
-        """True if the arm may stop here in transit: no fruit contact, and no release of its load."""
+        """True if the arm may stop here in transit.
+
+        It must neither touch a fruit nor release its load.
+        """
         return self.stops[stop].fruit is None and not (loaded and stop == self._hub)
 
     def _one(self, a: int, b: int, loaded: bool) -> Motion:
-        """Return the quicker known direct motion; an unloaded arm may use a loaded motion."""
+        """Return the quickest known direct motion.
+
+        An unloaded arm may use a motion planned for the loaded arm.
+        """
         both = [self._found.get(_key(a, b, also)) for also in (loaded, loaded or self._carries)]
         there = min((one for one in both if one is not None), key=lambda one: one.trajectory.duration)
         return there if a < b else there.reversed

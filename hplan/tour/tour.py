@@ -146,7 +146,7 @@ def _names(scene: Scene, fruits: Sequence[str] | None) -> list[str]:
 
 @dataclass(frozen=True, eq=False)
 class _Stage:
-    """A tour among one set of obstacles: its motions, its order and the unreached fruits."""
+    """A tour among one set of obstacles: motions, order, unreached fruits."""
 
     motions: Motions
     visits: Visits
@@ -155,7 +155,10 @@ class _Stage:
 
 
 class TourPlanner:
-    """Plans tours for one arm; tours over subsets of the fruits share cached motions."""
+    """Plans tours for one arm; tours share cached motions.
+
+    Motions found with all fruits present are reused for tours over subsets of the fruits.
+    """
 
     def __init__(
         self,
@@ -166,7 +169,10 @@ class TourPlanner:
         names: Sequence[str],
         progress: Progress = no_progress,
     ) -> None:
-        """Set up; arguments and errors as in `plan_tour`, with `names` for the fruits to pick."""
+        """Set up; arguments and errors as in `plan_tour`.
+
+        `names` are the fruits that may be picked.
+        """
         self._begin = time.perf_counter()
         self.robot, self.scene, self.options, self.tour, self.progress = robot, scene, options, tour, progress
         self._carrying: Robot | None = None
@@ -186,7 +192,7 @@ class TourPlanner:
         self._whole = self._motions(scene, Stop(self.start))
 
     def _motions(self, scene: Scene, here: Stop) -> Motions:
-        """Return motions among a scene's obstacles and fruits, starting at the arm's stop."""
+        """Return the motions among a scene's solids, from the arm's stop."""
         return Motions(
             Problem.of(self.robot, scene, self.options),
             None if self._carrying is None else Problem.of(self._carrying, scene, self.options),
@@ -353,7 +359,7 @@ def _visits(motions: Motions, order: Order, given: Sequence[str]) -> Visits:
 
 
 def _times(legs: Sequence[Leg]) -> tuple[dict[str, float], dict[str, float]]:
-    """Pick time of each fruit, and its release time at the drop-off [s]."""
+    """Pick times of the fruits, and their drop-off times [s]."""
     picked: dict[str, float] = {}
     dropped: dict[str, float] = {}
     for leg in legs:

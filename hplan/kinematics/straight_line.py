@@ -29,7 +29,7 @@ from hplan.robot.model import Robot
 if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
 
-#: Maximum step of the tool [m], and minimum number of steps; any number is a multiple of it, for whole quarters.
+#: Maximum step of the tool [m], and minimum number of steps; numbers are multiples of it, so that quarters are whole.
 STEP_M, _STEPS = 5e-3, 4
 
 #: Maximum change of a joint per metre of tool motion: revolute [rad/m], prismatic [m/m].

@@ -2,7 +2,7 @@
 
 Each configuration with the tool at the point (`hplan.planning.tool_paths`) gets a straight approach along the last
 link or, for a general (non-planar) arm, along the z axis of the tool frame. The approach starts at a stand-off of the
-requested distance, or of a shorter one if that is not collision-free. Only the last link may touch the target fruit,
+requested distance, or of a shorter one if that is infeasible. Only the last link may touch the target fruit,
 and only during the approach; if no straight approach is collision-free, it may touch the fruit during the whole motion.
 """
 
@@ -179,9 +179,9 @@ class Blocked(Record):
         return len(self.configurations) + self.refined
 
     def contact_at(self, q: FloatArray) -> Contact | None:
-        """Contact at a (dof,) configuration, or on every path to it.
+        """Return the contact that blocks a (dof,) configuration.
 
-        The latter blocks a joint.
+        It is at the configuration, or blocks a joint on every path to it.
         """
         wall = self.ranges.wall_before(q)
         return self.target.world_touching.checker.nearest(q) if wall is None else wall.contact
@@ -237,7 +237,7 @@ def grasps_or_blocked(
     Args:
         target: The point to reach, and the worlds to reach it in.
         start: (dof,) start configuration.
-        standoff: Requested length of the straight approach [m]; shorter ones are tried if it is not collision-free.
+        standoff: Requested length of the straight approach [m]; shorter ones are tried if it is infeasible.
         locked: Names of joints that keep their start values.
         count: Approximate number of candidate configurations if the approach angle is free.
 

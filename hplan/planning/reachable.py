@@ -97,7 +97,7 @@ def reachable(
         For each fruit, by name and in scene order, whether it can be picked.
 
     Raises:
-        InputError: The scene does not fit the robot, or the start is not collision-free.
+        InputError: The scene does not fit the robot, or the start is invalid or in collision.
         OptionError: An option does not apply to the robot.
         NotInTimeError: The deadline passed before all fruits were checked.
         PlanCancelledError: The check was cancelled.

@@ -89,7 +89,7 @@ class Tool:
         return Candidates(found, approach_angles(self._robot, found, pose[:3, 3]))
 
     def soonest(self, found: Candidates, count: int) -> Candidates:
-        """Return the `count` quickest configurations to reach.
+        """Return at most `count` configurations, the quickest to reach.
 
         All configurations are returned for a planar arm: they are fewer, and not sorted by time.
         """

@@ -163,7 +163,7 @@ class Moves:
     def take(self, a: int, b: int, loaded: bool) -> list[tuple[tuple[int, int], Motion]] | None:
         """Return the quickest known motions between two stops, planned if necessary.
 
-        Each motion comes with its pair of stops. None if the stops are not connected.
+        Each motion comes with its pair of stops. The result is None if no motions connect the stops.
         """
         while not self.is_known(a, b, loaded):
             self.look(a, b, loaded)

@@ -102,7 +102,7 @@ def plan_tour(
         cancel: As for `hplan.plan`.
 
     Raises:
-        InputError: The scene does not fit the robot, or the start is not collision-free.
+        InputError: The scene does not fit the robot, or the start is invalid or in collision.
         OptionError: `fruits` names an unknown fruit, names one twice, or is empty.
         TourError: No fruit can be picked; the message says why.
         UnreachableError: No configuration puts the tool at the drop-off.
@@ -349,7 +349,7 @@ class TourPlanner:
 
 
 def _visits(motions: Motions, order: Order, given: Sequence[str]) -> Visits:
-    """Return the tour in the given kind of order, with optimized grasps."""
+    """Return the tour in a kind of order, with optimized grasps."""
     if order == "best":
         return motions.settle(best)
     fixed = np.array([motions.fruits.index(name) for name in given])

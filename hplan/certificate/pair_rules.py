@@ -36,7 +36,7 @@ class PairRule:
     clearance_m: float | None = None
 
     def nearer(self, distance: float) -> PairRule:
-        """The rule with a bound that is lower by a distance [m]."""
+        """The rule with its bound lowered by a distance [m]."""
         return self if self.clearance_m is None else replace(self, clearance_m=self.clearance_m - distance)
 
 

@@ -122,7 +122,8 @@ class Certificate:
         limit_use: Upper bound of the use of each limit.
         checks: Number of evaluated configurations.
         violations: One message for each requirement that is not verified; empty if all are.
-        goal_contact: When the last link may touch the goal fruit; None if the goal is no fruit.
+        goal_contact: When the last link may touch the goal fruit; None if the goal is no fruit, or if `certify` was
+            given a checker.
         contacts: All time windows in which the last link may touch a fruit, in order of time: for the goal fruit, and
             for fruits that the motion approached or left before it was replanned.
         digests: Digests of the robot, the scene and the trajectory; None for a part of a motion.

@@ -89,8 +89,8 @@ class CoalScene:
     Queries are thread-safe. A scene can be pickled; unpickling rebuilds it from robot and obstacles.
 
     Attributes:
-        mover_names: Names of the moving bodies: links, then turret bodies that are not only of round shapes, then
-            bodies that no joint moves but that are checked against another arm's base.
+        mover_names: Names of the moving bodies: links, then turret bodies with shapes that are not round, then bodies
+            that no joint moves but that are checked against another arm's base.
         obstacle_names: Names of the obstacles; from `own_first` on, names of the second parts of self-collision pairs.
         link_shapes: Shapes of the links, link by link.
         pairs: Index of the moving body in `mover_names` and of the obstacle or part in `obstacle_names`, for each pair.
@@ -276,8 +276,8 @@ class CoalScene:
     def kept(self, clearance: float) -> float | FloatArray:
         """Required distances of the `pairs` for a clearance, one number or (pairs,) [m].
 
-        The required distance is 0 for bodies of one arm that are never farther apart than the clearance
-        (`touching_pairs.required_distances`). For a compliant obstacle it is negative, whatever the clearance.
+        The required distance is 0 for bodies of one arm that are always closer together than the clearance
+        (`touching_pairs.required_distances`). For a compliant obstacle it is negative at any clearance.
         """
         if self._yielded is None and not np.isfinite(self.parts.farthest).any():
             return clearance

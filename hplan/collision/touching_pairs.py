@@ -74,7 +74,10 @@ class SelfPairs(Record):
 
 
 def required_distances(farthest: FloatArray, clearance: float) -> FloatArray:
-    """Required distance of each pair [m]: the clearance, or 0 if the pair is never farther apart than that.
+    """Required distance of each pair, (pairs,) [m].
+
+    It is the clearance, or 0 if the pair is never farther apart than the clearance or `_BEARING`, whichever is larger.
+    A negative clearance is required of all pairs.
 
     Args:
         farthest: (pairs,) maximum distances, as in `SelfPairs` [m].

@@ -1,6 +1,6 @@
 """Free space known from the camera and the arm.
 
-Unknown space counts as solid on request.
+Unknown space can be treated as an obstacle.
 
 A grid of voxels around the arm's workspace records when each was last known to be free. A frame frees a voxel that lies
 wholly in view: the directions around the camera are divided into cells (`hplan.online.hidden_points`), and in each cell

@@ -21,7 +21,7 @@ If obstacles or the base move, the proof is in space and time: at each time each
 The proof covers the motion from its start to its end; `clear_until_s` is the time until which the arm may rest at the
 end.
 
-The work is bounded by a multiple of the number of samples, whatever their values. A motion that needs more work is not
+The work is bounded by a multiple of the number of samples, at any values. A motion that exceeds the bound is not
 verified.
 
 Assumptions: links are rigid and inside their capsules or collision bodies; obstacles are at the poses and times of the
@@ -122,8 +122,8 @@ class Certificate:
         limit_use: Upper bound of the use of each limit.
         checks: Number of evaluated configurations.
         violations: One message for each requirement that is not verified; empty if all are.
-        goal_contact: When the last link may touch the goal fruit; None if the goal is no fruit, or if `certify` was
-            given a checker.
+        goal_contact: When the last link may touch the goal fruit; None without a goal fruit, or if `certify` had a
+            checker.
         contacts: All time windows in which the last link may touch a fruit, in order of time: for the goal fruit, and
             for fruits that the motion approached or left before it was replanned.
         digests: Digests of the robot, the scene and the trajectory; None for a part of a motion.
@@ -341,7 +341,7 @@ def goal_contacts(
 
 
 def _pieces(trajectory: Trajectory) -> FloatArray:
-    """Bezier points of a motion's segments, (segments, 4 or 6, dof), clipped to +-`FARTHEST_JOINT`."""
+    """Bezier points of a motion, (segments, 4 or 6, dof), clipped to +-`FARTHEST_JOINT`."""
     bezier: FloatArray = np.clip(trajectory.segments[0], -FARTHEST_JOINT, FARTHEST_JOINT)
     return bezier
 
@@ -367,7 +367,7 @@ def base_violations(
 
 
 def stretches(checker: CoalScene, clock: FloatArray, contacts: Iterable[FruitContact]) -> list[Stretch]:
-    """Split a motion at its fruit contacts, with the collision checker of each range.
+    """Split a motion at its fruit contacts into ranges with collision checkers.
 
     Args:
         clock: (n,) times of the motion's samples, on the clock of the contacts [s].

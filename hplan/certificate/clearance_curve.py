@@ -1,4 +1,4 @@
-r"""Clearance over time: distance of the nearest pair along a motion, with a bound between stations.
+r"""Clearance of a motion over time, with lower bounds between stations.
 
 Far from obstacles the proof makes few distance queries and does not measure the distance. The curve therefore makes its
 own queries at stations along the motion, on first access. The spacing of the stations decreases with the distance of
@@ -60,7 +60,7 @@ class ClearanceCurve(Record):
 
     @property
     def shown(self) -> ClearanceCurve:
-        """The curve thinned for display in reports and pages; nowhere higher than this one."""
+        """The curve thinned for display in reports; nowhere higher."""
         # Minimum number of displayed stations, number for each second, and maximum number.
         shown_stations, shown_per_s, most_shown = 300, 40.0, 1200
         wanted = max(shown_stations, round(shown_per_s * float(self.time[-1])))
@@ -160,7 +160,7 @@ class ProvedMotion(Record):
 
 @dataclass(frozen=True, eq=False)
 class Subject(Record):
-    """Sequence of motions that a certificate covers; their curves are computed on first access.
+    """Sequence of certified motions, whose curves are computed on first access.
 
     Attributes:
         motions: The motions, each with True if it is run in reverse.
@@ -236,7 +236,7 @@ def _one_after_the_other(curves: Sequence[ClearanceCurve]) -> ClearanceCurve:
 
 
 def _curve_over_places(bezier: FloatArray, stretch: ProvedStretch, clearance: float) -> ClearanceCurve:
-    """Curve of one range; its times are positions counted in samples of the range."""
+    """Curve of one range, with positions in samples instead of times."""
     deviations, proof = stretch.deviations, stretch.proof
     checker = stretch.checker.covering(float(deviations.max()), clearance)
     if not checker.pairs:
@@ -261,7 +261,7 @@ def _curve_over_places(bezier: FloatArray, stretch: ProvedStretch, clearance: fl
 
 
 class _Look(NamedTuple):
-    """A station: position, nearest pair and its distance, bound since the previous station [m]."""
+    """A station: position, nearest pair, its distance, and preceding bound [m]."""
 
     place: float
     nearest: int

@@ -1,7 +1,7 @@
-"""SHA-256 digests of a robot, a scene and a trajectory, which identify the subjects of a certificate.
+"""SHA-256 digests that identify the subjects of a certificate.
 
-They are computed from the parsed data, not from the files: comments, angle units in a URDF and mesh paths do not
-affect them; every number that planning or proof uses does.
+The subjects are a robot, a scene and a trajectory. The digests are computed from the parsed data, not from the files:
+comments, angle units in a URDF and mesh paths do not affect them; every number that planning or proof uses does.
 
 - **Robot**: names, joint frames and axes, masses, inertias, limits, links, link pairs that may touch, and all collision
   shapes with vertices and triangles of their meshes; for general (non-planar) arms also all frames, which goals may
@@ -98,7 +98,7 @@ def scene_digest(scene: Scene) -> str:
 
 
 def _moving(scene: Scene) -> Iterator[tuple[str, str, Track | Sway]]:
-    """Tracks and sways, which a JSON dump omits: name of the item, key and value."""
+    """Name, key and value of tracks and sways, which a JSON dump omits."""
     for item in (*scene.obstacles, *scene.fruits):
         for key, value in (("track", item.track), ("sway", item.sway)):
             if value is not None:

@@ -94,7 +94,7 @@ def _too_deep(
 
 
 def clear_until(q: FloatArray, checker: CoalScene, deviations: FloatArray, needed: float, from_s: float) -> float:
-    """Time until which the arm at rest is certified to keep its clearance [s].
+    """Time until which the arm at rest provably keeps its clearance [s].
 
     Args:
         q: (dof,) configuration.

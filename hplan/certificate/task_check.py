@@ -20,7 +20,7 @@ _TURNED = 1e-3
 
 
 def task_violations(robot: Robot, scene: Scene, bezier: FloatArray) -> Iterator[str]:
-    """Messages about the parts of the scene's task that a motion does not solve.
+    """Messages about unsolved parts of the scene's task.
 
     The motion must start at the start and end at the goal: at its joint values, with the tool at its position, or with
     the frame at its pose, within 1 mm and 0.001 rad. The tool must be at a goal fruit at some sample, since a picking

@@ -89,7 +89,7 @@ def _ball(shape: BaseShape) -> tuple[FloatArray, float]:
 
 
 def _near(shape: BaseShape, checker: CoalScene, most: float) -> list[int]:
-    """Indices of the obstacles that may come within distance `most` of a shape [m].
+    """Indices of obstacles that may come within `most` of a shape [m].
 
     Static obstacles are culled by their bounding balls; all moving obstacles are included.
     """

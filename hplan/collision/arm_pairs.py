@@ -1,4 +1,4 @@
-"""Parts of the arm in coal: shapes that meet obstacles, self-collision pairs, motion-bound coefficients.
+"""Arm shapes in coal, self-collision pairs and their motion-bound coefficients.
 
 The parts of a planar arm are the capsules of its links, and shapes of turret and pedestal. The pedestal, and the
 turret's shapes that are round about the yaw axis, are static: they are not part of the motion checks, and are checked
@@ -126,13 +126,13 @@ class ArmParts(Record):
 
     @cached_property
     def shape_pairs(self) -> tuple[tuple[pin.GeometryObject, pin.GeometryObject], ...] | ArmPairs:
-        """Shapes of the self-collision pairs; many pairs have a model shared by all scenes."""
+        """Shapes of the self-collision pairs, in a shared model if they are many."""
         pairs = tuple(pair.shapes for pair in self.own)
         return ArmPairs(self.shapes, pairs) if len(pairs) >= _MANY else pairs
 
     @cached_property
     def own_names(self) -> tuple[tuple[str, ...], IntArray]:
-        """Names of the second parts of the pairs, and (pairs, 2) indices of moving body and second part."""
+        """Names of the pairs' second parts, and (pairs, 2) indices of both parts."""
         movers = {name: number for number, name in enumerate(self.mover_names)}
         names = {name: number for number, name in enumerate(dict.fromkeys(pair.other_name for pair in self.own))}
         numbers = [(movers[pair.mover_name], names[pair.other_name]) for pair in self.own]
@@ -156,7 +156,7 @@ class ArmParts(Record):
 
     @property
     def key(self) -> tuple[tuple[int, ...], bytes]:
-        """Cache key of the parts within one robot: identities of the cached shapes, and the pairs."""
+        """Cache key within one robot: identities of the shapes, and the pairs."""
         return tuple(self._every), self.movers[0].tobytes()
 
     @cached_property
@@ -329,7 +329,7 @@ def _planar_exemptions(
 def _link_pairs(
     robot: Robot, contact: SelfContact, shapes: Sequence[Sequence[pin.GeometryObject]]
 ) -> Iterator[ArmPair]:
-    """Pairs of links that can touch, and pairs of links with pedestal and turret."""
+    """Pairs of links with links, pedestal and turret that can touch."""
     names = robot.arm.link_names
     for i, j in contact.links:
         for pair in itertools.product(shapes[j], shapes[i]):
@@ -376,7 +376,7 @@ def _turret_pairs(robot: Robot, deviation: float, clearance: float) -> Iterator[
 
 
 def shaped_pairs(robot: Robot, deviation: float) -> SelfPairs:
-    """Pairs of a planar arm whose capsules always touch, but whose URDF shapes need not.
+    """Pairs of a planar arm whose capsules always touch, unlike their URDF shapes.
 
     These are links that the links between them hold close together, and links that start in or near a shape of turret
     or pedestal. Neighbouring links are not included.
@@ -406,7 +406,7 @@ def _held_pairs(robot: Robot) -> Iterator[tuple[int, int]]:
 
 
 def _as_shaped(robot: Robot, pairs: SelfPairs) -> Iterator[ArmPair]:
-    """Checked pairs as `ArmPair`; the body with more joints below it is the moving one."""
+    """Checked pairs; the body with more joints below it moves."""
     bodies, shapes = collision_bodies(robot), body_shapes(robot)
     for pair, farthest in zip(pairs.checked, pairs.farthest.tolist(), strict=True):
         still, moved = sorted(pair, key=lambda body: len(carriers(robot, bodies[body].joint)))
@@ -430,9 +430,9 @@ def moving_bodies(robot: Robot) -> dict[str, list[int]]:
 
 
 def base_bodies(robot: Robot) -> Iterator[tuple[str, pin.GeometryObject]]:
-    """Names and shapes of the base: pedestal and turret, or bodies that no joint moves.
+    """Names and shapes of the base.
 
-    Meshes are decomposed into their convex pieces.
+    The base is pedestal and turret, or the bodies that no joint moves. Meshes are decomposed into their convex pieces.
     """
     for body, shape in zip(collision_bodies(robot), body_shapes(robot), strict=True):
         if body.joint < base_joints(robot):
@@ -440,7 +440,7 @@ def base_bodies(robot: Robot) -> Iterator[tuple[str, pin.GeometryObject]]:
 
 
 def _beyond(deviation: float) -> float:
-    """Round a deviation up to a multiple of `BEYOND`, so that few sets of pairs are computed."""
+    """Deviation rounded up to a multiple of `BEYOND`, to limit recomputation."""
     return BEYOND * max(1, math.ceil(deviation / BEYOND - 1e-9))
 
 

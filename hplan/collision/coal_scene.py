@@ -1,4 +1,4 @@
-"""Collision checker based on coal and Pinocchio; it shares no formula with the planner."""
+"""Collision checker in coal and Pinocchio, sharing no formula with the planner."""
 
 from __future__ import annotations
 
@@ -396,7 +396,7 @@ class CoalScene:
         return kind(self.mover_names[mover], self.obstacle_names[obstacle], distance)
 
     def nearest(self, q: ArrayLike, time_s: float | None = None) -> Contact | None:
-        """Nearest pair of a link and an obstacle or part of the arm; None without pairs."""
+        """Contact of the nearest pair; None without pairs."""
         if not self.pairs:
             return None
         pair, distance = self.nearest_pair(np.asarray(q, dtype=np.float64), -self.counted(0.0), time_s)

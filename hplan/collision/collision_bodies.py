@@ -1,4 +1,4 @@
-r"""Collision geometry of a robot as convex bodies: hulls of a few points, grown by a radius.
+r"""Collision geometry of a robot as convex hulls with a radius.
 
 Each body is carried by one joint and contains its URDF shape. Spheres, capsules and boxes are exact. A cylinder becomes
 its circumscribed prism with `_SIDES` sides, and a mesh its convex hull. A closed mesh that fills less than `_FILLED` of

@@ -42,7 +42,7 @@ PLACE, SHIFT, PARENT, TURN, JOINT_SIZE = 27, 30, 33, 34, 37
 
 @dataclass(frozen=True, eq=False)
 class FlatBodies(Record):
-    """Moving bodies of a robot as rows, and the numbers that they refer to.
+    """Moving bodies of a robot as rows that refer to numbers.
 
     Attributes:
         movers: (bodies + pairs, COLUMNS) rows: the bodies in the order of `collision_bodies`, then capsules that
@@ -101,7 +101,7 @@ def _of_any_arm(robot: Robot) -> FlatBodies:
 
 
 def _of_parts(parts: ArmParts) -> FlatBodies:
-    """Parts of a planar arm: shapes that meet obstacles, then turret and pedestal shapes that its links can touch."""
+    """Shapes of a planar arm, then turret and pedestal shapes its links can touch."""
     (both, _), links = parts.movers, len(parts.shapes)
     return _flat(parts.robot, parts.bodies, np.arange(len(parts.bodies)) < links, both[links:].tolist())
 
@@ -198,7 +198,7 @@ def _of_joint(robot: Robot, joint: int) -> FloatArray:
 
 
 def _axis(core: FloatArray) -> tuple[FloatArray, float]:
-    """Start and vector of a segment, and the radius of a bounding capsule around it.
+    """Start, vector and radius of a bounding capsule of some points.
 
     The segment has the direction of the maximum spread of the points; its ends are moved inward by the radius.
     """

@@ -1,4 +1,4 @@
-"""Compliant obstacles: solids that some links of an arm may deflect up to a maximum depth.
+"""Compliant obstacles: solids that some links may deflect to a maximum depth.
 
 For the links that may push it, a compliant solid is smaller by its maximum deflection; for all others it has its full
 size. The depth of a contact is the penetration depth: the minimum translation that separates the two shapes. It is not

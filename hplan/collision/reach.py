@@ -1,4 +1,4 @@
-r"""Motion-bound coefficients: bounds of the motion of each body caused by each joint, at any configuration.
+r"""Motion-bound coefficients: configuration-independent bounds of each body's motion by each joint.
 
 A point of the core of body :math:`b` at distance :math:`\rho` from the axis of joint :math:`j` moves with speed
 :math:`\rho |\dot q_j|` if only that joint moves and is revolute, and with :math:`|\dot q_j|` if it is prismatic. Let
@@ -45,7 +45,7 @@ _ROUND_OFF: Final = 1e-12
 
 @made_once
 def reach(robot: Robot, beyond: float = 0.0) -> FloatArray:
-    """Motion-bound coefficients: upper bounds of the distance of each core from each joint's axis.
+    """Motion-bound coefficients: maximum distance of each core from each joint axis.
 
     For a body that is larger than its URDF shape, the bound covers the core and the whole shape.
 
@@ -85,7 +85,10 @@ def points_reach(robot: Robot, points: FloatArray, joint: int, beyond: float = 0
 
 @made_once
 def reach_ball(robot: Robot) -> FloatArray:
-    """(4,) centre in `base_link` and radius of a ball around all bodies at all configurations [m]."""
+    """(4,) centre in `base_link` and radius of a workspace ball [m].
+
+    It contains all bodies at all configurations.
+    """
     bodies = collision_bodies(robot)
     held = [_carried(robot, body.core, body.joint, 0.0)[1] for body in bodies]
     # Distances from the first joint's origin do not change when it rotates.

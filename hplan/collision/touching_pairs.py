@@ -1,4 +1,4 @@
-"""Pairs of a robot's own bodies: the checked ones, and the exempt ones, each with the reason.
+"""Checked and exempt self-collision pairs of a robot, with the reasons.
 
 Every pair of bodies of **different arms** (`Robot.owner_of`) is checked with the full clearance, unless the cell
 declares that the two links may touch. No other rule applies to it.
@@ -143,7 +143,9 @@ def _declared(robot: Robot) -> dict[frozenset[str], str]:
 
 
 def _always_touch(robot: Robot, pair: tuple[int, int]) -> bool:
-    """True if two bodies touch at all joint values within the limits; True is certain.
+    """True if two bodies provably touch at all joint values.
+
+    The joint values are within the limits; True is certain.
 
     Bisection: the distance at the centre of a box of joint values grows by no more than the half-widths times the
     motion-bound coefficients (`hplan.collision.reach`).
@@ -205,11 +207,11 @@ class OneJoint(NamedTuple):
     rate: float
 
     def ever(self, level: float) -> bool:
-        """True if the distance may reach `level` [m] in the range; False is proved."""
+        """True if the distance may fall to `level` [m]; False is proved."""
         return ever(*self, level)
 
     def always(self, level: float) -> bool:
-        """True if the distance is within `level` [m] over the whole range; True is proved."""
+        """True if the distance never exceeds `level` [m]; True is proved."""
         return always(*self, level)
 
 
@@ -260,7 +262,7 @@ def _by_one_joint(robot: Robot, pair: tuple[int, int], joint: int, beyond: float
 
 
 def _radius(shape: pin.GeometryObject, placement: pin.SE3, axis: FloatArray) -> float:
-    """Upper bound of the distance of a shape's points from an axis through the origin [m]."""
+    """Upper bound of the distance of a shape's points from an axis [m]."""
     shape.geometry.computeLocalAABB()
     centre = placement * np.asarray(shape.geometry.aabb_center)
     return float(np.linalg.norm(centre - (centre @ axis) * axis)) + float(shape.geometry.aabb_radius)

@@ -1,4 +1,4 @@
-"""The arm as solids for camera models, and a bounding ball of its workspace."""
+"""The arm as solids for camera models, and its workspace ball."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ def arm_solids(robot: Robot, q: FloatArray) -> tuple[Solid, ...]:
 
 @made_once
 def reach_ball(robot: Robot) -> FloatArray:
-    """(4,) centre and radius of a ball around the whole arm at all configurations [m].
+    """(4,) centre and radius of a ball around the workspace [m].
 
-    The ball contains turret and pedestal too.
+    It contains arm, turret and pedestal at all configurations.
     """
     if robot.planar is None:
         return reach.reach_ball(robot)

@@ -1,4 +1,4 @@
-"""Next-best view: the camera pose that sees most of the unknown space along a motion."""
+"""Next-best view: the camera pose showing most unknown space along a motion."""
 
 from __future__ import annotations
 

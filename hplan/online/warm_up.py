@@ -1,4 +1,7 @@
-"""Warm-up: load the compiled kernels of planning, clouds, replanning and stops before the first deadline."""
+"""Warm-up: load the compiled kernels before the first deadline.
+
+They are the kernels of planning, clouds, replanning and stops.
+"""
 
 from __future__ import annotations
 
@@ -40,7 +43,7 @@ class NotReadyWarning(UserWarning):
 
 
 def warm_up(robot: Robot) -> None:
-    """Load the kernels for a robot, so that the first plan meets its deadline.
+    """Load a robot's kernels so that the first plan meets its deadline.
 
     A small scene is derived from the robot. In it, motions are planned past static and moving balls to joint values, a
     fruit and a pose; a camera cloud is set; a running motion is replanned and stopped. Kernels that are not in the disk
@@ -84,7 +87,7 @@ def _pairs(robot: Robot) -> list[tuple[FloatArray, FloatArray]]:
 
 
 def _is_done(robot: Robot, start: FloatArray, goal: FloatArray, blocked: bool) -> bool:
-    """Plan a motion, then replan and stop it; False if no motion is found.
+    """Plan, replan and stop a motion; False if none is found.
 
     Args:
         robot: The robot.

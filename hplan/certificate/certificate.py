@@ -1,34 +1,34 @@
-r"""The certificate of a trajectory: what is shown of it for all times, and how.
+r"""Certificate of a trajectory, valid for all times.
 
-Between two rows the controller follows a polynomial (`Trajectory.interpolation`): the cubic that has the rows'
-positions and velocities, as a trajectory of hplan is, the quintic that has their accelerations too, or a straight line.
-On it
+Between two samples the controller follows a polynomial (`Trajectory.interpolation`): the cubic through the positions
+and velocities (trajectories of hplan), the quintic that also matches the accelerations, or a straight line. On it
 
-- **clearance** is shown over continuous time, from obstacles, and of parts of the arm that can touch one another
-  (conservative advancement; the bound is in `hplan.certificate.clearance_proof`), but for pairs of one arm with a rule
-  of their own, which are listed (`hplan.certificate.pair_rules`); bodies of different arms always keep it;
-- the **fruit that is the goal** may be touched by the last link only, and only on a straight approach to the grasp and
-  in the retreat (`hplan.certificate.goal_contact`); all other fruits are obstacles, but for windows of time that are
-  given: those of fruits that the motion had to do with before it was led elsewhere;
+- **clearance** is proved over continuous time, to obstacles and between bodies of the arm that can touch each other
+  (conservative advancement; the bound is in `hplan.certificate.clearance_proof`). Pairs of one arm with a rule of their
+  own are excepted and listed (`hplan.certificate.pair_rules`); bodies of different arms always keep the clearance;
+- the **goal fruit** may be touched by the last link only, and only on a straight approach to the grasp and in the
+  retreat (`hplan.certificate.goal_contact`). All other fruits are obstacles, except in given time windows, for fruits
+  that the motion approached or left before it was replanned;
 - **position, velocity, acceleration and torque** are bounded for all times (`hplan.certificate.limit_use`,
   `hplan.certificate.torque_bound`);
-- along straight lines velocities jump at rows, which no limit of acceleration or torque allows: such a motion is not
-  verified, unless `velocity_jumps` says that position, velocity and clearance are all that is required;
+- along straight lines the velocity jumps at the samples, which violates every acceleration and torque limit: such a
+  motion is verified only if `velocity_jumps` restricts the requirements to position, velocity and clearance;
 - the acceleration and torque columns, which a controller may feed forward, must keep the limits too;
-- the motion begins and ends at rest, and solves the scene's task (`hplan.certificate.task_check`), unless that is
-  not wanted; where the scene's start is in motion, it begins in that state (`hplan.certificate.start_state`).
+- the motion starts and ends at rest and solves the scene's task (`hplan.certificate.task_check`), unless the caller
+  disables these checks; if the scene's start is in motion, it starts in that state (`hplan.certificate.start_state`).
 
-Where obstacles move, or the base does, this holds in space and time: at each time each obstacle is where its track has
-it then. Shown is the motion, from its begin to its end; how long the arm may rest where it ends, `clear_until_s` says.
+If obstacles or the base move, the proof is in space and time: at each time each obstacle is at the pose of its track.
+The proof covers the motion from its start to its end; `clear_until_s` is the time until which the arm may rest at the
+end.
 
-The work is bounded: in proportion to the number of rows, whatever stands in them. What cannot be shown with it is not
+The work is bounded by a multiple of the number of samples, at any values. A motion that exceeds the bound is not
 verified.
 
-Assumed: rigid links inside their capsules or collision bodies, obstacles where the scene says, and when, tracking
-within a model of its error (`hplan.robot.tracking`; it takes from the clearance; the limits are those of the commanded
-motion). Not covered: flexing, the base's own motion but for its track, forces by which a base that turns or changes its
-pace acts on the arm (that it tilts counts), contact forces, what is not in the scene, drawn links without collision
-shapes (`Certificate.uncovered_links`).
+Assumptions: links are rigid and inside their capsules or collision bodies; obstacles are at the poses and times of the
+scene; the tracking error is within its model (`hplan.robot.tracking`; it reduces the clearance; the limits are those of
+the commanded motion). Not covered: flexing, motion of the base other than its track, inertial forces on the arm of a
+base that turns or accelerates (its tilt is covered), contact forces, obstacles that are not in the scene, visual links
+without collision shapes (`Certificate.uncovered_links`).
 """
 
 from __future__ import annotations
@@ -77,21 +77,23 @@ from hplan.scene.obstacle_kind import Sigmas
 from hplan.trajectory.cubics import Interpolation
 from hplan.trajectory.trajectory import Trajectory, check_joints
 
-#: Use of a limit up to which it counts as kept.
+#: Maximum use of a limit that counts as keeping it.
 LIMIT_TOLERANCE = 1.001
 
-#: Speed at the ends that still counts as rest [rad/s].
+#: Maximum speed that counts as rest [rad/s; m/s for prismatic joints].
 REST = 1e-6
 
-#: When the last link may touch the fruit that is the goal: on a straight approach and back, or during the whole motion.
+#: When the last link may touch the goal fruit: on a straight approach and its retreat, or during the whole motion.
 GoalContact: TypeAlias = Literal["approach", "motion"]
 
-#: A range of the motion's cubics, and the collision checker that holds there.
+#: A range of the motion's segments and the collision checker that is valid there.
 Stretch: TypeAlias = tuple[slice, CoalScene]
 
 
 class MotionRates(NamedTuple):
-    """Rates of the motions that a trajectory is assembled from, so that samples it adds do not change them.
+    """Limit use and speeds of the motions that a trajectory is assembled from.
+
+    They are kept so that the samples added by the assembly do not change them.
 
     Attributes:
         limit_use: Use of each limit.
@@ -107,32 +109,34 @@ class Certificate:
     """The result of certifying a trajectory.
 
     Attributes:
-        verified: True if everything asked for was shown.
+        verified: True if every requirement is proved.
         min_clearance_m: If the clearance is proved, a lower bound of every distance, at all times and tracking errors
             included, between obstacles and links that a joint moves, and between bodies of the arm that are checked
             [m]; inf without such pairs. The base, which no joint moves, is not counted. It is below the scene's
-            clearance if a pair in `pair_rules` comes nearer. If the clearance is not proved, the smallest distance
-            found, negative in contact. A compliant obstacle counts as if the clearance to keep were left when it is
-            pushed as deep as it may be (`pushes` says how deep it is).
-        nearest: The pair that came closest to the distance that it has to keep, and its distance, at the configurations
-            that were evaluated: no less than `min_clearance_m` if the motion is verified, compliant obstacles aside.
-            `hplan.check` reports the same pair of single configurations.
+            clearance if a pair in `pair_rules` comes nearer. If the clearance is not proved, the minimum distance
+            found, negative in contact. The distance of a compliant obstacle is offset so that its maximum deflection
+            leaves exactly the required clearance (`pushes` has the deflection).
+        nearest: The pair that came closest to its required distance, and its distance, at the evaluated configurations:
+            at least `min_clearance_m` if the motion is verified, except for compliant obstacles. `hplan.check` reports
+            the same pair for single configurations.
         limit_use: Upper bound of the use of each limit.
-        checks: Number of configurations at which distances were evaluated.
-        violations: A message for everything that was not verified; empty when verified.
-        goal_contact: When the last link may touch the fruit that is the goal; None where no fruit is.
-        contacts: All windows of time in which the last link may touch a fruit, in their order: that of the goal, and
-            those of fruits that the motion had to do with before it was led elsewhere.
-        digests: The robot, the scene and the trajectory that it is about; None for a part of a motion.
-        risk: The probability that the motion touches anything, where a bound of it was asked for.
-        subject: The motions that it is about, for `clearance_curve`; None where it was made by hand.
-        nearest_s: When `nearest` was seen, counted as the tracks' times are [s]; None where nothing moves but the arm.
+        checks: Number of evaluated configurations.
+        violations: One message for each requirement that is not verified; empty if all are.
+        goal_contact: When the last link may touch the goal fruit; None without a goal fruit, or if `certify` had a
+            checker.
+        contacts: All time windows in which the last link may touch a fruit, in order of time: for the goal fruit, and
+            for fruits that the motion approached or left before it was replanned.
+        digests: Digests of the robot, the scene and the trajectory; None for a part of a motion.
+        risk: Bound of the probability that the motion touches anything; None unless `certify` was given a risk.
+        subject: The certified motions, for `clearance_curve`; None for a certificate that was made by hand.
+        nearest_s: Time of `nearest` on the clock of the tracks [s]; None if only the arm moves.
         pair_rules: Pairs of links of the arm, or of its turret and an obstacle, that do not keep the scene's clearance:
             each with its own rule and its own bound, or not checked; see `hplan.certificate.pair_rules`. Bodies that do
             not move relative to each other are not listed.
-        clear_until_s: Time up to which the arm is shown to keep its distance if it rests where the motion ends, counted
-            as the tracks' times are; inf for ever [s]. None where nothing moves, or the motion is not verified.
-        uncovered_links: Names of the drawn links that no collision shape covers: nothing is proved about them.
+        clear_until_s: Time until which the arm is certified to keep its clearance while it rests at the end of the
+            motion, on the clock of the tracks [s]; inf for no limit. None if no obstacle moves, or if the motion is not
+            verified.
+        uncovered_links: Names of the visual links that no collision shape covers: nothing is proved about them.
     """
 
     verified: bool
@@ -153,32 +157,34 @@ class Certificate:
 
     @property
     def contact_s(self) -> tuple[float, float] | None:
-        """The last of `contacts` as times, from and to [s]; None for none."""
+        """Start and end of the last of `contacts` [s]; None without contacts."""
         return self.contacts[-1].span_s if self.contacts else None
 
     @property
     def clearance_curve(self) -> ClearanceCurve | None:
-        """Clearance over time, computed when it is first asked for; None where the certificate was made by hand.
+        """Clearance over time, computed on first access.
 
-        That takes as long as the certificate or several times as long: where the arm is far from everything, the proof
-        need not look how far.
+        None for a certificate that was made by hand. The computation takes as long as the certificate or several times
+        as long: if the arm is far from everything, the proof does not need the distance itself.
         """
         return None if self.subject is None else self.subject.curve
 
     @property
     def pushes(self) -> tuple[Push, ...] | None:
-        """What gives way, which link pushes it, how deep at most and when; computed when it is first asked for.
+        """Contacts with compliant obstacles: link, maximum deflection and time; computed on first access.
 
-        Empty where nothing is touched; None where the certificate was made by hand, or by that of the motion's path.
+        Empty if nothing is touched. None for a certificate made by hand or derived from the certificate of its path.
         """
         return None if self.subject is None else self.subject.pushes
 
     @property
     def reversed(self) -> Certificate:
-        """The certificate of the motion backwards: the same distances and torques; none of task or contact times.
+        """Certificate of the motion in reverse, without task and contact times.
+
+        Distances and torques are the same in both directions.
 
         Raises:
-            MovingObstacleError: Obstacles move, and not backwards.
+            MovingObstacleError: An obstacle moves; its track is not reversed.
         """
         if self.nearest_s is not None:
             raise MovingObstacleError(None if self.nearest is None else self.nearest.obstacle)
@@ -186,7 +192,7 @@ class Certificate:
         return replace(self, subject=subject, contacts=(), digests=None)
 
 
-# Fifteen parameters: three subjects, and options that callers name by keyword.
+# Fifteen parameters: robot, scene and trajectory, and keyword-only options.
 def certify(
     robot: Robot,
     scene: Scene,
@@ -205,46 +211,48 @@ def certify(
     interpolation: Interpolation | None = None,
     velocity_jumps: bool = False,
 ) -> Certificate:
-    """Certify a trajectory, wherever it comes from, as `plan` certifies its own.
+    """Certify a trajectory from any source, as `plan` certifies its own.
 
     Args:
         robot: The arm.
-        scene: Obstacles, the clearance to keep, and the task.
+        scene: Obstacles, required clearance and task.
         trajectory: The timed motion; its joints are the robot's.
-        tracking_error: Largest deviation of any joint from the trajectory at rest [rad; of joints that slide, m].
-        tracking_delay_s: Addition to it for each rad/s, or m/s, of the joint's velocity [s].
-        sigmas: How many standard deviations of its place an obstacle is grown by, where the scene gives one.
-        risk: Largest probability that the motion touches anything; None for none. Obstacles are not grown then: the
-            clearance is that from where they were seen, and what their errors may do is in the bound
+        tracking_error: Maximum deviation of any joint from the trajectory at rest [rad; m for prismatic joints].
+        tracking_delay_s: Increase of this deviation per unit of the joint's velocity (rad/s or m/s) [s].
+        sigmas: Growth of an obstacle in standard deviations of its position, if the scene gives a covariance.
+        risk: Maximum probability that the motion touches anything; None for no bound. With a risk, obstacles are not
+            grown: the clearance is to their observed poses, and the bound accounts for their position errors
             (`hplan.certificate.touch_risk`).
-        goal_contact: `approach`: the last link may touch the fruit that is the goal on a straight approach and on the
-            retreat, found in the motion. `motion`: it may during the whole motion; so `plan` certifies where no
-            straight approach is clear.
-        contacts: Windows of time in which it may touch fruits besides, as the certificate of a motion that was led
-            elsewhere has them (`Certificate.contacts`). They are taken as they are; what is no fruit of the scene now,
-            equal in every value, stays an obstacle.
-        check_ends: Whether the motion has to solve the scene's task: begin at its start, reach its goal, leave its
-            locked joints where they are.
-        rest_to_rest: Whether the motion has to begin and end at rest; where the scene's start is in motion, to end.
-        checker: The arm among other solids than the scene's. They are taken as they are: `sigmas`, `goal_contact`
-            and `contacts` are not checked, nor what pedestal and turret stand in.
-        begin_s: Time at which the motion begins, as the tracks of the scene count it [s]: a motion that starts later,
-            or takes over from a running one, sees what moves from that time on.
-        interpolation: The curve that the controller runs between rows: `cubic`, `quintic` or `linear`; None for the
+        goal_contact: `approach`: the last link may touch the goal fruit on a straight approach and on the retreat,
+            which are detected in the motion. `motion`: it may touch the fruit during the whole motion; `plan` certifies
+            with this value if no straight approach is collision-free.
+        contacts: Additional time windows in which the last link may touch fruits, as in the certificate of a motion
+            that was replanned (`Certificate.contacts`). They are used unchanged; a fruit that is no longer in the
+            scene, equal in every value, stays an obstacle.
+        check_ends: Whether the motion must solve the scene's task: start at its start, reach its goal, keep its locked
+            joints fixed.
+        rest_to_rest: Whether the motion must start and end at rest; if the scene's start is in motion, only end.
+        checker: Collision checker of the arm among other solids than the scene's. They are used unchanged: `sigmas`,
+            `goal_contact` and `contacts` have no effect, and contacts of pedestal and turret are not checked.
+        begin_s: Start time of the motion on the clock of the scene's tracks [s]: a motion that starts later, or takes
+            over from a running one, meets moving obstacles from that time on.
+        interpolation: Curve that the controller runs between samples: `cubic`, `quintic` or `linear`; None for the
             trajectory's own.
-        velocity_jumps: Whether velocity may jump, for controllers that are given positions alone: along straight lines
-            between rows neither acceleration and torque (`limit_use` says inf) nor rest at the ends are required then.
+        velocity_jumps: Whether the velocity may jump, for controllers that take positions only. Along straight lines
+            between samples, acceleration and torque (their `limit_use` is inf) and rest at the ends are then not
+            required.
 
     Returns:
         The certificate; read `verified`.
 
     Raises:
-        InputError: The trajectory has other joints than the robot, or does not say which of them are in metres where
-            some slide; start or goal of the scene do not fit it.
-        MovingObstacleError: The fruit that is the goal moves; or something does, and a risk is given.
-        OptionError: A time that is not finite; a tracking error or delay, or a number of standard deviations, that is
-            negative or not finite; another contact with the goal; another interpolation; velocity jumps of a motion
-            that is not made of straight lines.
+        InputError: The trajectory's joints are not the robot's; the robot has prismatic joints and the trajectory does
+            not state which joints are in metres; start or goal of the scene do not fit the robot.
+        MovingObstacleError: The goal fruit moves, or the base does while a fruit is the goal; or anything moves and
+            `risk` is given.
+        OptionError: `begin_s` is not finite; a tracking error or delay, or `sigmas`, is negative or not finite; `risk`
+            is out of range or given with a `checker`; `goal_contact` or `interpolation` has an unknown value;
+            `velocity_jumps` is set for a motion that is not linear between samples.
     """
     instance("robot", robot, Robot, "load_robot")
     check_yield_links(robot, checked_scene(scene).yield_links)
@@ -319,7 +327,10 @@ def certify(
 def goal_contacts(
     robot: Robot, trajectory: Trajectory, fruit: Fruit, goal_contact: GoalContact
 ) -> tuple[FruitContact, ...]:
-    """The window of time in which the last link may touch the fruit that is the goal; none where it never is there."""
+    """Time window in which the last link may touch the goal fruit.
+
+    Empty if the motion never reaches the fruit.
+    """
     time, last = trajectory.time, trajectory.samples - 1
     pieces: slice | None = slice(0, last)
     if goal_contact != "motion":
@@ -330,7 +341,7 @@ def goal_contacts(
 
 
 def _pieces(trajectory: Trajectory) -> FloatArray:
-    """(pieces, 4 or 6, dof) Bezier points of a motion's segments; joints beyond any limit are as far as matters."""
+    """Bezier points of a motion, (segments, 4 or 6, dof), clipped to +-`FARTHEST_JOINT`."""
     bezier: FloatArray = np.clip(trajectory.segments[0], -FARTHEST_JOINT, FARTHEST_JOINT)
     return bezier
 
@@ -338,12 +349,12 @@ def _pieces(trajectory: Trajectory) -> FloatArray:
 def base_violations(
     robot: Robot, scene: Scene, checker: CoalScene, trajectory: Trajectory, begin_s: float
 ) -> Iterator[str]:
-    """Messages: what pedestal and turret stand in, or what comes into them while a motion runs.
+    """Messages about obstacles that penetrate pedestal or turret during a motion.
 
     Args:
-        checker: The arm among them, in the order of the scene.
-        trajectory: The motion; the turret is taken as it stands where it begins.
-        begin_s: When it begins, as the tracks of the scene count it [s].
+        checker: Collision checker of the arm among the obstacles, in the order of the scene.
+        trajectory: The motion; the turret is at the yaw of its first sample.
+        begin_s: Start time of the motion on the clock of the scene's tracks [s].
     """
     first = np.clip(trajectory.position[0], -FARTHEST_JOINT, FARTHEST_JOINT)
     yaw, still = robot.yaw_of(first), scene.listed_solids
@@ -356,10 +367,10 @@ def base_violations(
 
 
 def stretches(checker: CoalScene, clock: FloatArray, contacts: Iterable[FruitContact]) -> list[Stretch]:
-    """The ranges of a motion before, within and after those in which the last link may touch fruits.
+    """Split a motion at its fruit contacts into ranges with collision checkers.
 
     Args:
-        clock: (n,) times of the motion's rows, as the windows count them.
+        clock: (n,) times of the motion's samples, on the clock of the contacts [s].
     """
     inside = [(pieces, each.fruit) for each in contacts if (pieces := each.pieces(clock)) is not None]
     ends = {end for pieces, _ in inside for end in (pieces.start, pieces.stop)}
@@ -389,16 +400,16 @@ def certify_among(
 
     Args:
         trajectory: The timed motion; its joints are the robot's.
-        among: The collision checker of each stretch; together the whole motion.
-        clearance: Clearance to keep [m].
-        tracking: Deviation of the joints that is covered.
-        rest_to_rest: Whether the motion has to begin and end at rest.
-        begin_s: Time at which it begins, as the movements of obstacles count it [s].
-        rates: Its use of limits and its speeds, if it is assembled from other motions; None computes both.
-        velocity_jumps: Whether velocity may jump along straight lines between rows (`certify`).
+        among: Ranges of segments that cover the whole motion, each with its collision checker.
+        clearance: Required clearance [m].
+        tracking: Model of the covered joint deviations.
+        rest_to_rest: Whether the motion must start and end at rest.
+        begin_s: Start time of the motion on the clock of the obstacles' movements [s].
+        rates: Limit use and speeds, if the motion is assembled from others; None computes both.
+        velocity_jumps: Whether the velocity may jump along straight lines between samples (see `certify`).
 
     Raises:
-        InputError: The trajectory has other joints than the robot.
+        InputError: The trajectory's joints are not the robot's.
     """
     check_joints(trajectory, robot)
     bezier, duration = trajectory.segments
@@ -446,11 +457,13 @@ def certify_among(
 def rest_violations(
     robot: Robot, trajectory: Trajectory, ends: Mapping[str, int], *, velocity_jumps: bool = False
 ) -> Iterator[str]:
-    """Messages: ends of a motion at which it is not at rest, by its rows and by the curve between them.
+    """Messages about ends of a motion that are not at rest.
+
+    Both the sample velocities and the end velocities of the curve between samples are checked.
 
     Args:
-        ends: Whether it begins or ends there, and 0 or -1 for the first or last row.
-        velocity_jumps: Whether the velocity may jump there, along straight lines between rows.
+        ends: Verb of the message ("begins" or "ends"), and the sample: 0 for the first, -1 for the last.
+        velocity_jumps: Whether the velocity may jump at the ends, along straight lines between samples.
     """
     leaving = trajectory.end_velocities
     for where, row in ends.items():
@@ -464,7 +477,7 @@ def rest_violations(
 
 
 def with_violations(certificate: Certificate, more: Iterable[str]) -> Certificate:
-    """The certificate with more violations."""
+    """Certificate with additional violations; not verified if there are any."""
     found = tuple(more)
     if not found:
         return certificate
@@ -472,7 +485,7 @@ def with_violations(certificate: Certificate, more: Iterable[str]) -> Certificat
 
 
 def on_track(certificate: Certificate, robot: Robot, scene: Scene, begin_s: float, duration: float) -> Certificate:
-    """The certificate of a motion where the scene's base tilts on its track (`hplan.certificate.tilted_base`)."""
+    """Certificate with the limit use of a base that tilts (`hplan.certificate.tilted_base`)."""
     use = use_on_track(certificate.limit_use, robot, scene, begin_s, duration)
     known = set(limit_violations(certificate.limit_use))
     more = (f"{broken}, as the base tilts" for broken in limit_violations(use) if broken not in known)
@@ -480,7 +493,10 @@ def on_track(certificate: Certificate, robot: Robot, scene: Scene, begin_s: floa
 
 
 def limit_violations(use: LimitUse, *, velocity_jumps: bool = False) -> Iterator[str]:
-    """Messages: the limits that are not verified to be kept; with jumps of velocity, of position and velocity alone."""
+    """Messages about limits that are not verified.
+
+    With `velocity_jumps`, only the limits of position and velocity are checked.
+    """
     for what, fraction in vars(use).items():
         if velocity_jumps and what in ("acceleration", "torque"):
             continue
@@ -489,7 +505,10 @@ def limit_violations(use: LimitUse, *, velocity_jumps: bool = False) -> Iterator
 
 
 def all_of(parts: Sequence[Certificate]) -> Certificate:
-    """The certificate of motions one after the other; where obstacles move, all by the same clock."""
+    """Certificate of a sequence of motions.
+
+    If obstacles move, all parts use the same clock.
+    """
     if len(parts) == 1:
         return parts[0]
     return Certificate(
@@ -512,7 +531,10 @@ def all_of(parts: Sequence[Certificate]) -> Certificate:
 def _not_shown(
     robot: Robot, proof: Proof, trajectory: Trajectory, first: int, wanted: str, seen_s: float | None
 ) -> Iterator[str]:
-    """Message: the clearance that a proof does not verify, the first such piece, and when it saw the least."""
+    """Messages about clearance that a proof does not verify.
+
+    They name the first unverified segment, and the nearest pair with its distance and time.
+    """
     if proof.shown:
         return
     piece = first + int(proof.end)
@@ -533,17 +555,17 @@ def _not_shown(
 
 
 def _nearest_s(contacts: Sequence[Contact | None], seen_s: Sequence[float | None]) -> float | None:
-    """When the contact at the smallest distance was seen."""
+    """Time of the nearest contact [s]; None if unknown."""
     nearest = _nearest(contacts)
     return next((at for contact, at in zip(contacts, seen_s, strict=True) if contact is nearest), None)
 
 
 def _time_of(proof: Proof, clock: FloatArray) -> float:
-    """When a proof saw its nearest pair [s]."""
+    """Time of the nearest pair found by a proof [s]."""
     return float(np.interp(proof.nearest_at, np.arange(len(clock)), clock))
 
 
 def _nearest(contacts: Iterable[Contact | None]) -> Contact | None:
-    """The contact at the smallest distance; None for none."""
+    """Contact with the minimum distance; None without contacts."""
     found = [contact for contact in contacts if contact is not None]
     return found[ties.argmin([contact.distance_m for contact in found])] if found else None

@@ -1,18 +1,18 @@
-r"""Clearance over time: how near the nearest pair is along a motion, and what is certain between the looks.
+r"""Clearance of a motion over time, with lower bounds between stations.
 
-Where the proof looks seldom, far from obstacles, nothing says how far they are; so the curve is drawn by looks of its
-own, at stations along the motion, and only once somebody asks for it. Stations are the closer, the nearer the nearest
-pair is. Coal is asked about those pairs alone that may be the nearest before the next station.
+Far from obstacles the proof makes few distance queries and does not measure the distance. The curve therefore makes its
+own queries at stations along the motion, on first access. The spacing of the stations decreases with the distance of
+the nearest pair. Coal is queried only for the pairs that may be the nearest before the next station.
 
-With :math:`T` what a pair's moving body travels (`hplan.certificate.clearance_proof`), the pair's distance changes
-between two stations :math:`a < b` by no more than that: :math:`d(x) \ge d(a) - [T(x) - T(a)]` and
+With :math:`T` the travel of a pair's moving body (`hplan.certificate.clearance_proof`), the pair's distance between two
+stations :math:`a < b` changes by no more than the travel: :math:`d(x) \ge d(a) - [T(x) - T(a)]` and
 :math:`d(x) \ge d(b) - [T(b) - T(x)]`, so, by their mean,
 
 .. math:: d(x) \ge \tfrac{1}{2} (d(a) + d(b) - [T(b) - T(a)]) \quad \text{for all } x \in [a, b].
 
-That holds with lower bounds of both distances too. From it are taken coal's error and what tracking errors may bring
-the pair nearer. At each station stands the smaller of the bounds before and after it: so straight lines between
-stations are nowhere above them.
+The inequality also holds with lower bounds of both distances. Coal's error and the tracking displacement bound are
+subtracted from it. The value at each station is the minimum of the bounds before and after it, so straight lines
+between stations are nowhere above the bounds.
 """
 
 from __future__ import annotations
@@ -35,21 +35,21 @@ from hplan.collision.coal_scene import CoalScene
 from hplan.robot.model import Robot
 from hplan.trajectory.trajectory import Trajectory
 
-#: Travel between two stations: a part of the distance of the nearest pair, within bounds [m].
+#: Travel between two stations: a fraction of the distance of the nearest pair, and its bounds [m].
 _STATION_FRACTION, _STATION_M = 0.08, (1e-3, 0.05)
 
 
 @dataclass(frozen=True, eq=False)
 class ClearanceCurve(Record):
-    """Clearance of a motion over time; between its stations the values are those of straight lines.
+    """Clearance of a motion over time, piecewise linear between stations.
 
     Attributes:
         time: (n,) increasing times of the stations [s].
-        clearance_m: (n,) certain clearance: at no time is any pair nearer than the line through these, tracking errors
-            included [m]; infinite where there is nothing to meet, minus infinity where nothing is certain.
+        clearance_m: (n,) certified clearance: at no time is any pair nearer than the line through these values,
+            tracking errors included [m]; infinite without pairs, minus infinity without a bound.
         distance_m: (n,) distance of the nearest pair at the station itself, without tracking errors [m].
-        nearest: (n,) which of `pairs` that is; -1 where there is none.
-        pairs: Link and obstacle, or other part of the arm, by name.
+        nearest: (n,) index of the nearest pair in `pairs`; -1 without pairs.
+        pairs: Names of link and obstacle, or of link and other part of the arm.
     """
 
     time: FloatArray
@@ -60,17 +60,19 @@ class ClearanceCurve(Record):
 
     @property
     def shown(self) -> ClearanceCurve:
-        """The curve with as many stations as can be seen, for reports and pages; nowhere higher."""
-        # Stations of a curve that is to be shown: so many, or for each second, up to so many.
+        """The curve thinned for display in reports; nowhere higher."""
+        # Minimum number of displayed stations, number for each second, and maximum number.
         shown_stations, shown_per_s, most_shown = 300, 40.0, 1200
         wanted = max(shown_stations, round(shown_per_s * float(self.time[-1])))
         return self.thinned(min(wanted, most_shown))
 
     def thinned(self, count: int) -> ClearanceCurve:
-        """The curve at so many evenly spaced times, where it has more stations; nowhere higher.
+        """The curve at `count` evenly spaced times, if it has more stations.
+
+        It is nowhere higher than this curve.
 
         Raises:
-            OptionError: No whole number, or less than 2.
+            OptionError: `count` is not an integer, or is below 2.
         """
         count = whole("count", count, 2)
         if len(self.time) <= count:
@@ -80,7 +82,7 @@ class ClearanceCurve(Record):
         marks = np.searchsorted(time, clock)
         bound = _on_lines(time, self.time, self.clearance_m)
         lowest = [bound[a : b + 1].min() for a, b in pairwise(marks.tolist())]
-        # What was seen nearest to each time stands for it: the least distance of the stations about it.
+        # Each time takes the minimum distance of the stations around it.
         ends = np.searchsorted(self.time, 0.5 * (clock[1:] + clock[:-1])).tolist()
         seen = [
             slice(max(0, min(a, len(self.time) - 1)), max(b, a + 1)) for a, b in pairwise([0, *ends, len(self.time)])
@@ -96,12 +98,15 @@ class ClearanceCurve(Record):
 
 
 class ProvedStretch(NamedTuple):
-    """A range of a motion's cubics, and what was shown there.
+    """A range of a motion's segments and its clearance proof.
 
     Attributes:
-        deviations: (pieces, dof) largest deviation of each joint within each cubic, or (1, dof) for all [rad].
-        proof: What was shown.
-        clock: Times of its rows, as movements of obstacles count them [s]; None where nothing moves.
+        part: The range of segments.
+        checker: The collision checker that is valid there.
+        deviations: (segments, dof) maximum deviation of each joint within each segment, or (1, dof) for all [rad; m for
+            prismatic joints].
+        proof: The clearance proof.
+        clock: Times of its samples on the clock of the obstacles' movements [s]; None if no obstacle moves.
     """
 
     part: slice
@@ -113,11 +118,13 @@ class ProvedStretch(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class ProvedMotion(Record):
-    """A motion of which clearance was to be shown, for its curve.
+    """A motion and its clearance proofs, verified or not, for its curve.
 
     Attributes:
-        stretches: What was shown, stretch by stretch.
-        clearance: Clearance to keep [m].
+        robot: The arm.
+        trajectory: The motion.
+        stretches: The proofs of its ranges, in order.
+        clearance: Required clearance [m].
     """
 
     robot: Robot
@@ -127,7 +134,7 @@ class ProvedMotion(Record):
 
     @cached_property
     def curve(self) -> ClearanceCurve:
-        """Its clearance over time."""
+        """Clearance of the motion over time."""
         bezier, _ = self.trajectory.segments
         rows, time = np.arange(self.trajectory.samples, dtype=np.float64), self.trajectory.time
         found = []
@@ -139,7 +146,7 @@ class ProvedMotion(Record):
 
     @cached_property
     def pushes(self) -> tuple[Push, ...]:
-        """What gives way in it."""
+        """Contacts of the motion with compliant obstacles."""
         bezier, _ = self.trajectory.segments
         found = list[Push]()
         for stretch in self.stretches:
@@ -153,22 +160,22 @@ class ProvedMotion(Record):
 
 @dataclass(frozen=True, eq=False)
 class Subject(Record):
-    """The motions that a certificate is about, one after the other; their curves are computed when asked for.
+    """Sequence of certified motions, whose curves are computed on first access.
 
     Attributes:
-        motions: The motions, and whether each is run backwards.
+        motions: The motions, each with True if it is run in reverse.
     """
 
     motions: tuple[tuple[ProvedMotion, bool], ...]
 
     @property
     def reversed(self) -> Subject:
-        """The subject backwards."""
+        """The sequence in reverse."""
         return Subject(tuple((motion, not backwards) for motion, backwards in self.motions[::-1]))
 
     @cached_property
     def curve(self) -> ClearanceCurve:
-        """Clearance over the time of all motions."""
+        """Clearance over the total time of all motions."""
         found, begin = [], 0.0
         for motion, backwards in self.motions:
             curve = _backwards(motion.curve) if backwards else motion.curve
@@ -178,7 +185,7 @@ class Subject(Record):
 
     @cached_property
     def pushes(self) -> tuple[Push, ...]:
-        """What gives way, by the time of all motions."""
+        """Contacts with compliant obstacles, over the total time of all motions."""
         found, begin = list[Push](), 0.0
         for motion, backwards in self.motions:
             duration = motion.trajectory.duration
@@ -190,7 +197,7 @@ class Subject(Record):
 
 
 def joined_subjects(parts: Iterable[Subject | None]) -> Subject | None:
-    """The motions of several certificates one after the other; None where one of them does not say which they are."""
+    """Concatenated motions of several certificates; None if one of them is None."""
     known = list(parts)
     found = [part for part in known if part is not None]
     return Subject(tuple(motion for part in found for motion in part.motions)) if len(found) == len(known) else None
@@ -207,7 +214,7 @@ def _backwards(curve: ClearanceCurve) -> ClearanceCurve:
 
 
 def _one_after_the_other(curves: Sequence[ClearanceCurve]) -> ClearanceCurve:
-    """One curve of several; where one begins as another ends, the lower values of both hold."""
+    """Concatenate curves; at a common time the lower values are kept."""
     names = dict.fromkeys(pair for curve in curves for pair in curve.pairs)
     numbers = {pair: number for number, pair in enumerate(names)}
     time, clearance, distance = (
@@ -216,7 +223,7 @@ def _one_after_the_other(curves: Sequence[ClearanceCurve]) -> ClearanceCurve:
     nearest = np.concatenate(
         [np.array([*(numbers[pair] for pair in curve.pairs), -1], dtype=np.int64)[curve.nearest] for curve in curves]
     )
-    # Of stations at one time the nearest comes first.
+    # Sort stations with equal times by distance.
     order = np.lexsort((distance, time))
     first = np.flatnonzero(np.diff(time[order], prepend=-np.inf) > 0.0)
     return ClearanceCurve(
@@ -229,7 +236,7 @@ def _one_after_the_other(curves: Sequence[ClearanceCurve]) -> ClearanceCurve:
 
 
 def _curve_over_places(bezier: FloatArray, stretch: ProvedStretch, clearance: float) -> ClearanceCurve:
-    """The curve of one stretch; its times are places counted in rows of the stretch."""
+    """Curve of one range, with positions in samples instead of times."""
     deviations, proof = stretch.deviations, stretch.proof
     checker = stretch.checker.covering(float(deviations.max()), clearance)
     if not checker.pairs:
@@ -254,7 +261,7 @@ def _curve_over_places(bezier: FloatArray, stretch: ProvedStretch, clearance: fl
 
 
 class _Look(NamedTuple):
-    """A station: its place, the nearest pair and its distance, and the bound since the station before [m]."""
+    """A station: position, nearest pair, its distance, and preceding bound [m]."""
 
     place: float
     nearest: int
@@ -263,28 +270,28 @@ class _Look(NamedTuple):
 
 
 class _Stations:
-    """Where to look next."""
+    """Spacing of the stations."""
 
     def __init__(self, travel: FloatArray, bounded: int) -> None:
-        """Take what the moving bodies travel up to each row, (bodies, rows + 1) [m]; it is bounded up to a row."""
+        """Take the travel of the moving bodies, (bodies, segments + 1) [m], bounded up to sample `bounded`."""
         self._travel = np.append(0.0, np.cumsum(np.diff(travel, axis=1).max(axis=0)))
         self._bounded = bounded
-        # Most stations of a stretch, about.
+        # A minimum spacing limits the stations of a range to about 20,000.
         self._least = max(_STATION_M[0], float(self._travel[bounded]) / 20_000)
 
     def after(self, place: float, nearest: float) -> float:
-        """The station after a place at which the nearest pair is at a distance [m]."""
+        """Next station after `place`, with the nearest pair at distance `nearest` [m]."""
         step = max(min(_STATION_FRACTION * nearest, _STATION_M[1]), self._least)
         following: float = place_after(self._travel, place, step)
-        if following > self._bounded:  # from there on row by row
+        if following > self._bounded:  # sample by sample from there on
             following = max(float(self._bounded), np.floor(place) + 1.0)
         return max(min(following, len(self._travel) - 1.0), math.nextafter(place, math.inf))
 
 
 def _looks(search: Advancement, bezier: FloatArray, checker: CoalScene, counted: FloatArray) -> Iterator[_Look]:
-    """Go through a stretch from station to station.
+    """Stations of a range, in order.
 
-    Of each pair a lower bound of its distance is kept: coal's last one, less what its moving body has travelled since.
+    Each pair has a lower bound of its distance: coal's last result minus the travel of its moving body since then.
     """
     sway, travel = search.movers
     mover_of, errors, end = search.mover_of, checker.distance_errors, float(len(bezier))
@@ -292,14 +299,14 @@ def _looks(search: Advancement, bezier: FloatArray, checker: CoalScene, counted:
     place, pair, bound = 0.0, 0, np.inf
     lower = np.full(len(mover_of), -np.inf)
     travelled, swayed = travel[:, 0], sway[:, 0]
-    # Part of a distance by which coal's may be too large far away.
+    # Relative error of coal's distances far away; they may be too large by this fraction.
     far_error = 1e-3
     while True:
         search.place(point_at(bezier, place), place)
         nearest = float(checker.distances_of(np.array([pair]))[0] + counted[pair])
         now, sways = _at(travel, place), _at(sway, place)
         forward = lower - (now - travelled)[mover_of]
-        # All that may be nearer than this one before the next station; there may be such that bring that nearer.
+        # Pairs that may be nearer than this one before the next station; they may shorten the step to it.
         ahead = _at(travel, stations.after(place, nearest))
         asked = np.flatnonzero(forward - (ahead - now)[mover_of] < nearest)
         if len(asked):
@@ -321,21 +328,21 @@ def _looks(search: Advancement, bezier: FloatArray, checker: CoalScene, counted:
 
 
 def _at(values: FloatArray, place: float) -> FloatArray:
-    """(bodies,) values at a place of what is linear between its values at the rows, (bodies, rows + 1)."""
+    """Linear interpolation of (bodies, segments + 1) sample values at a position, (bodies,)."""
     row = min(int(place), values.shape[1] - 2)
     result: FloatArray = values[:, row] + (place - row) * (values[:, row + 1] - values[:, row])
     return result
 
 
 def _lower_of_both(bounds: FloatArray) -> FloatArray:
-    """(n,) at each station the lower one of the bounds before and after it, (n - 1,)."""
+    """Minimum of the bounds before and after each station, (n - 1,) -> (n,)."""
     lower: FloatArray = np.minimum(np.append(bounds[0], bounds), np.append(bounds, bounds[-1]))
     return lower
 
 
 def _on_lines(clock: FloatArray, time: FloatArray, values: FloatArray) -> FloatArray:
-    """Values at times, on straight lines between the values at others; those may be infinite."""
-    # Stands for an infinite clearance where lines are drawn [m].
+    """Linear interpolation at times `clock` of values that may be infinite."""
+    # Finite substitute for an infinite clearance in the interpolation [m].
     far_m = 1e12
     lines: FloatArray = np.interp(clock, time, np.clip(values, -far_m, far_m))
     lines[np.abs(lines) > 1e-3 * far_m] *= np.inf

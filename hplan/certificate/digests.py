@@ -1,11 +1,11 @@
-"""SHA-256 digests of a robot, a scene and a trajectory, so that a certificate can say what it is about.
+"""SHA-256 digests that identify the subjects of a certificate.
 
-They are taken of what was read, not of files: comments, units of angles in a URDF, or where a mesh lies do not count,
-every number that planning or proof uses does.
+The subjects are a robot, a scene and a trajectory. The digests are computed from the parsed data, not from the files:
+comments, angle units in a URDF and mesh paths do not affect them; every number that planning or proof uses does.
 
-- **Robot**: names, joint frames and axes, masses, inertias, limits, links, what may touch, and all collision shapes
-  with vertices and triangles of their meshes; of general (non-planar) arms all frames, which goals may name; numbers
-  rounded to 12 decimals, since sines differ in the last bit from machine to machine.
+- **Robot**: names, joint frames and axes, masses, inertias, limits, links, link pairs that may touch, and all collision
+  shapes with vertices and triangles of their meshes; for general (non-planar) arms also all frames, which goals may
+  name. Numbers are rounded to 12 decimals, since sines differ in the last bit from machine to machine.
 - **Scene**: its keys and values as in a scene file, and for each mesh or cloud the data instead of the file's name.
 - **Trajectory**: the joint names and the numbers of the CSV, bit by bit, and the curve between rows unless cubic.
 """
@@ -33,12 +33,14 @@ from hplan.trajectory.trajectory import Trajectory, as_table
 
 @dataclass(frozen=True)
 class Digests:
-    """Digests of the subjects of a certificate; each a word `sha256:` and 64 hexadecimal digits.
+    """Digests of the subjects of a certificate.
+
+    Each is the text `sha256:` and 64 hexadecimal digits.
 
     Attributes:
-        robot: Of the robot.
-        scene: Of the scene.
-        trajectory: Of the trajectory.
+        robot: Digest of the robot.
+        scene: Digest of the scene.
+        trajectory: Digest of the trajectory.
     """
 
     robot: str
@@ -47,12 +49,12 @@ class Digests:
 
     @classmethod
     def of(cls, robot: Robot, scene: Scene, trajectory: Trajectory) -> Digests:
-        """The digests of three things."""
+        """Compute the digests of a robot, a scene and a trajectory."""
         return cls(robot_digest(robot), scene_digest(scene), trajectory_digest(trajectory))
 
 
 def trajectory_digest(trajectory: Trajectory) -> str:
-    """The digest of a trajectory: the same after it was written as CSV and read again."""
+    """Digest of a trajectory; writing to CSV and reading back preserve it."""
     found = _Digest("hplan-trajectory/1")
     found.add_text(*trajectory.joint_names)
     found.add_exactly(as_table(trajectory))
@@ -62,10 +64,10 @@ def trajectory_digest(trajectory: Trajectory) -> str:
 
 
 def scene_digest(scene: Scene) -> str:
-    """The digest of a scene: the same wherever its meshes and clouds lie."""
+    """Digest of a scene, independent of the paths of its meshes and clouds."""
     found = _Digest(scene.format)
     read = [obstacle for obstacle in scene.obstacles if isinstance(obstacle, FromData)]
-    # Leaving fields out takes five times as long, where there are any or not.
+    # `exclude` makes the dump five times slower, even if it matches no field.
     found.add_text(scene.model_dump_json(exclude={"obstacles": {"__all__": {"file"}}} if read else None))
     for obstacle in read:
         found.add_text(obstacle.data_digest)
@@ -96,7 +98,7 @@ def scene_digest(scene: Scene) -> str:
 
 
 def _moving(scene: Scene) -> Iterator[tuple[str, str, Track | Sway]]:
-    """Tracks and sways, which a dump does not hold: whose, the key, and the value."""
+    """Name, key and value of tracks and sways, which a JSON dump omits."""
     for item in (*scene.obstacles, *scene.fruits):
         for key, value in (("track", item.track), ("sway", item.sway)):
             if value is not None:
@@ -107,7 +109,7 @@ def _moving(scene: Scene) -> Iterator[tuple[str, str, Track | Sway]]:
 
 @made_once
 def robot_digest(robot: Robot) -> str:
-    """The digest of a robot as it was read; made once."""
+    """Digest of a robot, cached."""
     found, model = _Digest("hplan-robot/1" if robot.planar is not None else "hplan-robot/2"), robot.model
     family: tuple[FloatArray, ...] = ()
     if robot.planar is None:
@@ -145,7 +147,7 @@ def _place(placement: pin.SE3) -> tuple[FloatArray, FloatArray]:
 
 
 def _sizes(shape: pin.GeometryObject) -> list[ArrayLike]:
-    """The numbers that give a shape's form."""
+    """Dimensions of a shape; of a mesh its vertices and triangles."""
     geometry: Any = shape.geometry
     if isinstance(geometry, coal.BVHModelBase):
         corners = (geometry.tri_indices(number) for number in range(geometry.num_tris))
@@ -161,7 +163,7 @@ def _sizes(shape: pin.GeometryObject) -> list[ArrayLike]:
 
 
 class _Digest:
-    """A running SHA-256 of texts and arrays, each with its size before it."""
+    """Incremental SHA-256 of texts and arrays, each preceded by its size."""
 
     def __init__(self, what: str) -> None:
         self._hash = hashlib.sha256()
@@ -169,7 +171,7 @@ class _Digest:
 
     @property
     def word(self) -> str:
-        """The digest."""
+        """The digest as text, with the prefix `sha256:`."""
         return f"sha256:{self._hash.hexdigest()}"
 
     def add_text(self, *texts: str) -> None:
@@ -180,7 +182,7 @@ class _Digest:
             self._hash.update(data)
 
     def add_exactly(self, values: FloatArray) -> None:
-        """Add numbers bit by bit; zero has no sign."""
+        """Add numbers bit by bit; -0.0 counts as 0.0."""
         self._hash.update(str(values.shape).encode())
         self._hash.update(np.ascontiguousarray(values + 0.0, dtype="<f8").tobytes())
 

@@ -1,4 +1,7 @@
-"""What a certificate says of obstacles that move beyond the motion itself: the base, and the arm at rest afterwards."""
+"""Checks of moving obstacles beyond the motion itself.
+
+They cover the base during the motion and the arm at rest after it.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +26,10 @@ from hplan.scene.tracks import Movement
 
 
 def checker_in_time(robot: Robot, scene: Scene, sigmas: Sigmas) -> CoalScene:
-    """The arm among all solids of a scene, fruit too, each grown for its uncertainty; over time where some move."""
+    """Collision checker of the arm among all solids of a scene, fruits included.
+
+    Each solid is grown for its position uncertainty. If some solids move, the checker is time-dependent.
+    """
     solids = scene.listed_solids
     movements = scene.movements if scene.moves else ()
     grown = growths(solids, sigmas)
@@ -31,15 +37,16 @@ def checker_in_time(robot: Robot, scene: Scene, sigmas: Sigmas) -> CoalScene:
 
 
 def moving_base_contacts(robot: Robot, moving: MovingSolids, yaw: float, begin_s: float, end_s: float) -> Iterator[str]:
-    """Messages: obstacles that come deeper than `BASE_DEPTH` into pedestal or turret.
+    """Messages about moving obstacles that penetrate pedestal or turret deeper than `BASE_DEPTH`.
 
-    By conservative advancement in time. Shapes of the turret that are not round are taken as they stand at the yaw;
-    while it turns they are moving bodies of the collision checker.
+    The check is a conservative advancement in time. Shapes of the turret that are not round are at the given yaw; while
+    the turret turns, they are moving bodies of the collision checker.
 
     Args:
-        moving: The obstacles; those that stand still are not checked.
-        begin_s: Time from which on [s].
-        end_s: Time up to which [s].
+        moving: The obstacles; static ones are not checked.
+        yaw: Value of the yaw joint [rad].
+        begin_s: Start of the time interval [s].
+        end_s: End of the time interval [s].
     """
     data = robot.model.createData()
     q, joints = np.zeros(robot.dof), base_joints(robot)
@@ -59,17 +66,20 @@ def moving_base_contacts(robot: Robot, moving: MovingSolids, yaw: float, begin_s
 def _too_deep(
     body: coal.CollisionGeometry, place: pin.SE3, solid: Solid, movement: Movement, span_s: tuple[float, float]
 ) -> float | None:
-    """Time at which a solid is too deep in a shape of the base, or cannot be shown not to be; None for never."""
+    """First time of excessive penetration of a base shape by a solid [s].
+
+    An inconclusive check counts as penetration. None if there is no such time.
+    """
     breaks, distance = movement.breaks, distance_from(solid)
     steps = movement.rates(solid.core, solid.rounding) * np.diff(breaks)
     travel = np.concatenate([[0.0], np.cumsum(steps)])
     at, end_s = span_s
-    # Most distances that are computed for one obstacle and one shape of the base: what is nearer than `SMALLEST_STEP`
-    # to being too deep counts as that, so an obstacle that travels 100 m along the base may need more.
+    # Maximum number of distance queries for one obstacle and one shape of the base. A depth within `SMALLEST_STEP` of
+    # the limit counts as too deep, so an obstacle that travels 100 m along the base may need more queries.
     most_looks = 100_000
     for _ in range(most_looks):
         rotation, shift = movement.at(np.array([at]))
-        # Seen from where the obstacle is listed.
+        # In the frame of the obstacle as the scene lists it.
         spare = distance(body, pin.SE3(rotation[0], shift[0]).inverse() * place) + BASE_DEPTH
         if not spare > SMALLEST_STEP:
             return at
@@ -84,16 +94,17 @@ def _too_deep(
 
 
 def clear_until(q: FloatArray, checker: CoalScene, deviations: FloatArray, needed: float, from_s: float) -> float:
-    """Time up to which the arm can rest at a configuration: it is shown to keep its distance until then [s].
+    """Time until which the arm at rest provably keeps its clearance [s].
 
     Args:
         q: (dof,) configuration.
-        deviations: (1, dof) largest deviation of each joint [rad].
-        needed: Distance to be kept [m].
-        from_s: Time from which on it rests [s].
+        checker: Collision checker of the arm among the obstacles.
+        deviations: (1, dof) maximum deviation of each joint [rad; m for prismatic joints].
+        needed: Required clearance [m].
+        from_s: Start of the rest [s].
 
     Returns:
-        The time; infinite where nothing comes.
+        The time; infinite if the clearance is certified for all times.
     """
     if checker.moving is None or from_s >= checker.moving.breaks[-1]:
         return math.inf

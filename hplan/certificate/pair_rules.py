@@ -1,4 +1,4 @@
-"""Pairs of links that a certificate does not hold to the scene's clearance, each with its own rule.
+"""Link pairs with a rule of their own instead of the scene's clearance.
 
 `Certificate.min_clearance_m` is a lower bound of every distance that was checked. Two kinds of pairs of one arm have a
 rule of their own: pairs that are never as far apart as the clearance must not touch, and have their own certified
@@ -36,12 +36,12 @@ class PairRule:
     clearance_m: float | None = None
 
     def nearer(self, distance: float) -> PairRule:
-        """The rule with a bound that is lower by a distance [m]."""
+        """The rule with its bound lowered by a distance [m]."""
         return self if self.clearance_m is None else replace(self, clearance_m=self.clearance_m - distance)
 
 
 def pair_rules(checker: CoalScene, proof: Proof, clearance: float) -> tuple[PairRule, ...]:
-    """The pairs of a checker with a rule of their own, and the proved bounds of their distances.
+    """Pairs with a rule of their own, with proved bounds of their distances.
 
     Args:
         checker: The arm among the obstacles.
@@ -63,7 +63,7 @@ def joined_rules(parts: Iterable[Sequence[PairRule]]) -> tuple[PairRule, ...]:
 
 
 def _closer_pairs(checker: CoalScene, proof: Proof, clearance: float) -> Iterator[PairRule]:
-    """Pairs that only must not touch, since they are never as far apart as the clearance."""
+    """Pairs that must not touch, but are always nearer than the clearance."""
     bounds, first = dict(proof.own_bounds), len(checker.pairs) - len(checker.parts.own)
     for number, (pair, required) in enumerate(checker.own_required(clearance)):
         if required < clearance:

@@ -1,9 +1,9 @@
-"""The certificate of a motion that runs along another one's path: the clearance is the path's, the limits are its own.
+"""Certificate of a retimed motion: clearance from its path, limits proved anew.
 
-What is certified clear stays so on its path. A new timing (`hplan.trajectory.time_scaling`) leaves the path by a
-bounded part of a millimetre; by as much the clearance is less, and where it does not suffice, it is shown anew. It is
-shown anew as well where another timing changes what it depends on: where obstacles move, and where tracking errors grow
-with velocity. Velocity, acceleration and torque are always checked anew.
+A retimed motion (`hplan.trajectory.time_scaling`) deviates from the certified path by a bounded fraction of a
+millimetre, which is subtracted from the certified clearance. If the rest does not suffice, the clearance is proved
+anew. It is also proved anew if it depends on the timing: if obstacles move, or if tracking errors grow with velocity.
+Velocity, acceleration and torque are always checked anew.
 """
 
 from __future__ import annotations
@@ -41,16 +41,16 @@ from hplan.trajectory.trajectory import SAME_TIME, Retimed, Trajectory
 
 @dataclass(frozen=True, eq=False)
 class CertifiedMotion(Record, InNotebook):
-    """A motion along the path of another one, and what was shown of it.
+    """A retimed motion along the path of another motion, with its certificate.
 
     Attributes:
-        trajectory: The motion, on the same clock as the other one up to where they part.
-        certificate: What was shown of it.
-        parts_s: When the two part [s].
-        off_path_m: Bound of how far the arm is off the other one's path [m].
+        trajectory: The retimed motion; up to `parts_s` both motions have the same clock.
+        certificate: Its certificate.
+        parts_s: Time until which both motions have the same timing [s].
+        off_path_m: Upper bound of the arm's distance from the other motion's path [m].
         robot: The arm.
-        scene: What it is certified among.
-        begins_s: When the trajectory begins, on the controller's clock: as that of the other one [s].
+        scene: The scene in which it is certified.
+        begins_s: Start time of both motions on the controller's clock [s].
     """
 
     trajectory: Trajectory
@@ -72,18 +72,18 @@ def certified_retiming(
     sigmas: Sigmas,
     anew: bool = False,
 ) -> CertifiedMotion:
-    """A motion along another one's path with its certificate.
+    """Certify a retimed motion.
 
     Args:
-        scene: What the other motion is certified among.
-        tracking: Deviation of the joints that is covered.
-        sigmas: How many standard deviations of its place an obstacle is grown by.
-        anew: Whether to show the clearance anew, even where that of the path suffices.
+        scene: The scene in which the other motion is certified.
+        tracking: Model of the covered joint deviations.
+        sigmas: Growth of an obstacle in standard deviations of its position.
+        anew: Whether to prove the clearance anew, even if the clearance of the path suffices.
     """
     whole, row = retimed.trajectory, retimed.row
     nearer = _nearer(robot, retimed.off_path)
     left = running.min_clearance_m - nearer
-    # Where obstacles move another timing meets others.
+    # If obstacles move, the proof depends on the timing.
     known = running.verified and not scene.moves
     if known and left > scene.clearance and tracking.delay_s == 0.0 and not anew:
         certificate = _by_path(robot, running, whole, left)
@@ -110,12 +110,15 @@ def certified_from(
     *,
     tracking: TrackingModel,
 ) -> Certificate:
-    """What is shown of a motion along another one's path from a row on, by `certify`'s rule, at rest at its end or not.
+    """Certify a retimed motion from a sample on, by the rules of `certify`.
+
+    Rest at its ends is not required.
 
     Args:
-        among: Obstacles and the clearance to keep, and the arm among them.
-        contacts: When the last link may touch fruits in the other motion; where it is there, it may here.
-        tracking: Deviation of the joints that is covered.
+        among: The scene, with obstacles and required clearance, and its collision checker.
+        contacts: Time windows in which the last link may touch fruits, on the clock of the other motion; the same
+            parts of the path are allowed here.
+        tracking: Model of the covered joint deviations.
     """
     scene, checker = among
     motion, begin_s = retimed.trajectory.since(row), float(retimed.trajectory.time[row])
@@ -133,7 +136,7 @@ def certified_from(
 
 
 def _by_path(robot: Robot, running: Certificate, motion: Trajectory, left: float) -> Certificate:
-    """The certificate of a motion where the clearance of its path suffices."""
+    """Certificate of a motion with the clearance `left` from its path [m]."""
     use = limit_use(robot, motion, *motion.segments)
     violations = tuple(limit_violations(use))
     nearer = running.min_clearance_m - left
@@ -145,14 +148,17 @@ def _by_path(robot: Robot, running: Certificate, motion: Trajectory, left: float
 
 
 def _nearer(robot: Robot, off_path: FloatArray) -> float:
-    """By how much any part of the arm may come nearer to anything with joints off by (dof,) [m]."""
+    """Upper bound on the loss of clearance caused by joint errors (dof,) [m]."""
     if not off_path.any():
         return 0.0
     return largest_pair_sway(robot, off_path)
 
 
 def later(retimed: Retimed, contacts: Sequence[FruitContact]) -> tuple[FruitContact, ...]:
-    """When the motion is where the other one may touch fruits; none of those to which it does not come."""
+    """Contact windows of the other motion, mapped to the retimed motion's clock.
+
+    Windows that the retimed motion does not reach are dropped.
+    """
     found, time = [], retimed.trajectory.time
     for contact in contacts:
         inside = retimed.clock >= contact.begin_s - SAME_TIME

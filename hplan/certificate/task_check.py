@@ -1,4 +1,4 @@
-"""Check that a trajectory solves its scene's task: where it begins and ends, and which joints stand still."""
+"""Check that a trajectory solves its scene's task: start, goal and locked joints."""
 
 from __future__ import annotations
 
@@ -12,23 +12,25 @@ from hplan.kinematics.tool_at_point import approach_angles
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 
-#: Difference between joint values that counts as none [rad]; of an approach angle too.
+#: Tolerance of joint values and of approach angles [rad; m for prismatic joints].
 SAME = 1e-5
 
-#: Turn between the tool frame and a pose that it is to reach that counts as none [rad].
+#: Tolerance of the rotation between the goal frame and the goal pose [rad].
 _TURNED = 1e-3
 
 
 def task_violations(robot: Robot, scene: Scene, bezier: FloatArray) -> Iterator[str]:
-    """Messages: the parts of the scene's task that a motion does not solve.
+    """Messages about unsolved parts of the scene's task.
 
-    It begins at the start. It ends at the goal: at its joints, with the tool at its position, or with the frame at its
-    pose, to a millimetre and a thousandth of a radian; at the fruit the tool is at some row, since a motion that picks
-    it goes back. There the last link, or the tool of a general (non-planar) arm, has the approach angle that
-    is asked for. Locked joints stand still.
+    The motion must start at the start and end at the goal: at its joint values, with the tool at its position, or with
+    the frame at its pose, within 1 mm and 0.001 rad. The tool must be at a goal fruit at some sample, since a picking
+    motion goes back. At a goal position or fruit the last link, or the tool of a general (non-planar) arm, must have
+    the required approach angle. Locked joints must not move.
 
     Args:
-        bezier: (pieces, 4 or 6, dof) Bezier points of the motion's segments.
+        robot: The arm.
+        scene: The scene with the task.
+        bezier: (segments, 4 or 6, dof) Bezier points of the motion's segments.
 
     Raises:
         InputError: Start, goal or locked joints of the scene do not fit the robot.
@@ -65,7 +67,7 @@ def task_violations(robot: Robot, scene: Scene, bezier: FloatArray) -> Iterator[
 
 
 def _apart(robot: Robot, what: str, q: FloatArray, asked: FloatArray, which: str) -> Iterator[str]:
-    """Fault of a motion that begins or ends elsewhere."""
+    """Message about a motion that starts or ends at other joint values."""
     off = np.abs(q - asked)
     joint = int(off.argmax())
     if not off[joint] <= SAME:
@@ -73,10 +75,10 @@ def _apart(robot: Robot, what: str, q: FloatArray, asked: FloatArray, which: str
 
 
 def _beside(robot: Robot, pose: FloatArray, frame: str | None, q: FloatArray) -> Iterator[str]:
-    """Fault of a frame that is not at the pose of the goal."""
+    """Message about a frame that is not at the goal pose."""
     off = robot.forward_kinematics(q, frame) - pose
     away, turn = float(np.linalg.norm(off[:3, 3])), off[:3, :3]
-    # Frames that are turned by an angle from one another differ by sqrt(8) sin(angle / 2).
+    # The Frobenius norm of the difference of two rotations is sqrt(8) sin(angle / 2).
     turned = 2.0 * float(np.arcsin(min(np.linalg.norm(turn) / np.sqrt(8.0), 1.0)))
     if not (away <= THERE and turned <= _TURNED):
         off_by = f"{1e3 * away:.4g} mm and {turned:.4g} rad"
@@ -84,7 +86,7 @@ def _beside(robot: Robot, pose: FloatArray, frame: str | None, q: FloatArray) ->
 
 
 def _approach(robot: Robot, scene: Scene, q: FloatArray) -> Iterator[str]:
-    """Fault of a last link, or a tool, that comes at another angle than the goal asks for."""
+    """Message about a last link, or a tool, without the goal's approach angle."""
     if scene.goal.approach_deg is None:
         return
     asked = np.radians(np.atleast_1d(scene.goal.approach_deg))

@@ -1,8 +1,8 @@
 """Distances of the round shapes of a planar arm's turret from obstacles.
 
-A turn about the yaw axis leaves such a shape as it is, so its distances depend on the obstacles alone, and the
-collision checker (`hplan.collision.coal_scene`) has no pairs of it. The base, which no joint moves, is not part of a
-reported clearance; the turret is.
+A turn about the yaw axis does not change such a shape, so its distances depend on the obstacles alone, and the
+collision checker (`hplan.collision.coal_scene`) has no pairs with it. The reported clearance includes the turret, but
+not the base, which no joint moves.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from hplan.robot.model import Robot
 from hplan.scene.obstacles import Solid
 from hplan.scene.tracks import Movement
 
-#: Number of times at which distances from an obstacle that moves are computed.
+#: Number of sampled times in the distance bound of a moving obstacle.
 _TIMES: Final = 257
 
-#: The rules of pairs.
+#: Rules of the listed pairs.
 _TURNS: Final = "they must not touch: no joint moves a round shape of the turret nearer to it"
 _TOUCHES: Final = f"a round shape of the turret is within {1e3 * BASE_DEPTH:g} mm of it, as the ground may be"
 
@@ -34,8 +34,9 @@ class TurretClearance(NamedTuple):
     """Distances of the turret's round shapes.
 
     Attributes:
-        distance_m: Lower bound of all of them, but for those in `touching`; infinite without any below the limit [m].
-        rules: The pairs that are nearer than the clearance, each with its bound, and those that touch.
+        distance_m: Lower bound of all distances, except of shapes that touch an obstacle (within `BASE_DEPTH`);
+            infinite without any below the limit [m].
+        rules: The pairs that are nearer than the clearance, each with its bound, and the pairs that touch.
     """
 
     distance_m: float
@@ -43,13 +44,13 @@ class TurretClearance(NamedTuple):
 
 
 def turret_clearance(checker: CoalScene, span_s: tuple[float, float], clearance: float, most: float) -> TurretClearance:
-    """Distances of the turret's round shapes from obstacles, which are grown as the checker has them.
+    """Distances of the turret's round shapes from the checker's grown obstacles.
 
     Args:
-        checker: The arm among the obstacles.
-        span_s: Time of the first and the last configuration, as the movements of obstacles count it [s].
+        checker: Collision checker of the arm among the obstacles.
+        span_s: Time of the first and the last configuration, on the clock of the obstacles' movements [s].
         clearance: Clearance that all other pairs keep [m].
-        most: Distances above this do not matter [m].
+        most: Maximum distance of interest; larger ones are ignored [m].
     """
     bounds = dict[tuple[str, str], float]()
     for shape in _round_shapes(checker.robot):
@@ -76,19 +77,22 @@ def turret_clearance(checker: CoalScene, span_s: tuple[float, float], clearance:
 
 
 def _round_shapes(robot: Robot) -> tuple[BaseShape, ...]:
-    """Shapes of a planar arm that turn with the yaw joint and are round about its axis."""
+    """Shapes of a planar arm's turret that are round about the yaw axis."""
     shapes = base_shapes(robot) if base_joints(robot) else ()
     return tuple(shape for shape in shapes if shape.carrier == TURRET and shape.is_round)
 
 
 def _ball(shape: BaseShape) -> tuple[FloatArray, float]:
-    """Centre and radius of a ball about a shape [m]."""
+    """Centre and radius of a bounding ball of a shape [m]."""
     low, high = shape.core.min(axis=0), shape.core.max(axis=0)
     return 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low)) + shape.rounding
 
 
 def _near(shape: BaseShape, checker: CoalScene, most: float) -> list[int]:
-    """Numbers of the obstacles that may come within a distance of a shape [m]: of those that stand still, by balls."""
+    """Indices of obstacles that may come within `most` of a shape [m].
+
+    Static obstacles are culled by their bounding balls; all moving obstacles are included.
+    """
     centre, radius = _ball(shape)
     balls = checker.obstacle_balls
     near = np.linalg.norm(balls[:, :3] - centre, axis=1) - balls[:, 3] - radius <= most
@@ -101,10 +105,13 @@ def _near(shape: BaseShape, checker: CoalScene, most: float) -> list[int]:
 def _lower_bound(
     shape: BaseShape, obstacle: tuple[Solid, FloatArray], movement: Movement, span_s: tuple[float, float], most: float
 ) -> float:
-    """Lower bound of the distance of a shape from an obstacle that moves, within a span of time [m].
+    """Lower bound of the distance between a shape and a moving obstacle [m].
 
     Args:
-        obstacle: The obstacle, and (4,) a ball about it.
+        obstacle: The obstacle and its bounding ball, (4,).
+        movement: Its movement.
+        span_s: Start and end of the time interval [s].
+        most: Maximum distance of interest [m].
     """
     solid, ball = obstacle
     times = np.linspace(*span_s, _TIMES)
@@ -117,5 +124,5 @@ def _lower_bound(
     for number in np.flatnonzero(found <= most + float(travel.max())).tolist():
         place = pin.SE3(rotations[number], shifts[number]).inverse() * shape.placement
         found[number] = distance(shape.placed.geometry, place)
-    # Between two times the obstacle comes nearer by no more than it travels.
+    # Between two times the distance changes by no more than the obstacle's travel.
     return float((0.5 * (found[:-1] + found[1:] - travel)).min())

@@ -1,17 +1,17 @@
-"""Parts of the arm in coal: what of it meets obstacles, which pairs of its own may touch, and what joints do to them.
+"""Arm shapes in coal, self-collision pairs and their motion-bound coefficients.
 
-Of a planar arm the parts are the capsules of its links, and shapes of turret and pedestal. The turret's shapes that are
-round about the yaw axis, and the pedestal, stand still: they are no part of any motion, and checked once
-(`hplan.collision.coal_scene.base_contacts`). So is an obstacle that no point of a turning shape comes down to: a
-horizontal plane between the two stays between them, whatever the yaw.
+The parts of a planar arm are the capsules of its links, and shapes of turret and pedestal. The pedestal, and the
+turret's shapes that are round about the yaw axis, are static: they are not part of the motion checks, and are checked
+once (`hplan.collision.coal_scene.base_contacts`). The same holds for a turning shape and an obstacle below its lowest
+point: a horizontal plane separates the two at every yaw.
 
-**Neighbours of a planar arm** overlap about the joint that they share, and that is their own. What of a link is
-farther from it than `_FOLD_REACH` times the distance that their axes have to keep, both half-widths and the clearance,
-must keep that distance from the whole of the other link: a link ends in a cap as wide as it is thick, and links that
-meet at an angle overlap up to 1 / sin(angle) times their half-widths. So all angles down to 19.5 degrees are left to
-the two.
+**Neighbouring links of a planar arm** overlap around their common joint, which is allowed. The part of a link that is
+farther from the joint than `_FOLD_REACH` times the required distance of the links' axes (both half-widths and the
+clearance) must keep that distance from the whole other link. The factor is necessary because a link ends in a cap with
+the radius of its half-width, and links that meet at an angle overlap up to 1 / sin(angle) times their half-widths. Thus
+all angles down to 19.5 degrees are allowed.
 
-Of a general (non-planar) arm the parts are its collision bodies (`hplan.collision`), each link's by the link's name.
+The parts of a general (non-planar) arm are its collision bodies (`hplan.collision`), grouped by link name.
 """
 
 from __future__ import annotations
@@ -52,25 +52,29 @@ from hplan.robot.self_contact import SLACK, SelfContact, held_apart, is_held, ro
 from hplan.scene.obstacles import Solid
 from hplan.scene.solids import hull_of
 
-#: Heights that differ by less are the same [m].
+#: Tolerance of equal heights [m].
 _ROUNDING: Final = 1e-9
 
-#: Neighbours may overlap up to this many times the distance that they keep from their joint.
+#: Neighbouring links may overlap up to this multiple of their required distance from their joint.
 _FOLD_REACH: Final = 3.0
 
-#: Pairs of the same links are one mover where their motion-bound coefficients differ by less than such a factor or so.
+#: Pairs of the same links are grouped if their summed motion-bound coefficients differ by at most about this factor.
 _AS_FAR: Final = 1.2
 
-#: So many pairs of its own have a model that all scenes of the arm share: looks at two models take longer.
+#: From this number of pairs on, the arm's own pairs have a model shared by all scenes. Below it one model is faster,
+#: because distance queries on two models take longer.
 _MANY: Final = 256
 
 
 @dataclass(frozen=True, eq=False)
 class ArmPair:
-    """Two parts of the arm by name, the moving one first, and their shapes.
+    """Two parts of the arm with names and shapes, the moving one first.
 
     Attributes:
-        farthest: How far apart they were seen at most [m]; infinite where they may be as far as is asked for.
+        mover_name: Name of the moving part.
+        other_name: Name of the other part.
+        shapes: Their shapes, in this order.
+        farthest: Maximum sampled distance [m]; infinite if the full clearance is required.
     """
 
     mover_name: str
@@ -81,14 +85,15 @@ class ArmPair:
 
 @dataclass(frozen=True, eq=False)
 class ArmParts(Record):
-    """What of an arm meets obstacles, and which parts of it may touch each other.
+    """Shapes of an arm that meet obstacles, and its self-collision pairs.
 
     Attributes:
-        links: The shapes of each link that moves, by its name.
-        turret: By body, the shapes of the turret that are not round about the yaw axis.
-        tool_joint: The joint of the shapes that may touch a fruit which is picked, as Pinocchio counts them.
-        own: Pairs of parts.
-        exempt: Names of two links of bodies that are not checked against each other, and the reason, each once.
+        robot: The robot.
+        links: Shapes of each moving link, by link name.
+        turret: Shapes of the turret that are not round about the yaw axis, by body name.
+        tool_joint: Pinocchio's index of the joint whose shapes may touch a picked fruit.
+        own: Self-collision pairs that are checked.
+        exempt: Names of two links with bodies that are not checked against each other, and the reason; each once.
     """
 
     robot: Robot
@@ -100,34 +105,34 @@ class ArmParts(Record):
 
     @cached_property
     def mover_names(self) -> tuple[str, ...]:
-        """Names of the moving bodies: links, turret; then bodies of one arm's base that meet another arm's base."""
+        """Names of the moving bodies: links, turret, then base bodies paired with another arm."""
         return tuple(dict.fromkeys([*self.links, *self.turret, *(pair.mover_name for pair in self.own)]))
 
     @cached_property
     def shapes(self) -> list[pin.GeometryObject]:
-        """The shapes that meet obstacles: links, then turret."""
+        """Shapes that are checked against obstacles: links, then turret."""
         of_turret = (shape.placed for shape in itertools.chain(*self.turret.values()))
         return [*itertools.chain(*self.links.values()), *of_turret]
 
     @cached_property
     def all_shapes(self) -> tuple[pin.GeometryObject, ...]:
-        """The `shapes`, then all others that are of pairs."""
+        """The `shapes`, then all other shapes of the pairs."""
         return tuple(self._every.values())
 
     @cached_property
     def bare_shapes(self) -> tuple[BareShape, ...]:
-        """`all_shapes` without what is swept about them."""
+        """`all_shapes` without their swept-sphere radii."""
         return tuple(BareShape.of(shape.geometry) for shape in self.all_shapes)
 
     @cached_property
     def shape_pairs(self) -> tuple[tuple[pin.GeometryObject, pin.GeometryObject], ...] | ArmPairs:
-        """The shapes of the pairs of its own; of many in a model that all scenes share."""
+        """Shapes of the self-collision pairs, in a shared model if they are many."""
         pairs = tuple(pair.shapes for pair in self.own)
         return ArmPairs(self.shapes, pairs) if len(pairs) >= _MANY else pairs
 
     @cached_property
     def own_names(self) -> tuple[tuple[str, ...], IntArray]:
-        """Names of the parts that another can touch, and (pairs, 2) moving body and part of each pair."""
+        """Names of the pairs' second parts, and (pairs, 2) indices of both parts."""
         movers = {name: number for number, name in enumerate(self.mover_names)}
         names = {name: number for number, name in enumerate(dict.fromkeys(pair.other_name for pair in self.own))}
         numbers = [(movers[pair.mover_name], names[pair.other_name]) for pair in self.own]
@@ -135,23 +140,23 @@ class ArmParts(Record):
 
     @cached_property
     def farthest(self) -> FloatArray:
-        """(pairs,) how far apart the two of each pair were seen at most [m]; infinite as in `ArmPair`."""
+        """(pairs,) maximum sampled distance of each pair [m]; infinite as in `ArmPair`."""
         return frozen(np.array([pair.farthest for pair in self.own]))
 
     @cached_property
     def extents(self) -> tuple[FloatArray, FloatArray]:
-        """Of each of the `shapes`, (shapes, 3), and of both of each pair, (pairs, 2, 3), `coal_accuracy.extents`."""
+        """`coal_accuracy.extents` of the `shapes`, (shapes, 3), and of the pairs, (pairs, 2, 3)."""
         return extents(self.shapes), extents(itertools.chain(*(pair.shapes for pair in self.own))).reshape(-1, 2, 3)
 
     @cached_property
     def bodies(self) -> tuple[CollisionBody, ...]:
-        """`all_shapes` as bodies."""
+        """`all_shapes` as collision bodies."""
         known = dict(zip(map(id, body_shapes(self.robot)), collision_bodies(self.robot), strict=True))
         return tuple(known.get(id(shape)) or _body(shape) for shape in self.all_shapes)
 
     @property
     def key(self) -> tuple[tuple[int, ...], bytes]:
-        """What tells parts from others of the robot whose shapes are made once: these, and which are pairs."""
+        """Cache key within one robot: identities of the shapes, and the pairs."""
         return tuple(self._every), self.movers[0].tobytes()
 
     @cached_property
@@ -160,10 +165,11 @@ class ArmParts(Record):
 
     @cached_property
     def movers(self) -> tuple[IntArray, FloatArray]:
-        """What moves: each of the `shapes`, then each of the pairs as one of the two is seen from the other.
+        """Moving bodies: each of the `shapes`, then the relative motion of each pair.
 
         Returns:
-            (movers, 2) bodies, -1 for no second one; (movers, dof) 1 for the joints that move it, else 0.
+            (movers, 2) indices of the bodies, -1 for no second body; (movers, dof) 1 for joints that contribute to the
+            (relative) motion, else 0.
         """
         alone, numbers = len(self.shapes), {shape: number for number, shape in enumerate(self._every)}
         both = [(body, -1) for body in range(alone)]
@@ -177,11 +183,13 @@ class ArmParts(Record):
 
     @cached_property
     def travellers(self) -> tuple[IntArray, IntArray]:
-        """How far bodies travel that `movers` are made of: by the joints from one of them outward.
+        """Indices of the body travels that make up the travel of the `movers`.
+
+        A body travel is the travel of a body due to the joints from a given joint outward.
 
         Returns:
-            (bodies, dof) a number for each body and joint from which on that is asked for, -1 for others; (movers, 2)
-            those of both bodies of each mover, -1 for one that does not move.
+            (bodies, dof) index of each required travel by body and first joint, -1 if it is not required; (movers, 2)
+            indices of the travels of both bodies of each mover, -1 for a body that does not move.
         """
         (both, counts), dof = self.movers, self.robot.dof
         slots, found = np.full((len(self.bodies), dof), -1), np.full(both.shape, -1)
@@ -197,7 +205,10 @@ class ArmParts(Record):
 
     @cached_property
     def alike(self) -> IntArray:
-        """(movers,) one number for those of `movers` that move alike: pairs of the same two links, about as far out."""
+        """(movers,) group index of the `movers` with similar motion.
+
+        A group contains pairs of the same two links with similar motion-bound coefficients.
+        """
         alone, reaches = len(self.shapes), self.reaches()[1]
         out = np.rint(np.log(on_raster(reaches[alone:].sum(axis=1)) + RASTER) / math.log(_AS_FAR))
         links = self.rows[self.movers[0][alone:], 0]
@@ -206,7 +217,10 @@ class ArmParts(Record):
 
     @cached_property
     def rows(self) -> FloatArray:
-        """(bodies, 5) joint of each (`dof` for the ground), and centre and radius of a ball that holds its core."""
+        """(bodies, 5) joint of each body (`dof` for the ground), centre and radius of its bounding ball [m].
+
+        The ball contains the core, and for a body that is not exact also its rounding.
+        """
         found = np.empty((len(self.bodies), 5))
         for row, body in zip(found, self.bodies, strict=True):
             row[1:4], radius = ball_about(body.core)
@@ -215,13 +229,13 @@ class ArmParts(Record):
         return frozen(found)
 
     def reaches(self, beyond: float = 0.0) -> tuple[FloatArray, FloatArray]:
-        """Motion-bound coefficients (`hplan.collision.reach`); found once.
+        """Motion-bound coefficients (`hplan.collision.reach`), cached.
 
         Args:
-            beyond: How far joints that slide may be beyond their limits [m].
+            beyond: Maximum excess of prismatic joints over their limits [m].
 
         Returns:
-            (bodies, dof) those of bodies, and (movers, dof) of what moves.
+            (bodies, dof) coefficients of the bodies, and (movers, dof) coefficients of the moving bodies.
         """
         if beyond not in self._reaches:
             both, counts = self.movers
@@ -236,7 +250,7 @@ class ArmParts(Record):
 
 
 def _body(shape: pin.GeometryObject) -> CollisionBody:
-    """A shape as a body that holds it."""
+    """Collision body that contains a shape."""
     (points, rounding), place = outline(shape, rim_from_outside=True), shape.placement
     exact = len(points) <= MOST_POINTS
     if not exact:
@@ -249,13 +263,14 @@ def _body(shape: pin.GeometryObject) -> CollisionBody:
 def arm_parts(
     robot: Robot, links: LinkShapes, deviation: float, clearance: float, *, single_joint_pairs: bool = True
 ) -> ArmParts:
-    """The parts of an arm; the same ones for the same pairs.
+    """Parts of an arm; cached, with identical results for identical pairs.
 
     Args:
-        links: Shape of the links; of a general (non-planar) arm it is always the URDF's.
-        deviation: How far joints may be beyond their limits [rad].
-        clearance: Distance to be kept [m].
-        single_joint_pairs: Whether those of a planar arm are among them that depend on one joint alone.
+        robot: The robot.
+        links: Shape of the links; for a general (non-planar) arm it is always the URDF's.
+        deviation: Maximum excess of joints over their limits [rad, m].
+        clearance: Required clearance [m].
+        single_joint_pairs: Whether to include the pairs of a planar arm that depend on one joint alone.
     """
     if robot.planar is None:
         return _parts_of_bodies(robot, _beyond(deviation))
@@ -266,7 +281,7 @@ def arm_parts(
 
 @made_once
 def _parts_of_bodies(robot: Robot, deviation: float) -> ArmParts:
-    """The parts of a general (non-planar) arm."""
+    """Parts of a general (non-planar) arm."""
     shapes = body_shapes(robot)
     by_link = {name: [shapes[body] for body in bodies] for name, bodies in moving_bodies(robot).items()}
     pairs, bodies = self_pairs(robot, deviation), collision_bodies(robot)
@@ -292,7 +307,7 @@ def _planar_parts(robot: Robot, links: LinkShapes, deviation: float, clearance: 
 def _planar_exemptions(
     robot: Robot, by_link: dict[str, list[pin.GeometryObject]], own: Sequence[ArmPair]
 ) -> Iterator[tuple[str, str, str]]:
-    """Pairs of links of a planar arm of which not all shapes are checked against each other, with the reason.
+    """Link pairs of a planar arm with unchecked shape pairs, and the reason.
 
     A pair is listed even if some of its shapes are checked: the reported clearance claims nothing about such links.
     """
@@ -314,7 +329,7 @@ def _planar_exemptions(
 def _link_pairs(
     robot: Robot, contact: SelfContact, shapes: Sequence[Sequence[pin.GeometryObject]]
 ) -> Iterator[ArmPair]:
-    """Links against one another and against pedestal and turret, where they can touch."""
+    """Pairs of links with links, pedestal and turret that can touch."""
     names = robot.arm.link_names
     for i, j in contact.links:
         for pair in itertools.product(shapes[j], shapes[i]):
@@ -326,7 +341,10 @@ def _link_pairs(
 
 
 def _fold_pairs(robot: Robot, deviation: float, clearance: float) -> Iterator[ArmPair]:
-    """Neighbours that can fold into one another: of one what the joint's own reach leaves, and the whole other one."""
+    """Neighbouring links that can fold into each other.
+
+    Each pair is the part of one link beyond the joint's overlap region, and the whole other link.
+    """
     arm, capsules = robot.arm, link_shapes(robot, "capsule")
     for inner in range(arm.link_count - 1):
         outer, joint = inner + 1, robot.arm_slice.start + inner + 1
@@ -341,11 +359,11 @@ def _fold_pairs(robot: Robot, deviation: float, clearance: float) -> Iterator[Ar
 
 
 def _turret_pairs(robot: Robot, deviation: float, clearance: float) -> Iterator[ArmPair]:
-    """Turning shapes of the turret against those of the pedestal, where they can touch as the base turns."""
+    """Pairs of turning turret shapes and pedestal shapes that can touch."""
     for shape, other in itertools.product(turning_shapes(robot), base_shapes(robot)):
         if other.carrier == TURRET or other.is_round:
             continue
-        # A horizontal plane between them stays between them.
+        # A horizontal plane separates them at every yaw.
         if shape.bottom >= other.top - BASE_DEPTH or other.bottom >= shape.top - BASE_DEPTH:
             continue
         pair = (shape.placed, other.placed)
@@ -358,20 +376,21 @@ def _turret_pairs(robot: Robot, deviation: float, clearance: float) -> Iterator[
 
 
 def shaped_pairs(robot: Robot, deviation: float) -> SelfPairs:
-    """The pairs of a planar arm's bodies that its capsules say nothing of, and that can touch as the URDF has them.
+    """Pairs of a planar arm whose capsules always touch, unlike their URDF shapes.
 
-    Those are links that others between hold near together, and links that begin in a shape of turret or pedestal, or
-    near it: as capsules they always touch. What of neighbours is near their joint is their own.
+    These are links that the links between them hold close together, and links that start in or near a shape of turret
+    or pedestal. Neighbouring links are not included.
 
     Args:
-        deviation: How far joints may be beyond their limits [rad].
+        robot: The robot.
+        deviation: Maximum excess of joints over their limits [rad].
     """
     beyond = _beyond(deviation)
     return robot.cached(("shaped_pairs", beyond), lambda: pairs_among(robot, _held_pairs(robot), beyond))
 
 
 def _held_pairs(robot: Robot) -> Iterator[tuple[int, int]]:
-    """Pairs (i, j), i < j, of bodies that are no neighbours, and whose capsules always touch."""
+    """Pairs (i, j), i < j, of non-neighbouring bodies whose capsules always touch."""
     arm, bodies = robot.arm, collision_bodies(robot)
     links = range(arm.link_count)
     held = {(shape.number, link) for shape in base_shapes(robot) for link in links if is_held(robot, shape, 0.0, link)}
@@ -387,7 +406,7 @@ def _held_pairs(robot: Robot) -> Iterator[tuple[int, int]]:
 
 
 def _as_shaped(robot: Robot, pairs: SelfPairs) -> Iterator[ArmPair]:
-    """Pairs of a robot's bodies, in their order; the one that more joints carry is the moving body."""
+    """Checked pairs; the body with more joints below it moves."""
     bodies, shapes = collision_bodies(robot), body_shapes(robot)
     for pair, farthest in zip(pairs.checked, pairs.farthest.tolist(), strict=True):
         still, moved = sorted(pair, key=lambda body: len(carriers(robot, bodies[body].joint)))
@@ -395,10 +414,10 @@ def _as_shaped(robot: Robot, pairs: SelfPairs) -> Iterator[ArmPair]:
 
 
 def moving_bodies(robot: Robot) -> dict[str, list[int]]:
-    """By link, the numbers of the bodies that joints move.
+    """Indices of the bodies that joints move, by link name.
 
     Raises:
-        RobotFileError: There are none: whatever the motion, a certificate would say nothing.
+        RobotFileError: No moving link has a collision shape; a certificate would be void.
     """
     found: dict[str, list[int]] = {}
     for number, body in enumerate(collision_bodies(robot)):
@@ -411,24 +430,27 @@ def moving_bodies(robot: Robot) -> dict[str, list[int]]:
 
 
 def base_bodies(robot: Robot) -> Iterator[tuple[str, pin.GeometryObject]]:
-    """Names and shapes of what carries the arm: pedestal and turret, or what no joint moves; meshes in their pieces."""
+    """Names and shapes of the base.
+
+    The base is pedestal and turret, or the bodies that no joint moves. Meshes are decomposed into their convex pieces.
+    """
     for body, shape in zip(collision_bodies(robot), body_shapes(robot), strict=True):
         if body.joint < base_joints(robot):
             yield body.name, shape
 
 
 def _beyond(deviation: float) -> float:
-    """A deviation that is no less, one of few for which pairs of bodies are found."""
+    """Deviation rounded up to a multiple of `BEYOND`, to limit recomputation."""
     return BEYOND * max(1, math.ceil(deviation / BEYOND - 1e-9))
 
 
 def below(robot: Robot, shape: BaseShape, obstacles: Sequence[Solid], growth: FloatArray) -> BoolArray:
-    """(obstacles,) mask of those that a turning shape never comes down to, or stands on.
+    """(obstacles,) mask of obstacles that are below a turning shape or support it.
 
-    Turning about the vertical keeps heights: an obstacle whose top, grown by its `growth` [m], is not above the shape's
-    bottom is never entered.
-    One that is, by `BASE_DEPTH` at most, carries the shape where it is within `BASE_DEPTH` of it at every yaw, as the
-    ground is; one that the shape only turns over, or into, blocks it.
+    Heights are constant under a rotation about the vertical: an obstacle whose top, grown by its `growth` [m], is not
+    above the bottom of the shape is never penetrated. An obstacle whose top is higher by at most `BASE_DEPTH` supports
+    the shape if it is within `BASE_DEPTH` of the shape at every yaw, like the ground. If the shape only turns over or
+    into the obstacle, the obstacle blocks it.
     """
     tops = np.array([float(obstacle.core[:, 2].max()) + obstacle.rounding for obstacle in obstacles])
     never: BoolArray = tops + growth <= shape.bottom + _ROUNDING
@@ -444,7 +466,10 @@ def below(robot: Robot, shape: BaseShape, obstacles: Sequence[Solid], growth: Fl
 
 
 def _beyond_joint(capsule: pin.GeometryObject, reach: float, along: float) -> pin.GeometryObject:
-    """The part of a link's capsule farther than `reach` from its joint (`along` 1), or from the next one (-1)."""
+    """Part of a link's capsule beyond distance `reach` from a joint [m].
+
+    The joint is the link's own (`along` = 1) or the next one (`along` = -1).
+    """
     geometry = capsule.geometry
     length = 2.0 * float(geometry.halfLength) - reach
     shifted = capsule.placement * pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.5 * along * reach]))

@@ -1,4 +1,4 @@
-"""The scene in coal, by way of Pinocchio: a collision checker that shares no formula with the analytic planner."""
+"""Collision checker in coal and Pinocchio, sharing no formula with the planner."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ from hplan.scene.tracks import Movement
 
 @dataclass(frozen=True)
 class Contact:
-    """A link and an obstacle, and the signed distance between them [m]."""
+    """Signed distance between a link and an obstacle [m]."""
 
     link: str
     obstacle: str
@@ -48,54 +48,56 @@ class Contact:
 
     @property
     def other(self) -> str:
-        """The obstacle, as messages name it."""
+        """Name of the obstacle for messages."""
         return f"obstacle {self.obstacle!r}"
 
 
 @dataclass(frozen=True)
 class OwnContact(Contact):
-    """A link and another part of the arm, `obstacle`, and the signed distance between them [m]."""
+    """Signed distance between a link and another part of the arm, `obstacle` [m]."""
 
     @property
     def other(self) -> str:
-        """The other part of the arm, as messages name it."""
+        """Name of the other part of the arm for messages."""
         return f"link {self.obstacle!r}"
 
 
 class CoalScene:
-    """Arm and obstacles as pairs of shapes, and their distances.
+    """Collision checker of an arm among obstacles: pairs of shapes and their distances.
 
-    Pairs are each link shape with each obstacle, link by link, and so each shape of the turret that is not round about
-    the yaw axis; then those that there are of parts of the arm (`hplan.robot.self_contact`). Pedestal, and what of the
-    turret is round, do not meet obstacles here; `base_contacts` looks at those. By `links`, link shapes are
+    The pairs are each link shape with each obstacle, link by link; then each turret shape that is not round about the
+    yaw axis with each obstacle; then the self-collision pairs (`hplan.robot.self_contact`). The pedestal and the round
+    shapes of the turret are not paired with obstacles here; `base_contacts` checks them. The option `links` selects the
+    link shapes:
 
-    - `capsule`: the capsules of `robot.arm`, which hold the URDF's collision geometry;
-    - `box`: square beams from joint to joint, of the capsules' half-widths (in the arm plane: the paper's rectangle);
-    - `urdf`: the URDF's collision geometry itself, meshes by their convex hulls (as surfaces they are hollow to coal).
+    - `capsule`: the capsules of `robot.arm`, which contain the URDF's collision geometry;
+    - `box`: square beams from joint to joint, with the capsules' half-widths (in the arm plane: the paper's rectangle);
+    - `urdf`: the URDF's collision geometry itself, with convex hulls of meshes (mesh surfaces are hollow in coal).
 
-    Neighbours that fold into one another are asked as capsules always. Of a general (non-planar) arm the links are
-    those of the URDF that move, as `hplan.collision.collision_bodies.body_shapes` has them, and the pairs of its own
-    those of `hplan.collision.touching_pairs`; `links` is `urdf` then.
+    Neighbouring links that fold into each other are always checked as capsules. For a general (non-planar) arm the
+    links are the moving links of the URDF with the shapes of `hplan.collision.collision_bodies.body_shapes`, and the
+    self-collision pairs come from `hplan.collision.touching_pairs`; `links` has no effect.
 
-    A cloud is its points in trees of bounding volumes, asked with its radius taken off the distance. Wherever a
-    link does not reach the points themselves the distance is right, and at most 2e-7 m too small; where it does, so
-    is the depth of capsules whose axes do not, and that of others is at least the radius, and may be less than the true
-    one.
+    A cloud is stored as its points in bounding-volume trees; its radius is subtracted from their distance. If a link
+    does not reach the points themselves, the distance is exact or at most 2e-7 m too small. If it does, the depth of a
+    capsule whose axis does not reach them has the same accuracy; the depth of any other shape is at least the radius,
+    but may be less than the true depth.
 
-    Obstacles that move are where their movement has them at the time that is asked for; `in_collision` takes none.
+    A moving obstacle is at the pose of its movement at the time given with the query; `in_collision` does not accept
+    moving obstacles.
 
-    Several threads may ask at once. A scene can be pickled; it is built anew from robot and obstacles.
+    Queries are thread-safe. A scene can be pickled; unpickling rebuilds it from robot and obstacles.
 
     Attributes:
-        mover_names: Names of the links, then names of the turret's bodies that have other shapes than round ones, then
-            of bodies that no joint moves, of which another arm's base is to keep clear.
-        obstacle_names: Names of the obstacles; from `own_first` on of the parts of the arm that another can touch.
+        mover_names: Names of the moving bodies: links, then turret bodies with shapes that are not round, then bodies
+            that no joint moves but that are checked against another arm's base.
+        obstacle_names: Names of the obstacles; from `own_first` on, names of the second parts of self-collision pairs.
         link_shapes: Shapes of the links, link by link.
-        pairs: Moving body, by its place in `mover_names`, and obstacle or part, in `obstacle_names`, of each pair.
-        parts: What of the arm meets obstacles, and the pairs of its own, the last of `pairs`.
-        deviation: How far joints may be beyond their limits [rad]; parts of the arm that touch up to there are pairs.
-        clearance: Distance that parts of the arm are to keep from each other [m]; those that come nearer are pairs.
-        moving: Those of the obstacles that move, and how; None where none does.
+        pairs: Index of the moving body in `mover_names` and of the obstacle or part in `obstacle_names`, for each pair.
+        parts: Parts of the arm and its self-collision pairs, which are the last of `pairs`.
+        deviation: Maximum excess of joints over their limits [rad]; parts that can touch within it form pairs.
+        clearance: Required clearance between parts of the arm [m]; parts that can come nearer form pairs.
+        moving: The moving obstacles with their movements; None if no obstacle moves.
     """
 
     def __init__(
@@ -114,16 +116,20 @@ class CoalScene:
         """Build the geometry of a robot among obstacles.
 
         Args:
-            growth: By how much obstacles are grown [m], one number or one for each.
-            deviation: How far joints may be beyond their limits [rad].
-            clearance: Distance to be kept [m]; parts of the arm that cannot come so near to each other are no pairs.
-            single_joint_pairs: Whether pairs that depend on one joint alone, turret and folded neighbours, are among
-                the pairs: the C-space does not hold them, ranges of joints are narrowed instead.
-            movements: How each obstacle moves, None for one that stands still; empty where all do.
-            yield_links: Names of the links that may push what gives way; None for those of the last two joints.
+            robot: The robot.
+            obstacles: The obstacles.
+            links: Shape of the links of a planar arm.
+            growth: Growth of the obstacles [m], one number or one for each.
+            deviation: Maximum excess of joints over their limits [rad].
+            clearance: Required clearance [m]; parts of the arm that cannot come this near to each other form no pair.
+            single_joint_pairs: Whether to include the pairs that depend on one joint alone (turret, folded neighbours).
+                The C-space excludes them and narrows the joint ranges instead.
+            movements: Movement of each obstacle, None for a static one; empty if all are static.
+            yield_links: Names of the links that may push compliant obstacles; None for the links on the last two
+                joints.
 
         Raises:
-            OptionError: Unknown link shape, or no link of that name.
+            OptionError: `links` has an unknown value, or a name in `yield_links` is not a moving link.
         """
         if links not in LINK_SHAPES:
             raise OptionError("links", links, f"one of {', '.join(LINK_SHAPES)}")
@@ -147,12 +153,12 @@ class CoalScene:
         self.link_names = tuple(parts.links)
         self.mover_names = parts.mover_names
         movers = [*parts.links.values(), *([shape.placed for shape in shapes] for shapes in parts.turret.values())]
-        # The shapes of moving body k are the rows from `_first_shape[k]` on.
+        # The shapes of moving body k start at index `_first_shape[k]`.
         self._first_shape = np.cumsum([0, *(len(of_mover) for of_mover in movers[:-1])])
         self.link_shapes = list(itertools.chain(*parts.links.values()))
         self._mover_shapes = parts.shapes
         self._last = np.flatnonzero([shape.parentJoint == parts.tool_joint for shape in self.link_shapes])
-        # To be taken off coal's distance of each shape from each obstacle [m].
+        # Offset subtracted from coal's distance, for each shape and obstacle [m].
         beyond = np.array([beyond_geometry(obstacle) for obstacle in obstacles], dtype=np.float64)
         grown = np.broadcast_to(np.asarray(growth, dtype=np.float64), beyond.shape)
         beyond += grown
@@ -177,7 +183,7 @@ class CoalScene:
         self._geometry = GeometryPairs(robot.model, self._mover_shapes, solids, parts.shape_pairs, parts.bare_shapes)
 
     def __getstate__(self) -> dict[str, Any]:
-        """The arguments that it is built from: Pinocchio's data cannot be pickled."""
+        """Constructor arguments, because Pinocchio's data cannot be pickled."""
         return {"built": self._built, "touched": self._touched}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -185,20 +191,23 @@ class CoalScene:
 
     @cached_property
     def distance_errors(self) -> FloatArray:
-        """(pairs,) by how much distances of `pairs` may be too large [m] (`hplan.collision.coal_accuracy`)."""
+        """(pairs,) upper bound of the error of each distance [m].
+
+        Distances may be too large by this amount (`hplan.collision.coal_accuracy`).
+        """
         movers, own = self.parts.extents
         return distance_errors(movers, self._built["obstacles"], own)
 
     @property
     def grown_obstacles(self) -> tuple[tuple[Solid, float], ...]:
-        """The obstacles, and by how much each is grown [m]."""
+        """The obstacles, each with its growth [m]."""
         obstacles = self._built["obstacles"]
         growth = np.broadcast_to(np.asarray(self._built["growth"], dtype=np.float64), len(obstacles))
         return tuple(zip(obstacles, growth.tolist(), strict=True))
 
     @cached_property
     def obstacle_balls(self) -> FloatArray:
-        """(obstacles, 4) centre and radius of a ball about each grown obstacle, where it is listed [m]."""
+        """(obstacles, 4) centre and radius of a bounding ball of each grown obstacle, at its listed pose [m]."""
         found = np.zeros((self.own_first, 4))
         for row, (solid, growth) in zip(found, self.grown_obstacles, strict=True):
             low, high = solid.core.min(axis=0), solid.core.max(axis=0)
@@ -207,7 +216,7 @@ class CoalScene:
         return found
 
     def covering(self, deviation: float, clearance: float) -> CoalScene:
-        """The scene with the pairs that a tracking error [rad] and a clearance [m] require."""
+        """Checker with the pairs required by a tracking error [rad] and a clearance [m]."""
         if deviation <= self.deviation and clearance == self.clearance:
             return self
         most, single = max(deviation, self.deviation), self._built["single_joint_pairs"]
@@ -218,11 +227,13 @@ class CoalScene:
         return _rebuilt(built, self._touched)
 
     def touching(self, name: str, hangs_from: Sequence[str] = ()) -> CoalScene:
-        """The scene where the last link may touch the obstacles of a name: their distance counts as infinite.
+        """Checker in which the last link may touch the obstacles of a name.
+
+        Their distance to the last link counts as infinite.
 
         Args:
-            name: Of the obstacles.
-            hangs_from: Names of others, which links that may push may push then (`hplan.collision.giving_way`).
+            name: Name of the obstacles.
+            hangs_from: Names of obstacles that become compliant for the pushing links (`hplan.collision.giving_way`).
         """
         other = object.__new__(CoalScene)
         vars(other).update(vars(self))
@@ -238,7 +249,7 @@ class CoalScene:
         return other
 
     def _depths(self, yielded: FloatArray | None, yield_links: Sequence[str] | None) -> FloatArray | None:
-        """(pairs,) how deep the two may be in one another, 0 where they must not touch [m]; None where none may."""
+        """Maximum deflection of each pair, (pairs,) [m]; 0 for rigid pairs, None if all are rigid."""
         if yielded is None:
             return None
         names = pushing_links(self.robot, yield_links)
@@ -248,7 +259,10 @@ class CoalScene:
 
     @property
     def meetings(self) -> tuple[list[pin.GeometryObject], tuple[Solid, ...], FloatArray]:
-        """What moves, the obstacles, and how deep each may be in each; infinite where they may touch, (k, n) [m]."""
+        """Moving shapes, obstacles, and their maximum penetration depths, (k, n) [m].
+
+        The depth is infinite for pairs that may touch.
+        """
         first = self._beyond.size
         depths = np.zeros(first) if self._yielded is None else self._yielded[:first]
         depths = np.where(self._beyond == -np.inf, np.inf, depths.reshape(self._beyond.shape))
@@ -256,14 +270,14 @@ class CoalScene:
 
     @property
     def pushed(self) -> IntArray:
-        """Numbers of the `pairs` of which one gives way to the other."""
+        """Indices of the `pairs` with a compliant obstacle."""
         return np.flatnonzero(self._yielded) if self._yielded is not None else np.zeros(0, dtype=np.int64)
 
     def kept(self, clearance: float) -> float | FloatArray:
-        """The distance that each of `pairs` is to keep where a clearance is asked for, for all or (pairs,) [m].
+        """Required distances of the `pairs` for a clearance, one number or (pairs,) [m].
 
-        It is 0 for bodies of one arm that are never so far apart (`touching_pairs.required_distances`). A compliant
-        obstacle may be pushed: it is negative then, whatever the clearance.
+        The required distance is 0 for bodies of one arm that are always closer together than the clearance
+        (`touching_pairs.required_distances`). For a compliant obstacle it is negative at any clearance.
         """
         if self._yielded is None and not np.isfinite(self.parts.farthest).any():
             return clearance
@@ -272,25 +286,29 @@ class CoalScene:
         return self._but_pushed(found)
 
     def own_required(self, clearance: float) -> Iterator[tuple[ArmPair, float]]:
-        """Pairs of the arm's own, and the distance that each keeps [m]."""
+        """Self-collision pairs, each with its required distance [m]."""
         required = required_distances(self.parts.farthest, clearance) if self.parts.own else np.zeros(0)
         yield from zip(self.parts.own, required.tolist(), strict=True)
 
     def _but_pushed(self, kept: FloatArray) -> FloatArray:
-        """(pairs,) distances to keep, but of what gives way how deep it may be pushed, below 0 [m]."""
+        """(pairs,) required distances [m]; for compliant obstacles the negative maximum deflection."""
         return kept if self._yielded is None else np.where(self._yielded > 0.0, -self._yielded, kept)
 
     def counted(self, clearance: float) -> FloatArray:
-        """(pairs,) to be added to distances, so that what gives way is as near as what it is to keep says [m]."""
+        """(pairs,) offsets that make distances of compliant obstacles comparable to the clearance [m].
+
+        With its offset, a compliant obstacle at its maximum deflection is exactly at the clearance.
+        """
         if self._yielded is None:
             return np.zeros(len(self.pairs))
         return np.where(self._yielded > 0.0, clearance + self._yielded, 0.0)
 
     def distances(self, q: ArrayLike, time_s: float | None = None) -> FloatArray:
-        """Signed distances at one configuration, (dof,) -> (bodies, obstacle names) [m]; negative is the depth.
+        """Signed distances at one configuration, (dof,) -> (bodies, obstacle names) [m].
 
-        Infinite where a link, or the turret, cannot touch that part of the arm or obstacle. As the other methods it
-        takes a time where obstacles move, and only there.
+        Negative values are penetration depths. The distance is infinite if a link, or the turret, cannot touch that
+        part of the arm or obstacle. As in the other methods, `time_s` [s] is required if obstacles move, and otherwise
+        has no effect.
         """
         found = self.pair_distances(q, time_s)
         table = (found[: self._beyond.size] if self.parts.own else found).reshape(self._beyond.shape)
@@ -310,7 +328,7 @@ class CoalScene:
         return self._geometry.distances(np.asarray(q, dtype=np.float64)) - self._taken_off
 
     def place(self, q: FloatArray, time_s: float | None = None) -> None:
-        """Put the links, and what moves, where `distances_of` is to look at them, in this thread.
+        """Set the poses of links and moving obstacles for `distances_of`, in this thread.
 
         Raises:
             MovingObstacleError: Obstacles move, and no time is given.
@@ -320,19 +338,19 @@ class CoalScene:
         self._geometry.place(q)
 
     def _put(self, time_s: float | None) -> None:
-        """Have what moves placed, with the arm, where it is at a time."""
+        """Set the poses of the moving obstacles at a time [s]."""
         if self.moving is not None:
             if time_s is None:
                 raise MovingObstacleError(self.obstacle_names[self.moving.numbers[0]])
             self._geometry.put(self.moving.places(time_s))
 
     def distances_of(self, pairs: IntArray) -> FloatArray:
-        """Signed distances of some of the `pairs` where the links were last placed, (k,) numbers -> (k,) [m]."""
+        """Signed distances of some of the `pairs` at the last placement, (k,) indices -> (k,) [m]."""
         return self._geometry.distances_of(pairs) - self._taken_off[pairs]
 
     @cached_property
     def boxes(self) -> tuple[FloatArray, IntArray]:
-        """Boxes about bodies of the arm and obstacles, as `box_bounds` has them, and (pairs, 2) those of each pair."""
+        """Bounding boxes of arm bodies and obstacles (see `box_bounds`), and (pairs, 2) box indices."""
         parts, count, obstacles = self.parts, self.own_first, self._built["obstacles"]
         bodies = self.robot.cached(("boxes", *parts.key), lambda: boxes_about(parts))
         solids = boxes_about_solids(obstacles, self.robot.dof)
@@ -343,21 +361,21 @@ class CoalScene:
         return np.concatenate([bodies, solids]), np.concatenate([np.column_stack([mover, len(bodies) + solid]), of_own])
 
     def lower_bounds(self, q: FloatArray, pairs: IntArray) -> FloatArray:
-        """Lower bounds of signed distances of some of the `pairs` at a configuration, (k,) numbers -> (k,) [m].
+        """Lower bounds of signed distances of some of the `pairs`, (k,) indices -> (k,) [m].
 
-        They are hundreds of times as quick; of a pair of what moves they are huge negative numbers.
+        They are hundreds of times faster than the distances. For a moving obstacle they are huge negative numbers.
         """
         boxes, sides = self.boxes
         return lower_bounds(q, pairs, sides, boxes, joints_as_pinocchio(self.robot)) - self._taken_off[pairs]
 
     @property
     def taken_off(self) -> FloatArray:
-        """(pairs,) what is taken off distances of shapes; minus infinity for pairs that may touch [m]."""
+        """(pairs,) offsets subtracted from distances of shapes [m]; minus infinity for pairs that may touch."""
         return self._taken_off
 
     def nearest_pair(self, q: FloatArray, kept: FloatArray, time_s: float | None = None) -> tuple[int, float]:
-        """The pair with the least distance beyond what each of (pairs,) is to keep, and its distance [m]."""
-        # So many pairs are asked before the others, where bounds tell which are near.
+        """Pair with the minimum distance beyond its required one, `kept` (pairs,), and its distance [m]."""
+        # Number of pairs, nearest by lower bound, whose distances limit the other queries.
         first_asked = 16
         if len(kept) <= 2 * first_asked:
             found = self.pair_distances(q, time_s)
@@ -373,27 +391,29 @@ class CoalScene:
         return int(asked[place]), float(found[place])
 
     def contact(self, mover: int, obstacle: int, distance: float) -> Contact:
-        """A distance between what has a place in `mover_names` and what has one in `obstacle_names`, by name."""
+        """Contact from indices in `mover_names` and `obstacle_names`, and a distance [m]."""
         kind = Contact if obstacle < self.own_first else OwnContact
         return kind(self.mover_names[mover], self.obstacle_names[obstacle], distance)
 
     def nearest(self, q: ArrayLike, time_s: float | None = None) -> Contact | None:
-        """The link and obstacle, or part of the arm, nearest to each other, or None where there is nothing to meet."""
+        """Contact of the nearest pair; None without pairs."""
         if not self.pairs:
             return None
         pair, distance = self.nearest_pair(np.asarray(q, dtype=np.float64), -self.counted(0.0), time_s)
         return self.contact(*self.pairs[pair], distance)
 
     def in_collision(self, configurations: ArrayLike, *, margin: float = 0.0) -> BoolArray:
-        """True where (n, dof) configurations touch an obstacle or the arm itself, in one compiled call.
+        """(n,) mask of configurations in collision with an obstacle or the arm itself.
+
+        All configurations are checked in one compiled call.
 
         Args:
-            configurations: (n, dof) joint angles.
-            margin: Distance up to which a pair counts as touching [m]; where it is negative, depth from which on (of a
-                cloud no more than its radius: the points themselves count always).
+            configurations: (n, dof) joint values [rad, m].
+            margin: Maximum distance that counts as contact [m]; if it is negative, minimum depth that does (for a cloud
+                at most its radius: contact with the points themselves always counts).
 
         Raises:
-            MovingObstacleError: Obstacles move.
+            MovingObstacleError: An obstacle moves.
         """
         if self.moving is not None:
             raise MovingObstacleError(self.obstacle_names[self.moving.numbers[0]])
@@ -402,13 +422,13 @@ class CoalScene:
             return np.zeros(len(q), dtype=np.bool_)
         kept = self.kept(margin) if margin > 0.0 else self._but_pushed(np.full(len(self.pairs), margin))
         margins = kept + self._taken_off
-        # Of trees coal knows no negative margin.
+        # Coal does not support negative margins for trees.
         margins[self._taken_off > 0.0] = np.maximum(0.0, margins[self._taken_off > 0.0])
         return self._geometry.in_collision(q, margins)
 
 
 def _rebuilt(built: dict[str, Any], touched: Sequence[tuple[str, tuple[str, ...]]]) -> CoalScene:
-    """A scene from the arguments that one is built from, and what the last link may touch (`CoalScene.touching`)."""
+    """Rebuild a scene from its constructor arguments and the obstacles of `CoalScene.touching`."""
     scene = CoalScene(**built)
     for name, hangs_from in touched:
         scene = scene.touching(name, hangs_from)
@@ -418,13 +438,16 @@ def _rebuilt(built: dict[str, Any], touched: Sequence[tuple[str, tuple[str, ...]
 def base_contacts(
     robot: Robot, obstacles: Sequence[Solid], yaw: float = 0.0, *, margin: float = 0.0
 ) -> tuple[Contact, ...]:
-    """Obstacles that touch what the planar joints do not move: pedestal and turret, as the URDF gives them.
+    """Contacts of obstacles with the base: the URDF shapes of pedestal and turret.
 
-    They are no part of the C-space, since no motion of the arm at this yaw changes them. Of a general (non-planar)
-    arm it is what no joint moves.
+    These contacts are not part of the C-space, since no motion of the planar joints at this yaw changes them. The base
+    of a general (non-planar) arm consists of the bodies that no joint moves.
 
     Args:
-        margin: Distance up to which a pair counts as touching [m].
+        robot: The robot.
+        obstacles: The obstacles.
+        yaw: Value of the yaw joint [rad].
+        margin: Maximum distance that counts as contact [m].
     """
     if not obstacles:
         return ()

@@ -1,4 +1,4 @@
-"""Links and obstacles as shapes of coal, placed by Pinocchio."""
+"""Coal shapes of links and obstacles, as Pinocchio geometry objects."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _AT_ORIGIN = pin.SE3.Identity()
 
 @made_once
 def link_shapes(robot: Robot, links: LinkShapes) -> list[pin.GeometryObject]:
-    """Each link's capsule or beam, in the frame of its joint; made once for each robot."""
+    """Capsule or beam of each link, in its joint's frame; cached for each robot."""
     model, arm = robot.model, robot.arm
     data = model.createData()
     neutral = np.zeros(model.nq)
@@ -58,7 +58,7 @@ def link_shapes(robot: Robot, links: LinkShapes) -> list[pin.GeometryObject]:
 
 
 def urdf_shapes(robot: Robot) -> list[list[pin.GeometryObject]]:
-    """The URDF's collision shapes of each link."""
+    """Collision shapes of each link in the URDF."""
     first = 1 + robot.yaw_joints
     found = []
     for k, name in enumerate(robot.arm.link_names):
@@ -73,14 +73,17 @@ def urdf_shapes(robot: Robot) -> list[list[pin.GeometryObject]]:
 
 
 def capsule_shapes(capsules: Sequence[Capsule]) -> list[pin.GeometryObject]:
-    """As `solid_shape`, of hundreds of capsules in less than half the time: their places are found all at once."""
+    """Capsule obstacles as fixed geometry objects, with vectorized placements.
+
+    For hundreds of capsules this takes less than half the time of `solid_shape`.
+    """
     if not capsules:
         return []
     start, end = np.array([(capsule.start, capsule.end) for capsule in capsules]).transpose(1, 0, 2)
     axes, centres = end - start, 0.5 * (start + end)
     lengths = np.sqrt((axes * axes).sum(axis=1))
     x, y, z = (axes / np.maximum(lengths, 1e-300)[:, None]).T
-    upright = z > -0.5  # of those that point down the quaternion would be found from what is left of rounding
+    upright = z > -0.5  # for axes that point down the quaternion would consist of rounding errors
     half = np.sqrt(np.where(upright, 2.0 * (1.0 + z), 1.0))
     turns = np.column_stack([0.5 * half, -y / half, x / half]).tolist()
     shapes = []
@@ -116,12 +119,15 @@ def solid_shape(obstacle: Convex | Hull) -> pin.GeometryObject:
 
 
 def beyond_geometry(obstacle: Solid) -> float:
-    """Distance by which an obstacle reaches beyond its geometry in coal, where points have no radius [m]."""
+    """Excess of an obstacle over its geometry in coal [m].
+
+    It is the radius of a cloud's points, which have none in coal, and 0 for all other obstacles.
+    """
     return obstacle.rounding if isinstance(obstacle, Cloud) else 0.0
 
 
 def triangle_tree(points: FloatArray, faces: IntArray) -> coal.BVHModelOBBRSS:
-    """A tree of bounding volumes about triangles: (n, 3) points [m], (m, 3) rows of them."""
+    """Bounding-volume tree of triangles: (n, 3) points [m], (m, 3) point indices."""
     tree = coal.BVHModelOBBRSS()
     tree.beginModel(len(faces), len(points))
     tree.addVertices(np.array(points))
@@ -131,7 +137,7 @@ def triangle_tree(points: FloatArray, faces: IntArray) -> coal.BVHModelOBBRSS:
 
 
 def _along(start: FloatArray, end: FloatArray) -> tuple[pin.SE3, float]:
-    """Placement in the middle of a segment, z along it, and its length [m]."""
+    """Placement at the middle of a segment, with z along it, and its length [m]."""
     axis = end - start
     length = math.sqrt(axis @ axis)  # as `np.linalg.norm`, in a tenth of the time
     if length == 0.0:

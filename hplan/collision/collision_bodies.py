@@ -1,12 +1,13 @@
-r"""The collision geometry of a robot as convex bodies: the hull of a few points, grown by a radius, on a joint each.
+r"""Collision geometry of a robot as convex hulls with a radius.
 
-Every body holds the URDF's shape that it stands for. Spheres, capsules and boxes are what they are. A cylinder is the
-prism of `_SIDES` sides about it. Of a mesh it is the convex hull; a closed mesh that fills less than `_FILLED` of its
-hull is cut into `_PIECES` convex pieces, whose union holds it (`hplan.scene.convex_decomposition`). A hull of more than
-`MOST_POINTS` vertices keeps some of them, and grows by the distance of the farthest of the others.
+Each body is carried by one joint and contains its URDF shape. Spheres, capsules and boxes are exact. A cylinder becomes
+its circumscribed prism with `_SIDES` sides, and a mesh its convex hull. A closed mesh that fills less than `_FILLED` of
+its hull is decomposed into at most `_PIECES` convex pieces, whose union contains it
+(`hplan.scene.convex_decomposition`). A hull with more than `MOST_POINTS` vertices is reduced to some of them, and grown
+by the maximum distance of the others.
 
-Where a body is larger than the shape that coal judges by (`body_shapes`: the true cylinder, the hull with all of its
-vertices), `CollisionBody.growth` says by how much at most.
+A body may be larger than its shape in coal (`body_shapes`: the true cylinder, the hull with all vertices);
+`CollisionBody.growth` is an upper bound of the difference.
 """
 
 from __future__ import annotations
@@ -28,39 +29,39 @@ from hplan.scene.convex_decomposition import convex_pieces
 from hplan.scene.convex_shape import convex_hull_shape, convex_shape
 from hplan.scene.solids import CUBE_CORNERS, hull_of, thickening
 
-#: Joint of a body that no joint moves.
+#: Joint index of bodies that no joint moves.
 GROUND: Final = -1
 
-#: Most points of a body.
+#: Maximum number of points of a body.
 MOST_POINTS: Final = 256
 
-#: Sides of the prism about a cylinder.
+#: Number of sides of the prism around a cylinder.
 _SIDES: Final = 24
 
-#: A mesh whose hull has this much more volume is not convex.
+#: Minimum volume fraction of the hull outside a mesh for the mesh to count as not convex.
 _CONVEX: Final = 1e-3
 
-#: A mesh that fills less of its hull is cut, into so many pieces at most.
+#: A mesh that fills less than this fraction of its hull is decomposed; maximum number of pieces.
 _FILLED: Final = 0.8
 _PIECES: Final = 4
 
 
 @dataclass(frozen=True, eq=False)
 class CollisionBody(Record):
-    """A convex body that a joint carries: the hull of its core, grown by its rounding.
+    """A convex body on a joint: the hull of its core, grown by its rounding.
 
     Attributes:
-        name: Name of its link in the URDF; several bodies may have one.
-        joint: Place in `Robot.joint_names` of the joint that carries it; `GROUND` (-1) where none does.
-        core: (n, 3) points in that joint's frame (Pinocchio's; of the ground, in `base_link`), at most `MOST_POINTS`:
-            one of a sphere, two of a capsule, eight of a box, with which (-1, -1, -1) ... (1, 1, 1) are meant in the
-            order of `hplan.scene.solids.CUBE_CORNERS`; vertices of the hull of all others [m].
-        rounding: Radius about the core [m].
-        kind: `sphere`, `capsule`, `box`, `cylinder`, `mesh` (one that is convex), `mesh hull` or `mesh piece`.
-        exact: True where it is the URDF's shape itself, up to rounding errors.
-        growth: By how much it may stand out beyond the shape that coal judges by [m]; see `body_shapes`.
-        shape: Place of the URDF's shape among the geometry objects of `Robot.collision_model`, -1 for another shape;
-            pieces share one.
+        name: Name of its link in the URDF; several bodies may have the same name.
+        joint: Index in `Robot.joint_names` of the joint that carries it; `GROUND` (-1) if no joint moves it.
+        core: (n, 3) points in that joint's frame (Pinocchio's; for the ground, `base_link`), at most `MOST_POINTS` [m]:
+            one for a sphere, two for a capsule, eight for a box in the order of `hplan.scene.solids.CUBE_CORNERS`
+            ((-1, -1, -1) ... (1, 1, 1)), and the vertices of the hull for all others.
+        rounding: Radius around the core [m].
+        kind: `sphere`, `capsule`, `box`, `cylinder`, `mesh` (a convex one), `mesh hull` or `mesh piece`.
+        exact: True if it equals the URDF's shape, up to rounding errors.
+        growth: Upper bound of its excess over its shape in coal [m]; see `body_shapes`.
+        shape: Index of the URDF's shape in the geometry objects of `Robot.collision_model`, -1 for another shape;
+            the pieces of a mesh have the same index.
     """
 
     name: str
@@ -74,28 +75,31 @@ class CollisionBody(Record):
 
 
 def collision_bodies(robot: Robot) -> tuple[CollisionBody, ...]:
-    """The bodies of a robot, those of the ground too, in the order of its geometry objects; made once.
+    """Bodies of a robot, including the ground's, in geometry-object order; cached.
 
     Raises:
-        RobotFileError: A shape that is none of a URDF's kinds, or a mesh without a volume that cannot be thickened.
+        RobotFileError: A shape has a kind that URDF does not define, or a mesh has no volume and cannot be thickened.
     """
     return tuple(body for body, _ in _made(robot))
 
 
 def body_shapes(robot: Robot) -> tuple[pin.GeometryObject, ...]:
-    """What coal is to judge by in place of each of the `collision_bodies`, in the same order; made once.
+    """Coal shape of each of the `collision_bodies`, in the same order; cached.
 
-    The URDF's shape itself, of a mesh its convex hull with all vertices. Names are those of the bodies, with a number.
+    It is the URDF's shape itself, or the convex hull of a mesh (or of its piece) with all vertices. Names are the
+    bodies' names with a number.
     """
     return tuple(shape for _, shape in _made(robot))
 
 
 def reuse_bodies(robot: Robot, before: Robot) -> None:
-    """Take the bodies of a robot's first shapes from another one that has the same, as meshes take long to be cut.
+    """Reuse the bodies of another robot for a robot's first shapes.
+
+    This saves the decomposition of the meshes, which is slow.
 
     Args:
-        robot: The robot, of which no bodies were made yet.
-        before: One with the same links and joints, and with the first of its shapes.
+        robot: The robot; its bodies must not have been computed yet.
+        before: A robot with the same links and joints, whose shapes are the first shapes of `robot`.
     """
     first = len(before.collision_model.geometryObjects)
     robot.cached("collision_bodies", lambda: [*_made(before), *_bodies_from(robot, first)])
@@ -106,13 +110,13 @@ def _made(robot: Robot) -> list[tuple[CollisionBody, pin.GeometryObject]]:
 
 
 def _bodies_from(robot: Robot, first: int) -> Iterator[tuple[CollisionBody, pin.GeometryObject]]:
-    """The bodies of a robot's shapes from a number on."""
+    """Bodies of a robot's shapes from index `first` on."""
     for number, shape in list(enumerate(robot.collision_model.geometryObjects))[first:]:
         yield from bodies_of(robot, str(robot.model.frames[shape.parentFrame].name), shape, number)
 
 
 class _Solid(NamedTuple):
-    """A convex solid: kind, core, rounding, exactness and growth of a body, and the shape for coal."""
+    """A convex solid: attributes of a `CollisionBody`, and its shape in coal."""
 
     kind: str
     core: FloatArray
@@ -125,10 +129,11 @@ class _Solid(NamedTuple):
 def bodies_of(
     robot: Robot, name: str, shape: pin.GeometryObject, number: int = -1
 ) -> Iterator[tuple[CollisionBody, pin.GeometryObject]]:
-    """The bodies of a shape that a robot's link has, each with its shape for coal.
+    """Bodies of one shape of a robot's link, each with its shape in coal.
 
     Raises:
-        RobotFileError: As `collision_bodies`.
+        RobotFileError: The shape has a kind that URDF does not define, or is a mesh without volume that cannot be
+            thickened.
     """
     joint, place = int(shape.parentJoint), shape.placement
     solids = _mesh(shape.geometry) if isinstance(shape.geometry, coal.BVHModelBase) else (_primitive(shape.geometry),)
@@ -142,7 +147,7 @@ def bodies_of(
 
 
 def _primitive(geometry: coal.CollisionGeometry) -> _Solid | None:
-    """A shape that is no mesh; None for one that URDF does not know."""
+    """Convex solid of a primitive shape; None for a kind that URDF does not define."""
     if isinstance(geometry, coal.Sphere):
         return _Solid("sphere", np.zeros((1, 3)), float(geometry.radius), True, 0.0, geometry)
     if isinstance(geometry, coal.Capsule):
@@ -158,16 +163,22 @@ def _primitive(geometry: coal.CollisionGeometry) -> _Solid | None:
 
 
 def _mesh(mesh: coal.BVHModelBase) -> tuple[_Solid, ...]:
-    """The hull of a mesh, or of its pieces."""
+    """Hull of a mesh, or the hulls of its convex pieces."""
     corners = (mesh.tri_indices(number) for number in range(mesh.num_tris))
     faces = np.array([[three[0], three[1], three[2]] for three in corners], dtype=np.int64)
     return _of_mesh(np.asarray(mesh.vertices(), dtype=np.float64).tobytes(), faces.tobytes(), MOST_POINTS)
 
 
-# Meshes whose bodies are kept: arms beside each other, and all of them as one robot, have the same.
+# Cached by content: the arms of a workcell, alone and combined into one robot, have the same meshes.
 @lru_cache(maxsize=64)
 def _of_mesh(points: bytes, triangles: bytes, most: int) -> tuple[_Solid, ...]:
-    """The hull of a mesh, or of its pieces, of so many points at most: of its vertices and its triangles."""
+    """Hull of a mesh, or the hulls of its convex pieces, with at most `most` points.
+
+    Args:
+        points: (n, 3) vertices as bytes of float64 [m].
+        triangles: (m, 3) vertex indices as bytes of int64.
+        most: Maximum number of points of a hull.
+    """
     vertices = np.frombuffer(points, dtype=np.float64).reshape(-1, 3)
     faces = np.frombuffer(triangles, dtype=np.int64).reshape(-1, 3)
     thicker = (vertices[:, None] + thickening(vertices)).reshape(-1, 3)
@@ -184,29 +195,32 @@ def _of_mesh(points: bytes, triangles: bytes, most: int) -> tuple[_Solid, ...]:
 
 
 def _hull(kind: str, points: FloatArray, rounding: float, judged: coal.CollisionGeometry, most: int) -> _Solid:
-    """The hull of (n, 3) points, grown by a radius, of so many points at most."""
+    """Hull of (n, 3) points with at most `most` vertices, grown by a radius."""
     hull = hull_of(points, most=most)
     return _Solid(kind, hull.core, hull.rounding + rounding, False, hull.rounding, judged)
 
 
 def _is_closed(faces: IntArray) -> bool:
-    """True if each edge of a surface is one of two triangles, which go along it in opposite senses."""
+    """True if each edge joins exactly two triangles, in opposite directions."""
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     there, back = ({tuple(edge) for edge in directed.tolist()} for directed in (edges, edges[:, ::-1]))
     return len(there) == len(edges) and there == back
 
 
 def _volumes(vertices: FloatArray, faces: IntArray) -> FloatArray:
-    """(m,) volumes of the pyramids over the triangles of a surface; their sum is what it encloses, as seen outwards."""
+    """(m,) signed volumes of the tetrahedra over the triangles of a surface.
+
+    Their sum is the enclosed volume, positive if the triangles face outward.
+    """
     a, b, c = (vertices[faces[:, corner]] - vertices[0] for corner in range(3))
     volumes: FloatArray = (a * np.cross(b, c)).sum(axis=1) / 6.0
     return volumes
 
 
 def _outward(vertices: FloatArray, faces: IntArray) -> IntArray:
-    """Triangles of a closed surface, those of parts that are inside out turned: mirrored by a scale, or hollows.
+    """Triangles of a closed surface, with every connected part facing outward.
 
-    Hollows count as solid.
+    Parts face inward if a scale mirrors them or if they bound a cavity. Cavities then count as solid.
     """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
@@ -219,7 +233,7 @@ def _outward(vertices: FloatArray, faces: IntArray) -> IntArray:
 
 
 def _prism(radius: float, half_length: float) -> FloatArray:
-    """(2 `_SIDES`, 3) corners of the prism about a cylinder along z."""
+    """(2 `_SIDES`, 3) corners of the circumscribed prism of a cylinder along z."""
     angles = np.arange(_SIDES) * (2.0 * math.pi / _SIDES)
     rim = radius / math.cos(math.pi / _SIDES) * np.stack([np.cos(angles), np.sin(angles)], axis=1)
     corners: FloatArray = np.vstack([np.c_[rim, np.full(_SIDES, end)] for end in (-half_length, half_length)])
@@ -227,13 +241,13 @@ def _prism(radius: float, half_length: float) -> FloatArray:
 
 
 def ball_about(core: FloatArray) -> tuple[FloatArray, float]:
-    """Centre and radius of a ball that holds some points, not much larger than the smallest."""
+    """Centre and radius of a nearly minimum enclosing ball of some points."""
     centre = core.mean(axis=0)
     if len(core) <= 2:
         return centre, float(np.linalg.norm(core - centre, axis=1).max())
     centre = 0.5 * (core.min(axis=0) + core.max(axis=0))
     for step in range(1, 200):
-        # Towards the farthest point, by ever less (Badoiu and Clarkson 2003).
+        # Move towards the farthest point by decreasing steps (Badoiu and Clarkson 2003).
         away = core - centre
         centre = centre + away[(away**2).sum(axis=1).argmax()] / (step + 1.0)
     boxed = 0.5 * (core.min(axis=0) + core.max(axis=0))

@@ -1,4 +1,4 @@
-"""The bodies of a robot, its joints and its own pairs as arrays of numbers, for kernels."""
+"""Arrays of a robot's bodies, joints and self-collision pairs, for kernels."""
 
 from __future__ import annotations
 
@@ -15,41 +15,41 @@ from hplan.collision.touching_pairs import required_distances, self_pairs
 from hplan.robot.model import Robot, made_once
 from hplan.scene.corner_table import corner_table
 
-#: Columns of a body: its joint (`dof` for the ground), first and last place of its points among the numbers (last is
-#: one past) and that of their table (`hplan.scene.corner_table`; 0 for none), its radius, then the centre (3) of a ball
-#: that holds it and the ball's radius, a segment (start and vector, 3 each) with a radius that holds it, and 1 where
-#: obstacles are to keep clear of it: joints move it, and no other one holds it.
+#: Columns of a body: its joint (`dof` for the ground); offsets of the start and end of its points in the numbers, and
+#: of their table (`hplan.scene.corner_table`; 0 for none); its rounding radius; centre (3) and radius of a bounding
+#: ball; start and vector (3 each) and radius of a bounding capsule; and 1 if it is checked against obstacles, because
+#: joints move it and no other body contains it.
 JOINT, FIRST, LAST, TABLE, ROUNDING, BALL, BALL_RADIUS, AXIS, AXIS_RADIUS, MEETS = 0, 1, 2, 3, 4, 5, 8, 9, 15, 16
 
-#: Columns of a pair: its bodies, the one whose motion is seen from the other first, and the distance of their hulls at
-#: which they touch; then the distances of the centres of their balls, and of their segments, beyond which they are
-#: farther apart than that; and 1, where a body has 0.
+#: Columns of a pair: its bodies, first the one whose motion relative to the other is considered; the distance of their
+#: hulls at contact; the distances of the ball centres and of the segments beyond which contact is excluded; and 1, to
+#: distinguish it from a body, which has 0.
 OUTER, INNER, TOUCHING, BALLS, AXES, IS_PAIR = 0, 1, 2, 3, 4, 17
 
 COLUMNS = 18
 
-#: A body of so many coordinates at most is its segment, grown by its radius.
+#: A body with at most this number of coordinates is exactly its bounding capsule.
 THIN = 6
 
-#: Numbers at the head: how many bodies and how many joints there are; where joints, and where reaches begin.
+#: Numbers of the head: number of bodies, number of joints, offsets of the joints and of the motion-bound coefficients.
 BODIES, DOF, JOINTS, REACHES, HEAD = 0, 1, 2, 3, 4
 
-#: Numbers of a joint: with q its value, it is turned in its parent's frame by the first nine, the next nine by cos(q)
-#: and the next by sin(q), row by row; and stands at a place, shifted by q times a direction (3 each); its parent's
-#: number (`dof` for the base) follows, and the axis that it turns about in its own frame (3), zeros if it slides.
+#: Numbers of a joint with value q: three 3x3 matrices A, B, C by rows, for its rotation A + B cos(q) + C sin(q) in the
+#: parent's frame; its position and the direction of its shift by q (3 each); its parent's index (`dof` for the base);
+#: and its rotation axis in its own frame (3), zeros for a prismatic joint.
 PLACE, SHIFT, PARENT, TURN, JOINT_SIZE = 27, 30, 33, 34, 37
 
 
 @dataclass(frozen=True, eq=False)
 class FlatBodies(Record):
-    """Moving bodies of a robot as rows, and the numbers that they refer to.
+    """Moving bodies of a robot as rows that refer to numbers.
 
     Attributes:
-        movers: (bodies + pairs, COLUMNS) each body in the order of `collision_bodies`, then capsules that stand for
-            cylinders with a ball at either end; of a planar arm the capsules of its links, then what of turret and
-            pedestal they can touch. Then each pair of its own that is checked.
-        numbers: Flat: the head, the joints, the reaches ((bodies + pairs, dof), row by row), the points of all bodies,
-            each with its table.
+        movers: (bodies + pairs, COLUMNS) rows: the bodies in the order of `collision_bodies`, then capsules that
+            replace cylinders with a ball at either end; for a planar arm the capsules of its links, then the shapes of
+            turret and pedestal that they can touch. After the bodies, the checked self-collision pairs.
+        numbers: Flat array: the head, the joints, the motion-bound coefficients ((bodies + pairs, dof) by rows), and
+            the points of all bodies, each with its table.
     """
 
     movers: FloatArray
@@ -63,11 +63,12 @@ class FlatBodies(Record):
 
     @classmethod
     def of(cls, robot: Robot, own_clearance: float = 0.0, deviation: float = 0.0) -> FlatBodies:
-        """The bodies of a robot.
+        """Flatten the bodies of a robot.
 
         Args:
-            own_clearance: Clearance that pairs are to keep [m].
-            deviation: By how much every joint may be off [rad, m]: bodies are as much thicker as it may displace them.
+            robot: The robot.
+            own_clearance: Required clearance of the self-collision pairs [m].
+            deviation: Maximum deviation of every joint [rad, m]; bodies are grown by their displacement bound.
         """
         if robot.planar is None:
             still = robot.cached("flat bodies", lambda: _of_any_arm(robot))
@@ -81,7 +82,7 @@ class FlatBodies(Record):
 
 
 def thicker(movers: FloatArray, by: FloatArray) -> FloatArray:
-    """Bodies grown, and pairs that are to keep more, by (bodies + pairs,) distances [m]."""
+    """Grow bodies, and required distances of pairs, by (bodies + pairs,) distances [m]."""
     movers, is_pair = movers.copy(), movers[:, IS_PAIR] > 0.0
     for columns, chosen in (((ROUNDING, BALL_RADIUS, AXIS_RADIUS), ~is_pair), ((TOUCHING, BALLS, AXES), is_pair)):
         for column in columns:
@@ -90,7 +91,7 @@ def thicker(movers: FloatArray, by: FloatArray) -> FloatArray:
 
 
 def _of_any_arm(robot: Robot) -> FlatBodies:
-    """The bodies that a URDF has, where pairs may touch."""
+    """Bodies of a general (non-planar) arm, and its checked pairs."""
     own, pairs = collision_bodies(robot), self_pairs(robot)
     capsules = list(_capsules(own))
     bodies = [*own, *(capsule for capsule, _ in capsules)]
@@ -100,7 +101,7 @@ def _of_any_arm(robot: Robot) -> FlatBodies:
 
 
 def _of_parts(parts: ArmParts) -> FlatBodies:
-    """What of a planar arm meets obstacles, then what of turret and pedestal its links can touch."""
+    """Shapes of a planar arm, then turret and pedestal shapes its links can touch."""
     (both, _), links = parts.movers, len(parts.shapes)
     return _flat(parts.robot, parts.bodies, np.arange(len(parts.bodies)) < links, both[links:].tolist())
 
@@ -108,7 +109,7 @@ def _of_parts(parts: ArmParts) -> FlatBodies:
 def _flat(
     robot: Robot, bodies: Sequence[CollisionBody], meets: Sequence[bool] | BoolArray, pairs: Sequence[tuple[int, int]]
 ) -> FlatBodies:
-    """Bodies, which of them obstacles are to keep clear of, and pairs of them that are not to touch."""
+    """Flatten bodies and pairs; `meets` marks the bodies that are checked against obstacles."""
     joints, count = joint_numbers(robot), len(bodies)
     alone = np.array([points_reach(robot, body.core, body.joint) for body in bodies]).reshape(-1, robot.dof)
     reaches = np.concatenate([alone, np.zeros((len(pairs), robot.dof))])
@@ -141,9 +142,10 @@ def _flat(
 
 
 def _capsules(bodies: Sequence[CollisionBody]) -> Iterator[tuple[CollisionBody, tuple[int, ...]]]:
-    """Capsules that hold a cylinder and a ball of its radius at either end, as URDFs have capsules; and what they hold.
+    """Capsules around a cylinder with a ball of its radius at either end.
 
-    Obstacles keep clear of such a capsule alone, which is round.
+    URDFs describe capsules in this way. Each capsule comes with the indices of the three bodies that it contains. Only
+    the capsule is checked against obstacles, because it is smooth.
     """
     for number, tube in enumerate(bodies):
         if tube.kind != "cylinder" or tube.joint == GROUND:
@@ -154,7 +156,7 @@ def _capsules(bodies: Sequence[CollisionBody]) -> Iterator[tuple[CollisionBody, 
         for end in ends:
             for other, ball in enumerate(bodies):
                 off = float(np.linalg.norm(ball.core[0] - end)) + abs(ball.rounding - radius)
-                # How far balls may be from the ends of the cylinder that they make a capsule of [m].
+                # Tolerance of centre and radius of a ball at the end of a cylinder [m].
                 if ball.kind == "sphere" and ball.joint == tube.joint and off <= 1e-9:
                     parts.append(other)
                     away = max(away, off)
@@ -165,13 +167,13 @@ def _capsules(bodies: Sequence[CollisionBody]) -> Iterator[tuple[CollisionBody, 
 
 @made_once
 def joint_numbers(robot: Robot) -> FloatArray:
-    """(dof, JOINT_SIZE) numbers of the joints; found once."""
+    """(dof, JOINT_SIZE) numbers of the joints, cached."""
     return frozen(np.array([_of_joint(robot, j) for j in range(robot.dof)]))
 
 
 @made_once
 def joints_alone(robot: Robot) -> FloatArray:
-    """Numbers of a robot without bodies: the head and the joints."""
+    """Numbers of a robot without bodies: head and joints, cached."""
     return frozen(np.concatenate([[0.0, robot.dof, HEAD, HEAD], joint_numbers(robot).ravel()]))
 
 
@@ -181,7 +183,7 @@ def _of_joint(robot: Robot, joint: int) -> FloatArray:
     axis, slides = joint_axis(robot, joint)
     place = model.jointPlacements[joint + 1]
     numbers = np.zeros(JOINT_SIZE)
-    # Rodrigues' formula; of a joint that slides the rotation stays.
+    # Rodrigues' formula; the rotation of a prismatic joint is constant.
     along = np.eye(3) if slides else np.outer(axis, axis)
     across = np.array([[0.0, -axis[2], axis[1]], [axis[2], 0.0, -axis[0]], [-axis[1], axis[0], 0.0]])
     numbers[0:9] = (place.rotation @ along).ravel()
@@ -196,9 +198,9 @@ def _of_joint(robot: Robot, joint: int) -> FloatArray:
 
 
 def _axis(core: FloatArray) -> tuple[FloatArray, float]:
-    """Start and vector of a segment, and the radius about it that holds some points.
+    """Start, vector and radius of a bounding capsule of some points.
 
-    Along the direction in which the points are spread farthest, pulled in from its ends by the radius.
+    The segment has the direction of the maximum spread of the points; its ends are moved inward by the radius.
     """
     middle = core.mean(axis=0)
     direction = np.linalg.svd(core - middle, full_matrices=False)[2][0]

@@ -1,9 +1,9 @@
-"""What gives way, and to which links: solids that some links of an arm may push, so deep and no deeper.
+"""Compliant obstacles: solids that some links may deflect to a maximum depth.
 
-To the links that may push it a solid is as much smaller as it yields; to all others it is what it is. The depth is how
-deep the two shapes are in one another: the least shift that takes them apart. Beyond a link's half-width, where its
-axis would be in the solid, that says nothing more, so no solid yields more than the half-width of the thinnest link; to
-general (non-planar) arms no more than the radii by which body and solid are round.
+For the links that may push it, a compliant solid is smaller by its maximum deflection; for all others it has its full
+size. The depth of a contact is the penetration depth: the minimum translation that separates the two shapes. It is not
+meaningful beyond a link's half-width, when the link's axis is inside the solid. Deflections are therefore limited to
+the half-width of the thinnest link, and for general (non-planar) arms to the rounding radii of body and solid.
 """
 
 from __future__ import annotations
@@ -25,18 +25,21 @@ from hplan.robot.model import Robot
 from hplan.scene.obstacles import Solid
 from hplan.scene.solids import Cloud
 
-#: How deep what a fruit hangs from may be pushed while that fruit may be touched, where it says nothing of it [m].
+#: Default maximum deflection of the obstacles that a fruit hangs from, while that fruit may be touched [m].
 HANGING_M = 0.02
 
 
 @dataclass(frozen=True, eq=False)
 class LinkedSolids(Record):
-    """Solids, and which links have to keep clear of each; one that gives way is there a second time, smaller.
+    """Solids with the links that must keep clear of each.
+
+    A compliant solid occurs twice: at full size for links that may not push it, and smaller for links that may.
 
     Attributes:
-        solids: The solids that do not give way, those that do, and these again.
-        growth: (n,) by how much each is grown [m]; negative where it gives way.
-        joints: (n, dof) for each whether what a joint carries keeps clear of it; None for all of all.
+        solids: The rigid solids, then the compliant ones twice.
+        growth: (n,) growth of each solid [m]; reduced by the maximum deflection for the second copy of a compliant one.
+        joints: (n, dof) True if the links on a joint must keep clear of the solid; None if all links must keep clear of
+            all solids.
     """
 
     solids: tuple[Solid, ...]
@@ -53,16 +56,19 @@ class LinkedSolids(Record):
         beyond: ArrayLike = 0.0,
         hanging: Collection[str] = (),
     ) -> LinkedSolids:
-        """Take solids, those that give way twice.
+        """Pair solids with links; compliant solids are taken twice.
 
         Args:
-            growth: By how much they are grown [m], one number or one for each.
-            yield_links: Names of the links that may push; None for those of the last two joints.
-            beyond: By how much those are grown that are pushed, before they yield [m], one number or one for each.
-            hanging: Names of those that give way by `HANGING_M` where they say nothing else.
+            robot: The robot.
+            solids: The solids.
+            growth: Growth of the solids [m], one number or one for each.
+            yield_links: Names of the links that may push compliant solids; None for the links on the last two joints.
+            beyond: Growth of the second copies of compliant solids, before the deflection is subtracted [m], one number
+                or one for each.
+            hanging: Names of solids whose deflection defaults to `HANGING_M`.
 
         Raises:
-            OptionError: A name of no link.
+            OptionError: A name in `yield_links` is not a moving link.
         """
         grown = np.broadcast_to(np.asarray(growth, dtype=np.float64), (len(solids),))
         depth = yielded(robot, solids, yield_links, hanging)
@@ -78,7 +84,7 @@ class LinkedSolids(Record):
         return cls(tuple(solids[number] for number in order.tolist()), frozen(growths), frozen(joints))
 
     def field(self, robot: Robot, *, own_clearance: float | None = None, deviation: float = 0.0) -> ClearanceField:
-        """The arm among them (`ClearanceField.of`)."""
+        """Clearance field of the arm among the solids (see `ClearanceField.of`)."""
         return ClearanceField.of(
             robot,
             self.solids,
@@ -89,15 +95,15 @@ class LinkedSolids(Record):
         )
 
     def named(self, names: Collection[str]) -> BoolArray:
-        """(n,) which of them have one of some names."""
+        """(n,) mask of the solids with one of the given names."""
         return np.array([solid.name in names for solid in self.solids], dtype=np.bool_)
 
 
 def check_yield_links(robot: Robot, names: Sequence[str] | None) -> None:
-    """Refuse names of links that the robot does not have, or that do not move, whether anything yields or not.
+    """Validate names of pushing links, even if no obstacle is compliant.
 
     Raises:
-        OptionError: There is one; names the links that move.
+        OptionError: A name is not a moving link of the robot; the message lists the moving links.
     """
     for name in names or ():
         known = _names(robot)
@@ -108,13 +114,14 @@ def check_yield_links(robot: Robot, names: Sequence[str] | None) -> None:
 
 
 def pushing_links(robot: Robot, names: Sequence[str] | None) -> tuple[str, ...]:
-    """The links that may push what gives way.
+    """Names of the links that may push compliant obstacles.
 
     Args:
-        names: Their names; None for those of the last two joints.
+        robot: The robot.
+        names: Their names; None for the links on the last two joints.
 
     Raises:
-        OptionError: A name of no link that moves.
+        OptionError: A name is not a moving link.
     """
     known = _links(robot)
     if names is None:
@@ -127,14 +134,16 @@ def pushing_links(robot: Robot, names: Sequence[str] | None) -> tuple[str, ...]:
 def yielded(
     robot: Robot, solids: Sequence[Solid], yield_links: Sequence[str] | None, hanging: Collection[str] = ()
 ) -> FloatArray | None:
-    """(solids,) how deep each may be pushed by the links that may [m]; None where none may.
+    """Maximum deflection of each solid, (solids,) [m]; None if all are rigid.
 
     Args:
-        yield_links: Names of the links that may push; None for those of the last two joints.
-        hanging: Names of those that give way by `HANGING_M` where they say nothing else.
+        robot: The robot.
+        solids: The solids.
+        yield_links: Names of the links that may push compliant solids; None for the links on the last two joints.
+        hanging: Names of solids whose deflection defaults to `HANGING_M`.
 
     Raises:
-        OptionError: A name of no link.
+        OptionError: A name in `yield_links` is not a moving link.
     """
     depth = np.array([solid.yields or HANGING_M * (solid.name in hanging) for solid in solids], dtype=np.float64)
     if not depth.any():
@@ -144,15 +153,15 @@ def yielded(
     else:
         names = pushing_links(robot, yield_links)
         thin = min((body.rounding for body in collision_bodies(robot) if body.name in names), default=0.0)
-        # Of the points of a cloud that a body is in coal does not say which is deepest, but that it is in one.
-        # How far bodies of general (non-planar) arms stay off the points of a cloud that yields as much as it can [m].
+        # When a body contains points of a cloud, coal reports the contact but not the depth of the deepest point.
+        # So bodies of general (non-planar) arms keep at least 1e-6 m from the points of a compliant cloud.
         most = np.array([solid.rounding + (-1e-6 if isinstance(solid, Cloud) else thin) for solid in solids])
     found: FloatArray = np.maximum(0.0, np.minimum(depth, most))
     return found
 
 
 def _names(robot: Robot) -> tuple[str, ...]:
-    """Names of the links that move and have collision shapes; no mesh is cut for that."""
+    """Names of the moving links with collision shapes, without decomposing meshes."""
     if robot.planar is not None:
         return robot.arm.link_names
     shapes = (shape for shape in robot.collision_model.geometryObjects if shape.parentJoint > 0)
@@ -160,7 +169,7 @@ def _names(robot: Robot) -> tuple[str, ...]:
 
 
 def _links(robot: Robot) -> dict[str, int]:
-    """The links that move, and the joint that carries each."""
+    """Moving links, each with the joint that carries it."""
     if robot.planar is not None:
         return {name: joint for joint, name in enumerate(robot.arm.link_names, robot.arm_slice.start)}
     bodies = collision_bodies(robot)
@@ -168,7 +177,7 @@ def _links(robot: Robot) -> dict[str, int]:
 
 
 def _pushing(robot: Robot, names: Sequence[str]) -> BoolArray:
-    """(dof,) for each joint whether it carries a link, and none that may not push."""
+    """(dof,) mask of the joints whose links all may push compliant obstacles."""
     known = _links(robot)
     found = np.zeros(robot.dof, dtype=np.bool_)
     found[[known[name] for name in names]] = True

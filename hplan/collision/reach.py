@@ -1,22 +1,22 @@
-r"""Motion-bound coefficients: how far each joint can move each body, whatever the configuration.
+r"""Motion-bound coefficients: configuration-independent bounds of each body's motion by each joint.
 
-A point of the core of body :math:`b` that lies at distance :math:`\rho` from the axis of joint :math:`j` moves with
-speed :math:`\rho |\dot q_j|` when that joint alone turns, and with :math:`|\dot q_j|` when it slides. With
-:math:`R_{bj}` the largest such distance over all points of the core and all configurations (1 of a joint that slides, 0
-of one that does not carry the body), no point of the core travels farther than
+A point of the core of body :math:`b` at distance :math:`\rho` from the axis of joint :math:`j` moves with speed
+:math:`\rho |\dot q_j|` if only that joint moves and is revolute, and with :math:`|\dot q_j|` if it is prismatic. Let
+:math:`R_{bj}` be the maximum distance over all points of the core and all configurations (1 for a prismatic joint, 0
+for a joint that does not carry the body). Then no point of the core travels farther than
 
 .. math:: \sum_j R_{bj} \int |\dot q_j| \, dt.
 
-Since the signed distance of two convex bodies is the largest separation of their supporting planes, it changes by no
-more than both bodies travel; and that of bodies with roundings is that of their cores, less both.
+The signed distance of two convex bodies is the maximum separation of their supporting planes, so it changes by no more
+than the travel of both bodies. The signed distance of rounded bodies is the distance of their cores minus both radii.
 
-**The distance** is found from the body inward. Its points, turned about the axis of the joint that carries it, sweep
-rings; those are the rings of the points' radii and heights, of which the convex hull counts alone. Turned about a
-parallel axis, a ring sweeps one that is larger by the distance of the axes. Before it is turned about another one, each
-ring is put in the polygon of `_CORNERS` corners about it; those corners, seen from the joint before, are the points
-that are turned. Joints that slide move the points to the ends of their range. A distance from an axis is a convex
-function, so its largest value over a hull is that at one of the points. Joint limits of joints that turn are not made
-use of.
+**The maximum distance** is computed from the body inward. Rotated about the axis of the joint that carries the body,
+its points sweep rings, given by the points' radii and heights; only the convex hull of these matters. Rotated about a
+parallel axis, a ring sweeps a ring that is larger by the distance of the axes. Before the rotation about any other
+axis, each ring is enclosed in its circumscribed polygon with `_CORNERS` corners, and those corners, in the frame of the
+previous joint, are the points to rotate. Prismatic joints move the points to the ends of their range. The distance from
+an axis is a convex function, so its maximum over a hull is attained at one of the points. The limits of revolute joints
+are not used.
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ from hplan.base.planar_geometry import convex_hull
 from hplan.collision.collision_bodies import CollisionBody, collision_bodies
 from hplan.robot.model import Robot, made_once
 
-#: Corners of the polygon about a ring.
+#: Number of corners of the polygon around a ring.
 _CORNERS: Final = 64
 
-#: Axes are parallel that differ in direction by no more than this.
+#: Maximum sine of the angle between parallel axes.
 _PARALLEL: Final = 1e-12
 
 #: Rounding errors of a radius, as a fraction of it.
@@ -45,36 +45,39 @@ _ROUND_OFF: Final = 1e-12
 
 @made_once
 def reach(robot: Robot, beyond: float = 0.0) -> FloatArray:
-    """Motion-bound coefficients: upper bounds of the distance of any point of each core from each joint's axis.
+    """Motion-bound coefficients: maximum distance of each core from each joint axis.
 
-    Of a body that is larger than the shape that it stands for, the core and all of the shape are meant.
+    For a body that is larger than its URDF shape, the bound covers the core and the whole shape.
 
     Args:
-        beyond: How far joints that slide may be beyond their limits [m].
+        robot: The robot.
+        beyond: Maximum excess of prismatic joints over their limits [m].
 
     Returns:
-        (bodies, dof) bounds [m]; 0 where the joint does not move the body, 1 for a joint that slides, so that
-        `reach @ abs(dq)` bounds how far any point of each core moves. Bodies are in the order of `collision_bodies`.
+        (bodies, dof) bounds [m]; 0 if the joint does not move the body, 1 for a prismatic joint. Thus
+        `reach @ abs(dq)` bounds the displacement of any point of each core. Bodies are in the order of
+        `collision_bodies`.
     """
     return frozen(reach_of(robot, collision_bodies(robot), beyond))
 
 
 def reach_of(robot: Robot, bodies: Sequence[CollisionBody], beyond: float = 0.0) -> FloatArray:
-    """As `reach`, of some bodies."""
+    """Motion-bound coefficients (see `reach`) of the given bodies, (bodies, dof)."""
     rows = np.array([points_reach(robot, body.core, body.joint, beyond) for body in bodies]).reshape(-1, robot.dof)
-    # The shape that a body stands for has points of its own beyond the core, but where it is the core and a ball.
+    # The URDF shape of a body that is not exact may have points beyond the core; they are within the rounding.
     beyond_core = np.array([0.0 if body.exact else body.rounding for body in bodies])[:, None]
     found: FloatArray = rows + np.where((rows > 0.0) & ~np.array(robot.slides), beyond_core, 0.0)
     return found
 
 
 def points_reach(robot: Robot, points: FloatArray, joint: int, beyond: float = 0.0) -> FloatArray:
-    """A row of `reach`, of points that a joint carries; found once for the same ones.
+    """Motion-bound coefficients of points on a joint, (dof,); cached.
 
     Args:
+        robot: The robot.
         points: (n, 3) points in the joint's frame [m].
         joint: The joint; -1 for the ground.
-        beyond: How far joints that slide may be beyond their limits [m].
+        beyond: Maximum excess of prismatic joints over their limits [m].
     """
     key = "reach", points.tobytes(), joint, beyond
     return robot.cached(key, lambda: frozen(_carried(robot, points, joint, beyond)[0]))
@@ -82,10 +85,13 @@ def points_reach(robot: Robot, points: FloatArray, joint: int, beyond: float = 0
 
 @made_once
 def reach_ball(robot: Robot) -> FloatArray:
-    """(4,) centre, in `base_link`, and radius of a ball that holds all bodies at all configurations [m]."""
+    """(4,) centre in `base_link` and radius of a workspace ball [m].
+
+    It contains all bodies at all configurations.
+    """
     bodies = collision_bodies(robot)
     held = [_carried(robot, body.core, body.joint, 0.0)[1] for body in bodies]
-    # Distances from where the first joint is are kept as it turns.
+    # Distances from the first joint's origin do not change when it rotates.
     centre = np.array(robot.model.jointPlacements[1].translation)
     far = [np.linalg.norm(points - centre, axis=1).max() for points in held]
     largest = max((float(away) + body.rounding for away, body in zip(far, bodies, strict=True)), default=0.0)
@@ -93,7 +99,7 @@ def reach_ball(robot: Robot) -> FloatArray:
 
 
 class _Rings(NamedTuple):
-    """Rings about an axis: a place on it and its direction, both (3,), and (n,) radii and heights."""
+    """Rings around an axis: (3,) point and direction of the axis, (n,) radii and heights."""
 
     place: FloatArray
     axis: FloatArray
@@ -102,14 +108,14 @@ class _Rings(NamedTuple):
 
     @classmethod
     def about(cls, axis: FloatArray, radius: FloatArray, height: FloatArray) -> _Rings:
-        """Those of given ones that hold them all, about an axis through the origin."""
+        """Rings on the convex hull of the given ones, around an axis through the origin."""
         profile = np.column_stack([radius, height])
         profile = _outline(np.vstack([profile, profile * [-1.0, 1.0]]))
         return cls(np.zeros(3), axis, *profile[profile[:, 0] >= 0.0].T)
 
     @property
     def corners(self) -> FloatArray:
-        """Points whose hull holds them."""
+        """(n, 3) points whose convex hull contains the rings."""
         across = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), self.axis).toRotationMatrix()
         angles = (np.arange(_CORNERS) + 0.5) * (2.0 * math.pi / _CORNERS)
         ring = self.radius / math.cos(math.pi / _CORNERS)
@@ -119,7 +125,10 @@ class _Rings(NamedTuple):
 
 
 def _carried(robot: Robot, points: FloatArray, joint: int, beyond: float) -> tuple[FloatArray, FloatArray]:
-    """A row of `reach`, and points in `base_link` whose hull holds the given ones at all configurations."""
+    """Motion-bound coefficients of points on a joint, and a hull of their workspace.
+
+    The hull is given by points in `base_link`; it contains the given points at all configurations.
+    """
     found, rings = np.zeros(robot.dof), None
     for carrier in carriers(robot, joint):
         axis, slides = joint_axis(robot, carrier)
@@ -146,15 +155,17 @@ def _carried(robot: Robot, points: FloatArray, joint: int, beyond: float) -> tup
 
 
 def largest_sway(robot: Robot, deviation: FloatArray) -> FloatArray:
-    """Tracking-error displacement bound: of any part of a robot from its place, with joints off by `deviation` at most.
+    """Maximum tracking displacement bound of any part of a robot.
 
-    Of an arm of the planar family that of its links' axes (`PlanarFamily.sway`), of any other that of its bodies.
+    For an arm of the planar family it is the bound of its link axes (`PlanarFamily.sway`), for any other arm the bound
+    of its bodies.
 
     Args:
-        deviation: (..., dof) deviations [rad, m].
+        robot: The robot.
+        deviation: (..., dof) maximum joint deviations [rad, m].
 
     Returns:
-        (...) distances [m].
+        (...) displacement bounds [m].
     """
     if robot.planar is not None:
         found: FloatArray = robot.planar.sway(deviation).max(axis=-1)
@@ -164,7 +175,7 @@ def largest_sway(robot: Robot, deviation: FloatArray) -> FloatArray:
 
 
 def joint_axis(robot: Robot, joint: int) -> tuple[FloatArray, bool]:
-    """The (3,) unit axis of a joint in its own frame, and whether it slides along it; else it turns about it."""
+    """(3,) unit axis of a joint in its own frame, and True for a prismatic joint."""
     moved = robot.model.joints[joint + 1]
     data = moved.createData()
     moved.calc(data, np.zeros(1))
@@ -173,7 +184,7 @@ def joint_axis(robot: Robot, joint: int) -> tuple[FloatArray, bool]:
 
 
 def carriers(robot: Robot, joint: int) -> tuple[int, ...]:
-    """The joints that move what a joint carries: itself first, then those below it to the base; none of the ground."""
+    """Joints from the given joint down to the base, itself first; empty for the ground."""
     found = []
     while joint >= 0:
         found.append(joint)
@@ -182,10 +193,10 @@ def carriers(robot: Robot, joint: int) -> tuple[int, ...]:
 
 
 def _outline(points: FloatArray) -> FloatArray:
-    """The vertices of the convex hull of (n, 2) points, up to rounding errors."""
+    """Vertices of the convex hull of (n, 2) points, up to rounding errors."""
     from scipy.spatial import ConvexHull, QhullError
 
     try:
         return np.asarray(points[ConvexHull(points).vertices])
-    except QhullError:  # they are in line
+    except QhullError:  # the points are collinear
         return convex_hull(points)

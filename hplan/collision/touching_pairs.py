@@ -1,13 +1,13 @@
-"""Pairs of a robot's own bodies: the checked ones, and the exempt ones, each with the reason.
+"""Checked and exempt self-collision pairs of a robot, with the reasons.
 
 Every pair of bodies of **different arms** (`Robot.owner_of`) is checked with the full clearance, unless the cell
 declares that the two links may touch. No other rule applies to it.
 
 Within **one arm** all pairs are checked, except
 
-- two bodies that the same joint carries, or none: they do not move relative to each other;
-- links that the robot's SRDF, or a filter group of Drake's, declares to touch for another reason than that no contact
-  was seen;
+- two bodies that are carried by the same joint or both by the ground: they do not move relative to each other;
+- links that the robot's SRDF, or a Drake collision filter group, allows to touch, unless the reason is only that
+  sampling found no contact;
 - bodies that always touch: proved by bisection over the joints between them (`_always_touch`), so that no
   configuration could pass a check;
 - bodies on both sides of one joint that cannot touch at any value of it: proved by bisection
@@ -15,8 +15,8 @@ Within **one arm** all pairs are checked, except
 - bodies on both sides of one joint that are never farther apart than `_BEARING`, also proved. They are **assumed** to
   touch by construction: convex shapes of bearings overlap.
 
-Samples exempt no pair. They only say which checked pairs are so close to each other that a clearance cannot be
-required of them (`required_distances`); such a pair must not touch, and the certificate lists it with its own bound.
+Samples exempt no pair. They only find the checked pairs that are too close to each other for a clearance requirement
+(`required_distances`); such a pair must not touch, and the certificate lists it with its own bound.
 """
 
 from __future__ import annotations
@@ -37,22 +37,22 @@ from hplan.robot.base_shapes import always, coal_distance, ever
 from hplan.robot.model import Robot, made_once
 from hplan.robot.self_contact import SLACK
 
-#: Sides of a joint may be this far apart, and are still its own; so are bodies with one link between them [m].
+#: Maximum distance of the two sides of a bearing; also used for bodies with one link between them [m].
 _BEARING: Final = 0.02
 
-#: How far beyond the joint limits pairs are judged, as a tracking error may lead there [rad, m].
+#: Margin beyond the joint limits within which pairs are classified, to cover tracking errors [rad, m].
 BEYOND: Final = 0.1
 
-#: Random configurations.
+#: Number of random configurations.
 SAMPLES: Final = 10_000
 
-#: Pairs that were seen this far apart are sampled no further [m].
+#: The sampling of a pair stops at this distance [m].
 _FAR: Final = 0.25
 
-#: Boxes of joint values in which `_always_touch` measures a distance before it gives up.
+#: Maximum number of boxes of joint values, each with a distance query, in `_always_touch`.
 _MOST_BOXES: Final = 4_000
 
-#: Begin of the reason of pairs that do not move relative to each other.
+#: Reason for exempting pairs that do not move relative to each other.
 RIGID: Final = "they do not move relative to each other"
 
 
@@ -64,8 +64,8 @@ class SelfPairs(Record):
         checked: Pairs (i, j), i < j, that must not touch. (The outer body, the one that has more joints below it or is
             later in the URDF, is not always j.)
         allowed: Pairs (i, j), i < j, that are not checked, each with the reason.
-        farthest: (checked,) largest sampled distance of each pair of one arm [m], infinite from 0.25 m on, and for
-            pairs of different arms. It decides which clearance can be required (`required_distances`).
+        farthest: (checked,) maximum sampled distance of each pair of one arm [m]; infinite from 0.25 m on, and for
+            pairs of different arms. It determines the clearance that can be required (`required_distances`).
     """
 
     checked: tuple[tuple[int, int], ...]
@@ -74,28 +74,32 @@ class SelfPairs(Record):
 
 
 def required_distances(farthest: FloatArray, clearance: float) -> FloatArray:
-    """Required distance of each pair [m]: the clearance, or 0 if the pair is never farther apart than that.
+    """Required distance of each pair, (pairs,) [m].
+
+    It is the clearance, or 0 if the pair is never farther apart than the clearance or `_BEARING`, whichever is larger.
+    A negative clearance is required of all pairs.
 
     Args:
-        farthest: (pairs,) largest distances, as in `SelfPairs` [m].
-        clearance: Clearance to keep [m].
+        farthest: (pairs,) maximum distances, as in `SelfPairs` [m].
+        clearance: Required clearance [m].
     """
     return np.where(farthest > max(clearance, _BEARING), clearance, min(clearance, 0.0))
 
 
 @made_once
 def self_pairs(robot: Robot, beyond: float = BEYOND) -> SelfPairs:
-    """The pairs of a robot's own bodies, found once.
+    """Classify all pairs of a robot's own bodies; cached.
 
     Args:
-        beyond: How far joints may be beyond their limits [rad, m].
+        robot: The robot.
+        beyond: Maximum excess over the joint limits [rad, m].
     """
     every = itertools.combinations(range(len(collision_bodies(robot))), 2)
     return pairs_among(robot, every, beyond)
 
 
 def pairs_among(robot: Robot, chosen: Iterable[tuple[int, int]], beyond: float) -> SelfPairs:
-    """Sort some pairs (i, j), i < j, into checked and exempt ones, as `self_pairs` does with all."""
+    """Classify the given pairs (i, j), i < j, as checked or exempt."""
     bodies = collision_bodies(robot)
     allowed: list[tuple[int, int, str]] = []
     left: list[tuple[int, int]] = []
@@ -118,7 +122,7 @@ def pairs_among(robot: Robot, chosen: Iterable[tuple[int, int]], beyond: float) 
 
 
 def _exemption(robot: Robot, pair: tuple[int, int], beyond: float) -> str | None:
-    """The reason for which a pair of bodies is not checked; None if it is checked, or if samples are needed first."""
+    """Reason for exempting a pair; None if it is checked or requires samples."""
     first, second = (collision_bodies(robot)[body] for body in pair)
     declared = _declared(robot).get(frozenset((first.name, second.name))) if first.name != second.name else None
     declared = None if declared is None else f"may touch: {declared}"
@@ -134,12 +138,14 @@ def _exemption(robot: Robot, pair: tuple[int, int], beyond: float) -> str | None
 
 @made_once
 def _declared(robot: Robot) -> dict[frozenset[str], str]:
-    """The reason for each pair of links that are declared to touch."""
+    """Reason for each pair of links that are declared to touch."""
     return {frozenset(pair[:2]): pair[2] for pair in robot.may_touch}
 
 
 def _always_touch(robot: Robot, pair: tuple[int, int]) -> bool:
-    """True if two bodies touch at all joint values within the limits; True is certain.
+    """True if two bodies provably touch at all joint values.
+
+    The joint values are within the limits; True is certain.
 
     Bisection: the distance at the centre of a box of joint values grows by no more than the half-widths times the
     motion-bound coefficients (`hplan.collision.reach`).
@@ -149,7 +155,7 @@ def _always_touch(robot: Robot, pair: tuple[int, int]) -> bool:
     rates = reach_of(robot, [bodies[body] for body in pair]).sum(axis=0)[between]
     low, high = robot.lower[between], robot.upper[between].copy()
     slides = np.array(robot.slides)[between]
-    high[~slides] = np.minimum(high, low + math.tau)[~slides]  # a whole turn later bodies are where they were
+    high[~slides] = np.minimum(high, low + math.tau)[~slides]  # poses repeat after a whole turn
     q, data = pin.neutral(robot.model), robot.model.createData()
     boxes = [(0.5 * (low + high), 0.5 * (high - low))]
     for _ in range(_MOST_BOXES):
@@ -174,25 +180,25 @@ def _always_touch(robot: Robot, pair: tuple[int, int]) -> bool:
 
 
 def _joints_in_words(robot: Robot, pair: tuple[int, int]) -> str:
-    """The joints between two bodies, as messages name them."""
+    """Names of the joints between two bodies, for messages."""
     between = sorted(_between(robot, *(collision_bodies(robot)[body].joint for body in pair)))
     return "joints " + ", ".join(repr(robot.joint_names[joint]) for joint in between)
 
 
 def _between(robot: Robot, first: int, second: int) -> tuple[int, ...]:
-    """The joints that say how what one joint carries lies to what another does."""
+    """Joints that determine the relative pose of the bodies on two joints."""
     a, b = carriers(robot, first), carriers(robot, second)
     return tuple(joint for joint in (*a, *b) if (joint in a) != (joint in b))
 
 
 class OneJoint(NamedTuple):
-    """How far apart two shapes are that one joint alone moves to each other, over its range.
+    """Distance of two shapes as a function of the one joint between them.
 
     Attributes:
-        distance: The distance where the joint is at a place [m].
-        low: Where its range begins, with what it may be beyond.
-        high: Where it ends.
-        rate: How fast the distance changes with the joint at most.
+        distance: Function from the joint value to the distance [m].
+        low: Lower end of the joint's range, extended by the maximum excess [rad, m].
+        high: Upper end of the range, likewise [rad, m].
+        rate: Maximum rate of change of the distance with the joint value [m/rad, m/m].
     """
 
     distance: Callable[[float], float]
@@ -201,24 +207,31 @@ class OneJoint(NamedTuple):
     rate: float
 
     def ever(self, level: float) -> bool:
-        """True if they come within a distance [m], or nearly so; False is certain."""
+        """True if the distance may fall to `level` [m]; False is proved."""
         return ever(*self, level)
 
     def always(self, level: float) -> bool:
-        """True if they are within a distance all over [m]; True is certain."""
+        """True if the distance never exceeds `level` [m]; True is proved."""
         return always(*self, level)
 
 
 def one_joint(
     robot: Robot, shapes: tuple[pin.GeometryObject, pin.GeometryObject], joint: int, beyond: float
 ) -> OneJoint:
-    """Two shapes that one joint alone moves to each other; `beyond` as in `self_pairs`."""
+    """Distance function of two shapes with one joint between them.
+
+    Args:
+        robot: The robot.
+        shapes: The two shapes.
+        joint: The joint between them.
+        beyond: Maximum excess over the joint limits [rad, m].
+    """
     axis, slides = joint_axis(robot, joint)
     still, moved = shapes
     if still.parentJoint == joint + 1:
         still, moved = moved, still
     at = robot.model.jointPlacements[joint + 1].inverse() * still.placement
-    # Where the joint turns, either may be taken to move.
+    # With a revolute joint, either shape can be regarded as the moving one.
     rate = 1.0 if slides else min(_radius(still, at, axis), _radius(moved, moved.placement, axis))
 
     def distance(place: float) -> float:
@@ -228,18 +241,18 @@ def one_joint(
             motion = pin.SE3(pin.AngleAxis(place, axis).toRotationMatrix(), np.zeros(3))
         return coal_distance(still.geometry, at, moved.geometry, motion * moved.placement)
 
-    # A whole turn farther on bodies are where they were.
+    # Poses repeat after a whole turn.
     beyond = beyond if slides else min(beyond, math.tau)
     return OneJoint(distance, float(robot.lower[joint]) - beyond, float(robot.upper[joint]) + beyond, rate)
 
 
 def _by_one_joint(robot: Robot, pair: tuple[int, int], joint: int, beyond: float) -> str | None:
-    """The reason for which two bodies of one arm with one joint between them are not checked; None if they are."""
+    """Reason for exempting two bodies with one joint between them; None if checked."""
     shapes, name = (body_shapes(robot)[pair[0]], body_shapes(robot)[pair[1]]), robot.joint_names[joint]
     if one_joint(robot, shapes, joint, 0.0).always(0.0):
         return f"they touch wherever joint {name!r} is"
     decided = one_joint(robot, shapes, joint, beyond)
-    # Bodies apart by less than this count as touching: no proof shows so little [m].
+    # Bodies nearer than `SLACK` count as touching: the bisection cannot resolve smaller distances [m].
     if not decided.ever(SLACK):
         return f"they cannot touch wherever joint {name!r} is"
     if decided.always(_BEARING):
@@ -249,14 +262,19 @@ def _by_one_joint(robot: Robot, pair: tuple[int, int], joint: int, beyond: float
 
 
 def _radius(shape: pin.GeometryObject, placement: pin.SE3, axis: FloatArray) -> float:
-    """Largest distance of a shape's points from an axis through the origin [m]."""
+    """Upper bound of the distance of a shape's points from an axis [m]."""
     shape.geometry.computeLocalAABB()
     centre = placement * np.asarray(shape.geometry.aabb_center)
     return float(np.linalg.norm(centre - (centre @ axis) * axis)) + float(shape.geometry.aabb_radius)
 
 
 def _sampled(robot: Robot, pairs: list[tuple[int, int]]) -> tuple[BoolArray, FloatArray]:
-    """(pairs,) which touch at all of the random configurations, and how far apart each was seen, up to `_FAR` [m]."""
+    """Pairs that touch at every random configuration, and their maximum sampled distances.
+
+    Returns:
+        (pairs,) True for pairs that touch at every sample, and (pairs,) maximum distances [m]. The sampling of a pair
+        may stop once its distance is at least `_FAR`.
+    """
     touching, farthest = np.ones(len(pairs), dtype=np.bool_), np.full(len(pairs), -np.inf)
     if not pairs:
         return touching, farthest
@@ -274,7 +292,7 @@ def _sampled(robot: Robot, pairs: list[tuple[int, int]]) -> tuple[BoolArray, Flo
             found = pin.computeDistance(geometry, data, pair).min_distance
             touching[pair] &= found <= 0.0
             farthest[pair] = max(farthest[pair], found)
-        # How far apart they come shows soon; that they touch always does not.
+        # A few samples suffice for the maximum distance, but not to find pairs that always touch.
         going = touching[open_pairs] | ((farthest[open_pairs] < _FAR) if number < few else False)
         open_pairs = open_pairs[going]
         if not len(open_pairs):

@@ -1,4 +1,4 @@
-"""The arm as solids that a camera sees, and how far it reaches."""
+"""The arm as solids for camera models, and its workspace ball."""
 
 from __future__ import annotations
 
@@ -18,7 +18,10 @@ from hplan.scene.obstacles import Solid
 
 
 def arm_solids(robot: Robot, q: FloatArray) -> tuple[Solid, ...]:
-    """The collision bodies of a robot at a (dof,) configuration; each is made once and put where it is."""
+    """Collision bodies of a robot at a (dof,) configuration.
+
+    Each body's solid is cached and only its pose is changed.
+    """
     data = robot.model.createData()
     pin.forwardKinematics(robot.model, data, q)
     found = []
@@ -34,11 +37,14 @@ def arm_solids(robot: Robot, q: FloatArray) -> tuple[Solid, ...]:
 
 @made_once
 def reach_ball(robot: Robot) -> FloatArray:
-    """(4,) centre and radius of a ball that holds arm, turret and pedestal at all configurations [m]."""
+    """(4,) centre and radius of a ball around the workspace [m].
+
+    It contains arm, turret and pedestal at all configurations.
+    """
     if robot.planar is None:
         return reach.reach_ball(robot)
     arm = robot.arm
-    # About the yaw axis, at the height of the shoulder: turning keeps distances from there.
+    # The centre is on the yaw axis at shoulder height, so that yaw does not change the distances.
     ahead, across = robot.shoulder_from_axis if robot.has_yaw else (0.0, 0.0)
     foot = robot.yaw_axis if robot.has_yaw else robot.plane_origin[:2]
     centre = np.array([*foot, robot.plane_origin[2]])

@@ -1,4 +1,4 @@
-"""From where a camera sees most of what a motion would sweep and nobody has seen."""
+"""Next-best view: the camera pose showing most unknown space along a motion."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from hplan.scene.obstacles import Solid
 
 @dataclass(frozen=True, eq=False)
 class NextView(Record):
-    """A view that is worth taking (`hplan.Planner.next_view`).
+    """The next-best view (see `hplan.Planner.next_view`).
 
     Attributes:
-        number: Which of the views it is.
-        pose: (4, 4) camera to `base_link` there.
-        shown: Share of the voxels not known that it is expected to show.
-        unseen: (k, 3) middles of the voxels not known that the motion to the goal would sweep [m].
-        motion: Certified motion there through known space, where the arm carries the camera; else None.
+        number: Index of the view among the candidates.
+        pose: (4, 4) transform from the camera frame to `base_link`.
+        shown: Expected fraction of the unknown voxels in `unseen` that the view shows.
+        unseen: (k, 3) centres of the unknown voxels that the motion to the goal would sweep [m].
+        motion: Certified motion to the view through known space if the arm carries the camera; None otherwise.
     """
 
     number: int
@@ -38,7 +38,13 @@ class NextView(Record):
 
 
 def sweep(robot: Robot, path: FloatArray, step_m: float) -> list[Solid]:
-    """The arm's bodies along a (n, dof) path, at those of its rows between which no point moves farther than a step."""
+    """The arm's bodies at selected samples of a path.
+
+    Args:
+        robot: The robot.
+        path: (n, dof) samples.
+        step_m: Approximate maximum displacement of any point between selected samples [m].
+    """
     lever = max(1.0, 2.0 * float(reach_ball(robot)[3]))
     moved = lever * np.concatenate([[0.0], np.cumsum(np.abs(np.diff(path, axis=0)).sum(axis=1))])
     rows = np.unique(np.searchsorted(moved, np.append(np.arange(0.0, moved[-1], step_m), moved[-1])))
@@ -53,18 +59,19 @@ def shows(
     field_of_view_deg: tuple[float, float],
     farthest_m: float,
 ) -> BoolArray:
-    """(k,) mask of the voxels that a camera would look through, past what is known to be there.
+    """(k,) mask of the voxels visible to a camera among known solids.
 
-    All of a voxel's ball has to be in the field of view, with a cell of directions (`hplan.online.hidden_points`) to
-    spare, and nothing known in the cone to it. What is not known hides nothing: that is found out by looking.
+    The whole ball around a voxel must be in the field of view, with a margin of one direction cell
+    (`hplan.online.hidden_points`), and no known solid may intersect the cone to it. Unknown space does not occlude,
+    since only the view itself can show it.
 
     Args:
-        unseen: (k, 3) middles of the voxels [m].
-        radius: Of the balls about them [m].
-        pose: (4, 4) camera to `base_link`; z looks ahead, x to the right, y down.
-        solids: What is known to be there.
-        field_of_view_deg: Its width and height [deg].
-        farthest_m: How far it measures [m].
+        unseen: (k, 3) centres of the voxels [m].
+        radius: Radius of the balls around them [m].
+        pose: (4, 4) transform from the camera frame to `base_link`; z points forward, x right, y down.
+        solids: The known solids.
+        field_of_view_deg: Width and height of the field of view [deg].
+        farthest_m: Sensor range [m].
     """
     seen = (unseen - pose[:3, 3]) @ pose[:3, :3]
     away = np.linalg.norm(seen, axis=1)
@@ -76,7 +83,7 @@ def shows(
     rows, data = solid_rows(solids, 0.0)
     found = np.zeros(len(unseen), dtype=np.bool_)
     for number in np.flatnonzero(inside).tolist():
-        # Balls that hold the cone, their middles no farther apart than a voxel's radius.
+        # Balls that cover the cone, with centres no farther apart than a voxel's radius.
         shares = np.linspace(0.0, 1.0, 2 + math.ceil(away[number] / radius))[:, None]
         points = pose[:3, 3] + shares * (unseen[number] - pose[:3, 3])
         wide = shares[:, 0] * away[number] * np.sin(spare[number])

@@ -1,6 +1,6 @@
 """Free space known from the camera and the arm.
 
-Unknown space counts as solid on request.
+Unknown space can be treated as an obstacle.
 
 A grid of voxels around the arm's workspace records when each was last known to be free. A frame frees a voxel that lies
 wholly in view: the directions around the camera are divided into cells (`hplan.online.hidden_points`), and in each cell
@@ -99,25 +99,22 @@ class SeenSpace:
         _see(self.times, self._corner, self.edge, both, rotation, position, np.array([time_s, margin_m]))
 
     def free(self, solids: Iterable[Solid], time_s: float, within_m: float) -> None:
-        """Mark the voxels in or near some solids as free.
+        """Mark the voxels in or near some solids as free at `time_s` [s].
 
-        They are free at `time_s` [s]. A voxel counts if its centre is within `within_m` of a solid [m].
+        A voxel is marked if its centre is within `within_m` of a solid [m].
         """
         for place, inside in self._about(solids, within_m):
             part = self.times[place]
             part[inside] = np.maximum(part[inside], time_s)
 
     def holds(self, solids: Iterable[Solid], since_s: float) -> bool:
-        """True if all voxels that some solids touch are known free.
-
-        Known since the time `since_s` [s].
-        """
+        """True if all voxels that some solids touch were known free at or after `since_s` [s]."""
         return not len(self.unknown(solids, since_s))
 
     def unknown(self, solids: Iterable[Solid], since_s: float) -> FloatArray:
         """(k, 3) centres of the unknown voxels that some solids touch [m].
 
-        Unknown are voxels not known to be free since the time `since_s` [s].
+        A voxel is unknown if it was not known to be free at or after `since_s` [s].
         """
         found = np.zeros(self.times.shape, dtype=np.bool_)
         for place, inside in self._about(solids, self.radius):
@@ -127,7 +124,7 @@ class SeenSpace:
     def border(self, since_s: float) -> FloatArray:
         """(k, 3) centres of the unknown voxels next to known ones [m].
 
-        Known are voxels that were free since the time `since_s` [s].
+        A voxel is known if it was free at or after `since_s` [s].
         """
         known = self.times >= since_s
         beside = np.zeros_like(known)

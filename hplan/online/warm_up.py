@@ -1,4 +1,7 @@
-"""A program made ready: what plans, clouds, splices and stops of a robot call is loaded before the first deadline."""
+"""Warm-up: load the compiled kernels before the first deadline.
+
+They are the kernels of planning, clouds, replanning and stops.
+"""
 
 from __future__ import annotations
 
@@ -22,41 +25,43 @@ from hplan.scene.model import Fruit, Goal, Scene, Start
 from hplan.scene.obstacles import Sphere
 from hplan.scene.tracks import Track
 
-#: So many pairs of configurations are drawn, and so many tried, until there is a motion from one to the other.
+#: Number of sampled pairs of configurations, and maximum number of pairs tried until a motion is found.
 _DRAWN, _PAIRS = 200, 16
 
-#: By so much each joint is moved at most [rad, m].
+#: Maximum displacement of each joint [rad, m].
 _STEP: Final = 0.6
 
-#: Radius of fruit, and of the balls that are in the way, where there is room [m].
+#: Maximum radius of the fruit and of the dummy obstacles; smaller if the motion is short [m].
 _RADIUS: Final = 0.03
 
-#: So many balls stand out of the way, so many times as far from the base as the tool, spread by so much [m].
+#: Number, relative distance from the base (of the tool's) and spread [m] of the dummy obstacles off the path.
 _MANY, _FAR, _SPREAD = 60, 1.5, 0.1
 
 
 class NotReadyWarning(UserWarning):
-    """Kernels could not be loaded ahead: the first plan loads what it calls."""
+    """Kernels could not be preloaded; the first plan loads them."""
 
 
 def warm_up(robot: Robot) -> None:
-    """Load what plans, clouds, splices and stops of a robot call, so that the first deadline holds.
+    """Load a robot's kernels so that the first plan meets its deadline.
 
-    A small scene is made of the robot itself. In it motions are planned past balls that stand or move, to joints, a
-    fruit and a pose; a camera sees something, a running motion is replaced and stopped. Kernels that are not on disk
-    are compiled, which takes a minute (`hplan warmup` does it ahead); else it takes one to three seconds.
+    A small scene is derived from the robot. In it, motions are planned past static and moving balls to joint values, a
+    fruit and a pose; a camera cloud is set; a running motion is replanned and stopped. Kernels that are not in the disk
+    cache are compiled, which takes a minute (`hplan warmup` does this in advance); otherwise the call takes one to
+    three seconds.
 
-    What is alive then is left out of all later collections of garbage, which take a millisecond instead of a tenth of a
-    second: of a program's own objects too. So it is called early, after imports.
+    All objects that exist at the end of the call, including the program's own, are excluded from later garbage
+    collections (`gc.freeze`). A collection then takes a millisecond instead of a tenth of a second. Therefore call it
+    early, after the imports.
 
     Args:
-        robot: The robot that will be planned for: what is worked out once for a robot is kept with this one.
+        robot: The robot to plan for; data that are computed once for each robot are cached with this object.
 
     Warns:
-        NotReadyWarning: None of some motions near the middle of the joint limits can be planned.
+        NotReadyWarning: No motion was found between sampled neighbouring configurations.
 
     Raises:
-        OptionError: It is none.
+        OptionError: `robot` is not a `Robot`.
     """
     instance("robot", robot, Robot, "load_robot")
     if not any(_is_done(robot, *pair, blocked) for blocked in (True, False) for pair in _pairs(robot)):
@@ -66,9 +71,9 @@ def warm_up(robot: Robot) -> None:
 
 
 def _pairs(robot: Robot) -> list[tuple[FloatArray, FloatArray]]:
-    """Neighbouring configurations in which the arm does not touch itself, drawn, always alike.
+    """Sampled pairs of neighbouring configurations without self-collision, with a fixed seed.
 
-    A planar arm moves in one plane, so that its base may be locked too.
+    A planar arm keeps its yaw, so that its yaw joint can also be locked.
     """
     low, high = np.maximum(robot.lower, -np.pi), np.minimum(robot.upper, np.pi)
     begins = low + np.random.default_rng(0).uniform(0.05, 0.95, (_DRAWN, robot.dof)) * (high - low)
@@ -82,10 +87,13 @@ def _pairs(robot: Robot) -> list[tuple[FloatArray, FloatArray]]:
 
 
 def _is_done(robot: Robot, start: FloatArray, goal: FloatArray, blocked: bool) -> bool:
-    """Plan from one configuration to another, and what comes after; False where there is no motion to be had.
+    """Plan, replan and stop a motion; False if none is found.
 
     Args:
-        blocked: Whether that motion is past a ball between them.
+        robot: The robot.
+        start: (dof,) start configuration.
+        goal: (dof,) goal configuration.
+        blocked: Whether a ball blocks the straight motion.
     """
     rng = np.random.default_rng(0)
     begin, middle, end = robot.tool_positions([start, 0.5 * (start + goal), goal])
@@ -107,7 +115,7 @@ def _is_done(robot: Robot, start: FloatArray, goal: FloatArray, blocked: bool) -
     except HplanError:
         return False
     for changes, options in _other_tasks(robot, scene, Fruit(name="fruit", center=tuple(end.tolist()), radius=radius)):
-        with suppress(HplanError):  # whatever was called until then is loaded
+        with suppress(HplanError):  # kernels called before the error are loaded
             Planner(robot, scene.copy_unchecked(changes), options).plan()
     seconds = trajectory.duration
     points = rng.normal(robot.tool_positions(trajectory.state_at(0.7 * seconds)[0]), radius, (2000, 3))
@@ -122,8 +130,8 @@ def _is_done(robot: Robot, start: FloatArray, goal: FloatArray, blocked: bool) -
 
 
 def _other_tasks(robot: Robot, scene: Scene, fruit: Fruit) -> Iterator[tuple[dict[str, Any], PlanOptions]]:
-    """What else may be asked for: changes of the scene, and options."""
-    # Plans with a deadline call more than those without; this one leaves time to compile all of that [s].
+    """Other kinds of tasks: changes of the scene, and options."""
+    # A plan with a deadline calls additional kernels; this deadline leaves time to compile all of them [s].
     usual = PlanOptions(deadline_s=600.0)
     ball, *others = scene.obstacles
     track = Track(times_s=(0.0, 1.0), shifts_m=((0.0, 0.0, fruit.radius), (0.0, 0.0, 0.0)))

@@ -17,8 +17,8 @@ the rectangle itself (`hplan.grid.rectangle_link`). Angles run counter-clockwise
 arctan2(y, x). The paper prints arctan(x / y), which gives its figures in no frame (`scripts/reproduce_paper.py` tries
 both).
 
-A rounded polygon also yields one interval: the hull of the intervals of its corner discs and of the directions to the
-points at which its straight sides leave the link's reach.
+A rounded polygon also yields one interval: the hull of the intervals of its corner discs and of the directions to its
+straight sides' intersections with the circle of the link's reach.
 """
 
 from __future__ import annotations
@@ -220,8 +220,8 @@ def _polygon_interval(
                 inside = False
             if 0.0 <= along <= edge and outward * outward <= touching * edge:
                 return 2, 0.0, 0.0
-            # The point at which the straight side on the right leaves the reach. (Two vertices have two sides, there
-            # and back, and therefore both sides of a stadium.)
+            # Intersection of the straight side on the right with the reach. (Two vertices have two sides, there and
+            # back, and therefore both sides of a stadium.)
             if before > sure * sure or square > sure * sure:
                 size = math.sqrt(edge)
                 distance = outward / size - radius

@@ -71,7 +71,10 @@ def _restore(
     free: WordArray, path_rows: IntArray, begins: IntArray, first: int, descending: bool, union: WordArray,
     restored: BoolArray,
 ) -> None:  # fmt: skip
-    """Add parts of paths in the slices without: on the side of start or goal one end, in the middle both."""
+    """Add path segments to slices without a path.
+
+    Slices on the side of start or goal receive one end of a path, slices in the middle both ends.
+    """
     count = len(begins) - 1
     previous = -1  # the last slice before this one that has a path
     for k in range(count):

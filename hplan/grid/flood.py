@@ -221,7 +221,10 @@ def _flood(
 
 @kernel
 def _step_along_bits(bits: WordArray, wide: WordArray, words: int) -> None:
-    """Write a line's bits and their neighbours along the last axis to `wide`; skips its border."""
+    """Write a line's bits and their last-axis neighbours to `wide`.
+
+    The bits of the line's border are skipped.
+    """
     one, top, zero = np.uint64(1), np.uint64(63), np.uint64(0)
     for k in range(words, len(bits) - words):
         wide[k] = bits[k] | (bits[k] << one) | (bits[k] >> one)

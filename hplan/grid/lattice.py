@@ -65,7 +65,10 @@ class Lattice(Record):
 
     @property
     def row_coordinates(self) -> IntArray:
-        """(padded rows, d - 1) node index of each row, without the last axis; unused by floods."""
+        """(padded rows, d - 1) node index of each row.
+
+        The index omits the last axis. Floods do not use it.
+        """
         return _row_coordinates(self.padded)
 
     @property
@@ -142,7 +145,10 @@ def _lattice(shape: tuple[int, ...], step_bytes: bytes) -> Lattice:
 
 @lru_cache(maxsize=4)
 def _row_coordinates(padded: tuple[int, ...]) -> IntArray:
-    """Node indices of rows, cached separately: grids that differ only in the last axis share them."""
+    """Node indices of rows.
+
+    They are cached separately, because grids that differ only in the last axis share them.
+    """
     indices = np.indices(padded).reshape(len(padded), math.prod(padded)).T
     return readonly(indices - 1, np.int64)
 

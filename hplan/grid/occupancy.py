@@ -65,7 +65,10 @@ class _Links(NamedTuple):
 
 
 class _Axis(NamedTuple):
-    """One axis of the grid: node i is the relative link angle `sign * (lower + i * step) + offset`."""
+    """One axis of the grid.
+
+    Node i is the relative link angle `sign * (lower + i * step) + offset`.
+    """
 
     lower: float
     step: float
@@ -149,7 +152,10 @@ def _take_out_contact(words: WordArray, arm: PlanarArm, grid: Grid, link: int, o
 
 @inlined
 def _disc_half_angle(rho: float, length: float, radius: float) -> float:
-    """Equations (1) and (2) for rho > radius; -1, equation (3), if the disc is out of reach."""
+    """Half-angle of contact by equations (1) and (2), for rho > radius.
+
+    It is -1, equation (3), if the disc is out of reach.
+    """
     if rho > length + radius:
         return -1.0
     if rho * rho <= length * length + radius * radius:
@@ -293,7 +299,10 @@ def _axis(links: _Links, k: int) -> _Axis:
 
 @kernel
 def _fill_link(rows: WordArray, poses: _Poses, k: int, links: _Links, model: int, sections: SectionArrays) -> None:
-    """Free bits of the rows of link k; a row with colliding earlier links is fully occupied."""
+    """Free bits of the rows of link k.
+
+    A row with colliding earlier links is fully occupied.
+    """
     alive, px, py, cos, sin = poses
     length, half_width, axis = links.lengths[k], links.half_widths[k], _axis(links, k)
     link_start, vertex_start, vertices, radii, bounds = sections

@@ -1,4 +1,7 @@
-"""Obstacles prepared for sections by arm planes: balls, and hulls of points grown by a radius."""
+"""Obstacles prepared for sections by arm planes.
+
+They are balls, and hulls of points grown by a radius.
+"""
 
 from __future__ import annotations
 

@@ -123,5 +123,8 @@ class SearchResult(Record):
 
     @cached_property
     def slice_paths(self) -> dict[int, IntArray]:
-        """Path of each searched slice that has one, as (m, d) node indices; empty for the dense search."""
+        """(m, d) path of each searched slice that has one.
+
+        The paths are node indices. The mapping is empty for the dense search.
+        """
         return {} if self.layers is None else self.layers.paths()

@@ -97,7 +97,10 @@ def cut_balls(balls: Balls, plane: ArmPlane, links: LinkExtents) -> Cut:
 
 @inlined
 def _near_hulls(hulls: Hulls, plane: ArmPlane, links: LinkExtents) -> tuple[int, IntArray, int]:
-    """Number and indices of the hulls within reach of any link, and their maximum number of points."""
+    """Number and indices of the hulls within reach of any link.
+
+    The third value is the maximum number of points of these hulls.
+    """
     (_, starts, radii, _, bounds), (origin, axes) = hulls, plane
     widest, farthest, aside = _largest(links)
     near = np.empty(len(bounds), dtype=np.int64)

@@ -53,7 +53,10 @@ _AT_ONCE: Final = TreesEffort(2, 1_500)
 
 
 def searches_first(problem: Problem) -> bool:
-    """True if the base is locked: a grid is then searched even if the straight motion is free."""
+    """True if the base is locked.
+
+    A grid is then searched even if the straight motion is free.
+    """
     return not base_turns(problem)
 
 
@@ -72,7 +75,10 @@ def path_finders(problem: Problem) -> Sequence[PathFinder] | None:
 
 
 class TwoLevelGrid:
-    """Two-level A* on the grid over the planar joints, with finer grids and grown obstacles as fallbacks."""
+    """Two-level A* on the grid over the planar joints.
+
+    Finer grids and grown obstacles are fallbacks.
+    """
 
     def paths(self, problem: Problem, budget: Budget) -> Iterator[tuple[Path, ...]]:
         """Yield the grid path with its alternatives until one leads to a certified motion.
@@ -99,7 +105,10 @@ class TwoLevelGrid:
         raise FailuresError(tuple(failures[number] for number in range(len(problem.goals))))
 
     def _paths_to(self, problem: Problem, number: int, budget: Budget) -> Iterator[tuple[Path, ...]]:
-        """Yield paths to one goal until one leads to a certified motion; raise if all fail."""
+        """Yield paths to one goal until one leads to a certified motion.
+
+        Raises if all fail.
+        """
         fitting = [fitting_attempt(problem, GridAttempt(factor)) for factor in _STEP_FACTORS]
         failure: CertificationError | None = None
         for step_factor in dict.fromkeys(attempt.step_factor for attempt in fitting if attempt is not None):
@@ -143,7 +152,7 @@ class FirstGridPaths(FirstPaths):
     """Straight lines, then trees to the goals that a flood of the grid does not exclude."""
 
     def excluded(self, problem: Problem) -> Sequence[NoPathError | None]:
-        """Proof for each goal that the planar grid has no path to it; None without a proof."""
+        """Infeasibility proof of each goal on the planar grid; None without one."""
         attempt, numbers = GridAttempt(), range(len(problem.goals))
         if count_nodes(problem, attempt) > _LARGE:
             return [None] * len(numbers)

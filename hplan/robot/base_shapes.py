@@ -115,7 +115,10 @@ def turning_shapes(robot: Robot) -> tuple[BaseShape, ...]:
 
 
 def base_joints(robot: Robot) -> int:
-    """Number of joints that carry a turret: 1 for a planar arm with a yaw, else 0."""
+    """Number of joints that carry a turret.
+
+    It is 1 for a planar arm with a yaw, else 0.
+    """
     return 0 if robot.planar is None else robot.planar.yaw_joints
 
 
@@ -173,7 +176,10 @@ def ever(distance: Callable[[float], float], low: float, high: float, rate: floa
 
 
 def always(distance: Callable[[float], float], low: float, high: float, rate: float, level: float) -> bool:
-    """True if a distance is at most a level over a whole interval; True is certain. See `ever`."""
+    """True if a distance is at most a level over an interval.
+
+    True is certain. See `ever`.
+    """
     return not ever(lambda place: -distance(place), low, high, rate, -level)
 
 
@@ -197,7 +203,10 @@ def _base_shape(robot: Robot, number: int) -> BaseShape:
 
 
 def _is_round(geometry: coal.CollisionGeometry, placement: pin.SE3) -> bool:
-    """True if a sphere's centre, or the axis of a cylinder or capsule, is on the vertical through the origin."""
+    """True if a shape is round about the vertical through the origin.
+
+    The vertical then contains the centre of a sphere, or the axis of a cylinder or capsule.
+    """
     if isinstance(geometry, coal.Sphere):
         half_length = 0.0
     elif isinstance(geometry, coal.Capsule | coal.Cylinder):

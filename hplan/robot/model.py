@@ -166,7 +166,7 @@ class Robot(PlanarNames, Record):
 
     @cached_property
     def tool_joint(self) -> int:
-        """Index in the model of the joint that carries the tool frame; 0 if none does."""
+        """Index of the tool frame's joint in the model; 0 without one."""
         return int(self.model.frames[self.frame_number(self.tool_frame)].parentJoint)
 
     @cached_property

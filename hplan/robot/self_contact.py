@@ -98,7 +98,10 @@ def part_of_arm(arm: PlanarArm, first: int, last: int) -> PlanarArm:
 
 
 def radius_in_plane(radius: float, aside: float) -> float:
-    """Radius of a ball's section by a plane at distance `aside`; 0 if it misses [m]."""
+    """Radius of a ball's section by a plane [m].
+
+    `aside` is the distance of the plane from the ball's centre; the radius is 0 if the plane misses the ball.
+    """
     return math.sqrt(max(0.0, radius * radius - aside * aside)) if aside else radius
 
 
@@ -191,7 +194,10 @@ def _swept(shape: BaseShape) -> FloatArray:
 
 
 def _can_touch(arm: PlanarArm, polygon: FloatArray, radius: float) -> bool:
-    """True if the last link's axis can come within `radius` of a convex polygon; False is certain."""
+    """True if the last link can come within `radius` of a polygon.
+
+    The distance is measured from the link's axis to the convex polygon. False is certain.
+    """
     lower, upper = arm.lower[None], arm.upper[None]
     reach = np.cumsum(arm.lengths[::-1])[::-1]  # how far a point of the last link can be from each joint
     # Maximum number of boxes of joint angles examined per batch.

@@ -176,14 +176,20 @@ class _Adaptation:
         return self._urdf.joints[frame].child
 
     def _is_tree(self) -> bool:
-        """True if the links form a tree: one root, one parent joint per other link."""
+        """True if the links form a tree.
+
+        A tree has one root and one parent joint for every other link.
+        """
         children = [joint.child for joint in self._urdf.joints.values()]
         if len(set(children)) != len(children) or len(children) != len(self._urdf.links) - 1:
             return False
         return all(len(self._up_from(link)) <= len(children) for link in self._urdf.links)
 
     def _up_from(self, link: str) -> list[Joint]:
-        """Joints from a link up to the root; for a loop, one more than the number of joints."""
+        """Joints from a link up to the root.
+
+        For a loop, the list has one joint more than the URDF.
+        """
         found: list[Joint] = []
         while link in self._carrying and len(found) <= len(self._carrying):
             found.append(self._carrying[link])
@@ -319,7 +325,10 @@ def standing_values(path: Path, joints: Mapping[str, Joint], hold: Mapping[str, 
 def _standing(
     path: Path, joints: Mapping[str, Joint], hold: Mapping[str, float], followers: tuple[str, ...]
 ) -> float | None:
-    """Value of the last joint of `followers`, a mimic chain in which each joint mimics the next."""
+    """Value of the last joint of a mimic chain.
+
+    Each joint of `followers` mimics the next.
+    """
     joint = joints[followers[-1]]
     where = f"{line_of(joint.element)}joint {joint.name!r}"
     if joint.name in followers[:-1]:

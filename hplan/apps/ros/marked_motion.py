@@ -135,7 +135,10 @@ class NearestPairs:
 def fruit_events(
     robot: Robot, scene: Scene, trajectory: Trajectory, picks: Sequence[Pick]
 ) -> Iterator[tuple[float, Marker]]:
-    """Times and markers of picked fruit: attached to the tool at one time, removed at another."""
+    """Times and markers of picked fruit.
+
+    Each fruit is attached to the tool at one time and removed at another.
+    """
     frames = LinkFrames(robot)
     for pick in picks:
         frames.place(trajectory.positions(np.array([pick.since]))[0])
@@ -151,7 +154,10 @@ def fruit_events(
 def _nearest_points(
     link: pin.GeometryObject, place: pin.SE3, solid: pin.GeometryObject | Cloud
 ) -> tuple[float, FloatArray]:
-    """Distance between a link's capsule and a solid, and the (2, 3) nearest points of both."""
+    """Distance and nearest points of a link's capsule and a solid.
+
+    The nearest points are (2, 3), first on the link.
+    """
     if isinstance(solid, Cloud):
         radius, half = float(link.geometry.radius), float(link.geometry.halfLength) * place.rotation[:, 2]
         from_middle = solid.core - place.translation

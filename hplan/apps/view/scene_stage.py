@@ -101,7 +101,10 @@ def keyframe_times(trajectory: Trajectory) -> FloatArray:
 
 
 def _joint_paths(model: pin.Model, top: str) -> list[str]:
-    """Path of the viewer's node for each joint of the model; nodes nest like the joints."""
+    """Path of the viewer's node for each joint of the model.
+
+    The nodes nest like the joints.
+    """
     paths = [f"{ROOT}/{top}"]
     for joint in range(1, model.njoints):
         paths.append(f"{paths[model.parents[joint]]}/{node('joint', model.names[joint])}")
@@ -293,7 +296,10 @@ def _corners(robot: Robot, configurations: FloatArray) -> FloatArray:
 
 
 def _blocking_points(scene: Scene) -> tuple[FloatArray, FloatArray]:
-    """(n, 3) points of solids, and the (n,) radius of the solid about each point [m]."""
+    """Points of solids and extents about them [m].
+
+    The points are (n, 3); the (n,) extents are the radius of each point's solid about it.
+    """
     points, widths = [np.zeros((0, 3))], [np.zeros(0)]
     for solid in scene.solids:
         core = solid.core

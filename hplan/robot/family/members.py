@@ -158,7 +158,10 @@ def _limits_equal(model: Any, reader: Any) -> bool:
 
 
 def _masses_equal(model: Any, reader: Any) -> bool:
-    """True if the masses agree joint by joint; Pinocchio merges links joined by fixed joints."""
+    """True if the masses agree joint by joint.
+
+    Pinocchio merges links joined by fixed joints.
+    """
     movers = {joint.child: joint for joint in reader.robot.joints}
     names = list(model.names)
     totals = [0.0] * len(names)

@@ -114,7 +114,10 @@ class ArmSpec(Options):
 
     @property
     def joint_names(self) -> tuple[str, ...]:
-        """Names of the movable joints: `base_yaw` if the arm has a yaw, then the planar joints."""
+        """Names of the movable joints.
+
+        `base_yaw` comes first if the arm has a yaw, then the planar joints.
+        """
         return (("base_yaw",) if self.has_yaw else ()) + self.planar_joint_names
 
     @property

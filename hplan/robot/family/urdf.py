@@ -108,7 +108,10 @@ def urdf_text(spec: ArmSpec) -> str:
 
 
 def _add_link(root: ET.Element, name: str, shapes: Sequence[_Round], mass: float, color: str) -> None:
-    """Add a link; its mass is distributed as a solid cylinder in the first shape's place."""
+    """Add a link.
+
+    Its mass is distributed as a solid cylinder in the first shape's place.
+    """
     link, body = ET.SubElement(root, "link", name=name), shapes[0]
     length, radius = body.ends[1] - body.ends[0], body.radius
     spin, tumble = mass * radius**2 / 2.0, mass * (3.0 * radius**2 + length**2) / 12.0

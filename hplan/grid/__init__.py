@@ -1,7 +1,7 @@
-"""The paper: analytic C-space on a joint grid, and the search on it.
+"""The paper's method: analytic C-space on a joint grid, and the search on it.
 
-`occupancy` holds equations (1)-(3), `sections` what they are applied to; `astar` is the dense A*, `two_level` the
-method. The search knows nodes and costs, nothing of robots.
+`occupancy` implements equations (1)-(3), `sections` the planar sections that they apply to; `astar` is the dense A*,
+`two_level` the paper's two-level method. The search depends on nodes and costs only, not on robots.
 """
 
 from __future__ import annotations

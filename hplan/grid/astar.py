@@ -1,7 +1,7 @@
-r"""One A* for any dimension: it runs on the dense grid, on one slice of it and on the sparse union of slice paths.
+r"""A* in any dimension: on the dense grid, one slice, or the sparse union of slice paths.
 
-They differ only in which bits are set. Two lower bounds guide it: the straight line, and the shortest path on the free
-grid (octile).
+The three differ only in the bits that are set. Two lower bounds guide the search: the straight line, and the shortest
+path on the free grid (octile).
 """
 
 from __future__ import annotations
@@ -22,21 +22,21 @@ from hplan.grid.heap import begin, pop, priority, push
 from hplan.grid.lattice import Lattice, LatticeArrays, Node, NodeSet
 from hplan.grid.result import Expansions, SearchResult, StageTimes
 
-#: The deadline is checked after one more than so many expansions.
+#: Bit mask of the expansion counter; the deadline is checked every `_OFTEN + 1` expansions.
 _OFTEN = 255
 
 
 def dense_search(occupancy: Occupancy, start: ArrayLike, goal: ArrayLike, *, octile: bool = False) -> SearchResult:
-    """The baseline: shortest path over all free nodes, each joined to all its neighbours (26 in 3-D).
+    """Baseline: shortest path over all free nodes with full connectivity (26 neighbours in 3-D).
 
     Args:
-        occupancy: Which nodes are free.
+        occupancy: Free nodes of the grid.
         start: (d,) node index.
         goal: (d,) node index.
         octile: Use the octile bound instead of the paper's straight line; same cost, fewer expansions.
 
     Raises:
-        InputError: Start or goal is no node of the grid, or not free.
+        InputError: Start or goal is not a node of the grid, or not free.
         OptionError: `octile` is neither True nor False.
     """
     begun = time.perf_counter()
@@ -63,13 +63,13 @@ def astar(
 ) -> tuple[IntArray | None, float, int]:
     """Shortest path over the nodes of a set.
 
-    Deterministic: ties in f go to the node nearer the goal, then to the one found first.
+    Deterministic: ties in f go to the node nearer the goal, then to the node found first.
 
     Args:
         start: (d,) node index.
         goal: (d,) node index.
-        octile: Bound the cost to go by the shortest path on the free grid, the tightest bound that knows no
-            obstacle; else by the straight line, as the paper does.
+        octile: True to bound the cost to go by the shortest path on the free grid, the tightest bound that ignores
+            obstacles; False for the straight line, as in the paper.
 
     Returns:
         The (m, d) path or None, its cost, and the number of expansions.
@@ -83,11 +83,11 @@ def astar(
 
 @inlined
 def bound(row_coordinates: IntArray, step: FloatArray, row: int, bit: int, goal: Node, octile: bool) -> float:
-    """Lower bound of the cost from a node to the goal that knows no obstacle.
+    """Obstacle-free lower bound of the cost from a node to the goal.
 
-    The octile bound in any dimension and with unequal steps: take the axes in the order of steps to go; all move
-    together until the one with the fewest arrives, then the others. (The cost of a move is a submodular function of
-    the axes it uses, and its Lovasz extension, this sum, is the least cost that covers the steps to go.)
+    The octile bound in any dimension and with unequal steps: sort the axes by their steps to go; all move together
+    until the axis with the fewest steps arrives, then the others. (The cost of a move is a submodular function of its
+    axes, and the Lovasz extension of that function, this sum, is the minimum cost that covers the steps to go.)
     """
     axes = len(step)
     if not octile:
@@ -107,7 +107,7 @@ def bound(row_coordinates: IntArray, step: FloatArray, row: int, bit: int, goal:
     total = 0.0
     done = 0
     while True:
-        # The next axis to arrive, and the length of the move that all unfinished axes make together.
+        # The next axis to arrive, and the length of the joint move of all unfinished axes.
         following = -1
         square = 0.0
         for axis in range(axes):
@@ -134,7 +134,10 @@ def _astar(
     lattice: LatticeArrays,
     octile: bool,
 ) -> tuple[IntArray, float, int]:
-    """A* over set bits; path as (m, d) node indices (empty without a path), cost, expansions."""
+    """A* over set bits; returns path, cost and expansions.
+
+    The path is an array of (m, d) node indices, empty if no path exists.
+    """
     words, ranks = nodes.words, nodes.ranks
     row_offsets, move_costs, row_coordinates, step, until = lattice
     cost = np.full(nodes.size, np.inf)
@@ -168,7 +171,7 @@ def _astar(
         word, position = bit >> 6, np.uint64(bit & 63)
         for move in range(len(row_offsets)):
             neighbour = row + row_offsets[move]
-            # The bits before, at, and after this one in the neighbouring row; nodes are numbered in order of bits.
+            # Bits before, at, and after this bit in the neighbouring row; nodes are numbered in order of bits.
             bits, other = words[neighbour, word], ranks[neighbour, word] - 1
             if position == np.uint64(0):
                 near = (bits << one) & three

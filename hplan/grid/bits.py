@@ -1,4 +1,4 @@
-"""The processor's own bit counting, for numba kernels."""
+"""Hardware bit counting for numba kernels."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numba.extending import intrinsic
 
 
 def _unary_bit_operation(name: str, *flags: bool) -> Any:
-    """An LLVM intrinsic from one 64-bit word to a count."""
+    """Wrap an LLVM intrinsic that maps a 64-bit word to a count."""
 
     @intrinsic
     def operation(typing_context: Any, word: Any) -> Any:

@@ -1,4 +1,7 @@
-"""Links and obstacles that block the path: those that bound all that the start reaches, where there is no path."""
+"""Finds the link and obstacle pairs that block a path.
+
+They bound the region reached from the start if no path exists.
+"""
 
 from __future__ import annotations
 
@@ -14,10 +17,10 @@ from hplan.robot.planar_family import PlanarArm
 
 
 def blockers(arm: PlanarArm, sections: ArmSections, grid: Grid, reached: BoolArray) -> list[dict[str, Any]]:
-    """Link and obstacle pairs that occupy the border of the reached region, largest part first.
+    """Link and obstacle pairs that occupy the reached region's border, largest share first.
 
     Args:
-        reached: Mask of the grid's shape: the nodes connected to the start.
+        reached: Mask of the grid's shape, True for nodes connected to the start.
 
     Returns:
         For each pair `obstacle`, `link`, `cells` (occupied border nodes) and `slices_deg` (first and last value of
@@ -45,7 +48,7 @@ def blockers(arm: PlanarArm, sections: ArmSections, grid: Grid, reached: BoolArr
 
 
 def _grown(mask: BoolArray) -> BoolArray:
-    """The mask and all neighbours of its nodes (also across corners)."""
+    """Dilate a mask by one node, also across corners."""
     grown = mask.copy()
     for axis in range(mask.ndim):
         moved = np.moveaxis(grown, axis, 0)

@@ -1,4 +1,4 @@
-"""What the kernels of `hplan.grid.section_kernels` take and give: bodies, the arm plane, links, and sections."""
+"""Array types of `hplan.grid.section_kernels`: bodies, arm plane, links and sections."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ class Balls(NamedTuple):
     Attributes:
         centres: (balls, 3) in `base_link` [m].
         radii: (balls,) clearance included [m].
-        owners: (balls,) index of the obstacle that each belongs to.
+        owners: (balls,) obstacle index of each ball.
     """
 
     centres: FloatArray
@@ -25,11 +25,11 @@ class Hulls(NamedTuple):
     """Hulls of points, grown by a radius, to be cut.
 
     Attributes:
-        points: (P, 3) core points of all hulls, two or more each, in `base_link` [m].
+        points: (P, 3) core points of all hulls, at least two each, in `base_link` [m].
         starts: (hulls + 1,) indices of their first points.
         radii: (hulls,) radii about them, clearance included [m].
-        owners: (hulls,) index of the obstacle that each belongs to.
-        bounds: (hulls, 4) a ball that holds each core: centre and radius [m].
+        owners: (hulls,) obstacle index of each hull.
+        bounds: (hulls, 4) bounding ball of each core: centre and radius [m].
     """
 
     points: FloatArray
@@ -44,7 +44,7 @@ class ArmPlane(NamedTuple):
 
     Attributes:
         origin: (3,) a point of the plane [m].
-        axes: (3, 3) rows: its horizontal and upward axis and its normal.
+        axes: (3, 3) rows: horizontal axis, upward axis and normal.
     """
 
     origin: FloatArray
@@ -52,13 +52,13 @@ class ArmPlane(NamedTuple):
 
 
 class LinkExtents(NamedTuple):
-    """Widths, places and reaches of the links.
+    """Widths, lateral offsets and reaches of the links.
 
     Attributes:
-        growth: (links,) what each link adds to the radii [m].
-        depths: (links,) how far each link extends to both sides of the plane, flat; balls alone are cut so [m].
-        reaches: (links,) distance from the origin beyond which sections are left out [m], inf for none.
-        lateral: (links,) how far off the plane each link moves, along the normal [m]: in a plane parallel to it.
+        growth: (links,) growth of the radii by each link [m].
+        depths: (links,) half-thickness of each link, a flat slab about its plane [m]; used for balls only.
+        reaches: (links,) distance from the origin [m]; sections beyond it are omitted; inf for no limit.
+        lateral: (links,) offset of each link's plane of motion from the arm plane, along the normal [m].
     """
 
     growth: FloatArray
@@ -68,14 +68,16 @@ class LinkExtents(NamedTuple):
 
 
 class Cut(NamedTuple):
-    """Sections, link by link, as in `hplan.grid.sections.ArmSections`; all but `link_start` have room at their end.
+    """Sections, link by link, as in `hplan.grid.sections.ArmSections`.
+
+    All arrays but `link_start` have spare capacity at their end.
 
     Attributes:
         link_start: (links + 1,) indices of sections.
         vertex_start: Indices of vertices.
         vertices: Points [m].
-        discs: Of each section a disc around it, and its rounding: centre, radius, rounding [m].
-        owners: Index of the obstacle that each is cut from.
+        discs: Bounding disc and rounding of each section: centre, radius, rounding [m].
+        owners: Obstacle index of each section.
     """
 
     link_start: IntArray

@@ -1,7 +1,7 @@
-"""Connected components, found for whole words of nodes at once.
+"""Connected components of free nodes by flooding whole 64-bit words.
 
-Neighbouring rows are joined by word operations, so one sweep over the rows moves the front in 64 slices together.
-Sweeps alternate in direction until nothing changes: the fixed point is the connected component, whatever the order.
+Word operations connect neighbouring rows, so one sweep over the rows advances the front in 64 slices together. Sweeps
+alternate in direction until nothing changes: the fixed point is the connected component, independent of the order.
 """
 
 from __future__ import annotations
@@ -16,23 +16,23 @@ from hplan.grid.bits import lowest_bit, popcount
 from hplan.grid.grid import Occupancy, checked_node
 from hplan.grid.lattice import Lattice
 
-#: A row that is never reached: it belongs to the border.
+#: A border row, which is never reached.
 _NOWHERE = 0
 
-#: The deadline is checked where the number of a line has none of these bits.
+#: The deadline is checked at lines whose number has all of these bits clear.
 _OFTEN = 15
 
 
 def flood_slices(
     lattice: Lattice, free: WordArray, start_row: int, wanted: WordArray, goal_row: int | None = None
 ) -> tuple[WordArray, int]:
-    """Flood slices of the last axis, each on its own, from the start's row.
+    """Flood slices of the last axis independently from the start's row.
 
     Args:
         free: (rows, words) bits with border.
-        start_row: Bordered row in which every slice starts.
-        wanted: (words,) the slices to flood.
-        goal_row: Stop where every wanted slice that is free in this row is reached there; None to reach all nodes.
+        start_row: Bordered row of every slice's start.
+        wanted: (words,) bits of the slices to flood.
+        goal_row: Stop when every requested slice that is free in this row is reached there; None to reach all nodes.
 
     Returns:
         (rows, words) reached bits and their number.
@@ -51,7 +51,7 @@ def flood_slices(
 
 
 def flood_from(lattice: Lattice, free: WordArray, nodes: IntArray) -> tuple[WordArray, int]:
-    """Flood the whole grid from free nodes, slices joined.
+    """Flood the whole grid from free nodes, with slices connected.
 
     Args:
         free: (rows, words) bits with border.
@@ -71,10 +71,10 @@ def flood_from(lattice: Lattice, free: WordArray, nodes: IntArray) -> tuple[Word
 
 
 def in_lines(lattice: Lattice) -> tuple[tuple[int, int], IntArray]:
-    """Shape of the rows put in lines along the axis before the last, and offsets of the neighbouring lines.
+    """Arrange rows in lines along the second-to-last axis.
 
     Returns:
-        (lines, words of a line), and the offset of each neighbouring line, of the line itself (0) among them.
+        The shape (lines, words of a line), and the offsets of the neighbouring lines, including the line itself (0).
     """
     line = lattice.padded[-1]
     return (lattice.rows // line, line * lattice.words), lattice.row_offsets[1::3] // line
@@ -84,14 +84,14 @@ def reachable(occupancy: Occupancy, start: ArrayLike) -> BoolArray:
     """Nodes that can be reached from a node.
 
     Args:
-        occupancy: Which nodes are free.
+        occupancy: Free nodes of the grid.
         start: (d,) node index.
 
     Returns:
         Read-only mask of the grid's shape.
 
     Raises:
-        InputError: The start is no node of the grid, or not free.
+        InputError: The start is not a node of the grid, or not free.
     """
     node = checked_node(occupancy, start, "start")
     lattice = Lattice.of(occupancy.grid.shape, occupancy.grid.step)
@@ -100,10 +100,10 @@ def reachable(occupancy: Occupancy, start: ArrayLike) -> BoolArray:
 
 
 def slices_with_path(occupancy: Occupancy, start: ArrayLike, goal: ArrayLike) -> BoolArray:
-    """Slices of the last axis that have a path of their own from the start's row to the goal's.
+    """Slices of the last axis with their own path from the start's row to the goal's.
 
     Args:
-        occupancy: Which nodes are free.
+        occupancy: Free nodes of the grid.
         start: (d,) node index of a free node.
         goal: (d,) node index of a free node.
 
@@ -111,7 +111,7 @@ def slices_with_path(occupancy: Occupancy, start: ArrayLike, goal: ArrayLike) ->
         Read-only (slices,) mask.
 
     Raises:
-        InputError: Start or goal is no node of the grid, or not free.
+        InputError: Start or goal is not a node of the grid, or not free.
     """
     source, target = checked_node(occupancy, start, "start"), checked_node(occupancy, goal, "goal")
     lattice = Lattice.of(occupancy.grid.shape, occupancy.grid.step)
@@ -122,7 +122,7 @@ def slices_with_path(occupancy: Occupancy, start: ArrayLike, goal: ArrayLike) ->
 
 
 def bits_of(words: WordArray) -> BoolArray:
-    """The bits of (..., words) one by one, (..., 64 * words)."""
+    """Unpack (..., words) into single bits, (..., 64 * words)."""
     return np.unpackbits(words.view(np.uint8), axis=-1, bitorder="little").view(np.bool_)
 
 
@@ -136,18 +136,19 @@ def _flood(
     free: WordArray, reached: WordArray, neighbours: IntArray, how: tuple[bool, int], enough: WordArray,
     until: FloatArray,
 ) -> int:  # fmt: skip
-    """Grow `reached` inside `free`, both (lines, rows of a line * words); returns the number of bits reached.
+    """Grow `reached` inside `free`; return the number of reached bits.
 
-    How: whether slices are joined, and the goal's row.
+    Both arrays are (lines, rows of a line * words). `how` states whether slices are connected, and the goal's row.
 
-    A line with a neighbour that has news first takes one step from all of these, then runs along its rows and, where
-    slices are joined, along its bits. The flood may end where (words,) `enough` is reached in the goal's row.
+    A line with newly reached neighbours first takes one step from all of them, then propagates along its rows and, if
+    slices are connected, along its bits. The flood may end when the (words,) bits `enough` are reached in the goal's
+    row.
     """
     (joined, goal_row), (lines, length) = how, free.shape
     words, zero = len(enough), np.uint64(0)
     goal_line, goal_word = goal_row * words // length, goal_row * words % length
     front, wide = np.zeros(length, dtype=np.uint64), np.zeros(length, dtype=np.uint64)
-    # Lines without free bits, the border among them, never wait. Those flooded from go on without news.
+    # Lines without free bits, including the border, never wait. The start lines proceed without new neighbours.
     may_wait, is_source, left = np.empty(lines, dtype=np.bool_), np.empty(lines, dtype=np.bool_), 0
     for line in range(lines):
         bits, some = zero, zero
@@ -173,7 +174,7 @@ def _flood(
                 near = reached[line + offset]
                 for k in range(length):
                     front[k] |= near[k]
-            # The first and the last row of a line are border.
+            # The first and the last row of a line belong to the border.
             for k in range(words, length - words):
                 wide[k] = front[k - words] | front[k] | front[k + words]
             if joined:
@@ -220,7 +221,10 @@ def _flood(
 
 @kernel
 def _step_along_bits(bits: WordArray, wide: WordArray, words: int) -> None:
-    """Put the bits of a line's rows and their neighbours along the last axis into `wide`; not those of its border."""
+    """Write a line's bits and their last-axis neighbours to `wide`.
+
+    The bits of the line's border are skipped.
+    """
     one, top, zero = np.uint64(1), np.uint64(63), np.uint64(0)
     for k in range(words, len(bits) - words):
         wide[k] = bits[k] | (bits[k] << one) | (bits[k] >> one)
@@ -231,12 +235,12 @@ def _step_along_bits(bits: WordArray, wide: WordArray, words: int) -> None:
 
 @kernel
 def _run_along_bits(here: WordArray, inside: WordArray, words: int) -> None:
-    """Let the bits of a line's rows run as far as the free bits `inside` go, along the last axis."""
+    """Propagate a line's bits along the last axis through the free bits `inside`."""
     one, top, zero = np.uint64(1), np.uint64(63), np.uint64(0)
     for begin in range(words, len(here) - words, words):
         carry = zero
         for k in range(begin, begin + words):
-            # Added to a run of free bits, a bit carries to the end of the run.
+            # Adding a bit to a run of free bits carries to the end of the run.
             bits, room = here[k] | (carry & inside[k]), inside[k]
             bits |= room & ((room + bits) ^ room)
             here[k] = bits

@@ -1,7 +1,7 @@
-"""A grid over joint space (or any other box), and which of its nodes are free.
+"""Grid over joint space (or any other box), and the occupancy of its nodes.
 
-Occupancy takes one bit a node, the last axis along the bits of 64-bit words: a forbidden interval of the last
-joint is then a few masks, and one word operation floods 64 slices at once.
+Occupancy uses one bit per node, with the last axis along the bits of 64-bit words: a forbidden interval of the last
+joint is then a few masks, and one word operation floods 64 slices.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from hplan.base.arguments import instance
 from hplan.base.arrays import BoolArray, FloatArray, IntArray, Record, WordArray, as_array, frozen, numbers, readonly
 from hplan.errors import InputError, OptionError
 
-#: Largest number of nodes that a grid may have (one bit each: 256 MB).
+#: Maximum number of nodes of a grid (one bit each: 256 MB).
 MAX_NODES = 2**31
 
-#: Largest limit of a grid, far beyond any joint's; differences of what is larger overflow.
+#: Largest limit of a grid, far beyond any joint's; differences of larger values overflow.
 _FARTHEST = 1e12
 
 
@@ -39,18 +39,18 @@ class Grid(Record):
 
     @classmethod
     def over(cls, lower: ArrayLike, upper: ArrayLike, step: ArrayLike) -> Grid:
-        """The grid whose first and last nodes are the limits.
+        """Grid whose first and last nodes are the limits.
 
-        Where a range is no whole number of steps, its step is made smaller until it is. Equal limits give one node.
+        If a range is not a whole number of steps, its step is reduced until it is. Equal limits give one node.
 
         Args:
             lower: (d,) lower limits.
             upper: (d,) upper limits.
-            step: Largest spacing, one number or (d,).
+            step: Maximum spacing, one number or (d,).
 
         Raises:
-            OptionError: A step that is not positive and finite, limits in the wrong order or not finite, or a grid of
-                more than `MAX_NODES` nodes.
+            OptionError: A step is not positive and finite, the limits are in the wrong order or not finite, or the grid
+                has more than `MAX_NODES` nodes.
         """
         try:
             low, high = numbers("lower", lower, (None,)), numbers("upper", upper, (None,))
@@ -109,8 +109,8 @@ class Occupancy(Record):
     """Free nodes of a grid, packed into words.
 
     Attributes:
-        free_words: (rows, words) uint64; bit `b` of word `w` of row `r` is set where the node with flat index
-            `r` over all axes but the last and index `64 w + b` along the last is free. Bits past the end are 0.
+        free_words: (rows, words) uint64; bit `b` of word `w` of row `r` is set if the node with flat index `r` over all
+            axes but the last and index `64 w + b` along the last is free. Bits past the end are 0.
     """
 
     grid: Grid
@@ -121,7 +121,7 @@ class Occupancy(Record):
         """Pack a mask of the grid's shape, True where occupied.
 
         Raises:
-            InputError: The mask has another shape than the grid.
+            InputError: The mask's shape differs from the grid's.
         """
         instance("grid", grid, Grid, "Grid.over")
         occupied = instance("occupied", occupied, np.ndarray)
@@ -160,11 +160,11 @@ class Occupancy(Record):
 
 
 def checked_node(occupancy: Occupancy, index: ArrayLike, which: str) -> IntArray:
-    """The (d,) index of a free node.
+    """Validate the index of a free node; return it as a (d,) array.
 
     Raises:
-        OptionError: `occupancy` is no `Occupancy`.
-        InputError: The index is no node of the grid, or an occupied one.
+        OptionError: `occupancy` is not an `Occupancy`.
+        InputError: The index is not a node of the grid, or the node is occupied.
     """
     instance("occupancy", occupancy, Occupancy, "Occupancy.from_mask")
     try:

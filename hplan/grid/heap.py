@@ -1,6 +1,7 @@
-"""The open list of every search: a binary heap that records where each node is, so that a key can be lowered.
+"""Open list of the searches: a binary heap with decrease-key.
 
-The functions are inlined where they are used: a call with array arguments costs more than the work itself.
+It records the slot of each node, so that a key can be lowered. The functions are inlined at their call sites: a call
+with array arguments costs more than the work itself.
 """
 
 from __future__ import annotations
@@ -11,18 +12,19 @@ from typing import TypeAlias
 from hplan.base.arrays import FloatArray, IntArray, ShortArray
 from hplan.base.kernels import inlined
 
-#: Nodes or places, of either size.
+#: Arrays of nodes or slots, of either integer size.
 Numbers: TypeAlias = IntArray | ShortArray
 
-#: `slot` of a node that was never in the heap, or was taken from it.
+#: `slot` of a node that was never in the heap, and of a node that was removed from it.
 NEW, TAKEN = -1, -2
 
 
 @inlined
 def priority(cost: float, ahead: float, scale: float) -> float:
-    """Key of a node: f in steps of 1e-10 of the whole, so that sums of the same moves in another order are a tie.
+    """Key of a node: f rounded to 1e-10 of the total, plus a tie-breaking fraction.
 
-    In a tie the fraction, ever smaller towards the goal, decides.
+    The rounding makes sums of the same moves in another order tie. The fraction decreases towards the goal and decides
+    ties.
 
     Args:
         cost: Cost from the start.
@@ -34,20 +36,20 @@ def priority(cost: float, ahead: float, scale: float) -> float:
 
 @inlined
 def begin(keys: FloatArray, nodes: Numbers, slot: Numbers, node: int) -> int:
-    """Make the heap hold one node, with key 0; it then has 1 entry."""
+    """Initialize the heap with one node of key 0; its size is then 1."""
     keys[0], nodes[0], slot[node] = 0.0, node, 0
     return 1
 
 
 @inlined
 def pop(keys: FloatArray, nodes: Numbers, slot: Numbers, size: int) -> int:
-    """Take the node with the smallest key; the heap then has `size - 1` entries.
+    """Remove and return the node with the smallest key; leaves `size - 1` entries.
 
     Args:
         keys: (capacity,) keys in heap order.
         nodes: (capacity,) their nodes.
-        slot: For each node its place in the heap, `NEW` or `TAKEN`.
-        size: Entries in the heap, at least one.
+        slot: Heap position of each node, `NEW` or `TAKEN`.
+        size: Number of entries in the heap, at least one.
     """
     taken: int = nodes[0]
     size -= 1
@@ -71,15 +73,15 @@ def pop(keys: FloatArray, nodes: Numbers, slot: Numbers, size: int) -> int:
 
 @inlined
 def push(keys: FloatArray, nodes: Numbers, slot: Numbers, size: int, key: float, node: int) -> int:
-    """Put a node in, or lower its key if it is in already.
+    """Insert a node, or lower its key if it is already in the heap.
 
     Args:
         keys: (capacity,) keys in heap order.
         nodes: (capacity,) their nodes.
-        slot: For each node its place in the heap, `NEW` or `TAKEN`.
+        slot: Heap position of each node, `NEW` or `TAKEN`.
 
     Returns:
-        Entries in the heap afterwards.
+        Number of entries in the heap afterwards.
     """
     hole = slot[node]
     if hole < 0:

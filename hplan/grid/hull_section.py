@@ -1,15 +1,15 @@
-r"""The section of one hull of points, grown by a radius, with a plane: the polygon of tangents around it, rounded.
+r"""Section of a hull of points, grown by a radius, with a plane, as a rounded polygon of tangents.
 
 With core points :math:`p_i` at heights :math:`n_i`, the section's support along a unit vector :math:`u` of the plane is
 
 .. math:: \min_t \; \max_i \, (u \cdot p_i + t\,n_i) + r \sqrt{1 + t^2},
 
-any tilt :math:`t` gives a bound, and the best is found between the two points that bind. It touches the ball about a
-core point at some height :math:`n`, whose disc of radius :math:`\sqrt{r^2 - n^2}` lies in the section. With
-:math:`q` the least such radius the section is therefore a convex set grown by :math:`q`; tangents are drawn around
-that set, each new one along the chord of the two points where its neighbours touch, until no corner stands
-farther than the allowed error from such a chord. Straight sides are found exactly so, and a branch in the plane,
-parallel to it or across it needs no tangents but four.
+Any tilt :math:`t` gives a bound, and the best tilt lies between the two binding points. The tangent touches the ball
+about a core point at some height :math:`n`, and this ball's disc of radius :math:`\sqrt{r^2 - n^2}` lies in the
+section. With :math:`q` the minimum such radius, the section is therefore a convex set grown by :math:`q`. Tangents are
+drawn around that set, each new tangent along the chord of its neighbours' contact points, until every corner is within
+the allowed error of such a chord. This finds straight sides exactly; a branch in the plane, parallel to it or across it
+needs only four tangents.
 """
 
 from __future__ import annotations
@@ -20,21 +20,21 @@ from typing import NamedTuple
 from hplan.base.arrays import FloatArray, IntArray
 from hplan.base.kernels import inlined, kernel
 
-#: Bodies grow by this, relative to their size above 1 m, so that rounding errors fall on the safe side [m].
+#: Growth of bodies, relative to their size above 1 m, that keeps rounding errors on the safe side [m].
 OUTWARD = 1e-12
 
-#: Heights that differ by less are the same [m].
+#: Heights that differ by less are treated as equal [m].
 _IN_PLANE = 1e-12
 
-#: Most tangents about one section; where they do not suffice, the section may stand out farther than asked for.
+#: Maximum number of tangents per section; if they do not suffice, the section may exceed the requested error.
 MOST_TANGENTS = 256
 
-#: Largest number of steps to the binding points; the support is a bound after any.
+#: Maximum number of steps to the binding points; the support is a valid bound after any number of steps.
 _STEPS = 64
 
 
 class _Hull(NamedTuple):
-    """The hull that is cut, apart from its points."""
+    """Parameters of the hull to be cut, without its points."""
 
     radius: float
     kept: float  # rounding that the section keeps
@@ -44,9 +44,9 @@ class _Hull(NamedTuple):
 
 @kernel
 def _draw_tangent(points: FloatArray, hull: _Hull, ux: float, uy: float, tangents: FloatArray, row: int) -> None:
-    """Write the tangent with the normal (ux, uy), by the support there and the disc that touches.
+    """Write the tangent with normal (ux, uy) from the support and its contact disc.
 
-    The centre of that disc stands between two core points, the lower and the higher one that bind.
+    The disc's centre lies between the two binding core points, the lower and the higher one.
     """
     radius, kept, low, high = hull
     weight, across = 0.0, 0.0
@@ -55,7 +55,7 @@ def _draw_tangent(points: FloatArray, hull: _Hull, ux: float, uy: float, tangent
         low_reach = ux * points[low, 0] + uy * points[low, 1]
         high_reach = ux * points[high, 0] + uy * points[high, 1]
         rise = points[high, 2] - points[low, 2]
-        # The tilt at which both bind, unless one of them binds alone at a better one.
+        # Tilt with both points binding, unless one of them alone binds at a better tilt.
         tilt, root, alone = 0.0, 1.0, 0 if low_reach >= high_reach else 1
         if rise > _IN_PLANE:
             tilt = (low_reach - high_reach) / rise
@@ -92,7 +92,7 @@ def _draw_tangent(points: FloatArray, hull: _Hull, ux: float, uy: float, tangent
 
 @kernel
 def _corner(tangents: FloatArray, i: int, j: int) -> tuple[float, float]:
-    """Corner at which two tangents meet."""
+    """Intersection of two tangents."""
     turn = tangents[i, 0] * tangents[j, 1] - tangents[i, 1] * tangents[j, 0]
     x = (tangents[i, 2] * tangents[j, 1] - tangents[j, 2] * tangents[i, 1]) / turn
     y = (tangents[j, 2] * tangents[i, 0] - tangents[i, 2] * tangents[j, 0]) / turn
@@ -101,7 +101,7 @@ def _corner(tangents: FloatArray, i: int, j: int) -> tuple[float, float]:
 
 @kernel
 def _gap(x: float, y: float, ax: float, ay: float, bx: float, by: float) -> float:
-    """Distance of a point from a segment."""
+    """Distance from a point to a segment."""
     dx, dy = bx - ax, by - ay
     square = dx * dx + dy * dy
     t = 0.0
@@ -112,14 +112,14 @@ def _gap(x: float, y: float, ax: float, ay: float, bx: float, by: float) -> floa
 
 @kernel
 def _kept_rounding(points: FloatArray, radius: float) -> float:
-    """Rounding of the section: a radius by which some convex set grows to it, as no disc that touches is smaller.
+    """Rounding radius of the section: a lower bound on its contact discs' radii.
 
-    A tangent that touches the face (or edge, or vertex) of the core at height n > 0 has the tilt
-    n / sqrt(r^2 - n^2), which may not exceed run over rise to any point below a vertex of that face; one such vertex
-    stands at n or higher. Below the plane likewise.
+    The section is therefore a convex set grown by this radius. A tangent that touches the face (or edge, or vertex) of
+    the core at height n > 0 has the tilt n / sqrt(r^2 - n^2), which cannot exceed run over rise to any point below a
+    vertex of that face; one such vertex has a height of at least n. The same holds below the plane.
     """
     count = len(points)
-    # Cores of more points than this are not searched for a rounding that their section keeps.
+    # Cores with more points than this are not searched for a rounding.
     if count > 128:
         return 0.0
     worst = 0.0
@@ -137,7 +137,10 @@ def _kept_rounding(points: FloatArray, radius: float) -> float:
 
 @inlined
 def _next_normal(tangents: FloatArray, at: int, following: int) -> tuple[float, float]:
-    """Normal of the tangent to draw between two others: square to the chord of the points where they touch."""
+    """Normal of the next tangent between two others.
+
+    It is perpendicular to the chord of their contact points.
+    """
     dx, dy = tangents[following, 3] - tangents[at, 3], tangents[following, 4] - tangents[at, 4]
     chord = math.hypot(dx, dy)
     ux, uy = 0.0, 0.0
@@ -146,7 +149,7 @@ def _next_normal(tangents: FloatArray, at: int, following: int) -> tuple[float, 
     before = tangents[at, 0] * uy - tangents[at, 1] * ux
     behind = ux * tangents[following, 1] - uy * tangents[following, 0]
     if chord == 0.0 or before < 1e-6 or behind < 1e-6:
-        # No chord, or hardly a turn from one of them: halfway between the two.
+        # Without a chord, or with hardly a turn from one of them: halfway between the two.
         ux, uy = tangents[at, 0] + tangents[following, 0], tangents[at, 1] + tangents[following, 1]
         length = math.hypot(ux, uy)
         ux, uy = ux / length, uy / length
@@ -160,7 +163,7 @@ def _draw_between(
     """Draw tangents between the first four until all corners are within the error.
 
     Returns:
-        How many tangents there are, and the error, larger where more than `MOST_TANGENTS` would be needed.
+        Number of tangents, and the error, which is larger than allowed if more than `MOST_TANGENTS` were required.
     """
     made, at = 4, 0
     while True:
@@ -173,7 +176,7 @@ def _draw_between(
                 break
             continue
         if made == MOST_TANGENTS:
-            # A section of many metres: from the first four again, with less to ask for.
+            # A section of many metres: start again from the first four tangents with a larger error.
             error, made, at = 4.0 * error, 4, 0
             for i in range(4):
                 after[i] = (i + 1) & 3
@@ -188,7 +191,7 @@ def _draw_between(
 
 @inlined
 def _drop_needless(made: int, error: float, tangents: FloatArray, after: IntArray) -> tuple[int, int]:
-    """Drop each tangent that the corner of its neighbours does without; returns how many stay, and one of them."""
+    """Drop tangents that the error allows to omit; return the remaining number and one of them."""
     start, sides = 0, made
     for _ in range(made):
         middle = after[start]
@@ -224,13 +227,13 @@ def cut_hull(
         points: (k, 3) core points in plane coordinates [m].
         radius: Radius about the hull [m].
         along: Unit normal of the first tangent (along the core's length).
-        error: How far the polygon may stand outside [m].
-        tangents: (`MOST_TANGENTS`, 5) for its own use: normal (2), support, where each touches, less the rounding (2).
-        after: (`MOST_TANGENTS`,) for its own use: the next tangent.
-        corners: (`MOST_TANGENTS`, 2) takes the vertices [m].
+        error: Maximum distance of the polygon outside the section [m].
+        tangents: (`MOST_TANGENTS`, 5) work array: normal (2), support, contact point without the rounding (2).
+        after: (`MOST_TANGENTS`,) work array: the next tangent.
+        corners: (`MOST_TANGENTS`, 2) output array of the vertices [m].
 
     Returns:
-        Number of vertices, 0 where the plane misses the body, and the radius about them.
+        Number of vertices (0 if the plane misses the body), and the radius about them.
     """
     count, lowest, highest, size = len(points), 0, 0, 1.0
     for i in range(count):
@@ -242,7 +245,7 @@ def cut_hull(
     if points[lowest, 2] > radius or points[highest, 2] < -radius:
         return 0, 0.0
     if count == 2 and points[highest, 2] - points[lowest, 2] <= _IN_PLANE:
-        # Nothing to bound: all discs along the segment are the same.
+        # No bound is required: all discs along the segment are equal.
         nearest = min(abs(points[lowest, 2]), abs(points[highest, 2]))
         for i in range(2):
             corners[i, 0], corners[i, 1] = points[i, 0], points[i, 1]
@@ -270,7 +273,7 @@ def cut_hull(
 def _thin(
     tangents: FloatArray, length: float, width: float, kept: float, error: float, corners: FloatArray
 ) -> tuple[int, float]:
-    """The stadium, or the disc, around a rectangle that is no wider than the error; as `cut_hull` returns it."""
+    """Stadium or disc around a rectangle no wider than the error; returns as `cut_hull` does."""
     ux, uy = tangents[0, 0], tangents[0, 1]
     offset = 0.5 * (tangents[1, 2] - tangents[3, 2])
     if math.hypot(length, width) <= error:

@@ -1,7 +1,7 @@
-"""The grid as the searches see it: bit rows with a border, and the moves to all neighbours.
+"""Search lattice of a grid: bit rows with a border, and the moves to all neighbours.
 
-A node is a row (all axes but the last) and a bit (the last axis). Rows have a border of occupied rows around them,
-so that a neighbouring row is always one addition away. One slice of the last axis is the same bit of every row.
+A node is a row (all axes but the last) and a bit (the last axis). A border of occupied rows surrounds the rows, so that
+a neighbouring row is always one addition away. One slice of the last axis is the same bit of every row.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from hplan.grid.grid import words_for
 
 
 class Node(NamedTuple):
-    """A node as the kernels take it: bordered row, and bit of the row."""
+    """Node representation of the kernels: bordered row, and bit of the row."""
 
     row: int
     bit: int
 
 
 class LatticeArrays(NamedTuple):
-    """A lattice as the kernels take it; see `Lattice`. And how long they may take (`hplan.base.deadline`)."""
+    """Arrays of a `Lattice` for the kernels, and their deadline (`hplan.base.deadline`)."""
 
     row_offsets: IntArray
     move_costs: FloatArray
@@ -44,8 +44,8 @@ class Lattice(Record):
 
     Attributes:
         step: (d,) weight of one step along each axis.
-        padded: Rows along each axis but the last, with the border.
-        row_offsets: (moves,) distance to each neighbouring row, the row itself among them.
+        padded: Number of rows along each axis but the last, border included.
+        row_offsets: (moves,) offset to each neighbouring row, including the row itself.
         move_costs: (moves, 3) cost of the move to that row and to bit -1, 0, +1.
     """
 
@@ -57,30 +57,33 @@ class Lattice(Record):
 
     @classmethod
     def of(cls, shape: tuple[int, ...], step: FloatArray) -> Lattice:
-        """The lattice of a grid with full connectivity (8 neighbours in 2-D, 26 in 3-D).
+        """Lattice of a grid with full connectivity (8 neighbours in 2-D, 26 in 3-D).
 
-        The last few are remembered: planning repeats on the same grid, and the lattice holds geometry only.
+        The last few lattices are cached: planning repeats on the same grid, and a lattice contains geometry only.
         """
         return _lattice(shape, step.tobytes())
 
     @property
     def row_coordinates(self) -> IntArray:
-        """(padded rows, d - 1) node index of each row along each axis but the last; floods need none."""
+        """(padded rows, d - 1) node index of each row.
+
+        The index omits the last axis. Floods do not use it.
+        """
         return _row_coordinates(self.padded)
 
     @property
     def arrays(self) -> LatticeArrays:
-        """Its arrays for the kernels, and how long these may take."""
+        """Arrays for the kernels, with their deadline."""
         return LatticeArrays(self.row_offsets, self.move_costs, self.row_coordinates, self.step, until())
 
     @property
     def rows(self) -> int:
-        """Number of rows with the border."""
+        """Number of rows, border included."""
         return math.prod(self.padded)
 
     @property
     def words(self) -> int:
-        """Words in a row."""
+        """Number of words per row."""
         return words_for(self.shape[-1])
 
     def row_of(self, index: IntArray) -> int:
@@ -100,13 +103,13 @@ class Lattice(Record):
         return np.frombuffer(bits.to_bytes(8 * self.words, "little"), dtype=np.uint64)
 
     def bordered(self, words: WordArray) -> WordArray:
-        """Rows without border, (rows, words), put inside the border."""
+        """Add the border to (rows, words) rows."""
         result = np.zeros((*self.padded, words.shape[1]), dtype=np.uint64)
         result[self._inside] = words.reshape(*self.shape[:-1], words.shape[1])
         return result.reshape(-1, words.shape[1])
 
     def unbordered(self, words: WordArray) -> WordArray:
-        """Bordered rows, (rows, words), without their border."""
+        """Remove the border from (rows, words) rows."""
         inside = words.reshape(*self.padded, words.shape[1])[self._inside]
         return np.ascontiguousarray(inside).reshape(-1, words.shape[1])
 
@@ -142,17 +145,20 @@ def _lattice(shape: tuple[int, ...], step_bytes: bytes) -> Lattice:
 
 @lru_cache(maxsize=4)
 def _row_coordinates(padded: tuple[int, ...]) -> IntArray:
-    """Node indices of rows, remembered on their own: grids that differ in the last axis alone have the same."""
+    """Node indices of rows.
+
+    They are cached separately, because grids that differ only in the last axis share them.
+    """
     indices = np.indices(padded).reshape(len(padded), math.prod(padded)).T
     return readonly(indices - 1, np.int64)
 
 
 class NodeSet(NamedTuple):
-    """Set bits, numbered row by row: the nodes that a search may use.
+    """Set bits, numbered row by row: the nodes available to a search.
 
     Attributes:
         words: (rows, words) bits with border.
-        rows: (k,) the rows with set bits, in the order in which they are numbered.
+        rows: (k,) rows with set bits, in numbering order.
         ranks: (rows, words) number of the first node of each word; written for rows with set bits only.
         size: Number of nodes.
     """
@@ -164,13 +170,13 @@ class NodeSet(NamedTuple):
 
     @classmethod
     def of(cls, words: WordArray) -> NodeSet:
-        """The nodes of (rows, words) bits."""
+        """Node set of (rows, words) bits."""
         return numbered(words, np.flatnonzero(words.any(axis=1)))
 
 
 @kernel
 def numbered(words: WordArray, rows: IntArray) -> NodeSet:
-    """The nodes of (rows, words) bits, set in the given rows only."""
+    """Node set of (rows, words) bits that are set in the given rows only."""
     ranks = np.empty(words.shape, dtype=np.int32)
     size = 0
     for row in rows:

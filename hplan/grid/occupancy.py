@@ -1,7 +1,8 @@
 r"""Analytic C-space: closed-form intervals of forbidden joint angles, link by link (the paper's equations 1-3).
 
 A link of length :math:`L` turns about its near joint. A disc of radius :math:`R` (obstacle grown by the link's
-half-width) stands at distance :math:`\rho` from the joint, at bearing :math:`\varphi`. The link's axis meets it for
+half-width) has its centre at distance :math:`\rho` from the joint, at bearing :math:`\varphi`. The link's axis meets
+the disc for
 
 .. math::
     |\theta - \varphi| \le \begin{cases}
@@ -10,14 +11,14 @@ half-width) stands at distance :math:`\rho` from the joint, at bearing :math:`\v
         \text{never}                                     & \text{beyond} \quad (3)
     \end{cases}
 
-(`_disc_half_angle`) and always where :math:`\rho \le R`. That is exact for a capsule link. The paper puts case 3 at
+(`_disc_half_angle`) and always if :math:`\rho \le R`. This is exact for a capsule link. The paper puts case 3 at
 :math:`\rho > \sqrt{L^2 + w^2} + r`, the reach of a rectangle's corner (model `paper`); the model `rectangle` solves
 the rectangle itself (`hplan.grid.rectangle_link`). Angles run counter-clockwise from +x of the arm plane, bearings by
 arctan2(y, x). The paper prints arctan(x / y), which gives its figures in no frame (`scripts/reproduce_paper.py` tries
 both).
 
-A rounded polygon is met in one interval too: the hull of the intervals of its corner discs and of the points where
-its straight sides leave the link's reach.
+A rounded polygon also yields one interval: the hull of the intervals of its corner discs and of the directions to its
+straight sides' intersections with the circle of the link's reach.
 """
 
 from __future__ import annotations
@@ -40,17 +41,17 @@ from hplan.robot.self_contact import part_of_arm
 _CAPSULE, _PAPER, _RECTANGLE = range(len(LINK_MODELS))
 _ALL = np.uint64(0xFFFFFFFFFFFFFFFF)
 
-#: A joint closer than this to a rounded polygon is in it: bearings of points so near would be noise [m].
+#: A joint closer than this to a rounded polygon counts as inside: bearings of such near points would be noise [m].
 _TOUCHING = 1e-12
 
-#: The deadline is checked where the number of a row has none of these bits.
+#: The deadline is checked at rows whose number has all of these bits clear.
 _OFTEN = 63
 
 
 class _Links(NamedTuple):
-    """(links,) the links of an arm, as in `PlanarArm`, and the axes of their joints' grid, as in `Grid`.
+    """Links of an arm as in `PlanarArm`, their joints' grid axes as in `Grid`, and deadline.
 
-    And how long it may take (`hplan.base.deadline`).
+    All arrays are (links,); for the deadline see `hplan.base.deadline`.
     """
 
     lengths: FloatArray
@@ -64,7 +65,10 @@ class _Links(NamedTuple):
 
 
 class _Axis(NamedTuple):
-    """One axis of the grid: its node i is the relative link angle `sign * (lower + i * step) + offset`."""
+    """One axis of the grid.
+
+    Node i is the relative link angle `sign * (lower + i * step) + offset`.
+    """
 
     lower: float
     step: float
@@ -74,14 +78,16 @@ class _Axis(NamedTuple):
 
 
 class _Poses(NamedTuple):
-    """(rows,) the poses of one link's joint at all nodes of the joints before it, a row of the grid each.
+    """(rows,) poses of one link's joint at all nodes of the preceding joints.
+
+    Each row of the grid has one pose.
 
     Attributes:
-        alive: Whether all links before it are free.
-        x: Place of the joint [m].
-        y: The same, second coordinate.
-        cos: Direction of the link before it.
-        sin: The same, second coordinate.
+        alive: True if all preceding links are free.
+        x: First coordinate of the joint [m].
+        y: Second coordinate of the joint [m].
+        cos: Direction of the preceding link, first component.
+        sin: Direction of the preceding link, second component.
     """
 
     alive: BoolArray
@@ -92,13 +98,13 @@ class _Poses(NamedTuple):
 
 
 def occupancy(arm: PlanarArm, sections: ArmSections, grid: Grid) -> Occupancy:
-    """Occupancy of the joint grid: which nodes make some link meet some section.
+    """Occupancy of the joint grid: a node is occupied if a link meets a section.
 
-    For `n` joints of `N` nodes each: one interval a section for the first link, `N` for the second, `N**(n - 1)`
-    for the last, whose rows are filled by interval.
+    For `n` joints of `N` nodes each, a section needs one interval for the first link, `N` for the second and
+    `N**(n - 1)` for the last, whose rows are filled by interval.
 
     Raises:
-        InputError: The grid or the sections are not those of an arm with this many links.
+        InputError: The number of axes or sections does not match the arm's number of links.
     """
     links = arm.link_count
     if len(grid.shape) != links or len(sections.link_start) != links + 1:
@@ -117,9 +123,9 @@ def occupancy(arm: PlanarArm, sections: ArmSections, grid: Grid) -> Occupancy:
 
 
 def _take_out_contact(words: WordArray, arm: PlanarArm, grid: Grid, link: int, other: int, radius: float) -> None:
-    """Clear the bits of all nodes at which the axis of a link is within a radius of that of one before it.
+    """Clear the bits of nodes with a link's axis within `radius` of an earlier link's axis.
 
-    That depends on the joints between them alone: the links after `other` are an arm of their own, and `other` is an
+    This depends only on the joints between the two: the links after `other` form a separate arm, and `other` is an
     obstacle to the last of them.
     """
     between = slice(other + 1, link + 1)
@@ -146,7 +152,10 @@ def _take_out_contact(words: WordArray, arm: PlanarArm, grid: Grid, link: int, o
 
 @inlined
 def _disc_half_angle(rho: float, length: float, radius: float) -> float:
-    """Equations (1) and (2) for rho > radius; -1, equation (3), where the disc is out of reach."""
+    """Half-angle of contact by equations (1) and (2), for rho > radius.
+
+    It is -1, equation (3), if the disc is out of reach.
+    """
     if rho > length + radius:
         return -1.0
     if rho * rho <= length * length + radius * radius:
@@ -157,9 +166,10 @@ def _disc_half_angle(rho: float, length: float, radius: float) -> float:
 
 @inlined
 def _disc_tangent(square: float, length: float, radius: float) -> tuple[float, float]:
-    """The angle of `_disc_half_angle`, for a squared distance, as a direction: cosine and sine times some length.
+    """Direction of `_disc_half_angle` for a squared distance: scaled cosine and sine.
 
-    Polygons need it for each corner, and angles only of two of them. (For one disc the arc sine is faster.)
+    Polygons need the direction for each corner, but the angle for only two corners. (For one disc the arc sine is
+    faster.)
     """
     if square <= length * length + radius * radius:
         return math.sqrt(square - radius * radius), radius
@@ -173,15 +183,15 @@ def _disc_tangent(square: float, length: float, radius: float) -> tuple[float, f
 def _polygon_interval(
     vertices: FloatArray, first: int, last: int, radius: float, pose: tuple[float, float, float, float], length: float
 ) -> tuple[int, float, float]:
-    """Angles, relative to the direction (cos, sin), at which a link from (x, y) meets a rounded polygon.
+    """Interval of angles in which a link from (x, y) meets a rounded polygon.
 
-    The interval is narrower than pi, so its ends are found among the directions to points by the sign of their cross
-    products, and only these two are made angles.
+    Angles are relative to the direction (cos, sin). The interval is narrower than pi, so the signs of cross products
+    select its ends among the directions to points, and only these two directions are converted to angles.
 
     Args:
         vertices: Points of all sections.
-        first: The polygon's first vertex.
-        last: The one after its last vertex.
+        first: Index of the polygon's first vertex.
+        last: Index after its last vertex.
         pose: x, y, cos, sin.
 
     Returns:
@@ -191,12 +201,12 @@ def _polygon_interval(
     inside = last - first >= 3
     square_length = length * length
     touching = (radius + _TOUCHING) * (radius + _TOUCHING)
-    sure = max(0.0, length - radius)  # a corner nearer than this is within reach with all of its disc
+    sure = max(0.0, length - radius)  # a corner nearer than this has its whole disc within reach
     cone = (0.0, 0.0, 0.0, 0.0)
     ax, ay = vertices[last - 1, 0] - px, vertices[last - 1, 1] - py
     before = ax * ax + ay * ay
     for i in range(first, last):
-        # The corner, and the side that leads to it from the corner before.
+        # The corner, and the side from the previous corner to it.
         bx, by = vertices[i, 0] - px, vertices[i, 1] - py
         square = bx * bx + by * by
         if square <= touching:
@@ -210,14 +220,14 @@ def _polygon_interval(
         ex, ey = bx - ax, by - ay
         edge = ex * ex + ey * ey
         if edge > 0.0:
-            outward = ex * ay - ey * ax  # how far the joint stands to the right of the side, times its length
+            outward = ex * ay - ey * ax  # distance of the joint to the right of the side, times the side's length
             along = -(ex * ax + ey * ay)
             if outward > 0.0:
                 inside = False
             if 0.0 <= along <= edge and outward * outward <= touching * edge:
                 return 2, 0.0, 0.0
-            # Where the straight side to the right leaves the reach. (Two vertices make two sides, there and back, and
-            # so both sides of a stadium.)
+            # Intersection of the straight side on the right with the reach. (Two vertices have two sides, there and
+            # back, and therefore both sides of a stadium.)
             if before > sure * sure or square > sure * sure:
                 size = math.sqrt(edge)
                 distance = outward / size - radius
@@ -243,7 +253,7 @@ def _polygon_interval(
 def _widen(
     cone: tuple[float, float, float, float], ax: float, ay: float, bx: float, by: float
 ) -> tuple[float, float, float, float]:
-    """Widen the cone between two directions, counter-clockwise, to hold the one from a to b."""
+    """Widen a counter-clockwise cone of directions to include the cone from a to b."""
     lx, ly, hx, hy = cone
     if lx == 0.0 and ly == 0.0:
         return ax, ay, bx, by
@@ -283,13 +293,16 @@ def _mark(rows: WordArray, r: int, low: float, high: float, axis: _Axis) -> None
 
 @inlined
 def _axis(links: _Links, k: int) -> _Axis:
-    """The axis of joint k."""
+    """Grid axis of joint k."""
     return _Axis(links.lower[k], links.step[k], links.counts[k], links.signs[k], links.offsets[k])
 
 
 @kernel
 def _fill_link(rows: WordArray, poses: _Poses, k: int, links: _Links, model: int, sections: SectionArrays) -> None:
-    """Free bits of the rows of link k; a row whose earlier links collide is occupied whole."""
+    """Free bits of the rows of link k.
+
+    A row with colliding earlier links is fully occupied.
+    """
     alive, px, py, cos, sin = poses
     length, half_width, axis = links.lengths[k], links.half_widths[k], _axis(links, k)
     link_start, vertex_start, vertices, radii, bounds = sections
@@ -312,7 +325,7 @@ def _fill_link(rows: WordArray, poses: _Poses, k: int, links: _Links, model: int
             if square > limit * limit:
                 continue
             radius = radii[s]
-            # The forbidden angles: `state` 0 none, 1 [low, high], 2 all, 3 [low, high] and its mirror image.
+            # Forbidden angles by `state`: 0 empty, 1 [low, high], 2 all, 3 [low, high] and its mirror image.
             state, low, high, bearing = 0, 0.0, 0.0, 0.0
             if vertex_start[s + 1] - vertex_start[s] > 1:
                 state, low, high = _polygon_interval(
@@ -344,7 +357,7 @@ def _fill_link(rows: WordArray, poses: _Poses, k: int, links: _Links, model: int
 
 @kernel
 def _advance(rows: WordArray, poses: _Poses, k: int, links: _Links) -> _Poses:
-    """The poses of the next link's joint, from the rows of link k and the poses of its joint."""
+    """Poses of the next link's joint, from the rows of link k and the poses of its joint."""
     length, axis = links.lengths[k], _axis(links, k)
     count = axis.size
     size = rows.shape[0] * count

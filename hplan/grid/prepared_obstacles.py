@@ -1,4 +1,7 @@
-"""Obstacles made ready for cutting by arm planes: balls, and hulls of points grown by a radius."""
+"""Obstacles prepared for sections by arm planes.
+
+They are balls, and hulls of points grown by a radius.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,7 @@ from hplan.grid.cutting_arrays import Balls, Hulls
 
 
 class ConvexObstacle(Protocol):
-    """An obstacle as sections see it: the hull of `core`, or each of its points, grown by `rounding`."""
+    """Obstacle interface for sections: the hull of `core`, or each point, grown by `rounding`."""
 
     @property
     def name(self) -> str:
@@ -31,19 +34,19 @@ class ConvexObstacle(Protocol):
 
     @property
     def is_point_set(self) -> bool:
-        """True if every core point is a ball of its own (a point cloud) and not a corner of one hull."""
+        """True if every core point is a separate ball (point cloud), not a corner of one hull."""
 
 
 @dataclass(frozen=True, eq=False)
 class PreparedObstacles(Record):
-    """Obstacles made ready for cutting, once for all yaws.
+    """Obstacles prepared for sections, once for all yaws.
 
     Attributes:
-        balls: Balls, each point of a cloud one.
-        names: Names of the obstacles; balls and hulls know theirs by index.
-        own_clearance: Clearance that parts of the arm are to keep from one another [m].
-        deviation: By how much every joint may be off [rad]; sections grow by what each link may then sway.
-        links: (obstacles, links) which links keep clear of each; None for all of all.
+        balls: Balls; each point of a cloud is one ball.
+        names: Names of the obstacles; balls and hulls refer to them by index.
+        own_clearance: Required clearance between parts of the arm [m].
+        deviation: Maximum error of every joint [rad]; sections grow by each link's tracking displacement bound.
+        links: (obstacles, links) True if the link keeps clear of the obstacle; None if all links avoid all obstacles.
     """
 
     balls: Balls
@@ -62,19 +65,19 @@ def prepare_obstacles(
     deviation: float = 0.0,
     links: BoolArray | None = None,
 ) -> PreparedObstacles:
-    """Make obstacles ready for cutting.
+    """Prepare obstacles for sections.
 
     Args:
-        clearance: Distance to keep from every obstacle [m], one number or one for each; below 0 for one that gives way,
-            where `links` are given.
-        own_clearance: Distance that parts of the arm are to keep from one another [m]; None for the smallest of the
-            others.
-        deviation: By how much every joint may be off [rad].
-        links: (obstacles, links) which links keep clear of each; None for all of all.
+        clearance: Required distance from the obstacles [m], one number or one per obstacle; may be negative for a
+            compliant obstacle if `links` is given.
+        own_clearance: Required distance between parts of the arm [m]; None for the minimum of `clearance`.
+        deviation: Maximum error of every joint [rad].
+        links: (obstacles, links) True if the link keeps clear of the obstacle; None if all links avoid all obstacles.
 
     Raises:
-        OptionError: A clearance that is negative or no number, or not one for each obstacle.
-        InputError: An obstacle without core points, or with a point or radius that is not finite.
+        OptionError: A clearance is negative or not a number, or the number of clearances differs from the number of
+            obstacles.
+        InputError: An obstacle has no core points, or a point or radius that is not finite.
     """
     margins = np.asarray(clearance, dtype=np.float64)
     if not (np.isfinite(margins) & ((margins >= 0.0) | (links is not None))).all():
@@ -113,7 +116,7 @@ def prepare_obstacles(
 
 
 def _hulls(corners: FloatArray, lengths: IntArray, radii: FloatArray, owners: IntArray) -> Hulls:
-    """Hulls from their corners, one after the other, and how many each of them has."""
+    """Assemble hulls from concatenated corners and the number of corners of each hull."""
     starts = np.concatenate([[0], np.cumsum(lengths)])
     low, high = np.minimum.reduceat(corners, starts[:-1]), np.maximum.reduceat(corners, starts[:-1])
     bounds = np.column_stack([0.5 * (low + high), 0.5 * np.linalg.norm(high - low, axis=1)])

@@ -1,4 +1,7 @@
-"""A link as a rectangle, and the angles at which it meets a disc: exact, for comparison with capsule and paper."""
+"""Exact contact angles of a rectangular link and a disc.
+
+They serve for comparison with the capsule link and the paper's equations.
+"""
 
 from __future__ import annotations
 
@@ -9,10 +12,11 @@ from hplan.base.kernels import inlined, kernel
 
 @kernel
 def rectangle_half_angles(rho: float, length: float, half_width: float, radius: float) -> tuple[float, float]:
-    """Smallest and largest |bearing| at which a disc meets a rectangle [0, length] x [-w, w]; -1 where never.
+    """Minimum and maximum |bearing| of contact between disc and rectangle; -1 without contact.
 
-    The rectangle grown by the disc's radius reaches to `extent(a)` in direction `a`, which rises from `a = 0` to
-    the corner and falls from there to `a = pi`; each branch below inverts one of its pieces.
+    The rectangle is [0, length] x [-w, w]. Grown by the disc's radius, it extends to `extent(a)` in direction `a`;
+    `extent` increases from `a = 0` to the corner and decreases from there to `a = pi`. Each branch below inverts one
+    piece of it.
     """
     corner = math.hypot(length, half_width)
     if rho > corner + radius:

@@ -1,9 +1,8 @@
-"""The sparse graph: all slice paths together, and connectivity where slices have no path of their own.
+"""Sparse graph: the union of the slice paths, with connectivity restored across gaps.
 
-The paper takes the path of the first slice that has one, carries it back slice by slice towards the start, and cuts
-it in each slice before the first contact. The same is done here on the goal's side (the last path is carried on
-towards the goal, its tail kept after the last contact) and, from both sides and at both ends, across gaps in the
-middle.
+The paper takes the path of the first slice that has one, copies it slice by slice back towards the start, and cuts it
+in each slice before the first contact. This module does the same on the goal's side (the last path is copied towards
+the goal, and its tail after the last contact is kept) and, from both sides and at both ends, across gaps in the middle.
 """
 
 from __future__ import annotations
@@ -25,11 +24,12 @@ def union_of(
         free: (rows, words) bits with border.
         start: (d,) node index.
         goal: (d,) node index.
-        beyond: True if the slices go beyond start and goal, so that either end of a path may be wanted on either side.
+        beyond: True if the slices extend beyond start and goal, so that either end of a path may be required on either
+            side.
 
     Returns:
-        The nodes of the sparse graph; the slices without a path of their own that were given part of a neighbour's,
-        ascending.
+        The nodes of the sparse graph, and the ascending slices without their own path that received part of a
+        neighbour's path.
     """
     ends = lattice.node(start), lattice.node(goal)
     nodes, restored = _united(free, layers.path_rows, layers.begins, layers.first, *ends, beyond)
@@ -40,7 +40,7 @@ def union_of(
 def _united(
     free: WordArray, path_rows: IntArray, begins: IntArray, first: int, start: Node, goal: Node, beyond: bool
 ) -> tuple[NodeSet, BoolArray]:
-    """Start, goal, all paths and restored parts; True for the slices that were restored."""
+    """Union of start, goal, all paths and restored segments, and a mask of the restored slices."""
     union, has_nodes = np.zeros(free.shape, dtype=np.uint64), np.zeros(free.shape[0], dtype=np.bool_)
     rows = np.empty(min(len(path_rows) + 2, free.shape[0]), dtype=np.int64)
     count = 0
@@ -71,7 +71,10 @@ def _restore(
     free: WordArray, path_rows: IntArray, begins: IntArray, first: int, descending: bool, union: WordArray,
     restored: BoolArray,
 ) -> None:  # fmt: skip
-    """Add parts of paths in the slices without: on the side of start or goal one end, in the middle both."""
+    """Add path segments to slices without a path.
+
+    Slices on the side of start or goal receive one end of a path, slices in the middle both ends.
+    """
     count = len(begins) - 1
     previous = -1  # the last slice before this one that has a path
     for k in range(count):
@@ -95,7 +98,7 @@ def _restore(
 def _carry(
     free: WordArray, path: IntArray, begin: int, end: int, head: bool, union: WordArray, restored: BoolArray
 ) -> None:
-    """Carry a path's head (or tail) from slice `begin` on until `end`, cut before the first contact in each."""
+    """Copy a path's head (or tail) to slices `begin` to `end`, cut before the first contact."""
     kept = len(path)
     for number in range(begin, end, 1 if end >= begin else -1):
         word, bit = number >> 6, np.uint64(1) << np.uint64(number & 63)

@@ -11,18 +11,19 @@ import numpy as np
 from hplan.base.arrays import BoolArray, IntArray, Record, frozen
 from hplan.grid.lattice import Lattice
 
-#: Stage that found the path, or that there is none: the union of the slices between start and goal (`none`); the union
-#: of all slices; flooding, and the dense search on what it reached.
+#: Stage that found the path or proved that no path exists: the union of the slices between start and goal (`none`); the
+#: union of all slices; flooding, with the dense search on the flooded nodes.
 Fallback = Literal["none", "all_slices", "dense"]
 
 
 @dataclass(frozen=True, eq=False)
 class SlicePaths(Record):
-    """The paths of neighbouring slices, each searched on its own.
+    """Paths of neighbouring slices, each searched independently.
 
     Attributes:
         path_rows: (m,) bordered rows of all paths, slice after slice, each from the start's row to the goal's.
-        begins: (searched slices + 1,) where each slice's path begins in `path_rows`; of length 0 where it has none.
+        begins: (searched slices + 1,) start of each slice's path in `path_rows`; the length is 0 for a slice without a
+            path.
     """
 
     lattice: Lattice
@@ -34,13 +35,13 @@ class SlicePaths(Record):
 
     @property
     def feasible(self) -> BoolArray:
-        """(slices,) True for each slice that was to be searched and has a path of its own."""
+        """(slices,) True for each searched slice with its own path."""
         feasible = np.zeros(self.lattice.shape[-1], dtype=np.bool_)
         feasible[self.first : self.first + len(self.begins) - 1] = np.diff(self.begins) > 0
         return frozen(feasible)
 
     def paths(self) -> dict[int, IntArray]:
-        """For each searched slice with a path its (m, d) node indices."""
+        """Path of each searched slice that has one, as (m, d) node indices."""
         lengths = np.diff(self.begins)
         slices = np.repeat(np.arange(self.first, self.first + len(lengths)), lengths)
         nodes = frozen(self.lattice.indices(self.path_rows, slices))
@@ -57,8 +58,8 @@ class Expansions:
     Attributes:
         layers: All slice searches together.
         sparse: Search on the union of the slice paths.
-        fallback: Dense search, and all else that came after the union had failed.
-        flooded: Nodes reached by flooding, whole words of them at once, which settles what is connected. They are not
+        fallback: Dense search, and all other searches after the union failed.
+        flooded: Number of nodes reached by flooding, which works on whole words and decides connectivity. They are not
             expansions.
     """
 
@@ -73,7 +74,7 @@ class Expansions:
         return self.layers + self.sparse + self.fallback
 
     def with_fallback(self, expansions: int, flooded: int) -> Expansions:
-        """These counts with more of the fallback."""
+        """Return the counts with additional fallback expansions."""
         return replace(self, fallback=self.fallback + expansions, flooded=self.flooded + flooded)
 
 
@@ -96,14 +97,14 @@ class SearchResult(Record):
     """A path over grid nodes, and the effort of finding it.
 
     Attributes:
-        path: (m, d) node indices from start to goal, or None where none exists (shown by flooding).
-        cost: Length of the path, each axis weighed by the grid's step (rad for a joint grid); inf without a path.
+        path: (m, d) node indices from start to goal; None if no path exists (proved by flooding).
+        cost: Length of the path, each axis weighted by the grid's step (rad for a joint grid); inf without a path.
         expansions: Expansions by stage.
         times: Times by stage.
         layers: The slices searched last; None for the dense search.
-        restored_slices: Slices without a path of their own that were given part of a neighbour's.
-        sparse_nodes: Nodes of the union of the slice paths.
-        fallback: Stage beyond the union of the slices between start and goal that was needed last.
+        restored_slices: Slices without their own path that received part of a neighbour's path.
+        sparse_nodes: Number of nodes of the union of the slice paths.
+        fallback: Last stage required beyond the union of the slices between start and goal.
     """
 
     path: IntArray | None
@@ -117,10 +118,13 @@ class SearchResult(Record):
 
     @property
     def feasible_slices(self) -> BoolArray | None:
-        """(slices,) True for each slice searched that has a path of its own; None for the dense search."""
+        """(slices,) True for each searched slice with its own path; None for the dense search."""
         return None if self.layers is None else self.layers.feasible
 
     @cached_property
     def slice_paths(self) -> dict[int, IntArray]:
-        """For each slice searched that has a path, that path as (m, d) node indices; empty for the dense search."""
+        """(m, d) path of each searched slice that has one.
+
+        The paths are node indices. The mapping is empty for the dense search.
+        """
         return {} if self.layers is None else self.layers.paths()

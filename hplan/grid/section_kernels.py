@@ -1,6 +1,6 @@
-"""The compiled part of `hplan.grid.sections`: all bodies cut by the arm plane at once, link by link.
+"""Compiled kernels of `hplan.grid.sections`: cut all bodies by the arm plane, link by link.
 
-The section of a ball is a disc, and that of a hull is drawn by `hplan.grid.hull_section`.
+The section of a ball is a disc; `hplan.grid.hull_section` computes the section of a hull.
 """
 
 from __future__ import annotations
@@ -17,7 +17,9 @@ from hplan.grid.hull_section import MOST_TANGENTS, cut_hull
 
 @kernel
 def _seen(points: FloatArray, plane: ArmPlane, lateral: float, turned: FloatArray) -> tuple[float, float]:
-    """Write core points of a hull in the coordinates of a link's plane, which is off the arm's [m].
+    """Write a hull's core points in the coordinates of a link's plane [m].
+
+    The link's plane is offset from the arm plane by `lateral`.
 
     Returns:
         The direction from the first core point to the second, in the plane.
@@ -35,7 +37,7 @@ def _seen(points: FloatArray, plane: ArmPlane, lateral: float, turned: FloatArra
 
 @inlined
 def _largest(links: LinkExtents) -> tuple[float, float, float]:
-    """The links' largest width, reach, and distance from the plane."""
+    """Maximum width, reach and distance from the plane over all links."""
     widest, farthest, aside = 0.0, 0.0, 0.0
     for k in range(len(links.growth)):
         widest, farthest = max(widest, links.growth[k] + links.depths[k]), max(farthest, links.reaches[k])
@@ -45,7 +47,7 @@ def _largest(links: LinkExtents) -> tuple[float, float, float]:
 
 @inlined
 def _near_balls(balls: Balls, plane: ArmPlane, links: LinkExtents) -> tuple[int, IntArray, FloatArray]:
-    """Number of balls near enough for any link, which they are, and their centres in plane coordinates."""
+    """Number, indices and plane coordinates of the balls within reach of any link."""
     (centres, radii, _), (origin, axes) = balls, plane
     widest, farthest, aside = _largest(links)
     near, places = np.empty(len(radii), dtype=np.int64), np.empty((len(radii), 3))
@@ -95,7 +97,10 @@ def cut_balls(balls: Balls, plane: ArmPlane, links: LinkExtents) -> Cut:
 
 @inlined
 def _near_hulls(hulls: Hulls, plane: ArmPlane, links: LinkExtents) -> tuple[int, IntArray, int]:
-    """Number of hulls near enough for any link, which they are, and most points of one."""
+    """Number and indices of the hulls within reach of any link.
+
+    The third value is the maximum number of points of these hulls.
+    """
     (_, starts, radii, _, bounds), (origin, axes) = hulls, plane
     widest, farthest, aside = _largest(links)
     near = np.empty(len(bounds), dtype=np.int64)
@@ -113,7 +118,10 @@ def _near_hulls(hulls: Hulls, plane: ArmPlane, links: LinkExtents) -> tuple[int,
 
 @inlined
 def _disc_around(corners: FloatArray, count: int, rounding: float) -> tuple[float, float, float]:
-    """Centre and radius of a disc around a rounded polygon: about the middle of its corners' bounding box."""
+    """Centre and radius of a disc around a rounded polygon.
+
+    The centre is the middle of the corners' bounding box.
+    """
     low_x, low_y, high_x, high_y = corners[0, 0], corners[0, 1], corners[0, 0], corners[0, 1]
     for i in range(1, count):
         low_x, high_x = min(low_x, corners[i, 0]), max(high_x, corners[i, 0])
@@ -126,11 +134,11 @@ def _disc_around(corners: FloatArray, count: int, rounding: float) -> tuple[floa
 
 @kernel
 def cut_hulls(hulls: Hulls, plane: ArmPlane, links: LinkExtents, error: float, balls: Cut) -> Cut:
-    """Sections of grown hulls, link by link, behind those of the balls of each link.
+    """Sections of grown hulls, link by link, appended to each link's ball sections.
 
     Args:
-        error: How far a section may stand outside [m].
-        balls: What `cut_balls` has made.
+        error: Maximum distance of a section's outline outside the true section [m].
+        balls: Result of `cut_balls`.
     """
     (points, starts, radii, obstacles, _), (growth, _, reaches, lateral) = hulls, links
     ball_start, ball_vertex_start, ball_vertices, ball_discs, ball_owners = balls

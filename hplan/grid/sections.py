@@ -1,6 +1,6 @@
-r"""Planar sections of 3-D obstacles: the convex part of the arm plane in which a link meets an obstacle.
+r"""Planar sections of 3-D obstacles: the convex region of the arm plane in which a link meets an obstacle.
 
-A link's axis lies in the arm plane, or in one parallel to it. A capsule link of half-width :math:`w` meets a convex
+A link's axis lies in the arm plane or in a plane parallel to it. A capsule link of half-width :math:`w` meets a convex
 obstacle :math:`O` exactly when its axis meets :math:`S = (O \oplus B_w) \cap \text{plane}`. Here :math:`O` is the hull
 of a few core points grown by a radius, and every :math:`S` is given as a *rounded polygon*: the hull of a few plane
 points grown by a radius.
@@ -8,13 +8,13 @@ points grown by a radius.
 - Core of one point (sphere) at distance :math:`s` from the plane: a disc of radius
   :math:`\sqrt{(r + w)^2 - s^2}`, exact.
 - Core of two points equally far from the plane (capsule along it): a stadium, exact.
-- Any other core: a rounded polygon around :math:`S` that stands out by `SECTION_ERROR` at most.
+- Any other core: a rounded polygon around :math:`S` that exceeds it by at most `SECTION_ERROR`.
 
-`hplan.grid.hull_section` says how that is found.
+`hplan.grid.hull_section` describes the computation of the polygon.
 
-Where the arm can touch itself (`hplan.robot.self_contact`), turret and pedestal are more obstacles to the links that
-can touch them. What turns with the arm plane, or is round about the yaw axis, is cut the same at every yaw. Links
-against links are kept as pairs: where they lie depends on the joints.
+If the arm can touch itself (`hplan.robot.self_contact`), turret and pedestal are additional obstacles to the links that
+can touch them. Shapes that turn with the arm plane or are round about the yaw axis have the same section at every yaw.
+Contact between links is stored as pairs, because the links' relative pose depends on the joints.
 """
 
 from __future__ import annotations
@@ -37,16 +37,16 @@ from hplan.robot.base_shapes import BaseShape
 from hplan.robot.model import Robot
 from hplan.robot.self_contact import SelfContact, radius_in_plane, self_contact
 
-#: How a link is modelled: the capsule, the paper's three cases to the letter, or the exact rectangle.
+#: Link models: the capsule, the paper's three cases verbatim, or the exact rectangle.
 LinkModel: TypeAlias = Literal["capsule", "paper", "rectangle"]
 LINK_MODELS: tuple[LinkModel, ...] = ("capsule", "paper", "rectangle")
 
-#: No point of a section without a closed form is farther than this outside the true one [m].
+#: Maximum distance of a section without closed form outside the true section [m].
 SECTION_ERROR = 1e-3
 
 
 class SectionArrays(NamedTuple):
-    """The arrays of `ArmSections` that kernels read."""
+    """Arrays of `ArmSections` for the kernels."""
 
     link_start: IntArray
     vertex_start: IntArray
@@ -57,23 +57,24 @@ class SectionArrays(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class ArmSections(Record):
-    """The sections of all obstacles, link by link, as flat arrays for the kernels.
+    """Sections of all obstacles, link by link, as flat arrays for the kernels.
 
-    Link `k` is concerned by sections `link_start[k]` to `link_start[k + 1]`; section `s` has the vertices
-    `vertex_start[s]` to `vertex_start[s + 1]`.
+    Link `k` has the sections `link_start[k]` to `link_start[k + 1]`; section `s` has the vertices `vertex_start[s]` to
+    `vertex_start[s + 1]`.
 
     Attributes:
-        link_model: The model the radii were made for (`rectangle`: obstacle alone; else grown by the link).
+        link_model: Link model of the radii (`rectangle`: obstacle alone; else grown by the link).
         link_start: (links + 1,) indices of sections.
         vertex_start: (sections + 1,) indices of vertices.
         vertices: (V, 2) points [m].
         radii: (sections,) rounding radii [m].
-        bounds: (sections, 3) a disc around each section: centre and radius [m].
+        bounds: (sections, 3) bounding disc of each section: centre and radius [m].
         obstacle_of: (sections,) index into `obstacle_names`.
-        obstacle_names: Names of the obstacles, then those of what the arm can touch of itself.
-        own_names: How many of the last names are the arm's own.
-        own_pairs: (pairs, 3) pairs of links that can touch: the link, one before it, its index in `obstacle_names`.
-        own_radii: (pairs,) distance of their axes, seen along the plane's normal, from which on they are too near [m].
+        obstacle_names: Names of the obstacles, then names of the arm's own parts that it can touch.
+        own_names: Number of the arm's own names, at the end of `obstacle_names`.
+        own_pairs: (pairs, 3) pairs of links that can touch: the link, an earlier link, its index in `obstacle_names`.
+        own_radii: (pairs,) distance of their axes, projected along the plane's normal, below which they are too near
+            [m].
     """
 
     link_model: LinkModel
@@ -90,12 +91,12 @@ class ArmSections(Record):
 
     @property
     def arrays(self) -> SectionArrays:
-        """The arrays for kernels."""
+        """Arrays for the kernels."""
         return SectionArrays(self.link_start, self.vertex_start, self.vertices, self.radii, self.bounds)
 
     @property
     def links(self) -> IntArray:
-        """(sections,) the link that each concerns."""
+        """(sections,) link of each section."""
         return np.repeat(np.arange(len(self.link_start) - 1), np.diff(self.link_start))
 
 
@@ -107,14 +108,15 @@ def sections_at(
     link_model: LinkModel = "capsule",
     within_reach: bool = True,
 ) -> ArmSections:
-    """Cut prepared obstacles, and what the arm can touch of itself, by the arm plane at a yaw.
+    """Cut obstacles and touchable parts of the arm by the arm plane at a yaw.
 
     Args:
         yaw: Yaw of the arm plane.
-        within_reach: Leave out sections that the link cannot reach, whatever the joint angles.
+        within_reach: True to omit sections that the link cannot reach at any joint angles.
 
     Raises:
-        OptionError: Unknown link model, `rectangle` with an obstacle that is no ball, a yaw that is not finite.
+        OptionError: The link model is unknown, an obstacle is not a ball although the model is `rectangle`, or the yaw
+            is not finite.
     """
     one_of("link_model", link_model, LINK_MODELS)
     if not math.isfinite(yaw):
@@ -139,7 +141,7 @@ def sections_at(
 
 
 def balls_only(name: str) -> OptionError:
-    """The error that names an obstacle which the link model `rectangle` cannot take."""
+    """Error that names an obstacle unsupported by the link model `rectangle`."""
     return OptionError("link_model", "rectangle", f"another model, as this one takes only balls and {name!r} is none")
 
 
@@ -151,7 +153,7 @@ def _cut(
     *,
     within_reach: bool,
 ) -> ArmSections:
-    """The sections of the obstacles alone."""
+    """Sections of the obstacles, without the arm's own parts."""
     rectangle = link_model == "rectangle"
     widths, none = robot.arm.half_widths, np.zeros(robot.arm.link_count)
     # A box link's corner is farther out than its axis; capsules have their width in the section.
@@ -166,7 +168,7 @@ def _cut(
     plane = ArmPlane(origin, axes)
     cut = cut_balls(obstacles.balls, plane, links)
     if len(obstacles.hulls.owners):
-        # Left out where there is none: this kernel takes longest to compile.
+        # Skipped without hulls: this kernel takes longest to compile.
         cut = cut_hulls(obstacles.hulls, plane, links, SECTION_ERROR, cut)
     made = int(cut.link_start[-1])
     return ArmSections(
@@ -184,10 +186,10 @@ def _cut(
 def _with_own_pairs(
     sections: ArmSections, robot: Robot, contact: SelfContact, obstacles: PreparedObstacles
 ) -> ArmSections:
-    """Sections with the pairs of links that can touch; whatever the model, as capsules."""
+    """Add the pairs of links that can touch, as capsules for every link model."""
     arm, count = robot.arm, len(sections.obstacle_names)
     touched = sorted({i for i, _ in contact.links})
-    # A link as seen from one before it: each between turns it, with all that comes after.
+    # A link relative to an earlier link: each link between turns it, and all later links with it.
     sways = [obstacles.deviation * float(arm.lengths[i + 1 : j + 1] @ range(1, j - i + 1)) for i, j in contact.links]
     return replace(
         sections,
@@ -208,22 +210,22 @@ def _with_own_pairs(
     )
 
 
-#: Sections of turret and pedestal that are the same at every yaw and were made before, by the clearance to keep from
-#: them and the joints' deviation.
+#: Cache of the sections of turret and pedestal that are the same at every yaw, by required clearance and joint
+#: deviation.
 _BASE: WeakKeyDictionary[Robot, dict[tuple[float, float], ArmSections]] = WeakKeyDictionary()
 
 
 def _constant_sections(robot: Robot, parts: Sequence[BaseShape], obstacles: PreparedObstacles) -> ArmSections:
-    """Sections of those parts of turret and pedestal that are cut the same at every yaw, made once."""
+    """Cached sections of the turret and pedestal parts that do not depend on the yaw."""
     known, kept = _BASE.get(robot, {}), (obstacles.own_clearance, obstacles.deviation)
     if kept not in known:
-        # A table of one, replaced and never changed: another thread may hold the one before.
+        # A table with one entry, replaced and never modified: another thread may hold the previous table.
         known = _BASE[robot] = {kept: _base_sections(robot, parts, obstacles, 0.0)}
     return known[kept]
 
 
 def _base_sections(robot: Robot, parts: Sequence[BaseShape], obstacles: PreparedObstacles, yaw: float) -> ArmSections:
-    """Sections of parts of turret and pedestal, to each link that can touch them."""
+    """Sections of turret and pedestal parts for each link that can touch them."""
     grown = prepare_obstacles(parts, clearance=obstacles.own_clearance, deviation=obstacles.deviation)
     cut = _cut(robot, grown, yaw, "capsule", within_reach=True)
     links = cut.links
@@ -232,7 +234,11 @@ def _base_sections(robot: Robot, parts: Sequence[BaseShape], obstacles: Prepared
 
 
 def _picked(sections: ArmSections, kept: IntArray, links: IntArray) -> ArmSections:
-    """The sections `kept`, by index, in the order of `links`, the link that each of all sections concerns."""
+    """Select the sections `kept` by index, ordered by link.
+
+    Args:
+        links: Link of each of all sections.
+    """
     kept = kept[np.argsort(links[kept], kind="stable")]
     sizes = np.diff(sections.vertex_start)[kept]
     starts = np.cumsum([0, *sizes])
@@ -249,7 +255,7 @@ def _picked(sections: ArmSections, kept: IntArray, links: IntArray) -> ArmSectio
 
 
 def _joined(first: ArmSections, second: ArmSections) -> ArmSections:
-    """The sections of both, the first one's before the second one's."""
+    """Concatenate the sections of both, the first before the second."""
     both = replace(
         first,
         vertex_start=np.concatenate([first.vertex_start, len(first.vertices) + second.vertex_start[1:]]),
@@ -263,7 +269,7 @@ def _joined(first: ArmSections, second: ArmSections) -> ArmSections:
 
 
 def only(sections: ArmSections, link: int, obstacle: int) -> ArmSections:
-    """The sections that one link meets of one obstacle: for finding out which of them blocks."""
+    """Sections of one obstacle for one link; used to identify blocking pairs."""
     links = sections.links
     made = _picked(sections, np.flatnonzero((links == link) & (sections.obstacle_of == obstacle)), links)
     own = (sections.own_pairs[:, 0] == link) & (sections.own_pairs[:, 2] == obstacle)
@@ -271,6 +277,6 @@ def only(sections: ArmSections, link: int, obstacle: int) -> ArmSections:
 
 
 def meeting_pairs(sections: ArmSections) -> list[tuple[int, int]]:
-    """The pairs of link and obstacle that can meet at all, in order: most obstacles are not cut by the plane."""
+    """Pairs of link and obstacle with a section, in order; the plane misses most obstacles."""
     pairs = set(zip(sections.links.tolist(), sections.obstacle_of.tolist(), strict=True))
     return sorted(pairs | {(link, obstacle) for link, _, obstacle in sections.own_pairs.tolist()})

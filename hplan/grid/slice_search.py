@@ -1,11 +1,11 @@
-"""First level: a search of its own on every slice of the last axis, all in one pass.
+"""First level: an independent search on every slice of the last axis, all in one pass.
 
-A slice has a path exactly when flooding it from the start's row reaches the goal's row; only then is it searched, by
-A* over its rows. A search leaves better bounds of the way to the goal for the next one: what was expanded at the cost g
-is no nearer to it than the length of the path less g (adaptive A*; Koenig and Likhachev, AAMAS 2006). Rows that are
-free in the next slice and were not in this one lower them again, from row to row (generalized adaptive A*; Sun, Koenig
-and Yeoh, AAMAS 2008). If the path is free in the next slice too, its length is an upper bound there: rows that only
-longer paths visit stay off the open list, and their bounds are lowered in a later slice if at all.
+A slice has a path if and only if flooding it from the start's row reaches the goal's row; only then does A* search its
+rows. A search improves the lower bounds of the cost to go for the next search: the cost to go from a row expanded at
+cost g is at least the length of the path minus g (adaptive A*; Koenig and Likhachev, AAMAS 2006). Rows that become free
+in the next slice lower these bounds again, from row to row (generalized adaptive A*; Sun, Koenig and Yeoh, AAMAS 2008).
+If the path is free in the next slice too, its length is an upper bound there: rows visited only by longer paths are not
+put on the open list, and their bounds are lowered in a later slice, if at all.
 """
 
 from __future__ import annotations
@@ -34,16 +34,16 @@ def search_slices(
         start: (d,) node index; its last entry does not matter.
         goal: (d,) node index; its last entry does not matter.
         slices: Neighbouring slices, ascending.
-        octile: Bound by the shortest path on the free grid, and by what the searches before have shown; else by the
-            straight line alone, as the paper does.
+        octile: True to use the shortest path on the free grid and the results of previous searches as bounds; False to
+            use only the straight line, as in the paper.
     """
     start_row, goal_row = lattice.row_of(start), lattice.row_of(goal)
     reached, flooded = flood_slices(lattice, free, start_row, lattice.mask(slices), goal_row)
     wanted = np.flatnonzero(bits_of(reached[goal_row] & lattice.mask(slices)))
-    # From where there is none: paths are longest there, and what is shown of long ones lasts.
+    # Start next to slices without a path: paths are longest there, and bounds from long paths stay valid.
     if len(wanted) and wanted[0] == slices[0] and wanted[-1] < slices[-1]:
         wanted = wanted[::-1].copy()
-    # From the end whose own slice has a path: the way out of the other one is known then, and is the longer part.
+    # Search from the end whose own slice has a path: the other end's exit is then known, and is the longer part.
     from_goal = octile and len(wanted) > 0 and bool(goal[-1] in wanted and start[-1] not in wanted)
     ends = (goal_row, start_row) if from_goal else (start_row, goal_row)
     rows, begins, expansions = _search(free, wanted, ends, lattice.arrays, octile, from_goal)
@@ -58,7 +58,7 @@ def search_slices(
 
 
 class _Open(NamedTuple):
-    """The open list of a search."""
+    """Open list of a search."""
 
     slot: ShortArray
     keys: FloatArray
@@ -70,7 +70,7 @@ class _Changes(NamedTuple):
 
     Attributes:
         rows: (k,) rows that are free in some of the searched slices and occupied in others.
-        late: (rows,) rows whose bounds may still have to be lowered come first.
+        late: (rows,) rows; those whose bounds may still have to be lowered come first.
         least: (rows,) lower bound of the length of paths through these rows; infinite for the other rows.
     """
 
@@ -86,7 +86,7 @@ def _search(
     """Search slices between two rows, in the order given.
 
     Returns:
-        Rows of the paths of slices one after the other, where each begins, and the number of expansions.
+        Concatenated rows of the slices' paths, the start index of each path, and the number of expansions.
         With `backward` each path is reversed.
     """
     (start, goal), rows, offsets, costs = ends, free.shape[0], lattice.row_offsets, lattice.move_costs
@@ -94,7 +94,7 @@ def _search(
     slot, entries, closed = np.full(rows, NEW, dtype=np.int32), np.empty(rows, np.int32), np.empty(rows, np.int32)
     waiting = _Open(slot, np.empty(rows), entries)
     ahead, one = np.empty(rows), np.uint64(1)
-    # A slice is a grid of its own, the axis before the last along its bits.
+    # A slice is a separate grid with the second-to-last axis along its bits.
     places, flat = lattice.row_coordinates, lattice.step[:-1]
     target = Node(goal, places[goal, len(flat) - 1])
     for row in range(rows):
@@ -164,15 +164,15 @@ def _follow(
     free: WordArray, which: tuple[int, int, int], lattice: LatticeArrays, ahead: FloatArray, path: ShortArray,
     backward: bool,
 ) -> int:  # fmt: skip
-    """Follow bounds from the start's row to the goal's for as long as they are exact.
+    """Follow exact bounds from the start's row to the goal's.
 
     Args:
         which: The slice, and the rows of start and goal.
-        path: (rows,) takes the rows of the path.
-        backward: Prefer the moves that a forward search makes last, so that its paths have the same shape.
+        path: (rows,) output array of the path's rows.
+        backward: True to prefer the moves that a forward search makes last, so that the paths have the same shape.
 
     Returns:
-        Number of rows of the path; 0 if some bound on the way is not exact.
+        Number of rows of the path; 0 if a bound along it is not exact.
     """
     (number, row, goal), one, count, sign = which, np.uint64(1), 1, -1.0 if backward else 1.0
     offsets, costs, word, shift = lattice.row_offsets, lattice.move_costs, number >> 6, np.uint64(number & 63)
@@ -196,7 +196,7 @@ def _follow(
 
 @kernel
 def _changes(free: WordArray, wanted: IntArray) -> _Changes:
-    """Find the rows that are free in some of the wanted slices and occupied in others."""
+    """Find the rows that are free in some requested slices and occupied in others."""
     rows, zero = free.shape[0], np.uint64(0)
     mask, changing, count = np.zeros(free.shape[1], dtype=np.uint64), np.empty(rows, dtype=np.int32), 0
     for number in wanted:
@@ -216,10 +216,12 @@ def _lower(
     free: WordArray, which: tuple[int, int, int, int], limit: float, lattice: LatticeArrays, ahead: FloatArray,
     waiting: _Open, changes: _Changes,
 ) -> int:  # fmt: skip
-    """Lower bounds of the way to the goal to ones that hold in the next slice on paths of at most `limit`.
+    """Lower cost-to-go bounds until they hold in the next slice.
+
+    They then hold on paths of at most the length `limit`.
 
     Args:
-        which: The next slice, the one before, the start's row, and the number of late rows.
+        which: The next slice, the previous slice, the start's row, and the number of late rows.
 
     Returns:
         The number of late rows afterwards.

@@ -1,8 +1,8 @@
-"""The two-level method: slice paths, their sparse union, and a search on it; complete on the grid.
+"""Two-level method: slice paths, their sparse union, and a search on it; complete on the grid.
 
-Where the union of the slices between start and goal does not join the two, all slices of the grid are tried (the path
-may lead beyond). Where that fails too, the whole grid is flooded: if start and goal are connected, the dense search
-finds the path; if they are not, there is none.
+If the union of the slices between start and goal does not connect the two, all slices of the grid are tried (the path
+may extend beyond). If that fails too, the whole grid is flooded: if start and goal are connected, the dense search
+finds the path; otherwise no path exists.
 """
 
 from __future__ import annotations
@@ -24,21 +24,23 @@ from hplan.grid.slice_search import search_slices
 
 
 def two_level_search(occupancy: Occupancy, start: ArrayLike, goal: ArrayLike, *, octile: bool = True) -> SearchResult:
-    """Search every slice of the last axis between start and goal, then the union of their paths.
+    """Search every slice between start and goal, then the union of the slice paths.
+
+    Slices are taken along the last axis.
 
     Args:
-        occupancy: Which nodes are free; at least two axes.
+        occupancy: Free nodes of the grid; at least two axes.
         start: (d,) node index.
         goal: (d,) node index.
-        octile: False for the searches of the paper, plain A* with the straight line as bound: on every slice that
-            has a path, then on the union. By default both are searched with the octile bound, and slices with what the
-            search of the slice before has shown.
+        octile: False for the paper's searches, plain A* with the straight line as bound: on every slice that has a
+            path, then on the union. By default both use the octile bound, and slices also the bounds from the previous
+            slice's search.
 
     Returns:
-        The result; its path is None exactly when no path exists on the grid.
+        The result, with `path` None if and only if no path exists on the grid.
 
     Raises:
-        InputError: Start or goal is no node of the grid, or not free.
+        InputError: Start or goal is not a node of the grid, or not free.
         OptionError: `octile` is neither True nor False.
     """
     truth("octile", octile)
@@ -83,11 +85,11 @@ def _join(
 ) -> tuple[IntArray | None, float, int, tuple[int, ...], int]:
     """Search the union of slice paths.
 
-    Restored parts start from one end and mostly lead nowhere, so the search starts from the other end, unless it is
-    the paper's.
+    Restored segments start from one end and are mostly dead ends, so the search starts from the other end, except in
+    the paper's variant.
 
     Returns:
-        Path or None, cost, expansions, slices restored, and nodes of the union.
+        Path or None, cost, number of expansions, restored slices, and number of nodes of the union.
     """
     nodes, restored = union_of(lattice, free, layers, start, goal, beyond=beyond)
     has_path = layers.feasible

@@ -1,7 +1,7 @@
-"""C-space of an arm whose base turns: one layer of the planar C-space for each yaw, stacked along the last axis.
+"""C-space of an arm with a turning base: one planar C-space layer for each yaw.
 
-The grid's axes are the planar joints and then the yaw, so that a slice of the last axis is the paper's problem at that
-yaw, and one word of a row holds 64 yaws.
+Layers are stacked along the last axis. The grid's axes are the planar joints and then the yaw, so that a slice of the
+last axis is the paper's problem at that yaw, and one word of a row contains 64 yaws.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ from hplan.grid.prepared_obstacles import PreparedObstacles
 from hplan.grid.sections import ArmSections, sections_at
 from hplan.robot.model import Robot
 
-#: Largest C-space with a turning base [bytes], one bit a node: a search takes five times as much.
+#: Maximum size of a C-space with a turning base [bytes], one bit per node; a search needs five times this memory.
 _MOST_BYTES = 150_000_000
 
-#: The deadline is checked where the number of a row has none of these bits.
+#: The deadline is checked at rows whose number has all of these bits clear.
 _OFTEN = 63
 
 
@@ -39,16 +39,16 @@ class YawAxis(NamedTuple):
 
 
 def yaw_axis(start: float, goal: float, step: float, lower: float, upper: float, beyond: float) -> YawAxis:
-    """Equally spaced yaws that hold start and goal and go beyond them where the limits allow.
+    """Equally spaced yaws that include start and goal and extend beyond them within the limits.
 
     Args:
-        step: Largest spacing.
+        step: Maximum spacing.
         lower: Lower limit of the yaw.
         upper: Upper limit of the yaw.
-        beyond: How far to go beyond start and goal.
+        beyond: Extent beyond start and goal.
 
     Returns:
-        The yaws. Where start and goal are nearer to each other than half a step, only the start's is met exactly.
+        The yaws. If start and goal are nearer to each other than half a step, only the start's yaw is met exactly.
     """
     low, high = min(start, goal), max(start, goal)
     if high - low >= 0.5 * step:
@@ -61,9 +61,9 @@ def yaw_axis(start: float, goal: float, step: float, lower: float, upper: float,
 
 
 class LayerCache:
-    """Planar layers computed before, by grid and sections: what a changed scene leaves as it was need not be again.
+    """Cache of planar layers by grid and sections.
 
-    Once more than `most_bytes` are held, the oldest go.
+    Layers unaffected by a change of the scene are not recomputed. Above `most_bytes` the oldest layers are evicted.
     """
 
     def __init__(self, most_bytes: int = 64_000_000) -> None:
@@ -73,7 +73,7 @@ class LayerCache:
         self._lock = renewed_in_children(Lock())
 
     def __getstate__(self) -> int:
-        """Only how many bytes may be held: a pickled plan need not carry them."""
+        """Return only the capacity in bytes: a pickled plan does not need the layers."""
         return self._most_bytes
 
     def __setstate__(self, most_bytes: int) -> None:
@@ -90,7 +90,7 @@ class LayerCache:
         return found
 
     def _keep(self, key: bytes, words: WordArray) -> None:
-        """Hold a layer, unless another thread has put it there meanwhile, and let the oldest go."""
+        """Store a layer, unless another thread has stored it meanwhile, and evict the oldest."""
         with self._lock:
             if key in self._held:
                 return
@@ -108,10 +108,10 @@ def turning_occupancy(
 
     Args:
         robot: The arm, with a yaw.
-        layers: Layers that are already there; of this robot only.
+        layers: Cached layers, of this robot only.
 
     Raises:
-        OptionError: A grid that takes more than 150 MB.
+        OptionError: The grid takes more than 150 MB.
     """
     first, step, count = yaws
     size = 8 * planar.size * words_for(count)
@@ -135,10 +135,10 @@ def turning_occupancy(
 
 @kernel
 def _stack(free: WordArray, count: int, place: int, words: WordArray, until: FloatArray) -> None:
-    """Word `place` of every node's row from 64 planar occupancies, (layers, rows, words): a bit from each of them.
+    """Assemble word `place` of every node's row from 64 planar occupancies, one bit each.
 
-    64 words of 64 bits are transposed: blocks of 32 bits change places across the diagonal, then blocks of 16 in each
-    of these, and so on.
+    The occupancies are (layers, rows, words). 64 words of 64 bits are transposed: blocks of 32 bits are swapped across
+    the diagonal, then blocks of 16 within each of these, and so on.
     """
     layers, rows, planar_words = free.shape
     block = np.empty(64, dtype=np.uint64)

@@ -1,7 +1,7 @@
 """Arms of the planar family: an optional yaw joint, then parallel revolute joints.
 
-The room adds the published method to planning: the analytic C-space, two-level A* on its grid, and proofs that no path
-exists. `hplan` declares it as an extension; nothing below imports it.
+The package adds the published method to planning: the analytic C-space, two-level A* on its grid, and proofs that no
+path exists. `hplan` declares it as an extension; no lower layer imports it.
 """
 
 from __future__ import annotations

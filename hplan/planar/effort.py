@@ -16,11 +16,11 @@ from hplan.planning.sampling.several_trees import TreesEffort
 
 @dataclass(frozen=True)
 class PlanarEffort(Effort):
-    """Budget of a motion of a planar arm.
+    """Search budget for a motion of a planar arm.
 
     Attributes:
-        after_grid: Trees that search for alternatives to the path of a grid; None for none.
-        coarse_grids: Coarse grids that are searched next to trees if the fine grid has too many nodes.
+        after_grid: Trees that search for alternatives to the grid path; None for no such search.
+        coarse_grids: Coarse grids searched in addition to trees if the fine grid has too many nodes.
     """
 
     after_grid: TreesEffort | None = None
@@ -29,14 +29,14 @@ class PlanarEffort(Effort):
     proof_nodes: float = math.inf
 
     def seeded(self, seed: int) -> Self:
-        """The effort with other random seeds."""
+        """Return a copy with other random seeds."""
         trees = self.after_grid
         return replace(super().seeded(seed), after_grid=None if trees is None else replace(trees, seed=seed))
 
 
 _GRIDS: Final = (GridAttempt(2.0, growth_m=0.02), GridAttempt(2.0, growth_m=5e-3), GridAttempt(3.0, growth_m=0.01))
 
-#: The presets of planar arms.
+#: Effort presets of planar arms.
 EFFORTS: dict[EffortName, Effort] = {
     "quick": PlanarEffort(
         trees=TreesEffort(1, 4_000),

@@ -1,4 +1,4 @@
-"""Start and goal joined to the grid: the free nodes nearby that a motion verified collision-free leads to."""
+"""Connects start and goal to nearby free grid nodes by collision-free motions."""
 
 from __future__ import annotations
 
@@ -17,18 +17,19 @@ from hplan.optimization.repair import leave_contact
 from hplan.planar.grids import grid_axes
 from hplan.planning.problem import Problem
 
-#: A configuration this near to a node stands on it [steps].
+#: A configuration within this distance of a node counts as the node [steps].
 _ON_NODE = 1e-6
 
-#: How many nodes away a joint may be led, to either side.
+#: Maximum number of nodes that a joint may move to either side.
 _REACH = 2
 
 
 class GridEntry(NamedTuple):
-    """The nodes that start or goal is joined to.
+    """Grid nodes connected to the start or goal.
 
     Attributes:
-        waypoints: (k, dof) configurations from the start or goal to where the nodes are joined, mostly one alone.
+        waypoints: (k, dof) configurations from the start or goal to the point where the nodes are connected; usually
+            only one.
         nodes: The nodes, at least one, the nearest first.
     """
 
@@ -37,13 +38,15 @@ class GridEntry(NamedTuple):
 
 
 def grid_entry(problem: Problem, space: Occupancy, which: Literal["start", "goal"], margin: float) -> GridEntry:
-    """The nodes that start or goal is joined to nearby; in a tight place those that a path out of it leads to.
+    """Find nearby grid nodes connected to the start or goal.
+
+    In a tight place the nodes are those connected to the end of a path out of it.
 
     Args:
-        margin: Clearance asked of the motions that join them, wherever they are evaluated [m].
+        margin: Clearance required of the connecting motions at every evaluated configuration [m].
 
     Raises:
-        CertificationError: There is none.
+        CertificationError: No node can be connected.
     """
     q = problem.start if which == "start" else problem.goal
     for waypoints in itertools.chain(
@@ -61,15 +64,15 @@ def grid_entry(problem: Problem, space: Occupancy, which: Literal["start", "goal
 def joined_nodes(
     occupancy: Occupancy, q: FloatArray, axes: IntArray, field: ClearanceField, margin: float
 ) -> Iterator[IntArray]:
-    """The free nodes that a straight motion verified collision-free leads to, the nearest first.
+    """Yield free nodes reached by a collision-free straight motion, the nearest first.
 
     Args:
-        q: (dof,) configuration; joints that are no axis of the grid keep their values.
-        axes: (d,) the joint behind each axis of the grid.
-        margin: Clearance asked for wherever the motion is evaluated [m].
+        q: (dof,) configuration; joints without a grid axis keep their values.
+        axes: (d,) the joint of each grid axis.
+        margin: Clearance required at every evaluated configuration of the motion [m].
 
     Yields:
-        (d,) node indices within `_REACH` steps; only the configuration's own node where it stands on one.
+        (d,) node indices within `_REACH` steps; only the configuration's own node if it lies on a node.
     """
     grid = occupancy.grid
     position = grid.position(q[axes])

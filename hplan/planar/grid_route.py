@@ -1,6 +1,6 @@
-"""From start to goal on a grid over the planar joints, the base locked: a polyline of configurations.
+"""Grid path from start to goal over the planar joints, with a locked base.
 
-Nodes are not motions: the polyline's own motions are verified by the caller.
+The result is a polyline of configurations. Free nodes do not imply free segments: the caller verifies the segments.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from hplan.planar.no_path_proof import EnclosedError, Region
 from hplan.planning.problem import Problem
 from hplan.planning.stages import current_clock
 
-#: A node and a configuration that differ by less than this are one [rad].
+#: A node and a configuration that differ by less than this are treated as equal [rad].
 _ON_NODE = 1e-9
 
 
@@ -30,7 +30,7 @@ class Route(Record):
 
     Attributes:
         path: (m, dof) configurations from start to goal.
-        step_deg: Largest spacing of the grid [deg].
+        step_deg: Maximum spacing of the grid [deg].
     """
 
     occupancy: Occupancy
@@ -57,16 +57,16 @@ class Route(Record):
 
 
 def find_route(problem: Problem, attempt: GridAttempt, margin: float) -> Route:
-    """A path over the grid.
+    """Find a path to the problem's first goal on the grid.
 
     Args:
-        problem: The problem; its first goal counts.
-        margin: Clearance asked of motions to the grid, wherever they are evaluated [m].
+        problem: The planning problem.
+        margin: Clearance required of motions to the grid at every evaluated configuration [m].
 
     Raises:
-        EnclosedError: There is none on the grid.
-        CertificationError: Start or goal cannot be joined to the grid.
-        OptionError: A step that gives no grid.
+        EnclosedError: The grid contains no path.
+        CertificationError: Start or goal cannot be connected to the grid.
+        OptionError: The step gives no valid grid.
     """
     space = grid_occupancy(problem, attempt)
     start, goal = grid_entry(problem, space, "start", margin), grid_entry(problem, space, "goal", margin)
@@ -75,7 +75,7 @@ def find_route(problem: Problem, attempt: GridAttempt, margin: float) -> Route:
 
 
 def _search(problem: Problem, space: Occupancy, start: IntArray, goal: IntArray) -> SearchResult:
-    """The search that the options ask for, its time noted."""
+    """Run the search selected by the options and record its time."""
     clock = current_clock()
     clock.progress("search")
     if problem.options.method == "dense" or len(space.grid.shape) < 2:
@@ -88,7 +88,7 @@ def _search(problem: Problem, space: Occupancy, start: IntArray, goal: IntArray)
 
 
 def _configurations(problem: Problem, grid: Grid, nodes: IntArray, start: GridEntry, goal: GridEntry) -> FloatArray:
-    """The path over nodes as (m, dof) configurations, with start and goal where they are off the grid."""
+    """Convert a node path to (m, dof) configurations; adds an off-grid start or goal."""
     path = np.repeat(problem.start[None], len(nodes), axis=0)
     path[:, grid_axes(problem)] = grid.coordinates(nodes)
     before, after = start.waypoints, goal.waypoints
@@ -102,15 +102,15 @@ def _configurations(problem: Problem, grid: Grid, nodes: IntArray, start: GridEn
 def _planar_search(
     problem: Problem, attempt: GridAttempt, space: Occupancy, start: GridEntry, goal: GridEntry
 ) -> tuple[SearchResult, IntArray]:
-    """Search between the grid nodes that start and goal are joined to.
+    """Search between the grid nodes connected to start and goal.
 
-    Off the grid there may be several, and the nearest may lie in a pocket: "no path" is said only when no pair of them
-    is connected.
+    An off-grid start or goal may connect to several nodes, and the nearest may lie in a pocket: "no path" is reported
+    only if no pair of nodes is connected.
     """
     search = _search(problem, space, start.nodes[0], goal.nodes[0])
     if search.path is not None:
         return search, search.path
-    largest = known = np.zeros(space.grid.shape, dtype=np.bool_)  # nodes from which the goal cannot be reached
+    largest = known = np.zeros(space.grid.shape, dtype=np.bool_)  # nodes that cannot reach the goal
     for node in start.nodes:
         if known[tuple(node)]:
             continue

@@ -18,7 +18,7 @@ from hplan.planning.problem import MARGIN, Problem
 from hplan.planning.stages import stage
 from hplan.planning.world import World
 
-#: Multiples of the step that are tried if a grid has too many nodes, up to the coarsest step [deg]; the requested step
+#: Multiples of the step tried if a grid has too many nodes, and the coarsest resulting step [deg]; the requested step
 #: may be coarser.
 _STEP_FACTORS = (0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0, 48.0, 64.0)
 COARSEST_DEG = 8.0
@@ -33,7 +33,7 @@ class GridAttempt:
 
     Attributes:
         step_factor: Maximum spacing of the grid as a multiple of the option `step_deg`.
-        yaw_range_deg: How far the base may turn beyond start and goal, if it turns [deg].
+        yaw_range_deg: Range of the yaw beyond start and goal, if the base may turn [deg].
         growth_m: Growth of obstacles in the C-space [m].
     """
 
@@ -48,18 +48,18 @@ def base_turns(problem: Problem) -> bool:
 
 
 def grid_axes(problem: Problem) -> IntArray:
-    """The joint of each axis of the grid: the planar joints, then the yaw if it may turn."""
+    """Joint of each grid axis: the planar joints, then the yaw if it may turn."""
     planar = np.arange(problem.robot.dof)[problem.robot.arm_slice]
     return np.append(planar, 0) if base_turns(problem) else planar
 
 
 def grown_margin(problem: Problem, growth_m: float) -> float:
-    """Clearance required beyond the scene's own among grown obstacles [m]: less if start or goal have less."""
+    """Additional clearance required with grown obstacles [m]; less if start or goal have less."""
     return min(MARGIN + growth_m, 0.5 * float(problem.spare_clearances[0]))
 
 
 def possible_growth(problem: Problem, growth_m: float) -> float:
-    """Growth of obstacles for which start and goal stay free, at most the given one [m]."""
+    """Maximum obstacle growth, at most the given one, that keeps start and goal free [m]."""
     return min(growth_m, 0.8 * float(problem.spare_clearances[0]))
 
 
@@ -69,7 +69,10 @@ def step_deg(problem: Problem, attempt: GridAttempt) -> float:
 
 
 def count_nodes(problem: Problem, attempt: GridAttempt) -> float:
-    """Approximate number of nodes of an attempt's grid, in terms of memory; it need not fit any."""
+    """Approximate memory of an attempt's grid, as a number of nodes.
+
+    The number may exceed every limit.
+    """
     step = math.radians(step_deg(problem, attempt))
     planar = problem.robot.arm_slice
     lower, upper = problem.lower[0], problem.upper[0]
@@ -78,13 +81,13 @@ def count_nodes(problem: Problem, attempt: GridAttempt) -> float:
         beyond = math.radians(attempt.yaw_range_deg)
         low = max(lower[0], min(problem.start[0], problem.goal[0]) - beyond)
         high = min(upper[0], max(problem.start[0], problem.goal[0]) + beyond)
-        # A row of yaws takes as much memory as one of 32 nodes, however few there are.
+        # A row of yaws takes at least the memory of 32 nodes.
         count *= max(1.0 + (high - low) / step, 32)
     return float(count)
 
 
 def fitting_attempt(problem: Problem, attempt: GridAttempt, most_cells: float | None = None) -> GridAttempt | None:
-    """The attempt with the smallest larger step whose grid has at most `most_cells` nodes; None if there is none."""
+    """Attempt with the smallest step factor that fits `most_cells` nodes; None if none fits."""
     most_cells = MOST_CELLS if most_cells is None else most_cells
     coarsest = max(attempt.step_factor, COARSEST_DEG / problem.options.step_deg)
     factors = (factor for factor in _STEP_FACTORS if attempt.step_factor <= factor <= coarsest)
@@ -93,16 +96,19 @@ def fitting_attempt(problem: Problem, attempt: GridAttempt, most_cells: float | 
 
 
 def flood_attempt(problem: Problem, yaw_range_deg: float) -> GridAttempt | None:
-    """The finest grid that may be flooded, with yaws so far beyond start and goal; None if there is none."""
+    """Attempt with the finest grid small enough to be flooded; None if no grid is.
+
+    Its yaws extend beyond start and goal by `yaw_range_deg`.
+    """
     most = min(MOST_CELLS, problem.effort.proof_nodes)
     return fitting_attempt(problem, GridAttempt(yaw_range_deg=yaw_range_deg), most)
 
 
 def planar_grid(problem: Problem, attempt: GridAttempt) -> Grid:
-    """The grid over the planar joints.
+    """Grid over the planar joints.
 
     Raises:
-        OptionError: The step gives no grid.
+        OptionError: The step gives no valid grid.
     """
     planar = problem.robot.arm_slice
     try:
@@ -112,7 +118,7 @@ def planar_grid(problem: Problem, attempt: GridAttempt) -> Grid:
 
 
 def prepared(world: World, more: float = 0.0) -> PreparedObstacles:
-    """The obstacles of a world, grown by their clearance and `more` [m], prepared for sections."""
+    """Obstacles of a world, grown by their clearance plus `more` [m], prepared for sections."""
     linked, arm = world.linked, world.robot.arm_slice
     links = None if linked.joints is None else linked.joints[:, arm]
     if world.touched:
@@ -130,16 +136,18 @@ def prepared(world: World, more: float = 0.0) -> PreparedObstacles:
 
 
 def obstacle_sections(problem: Problem, yaw: float, growth_m: float) -> ArmSections:
-    """The sections of grown obstacles with the arm plane at a yaw."""
+    """Sections of the grown obstacles with the arm plane at a yaw."""
     model = "capsule" if base_turns(problem) else problem.options.link_model
     return sections_at(problem.robot, prepared(problem.world, growth_m), yaw, link_model=model, within_reach=False)
 
 
 def grid_occupancy(problem: Problem, attempt: GridAttempt) -> Occupancy:
-    """The C-space on the grid of an attempt: over the planar joints and, if the base may turn, the yaw.
+    """C-space occupancy on an attempt's grid.
+
+    The axes are the planar joints and, if the base may turn, the yaw.
 
     Raises:
-        OptionError: The step gives no grid.
+        OptionError: The step gives no valid grid.
     """
     robot = problem.robot
     with stage("cspace"):

@@ -1,6 +1,6 @@
-"""Proofs that no path leads to goals: regions of a grid that no path leaves, and the obstacles that bound them.
+"""Proves that no path to a goal exists: closed regions of a grid, and their obstacles.
 
-Many goals are decided at once.
+Many goals are decided together.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from hplan.planning.failures import UnexplainedNoPathError
 from hplan.planning.problem import Problem
 from hplan.planning.stages import stage
 
-#: How far the base may turn beyond start and goal in a proof for many goals, tried in turn [deg].
+#: Yaw ranges beyond start and goal in a proof for many goals, tried in this order [deg].
 WIDTHS = (45.0, 360.0)
 
 
@@ -40,7 +40,7 @@ class Region(NamedTuple):
     """A region of a grid.
 
     Attributes:
-        description: A phrase that says which end is enclosed.
+        description: Phrase that names the enclosed end.
         grid: Planar joints, then yaw if the base may turn.
         reached: Nodes of the region: a mask of the grid's shape, or (rows, words) bits as in `Occupancy`; always bits
             if the base may turn.
@@ -63,12 +63,13 @@ class EnclosedError(UnexplainedNoPathError):
         *,
         open_ended: bool = False,
     ) -> None:
-        """Store the facts that are known without further search.
+        """Store the facts known without further search.
 
         Args:
             reached_cells: Number of the region's nodes; for several goals, of all their regions together.
             region: The region of the enclosed end; None if the obstacles around it are unknown.
-            open_ended: True if the region ends at the edge of the searched yaws, so that more yaws might open it.
+            open_ended: True if the region ends at the edge of the searched yaws, so that a larger yaw range might open
+                it.
         """
         where = "" if region is None else f": {region.description}"
         super().__init__(f"no path exists on the grid{where}", reached_cells=reached_cells)
@@ -77,13 +78,13 @@ class EnclosedError(UnexplainedNoPathError):
 
     @property
     def plain(self) -> NoPathError:
-        """The error without the region and its grid, which take memory."""
+        """Return the error without the region and its grid, to free memory."""
         return NoPathError(self.message, reached_cells=self.reached_cells)
 
     def explained(self) -> NoPathError:
-        """The error with the obstacles that bound the region, which take longer to find than the proof itself.
+        """Return the error with the obstacles that bound the region.
 
-        If time is up first, it is the error without them: the proof holds.
+        Finding them takes longer than the proof itself. If time runs out, the error has no obstacles; the proof holds.
         """
         error = self.plain
         if self._region is not None:
@@ -96,7 +97,10 @@ class EnclosedError(UnexplainedNoPathError):
         return error
 
     def _bounded(self, region: Region) -> NoPathError:
-        """The error with the obstacles around a region; over yaws, at the yaw at which it is largest."""
+        """Return the error with the obstacles around a region.
+
+        For a region over yaws, the obstacles are those at the yaw with the largest slice.
+        """
         problem, grid, reached = self._problem, region.grid, region.reached
         yaw = problem.robot.yaw_of(problem.start)
         if base_turns(problem):
@@ -121,10 +125,12 @@ class EnclosedError(UnexplainedNoPathError):
 
 
 def is_open_ended(problem: Problem, grid: Grid, reached: WordArray) -> bool:
-    """Return True if a region over yaws ends at the edge of the grid's yaws, and more yaws are within the limits.
+    """True if a larger yaw range within the limits might open a region.
+
+    The region then ends at the edge of the grid's yaws, and the joint limits allow more yaws.
 
     Args:
-        reached: (rows, words) the region, without border.
+        reached: (rows, words) bits of the region, without border.
     """
     ever = np.bitwise_or.reduce(reached)
     last = grid.shape[-1] - 1
@@ -139,20 +145,21 @@ def is_open_ended(problem: Problem, grid: Grid, reached: WordArray) -> bool:
 def enclosed_goals(
     problem: Problem, attempt: GridAttempt, numbers: Sequence[int], *, explained: bool = False
 ) -> list[EnclosedError | None]:
-    """Goals that are not connected to the start on one grid, that of the first goal, proved by flooding it.
+    """Prove by flooding one grid which goals are not connected to the start.
 
-    The goals' regions are flooded first: most often they are small pockets that do not contain the start.
+    It is the grid of the first goal. The goals' regions are flooded first, because they are usually small pockets that
+    do not contain the start.
 
     Args:
-        numbers: Numbers of the goals.
-        explained: Whether the error of the first goal keeps the enclosed region.
+        numbers: Indices of the goals.
+        explained: True if the error of the first goal keeps the enclosed region.
 
     Returns:
-        For each of the goals the error that proves that no path leads there; None if one does, or if an end cannot be
-        joined to the grid.
+        For each goal the error that proves that no path exists; None if a path exists, or if start or goal cannot be
+        connected to the grid.
 
     Raises:
-        OptionError: The step gives no grid.
+        OptionError: The step gives no valid grid.
     """
     if not numbers:
         return []
@@ -192,7 +199,7 @@ def enclosed_goals(
 
 
 def _smaller_region(grid: Grid, free: WordArray, start: IntArray, goal: IntArray) -> Region:
-    """The region of the start or of the goal, whichever is the smaller."""
+    """Region of the start or of the goal, whichever is smaller."""
     lattice = Lattice.of(grid.shape, grid.step)
     floods = [(*flood_from(lattice, free, nodes), which) for nodes, which in ((start, "start"), (goal, "goal"))]
     (region, count, which), (_, _, other) = sorted(floods, key=lambda flood: flood[1])
@@ -201,13 +208,13 @@ def _smaller_region(grid: Grid, free: WordArray, start: IntArray, goal: IntArray
 
 
 def prove_infeasible(problem: Problem, numbers: Sequence[int] | None = None) -> list[NoPathError | None]:
-    """Goals to which no path exists on the finest grid, decided for all at once.
+    """Prove for several goals together that no path exists on the finest grid.
 
     Args:
-        numbers: Numbers of the goals; None for all.
+        numbers: Indices of the goals; None for all goals.
 
     Returns:
-        For each of the goals the error that proves it; None if a path exists or that is left open.
+        For each goal the error that proves it; None if a path exists or the question is undecided.
     """
     numbers = range(len(problem.goals)) if numbers is None else numbers
     errors: dict[int, NoPathError | None] = dict.fromkeys(numbers)
@@ -229,7 +236,7 @@ def prove_infeasible(problem: Problem, numbers: Sequence[int] | None = None) -> 
 
 
 def describe_proof(problem: Problem) -> str:
-    """Return a phrase for errors: the grids on which a proof was attempted."""
+    """Phrase for errors that names the grids of an attempted proof."""
     widest = flood_attempt(problem.to(0), WIDTHS[-1])
     if widest is None:
         return "no grid over all yaws fits"

@@ -1,6 +1,6 @@
-"""Path finders of a planar arm with a locked base: two-level search on the grid, and trees next to it.
+"""Path finders for planar arms with a locked base: two-level grid search and trees.
 
-If the base may turn, planar arms use the finders of all robots.
+If the base may turn, planar arms use the general path finders.
 """
 
 from __future__ import annotations
@@ -39,26 +39,29 @@ from hplan.planning.path_finder import (
 from hplan.planning.problem import Problem
 from hplan.planning.sampling.several_trees import TreesEffort
 
-#: Nodes are not motions: if the motions of a grid path cannot be verified, the search is repeated with obstacles grown
-#: by these lengths [m], and if that does not help either, on grids with these multiples of the step.
+#: Free nodes do not imply free segments: if the segments of a grid path cannot be verified, the search is repeated with
+#: obstacles grown by these lengths [m] and, if that fails too, on grids with these multiples of the step.
 _GROWTH: Final = (0.0, 2e-3, 5e-3, 0.01, 0.02, 0.04)
 _STEP_FACTORS: Final = (1.0, 0.5)
 
-#: A planar grid with more nodes is searched only after trees; a coarse one with more than the other is not searched.
+#: A planar grid with more nodes than the first is searched only after trees; a coarse grid above the second is skipped.
 _LARGE: Final = 2e6
 _MOST_COARSE: Final = 5e6
 
-#: Trees before the first motion at once: narrow passages are found on grids.
+#: Tree budget for the first solution; narrow passages are left to the grids.
 _AT_ONCE: Final = TreesEffort(2, 1_500)
 
 
 def searches_first(problem: Problem) -> bool:
-    """True if the base is locked: then a grid is searched even if the straight motion is free."""
+    """True if the base is locked.
+
+    A grid is then searched even if the straight motion is free.
+    """
     return not base_turns(problem)
 
 
 def path_finders(problem: Problem) -> Sequence[PathFinder] | None:
-    """The finders of a problem; None for those of all robots."""
+    """Path finders of a problem; None for the general finders."""
     if base_turns(problem):
         return None
     if problem.effort.at_once:
@@ -72,13 +75,16 @@ def path_finders(problem: Problem) -> Sequence[PathFinder] | None:
 
 
 class TwoLevelGrid:
-    """Two-level A* on the grid over the planar joints, with finer grids and grown obstacles as fallbacks."""
+    """Two-level A* on the grid over the planar joints.
+
+    Finer grids and grown obstacles are fallbacks.
+    """
 
     def paths(self, problem: Problem, budget: Budget) -> Iterator[tuple[Path, ...]]:
-        """Yield the path on the grid with its alternatives, until one leads to a certified motion.
+        """Yield the grid path with its alternatives until one leads to a certified motion.
 
         Raises:
-            FailuresError: None does; with a proof for each goal that no path leads to.
+            FailuresError: No path leads to a certified motion; includes the proof for each goal without a path.
         """
         failures: dict[int, HplanError] = {}
         for number in range(len(problem.goals)):
@@ -99,7 +105,10 @@ class TwoLevelGrid:
         raise FailuresError(tuple(failures[number] for number in range(len(problem.goals))))
 
     def _paths_to(self, problem: Problem, number: int, budget: Budget) -> Iterator[tuple[Path, ...]]:
-        """Yield paths to one goal until one leads to a certified motion; raises if none does."""
+        """Yield paths to one goal until one leads to a certified motion.
+
+        Raises if all fail.
+        """
         fitting = [fitting_attempt(problem, GridAttempt(factor)) for factor in _STEP_FACTORS]
         failure: CertificationError | None = None
         for step_factor in dict.fromkeys(attempt.step_factor for attempt in fitting if attempt is not None):
@@ -114,7 +123,7 @@ class TwoLevelGrid:
                 except NoPathError:
                     if failure is None:
                         raise
-                    break  # grown obstacles close the passage; the motion found without them could not be certified
+                    break  # grown obstacles close the passage, and the motion without growth could not be certified
                 found = Path(route.path, "search", number, route, margin)
                 yield (found, *(path._replace(goal=number, margin=margin) for path in self._alternatives(problem)))
                 if budget.error is None:
@@ -130,7 +139,7 @@ class TwoLevelGrid:
         )
 
     def _alternatives(self, problem: Problem) -> list[Path]:
-        """Paths of trees, of other homotopy classes than the grid's, if there is an obstacle to pass."""
+        """Tree paths in other homotopy classes than the grid path, if there are obstacles."""
         effort = problem.effort
         if problem.options.method == "dense" or not isinstance(effort, PlanarEffort) or effort.after_grid is None:
             return []
@@ -143,7 +152,7 @@ class FirstGridPaths(FirstPaths):
     """Straight lines, then trees to the goals that a flood of the grid does not exclude."""
 
     def excluded(self, problem: Problem) -> Sequence[NoPathError | None]:
-        """For each goal the proof that the planar grid has no path to it, or None."""
+        """Infeasibility proof of each goal on the planar grid; None without one."""
         attempt, numbers = GridAttempt(), range(len(problem.goals))
         if count_nodes(problem, attempt) > _LARGE:
             return [None] * len(numbers)
@@ -154,7 +163,7 @@ class TreesAndGrids(Trees):
     """Pairs of trees, and the shortest path on each of several coarse grids."""
 
     def others(self, problem: Problem, number: int) -> Sequence[Path]:
-        """Paths on coarse grids, to be compared with those of several pairs of trees."""
+        """Paths on coarse grids, compared with the paths of several pairs of trees."""
         found: list[Path] = []
         effort = problem.effort
         for attempt in effort.coarse_grids if isinstance(effort, PlanarEffort) else ():

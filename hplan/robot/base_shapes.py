@@ -1,10 +1,10 @@
-r"""Convex shapes of what carries the arm: the pedestal, which stands still, and the turret, which turns with the yaw.
+r"""Convex shapes of the arm's base: the fixed pedestal and the turret that turns with the yaw.
 
-Both take in the fixed links that hang on them: a cabinet, a counterweight, a camera mast. A shape that is round about
-the yaw axis is the same at every yaw. Of any other, no point is farther from where it was after a turn by
-:math:`\Delta\psi` than :math:`|\Delta\psi| \, r`, with :math:`r` its largest distance from the axis; and because the
-signed distance of two convex bodies is the largest separation of their supporting planes over all directions, it
-changes by no more than that, in contact too. `always` and `ever` decide by it.
+Both include the fixed links attached to them: a cabinet, a counterweight, a camera mast. A shape that is round about
+the yaw axis is the same at every yaw. A turn by :math:`\Delta\psi` moves any point of another shape by at most
+:math:`|\Delta\psi| \, r`, with :math:`r` the shape's largest distance from the axis. The signed distance of two convex
+bodies is the maximum separation of their supporting planes over all directions, so it changes by no more than that,
+also in contact. `always` and `ever` use this Lipschitz bound.
 """
 
 from __future__ import annotations
@@ -23,29 +23,29 @@ from hplan.robot.family_reader import outline
 from hplan.robot.model import Robot, made_once
 from hplan.scene.convex_shape import convex_hull_shape
 
-#: Bodies that a link can touch and that are no links: those that turn with the arm plane, and those that stand still.
+#: Carriers of base shapes that a link can touch: bodies that turn with the arm plane, and fixed bodies.
 TURRET: Final = -1
 GROUND: Final = -2
 
-#: A body that stands on another, or carries it, may be this deep in it [m].
+#: Permitted penetration between a body and the body that carries it [m].
 BASE_DEPTH: Final = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
 class BaseShape:
-    """A convex shape of pedestal or turret; of a mesh, its convex hull.
+    """A convex shape of pedestal or turret; the convex hull for a mesh.
 
     Attributes:
-        number: Its place among the geometry objects of `Robot.collision_model`.
+        number: Index among the geometry objects of `Robot.collision_model`.
         carrier: `TURRET` or `GROUND`.
-        placed: It, filled, as its joint carries it.
-        placement: Its place in `base_link` at yaw 0.
-        core: (k, 3) points in `base_link` at yaw 0 whose hull, grown by `rounding`, holds it [m]; where it is round,
-            the hull of all that they sweep about the yaw axis.
+        placed: Geometry object of the filled shape, attached to its joint.
+        placement: Pose in `base_link` at yaw 0.
+        core: (k, 3) points in `base_link` at yaw 0 whose hull, grown by `rounding`, contains the shape [m]; for a round
+            shape, the hull of the points' sweep about the yaw axis contains it.
         rounding: Radius about the core [m].
-        is_round: Whether a turn about the yaw axis leaves it as it is.
-        axis: (3,) the foot of the yaw axis in `base_link` [m].
-        links: The links that can touch it, where that was asked (`hplan.robot.self_contact`).
+        is_round: True if the shape is invariant under turns about the yaw axis.
+        axis: (3,) foot of the yaw axis in `base_link` [m].
+        links: Links that can touch the shape, set by `hplan.robot.self_contact`.
     """
 
     number: int
@@ -59,17 +59,20 @@ class BaseShape:
     axis: FloatArray
     links: tuple[int, ...] = ()
 
-    #: It is the hull of its core grown by its rounding.
+    #: The shape is the hull of its core grown by its rounding.
     is_point_set: ClassVar[Literal[False]] = False
 
     @property
     def follows_arm_plane(self) -> bool:
-        """True if the arm plane cuts it the same at every yaw: it is round, or turns with the plane."""
+        """True if its section with the arm plane is the same at every yaw.
+
+        This holds for round shapes and for shapes that turn with the plane.
+        """
         return self.is_round or self.carrier == TURRET
 
     @cached_property
     def radius(self) -> float:
-        """Largest distance of its points from the yaw axis [m]."""
+        """Maximum distance of its points from the yaw axis [m]."""
         x, y, _ = (self.core - self.axis).T
         return float(np.hypot(x, y).max()) + self.rounding
 
@@ -84,47 +87,53 @@ class BaseShape:
         return float(self.core[:, 2].max()) + self.rounding
 
     def distance_from(self, point: FloatArray) -> float:
-        """Distance from a (3,) point, both at yaw 0 [m]; not above 0 inside."""
+        """Distance from a (3,) point, both at yaw 0 [m]; at most 0 inside."""
         ball, at = coal.Sphere(_SPECK), pin.SE3(np.eye(3), point)
         return coal_distance(self.placed.geometry, self.placement, ball, at) + _SPECK
 
     def placed_at(self, yaw: float) -> pin.SE3:
-        """Its place in `base_link` where the turret is at a yaw."""
+        """Pose in `base_link` with the turret at a yaw."""
         turn = pin.utils.rotate("z", yaw)
         return pin.SE3(turn, self.axis - turn @ self.axis) * self.placement
 
 
-#: Radius of the ball that stands for a point [m].
+#: Radius of the ball that represents a point [m].
 _SPECK = 1e-3
 
 
 @made_once
 def base_shapes(robot: Robot) -> tuple[BaseShape, ...]:
-    """The shapes of pedestal and turret, in the order of the URDF; the turret of an arm without yaw stands still."""
+    """Shapes of pedestal and turret in URDF order; without a yaw the turret is fixed."""
     objects = enumerate(robot.collision_model.geometryObjects)
     return tuple(_base_shape(robot, number) for number, shape in objects if shape.parentJoint <= robot.yaw_joints)
 
 
 def turning_shapes(robot: Robot) -> tuple[BaseShape, ...]:
-    """The shapes that stand elsewhere at every yaw: of the turret, and not round about the yaw axis; of others none."""
+    """Turret shapes that change with the yaw: those not round about the yaw axis."""
     shapes = base_shapes(robot) if base_joints(robot) else ()
     return tuple(shape for shape in shapes if shape.carrier == TURRET and not shape.is_round)
 
 
 def base_joints(robot: Robot) -> int:
-    """Number of joints that carry a turret: 1 of a planar arm with a yaw, else 0."""
+    """Number of joints that carry a turret.
+
+    It is 1 for a planar arm with a yaw, else 0.
+    """
     return 0 if robot.planar is None else robot.planar.yaw_joints
 
 
 @made_once
 def base_radius(robot: Robot) -> float:
-    """Radius of a ball about `base_link`'s origin that holds pedestal and turret, whatever the yaw [m]."""
+    """Radius of a ball that contains pedestal and turret at every yaw [m].
+
+    The ball's centre is the origin of `base_link`.
+    """
     radius, joints = 0.0, base_joints(robot)
     axis = np.append(robot.yaw_axis, 0.0) if joints else np.zeros(3)
     for shape in robot.collision_model.geometryObjects:
         if shape.parentJoint <= joints:
             shape.geometry.computeLocalAABB()
-            # Joint 0 turns about a vertical: distances from a point of that stay.
+            # Joint 0 turns about a vertical axis, which preserves distances from the points on that axis.
             about = axis if shape.parentJoint else np.zeros(3)
             centre = robot.model.jointPlacements[shape.parentJoint] * shape.placement * shape.geometry.aabb_center
             far = float(np.linalg.norm(centre - about)) + shape.geometry.aabb_radius
@@ -133,7 +142,7 @@ def base_radius(robot: Robot) -> float:
 
 
 def filled(shape: pin.GeometryObject) -> coal.CollisionGeometry:
-    """A shape's geometry; of a mesh, the convex hull."""
+    """Geometry of a shape; the convex hull for a mesh."""
     geometry = shape.geometry
     if isinstance(geometry, coal.BVHModelBase):
         return convex_hull_shape(np.asarray(geometry.vertices(), dtype=np.float64))
@@ -141,15 +150,15 @@ def filled(shape: pin.GeometryObject) -> coal.CollisionGeometry:
 
 
 def ever(distance: Callable[[float], float], low: float, high: float, rate: float, level: float) -> bool:
-    """True if a distance comes down to a level anywhere in an interval, or nearly so; False is certain.
+    """True if a distance nearly reaches a level in an interval; False is certain.
 
     Args:
-        distance: The distance at a place [m].
+        distance: Distance as a function of the parameter [m].
         rate: Its Lipschitz constant: |d(a) - d(b)| <= rate |a - b|.
         level: The level [m].
     """
     left = [(low, high)]
-    # Distances over an interval of yaw are decided to this [m].
+    # Resolution of the decision about distances over a yaw interval [m].
     resolution = 1e-4
     while left:
         low, high = left.pop()
@@ -157,7 +166,7 @@ def ever(distance: Callable[[float], float], low: float, high: float, rate: floa
         found = distance(middle)
         if found <= level:
             return True
-        # Within the half-width the distance falls by rate * half at most.
+        # Within the half-width the distance decreases by at most rate * half.
         if found - rate * half > level:
             continue
         if rate * half <= resolution:
@@ -167,7 +176,10 @@ def ever(distance: Callable[[float], float], low: float, high: float, rate: floa
 
 
 def always(distance: Callable[[float], float], low: float, high: float, rate: float, level: float) -> bool:
-    """True if a distance is at a level or below all over an interval; True is certain. See `ever`."""
+    """True if a distance is at most a level over an interval.
+
+    True is certain. See `ever`.
+    """
     return not ever(lambda place: -distance(place), low, high, rate, -level)
 
 
@@ -191,7 +203,10 @@ def _base_shape(robot: Robot, number: int) -> BaseShape:
 
 
 def _is_round(geometry: coal.CollisionGeometry, placement: pin.SE3) -> bool:
-    """True if a sphere's centre, or the axis of a cylinder or capsule, is on the vertical through the origin."""
+    """True if a shape is round about the vertical through the origin.
+
+    The vertical then contains the centre of a sphere, or the axis of a cylinder or capsule.
+    """
     if isinstance(geometry, coal.Sphere):
         half_length = 0.0
     elif isinstance(geometry, coal.Capsule | coal.Cylinder):
@@ -199,12 +214,12 @@ def _is_round(geometry: coal.CollisionGeometry, placement: pin.SE3) -> bool:
     else:
         return False
     tilt = float(np.hypot(*placement.rotation[:2, 2]))
-    # A shape whose axis is nowhere farther than this from the yaw axis is round about it [m].
+    # A shape is round about the yaw axis if its own axis is everywhere within this distance of it [m].
     return float(np.hypot(*placement.translation[:2])) + tilt * half_length <= 1e-6
 
 
 def coal_distance(a: coal.CollisionGeometry, at: pin.SE3, b: coal.CollisionGeometry, other: pin.SE3) -> float:
-    """Signed distance of two shapes in their places [m]."""
+    """Signed distance between two placed shapes [m]."""
     return float(
         coal.distance(
             a,

@@ -1,4 +1,7 @@
-"""Reads an arm of the family out of Pinocchio's models: an optional yaw, then parallel revolute joints in one plane."""
+"""Reads an arm of the planar family from Pinocchio's models.
+
+Such an arm has an optional yaw, then parallel revolute joints in one plane.
+"""
 
 from __future__ import annotations
 
@@ -18,24 +21,24 @@ from hplan.robot.planar_family import PlanarArm, PlanarFamily
 from hplan.robot.urdf_check import frame_number
 from hplan.scene.solids import CUBE_CORNERS
 
-#: Lengths below this are zero, offsets below this are on the plane [m].
+#: Lengths below this count as zero, and offsets below this as on the plane [m].
 _GEOMETRY_TOLERANCE = 1e-6
 
-#: Axes this near to a direction have it [rad]: over ten metres 10 nm, of which no bound needs to take account.
+#: Axes within this angle of a direction count as aligned [rad]: 10 nm over ten metres, negligible in all bounds.
 _AXIS_TOLERANCE = 1e-9
 
-#: Part of an interval that the golden section keeps.
+#: Fraction of an interval that golden-section search keeps.
 _GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 
 
 def read_family(model: pin.Model, collision_model: pin.GeometryModel, tool_frame: str) -> PlanarFamily:
-    """The planar family's part of a robot, at q = 0.
+    """Read the planar-family part of a robot at q = 0.
 
-    The arm plane is the one in which the tool frame moves. Where along its axis a joint's origin lies is of no
-    account, so the plane may pass the yaw axis at a distance, and links may lie off the plane.
+    The arm plane is the plane in which the tool frame moves. The position of a joint's origin along its axis does not
+    matter, so the plane may pass the yaw axis at a distance, and links may lie off the plane.
 
     Raises:
-        RobotFamilyError: Not of the family; says which element and why.
+        RobotFamilyError: The robot does not belong to the family; the message names the element and the reason.
     """
     _check_chain(model)
     data, tool = model.createData(), frame_number(model, tool_frame)
@@ -78,10 +81,11 @@ def read_family(model: pin.Model, collision_model: pin.GeometryModel, tool_frame
 
 
 def check_joints(path: Path, model: pin.Model) -> None:
-    """Refuse joints that no robot here has, of the family or not, and a tool frame that there is none of.
+    """Reject unsupported joints, planar or not, and a missing tool frame.
 
     Raises:
-        RobotFileError: There is one; says which element and why.
+        RobotFileError: A joint is unsupported or the tool frame is missing; the message names the element and the
+            reason.
     """
     if model.njoints < 2:
         raise RobotFileError(path, "it has no moving joint")
@@ -103,7 +107,7 @@ def check_joints(path: Path, model: pin.Model) -> None:
 
 
 def _check_chain(model: pin.Model) -> None:
-    """Refuse what is no serial chain of joints that turn."""
+    """Reject anything but a serial chain of revolute joints."""
     for index in range(1, model.njoints):
         name, kind = model.names[index], model.joints[index].shortname()
         if kind not in TURNING:
@@ -117,12 +121,12 @@ def _joint_axes(model: pin.Model, data: pin.Data) -> FloatArray:
     """(joints, 3) rotation axes at q = 0 in the base frame."""
     pin.computeJointJacobians(model, data, np.zeros(model.nq))
     jacobian = pin.getJointJacobian(model, data, model.njoints - 1, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
-    axes: FloatArray = np.reshape(jacobian, (6, -1))[3:].T  # of one joint, Pinocchio gives a vector
+    axes: FloatArray = np.reshape(jacobian, (6, -1))[3:].T  # for a single joint Pinocchio returns a vector
     return axes
 
 
 def _has_yaw(model: pin.Model, axes: FloatArray) -> bool:
-    """True where joint 0 is vertical and the others are not parallel to it."""
+    """True if joint 0 is vertical and the other joints are not parallel to it."""
     if len(axes) == 1:
         return False
     between = _angle_between(axes[0], axes[1])
@@ -142,7 +146,10 @@ def _has_yaw(model: pin.Model, axes: FloatArray) -> bool:
 
 
 def _plane(model: pin.Model, axes: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(3, 3) horizontal and upward axis of the arm plane and its normal; and the joints and the tool in it."""
+    """Axes of the arm plane, and the joints and the tool in it.
+
+    The (3, 3) rows are the horizontal axis, the upward axis and the normal.
+    """
     planar = model.names[model.njoints - len(axes) :]
     for name, axis in zip(planar, axes, strict=True):
         angle = _angle_between(axis, axes[0])
@@ -164,7 +171,7 @@ def _plane(model: pin.Model, axes: FloatArray, points: FloatArray) -> tuple[Floa
 
 
 def _link_name(model: pin.Model, joint: int) -> str:
-    """Name of the first body that the joint moves."""
+    """Name of the first body moved by a joint."""
     bodies = (frame for frame in model.frames if frame.parentJoint == joint and frame.type == pin.FrameType.BODY)
     return str(next((frame.name for frame in bodies), model.names[joint]))
 
@@ -172,9 +179,9 @@ def _link_name(model: pin.Model, joint: int) -> str:
 def _capsule(
     shapes: Sequence[pin.GeometryObject], placement: pin.SE3, ends: FloatArray, normal: FloatArray
 ) -> tuple[float, float]:
-    """Radius of the smallest capsule along a link that holds its shapes, and how far off the arm plane it lies [m].
+    """Radius and lateral offset of the smallest capsule around a link's shapes [m].
 
-    Its axis is that of the link in the arm plane, or parallel to it off the plane where that makes it thinner.
+    The capsule's axis is the link's axis in the arm plane or, if that makes it thinner, a parallel to it off the plane.
     """
     if not shapes:
         raise TypeError("it has no collision geometry")
@@ -184,17 +191,20 @@ def _capsule(
 
 
 def _angle_between(axis: FloatArray, other: FloatArray) -> float:
-    """Angle between two lines of unit direction, 0 to a right angle (the cosine would lose small ones)."""
+    """Angle between two lines given by unit vectors, from 0 to pi/2 [rad].
+
+    It uses atan2, because the arccosine loses small angles.
+    """
     return math.atan2(float(np.linalg.norm(np.cross(axis, other))), abs(float(axis @ other)))
 
 
 def hold_advice(joint: str) -> str:
-    """End of a message: the argument that lets a joint stand still."""
+    """End of a message: the argument that holds a joint."""
     return f"hold={{{joint!r}: 0.0}} (--hold {joint}=0) lets it stand still"
 
 
 def _nearly(angle: float) -> str:
-    """Advice about an axis that was surely meant to have a direction, and is off by a small angle."""
+    """Advice about an axis that misses its intended direction by a small angle."""
     if angle > 0.01:
         return ""
     return (
@@ -204,7 +214,7 @@ def _nearly(angle: float) -> str:
 
 
 def _enclosing_radius(shape: pin.GeometryObject, joint_placement: pin.SE3, start: FloatArray, end: FloatArray) -> float:
-    """Largest distance of a shape's points from the segment `start`-`end` [m]."""
+    """Maximum distance of a shape's points from the segment `start`-`end` [m]."""
     placement = joint_placement * shape.placement
     axis = end - start
     unit = axis / np.linalg.norm(axis)
@@ -219,7 +229,10 @@ def _enclosing_radius(shape: pin.GeometryObject, joint_placement: pin.SE3, start
 def _outline_about(
     shape: pin.GeometryObject, joint_placement: pin.SE3, ends: FloatArray, normal: FloatArray
 ) -> tuple[FloatArray, FloatArray, float]:
-    """Points of a shape: how far off the plane, and how far from a link's axis seen along the normal; rounding."""
+    """Offsets of a shape's points from the plane, their distances from the link's axis, and rounding [m].
+
+    The distances from the axis are measured in projection along the plane's normal.
+    """
     placement = joint_placement * shape.placement
     corners, rounding = outline(shape, rim_from_outside=True)
     from_start = corners @ placement.rotation.T + placement.translation - ends[0]
@@ -231,9 +244,10 @@ def _outline_about(
 
 
 def _thinnest(outlines: Sequence[tuple[FloatArray, FloatArray, float]]) -> float:
-    """Distance from the plane at which a capsule that holds all outlines is thinnest; 0 where that is no gain [m].
+    """Offset from the plane that makes the capsule around all outlines thinnest [m].
 
-    The radius is convex in that distance, as a maximum of distances: the interval is narrowed by the golden section.
+    The offset is 0 if a nonzero one brings no gain. The radius, a maximum of distances, is convex in the offset, so
+    golden-section search finds the minimum.
     """
 
     def radius(at: float) -> float:
@@ -251,13 +265,13 @@ def _thinnest(outlines: Sequence[tuple[FloatArray, FloatArray, float]]) -> float
 
 
 def outline(shape: pin.GeometryObject, *, rim_from_outside: bool) -> tuple[FloatArray, float]:
-    """Points and a rounding radius whose hull holds the shape.
+    """Points and a rounding radius whose hull contains a shape.
 
-    Exact but for the rim of a cylinder, a 64-gon: on the rim where the cylinder lies about the link's axis (every
-    rim point is then equally far from it), around it (0.12 % larger) where it does not.
+    The hull is exact except at the rim of a cylinder, which becomes a 64-gon: inscribed if the cylinder lies about the
+    link's axis (every rim point is then equally far from it), else circumscribed (0.12 % larger).
 
     Raises:
-        TypeError: It is neither a shape that URDF knows, nor a convex one that coal judges by.
+        TypeError: The shape is neither a URDF shape nor a convex shape of coal.
     """
     geometry = shape.geometry
     kind = type(geometry).__name__

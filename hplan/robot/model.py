@@ -1,8 +1,8 @@
-"""The robot that hplan plans for: any tree of revolute, continuous and prismatic joints.
+"""Robot model: a tree of revolute, continuous and prismatic joints.
 
-Everything is read from the files with Pinocchio: joints, axes, bodies and limits. What URDF cannot say (acceleration,
-jerk) stands in a limits YAML in the same folder. An arm with an optional yaw and parallel revolute joints in one plane
-is of the planar family, `Robot.planar`, for which there are a closed-form C-space and inverse kinematics.
+Pinocchio reads joints, axes, bodies and limits from the files. Acceleration and jerk limits, which URDF cannot express,
+are read from a limits YAML in the same folder. An arm with an optional yaw and parallel revolute joints in one plane
+belongs to the planar family (`Robot.planar`), which has a closed-form C-space and closed-form inverse kinematics.
 """
 
 from __future__ import annotations
@@ -57,10 +57,10 @@ _P = ParamSpec("_P")
 
 @dataclass(frozen=True, eq=False)
 class Robot(PlanarNames, Record):
-    """A robot: Pinocchio's models, every limit, and the planar chain where it is one.
+    """Robot: Pinocchio models, joint limits and, if it has one, its planar chain.
 
-    What `planar` holds is there under the same names on the robot itself (`robot.arm`, `robot.has_yaw`), and raises a
-    `RobotFamilyError` where the robot is not of the planar family.
+    The attributes of `planar` are also attributes of the robot (`robot.arm`, `robot.has_yaw`); they raise
+    `RobotFamilyError` if the robot does not belong to the planar family.
 
     Attributes:
         name: Name in the URDF.
@@ -75,16 +75,15 @@ class Robot(PlanarNames, Record):
         velocity_limit: (dof,) [rad/s].
         acceleration_limit: (dof,) [rad/s^2].
         torque_limit: (dof,) [N m].
-        jerk_limit: (dof,) [rad/s^3], or None where the limits file gives none.
-        continuous: (dof,) True where the URDF gives a joint no limits, or some beyond 1e3 rad to both sides; it turns
-            by a whole turn to either side.
-        held: Where joints of the URDF stand that do not move, by name [rad, m]; None for those of several coordinates.
-        urdf_text: The URDF that the models were built from, where it is not the file's content.
-        planar: What it has as an arm of the planar family; None where it is not of it.
-        beyond_family: Element of the robot, and the reason, for which it is not of the family; None where it is.
-        may_touch: Pairs of links that may touch, by the robot's SRDF, Drake's filter groups or as neighbours, and the
-            reason.
-        owners: Of several arms joined to one robot, the arm of each link by the link's name; empty for a single robot.
+        jerk_limit: (dof,) [rad/s^3]; None if the limits file has no jerk limits.
+        continuous: (dof,) True for a joint without limits in the URDF, or with limits beyond 1e3 rad on both sides; its
+            range is a whole turn to either side.
+        held: Values of the URDF's fixed and held joints by name [rad, m]; None for joints of several coordinates.
+        urdf_text: URDF that the models were built from, if it differs from the file's content.
+        planar: Planar-family part of the robot; None if the robot does not belong to the family.
+        beyond_family: Element that excludes the robot from the family, and the reason; None for a member.
+        may_touch: Pairs of links that may touch, with the reason: SRDF, Drake filter groups, or neighbouring links.
+        owners: Arm of each link by link name, for several arms joined to one robot; empty for a single robot.
         shape_faults: Drawn links whose collision shapes are missing or do not fit (`hplan.robot.drawn_links`).
     """
 
@@ -115,39 +114,39 @@ class Robot(PlanarNames, Record):
         return f"<Robot {self.name!r}: {self.dof} joints ({joints}), tool frame {self.tool_frame!r}>"
 
     def owner_of(self, link: str) -> str | None:
-        """Name of the arm that a link belongs to; None for a single robot, and for other names.
+        """Name of the arm that a link belongs to; None for a single robot or an unknown link.
 
         Several arms joined to one robot (`hplan.robot.several`) each own the links of their URDF.
         """
         return self.owners.get(link)
 
     def link_in_words(self, link: str) -> str:
-        """A link as messages name it; with its arm, if the robot consists of several."""
+        """Name of a link for messages; includes its arm for a multi-arm robot."""
         arm = self.owner_of(link)
         return f"link {link!r}" if arm is None else f"link {link.removeprefix(f'{arm}_')!r} of arm {arm!r}"
 
     @property
     def family(self) -> PlanarFamily:
-        """The planar family's part of the robot, as `planar`.
+        """Planar-family part of the robot: `planar`, checked.
 
         Raises:
-            RobotFamilyError: The robot is not of the family; says which element and why.
+            RobotFamilyError: The robot does not belong to the family; the message names the element and the reason.
         """
         if self.planar is None:
             raise RobotFamilyError(self.name, *(self.beyond_family or ("joints", "they are not those of one")))
         return self.planar
 
     def with_arm(self, arm: PlanarArm) -> Robot:
-        """The robot with another planar chain.
+        """Return a copy of the robot with another planar chain.
 
         Raises:
-            RobotFamilyError: The robot is not of the family.
+            RobotFamilyError: The robot does not belong to the family.
         """
         return replace(self, planar=replace(self.family, arm=arm))
 
     @property
     def uncovered_links(self) -> tuple[str, ...]:
-        """Names of the drawn links that no collision shape covers: plans and certificates say nothing about them."""
+        """Names of links with visuals that no collision shape covers; plans and certificates ignore them."""
         return tuple(fault.link for fault in self.shape_faults if not fault.is_covered)
 
     @property
@@ -157,22 +156,22 @@ class Robot(PlanarNames, Record):
 
     @cached_property
     def slides(self) -> tuple[bool, ...]:
-        """Of each joint whether it slides: its values are metres, its force newtons."""
+        """True for each prismatic joint; its values are in metres and its effort in newtons."""
         return joints_that_slide(self.model)
 
     @property
     def units(self) -> tuple[JointUnit, ...]:
-        """Of each joint the units in which it is told and shown."""
+        """Units in which each joint is read and displayed."""
         return tuple(map(joint_unit, self.slides))
 
     @cached_property
     def tool_joint(self) -> int:
-        """Number in the model of the joint that carries the tool frame; 0 where none does."""
+        """Index of the tool frame's joint in the model; 0 without one."""
         return int(self.model.frames[self.frame_number(self.tool_frame)].parentJoint)
 
     @cached_property
     def tool_axis(self) -> FloatArray:
-        """(3,) unit vector in the tool frame along which the tool points: z; of a planar arm along its last link."""
+        """(3,) pointing direction in the tool frame: z; along the last link for planar arms."""
         if self.planar is None:
             return readonly([0.0, 0.0, 1.0])
         pose, joint = (self.forward_kinematics(self.lower, name) for name in (None, self.joint_names[-1]))
@@ -186,7 +185,7 @@ class Robot(PlanarNames, Record):
         return {}
 
     def cached(self, key: Hashable, make: Callable[[], _T]) -> _T:
-        """The result of `make`, called for the first request of a key only: for what depends on the robot alone."""
+        """Return `make`'s result, computed once per key; for values that depend on the robot alone."""
         if key not in self._made:
             self._made[key] = make()
         made: _T = self._made[key]
@@ -201,7 +200,7 @@ class Robot(PlanarNames, Record):
         """Yaw of a configuration: 0 for a robot without one, and for a general (non-planar) arm.
 
         Raises:
-            InputError: No (dof,) list of finite numbers.
+            InputError: `q` is not a (dof,) list of finite numbers.
         """
         q = numbers("q", q, (self.dof,), most=FARTHEST_JOINT)
         return 0.0 if self.planar is None else self.planar.yaw_of(q)
@@ -210,20 +209,20 @@ class Robot(PlanarNames, Record):
         """Tool positions of configurations, (..., dof) -> (..., 3), in `base_link` [m].
 
         Raises:
-            InputError: No such array of finite numbers.
+            InputError: `q` is not an (..., dof) array of finite numbers.
         """
         q = numbers("q", q, (..., self.dof), most=FARTHEST_JOINT)
         return self.forward_kinematics(q)[..., :3, 3] if self.planar is None else self.planar.tool_positions(q)
 
     def forward_kinematics(self, q: ArrayLike, frame: str | None = None) -> FloatArray:
-        """Poses of the tool frame at configurations, (..., dof) -> (..., 4, 4) homogeneous matrices in `base_link`.
+        """Poses of a frame in `base_link`, (..., dof) -> (..., 4, 4) homogeneous matrices.
 
         Args:
             q: (..., dof) configurations.
-            frame: Another frame by its name; None for the tool frame.
+            frame: Name of the frame; None for the tool frame.
 
         Raises:
-            InputError: The robot has no frame of that name, or `q` is no such array of finite numbers.
+            InputError: The robot has no frame of that name, or `q` is not an (..., dof) array of finite numbers.
         """
         q = numbers("q", q, (..., self.dof), most=FARTHEST_JOINT)
         data, number = self.model.createData(), self.frame_number(self.tool_frame if frame is None else frame)
@@ -236,7 +235,7 @@ class Robot(PlanarNames, Record):
     tool_poses = forward_kinematics  # its earlier name
 
     def frame_number(self, name: str) -> int:
-        """Number in the model of the frame of a name, of the link where there are others.
+        """Index in the model of a named frame; prefers the link if several frames share the name.
 
         Raises:
             InputError: The robot has no frame of that name.
@@ -252,7 +251,7 @@ class Robot(PlanarNames, Record):
         """(dof,) mask of the locked joints.
 
         Raises:
-            InputError: A joint that the robot does not have.
+            InputError: A name is not a joint of the robot.
         """
         names = list_of("names", names, str, "names of joints")
         unknown = [name for name in names if name not in self.joint_names]
@@ -263,11 +262,11 @@ class Robot(PlanarNames, Record):
         return np.array([name in names for name in self.joint_names], dtype=np.bool_)
 
     def turned_near(self, q: ArrayLike, start: ArrayLike) -> ArrayLike:
-        """A configuration with its continuous joints moved by whole turns to the values nearest to those of a start.
+        """Shift continuous joints by whole turns to the values nearest a start.
 
-        So a goal is reached the short way: from 0, 350 deg is reached at -10 deg, and the trajectory counts on from the
-        start without a jump. Values stay within the limits where some are; what is no configuration is returned as it
-        is, for `check_configuration` to refuse.
+        The motion to a goal then takes the short way: from 0, 350 deg becomes -10 deg, and the trajectory continues
+        from the start without a jump. Values stay within the limits if any shifted value does. An invalid configuration
+        is returned unchanged; `check_configuration` rejects it.
 
         Args:
             q: (dof,) configuration.
@@ -295,14 +294,14 @@ class Robot(PlanarNames, Record):
     def joints_of(self, values: JointValues, which: str) -> FloatArray | None: ...
 
     def joints_of(self, values: JointValues, which: str) -> FloatArray | None:
-        """The joint values of a start or goal, unchecked [rad, m]; None for a goal given otherwise.
+        """Joint values of a start or goal, unchecked [rad, m]; None for non-joint goals.
 
         Args:
             values: A scene's start or goal.
-            which: What it is, for the error.
+            which: Name of the value for the error.
 
         Raises:
-            InputError: A joint that slides is given in degrees.
+            InputError: A prismatic joint is given in degrees.
         """
         if values.joints_deg is not None and any(self.slides):
             name = self.joint_names[self.slides.index(True)]
@@ -317,8 +316,8 @@ class Robot(PlanarNames, Record):
         """Return `q` as a read-only (dof,) array.
 
         Raises:
-            InputError: No list of numbers, wrong number of joints, or a value that is not finite.
-            JointLimitError: Outside the joint limits (by more than 1e-9 rad; closer values are clipped).
+            InputError: `q` is not a list of numbers, has the wrong number of joints, or has a value that is not finite.
+            JointLimitError: `q` exceeds the joint limits by more than 1e-9 rad or m; smaller excesses are clipped.
         """
         expected = f"{which}: expected {self.dof} joint values ({', '.join(self.joint_names)})"
         try:
@@ -349,8 +348,8 @@ class Robot(PlanarNames, Record):
     def limit_fault(self, q: FloatArray, which: str) -> JointLimitError | None:
         """Error for the first joint outside its limits, or None.
 
-        Joints may be outside by 1e-9 rad or m. If the configuration would be within the limits in degrees, the error
-        says so.
+        The tolerance is 1e-9 rad or m. If the values would be within the limits when read as degrees, the error says
+        so.
 
         Args:
             q: (dof,) configuration.
@@ -371,7 +370,7 @@ class Robot(PlanarNames, Record):
 
 
 def made_once(make: Callable[Concatenate[Robot, _P], _T]) -> Callable[Concatenate[Robot, _P], _T]:
-    """A function of a robot, and of arguments that can be keys, that is called once for each of them."""
+    """Decorator that caches a function per robot and hashable arguments."""
     defaults = getattr(make, "__defaults__", None) or ()
 
     @wraps(make)
@@ -394,39 +393,39 @@ def load_robot(
     allow_neighbours: bool = False,
     collision_from_visual: bool | Sequence[str] = False,
 ) -> Robot:
-    """Load a robot; joints of its URDF that do not move are made fixed.
+    """Load a robot from URDF or xacro; joints that do not move become fixed.
 
     Args:
-        path: URDF or xacro file, or a URDF itself (a text that begins with `<`); None for the harvester that ships with
-            hplan. A text without suffix and folder that is no file names a robot that ships,
+        path: URDF or xacro file, or the URDF text itself (begins with `<`); None for the harvester that ships with
+            hplan. A name without suffix and folder that is not a file selects a robot that ships with hplan,
             `load_robot("orchard_harvester")`, or one of example-robot-data (extra `robots`): `panda`, `ur3`, `ur5`,
             `ur10`.
-        limits: Limits YAML, or the name of a robot of which it ships, as `ur5`; None for the file in the folder of the
-            URDF, `NAME.limits.yaml`, and without one for acceleration and jerk in the URDF (1.2).
-        tool_frame: Frame at the end of the arm; None for that of a robot by name, and of another for `tool0`.
-        joints: Names of the joints that move, in the order of the robot's, from the base on; None for all revolute,
-            continuous and prismatic ones up to the tool frame that are not held.
-        hold: Values of joints that stand still [rad, m]. All that do not move do: without a value at 0, or at the limit
-            nearest to it, or as they mimic another.
-        package_dirs: Folders in which `package://` meshes are looked for, before those around the URDF.
-        srdf: SRDF that says which links may touch. Pairs that it leaves out because they never do are checked all
-            the same, and so are all pairs of an arm of the planar family, whose geometry says which can touch.
-        allow_neighbours: Whether links with one joint between them may touch, as most SRDFs say; without it those may
-            that always do. No arm of the planar family needs it.
-        collision_from_visual: True to build the collision shapes of all links in `Robot.shape_faults` from what is
-            drawn; or names of links whose collision shapes are replaced so.
+        limits: Limits YAML, or the name of a robot whose limits ship with hplan, for example `ur5`; None for
+            `NAME.limits.yaml` in the URDF's folder or, without that file, for acceleration and jerk in the URDF (1.2).
+        tool_frame: Frame at the end of the arm; None for the default of a robot loaded by name, else for `tool0`.
+        joints: Names of the moving joints in the robot's order, from the base on; None for all revolute, continuous and
+            prismatic joints up to the tool frame that are not held.
+        hold: Values of held joints [rad, m]. Other joints that do not move are held at 0, at the limit nearest to 0, or
+            at the value given by the joint that they mimic.
+        package_dirs: Folders searched for `package://` meshes before those around the URDF.
+        srdf: SRDF with the pairs of links that may touch. Pairs that it disables because they never touch are checked
+            nevertheless, and so are all pairs of a planar-family arm, whose geometry determines which can touch.
+        allow_neighbours: True if links with one joint between them may touch, as in most SRDFs; False allows only those
+            that always touch. Planar-family arms do not need it.
+        collision_from_visual: True to build the collision shapes of all links in `Robot.shape_faults` from their
+            visuals; or names of the links whose collision shapes are replaced in this way.
 
     Warns:
-        UncoveredLinkWarning: A link is drawn, but has no collision shape or one of another size.
+        UncoveredLinkWarning: A link has a visual, but no collision shape or one of another size.
         MissingVisualWarning: The mesh file of a visual is missing; the link is not drawn.
 
     Raises:
         RobotFileError: The URDF, the limits file or the SRDF is missing, malformed or incomplete; a collision mesh is
-            missing; a link of `collision_from_visual` does not exist or has no visual; the URDF is well-formed but
-            holds no robot that can move, no tool frame, or a joint of the wrong kind; says which element and why.
-        InputError: A joint to move or to hold that does not exist or cannot; xacro without `xacrodoc`; a robot by name
-            without example-robot-data.
-        JointLimitError: A joint held outside its limits.
+            missing; a link of `collision_from_visual` does not exist or has no visual; the URDF is well-formed but has
+            no moving joint, no tool frame, or a joint of the wrong kind. The message names the element and the reason.
+        InputError: A joint to move or to hold does not exist or cannot be moved or held; xacro without `xacrodoc`; a
+            robot by name without example-robot-data.
+        JointLimitError: A joint is held outside its limits.
     """
     robot, missing = _read_robot(
         path,
@@ -450,10 +449,10 @@ def load_robot(
 
 
 def read_robot(path: Path | str | None, **options: Any) -> Robot:
-    """Load a robot as `load_robot` does, without its warnings: for robots that were loaded before.
+    """Load a robot like `load_robot` but without warnings; for reloading.
 
     Raises:
-        InputError: As `load_robot`.
+        InputError: The conditions of `load_robot`.
     """
     return _read_robot(path, **options)[0]
 
@@ -470,7 +469,7 @@ def _read_robot(
     allow_neighbours: bool = False,
     collision_from_visual: bool | Sequence[str] = False,
 ) -> tuple[Robot, tuple[tuple[str, str], ...]]:
-    """The robot of `load_robot`, and the link and the file of each visual mesh that is missing."""
+    """Return the robot of `load_robot`, and link and file of each missing visual mesh."""
     files = robot_files(path)
     frame = instance("tool_frame", files.tool_frame if tool_frame is None else tool_frame, str)
     choice = RobotChoice(
@@ -541,15 +540,15 @@ def _read_robot(
 def _built(
     urdf_path: Path, text: str | None, choice: RobotChoice, *, mend: bool = False
 ) -> tuple[RobotChoice, ET.Element, AdaptedUrdf, tuple[pin.Model, pin.GeometryModel, pin.GeometryModel]]:
-    """The elements of a URDF, adapted, and its kinematic, collision and visual models.
+    """Adapt a URDF and build its kinematic, collision and visual models.
 
     Unreadable visual meshes are dropped.
 
     Args:
-        mend: Whether links with an unreadable collision mesh are shaped from their visuals.
+        mend: True to build the shapes of links with an unreadable collision mesh from their visuals.
 
     Returns:
-        The choice with which the URDF was read in the end, the elements, the adapted URDF and the models.
+        The final choice of reading options, the elements, the adapted URDF and the models.
     """
     root = read_urdf_xml(urdf_path, text, choice.package_dirs)
     adapted = adapt_urdf(urdf_path, root, choice)

@@ -1,4 +1,7 @@
-"""The planar family: an optional yaw, then parallel revolute joints in one plane, which has a closed-form C-space."""
+"""Planar family: an optional yaw, then parallel revolute joints in one plane.
+
+Arms of the family have a closed-form C-space.
+"""
 
 from __future__ import annotations
 
@@ -18,10 +21,10 @@ _T = TypeVar("_T")
 
 @dataclass(frozen=True, eq=False)
 class PlanarArm(Record):
-    """The planar chain inside the robot, in the coordinates of its own plane.
+    """Planar chain of a robot in the coordinates of its own plane.
 
     The plane's origin is the first planar joint (the shoulder); its first axis is horizontal, its second points
-    up. Link `k` is the segment from its joint to the next one (the last ends at the tool frame). Relative link
+    up. Link `k` is the segment from its joint to the next joint (the last link ends at the tool frame). Relative link
     angles, counter-clockwise from the first axis, are `signs * q + offsets`. The tool moves in the plane; the body of
     a link may lie off it, in a plane of its own.
 
@@ -69,11 +72,11 @@ class PlanarArm(Record):
 
 @dataclass(frozen=True, eq=False)
 class PlanarFamily(Record):
-    """What an arm of the family has besides its joints: the planar chain, and how it stands in `base_link`.
+    """Planar chain of an arm of the family, and its placement in `base_link`.
 
     Attributes:
-        has_yaw: True where joint 0 turns the arm plane about the vertical.
-        yaw_axis: (2,) where that vertical stands in `base_link` [m]; zeros without a yaw.
+        has_yaw: True if joint 0 turns the arm plane about the vertical.
+        yaw_axis: (2,) horizontal position of the yaw axis in `base_link` [m]; zeros without a yaw.
         plane_origin: (3,) shoulder position at yaw 0, in `base_link` [m].
         plane_axes: (2, 3) the plane's horizontal and upward unit vectors at yaw 0.
     """
@@ -91,7 +94,7 @@ class PlanarFamily(Record):
 
     @property
     def arm_slice(self) -> slice:
-        """Places of the planar joints in a configuration."""
+        """Slice of the planar joints in a configuration."""
         return slice(self.yaw_joints, None)
 
     def yaw_of(self, q: ArrayLike) -> float:
@@ -124,13 +127,13 @@ class PlanarFamily(Record):
         return np.stack([ax + (cos * x - sin * y), ay + (sin * x + cos * y), z], axis=-1)
 
     def sway(self, deviation: ArrayLike) -> FloatArray:
-        """Tracking-error displacement bound: of the axis points of each link, with joints off by `deviation` at most.
+        """Tracking displacement bound of each link's axis points for joint errors [m].
 
-        The absolute angle of a link is off by no more than the joints up to it together, and each link adds its length
-        times that; yaw adds its own deviation times the largest distance from the yaw axis.
+        The error of a link's absolute angle is at most the sum of the errors of the joints up to it; each link adds its
+        length times that error. The yaw adds its own error times the maximum distance from the yaw axis.
 
         Args:
-            deviation: One number for all joints, or (..., dof) [rad].
+            deviation: Maximum joint error: one number for all joints, or (..., dof) [rad].
 
         Returns:
             (..., links) distances [m].
@@ -142,26 +145,29 @@ class PlanarFamily(Record):
 
     @cached_property
     def shoulder_from_axis(self) -> tuple[float, float]:
-        """The shoulder as seen from the yaw axis: along the plane's horizontal axis, and along its normal [m]."""
+        """Shoulder position relative to the yaw axis [m].
+
+        The components are along the plane's horizontal axis and along its normal.
+        """
         (fx, fy), (x, y) = self.plane_axes[0, :2].tolist(), (self.plane_origin[:2] - self.yaw_axis).tolist()
         return fx * x + fy * y, fy * x - fx * y
 
     @property
     def yaw_radius(self) -> FloatArray:
-        """(links,) largest distance of any point of each link's axis from the yaw axis [m]."""
+        """(links,) maximum distance of each link's axis points from the yaw axis [m]."""
         ahead, across = self.shoulder_from_axis
         radius: FloatArray = np.hypot(abs(ahead) + np.cumsum(self.arm.lengths), across + self.arm.lateral)
         return radius
 
     @property
     def tool_radius(self) -> float:
-        """Largest distance of the tool from the yaw axis [m]."""
+        """Maximum distance of the tool from the yaw axis [m]."""
         ahead, across = self.shoulder_from_axis
         return math.hypot(abs(ahead) + float(self.arm.lengths.sum()), across)
 
 
 class _OfFamily(Generic[_T]):
-    """An attribute of the robot that is one of its `family`, of the same name."""
+    """Descriptor that forwards to the attribute of the same name of the robot's `family`."""
 
     def __set_name__(self, owner: type, name: str) -> None:
         self._name = name
@@ -171,14 +177,17 @@ class _OfFamily(Generic[_T]):
 
 
 class PlanarNames:
-    """What `PlanarFamily` holds, under the same names on the robot itself; refused where it is not of the family."""
+    """Mixin that exposes the attributes of `PlanarFamily` on the robot.
+
+    Access raises `RobotFamilyError` if the robot does not belong to the family.
+    """
 
     @property
     def family(self) -> PlanarFamily:
-        """The planar family's part of the robot.
+        """Planar-family part of the robot.
 
         Raises:
-            RobotFamilyError: The robot is not of the family; says which element and why.
+            RobotFamilyError: The robot does not belong to the family; the message names the element and the reason.
         """
         raise NotImplementedError
 
@@ -197,15 +206,15 @@ class PlanarNames:
         """The arm plane turned by `yaw` (`PlanarFamily.plane_at`).
 
         Raises:
-            OptionError: No number.
+            OptionError: `yaw` is not a number.
         """
         return self.family.plane_at(number("yaw", yaw, "a finite number of radians"))
 
     def sway(self, deviation: ArrayLike) -> FloatArray:
-        """Tracking-error displacement bounds of the links (`PlanarFamily.sway`).
+        """Tracking displacement bounds of the links (`PlanarFamily.sway`).
 
         Raises:
-            InputError: No finite number, and none for each joint.
+            InputError: `deviation` is neither a finite number nor a finite number for each joint.
         """
         dof = self.family.arm.link_count + self.family.yaw_joints
         return self.family.sway(numbers("deviation", deviation, () if is_number(deviation) else (..., dof)))

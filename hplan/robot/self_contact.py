@@ -1,16 +1,17 @@
-"""Which links of a planar arm can touch each other as capsules, and which what carries the arm.
+"""Finds the links of a planar arm that can touch each other or the arm's base, as capsules.
 
-Two parts are left out where their capsules *always* touch: neighbours about their joint, parts that what lies between
-holds so near together, and a link and the shape that carries the joint it turns about. Of the last two kinds those are
-checked as the URDF has them that then can touch and do not always (`hplan.collision.arm_pairs.shaped_pairs`). Of all
-others those are pairs that can touch within the joint limits, beyond these by the tracking error, or come nearer
-than the clearance to keep. Where none can, as with the harvester, nothing is checked anywhere.
+Pairs whose capsules *always* touch are excluded: neighbours about their joint, links held together by the links between
+them, and a link and the shape that carries its joint. Pairs of the last two kinds are checked with the URDF's shapes
+if these can touch and do not always touch (`hplan.collision.arm_pairs.shaped_pairs`). Any other pair is included if it
+can touch, or come nearer than the required clearance, within the joint limits widened by the tracking error. If there
+is no such pair, as for the harvester, no self-collision check is needed.
 
-How two links lie to each other depends on the joints between them alone. The turret turns with the arm plane; seen from
-the pedestal, which stands still, links move with the yaw too.
+The relative pose of two links depends only on the joints between them. The turret turns with the arm plane; relative to
+the fixed pedestal, links move with the yaw too.
 
-Which links can touch is decided by bisection of the joint ranges: a box of joint angles cannot hold a contact if the
-links are farther apart at its middle than its half-widths can move them. Where that takes too long, they can touch.
+Bisection of the joint ranges decides which links can touch: a box of joint angles contains no contact if the distance
+of the links at its middle exceeds the motion that its half-widths allow. If this takes too long, the links are assumed
+to touch.
 """
 
 from __future__ import annotations
@@ -33,10 +34,10 @@ from hplan.robot.base_shapes import (
 from hplan.robot.model import Robot
 from hplan.robot.planar_family import PlanarArm
 
-#: Parts are taken to be able to touch if they come this near [m]: positions are kept to 1e-6 rad, distances to 1e-5 m.
+#: Parts within this distance count as able to touch [m]: positions hold to 1e-6 rad, distances to 1e-5 m.
 SLACK: Final = 1e-4
 
-#: Corners of the polygon that stands for a circle, drawn around it.
+#: Number of corners of the polygon circumscribed about a circle.
 _CORNERS: Final = 32
 
 
@@ -45,7 +46,7 @@ class SelfContact:
     """The pairs that can touch.
 
     Attributes:
-        links: Pairs (i, j) of links, i < j, that are no neighbours.
+        links: Pairs (i, j) of non-adjacent links, i < j.
         bodies: Shapes of turret and pedestal that links can touch.
     """
 
@@ -54,14 +55,14 @@ class SelfContact:
 
 
 def self_contact(robot: Robot, *, deviation: float = 0.0, clearance: float = 0.0) -> SelfContact:
-    """The pairs of a robot that can touch, decided once.
+    """Pairs of a robot that can touch, cached on the robot.
 
     Args:
-        deviation: How far any joint may be beyond its limits [rad]: the tracking error.
-        clearance: Distance that parts have to keep [m]. Parts that are always nearer than that, as a low shoulder is to
-            the pedestal, are asked only whether they can touch.
+        deviation: Tracking error [rad]; any joint may exceed its limits by this angle.
+        clearance: Required distance between parts [m]. Parts that are always nearer, for example a low shoulder and the
+            pedestal, are checked only for contact.
     """
-    # So many pairs of tracking error and clearance are kept of a robot.
+    # Maximum number of cached (tracking error, clearance) pairs per robot.
     most_known = 32
     decide = robot.cached("self_contact", lambda: lru_cache(most_known)(partial(_decided, robot)))
     return decide(rounded_up(deviation), float(clearance))
@@ -76,27 +77,39 @@ def _decided(robot: Robot, deviation: float, clearance: float) -> SelfContact:
 
 
 def rounded_up(deviation: float) -> float:
-    """A tracking error that is no less, one of few: that of a motion depends on how fast it is [rad]."""
+    """Round a tracking error up to one of few values [rad].
+
+    A motion's tracking error depends on its speed; rounding lets the cache be shared between motions.
+    """
     if not deviation < math.tau:
-        return math.tau  # a whole turn either way is all that there is
+        return math.tau  # a whole turn either way covers all angles
     # Tracking errors are rounded up to multiples of this [rad].
     deviation_step = 5e-3
     return deviation_step * math.ceil(deviation / deviation_step - 1e-9)
 
 
 def part_of_arm(arm: PlanarArm, first: int, last: int) -> PlanarArm:
-    """Links `first` to `last` by themselves; the plane's first axis is the direction of the link before them."""
+    """Sub-arm of links `first` to `last`.
+
+    The plane's first axis is the direction of the link before them.
+    """
     part = slice(first, last + 1)
     return PlanarArm(**{field.name: getattr(arm, field.name)[part] for field in fields(arm)})
 
 
 def radius_in_plane(radius: float, aside: float) -> float:
-    """What is left of a radius in a plane at a distance from that of its centre; 0 where it does not reach it [m]."""
+    """Radius of a ball's section by a plane [m].
+
+    `aside` is the distance of the plane from the ball's centre; the radius is 0 if the plane misses the ball.
+    """
     return math.sqrt(max(0.0, radius * radius - aside * aside)) if aside else radius
 
 
 def held_apart(arm: PlanarArm, i: int, j: int) -> float:
-    """The links between two hold the end of one at the beginning of the other: never farther apart than this [m]."""
+    """Upper bound on the gap between the capsules of links i and j [m].
+
+    The links between the two hold the end of link i near the start of link j.
+    """
     aside = float(arm.lateral[j] - arm.lateral[i])
     return math.hypot(float(arm.lengths[i + 1 : j].sum()), aside) - float(arm.half_widths[i] + arm.half_widths[j])
 
@@ -104,7 +117,7 @@ def held_apart(arm: PlanarArm, i: int, j: int) -> float:
 def _link_pairs(arm: PlanarArm, clearance: float) -> tuple[tuple[int, int], ...]:
     pairs = []
     for i in range(arm.link_count):
-        before = np.array([[-arm.lengths[i], 0.0], [0.0, 0.0]])  # link i, from where link i + 1 begins
+        before = np.array([[-arm.lengths[i], 0.0], [0.0, 0.0]])  # link i, relative to the start of link i + 1
         for j in range(i + 2, arm.link_count):
             radius, aside = float(arm.half_widths[i] + arm.half_widths[j]), float(arm.lateral[j] - arm.lateral[i])
             held = held_apart(arm, i, j)
@@ -121,7 +134,7 @@ def _bodies(robot: Robot, arm: PlanarArm, deviation: float, clearance: float) ->
     for shape in base_shapes(robot):
         still_in_plane = not shape.is_round and (shape.carrier == TURRET or not robot.has_yaw)
         core = shape.core if still_in_plane else _swept(shape)
-        # Its shadow in the arm plane holds its section there, at every yaw.
+        # The shape's projection onto the arm plane contains its section at every yaw.
         shadow = convex_hull((core - robot.plane_origin) @ robot.plane_axes.T)
         aside = (core - robot.plane_origin) @ normal
         touching: list[int] = []
@@ -129,7 +142,7 @@ def _bodies(robot: Robot, arm: PlanarArm, deviation: float, clearance: float) ->
             radius = shape.rounding + float(arm.half_widths[link])
             held = partial(is_held, robot, shape, deviation, link)
             if held(0.0):
-                continue  # it carries the shoulder, or the links between are too short to leave it
+                continue  # the shape carries the shoulder, or the links between are too short to leave it
             reach = SLACK + (0.0 if clearance > 0.0 and held(clearance) else clearance)
             lateral = float(arm.lateral[link])
             off_plane = max(float(aside.min()) - lateral, lateral - float(aside.max()), 0.0)
@@ -142,10 +155,10 @@ def _bodies(robot: Robot, arm: PlanarArm, deviation: float, clearance: float) ->
 
 
 def is_held(robot: Robot, shape: BaseShape, deviation: float, link: int, clearance: float = 0.0) -> bool:
-    """True if a link always touches a shape of the base, or is within the clearance of it, whatever the yaw.
+    """True if a link is within the clearance of a base shape at every yaw.
 
-    A link of half-width w begins no farther from the shoulder than the lengths before it, and so always touches what is
-    within w less those lengths of the shoulder, as far beside the plane as the link is.
+    A link of half-width w starts at most the sum of the preceding lengths from the shoulder. It therefore always
+    touches a shape within w minus that sum of the shoulder, taken at the link's lateral offset from the plane.
     """
     arm = robot.arm
     level = float(arm.half_widths[link] - arm.lengths[:link].sum()) + clearance
@@ -167,9 +180,9 @@ def is_held(robot: Robot, shape: BaseShape, deviation: float, link: int, clearan
 
 
 def _swept(shape: BaseShape) -> FloatArray:
-    """Core points of a hull, to be grown by the rounding, that holds what a shape sweeps about the yaw axis."""
+    """Core points of a hull that, grown by the rounding, contains a shape's yaw sweep."""
     points = shape.core - shape.axis
-    # It lies in the hull of the rings that the points sweep.
+    # The sweep lies in the hull of the rings that the points sweep.
     profile = np.column_stack([np.hypot(points[:, 0], points[:, 1]), points[:, 2]])
     profile = convex_hull(np.vstack([profile, profile * [-1.0, 1.0]]))
     radius, height = profile[profile[:, 0] >= 0.0].T
@@ -181,10 +194,13 @@ def _swept(shape: BaseShape) -> FloatArray:
 
 
 def _can_touch(arm: PlanarArm, polygon: FloatArray, radius: float) -> bool:
-    """True if the axis of the last link can come within a distance of a convex polygon; False is certain."""
+    """True if the last link can come within `radius` of a polygon.
+
+    The distance is measured from the link's axis to the convex polygon. False is certain.
+    """
     lower, upper = arm.lower[None], arm.upper[None]
     reach = np.cumsum(arm.lengths[::-1])[::-1]  # how far a point of the last link can be from each joint
-    # Most boxes of joint angles that are examined together.
+    # Maximum number of boxes of joint angles examined per batch.
     most_boxes = 20_000
     while True:
         half = 0.5 * (upper - lower)

@@ -1,7 +1,7 @@
 """Joins several robots into one tree of joints, one arm per branch.
 
-Planning and certification for any tree of joints therefore cover multi-arm robots: every body of one arm against every
-body of the others is a pair of the robot's own, in continuous time and with both in motion.
+Planning and certification for joint trees therefore cover multi-arm robots: the bodies of different arms form
+self-collision pairs of the joined robot, checked in continuous time with both arms in motion.
 """
 
 from __future__ import annotations
@@ -33,18 +33,18 @@ def joined_robots(
 ) -> Robot:
     """Join several robots; prefix joints, links and frames with robot names.
 
-    The prefix is the robot's name and `_`. The tool frame belongs to the first arm; the joints of each arm stay
-    together, in their own order. `Robot.owner_of` gives the arm of each link.
+    The prefix is the robot's name and `_`. The tool frame belongs to the first arm; the joints of each arm are
+    contiguous, in their own order. `Robot.owner_of` gives the arm of each link.
 
     Args:
         arms: Robots by name, with the poses of their bases.
         name: Name of the joined robot.
         may_touch: Pairs of links of different arms that may touch, each with the reason. All other pairs of bodies of
-            different arms keep the full clearance.
+            different arms require the full clearance.
 
     Raises:
         InputError: `arms` is empty, or `may_touch` names an unknown arm or link, or two links of one arm.
-        RobotFileError: A robot's URDF can no longer be read, or two names make the same joint or link.
+        RobotFileError: A robot's URDF can no longer be read, or two prefixed names of joints or links coincide.
     """
     if not arms:
         raise InputError("joined_robots: there is no robot to join")

@@ -1,10 +1,10 @@
-"""URDFs as they come, adapted to what Pinocchio and a robot here take.
+"""Adapts third-party URDFs to the requirements of Pinocchio and hplan.
 
-A URDF of a real robot has more joints than the arm's: fingers, joints that mimic, a lift, a camera's pan. Those stand
-still: each becomes a fixed joint at the value at which it is held, so that mass and shapes of its links stay where they
-then are. `base_link` becomes the root, continuous joints get limits of a turn to either side, and meshes are found.
+A real robot's URDF has more joints than the arm: fingers, mimic joints, a lift, a camera pan. Each of these becomes a
+fixed joint at its held value, so that the mass and the shapes of its links keep their place. `base_link` becomes the
+root, continuous joints get limits of one turn to either side, and mesh files are located.
 
-The pass works on the XML's elements in place, after they were read strictly; what it leaves is read strictly again.
+The pass modifies the XML elements in place after a strict read; the result is read strictly again.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ from hplan.robot.urdf_file import Joint, Urdf, check_inertias, read_urdf
 from hplan.robot.urdf_xml import URDF_TEXT, line_of
 from hplan.scene.limits import FARTHEST_M
 
-#: Frame in which scenes are.
+#: Reference frame of scenes.
 _BASE_LINK: Final = "base_link"
 
-#: A continuous joint turns by this, a whole turn, to either side [rad].
+#: Range of a continuous joint to either side: a whole turn [rad].
 CONTINUOUS_RANGE: Final = 2.0 * math.pi
 
-#: A limit of a revolute joint beyond this is none: exporters write 1e16 where a joint turns without end [rad].
+#: A revolute limit beyond this counts as no limit: exporters write 1e16 for continuous joints [rad].
 _ENDLESS: Final = 1e3
 
 _PACKAGE: Final = "package://"
@@ -45,14 +45,14 @@ _PACKAGE: Final = "package://"
 
 @dataclass(frozen=True, eq=False)
 class RobotChoice(Record):
-    """Arguments of a caller that come with a robot's file.
+    """Caller's arguments that accompany a robot file.
 
     Attributes:
         tool_frame: Frame at the end of the arm.
-        joints: Names of the joints that move, from the base on; None: all of those up to the tool frame that are not
+        joints: Names of the moving joints, from the base on; None for all joints up to the tool frame that are not
             held.
-        hold: Values of joints that stand still, by name [rad, m].
-        package_dirs: Folders in which `package://` meshes are looked for first.
+        hold: Values of held joints by name [rad, m].
+        package_dirs: Folders searched first for `package://` meshes.
         from_visual: Names of links whose collision shapes are built from their visuals.
         tries_visuals: Whether visual meshes are read, and dropped if they cannot be.
     """
@@ -70,9 +70,9 @@ class AdaptedUrdf(Record):
     """A URDF after the pass.
 
     Attributes:
-        text: Its XML; None where that is the file's.
-        continuous: Names of the joints that turn without end, and move.
-        held: Where joints stand that were made fixed, by name [rad, m]; of joints of several coordinates, None.
+        text: Its XML; None if it equals the file's content.
+        continuous: Names of the moving continuous joints.
+        held: Values of the joints that were made fixed, by name [rad, m]; None for joints of several coordinates.
         missing_visuals: Name of the link and of the mesh file for each visual that was dropped, as its file is missing
             or unreadable.
     """
@@ -85,19 +85,19 @@ class AdaptedUrdf(Record):
 
 
 def adapt_urdf(path: Path, root: ET.Element, choice: RobotChoice) -> AdaptedUrdf:
-    """Adapt a URDF: what is not to move stands still.
+    """Adapt a URDF: fix the joints that do not move.
 
     Args:
-        path: The file, for messages and for what is looked for around it.
-        root: Its root element; it is changed.
+        path: The file, for messages and for finding files relative to it.
+        root: Its root element; modified in place.
 
     Raises:
-        RobotFileError: What `read_urdf` and `check_inertias` refuse; a collision mesh that is not found; a joint that
-            mimics one that does not exist, or itself; one that moves, and mimics or is mimicked, or is continuous and
-            without velocity or effort limit; a base that is tilted, or not fixed, on what carries it; a link to be
-            shaped from its visual that has none.
-        InputError: A joint to move or to hold that does not exist or cannot.
-        JointLimitError: A joint held outside its limits.
+        RobotFileError: `read_urdf` or `check_inertias` rejects the URDF; a collision mesh is not found; a joint mimics
+            a joint that does not exist, or itself; a moving joint mimics or is mimicked, or is continuous without
+            velocity or effort limit; the base is tilted or not fixed relative to its parent; a link whose shape is
+            built from its visual has no visual.
+        InputError: A joint to move or to hold does not exist or cannot be moved or held.
+        JointLimitError: A joint is held outside its limits.
     """
     urdf = read_urdf(path, root)
     missing = drop_missing_visuals(path, root, choice)
@@ -133,7 +133,7 @@ class _Adaptation:
         """Change the elements; returns True if there was anything to change."""
         self._check_names()
         if not self._is_tree() or all(joint.kind == "fixed" for joint in self._urdf.joints.values()):
-            return False  # what is wrong is said by Pinocchio and by who reads its model
+            return False  # Pinocchio and the readers of its model report the fault
         tip = self._tip()
         mount = self._up_from(_BASE_LINK) if _BASE_LINK in self._urdf.links else []
         changed = self._make_root(mount)
@@ -165,7 +165,7 @@ class _Adaptation:
                 raise InputError(f"joint {name!r} cannot both move and be held", joint=name)
 
     def _tip(self) -> str:
-        """The link that the tool frame is, or is on."""
+        """Link that is the tool frame or carries it."""
         frame = self._choice.tool_frame
         if frame in self._urdf.links:
             return frame
@@ -176,14 +176,20 @@ class _Adaptation:
         return self._urdf.joints[frame].child
 
     def _is_tree(self) -> bool:
-        """True if each link but one hangs on one joint, and none on itself."""
+        """True if the links form a tree.
+
+        A tree has one root and one parent joint for every other link.
+        """
         children = [joint.child for joint in self._urdf.joints.values()]
         if len(set(children)) != len(children) or len(children) != len(self._urdf.links) - 1:
             return False
         return all(len(self._up_from(link)) <= len(children) for link in self._urdf.links)
 
     def _up_from(self, link: str) -> list[Joint]:
-        """The joints from a link up to the root; of a loop, one more than there are joints."""
+        """Joints from a link up to the root.
+
+        For a loop, the list has one joint more than the URDF.
+        """
         found: list[Joint] = []
         while link in self._carrying and len(found) <= len(self._carrying):
             found.append(self._carrying[link])
@@ -191,9 +197,9 @@ class _Adaptation:
         return found
 
     def _make_root(self, mount: list[Joint]) -> bool:
-        """Turn round the fixed joints above `base_link`, from which what carries it hangs then.
+        """Invert the fixed joints above `base_link`, so that it becomes the root.
 
-        Nothing that carries shapes is lost; gravity and the vertical stay as they are.
+        The links above become its descendants; no link with shapes is lost, and gravity and the vertical are unchanged.
         """
         for joint in mount:
             if joint.kind != "fixed" and joint.name not in self._hold:
@@ -206,7 +212,7 @@ class _Adaptation:
         values = self._values() if mount else {}
         for joint in mount:
             tilt = _placed(joint, values.get(joint.name)).rotation @ tilt
-        # The vertical of `base_link` and that of what carries it may differ by this [rad].
+        # Tolerance between the verticals of `base_link` and of the links above it [rad].
         if math.hypot(tilt[0, 2], tilt[1, 2]) > 1e-9 or tilt[2, 2] < 0.0:
             angle = math.degrees(math.atan2(math.hypot(tilt[0, 2], tilt[1, 2]), tilt[2, 2]))
             reason = (
@@ -227,7 +233,7 @@ class _Adaptation:
         return standing_values(self._path, self._urdf.joints, self._hold)
 
     def _moving(self, chain: list[Joint]) -> set[str]:
-        """Names of the joints that move."""
+        """Names of the moving joints."""
         joints = self._choice.joints
         on_chain = [joint.name for joint in chain if joint.kind != "fixed"]
         moving = {
@@ -246,7 +252,7 @@ class _Adaptation:
         return moving
 
     def _leader(self, name: str) -> str:
-        """The joint that a joint mimics in the end; itself if it mimics none."""
+        """Joint at the end of a mimic chain; the joint itself if it mimics none."""
         mimic = self._urdf.joints[name].element.find("mimic")
         return name if mimic is None else self._leader(str(mimic.get("joint")))
 
@@ -261,15 +267,15 @@ class _Adaptation:
             raise self._fault(joint, ": " + f"{reason}write them there, or {hold_advice(joint.name)}")
 
     def _fix(self, joint: Joint, value: float | None) -> None:
-        """Make a joint fixed where it stands."""
+        """Fix a joint at a value."""
         fix_joint(self._path, joint, value)
         self.held[joint.name] = value
 
     def _bound(self, joint: Joint) -> bool:
-        """Give a joint that turns without end, to one side or to both, limits there; returns True if it is one."""
+        """Add limits to a continuous or one-sided joint; return True if it is one."""
         limit = joint.element.find("limit")
         if limit is None:
-            return False  # Pinocchio says that
+            return False  # Pinocchio reports it
         ends = {key: joint.limits.get(key, 0.0) for key in ("lower", "upper")}
         range_ = f"its range is {ends['lower']:.6g} to {ends['upper']:.6g}"
         if joint.kind == "prismatic":
@@ -298,18 +304,20 @@ class _Adaptation:
 
 
 def standing_values(path: Path, joints: Mapping[str, Joint], hold: Mapping[str, float]) -> dict[str, float | None]:
-    """Where each joint stands if it does not move: as held, as it mimics, at 0 or at the limit nearest to it.
+    """Fixed value of each joint that does not move.
+
+    The value is the held one, the mimicked one, 0, or the limit nearest to 0.
 
     Args:
-        hold: Values at which some are held [rad, m].
+        hold: Values of held joints [rad, m].
 
     Returns:
-        Values by name, of all that are not fixed [rad, m]; None for those of several coordinates.
+        Values by name for all joints that are not fixed [rad, m]; None for joints of several coordinates.
 
     Raises:
-        RobotFileError: A joint that mimics itself, or what is no joint that moves.
-        InputError: A joint held that mimics another, or has several coordinates.
-        JointLimitError: A joint held outside its limits.
+        RobotFileError: A joint mimics itself, or a joint that cannot move.
+        InputError: A held joint mimics another, or has several coordinates.
+        JointLimitError: A joint is held outside its limits.
     """
     return {name: _standing(path, joints, hold, (name,)) for name, joint in joints.items() if joint.kind != "fixed"}
 
@@ -317,7 +325,10 @@ def standing_values(path: Path, joints: Mapping[str, Joint], hold: Mapping[str, 
 def _standing(
     path: Path, joints: Mapping[str, Joint], hold: Mapping[str, float], followers: tuple[str, ...]
 ) -> float | None:
-    """Where the last of `followers` stands, each of which mimics the next."""
+    """Value of the last joint of a mimic chain.
+
+    Each joint of `followers` mimics the next.
+    """
     joint = joints[followers[-1]]
     where = f"{line_of(joint.element)}joint {joint.name!r}"
     if joint.name in followers[:-1]:
@@ -349,24 +360,24 @@ def _standing(
 
 
 def fix_joint(path: Path, joint: Joint, value: float | None) -> None:
-    """Make a joint's element that of a fixed joint, its child where it stands.
+    """Turn a joint's element into a fixed joint at a value.
 
     Raises:
-        RobotFileError: Its axis has no direction.
+        RobotFileError: The joint's axis is zero.
     """
     if value:
         if not np.linalg.norm(joint.axis) > 0.0:
             raise RobotFileError(path, f"{line_of(joint.element)}joint {joint.name!r}: its axis has no direction")
         set_origin(joint.element, _placed(joint, value))
     joint.element.set("type", "fixed")
-    # What a fixed joint has no use for.
+    # Elements that are meaningless for a fixed joint.
     of_moving = ("axis", "limit", "mimic", "dynamics", "safety_controller", "calibration")
     for part in [part for part in joint.element if part.tag in of_moving]:
         joint.element.remove(part)
 
 
 def _placed(joint: Joint, value: float | None) -> pin.SE3:
-    """Placement of a joint's child in its parent where it stands at a value; without one, at 0."""
+    """Placement of a joint's child in its parent at a value; None for 0."""
     if not value:
         return joint.placement
     axis = joint.axis / np.linalg.norm(joint.axis)
@@ -376,7 +387,7 @@ def _placed(joint: Joint, value: float | None) -> pin.SE3:
 
 
 def set_origin(element: ET.Element, placement: pin.SE3) -> None:
-    """Give an element its place in what holds it."""
+    """Set the `origin` of an element to a placement in its parent."""
     origin = element.find("origin")
     if origin is None:
         origin = ET.SubElement(element, "origin")
@@ -385,7 +396,7 @@ def set_origin(element: ET.Element, placement: pin.SE3) -> None:
 
 
 def drop_missing_visuals(path: Path, root: ET.Element, choice: RobotChoice) -> tuple[tuple[str, str], ...]:
-    """Remove visuals whose mesh files are missing or unreadable; returns the link and the file of each, by name."""
+    """Remove visuals with missing or unreadable meshes; return their link and file names."""
     folders, found = _mesh_folders(path, choice), list[tuple[str, str]]()
     for link in root.findall("link"):
         for visual in link.findall("visual"):
@@ -401,7 +412,7 @@ def drop_missing_visuals(path: Path, root: ET.Element, choice: RobotChoice) -> t
 
 
 def links_without_mesh(path: Path, root: ET.Element) -> tuple[str, ...]:
-    """Names of the links that have a visual and a collision mesh that cannot be read."""
+    """Names of the links with a visual and an unreadable collision mesh."""
 
     def is_broken(mesh: ET.Element) -> bool:
         return not _is_mesh(path.parent / mesh.get("filename", "").removeprefix("file://"))
@@ -414,7 +425,7 @@ def links_without_mesh(path: Path, root: ET.Element) -> tuple[str, ...]:
 
 
 def _is_mesh(file: Path) -> bool:
-    """True if coal reads a mesh from a file."""
+    """True if coal can read a mesh from a file."""
     try:
         return bool(coal.MeshLoader().load(str(file), np.ones(3)).num_tris)
     except (RuntimeError, ValueError):
@@ -422,7 +433,7 @@ def _is_mesh(file: Path) -> bool:
 
 
 def _mesh_folders(path: Path, choice: RobotChoice) -> list[Path]:
-    """Folders in which `package://` meshes are looked for, the first one first."""
+    """Folders searched for `package://` meshes, in order."""
     around = [] if path == URDF_TEXT else [path.resolve().parent, *path.resolve().parents[1:5]]
     ros = [Path(folder) for folder in os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep) if folder]
     ros += [Path(folder) / "share" for folder in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if folder]
@@ -437,10 +448,10 @@ def _mesh_in(folders: list[Path], name: str) -> Path | None:
 
 
 def _find_meshes(path: Path, root: ET.Element, choice: RobotChoice) -> bool:
-    """Put the files of `package://` meshes in place of those names; returns True if there were any.
+    """Replace `package://` names by mesh files; return True if there were any.
 
-    Looked for, as NAME/FILE and then as FILE, in the folders given, in that of the URDF and the four above it, and in
-    those of ROS.
+    Each mesh is searched as NAME/FILE and then as FILE in the given folders, in the URDF's folder and the four above
+    it, and in the ROS package folders.
     """
     folders = _mesh_folders(path, choice)
     meshes = [mesh for mesh in root.iter("mesh") if mesh.get("filename", "").startswith(_PACKAGE)]

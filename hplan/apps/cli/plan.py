@@ -65,7 +65,7 @@ exit status:
 hplan --help lists the other commands.
 """
 
-#: So many kernels are called for the reference scene, about; less for most others.
+#: Approximate number of kernels called for the reference scene; most other scenes call fewer.
 KERNELS = 124
 
 STAGE_WORDS = {
@@ -82,7 +82,7 @@ STAGE_WORDS = {
 
 
 def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int:
-    """Plan, write, show what came of it; returns the exit status."""
+    """Plan, write the files and show a summary; return the exit status."""
     if arguments.scene is not None and names_robots(arguments.scene):
         from hplan.apps.cli.cell import run as run_cell
 
@@ -100,7 +100,7 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int
 
 
 def parser(prog: str) -> argparse.ArgumentParser:
-    """The parser of the command's arguments."""
+    """Parser of the command's arguments."""
     parser = command_parser(__doc__, _EXIT_STATUS, prog=prog)
     add = parser.add_argument
     add_shared(parser, "scene", "out", "force", "robot", "parts", "contacts")
@@ -133,7 +133,7 @@ def parser(prog: str) -> argparse.ArgumentParser:
 
 
 def _made(arguments: argparse.Namespace, folder: JobFolder, errors: Console) -> tuple[PlanResult, list[str]]:
-    """Load, plan and write; gives the plan and the names of its files."""
+    """Load, plan and write; return the plan and the names of its files."""
     with progress_line(errors, quiet=arguments.quiet, kernels=KERNELS) as status:
         status("reading robot and scene")
         with loading():
@@ -169,7 +169,7 @@ def _made(arguments: argparse.Namespace, folder: JobFolder, errors: Console) -> 
 
 
 def _planned(robot: Robot, scene: Scene, options: PlanOptions, progress: Callable[[str], None]) -> PlanResult:
-    """Plan; on a first run another process compiles what comes last meanwhile."""
+    """Plan; on a first run another process compiles the last kernels meanwhile."""
     from hplan.online.warm_up import warm_up
     from hplan.planning.compile_ahead import compiling_ahead, is_first_run
     from hplan.planning.plan import plan
@@ -189,7 +189,7 @@ def _planned(robot: Robot, scene: Scene, options: PlanOptions, progress: Callabl
 def _write_cspace(
     options: PlanOptions, result: PlanResult, yaw: float | None, folder: Path, errors: Console
 ) -> list[str]:
-    """Write the C-space at one yaw with the motion, a page and a figure; gives the names of the files."""
+    """Write page and figure of the C-space at one yaw; return the file names."""
     from hplan.apps.view.cspace_figure import cspace_at_yaw
     from hplan.apps.view.cspace_page import render_cspace_page
     from hplan.apps.view.playback import Playback
@@ -203,7 +203,10 @@ def _write_cspace(
 
 
 def show_summary(console: Console, result: PlanResult, folder: Path, files: Sequence[str]) -> None:
-    """What came of a plan, with the names of its files: rows that fit 80 columns, unless names are long."""
+    """Print a plan's summary and file names.
+
+    Lines fit 80 columns unless names are long.
+    """
     from hplan.base.units import joint_length
 
     report = result.report
@@ -272,7 +275,10 @@ def show_summary(console: Console, result: PlanResult, folder: Path, files: Sequ
 
 
 def _bound_words(bound: dict[str, Any] | None, phases: int) -> str:
-    """How far the motion, or its first phases, is from the fastest one that is not excluded, rounded up."""
+    """Phrase for the optimality gap of the motion or its first phases, rounded up.
+
+    The gap is relative to the fastest motion that the lower bound does not exclude.
+    """
     if bound is None:
         return "none, as the motion is not certified"
     gap = math.ceil(1e3 * bound["gap"] - 1e-6) / 10.0
@@ -294,7 +300,10 @@ def _clearance_words(proof: dict[str, Any]) -> str:
 
 
 def _time_words(times: dict[str, float]) -> str:
-    """The whole, then the stages that there were, those up to the path and those of the motion a line each."""
+    """Total time, then the times of the executed stages.
+
+    The stages up to the path take one line, the stages of the motion another.
+    """
     stages = {name: f"{name} {ms:.1f}" for name, ms in times.items() if name != "total" and ms > 0.0}
     motion = [
         stages.pop(name) for name in ("postprocess", "timing", "certificate", "bound", "export") if name in stages

@@ -1,4 +1,4 @@
-"""A motion and its certificate as markers: the tool's path, the nearest pair over time, fruit in the tool, words."""
+"""Markers of a motion and its certificate: tool path, nearest pair, picked fruit, text."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ from hplan.scene.model import Scene
 from hplan.scene.solids import Cloud
 from hplan.trajectory.trajectory import Trajectory
 
-#: Namespace of the markers of motion and certificate; its numbers are 0 to 2.
+#: Namespace of the markers of motion and certificate, with ids 0 to 2.
 _CERTIFICATE: Final = "certificate"
 
 
 def path_marker(robot: Robot, positions: FloatArray, frame_id: str) -> Marker:
-    """The path of the tool through (n, dof) configurations, as a line."""
+    """Line marker of the tool path through (n, dof) configurations."""
     line = mark.points(robot.tool_positions(positions))
     if len(line) == 1:
         line *= 2
@@ -43,7 +43,10 @@ def path_marker(robot: Robot, positions: FloatArray, frame_id: str) -> Marker:
 
 
 def words_marker(robot: Robot, positions: FloatArray, certificate: Certificate, frame_id: str) -> Marker:
-    """What the certificate says, above the base and all places of the tool in (n, dof) configurations."""
+    """Text marker with the certificate's verdict.
+
+    It is above the base and above all tool positions of the (n, dof) configurations.
+    """
     height_m = 0.08
     place = [0.0, 0.0, float(robot.tool_positions(positions)[:, 2].max()) + 2.0 * height_m]
     return mark.head(frame_id=frame_id, ns=_CERTIFICATE, number=1) | {
@@ -56,7 +59,7 @@ def words_marker(robot: Robot, positions: FloatArray, certificate: Certificate, 
 
 
 def certificate_text(certificate: Certificate) -> str:
-    """The certificate in two lines: verdict and clearance, then the nearest pair."""
+    """Certificate in two lines: verdict and clearance, then the nearest pair."""
     if not certificate.verified:
         return f"not certified\n{certificate.violations[0] if certificate.violations else ''}".rstrip()
     if certificate.nearest is None:
@@ -86,19 +89,19 @@ class NearestPairs:
                 self._solids[solid.name].append(solid if isinstance(solid, Cloud) else solid_shape(solid))
 
     def clearance_m(self, time_s: float) -> float | None:
-        """Certain clearance at a time [m]; None where nothing is there to meet, or it is not known."""
+        """Certified clearance at a time [m]; None if unknown or without any pair."""
         if self._curve is None:
             return None
         found = float(np.interp(time_s, self._curve.time, self._curve.clearance_m))
         return found if np.isfinite(found) else None
 
     def marker(self, time_s: float, q: FloatArray, moved: Mapping[str, pin.SE3]) -> Marker:
-        """The line at a time, in a configuration; of a pair within the arm, or none, no line.
+        """Line marker at a time and configuration; empty for a self-collision pair or no pair.
 
         Args:
             time_s: Time of the motion [s].
             q: (dof,) configuration.
-            moved: How obstacles that move stand then to where the scene lists them.
+            moved: Displacements of moving obstacles at this time relative to their poses in the scene.
         """
         head = mark.head(frame_id=self._frame_id, ns=_CERTIFICATE, number=2)
         link, name = self._pair(time_s)
@@ -121,7 +124,7 @@ class NearestPairs:
         }
 
     def _pair(self, time_s: float) -> tuple[str, str]:
-        """Names of the nearest pair; empty where there is none."""
+        """Names of the nearest pair; empty without a pair."""
         if self._curve is None:
             return self._pairs[0] if self._pairs else ("", "")
         station = int(np.abs(self._curve.time - time_s).argmin())
@@ -132,7 +135,10 @@ class NearestPairs:
 def fruit_events(
     robot: Robot, scene: Scene, trajectory: Trajectory, picks: Sequence[Pick]
 ) -> Iterator[tuple[float, Marker]]:
-    """Times and markers of picked fruit: held by the tool from the one on, gone from the other."""
+    """Times and markers of picked fruit.
+
+    Each fruit is attached to the tool at one time and removed at another.
+    """
     frames = LinkFrames(robot)
     for pick in picks:
         frames.place(trajectory.positions(np.array([pick.since]))[0])
@@ -148,7 +154,10 @@ def fruit_events(
 def _nearest_points(
     link: pin.GeometryObject, place: pin.SE3, solid: pin.GeometryObject | Cloud
 ) -> tuple[float, FloatArray]:
-    """Distance of a link's capsule and a solid, and the (2, 3) nearest points of both."""
+    """Distance and nearest points of a link's capsule and a solid.
+
+    The nearest points are (2, 3), first on the link.
+    """
     if isinstance(solid, Cloud):
         radius, half = float(link.geometry.radius), float(link.geometry.halfLength) * place.rotation[:, 2]
         from_middle = solid.core - place.translation

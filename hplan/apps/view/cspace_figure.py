@@ -1,4 +1,4 @@
-"""The figure of the C-space at one yaw: the forbidden region, and the motion that passes it."""
+"""Figure of the C-space at one yaw, with the forbidden region and the motion."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from hplan.apps.view.yaw_section import YawSection
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-#: Colours of the motion, at the yaw and farthest from it.
+#: Colours of the motion: at the yaw, and farthest from it.
 _NEAR, _FAR = INK, "#A9BBCB"
 
 
 @styled
 def cspace_at_yaw(section: YawSection, title: str = "") -> Figure:
-    """The forbidden region at one yaw, and the motion projected into it; dotted where the region hides it.
+    """Draw the forbidden region at one yaw and the projected motion.
 
-    The farther the motion's yaw is from the region's, the thinner and paler its line: what it passes there is another
-    region.
+    Hidden segments of the motion are dotted. The line becomes thinner and paler with the distance of the motion's yaw
+    from the region's, because the region at that yaw is a different one.
 
     Args:
         title: Title; may be empty.
@@ -64,7 +64,7 @@ def cspace_at_yaw(section: YawSection, title: str = "") -> Figure:
 
 
 def _draw_motion(axes: Any, section: YawSection, towards: Any, color_of: Any) -> bool:
-    """Draw the motion with its ends, the farthest parts first; returns whether a part of it is hidden."""
+    """Draw the motion with its ends, farthest segments first; return True if any is hidden."""
     from mpl_toolkits.mplot3d.art3d import Line3DCollection
 
     points = np.degrees(section.path)
@@ -74,7 +74,7 @@ def _draw_motion(axes: Any, section: YawSection, towards: Any, color_of: Any) ->
     fraction = section.yaw_distance[:-1] / max(float(section.yaw_distance.max()), 1e-9)
     widths = 3.2 - 2.0 * fraction
     colors = np.array([color_of(distance) for distance in section.yaw_distance[:-1]])
-    # Every other two pieces of what is hidden: dots.
+    # Every second pair of hidden segments is omitted, which gives dots.
     dots = dark & (np.arange(len(dark)) % 4 < 2)
     for shown, thick, alpha, zorder in ((dots, 0.6, 0.8, 6.0), (~dark, 1.0, 1.0, 7.0)):
         if shown.any():

@@ -1,7 +1,8 @@
-"""The interactive page of the C-space at one yaw: the forbidden region, the motion, and a ball that runs along it.
+"""Interactive page of the C-space at one yaw, with the forbidden region and the motion.
 
-The joints' ranges become a cube, the first joint to the right, the second backwards, the third up; the region's
-surface is that of the figures. Where the motion's yaw is far from the region's, its line is pale.
+A ball moves along the motion. The joints' ranges map to a cube: the first joint to the right, the second backwards, the
+third up. The region has the same surface as in the figures. The line is pale if the motion's yaw is far from the
+region's.
 """
 
 from __future__ import annotations
@@ -27,16 +28,16 @@ _NEAR = np.array([0.133, 0.188, 0.235])
 _BOX_COLOR = np.array([0.40, 0.46, 0.52, 0.8])
 _FAINT_COLOR = np.array([0.40, 0.46, 0.52, 0.25])
 
-#: Edge of the cube that the joints' ranges become [m].
+#: Edge of the cube of the joints' ranges [m].
 _EDGE = 2.0
 _RINGS = 240
 
 
 def render_cspace_page(section: YawSection, title: str) -> str:
-    """The page as HTML text: self-contained; the ball moves in real time, again and again.
+    """Render the page as self-contained HTML; the ball moves in real time in a loop.
 
     Raises:
-        HplanError: meshcat, which brings the viewer, is not installed.
+        HplanError: meshcat, which provides the viewer, is not installed.
     """
     words = f"C-space at yaw {math.degrees(section.yaw):.1f}°"
     far = math.degrees(float(section.yaw_distance.max()))
@@ -51,7 +52,7 @@ def _commands(section: YawSection) -> list[Json]:
     half = 0.5 * _EDGE
     corners = half * np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
     azimuth, elevation = np.radians(section.view)
-    # The labels stand outside of the cube.
+    # The labels are outside the cube.
     view = framing.frame(1.2 * corners, float(azimuth), float(elevation))
     motion = _place(section, section.grid.position(section.path))
     commands = [
@@ -65,7 +66,7 @@ def _commands(section: YawSection) -> list[Json]:
     vertices, faces = surface_net(section.field)
     if len(faces):
         body = Body()
-        # From inside the region, where only a motion at another yaw can be, its wall is not seen.
+        # The wall is invisible from inside the region, which only a motion at another yaw can enter.
         look = three.material(_REGION_COLOR, opacity=0.88, roughness=0.8)
         body.add(three.surface(_place(section, vertices), faces), look, name="forbidden", shadow=False)
         commands.append(set_object(f"{ROOT}/forbidden", body))
@@ -79,7 +80,7 @@ def _commands(section: YawSection) -> list[Json]:
 
 
 def _place(section: YawSection, nodes: FloatArray) -> FloatArray:
-    """Positions in the cube of (n, 3) places in units of nodes [m]."""
+    """Positions in the cube of (n, 3) grid positions in units of nodes [m]."""
     return _EDGE * (nodes / (np.array(section.grid.shape) - 1.0) - 0.5)
 
 
@@ -100,7 +101,7 @@ def _motion(section: YawSection, motion: FloatArray) -> Body:
 
 
 def _ticks(section: YawSection, axis: int) -> list[float]:
-    """Angles to be labelled along an axis [deg]."""
+    """Angles of the labels along an axis [deg]."""
     low, high = (math.degrees(float(section.grid.axis(axis)[end])) for end in (0, -1))
     spacing = 30.0 * max(1, math.ceil((high - low) / 180.0))
     ticks = spacing * np.arange(math.ceil(low / spacing - 1e-9), math.floor(high / spacing + 1e-9) + 1)
@@ -115,7 +116,7 @@ def _at(section: YawSection, axis: int, degrees: float) -> float:
 
 
 def _box(section: YawSection) -> Body:
-    """The cube's edges, and lines on its floor and walls where the labels are."""
+    """Edges of the cube, and lines on its floor and walls at the labels."""
     half = 0.5 * _EDGE
     points: list[FloatArray] = []
     colors: list[FloatArray] = []
@@ -145,7 +146,7 @@ def _box(section: YawSection) -> Body:
 
 
 def _labels(section: YawSection) -> list[Json]:
-    """Angles and names along three edges of the cube that the viewer sees in front."""
+    """Angles and names along three front edges of the cube."""
     half, outside = 0.5 * _EDGE, 1.13 * 0.5 * _EDGE
     azimuth = math.radians(section.view[0])
     near = np.sign([math.cos(azimuth), math.sin(azimuth)])
@@ -161,7 +162,7 @@ def _labels(section: YawSection) -> list[Json]:
     for axis, place in lines:
         texts = [(f"{tick:g}", _at(section, axis, tick), outside) for tick in _ticks(section, axis)]
         if axis == 2:
-            del texts[:1]  # it would stand where the second joint's end stands
+            del texts[:1]  # it would overlap the label of the second joint's end
         texts.append((f"{section.joint_names[axis]} [deg]", 0.0, outside + 0.26 * half))
         for text, along, out in texts:
             path = f"{ROOT}/labels/{node(f'joint {axis + 1}', text)}"

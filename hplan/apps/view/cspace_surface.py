@@ -1,8 +1,8 @@
-"""Surfaces in three dimensions: the C-space obstacle, and which points it hides.
+"""Surface of the C-space obstacle in three dimensions, and the points that it hides.
 
-The obstacle's surface is made by surface nets: one vertex in each cell that the surface crosses, one quadrilateral
-for each grid edge that it cuts. It is shaded here and seen in parallel projection, so that the parts of a line behind
-it are found exactly by following the line of sight through the field; hidden parts are drawn faint.
+Surface nets generate the obstacle's surface: one vertex in each cell that the surface crosses, one quadrilateral for
+each grid edge that it cuts. The surface is shaded and drawn in parallel projection, so that tracing the line of sight
+through the field finds the hidden segments of a line exactly; these are drawn faint.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from hplan.grid.grid import Grid
 
 
 def surface_net(field: FloatArray) -> tuple[FloatArray, IntArray]:
-    """Surface where a field on a 3-D grid is zero, closed on the faces of the grid.
+    """Zero-level surface of a field on a 3-D grid, closed on the grid's faces.
 
     Args:
         field: (N1, N2, N3) values, negative inside.
 
     Returns:
-        (V, 3) vertices in units of nodes and (F, 4) quadrilaterals, counter-clockwise seen from outside.
+        (V, 3) vertices in units of nodes, and (F, 4) quadrilaterals, counter-clockwise from outside.
     """
     # Value of the field beyond the grid: closes the surface on the grid's faces.
     values = np.pad(field, 1, constant_values=1e3)
@@ -56,7 +56,7 @@ def surface_net(field: FloatArray) -> tuple[FloatArray, IntArray]:
     active = crossings > 0
     number = np.full(tuple(cells), -1, dtype=np.int64)
     number[active] = np.arange(int(active.sum()))
-    vertices = total[active] / crossings[active][:, None] - 1.0  # the padding moved all by one
+    vertices = total[active] / crossings[active][:, None] - 1.0  # undoes the offset of the padding
     faces = []
     for axis in range(3):
         first, second = (axis + 1) % 3, (axis + 2) % 3
@@ -132,7 +132,7 @@ def draw_cspace_obstacle(axes: Any, grid: Grid, field: FloatArray) -> FloatArray
 def joint_box(
     axes: Any, grid: Grid, zoom: float, names: Sequence[str] = (r"$\theta_1$", r"$\theta_2$", r"$\theta_3$")
 ) -> None:
-    """Look of 3-D axes over three joint angles; without names they are the paper's."""
+    """Style 3-D axes over three joint angles; without names, use the paper's."""
     high = np.degrees(grid.coordinates(np.array(grid.shape) - 1))
     low = np.degrees(grid.lower)
     axes.set_xlim(low[0], high[0])
@@ -145,11 +145,11 @@ def joint_box(
     axes.set_zlabel(f"{names[2]} [deg]", labelpad=0)
     for axis, first, last in zip((axes.xaxis, axes.yaxis, axes.zaxis), low, high, strict=True):
         axis.set_ticks([tick for tick in np.arange(-360.0, 361.0, 30.0) if first <= tick <= last + 1e-9])
-    axes.xaxis.set_ticks([tick for tick in axes.get_xticks() if tick > low[0] + 1e-9])  # it stands where theta2's ends
+    axes.xaxis.set_ticks([tick for tick in axes.get_xticks() if tick > low[0] + 1e-9])  # else it overlaps theta2's end
 
 
 def panes(axes: Any) -> None:
-    """Look of the walls, grid lines and ticks of 3-D axes."""
+    """Style the walls, grid lines and ticks of 3-D axes."""
     for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
         axis.set_pane_color((0.975, 0.98, 0.985, 1.0))
         axis.line.set_color(QUIET)

@@ -1,6 +1,7 @@
-"""Content of the page as commands to meshcat's viewer: arm, scene, tool path, ghosts, ground, lights and camera.
+"""Content of the scene page as commands to meshcat's viewer.
 
-The commands are plain dictionaries, the same for the page in a file and for the live server, and the same on every run.
+The commands create arm, scene, tool path, ghosts, ground, lights and camera. They are plain dictionaries, identical for
+the page in a file and for the live server, and deterministic.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from hplan.scene.obstacles import Solid
 from hplan.scene.solids import CUBE_CORNERS
 from hplan.trajectory.trajectory import Phase, Trajectory
 
-#: Most keyframes for each second of motion, and most of a whole motion: pages of long tours stay small.
+#: Maximum number of keyframes per second and per motion; they keep pages of long tours small.
 FRAME_RATE_HZ = 60.0
 _MOST_FRAMES = 2400
 #: Rest at the goal before the motion starts again [s].
@@ -38,18 +39,18 @@ START_COLOR = 0x3D7EFF
 GOAL_COLOR = 0x12A150
 APPROACH_COLOR = 0xF08A1D
 
-#: Rings of all tubes of the tool path together, about, and how far apart they are at least [m].
+#: Approximate total number of rings in the tool path's tubes, and the minimum spacing of the rings [m].
 _RINGS, _RING_SPACING = 900, 0.02
 
 
 def stage(robot: Robot, scene: Scene, playback: Playback) -> list[Json]:
-    """Everything on the page.
+    """Build all content of the page.
 
     Returns:
-        Commands for meshcat's viewer, in the order in which they are to be handled.
+        Commands for meshcat's viewer, in execution order.
 
     Raises:
-        InputError: The trajectory is of other joints than the robot's; `picked` names a fruit that the scene does not
+        InputError: The trajectory is for other joints than the robot's; `picked` names a fruit that the scene does not
             have, or a time outside the motion.
     """
     playback.check(robot)
@@ -69,7 +70,7 @@ def stage(robot: Robot, scene: Scene, playback: Playback) -> list[Json]:
         *_posed(robot, trajectory.position[0], "arm"),
     ]
     if trajectory.samples > 1:
-        # One ghost for the goal would say little of several.
+        # A single ghost would not represent several goals.
         if len(picks) < 2:
             last = _row_at(trajectory, picks[0].since if picks else trajectory.duration)
             for layer, name, row, color in ((1, "start", 0, START_COLOR), (2, "goal", last, GOAL_COLOR)):
@@ -85,7 +86,10 @@ def stage(robot: Robot, scene: Scene, playback: Playback) -> list[Json]:
 
 
 def keyframe_times(trajectory: Trajectory) -> FloatArray:
-    """Times of the keyframes, (k,) from 0 to the end, at most `FRAME_RATE_HZ` of them a second and `_MOST_FRAMES`."""
+    """(k,) times of the keyframes from 0 to the end [s].
+
+    There are at most `FRAME_RATE_HZ` keyframes per second, and at most `_MOST_FRAMES` in all.
+    """
     steps = min(trajectory.samples - 1, int(np.ceil(trajectory.duration * FRAME_RATE_HZ)), _MOST_FRAMES)
     if steps == trajectory.samples - 1:
         return trajectory.time
@@ -97,7 +101,10 @@ def keyframe_times(trajectory: Trajectory) -> FloatArray:
 
 
 def _joint_paths(model: pin.Model, top: str) -> list[str]:
-    """Path of the viewer's node for each joint of the model; a joint's node stands in its parent's."""
+    """Path of the viewer's node for each joint of the model.
+
+    The nodes nest like the joints.
+    """
     paths = [f"{ROOT}/{top}"]
     for joint in range(1, model.njoints):
         paths.append(f"{paths[model.parents[joint]]}/{node('joint', model.names[joint])}")
@@ -105,17 +112,17 @@ def _joint_paths(model: pin.Model, top: str) -> list[str]:
 
 
 def _looks(robot: Robot) -> Sequence[pin.GeometryObject]:
-    """What is drawn of a robot: its visual geometry or, where that is too fine for a page, its collision geometry."""
+    """Drawn geometry of a robot: visual, or collision if the visual is too detailed."""
     shown: Sequence[pin.GeometryObject] = robot.visual_model.geometryObjects
     triangles = sum(getattr(item.geometry, "num_tris", 0) for item in shown)
-    # Visual meshes with more triangles than this are not drawn: those of a Panda would make a page of 68 MB.
+    # Visual meshes with more triangles than this are not drawn: a Panda's would give a page of 68 MB.
     return shown if triangles <= 20_000 else robot.collision_model.geometryObjects
 
 
 def _posed(robot: Robot, q: FloatArray, top: str, surface: Json | None = None, **settings: Any) -> list[Json]:
-    """The robot in a configuration, in its own colours or as a ghost of one surface.
+    """Draw the robot at a configuration, in its own colours or as a single-surface ghost.
 
-    Of a ghost what stands below the shoulder is left out: at most it turns in place.
+    A ghost omits the bodies below the shoulder, which at most turn in place.
     """
     bodies: dict[int, Body] = defaultdict(Body)
     first = 0 if surface is None else 1 if robot.planar is None else robot.model.getJointId(robot.arm.joint_names[0])
@@ -136,7 +143,7 @@ def _posed(robot: Robot, q: FloatArray, top: str, surface: Json | None = None, *
 
 
 def _animation(robot: Robot, scene: Scene, playback: Playback, picks: Sequence[scenery.Pick]) -> Json:
-    """Joints over time, what has a track, and picked fruits, in seconds of the motion, again and again."""
+    """Looping animation of joints, tracked obstacles and picked fruits, timed in seconds of the motion."""
     model, data, trajectory = robot.model, robot.model.createData(), playback.trajectory
     times = keyframe_times(trajectory)
     configurations = np.column_stack([np.interp(times, trajectory.time, column) for column in trajectory.position.T])
@@ -148,8 +155,8 @@ def _animation(robot: Robot, scene: Scene, playback: Playback, picks: Sequence[s
             turns[joint, k] = pin.Quaternion(data.liMi[joint].rotation).coeffs()
             places[joint, k] = data.liMi[joint].translation
     end = trajectory.duration + REST_S
-    # A joint turns or slides in its parent's frame: between keyframes the viewer's interpolation of either is exact.
-    # Joints that move by more than this in their parent's frame slide, others turn [m].
+    # A joint rotates or translates in its parent's frame; the viewer interpolates both exactly between keyframes.
+    # Joints whose origin moves by more than this in their parent's frame are prismatic, the others revolute [m].
     slid = 1e-9
     clips = [
         clip(
@@ -167,18 +174,21 @@ def _animation(robot: Robot, scene: Scene, playback: Playback, picks: Sequence[s
 
 
 def _row_at(trajectory: Trajectory, time: float) -> int:
-    """The row nearest to a time [s]."""
+    """Index of the trajectory sample nearest to a time [s]."""
     return int(np.argmin(np.abs(trajectory.time - time)))
 
 
 def _add_tool_path(body: Body, robot: Robot, playback: Playback, frame: str, phases: Sequence[Phase]) -> None:
-    """A tool's path as a tube that turns from the start's colour to the goal's, approaches apart; a ball each end."""
+    """Draw a tool's path as a tube, with a ball at each end.
+
+    Its colour changes from the start's to the goal's; approaches are drawn separately.
+    """
     trajectory = playback.trajectory
     tool = robot.forward_kinematics(trajectory.position, frame)[:, :3, 3]
     stretches = [
         (phase.name, _row_at(trajectory, phase.start_s), _row_at(trajectory, phase.end_s))
         for phase in phases
-        if phase.name != "retreat"  # the approach's path, backwards
+        if phase.name != "retreat"  # it retraces the approach's path
     ] or [("transit", 0, trajectory.samples - 1)]
     last = stretches[-1][2]
     for name, point, color in (("start", tool[0], START_COLOR), ("goal", tool[last], GOAL_COLOR)):
@@ -190,7 +200,7 @@ def _add_tool_path(body: Body, robot: Robot, playback: Playback, frame: str, pha
     for name, first, end in stretches:
         length = float(along[end] - along[first])
         if length > 1e-3:
-            # Evenly spaced along the path: slow stretches do not crowd.
+            # Evenly spaced along the path, so that rings do not crowd in slow segments.
             count = max(int(np.ceil(length / max(_RING_SPACING, along[-1] / _RINGS))), 8)
             evenly = np.linspace(along[first], along[end], count + 1)
             rows = slice(first, end + 1)
@@ -207,16 +217,17 @@ def _add_tool_path(body: Body, robot: Robot, playback: Playback, frame: str, pha
 
 
 def _stands(scene: Scene, playback: Playback) -> list[Scene]:
-    """The scene as it stands at times of a motion, for the picture to hold: once where nothing moves but the arm."""
+    """Scenes at several times of a motion for framing; one if only the arm moves."""
     if not scene.moves:
         return [scene]
     return [scene.at(playback.begin_s + part * playback.trajectory.duration) for part in (0.0, 0.25, 0.5, 0.75, 1.0)]
 
 
 def _floor(robot: Robot, stands: Sequence[Scene]) -> float:
-    """Height of the ground [m]: 0, or that at which tables, shelves and platforms stand that go below the arm's foot.
+    """Height of the ground [m]: 0, or the bottom of furniture below the arm's foot.
 
-    Arms of the planar family stand on the ground themselves.
+    Such furniture is a table, shelf or platform that extends below the foot. Arms of the planar family are mounted on
+    the ground.
     """
     if robot.planar is not None:
         return 0.0
@@ -226,7 +237,10 @@ def _floor(robot: Robot, stands: Sequence[Scene]) -> float:
 
 
 def _is_ground(robot: Robot, corners: FloatArray) -> bool:
-    """True of what does not reach above the arm's foot; for arms of other kinds only where the arm cannot span it."""
+    """True if a body does not extend above the arm's foot.
+
+    For general (non-planar) arms the arm must also be unable to span the body.
+    """
     if corners[:, 2].max() > 0.0:
         return False
     wide = np.ptp(corners[:, :2], axis=0).max() > 2.0 * reach_ball(robot)[3]
@@ -234,17 +248,17 @@ def _is_ground(robot: Robot, corners: FloatArray) -> bool:
 
 
 def _frame(robot: Robot, stands: Sequence[Scene], trajectory: Trajectory, picks: Sequence[int], floor: float) -> Frame:
-    """Place the camera so that arm and scene fill the picture and the arm plane is seen from the side.
+    """Place the camera to fill the picture and view the arm plane from the side.
 
-    Where several fruits are picked, it is the plane in the middle of those picks. Of the four sides, before and behind
-    the arm, that is taken from which the least of the arm and its path is hidden.
+    For several picked fruits, the camera uses the plane in the middle of the picks. Among four candidate directions, in
+    front of and behind the arm, it takes the one that hides the least of the arm and its path.
     """
     count = min(25 * max(1, len(picks)), 100)
     rows = np.unique([*np.linspace(0, trajectory.samples - 1, count).astype(int), *picks])
     configurations = trajectory.position[rows]
     yaws = [robot.yaw_of(q) for q in (trajectory.position[picks] if len(picks) > 1 else configurations)]
     yaw = 0.5 * (min(yaws) + max(yaws))
-    # The camera stands to the side of the arm plane, turned forwards or backwards, and raised [deg].
+    # Camera directions: to the side of the arm plane, turned forwards or backwards, and raised [deg].
     aside, elevation = 32.0, np.radians(17.0)
     arm = _arm_points(robot, configurations)
     blocking = [_blocking_points(scene) for scene in stands]
@@ -256,7 +270,7 @@ def _frame(robot: Robot, stands: Sequence[Scene], trajectory: Trajectory, picks:
 
 
 def _arm_points(robot: Robot, configurations: FloatArray) -> FloatArray:
-    """Joints, tool and middles of links of each configuration, (n, 3) [m]."""
+    """(n, 3) positions of joints, tool and link midpoints at each configuration [m]."""
     points, (model, data) = [np.zeros((0, 3))], (robot.model, robot.model.createData())
     frame = robot.frame_number(robot.tool_frame)
     for q in configurations:
@@ -268,7 +282,7 @@ def _arm_points(robot: Robot, configurations: FloatArray) -> FloatArray:
 
 
 def _corners(robot: Robot, configurations: FloatArray) -> FloatArray:
-    """Corners of boxes about the bodies of the arm at each configuration, (n, 3) [m]."""
+    """(n, 3) corners of the arm bodies' bounding boxes at each configuration [m]."""
     bodies = [body for body in collision_bodies(robot) if body.joint >= 0]
     ends = [(body.core.min(axis=0) - body.rounding, body.core.max(axis=0) + body.rounding) for body in bodies]
     boxes = [np.where(CUBE_CORNERS < 0.0, low, high) for low, high in ends]
@@ -282,7 +296,10 @@ def _corners(robot: Robot, configurations: FloatArray) -> FloatArray:
 
 
 def _blocking_points(scene: Scene) -> tuple[FloatArray, FloatArray]:
-    """Points of solids, (n, 3) [m], and how far each one's solid reaches about it, (n,) [m]."""
+    """Points of solids and extents about them [m].
+
+    The points are (n, 3); the (n,) extents are the radius of each point's solid about it.
+    """
     points, widths = [np.zeros((0, 3))], [np.zeros(0)]
     for solid in scene.solids:
         core = solid.core
@@ -297,7 +314,10 @@ def _blocking_points(scene: Scene) -> tuple[FloatArray, FloatArray]:
 
 
 def _visible_points(robot: Robot, stands: Sequence[Scene], arm: FloatArray, floor: float) -> FloatArray:
-    """Points that the picture must hold, (n, 3) [m]: the moving arm, its foot, obstacles near the arm, fruits."""
+    """(n, 3) points that the picture must include [m].
+
+    They belong to the moving arm, its foot, obstacles near the arm, and fruits.
+    """
     ball = reach_ball(robot)
     # A square on the ground about the foot.
     points = [arm, 0.16 * np.array([(x, y, 0.0) for x in (-1, 1) for y in (-1, 1)])]
@@ -307,8 +327,8 @@ def _visible_points(robot: Robot, stands: Sequence[Scene], arm: FloatArray, floo
     ):
         corners = np.vstack([core - rounding, core + rounding])
         if _is_ground(robot, corners):
-            continue  # as wide as it likes
-        # A long wire or a distant wall may leave the picture; what the arm can touch may not.
+            continue  # ground may extend beyond the picture
+        # A long wire or a distant wall may leave the picture; bodies within the arm's reach may not.
         points.append(np.clip(corners, ball[:3] - ball[3], ball[:3] + ball[3]))
     result = np.vstack(points)
     result[:, 2] = np.maximum(result[:, 2], floor)
@@ -316,5 +336,5 @@ def _visible_points(robot: Robot, stands: Sequence[Scene], arm: FloatArray, floo
 
 
 def _outline(solid: Solid) -> FloatArray:
-    """Points of a solid that speak for its extent, (k, 3) [m]."""
+    """(k, 3) points that represent a solid's extent [m]."""
     return np.stack([solid.core.min(axis=0), solid.core.max(axis=0)]) if solid.is_point_set else solid.core

@@ -1,8 +1,8 @@
-"""The C-space at one yaw: the forbidden region of the planar joints there, and a motion projected into it.
+"""C-space at one yaw: forbidden region of the planar joints, and a projected motion.
 
-The forbidden region is where the clearance of the arm is negative; clearance is evaluated at the nodes of a grid, so
-that the region's surface can be found between them. Of a motion that turns the base the picture holds only near that
-yaw: elsewhere the region is another one.
+The forbidden region is the set of configurations with negative clearance. Clearance is evaluated at the nodes of a
+grid, and the region's surface is interpolated between them. For a motion that turns the base, the picture is valid only
+near that yaw, because the region changes with the yaw.
 """
 
 from __future__ import annotations
@@ -24,22 +24,22 @@ from hplan.planning.world import World
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 
-#: Spacing of the grid on which the region is found, and its most nodes, about.
+#: Spacing of the region's grid, and its approximate maximum number of nodes.
 _STEP_DEG, _MOST_NODES = 2.0, 100_000
 
-#: Points of the projected motion, and how near to the yaw they count when the view is chosen.
+#: Number of points of the projected motion, and the yaw distance within which they count for the choice of the view.
 _POINTS, _NEAR = 400, math.radians(10.0)
 
 
 @dataclass(frozen=True, eq=False)
 class YawSection:
-    """The C-space of the planar joints at one yaw, with a motion.
+    """C-space of the planar joints at one yaw, with a motion.
 
     Attributes:
-        field: (N1, N2, N3) clearance of the arm at its nodes [m], negative where it may not be.
+        field: (N1, N2, N3) clearance of the arm at the grid's nodes [m]; negative in the forbidden region.
         path: (m, 3) planar joints along the motion, evenly spaced, from the start to the goal.
-        yaw_distance: (m,) distance of the motion's yaw from `yaw` there.
-        times: (m,) when it is there [s].
+        yaw_distance: (m,) distance of the motion's yaw from `yaw` at these points.
+        times: (m,) times of these points [s].
         joint_names: Names of the planar joints.
     """
 
@@ -53,15 +53,15 @@ class YawSection:
 
     @property
     def view(self) -> tuple[float, float]:
-        """Azimuth and elevation [deg] of the viewer to whom the region hides least of the motion, and who sees it long.
+        """Azimuth and elevation of the best view [deg].
 
-        What is near the yaw counts most.
+        The region hides the least of the motion, and the motion appears long. Points near the yaw have the most weight.
         """
         nodes = self.grid.position(self.path)
         size = (nodes - nodes.mean(axis=0)) / (np.array(self.grid.shape) - 1.0)
         weights = np.where(self.yaw_distance <= _NEAR, 1.0, 0.1)
         best, chosen = math.inf, (0.0, 0.0)
-        # Directions that the picture is seen from, none along an axis [deg].
+        # Candidate view directions, not along any axis [deg].
         azimuths, elevations = (30, 60, 120, 150, 210, 240, 300, 330), (18, 28, 40)
         for elevation in elevations:
             for azimuth in azimuths:
@@ -77,18 +77,18 @@ class YawSection:
 def yaw_section(
     robot: Robot, scene: Scene, playback: Playback, options: PlanOptions | None = None, *, yaw: float | None = None
 ) -> YawSection:
-    """The C-space at one yaw, and a motion in it.
+    """Compute the C-space at one yaw, with a motion in it.
 
     Args:
-        robot: The arm, three planar joints.
-        scene: Obstacles and fruits; the fruit that is the goal is left out, for it may be touched.
-        playback: The motion; its part after the first approach is left out, and so are the fruits that it picks.
-        options: The options it was planned with: tracking error and uncertainty grow the region.
+        robot: Arm with three planar joints.
+        scene: Obstacles and fruits; the goal fruit is omitted, because it may be touched.
+        playback: The motion; the phases after the first approach and the picked fruits are omitted.
+        options: The motion's planning options: tracking error and uncertainty grow the region.
         yaw: The yaw; None for the goal's.
 
     Raises:
-        InputError: The arm has another number of planar joints, or the trajectory is of other joints.
-        OptionError: A yaw that is not finite or beyond the limits, or other than 0 for an arm without yaw.
+        InputError: The arm does not have three planar joints, or the trajectory is for other joints.
+        OptionError: The yaw is not finite, is beyond the limits, or is nonzero for an arm without yaw.
     """
     check_yaw(robot, yaw)
     playback.check(robot)
@@ -108,7 +108,7 @@ def yaw_section(
     )
     planar = robot.arm_slice
     along = stations(motion)
-    # Where the arm rests, rows stand at one place.
+    # Samples coincide while the arm rests.
     moving = np.concatenate([[True], np.diff(along) > 0.0])
     evenly = np.linspace(0.0, along[-1], _POINTS)
     path = np.column_stack([np.interp(evenly, along[moving], column) for column in motion[moving].T])
@@ -125,11 +125,11 @@ def yaw_section(
 
 
 def check_yaw(robot: Robot, yaw: float | None) -> None:
-    """Check that an arm can be shown so, at a yaw or at the goal's.
+    """Check that an arm's C-space can be drawn at a yaw; None for the goal's yaw.
 
     Raises:
-        InputError: The arm has another number of planar joints than three.
-        OptionError: A yaw that is not finite or beyond the limits, or other than 0 for an arm without yaw.
+        InputError: The arm does not have three planar joints.
+        OptionError: The yaw is not finite, is beyond the limits, or is nonzero for an arm without yaw.
     """
     if robot.arm.link_count != 3:
         raise InputError(
@@ -149,11 +149,11 @@ def _grid(robot: Robot) -> Grid:
 
 
 def _field(robot: Robot, world: World, grid: Grid, yaw: float) -> FloatArray:
-    """Clearance at the grid's nodes; without obstacles as far as is known."""
+    """Clearance at the grid's nodes, capped at 1e3 m."""
     q = np.full(robot.dof, yaw)
     field = np.empty(grid.size)
     for number, index in enumerate(np.ndindex(*grid.shape)):
         q[robot.arm_slice] = grid.coordinates(index)
         field[number] = world.field.clearance(q)
-    # The surface is interpolated between nodes: without obstacles clearance is infinite.
+    # Interpolating the surface needs finite values, and clearance is infinite without obstacles.
     return frozen(np.minimum(field, 1e3).reshape(grid.shape))

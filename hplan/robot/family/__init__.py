@@ -1,4 +1,4 @@
-"""New members of the harvester family: a specification of links and limits in, URDF and limits file out."""
+"""Generates members of the harvester family: URDF and limits file from a specification."""
 
 from hplan.robot.family.members import CrossCheck, cross_check, load_member, write_robot
 from hplan.robot.family.spec import HARVESTER, ORCHARD_HARVESTER, ArmSpec, Gripper

@@ -1,12 +1,11 @@
-"""Members of the robot family, written as URDF with a limits YAML beside it.
+"""Writes members of the robot family as a URDF and a limits YAML.
 
-A member is an optional yaw about the vertical, then n >= 1 revolute joints with parallel
-horizontal axes: a planar arm on a turret. `ArmSpec` says which one, `write_robot` writes its two
-files and `cross_check` compares what two independent readers, Pinocchio and yourdfpy, make of a
-URDF. The robot that ships with hplan is `HARVESTER`.
+A member has an optional yaw about the vertical, then n >= 1 revolute joints with parallel horizontal axes: a planar arm
+on a turret. `ArmSpec` specifies it, `write_robot` writes its two files, and `cross_check` compares the results of two
+independent URDF readers, Pinocchio and yourdfpy. The robot that ships with hplan is `HARVESTER`.
 
-Every arm link is a segment of its length along its own +x and collides as an exact capsule around
-it: one `<cylinder>` and two `<sphere>` elements, since URDF has no capsule that every tool reads.
+Every arm link is a segment along its own +x axis. Its collision shape is an exact capsule around the segment, written
+as one `<cylinder>` and two `<sphere>` elements, because URDF has no capsule that every tool reads.
 """
 
 from __future__ import annotations
@@ -33,17 +32,17 @@ __all__ = ["HARVESTER", "ArmSpec", "CrossCheck", "cross_check", "load_member", "
 
 
 def write_robot(spec: ArmSpec, urdf_path: Path | str) -> tuple[Path, Path]:
-    """Write a member of the family: the URDF, and the limits YAML beside it.
+    """Write a family member's URDF, and its limits YAML to the same folder.
 
     Args:
-        urdf_path: Where to write the URDF, in a folder that exists; its suffix is `.urdf`.
+        urdf_path: Path of the URDF in an existing folder; its suffix is `.urdf`.
 
     Returns:
         Paths of the URDF and of the limits file (`NAME.urdf` and `NAME.limits.yaml`).
 
     Raises:
         OptionError: The path does not end in `.urdf`.
-        OutputError: A file cannot be written; nothing half-written is left behind then.
+        OutputError: A file cannot be written; no partially written file remains.
     """
     from hplan.robot.family.urdf import limits_text, urdf_text
 
@@ -54,7 +53,7 @@ def write_robot(spec: ArmSpec, urdf_path: Path | str) -> tuple[Path, Path]:
     limits_path = urdf_path.with_suffix(LIMITS_SUFFIX)
     texts = {limits_path: limits_text(spec), urdf_path: urdf_text(spec)}
     for path in texts:
-        # Found out before the first file is in place, or one would be left without the other.
+        # Checked before the first file is written, or one file would be left without the other.
         if path.is_dir():
             raise OutputError(path, "it is a folder")
     for path, text in texts.items():
@@ -63,10 +62,10 @@ def write_robot(spec: ArmSpec, urdf_path: Path | str) -> tuple[Path, Path]:
 
 
 def load_member(spec: ArmSpec) -> Robot:
-    """A member of the family as a robot, written to files that do not stay.
+    """Load a family member as a robot, using temporary files.
 
     Raises:
-        OptionError: It is no `ArmSpec`.
+        OptionError: `spec` is not an `ArmSpec`.
     """
     with TemporaryDirectory() as folder:
         return load_robot(write_robot(instance("spec", spec, ArmSpec), Path(folder) / f"{spec.name}.urdf")[0])
@@ -74,16 +73,15 @@ def load_member(spec: ArmSpec) -> Robot:
 
 @dataclass(frozen=True)
 class CrossCheck:
-    """Differences of what Pinocchio and yourdfpy read from the same URDF.
+    """Differences between Pinocchio's and yourdfpy's readings of the same URDF.
 
     Attributes:
-        frames: Names of the link frames that were compared.
+        frames: Names of the compared link frames.
         samples: Number of random configurations.
-        max_position_deviation: Largest distance between the two placements of a frame [m].
-        max_rotation_deviation: Largest angle between them [rad].
-        limits_equal: Whether position, velocity and effort limits agree to the last bit.
-        masses_equal: Whether the mass that each joint carries, up to the next joint, agrees to
-            1e-12 of itself.
+        max_position_deviation: Maximum distance between the two placements of a frame [m].
+        max_rotation_deviation: Maximum angle between them [rad].
+        limits_equal: True if position, velocity and effort limits agree to the last bit.
+        masses_equal: True if the mass that each joint carries, up to the next joint, agrees to a relative 1e-12.
     """
 
     frames: tuple[str, ...]
@@ -95,15 +93,15 @@ class CrossCheck:
 
 
 def cross_check(urdf_path: Path | str, samples: int = 100, seed: int = 0) -> CrossCheck:
-    """Compare what Pinocchio and yourdfpy read from a URDF; returns the deviations found.
+    """Compare Pinocchio's and yourdfpy's readings of a URDF; return the deviations.
 
     Args:
-        urdf_path: The file; every movable joint in it is revolute or prismatic.
-        samples: Number of random configurations at which all link frames are placed.
+        urdf_path: The file; all of its movable joints are revolute or prismatic.
+        samples: Number of random configurations; all link frames are compared at each.
 
     Raises:
         OptionError: `samples` is not positive.
-        RobotFileError: The file cannot be read, or has a joint of another kind.
+        RobotFileError: The file cannot be read, or has a movable joint of another kind.
     """
     import yourdfpy
 
@@ -128,7 +126,7 @@ def cross_check(urdf_path: Path | str, samples: int = 100, seed: int = 0) -> Cro
 
 
 def _frame_deviations(model: Any, reader: Any, frames: Sequence[str], samples: int, seed: int) -> tuple[float, float]:
-    """Largest distance [m] and angle [rad] between the two readers' placements."""
+    """Maximum distance [m] and angle [rad] between the two readers' placements."""
     data = model.createData()
     names = list(model.names)[1:]
     lower = np.maximum(model.lowerPositionLimit, -math.pi)
@@ -142,7 +140,7 @@ def _frame_deviations(model: Any, reader: Any, frames: Sequence[str], samples: i
             placement = data.oMf[model.getFrameId(frame, pin.BODY)].homogeneous
             difference = placement - reader.get_transform(frame)
             position = max(position, float(np.linalg.norm(difference[:3, 3])))
-            # By the chord between the rotations: acos of the trace loses half the digits near zero.
+            # From the chord between the rotations: acos of the trace loses half the digits near zero.
             chord = float(np.linalg.norm(difference[:3, :3])) / math.sqrt(8.0)
             rotation = max(rotation, 2.0 * math.asin(min(1.0, chord)))
     return position, rotation
@@ -160,7 +158,10 @@ def _limits_equal(model: Any, reader: Any) -> bool:
 
 
 def _masses_equal(model: Any, reader: Any) -> bool:
-    """Compare joint by joint: Pinocchio fuses a link that is fixed to another with it."""
+    """True if the masses agree joint by joint.
+
+    Pinocchio merges links joined by fixed joints.
+    """
     movers = {joint.child: joint for joint in reader.robot.joints}
     names = list(model.names)
     totals = [0.0] * len(names)

@@ -1,4 +1,7 @@
-"""Specification of a member of the robot family: its links, joints and limits, checked; and the one that ships."""
+"""Validated specification of a robot-family member: links, joints and limits.
+
+`HARVESTER` specifies the robot that ships with hplan.
+"""
 
 from __future__ import annotations
 
@@ -16,11 +19,11 @@ _HALF_PI = math.pi / 2
 
 @dataclass(frozen=True)
 class Gripper(Options):
-    """A gripper about the end of the last link, which collides as a capsule that ends at `tool0`.
+    """A gripper at the end of the last link: a collision capsule that ends at `tool0`.
 
     Attributes:
-        mass: Its mass, spread as a solid cylinder [kg].
-        length: How far it reaches back from `tool0` [m].
+        mass: Its mass, distributed as a solid cylinder [kg].
+        length: Its extent back from `tool0` [m].
         half_width: Radius of its capsule [m].
     """
 
@@ -31,16 +34,16 @@ class Gripper(Options):
 
 @dataclass(frozen=True)
 class ArmSpec(Options):
-    """One member of the family: n planar links on an optional yaw.
+    """A member of the family: n planar links on an optional yaw.
 
-    The per-joint values follow `joint_names`: the yaw first where there is one, then the n planar
-    joints. Any sequence of numbers is accepted and kept as a tuple of floats.
+    The per-joint values follow `joint_names`: the yaw first if the arm has one, then the n planar joints. Any sequence
+    of numbers is accepted and stored as a tuple of floats.
 
     Attributes:
         name: Name of the robot: letters, digits, `_` and single `-` between them.
         link_lengths: n lengths from joint to joint, the last one to `tool0` [m].
         link_half_widths: n capsule radii [m].
-        link_masses: n masses, each spread as a solid cylinder along its link [kg].
+        link_masses: n masses, each distributed as a solid cylinder along its link [kg].
         lower: Lower position limits, n or n + 1 of them [rad].
         upper: Upper position limits [rad].
         velocity: Velocity limits [rad/s].
@@ -51,10 +54,10 @@ class ArmSpec(Options):
         has_yaw: True if the turret turns about the vertical through `yaw_axis`.
         base_mass: Mass of the pedestal [kg].
         turret_mass: Mass of the turret [kg].
-        gripper: What the last link carries; None draws one within its capsule, without a mass of its own.
-        yaw_axis: Where the pedestal stands, and the yaw axis with it, in `base_link` (2,) [m].
-        shoulder_offset: How far the arm plane passes the yaw axis, to the left of where the arm points [m].
-        link_offsets: How far each link's body lies beside the arm plane, to the left; None where all lie in it [m].
+        gripper: Gripper on the last link; None draws one within the link's capsule, without a mass of its own.
+        yaw_axis: (2,) position of the pedestal and of the yaw axis in `base_link` [m].
+        shoulder_offset: Distance of the arm plane from the yaw axis, to the left of the arm's pointing direction [m].
+        link_offsets: Lateral offset of each link's body from the arm plane, to the left [m]; None for zero offsets.
     """
 
     # A double hyphen in the name would end the XML comment that quotes the spec.
@@ -99,7 +102,7 @@ class ArmSpec(Options):
 
     @property
     def body_offsets(self) -> tuple[float, ...]:
-        """How far each link's body lies beside the arm plane [m]."""
+        """Lateral offset of each link's body from the arm plane [m]."""
         return (0.0,) * self.n_links if self.link_offsets is None else self.link_offsets
 
     @property
@@ -111,7 +114,10 @@ class ArmSpec(Options):
 
     @property
     def joint_names(self) -> tuple[str, ...]:
-        """Names of the movable joints: `base_yaw` where there is a yaw, then the planar ones."""
+        """Names of the movable joints.
+
+        `base_yaw` comes first if the arm has a yaw, then the planar joints.
+        """
         return (("base_yaw",) if self.has_yaw else ()) + self.planar_joint_names
 
     @property
@@ -140,7 +146,7 @@ HARVESTER = ArmSpec(
     jerk=(150.0, 150.0, 200.0, 300.0),
 )
 
-#: As an orchard needs it: joints that bend both ways, so that fruit below the shoulder is reached too, and a gripper.
+#: Orchard harvester: its joints bend both ways, so that it also reaches fruit below the shoulder; it has a gripper.
 ORCHARD_HARVESTER = replace(
     HARVESTER,
     name="orchard_harvester",

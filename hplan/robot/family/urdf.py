@@ -1,4 +1,4 @@
-"""URDF and limits file of a member of the robot family, as text."""
+"""Generates the URDF and the limits file of a robot-family member as text."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import yaml
 from hplan.robot.family.spec import ArmSpec
 from hplan.robot.files import LIMITS_FORMAT
 
-#: Colours of the links that move, and of what carries them.
+#: Colours of the moving links and of the base.
 _COLORS = {"warm_white": "0.93 0.91 0.86 1", "graphite": "0.17 0.18 0.2 1"}
 
 #: Roll, pitch, yaw that turn the z axis of a URDF cylinder onto a coordinate axis.
@@ -20,14 +20,16 @@ _TURNED = ((0.0, 0.5 * math.pi, 0.0), (0.5 * math.pi, 0.0, 0.0), (0.0, 0.0, 0.0)
 
 
 class _Round(NamedTuple):
-    """A cylinder about a line along a coordinate axis, a capsule where it has caps; what one sees is what collides.
+    """A cylinder, or a capsule if capped, parallel to a coordinate axis.
+
+    It is both the visual and the collision shape.
 
     Attributes:
-        axis: Number of the axis.
-        ends: Where it begins and ends on the axis [m].
+        axis: Index of the coordinate axis.
+        ends: Start and end along the axis [m].
         radius: Radius [m].
-        foot: A point of the line [m].
-        capped: Whether spheres stand at its ends.
+        foot: A point of the centre line [m].
+        capped: True if it has spheres at its ends.
     """
 
     name: str
@@ -38,7 +40,7 @@ class _Round(NamedTuple):
     capped: bool = False
 
     def at(self, along: float) -> list[float]:
-        """The point of the line at a place on the axis."""
+        """Point of the centre line at a coordinate along the axis."""
         return [along if k == self.axis else place for k, place in enumerate(self.foot)]
 
     def add_to(self, link: ET.Element, color: str) -> None:
@@ -64,25 +66,25 @@ class _Round(NamedTuple):
 
 
 def urdf_text(spec: ArmSpec) -> str:
-    """Text of the member's URDF, in chain order; the same spec gives the same text."""
+    """Text of the member's URDF, in chain order; deterministic."""
     root = ET.Element("robot", name=spec.name)
     words = f" {spec!r}, written by hplan.robot.family: do not edit, write it again "
     root.append(ET.Comment(words))
     for name, color in _COLORS.items():
         ET.SubElement(ET.SubElement(root, "material", name=name), "color", rgba=color)
     height, radius, (x, y) = spec.shoulder_height, min(0.15, 2.8 * spec.link_half_widths[0]), spec.yaw_axis
-    # Where the pedestal ends, as a part of the shoulder height.
+    # Top of the pedestal as a fraction of the shoulder height.
     top = _nine(0.62 * height)
     pedestal = _Round("pedestal", 2, (0.0, top), _nine(radius), (x, y, 0.0))
     _add_link(root, "base_link", [pedestal], spec.base_mass, "graphite")
-    # The turret's body ends at the shoulder axis: above it there is nothing but the first link's own capsule.
+    # The turret's body ends at the shoulder axis: only the first link's own capsule extends above it.
     turret = [_Round("turret_body", 2, (top, height), _nine(0.8 * radius))]
     beside = spec.shoulder_offset + spec.body_offsets[0]
     if beside != 0.0:
-        # What carries a shoulder that lies beside the yaw axis.
+        # Axle that carries a shoulder offset from the yaw axis.
         ends, thin = (min(0.0, beside), max(0.0, beside)), 0.8 * spec.link_half_widths[0]
         turret.append(_Round("turret_axle", 1, ends, thin, (0.0, 0.0, height)))
-    # The turret's frame lies on the ground, not on the pedestal: the shoulder height is then written once.
+    # The turret's frame is on the ground, not on the pedestal, so that the shoulder height appears only once.
     ground, up = (x, y, 0.0), (0.0, 0.0, 1.0)
     _add_joint(root, spec, "base_yaw" if spec.has_yaw else "turret_mount", "base_link", "turret", ground, up)
     _add_link(root, "turret", turret, spec.turret_mass, "graphite")
@@ -106,7 +108,10 @@ def urdf_text(spec: ArmSpec) -> str:
 
 
 def _add_link(root: ET.Element, name: str, shapes: Sequence[_Round], mass: float, color: str) -> None:
-    """Add a link of some shapes, whose mass is spread as a solid cylinder in the place of the first."""
+    """Add a link.
+
+    Its mass is distributed as a solid cylinder in the first shape's place.
+    """
     link, body = ET.SubElement(root, "link", name=name), shapes[0]
     length, radius = body.ends[1] - body.ends[0], body.radius
     spin, tumble = mass * radius**2 / 2.0, mass * (3.0 * radius**2 + length**2) / 12.0
@@ -130,7 +135,7 @@ def _add_joint(
     place: tuple[float, float, float],
     axis: tuple[float, float, float],
 ) -> None:
-    """Add a joint: a revolute one where the spec has limits for it, else a fixed one."""
+    """Add a joint: revolute if the spec has limits for it, else fixed."""
     moves = name in spec.joint_names
     joint = ET.SubElement(root, "joint", name=name, type="revolute" if moves else "fixed")
     ET.SubElement(joint, "origin", xyz=_text(*place))
@@ -144,20 +149,20 @@ def _add_joint(
 
 
 def _nine(value: float) -> float:
-    """Nine digits, which hide the noise of binary fractions and nothing that one could weigh."""
+    """Round to nine digits, which hides binary rounding noise and no measurable mass."""
     return float(f"{value:.9g}")
 
 
 def _text(*values: float) -> str:
-    """Numbers as short as they stay exact, without `.0` or a negative zero."""
+    """Shortest exact text of numbers, without `.0` or a negative zero."""
     return " ".join(repr(value + 0.0).removesuffix(".0") for value in values)
 
 
 def limits_text(spec: ArmSpec) -> str:
-    """Text of the member's limits file: what URDF has no place for.
+    """Text of the member's limits file, with the limits that URDF cannot express.
 
     Returns:
-        The YAML document; the same spec gives the same text.
+        The YAML document; deterministic.
     """
     document: dict[str, Any] = {
         "format": LIMITS_FORMAT,

@@ -25,9 +25,6 @@ DIALECT = re.compile(
 #: Maximum share of lines with such a phrase: a phrase is a place to look, and some uses are right.
 SHARE = 0.03
 
-#: Rooms whose docstrings were not rewritten yet.
-OLD = {"grid", "kinematics", "robot"}
-
 
 def prose_of(path: Path) -> Iterator[str]:
     """Lines of at least three words of the docstrings and comments of a file, or of a page outside code blocks."""
@@ -50,7 +47,7 @@ def check(paths: list[Path]) -> None:
     assert len(found) <= SHARE * len(lines), "\n".join(found)
 
 
-@pytest.mark.parametrize("room", sorted({path.parent.name for path in ROOT.glob("hplan/*/__init__.py")} - OLD))
+@pytest.mark.parametrize("room", sorted({path.parent.name for path in ROOT.glob("hplan/*/__init__.py")}))
 def test_docstrings_of_a_room_use_the_fields_terms(room: str) -> None:
     check(sorted((ROOT / "hplan" / room).rglob("*.py")))
 

@@ -15,7 +15,8 @@ ROOT = Path(__file__).parents[1]
 
 #: Phrases of noun clauses and bare participles that a reader has to translate.
 DIALECT = re.compile(
-    r"\b(what(ever)?(?! if\b)|told|tells of|asked for|asks for|wanted|is shown|are shown|not shown|made ready|gives? way"
+    r"\b(what(ever)?(?! if\b)|told|tells of|asked for|asks for|wanted|is shown|are shown|not shown|made ready"
+    r"|gives? way"
     r"|none of|there is none|it is none|so (many|much|far|deep|long|large)(?! as\b| that\b)|beside|in the way"
     r"|(of|by|from|about|to|at|with|for) which|where (there|it|that|they|none|nothing) (is|are|was|has|have|can|cannot)"
     r"|anybody|nobody|somebody|stands|stand(?! for\b|-off))\b",

@@ -31,7 +31,7 @@ from hplan.errors import HplanError, NotInTimeError, OptionError, PlanCancelledE
 #: Cancels a call: a function that returns a true value, or an event that is set.
 Cancel: TypeAlias = Callable[[], object] | threading.Event
 
-#: The clock of deadlines. (Timing studies on a shared machine use the process's CPU clock instead.)
+#: The clock of deadlines. (Benchmarks on a shared machine use the process's CPU clock instead.)
 CLOCK = time.CLOCK_MONOTONIC
 
 #: Argument of kernels without a limit: deadline on the clock [s], 1 if cancelled, id of the clock.

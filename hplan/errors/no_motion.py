@@ -45,15 +45,11 @@ class UnreachableError(HplanError):
 
     Attributes:
         position_m: The position [m].
-        reason: Key word, with further facts:
-
-            * `too_far`, `too_near`: `excess_m`.
-            * `joint_limit`: `joint`, `limit_deg`, `excess_deg`, and `passed`, the limits exceeded by the configuration
-              with the minimum sum of excesses.
-            * `approach`: `approach_deg` (required) and the intervals `reachable_deg`.
-            * `locked`: `locked_joints`, and the distance `beside_m` from the arm plane [m].
-            * `off_plane`: the distance `beside_m` from the arm plane [m].
-            * `not_found`: `joints` that were sampled at some values only.
+        reason: Key word. `too_far` and `too_near` come with `excess_m`; `joint_limit` with `joint`, `limit_deg`,
+            `excess_deg` and `passed`, the limits exceeded by the configuration with the minimum sum of excesses;
+            `approach` with `approach_deg` (required) and the intervals `reachable_deg`; `locked` with `locked_joints`,
+            and the distance `beside_m` from the arm plane [m]; `off_plane` with `beside_m`; `not_found` with `joints`
+            that were sampled at some values only.
 
     Examples:
         >>> from hplan.errors import UnreachableError

@@ -63,7 +63,7 @@ from hplan.certificate.start_state import start_violations
 from hplan.certificate.task_check import task_violations
 from hplan.certificate.tilted_base import use_on_track
 from hplan.certificate.touch_risk import TouchRisk, touch_risk
-from hplan.certificate.turret_clearance import turret_clearance
+from hplan.certificate.turning_in_place import clearance_in_place
 from hplan.collision.coal_scene import CoalScene, Contact, OwnContact, base_contacts
 from hplan.collision.far_obstacles import warn_of_far_obstacles
 from hplan.collision.giving_way import check_yield_links
@@ -130,9 +130,9 @@ class Certificate:
         risk: Bound of the probability that the motion touches anything; None unless `certify` was given a risk.
         subject: The certified motions, for `clearance_curve`; None for a certificate that was made by hand.
         nearest_s: Time of `nearest` on the clock of the tracks [s]; None if only the arm moves.
-        pair_rules: Pairs of links of the arm, or of its turret and an obstacle, that do not keep the scene's clearance:
-            each with its own rule and its own bound, or not checked; see `hplan.certificate.pair_rules`. Bodies that do
-            not move relative to each other are not listed.
+        pair_rules: Pairs of links of the arm, or of a link that turns in place and an obstacle, that do not keep the
+            scene's clearance: each with its own rule and its own bound, or not checked; see
+            `hplan.certificate.pair_rules`. Bodies that do not move relative to each other are not listed.
         clear_until_s: Time until which the arm is certified to keep its clearance while it rests at the end of the
             motion, on the clock of the tracks [s]; inf for no limit. None if no obstacle moves, or if the motion is not
             verified.
@@ -233,7 +233,7 @@ def certify(
             joints fixed.
         rest_to_rest: Whether the motion must start and end at rest; if the scene's start is in motion, only end.
         checker: Collision checker of the arm among other solids than the scene's. They are used unchanged: `sigmas`,
-            `goal_contact` and `contacts` have no effect, and contacts of pedestal and turret are not checked.
+            `goal_contact` and `contacts` have no effect, and contacts of the base are not checked.
         begin_s: Start time of the motion on the clock of the scene's tracks [s]: a motion that starts later, or takes
             over from a running one, meets moving obstacles from that time on.
         interpolation: Curve that the controller runs between samples: `cubic`, `quintic` or `linear`; None for the
@@ -349,19 +349,18 @@ def _pieces(trajectory: Trajectory) -> FloatArray:
 def base_violations(
     robot: Robot, scene: Scene, checker: CoalScene, trajectory: Trajectory, begin_s: float
 ) -> Iterator[str]:
-    """Messages about obstacles that penetrate pedestal or turret during a motion.
+    """Messages about obstacles that penetrate the base during a motion.
 
     Args:
         checker: Collision checker of the arm among the obstacles, in the order of the scene.
-        trajectory: The motion; the turret is at the yaw of its first sample.
+        trajectory: The motion.
         begin_s: Start time of the motion on the clock of the scene's tracks [s].
     """
-    first = np.clip(trajectory.position[0], -FARTHEST_JOINT, FARTHEST_JOINT)
-    yaw, still = robot.yaw_of(first), scene.listed_solids
+    still = scene.listed_solids
     if checker.moving is not None:
         still = tuple(solid for number, solid in enumerate(still) if number not in checker.moving.numbers)
-        yield from moving_base_contacts(robot, checker.moving, yaw, begin_s, begin_s + trajectory.duration)
-    for found in base_contacts(robot, still, yaw, margin=-BASE_DEPTH):
+        yield from moving_base_contacts(robot, checker.moving, begin_s, begin_s + trajectory.duration)
+    for found in base_contacts(robot, still, margin=-BASE_DEPTH):
         depth = f"{-1e3 * found.distance_m:.3g} mm deep in the robot's {found.link!r}, which does not move"
         yield f"obstacle {found.obstacle!r} is {depth}"
 
@@ -436,17 +435,17 @@ def certify_among(
     last = among[-1][1]
     missing = [proof.clearance_m for proof in proofs if not proof.shown]
     least = min(missing or (proof.clearance_m for proof in proofs))
-    turret = turret_clearance(last, (float(clock[0]), float(clock[-1])), clearance, least)
+    in_place = clearance_in_place(last, (float(clock[0]), float(clock[-1])), clearance, least)
     return Certificate(
         verified=not violations,
-        min_clearance_m=min(least, turret.distance_m),
+        min_clearance_m=min(least, in_place.distance_m),
         nearest=_nearest(proof.nearest for proof in proofs),
         limit_use=use,
         checks=sum(proof.checks for proof in proofs),
         violations=tuple(violations),
         subject=Subject(((ProvedMotion(robot, trajectory, tuple(proved), clearance), False),)),
         nearest_s=_nearest_s([proof.nearest for proof in proofs], seen_s),
-        pair_rules=joined_rules([*rules, turret.rules]),
+        pair_rules=joined_rules([*rules, in_place.rules]),
         clear_until_s=None
         if last.moving is None or violations
         else clear_until(bezier[-1, -1], last, at_rest, clearance, clock[-1]),

@@ -4,8 +4,7 @@ The subjects are a robot, a scene and a trajectory. The digests are computed fro
 comments, angle units in a URDF and mesh paths do not affect them; every number that planning or proof uses does.
 
 - **Robot**: names, joint frames and axes, masses, inertias, limits, links, link pairs that may touch, and all collision
-  shapes with vertices and triangles of their meshes; for general (non-planar) arms also all frames, which goals may
-  name. Numbers are rounded to 12 decimals, since sines differ in the last bit from machine to machine.
+  shapes with vertices and triangles of their meshes, and all frames, which goals may name. Numbers are rounded to 12 decimals, since sines differ in the last bit from machine to machine.
 - **Scene**: its keys and values as in a scene file, and for each mesh or cloud the data instead of the file's name.
 - **Trajectory**: the joint names and the numbers of the CSV, bit by bit, and the curve between rows unless cubic.
 """
@@ -110,20 +109,14 @@ def _moving(scene: Scene) -> Iterator[tuple[str, str, Track | Sway]]:
 @made_once
 def robot_digest(robot: Robot) -> str:
     """Digest of a robot, cached."""
-    found, model = _Digest("hplan-robot/1" if robot.planar is not None else "hplan-robot/2"), robot.model
-    family: tuple[FloatArray, ...] = ()
-    if robot.planar is None:
-        found.add_text(robot.name, robot.tool_frame, *robot.joint_names, *itertools.chain(*robot.may_touch))
-        for frame in model.frames:  # a goal may name any of them
-            found.add_text(frame.name, str(frame.parentJoint))
-            for place in _place(frame.placement):
-                found.add_rounded(place)
-    else:
-        arm = robot.arm
-        found.add_text(robot.name, robot.tool_frame, str(robot.has_yaw), *robot.joint_names, *arm.link_names)
-        family = arm.lengths, arm.half_widths, arm.signs, arm.offsets, robot.plane_origin, robot.plane_axes
+    found, model = _Digest("hplan-robot/2"), robot.model
+    found.add_text(robot.name, robot.tool_frame, *robot.joint_names, *itertools.chain(*robot.may_touch))
+    for frame in model.frames:  # a goal may name any of them
+        found.add_text(frame.name, str(frame.parentJoint))
+        for place in _place(frame.placement):
+            found.add_rounded(place)
     for values in (
-        *(*family, robot.lower, robot.upper),
+        *(robot.lower, robot.upper),
         *(robot.velocity_limit, robot.acceleration_limit, robot.torque_limit),
         *(np.zeros(0) if robot.jerk_limit is None else robot.jerk_limit, model.gravity.linear, model.armature),
     ):

@@ -12,7 +12,7 @@ its own parameter, bounded by the hull of its derivative's Bezier points.
 
 A second bound accounts for joints that cancel each other's motion. In the middle, joint j moves a point by :math:`J_j`
 per unit, and all joints together move the centre of the ball at :math:`v = \sum_j q_j' J_j` and rotate the body at
-:math:`\omega`. Elsewhere in the segment rates differ by at most :math:`\varepsilon_j`, and configurations by at most
+:math:`\omega` (without the joint about whose axis the body is round: its motion by that joint changes nothing). Elsewhere in the segment rates differ by at most :math:`\varepsilon_j`, and configurations by at most
 half of :math:`m_j = \max |q_j'|`. Rotating joint k by an angle changes the :math:`J_j` of any point by no more than
 that angle times the R of the outer one of the two joints: a joint k inside j rotates body and axis as a whole, a joint
 k outside j leaves the axis of j unchanged. So the travel is at most
@@ -44,6 +44,7 @@ from hplan.collision.arm_pairs import ArmParts, arm_parts
 from hplan.collision.coal_scene import CoalScene
 from hplan.collision.flat_bodies import joints_alone
 from hplan.collision.placed_bodies import place_joints
+from hplan.collision.reach import ON_AXIS
 from hplan.collision.vectors import cross, dot, moved_on, placed_point, sub, turned
 from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel
@@ -97,7 +98,7 @@ def largest_pair_sway(robot: Robot, deviation: FloatArray) -> float:
 
     `deviation` is (dof,). Self-collision pairs are included.
     """
-    parts = arm_parts(robot, "capsule", float(deviation.max(initial=0.0)), 0.0)
+    parts = arm_parts(robot, float(deviation.max(initial=0.0)), 0.0)
     _, reaches = _reaches(parts, deviation)
     return float((reaches @ deviation).max(initial=0.0))
 
@@ -276,7 +277,8 @@ def _travels(
                     along = cross(axis, sub(at, (f[9], f[10], f[11])))
                     near = min(near, math.sqrt(dot(along, along)) + bodies[b, 4])
                     radius = min(radius, near + 0.5 * outer)
-                    turn = moved_on(turn, axis, pace)
+                    if reach[b, j] > ON_AXIS:
+                        turn = moved_on(turn, axis, pace)
                 speed = moved_on(speed, along, pace)
                 total += radius * rate
                 bent += near * uneven[piece, j] + rate * (0.5 * reach[b, j] * rate + outer)

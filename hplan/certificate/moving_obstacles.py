@@ -18,7 +18,7 @@ from hplan.collision.arm_pairs import base_bodies
 from hplan.collision.coal_cloud import distance_from
 from hplan.collision.coal_scene import CoalScene
 from hplan.collision.moving_solids import MovingSolids
-from hplan.robot.base_shapes import BASE_DEPTH, base_joints
+from hplan.robot.base_shapes import BASE_DEPTH
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 from hplan.scene.obstacle_kind import Sigmas, Solid, growths
@@ -36,25 +36,17 @@ def checker_in_time(robot: Robot, scene: Scene, sigmas: Sigmas) -> CoalScene:
     return CoalScene(robot, solids, growth=grown, movements=movements, yield_links=scene.yield_links)
 
 
-def moving_base_contacts(robot: Robot, moving: MovingSolids, yaw: float, begin_s: float, end_s: float) -> Iterator[str]:
-    """Messages about moving obstacles that penetrate pedestal or turret deeper than `BASE_DEPTH`.
+def moving_base_contacts(robot: Robot, moving: MovingSolids, begin_s: float, end_s: float) -> Iterator[str]:
+    """Messages about moving obstacles that penetrate the base deeper than `BASE_DEPTH`.
 
-    The check is a conservative advancement in time. Shapes of the turret that are not round are at the given yaw; while
-    the turret turns, they are moving bodies of the collision checker.
+    The check is a conservative advancement in time.
 
     Args:
         moving: The obstacles; static ones are not checked.
-        yaw: Value of the yaw joint [rad].
         begin_s: Start of the time interval [s].
         end_s: End of the time interval [s].
     """
-    data = robot.model.createData()
-    q, joints = np.zeros(robot.dof), base_joints(robot)
-    q[:joints] = yaw
-    pin.forwardKinematics(robot.model, data, q)
-    shapes = [
-        (name, shape.geometry, data.oMi[shape.parentJoint] * shape.placement) for name, shape in base_bodies(robot)
-    ]
+    shapes = [(body.name, shape.geometry, place * shape.placement) for body, shape, place in base_bodies(robot)]
     for number in moving.numbers:
         solid, movement = moving.solids[number], moving.movements[number]
         for name, body, place in shapes:

@@ -27,9 +27,8 @@ all (of the camera, of the base). Two bounds hold: the sum over obstacles with t
 the probability of all half-spaces of :math:`e_0` together, plus the sum over each obstacle's own. The smaller one is
 used.
 
-Assumptions: errors translate an obstacle and do not rotate it. No motion changes the contact of the pedestal, and of
-the round part of the turret, with obstacles that enclose them, nor of the turret with obstacles below it: this is not
-counted. An obstacle that the motion may touch (the fruit to pick) counts only while contact is not allowed; a compliant
+Assumptions: errors translate an obstacle and do not rotate it. No motion changes the contact of obstacles with the base,
+with bodies that turn in place and with bodies that they support: this is not counted. An obstacle that the motion may touch (the fruit to pick) counts only while contact is not allowed; a compliant
 obstacle may be deflected up to its compliance.
 """
 

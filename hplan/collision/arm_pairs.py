@@ -1,17 +1,9 @@
 """Arm shapes in coal, self-collision pairs and their motion-bound coefficients.
 
-The parts of a planar arm are the capsules of its links, and shapes of turret and pedestal. The pedestal, and the
-turret's shapes that are round about the yaw axis, are static: they are not part of the motion checks, and are checked
-once (`hplan.collision.coal_scene.base_contacts`). The same holds for a turning shape and an obstacle below its lowest
-point: a horizontal plane separates the two at every yaw.
-
-**Neighbouring links of a planar arm** overlap around their common joint, which is allowed. The part of a link that is
-farther from the joint than `_FOLD_REACH` times the required distance of the links' axes (both half-widths and the
-clearance) must keep that distance from the whole other link. The factor is necessary because a link ends in a cap with
-the radius of its half-width, and links that meet at an angle overlap up to 1 / sin(angle) times their half-widths. Thus
-all angles down to 19.5 degrees are allowed.
-
-The parts of a general (non-planar) arm are its collision bodies (`hplan.collision`), grouped by link name.
+The parts of an arm are its collision bodies (`hplan.collision.collision_bodies`), grouped by link name, and the parts of
+neighbouring links that must not fold into each other (`hplan.collision.folds`). Bodies that no joint moves, and shapes
+that are round about the axis of the only joint that carries them, are the base: they are not part of the motion checks,
+and are checked once (`hplan.collision.coal_scene.base_contacts`).
 """
 
 from __future__ import annotations
@@ -31,32 +23,18 @@ from hplan.base.arrays import BoolArray, FloatArray, IntArray, Record, frozen, r
 from hplan.base.ties import RASTER, on_raster
 from hplan.collision.coal_accuracy import extents
 from hplan.collision.coal_cloud import BareShape, distance_from
-from hplan.collision.coal_shapes import LinkShapes, link_shapes, urdf_shapes
-from hplan.collision.collision_bodies import MOST_POINTS, CollisionBody, ball_about, body_shapes, collision_bodies
+from hplan.collision.collision_bodies import CollisionBody, ball_about, body_shapes, collision_bodies
+from hplan.collision.folds import Fold, folds
 from hplan.collision.geometry_pairs import ArmPairs
-from hplan.collision.reach import carriers, reach_of
-from hplan.collision.touching_pairs import BEYOND, RIGID, SelfPairs, one_joint, pairs_among, self_pairs
+from hplan.collision.reach import carriers, joint_axis, moves, reach_of
+from hplan.collision.touching_pairs import BEYOND, RIGID, SelfPairs, self_pairs
 from hplan.errors import RobotFileError
-from hplan.robot.base_shapes import (
-    BASE_DEPTH,
-    TURRET,
-    BaseShape,
-    always,
-    base_joints,
-    base_shapes,
-    turning_shapes,
-)
-from hplan.robot.family_reader import outline
+from hplan.robot.base_shapes import BASE_DEPTH, always
 from hplan.robot.model import Robot, made_once
-from hplan.robot.self_contact import SLACK, SelfContact, held_apart, is_held, rounded_up, self_contact
 from hplan.scene.obstacles import Solid
-from hplan.scene.solids import hull_of
 
-#: Tolerance of equal heights [m].
-_ROUNDING: Final = 1e-9
-
-#: Neighbouring links may overlap up to this multiple of their required distance from their joint.
-_FOLD_REACH: Final = 3.0
+#: Remark on a pair of neighbours whose parts are checked.
+_PARTS: Final = "their parts beyond the joint must not touch"
 
 #: Pairs of the same links are grouped if their summed motion-bound coefficients differ by at most about this factor.
 _AS_FAR: Final = 1.2
@@ -74,12 +52,14 @@ class ArmPair:
         mover_name: Name of the moving part.
         other_name: Name of the other part.
         shapes: Their shapes, in this order.
+        bodies: Their collision bodies, in this order.
         farthest: Maximum sampled distance [m]; infinite if the full clearance is required.
     """
 
     mover_name: str
     other_name: str
     shapes: tuple[pin.GeometryObject, pin.GeometryObject]
+    bodies: tuple[CollisionBody, CollisionBody]
     farthest: float = math.inf
 
 
@@ -90,29 +70,24 @@ class ArmParts(Record):
     Attributes:
         robot: The robot.
         links: Shapes of each moving link, by link name.
-        turret: Shapes of the turret that are not round about the yaw axis, by body name.
-        tool_joint: Pinocchio's index of the joint whose shapes may touch a picked fruit.
         own: Self-collision pairs that are checked.
         exempt: Names of two links with bodies that are not checked against each other, and the reason; each once.
     """
 
     robot: Robot
     links: dict[str, list[pin.GeometryObject]]
-    turret: dict[str, list[BaseShape]]
-    tool_joint: int
     own: tuple[ArmPair, ...]
     exempt: tuple[tuple[str, str, str], ...] = ()
 
     @cached_property
     def mover_names(self) -> tuple[str, ...]:
-        """Names of the moving bodies: links, turret, then base bodies paired with another arm."""
-        return tuple(dict.fromkeys([*self.links, *self.turret, *(pair.mover_name for pair in self.own)]))
+        """Names of the moving bodies: links, then base bodies paired with another arm."""
+        return tuple(dict.fromkeys([*self.links, *(pair.mover_name for pair in self.own)]))
 
     @cached_property
     def shapes(self) -> list[pin.GeometryObject]:
-        """Shapes that are checked against obstacles: links, then turret."""
-        of_turret = (shape.placed for shape in itertools.chain(*self.turret.values()))
-        return [*itertools.chain(*self.links.values()), *of_turret]
+        """Shapes that are checked against obstacles."""
+        return [*itertools.chain(*self.links.values())]
 
     @cached_property
     def all_shapes(self) -> tuple[pin.GeometryObject, ...]:
@@ -152,7 +127,8 @@ class ArmParts(Record):
     def bodies(self) -> tuple[CollisionBody, ...]:
         """`all_shapes` as collision bodies."""
         known = dict(zip(map(id, body_shapes(self.robot)), collision_bodies(self.robot), strict=True))
-        return tuple(known.get(id(shape)) or _body(shape) for shape in self.all_shapes)
+        known |= {id(shape): body for pair in self.own for shape, body in zip(pair.shapes, pair.bodies, strict=True)}
+        return tuple(known[id(shape)] for shape in self.all_shapes)
 
     @property
     def key(self) -> tuple[tuple[int, ...], bytes]:
@@ -249,168 +225,41 @@ class ArmParts(Record):
         return {}
 
 
-def _body(shape: pin.GeometryObject) -> CollisionBody:
-    """Collision body that contains a shape."""
-    (points, rounding), place = outline(shape, rim_from_outside=True), shape.placement
-    exact = len(points) <= MOST_POINTS
-    if not exact:
-        hull = hull_of(points, most=MOST_POINTS)
-        points, rounding = hull.core, rounding + hull.rounding
-    core = frozen(points @ place.rotation.T + place.translation)
-    return CollisionBody(shape.name, int(shape.parentJoint) - 1, core, rounding, "", exact, 0.0, -1)
-
-
-def arm_parts(
-    robot: Robot, links: LinkShapes, deviation: float, clearance: float, *, single_joint_pairs: bool = True
-) -> ArmParts:
+def arm_parts(robot: Robot, deviation: float, clearance: float) -> ArmParts:
     """Parts of an arm; cached, with identical results for identical pairs.
 
     Args:
         robot: The robot.
-        links: Shape of the links; for a general (non-planar) arm it is always the URDF's.
         deviation: Maximum excess of joints over their limits [rad, m].
         clearance: Required clearance [m].
-        single_joint_pairs: Whether to include the pairs of a planar arm that depend on one joint alone.
     """
-    if robot.planar is None:
-        return _parts_of_bodies(robot, _beyond(deviation))
     most_known = 32
-    decide = robot.cached("arm_parts", lambda: lru_cache(most_known)(partial(_planar_parts, robot)))
-    return decide(links, rounded_up(deviation), float(clearance), single_joint_pairs)
+    decide = robot.cached("arm_parts", lambda: lru_cache(most_known)(partial(_parts, robot)))
+    return decide(_beyond(deviation), folds(robot, deviation, clearance))
 
 
-@made_once
-def _parts_of_bodies(robot: Robot, deviation: float) -> ArmParts:
-    """Parts of a general (non-planar) arm."""
+def _parts(robot: Robot, deviation: float, parts: tuple[Fold, ...]) -> ArmParts:
     shapes = body_shapes(robot)
     by_link = {name: [shapes[body] for body in bodies] for name, bodies in moving_bodies(robot).items()}
     pairs, bodies = self_pairs(robot, deviation), collision_bodies(robot)
-    exempt = dict.fromkeys((bodies[i].name, bodies[j].name, why) for i, j, why in pairs.allowed if why != RIGID)
-    return ArmParts(robot, by_link, {}, robot.tool_joint, tuple(_as_shaped(robot, pairs)), tuple(exempt))
+    beyond = {frozenset((part.whole, part.other)) for part in parts}
+    exempt = dict.fromkeys(
+        (bodies[i].name, bodies[j].name, f"{why}; {_PARTS}" if {i, j} in beyond else why)
+        for i, j, why in pairs.allowed
+        if why != RIGID
+    )
+    return ArmParts(robot, by_link, tuple(_pairs(robot, pairs, parts)), tuple(exempt))
 
 
-def _planar_parts(robot: Robot, links: LinkShapes, deviation: float, clearance: float, single: bool) -> ArmParts:
-    names = robot.arm.link_names
-    of_links = urdf_shapes(robot) if links == "urdf" else [[shape] for shape in link_shapes(robot, links)]
-    own = list(_link_pairs(robot, self_contact(robot, deviation=deviation, clearance=clearance), of_links))
-    turret: dict[str, list[BaseShape]] = {}
-    if single:
-        for turning in turning_shapes(robot):
-            turret.setdefault(turning.name, []).append(turning)
-        own += [*_fold_pairs(robot, deviation, clearance), *_turret_pairs(robot, deviation, clearance)]
-        own += _as_shaped(robot, shaped_pairs(robot, deviation))
-    by_link = dict(zip(names, of_links, strict=True))
-    exempt = tuple(_planar_exemptions(robot, by_link, own)) if single else ()
-    return ArmParts(robot, by_link, turret, robot.dof, tuple(own), exempt)
-
-
-def _planar_exemptions(
-    robot: Robot, by_link: dict[str, list[pin.GeometryObject]], own: Sequence[ArmPair]
-) -> Iterator[tuple[str, str, str]]:
-    """Link pairs of a planar arm with unchecked shape pairs, and the reason.
-
-    A pair is listed even if some of its shapes are checked: the reported clearance claims nothing about such links.
-    """
-    shapes: dict[str, list[pin.GeometryObject]] = {}
-    for shape in base_shapes(robot):
-        shapes.setdefault(shape.name, []).append(shape.placed)
-    shapes |= by_link
-    checked = {frozenset(map(id, pair.shapes)) for pair in own}
-    neighbours = {frozenset(pair) for pair in itertools.pairwise(robot.arm.link_names)}
-    for (name, some), (other, others) in itertools.combinations(shapes.items(), 2):
-        if all(frozenset((id(one), id(two))) in checked for one, two in itertools.product(some, others)):
-            continue
-        reason = "some or all of their shapes always touch, or cannot come within the clearance"
-        if frozenset((name, other)) in neighbours:
-            reason = "neighbours may overlap near their joint; only the parts beyond it must not touch"
-        yield name, other, reason
-
-
-def _link_pairs(
-    robot: Robot, contact: SelfContact, shapes: Sequence[Sequence[pin.GeometryObject]]
-) -> Iterator[ArmPair]:
-    """Pairs of links with links, pedestal and turret that can touch."""
-    names = robot.arm.link_names
-    for i, j in contact.links:
-        for pair in itertools.product(shapes[j], shapes[i]):
-            yield ArmPair(names[j], names[i], pair)
-    for body in contact.bodies:
-        for link in body.links:
-            for shape in shapes[link]:
-                yield ArmPair(names[link], body.name, (shape, body.placed))
-
-
-def _fold_pairs(robot: Robot, deviation: float, clearance: float) -> Iterator[ArmPair]:
-    """Neighbouring links that can fold into each other.
-
-    Each pair is the part of one link beyond the joint's overlap region, and the whole other link.
-    """
-    arm, capsules = robot.arm, link_shapes(robot, "capsule")
-    for inner in range(arm.link_count - 1):
-        outer, joint = inner + 1, robot.arm_slice.start + inner + 1
-        own_reach = _FOLD_REACH * (float(arm.half_widths[inner] + arm.half_widths[outer]) + clearance)
-        for trimmed in (inner, outer):
-            if arm.lengths[trimmed] > own_reach:
-                pair = (_beyond_joint(capsules[outer], own_reach, 1.0), capsules[inner])
-                if trimmed == inner:
-                    pair = (capsules[outer], _beyond_joint(capsules[inner], own_reach, -1.0))
-                if one_joint(robot, pair, joint, deviation).ever(SLACK + clearance):
-                    yield ArmPair(arm.link_names[outer], arm.link_names[inner], pair)
-
-
-def _turret_pairs(robot: Robot, deviation: float, clearance: float) -> Iterator[ArmPair]:
-    """Pairs of turning turret shapes and pedestal shapes that can touch."""
-    for shape, other in itertools.product(turning_shapes(robot), base_shapes(robot)):
-        if other.carrier == TURRET or other.is_round:
-            continue
-        # A horizontal plane separates them at every yaw.
-        if shape.bottom >= other.top - BASE_DEPTH or other.bottom >= shape.top - BASE_DEPTH:
-            continue
-        pair = (shape.placed, other.placed)
-        turn = one_joint(robot, pair, 0, deviation)
-        if turn.always(0.0):
-            continue
-        held = clearance > 0.0 and turn.always(clearance)
-        if turn.ever(SLACK + (0.0 if held else clearance)):
-            yield ArmPair(shape.name, other.name, pair)
-
-
-def shaped_pairs(robot: Robot, deviation: float) -> SelfPairs:
-    """Pairs of a planar arm whose capsules always touch, unlike their URDF shapes.
-
-    These are links that the links between them hold close together, and links that start in or near a shape of turret
-    or pedestal. Neighbouring links are not included.
-
-    Args:
-        robot: The robot.
-        deviation: Maximum excess of joints over their limits [rad].
-    """
-    beyond = _beyond(deviation)
-    return robot.cached(("shaped_pairs", beyond), lambda: pairs_among(robot, _held_pairs(robot), beyond))
-
-
-def _held_pairs(robot: Robot) -> Iterator[tuple[int, int]]:
-    """Pairs (i, j), i < j, of non-neighbouring bodies whose capsules always touch."""
-    arm, bodies = robot.arm, collision_bodies(robot)
-    links = range(arm.link_count)
-    held = {(shape.number, link) for shape in base_shapes(robot) for link in links if is_held(robot, shape, 0.0, link)}
-    for i, j in itertools.combinations(range(len(bodies)), 2):
-        inner, outer = sorted((i, j), key=lambda body: bodies[body].joint)
-        first, last = (bodies[body].joint - robot.yaw_joints for body in (inner, outer))
-        if first < 0 <= last:
-            near = (bodies[inner].shape, last) in held
-        else:
-            near = 0 <= first < last - 1 and held_apart(arm, first, last) <= 0.0
-        if near:
-            yield i, j
-
-
-def _as_shaped(robot: Robot, pairs: SelfPairs) -> Iterator[ArmPair]:
-    """Checked pairs; the body with more joints below it moves."""
-    bodies, shapes = collision_bodies(robot), body_shapes(robot)
-    for pair, farthest in zip(pairs.checked, pairs.farthest.tolist(), strict=True):
-        still, moved = sorted(pair, key=lambda body: len(carriers(robot, bodies[body].joint)))
-        yield ArmPair(bodies[moved].name, bodies[still].name, (shapes[moved], shapes[still]), farthest)
+def _pairs(robot: Robot, pairs: SelfPairs, parts: Sequence[Fold]) -> Iterator[ArmPair]:
+    """Checked pairs, those of parts of neighbours last; the body with more joints below it moves."""
+    whole = list(zip(collision_bodies(robot), body_shapes(robot), strict=True))
+    both = [(whole[i], whole[j]) for i, j in pairs.checked]
+    both += [((part.body, part.shape), whole[part.other]) for part in parts]
+    farthest = [*pairs.farthest.tolist(), *(part.farthest for part in parts)]
+    for pair, apart in zip(both, farthest, strict=True):
+        still, moved = sorted(pair, key=lambda each: len(carriers(robot, each[0].joint)))
+        yield ArmPair(moved[0].name, still[0].name, (moved[1], still[1]), (moved[0], still[0]), apart)
 
 
 def moving_bodies(robot: Robot) -> dict[str, list[int]]:
@@ -421,7 +270,7 @@ def moving_bodies(robot: Robot) -> dict[str, list[int]]:
     """
     found: dict[str, list[int]] = {}
     for number, body in enumerate(collision_bodies(robot)):
-        if body.joint >= 0:
+        if moves(robot)[number]:
             found.setdefault(body.name, []).append(number)
     if not found:
         reason = "no link that moves has a <collision>: it could touch nothing, and a certificate would say nothing"
@@ -429,14 +278,26 @@ def moving_bodies(robot: Robot) -> dict[str, list[int]]:
     return found
 
 
-def base_bodies(robot: Robot) -> Iterator[tuple[str, pin.GeometryObject]]:
-    """Names and shapes of the base.
+def base_bodies(robot: Robot) -> Iterator[tuple[CollisionBody, pin.GeometryObject, pin.SE3]]:
+    """Bodies of the base, each with its shape and the pose of its joint in `base_link`.
 
-    The base is pedestal and turret, or the bodies that no joint moves. Meshes are decomposed into their convex pieces.
+    They are the bodies that no joint moves (`hplan.collision.reach.moves`).
     """
-    for body, shape in zip(collision_bodies(robot), body_shapes(robot), strict=True):
-        if body.joint < base_joints(robot):
-            yield body.name, shape
+    data = robot.model.createData()
+    pin.forwardKinematics(robot.model, data, pin.neutral(robot.model))
+    for body, shape, moved in zip(collision_bodies(robot), body_shapes(robot), moves(robot).tolist(), strict=True):
+        if not moved:
+            yield body, shape, data.oMi[shape.parentJoint]
+
+
+@made_once
+def base_radius(robot: Robot) -> float:
+    """Radius of a ball about the origin of `base_link` that contains the base [m]."""
+    radius = 0.0
+    for body, _, place in base_bodies(robot):
+        core = body.core @ place.rotation.T + place.translation
+        radius = max(radius, float(np.linalg.norm(core, axis=1).max()) + body.rounding)
+    return radius
 
 
 def _beyond(deviation: float) -> float:
@@ -444,35 +305,34 @@ def _beyond(deviation: float) -> float:
     return BEYOND * max(1, math.ceil(deviation / BEYOND - 1e-9))
 
 
-def below(robot: Robot, shape: BaseShape, obstacles: Sequence[Solid], growth: FloatArray) -> BoolArray:
-    """(obstacles,) mask of obstacles that are below a turning shape or support it.
+def supports(
+    robot: Robot, body: CollisionBody, shape: pin.GeometryObject, obstacles: Sequence[Solid]
+) -> BoolArray:
+    """(obstacles,) mask of static obstacles that support a body, as the ground supports a turntable.
 
-    Heights are constant under a rotation about the vertical: an obstacle whose top, grown by its `growth` [m], is not
-    above the bottom of the shape is never penetrated. An obstacle whose top is higher by at most `BASE_DEPTH` supports
-    the shape if it is within `BASE_DEPTH` of the shape at every yaw, like the ground. If the shape only turns over or
-    into the obstacle, the obstacle blocks it.
+    The body turns about one joint alone. Its extent along the joint's axis is constant, and no obstacle that supports it
+    overlaps that extent by more than `BASE_DEPTH`. The obstacle is within `BASE_DEPTH` of the body at every value of the
+    joint: if the body only turns over or into it, the obstacle blocks it.
     """
-    tops = np.array([float(obstacle.core[:, 2].max()) + obstacle.rounding for obstacle in obstacles])
-    never: BoolArray = tops + growth <= shape.bottom + _ROUNDING
-    for number in np.flatnonzero(~never & (tops <= shape.bottom + BASE_DEPTH)).tolist():
+    found = np.zeros(len(obstacles), dtype=np.bool_)
+    if len(carriers(robot, body.joint)) != 1 or robot.slides[body.joint] or not len(obstacles):
+        return found
+    place, (axis, _) = robot.model.jointPlacements[body.joint + 1], joint_axis(robot, body.joint)
+    heights = body.core @ axis
+    low, high = float(heights.min()) - body.rounding, float(heights.max()) + body.rounding
+    turned, foot = place.rotation @ axis, float(place.translation @ place.rotation @ axis)
+    ends = [(solid.core @ turned - foot, solid.rounding) for solid in obstacles]
+    below = np.array([float(along.max()) + rounding for along, rounding in ends]) <= low + BASE_DEPTH
+    above = np.array([float(along.min()) - rounding for along, rounding in ends]) >= high - BASE_DEPTH
+    rate = float(np.linalg.norm(body.core - np.outer(heights, axis), axis=1).max()) + body.rounding
+    for number in np.flatnonzero(below | above).tolist():
         asked = distance_from(obstacles[number])
 
-        def distance(yaw: float, asked: Callable[[coal.CollisionGeometry, pin.SE3], float] = asked) -> float:
-            return asked(shape.placed.geometry, shape.placed_at(yaw))
+        def distance(value: float, asked: Callable[[coal.CollisionGeometry, pin.SE3], float] = asked) -> float:
+            turn = pin.SE3(pin.AngleAxis(value, axis).toRotationMatrix(), np.zeros(3))
+            return asked(shape.geometry, place * turn * shape.placement)
 
-        low, high = float(robot.lower[0]), float(robot.upper[0])
-        never[number] = always(distance, low, high, shape.radius, BASE_DEPTH)
-    return never
-
-
-def _beyond_joint(capsule: pin.GeometryObject, reach: float, along: float) -> pin.GeometryObject:
-    """Part of a link's capsule beyond distance `reach` from a joint [m].
-
-    The joint is the link's own (`along` = 1) or the next one (`along` = -1).
-    """
-    geometry = capsule.geometry
-    length = 2.0 * float(geometry.halfLength) - reach
-    shifted = capsule.placement * pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.5 * along * reach]))
-    return pin.GeometryObject(
-        f"{capsule.name}:beyond:{along:g}", capsule.parentJoint, shifted, coal.Capsule(float(geometry.radius), length)
-    )
+        found[number] = always(
+            distance, float(robot.lower[body.joint]), float(robot.upper[body.joint]), rate, BASE_DEPTH
+        )
+    return found

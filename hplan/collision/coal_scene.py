@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from hplan.base import ties
 from hplan.base.arrays import BoolArray, FloatArray, IntArray
 from hplan.base.deadline import check_deadline
-from hplan.collision.arm_pairs import ArmPair, arm_parts, base_bodies, below
+from hplan.collision.arm_pairs import ArmPair, arm_parts, base_bodies, supports
 from hplan.collision.box_bounds import (
     ANYWHERE,
     RADIUS,
@@ -26,13 +26,12 @@ from hplan.collision.box_bounds import (
 )
 from hplan.collision.coal_accuracy import distance_errors
 from hplan.collision.coal_cloud import distance_from, obstacle_shapes
-from hplan.collision.coal_shapes import LINK_SHAPES, LinkShapes, beyond_geometry
+from hplan.collision.coal_shapes import beyond_geometry
 from hplan.collision.geometry_pairs import GeometryPairs
 from hplan.collision.giving_way import pushing_links, yielded
 from hplan.collision.moving_solids import MovingSolids
 from hplan.collision.touching_pairs import required_distances
-from hplan.errors import MovingObstacleError, OptionError
-from hplan.robot.base_shapes import base_joints
+from hplan.errors import MovingObstacleError
 from hplan.robot.model import Robot
 from hplan.scene.obstacles import Solid
 from hplan.scene.tracks import Movement
@@ -65,18 +64,10 @@ class OwnContact(Contact):
 class CoalScene:
     """Collision checker of an arm among obstacles: pairs of shapes and their distances.
 
-    The pairs are each link shape with each obstacle, link by link; then each turret shape that is not round about the
-    yaw axis with each obstacle; then the self-collision pairs (`hplan.robot.self_contact`). The pedestal and the round
-    shapes of the turret are not paired with obstacles here; `base_contacts` checks them. The option `links` selects the
-    link shapes:
-
-    - `capsule`: the capsules of `robot.arm`, which contain the URDF's collision geometry;
-    - `box`: square beams from joint to joint, with the capsules' half-widths (in the arm plane: the paper's rectangle);
-    - `urdf`: the URDF's collision geometry itself, with convex hulls of meshes (mesh surfaces are hollow in coal).
-
-    Neighbouring links that fold into each other are always checked as capsules. For a general (non-planar) arm the
-    links are the moving links of the URDF with the shapes of `hplan.collision.collision_bodies.body_shapes`, and the
-    self-collision pairs come from `hplan.collision.touching_pairs`; `links` has no effect.
+    The pairs are each shape of each moving link with each obstacle, link by link; then the self-collision pairs
+    (`hplan.collision.touching_pairs`, `hplan.collision.folds`). The shapes are those of
+    `hplan.collision.collision_bodies.body_shapes`. Bodies that no joint moves are not paired with obstacles here;
+    `base_contacts` checks them.
 
     A cloud is stored as its points in bounding-volume trees; its radius is subtracted from their distance. If a link
     does not reach the points themselves, the distance is exact or at most 2e-7 m too small. If it does, the depth of a
@@ -89,8 +80,8 @@ class CoalScene:
     Queries are thread-safe. A scene can be pickled; unpickling rebuilds it from robot and obstacles.
 
     Attributes:
-        mover_names: Names of the moving bodies: links, then turret bodies with shapes that are not round, then bodies
-            that no joint moves but that are checked against another arm's base.
+        mover_names: Names of the moving links, then of bodies that no joint moves but that are checked against another
+            arm's base.
         obstacle_names: Names of the obstacles; from `own_first` on, names of the second parts of self-collision pairs.
         link_shapes: Shapes of the links, link by link.
         pairs: Index of the moving body in `mover_names` and of the obstacle or part in `obstacle_names`, for each pair.
@@ -98,6 +89,8 @@ class CoalScene:
         deviation: Maximum excess of joints over their limits [rad]; parts that can touch within it form pairs.
         clearance: Required clearance between parts of the arm [m]; parts that can come nearer form pairs.
         moving: The moving obstacles with their movements; None if no obstacle moves.
+        supported: Names of a link and an obstacle that supports it (`hplan.collision.arm_pairs.supports`); their
+            distance counts as infinite.
     """
 
     def __init__(
@@ -105,11 +98,9 @@ class CoalScene:
         robot: Robot,
         obstacles: Sequence[Solid],
         *,
-        links: LinkShapes = "capsule",
         growth: ArrayLike = 0.0,
         deviation: float = 0.0,
         clearance: float = 0.0,
-        single_joint_pairs: bool = True,
         movements: Sequence[Movement | None] = (),
         yield_links: Sequence[str] | None = None,
     ) -> None:
@@ -118,56 +109,52 @@ class CoalScene:
         Args:
             robot: The robot.
             obstacles: The obstacles.
-            links: Shape of the links of a planar arm.
             growth: Growth of the obstacles [m], one number or one for each.
             deviation: Maximum excess of joints over their limits [rad].
             clearance: Required clearance [m]; parts of the arm that cannot come this near to each other form no pair.
-            single_joint_pairs: Whether to include the pairs that depend on one joint alone (turret, folded neighbours).
-                The C-space excludes them and narrows the joint ranges instead.
             movements: Movement of each obstacle, None for a static one; empty if all are static.
             yield_links: Names of the links that may push compliant obstacles; None for the links on the last two
                 joints.
 
         Raises:
-            OptionError: `links` has an unknown value, or a name in `yield_links` is not a moving link.
+            OptionError: A name in `yield_links` is not a moving link.
         """
-        if links not in LINK_SHAPES:
-            raise OptionError("links", links, f"one of {', '.join(LINK_SHAPES)}")
         self.robot = robot
         self._built: dict[str, Any] = {
             "robot": robot,
             "obstacles": tuple(obstacles),
-            "links": links,
             "growth": growth,
             "deviation": deviation,
             "clearance": clearance,
-            "single_joint_pairs": single_joint_pairs,
             "movements": tuple(movements),
             "yield_links": None if yield_links is None else tuple(yield_links),
         }
         self.moving = MovingSolids.of(obstacles, movements)
         self._touched: tuple[tuple[str, tuple[str, ...]], ...] = ()
         self.deviation, self.clearance = float(deviation), float(clearance)
-        parts = arm_parts(robot, links, self.deviation, self.clearance, single_joint_pairs=single_joint_pairs)
+        parts = arm_parts(robot, self.deviation, self.clearance)
         self.parts = parts
         self.link_names = tuple(parts.links)
         self.mover_names = parts.mover_names
-        movers = [*parts.links.values(), *([shape.placed for shape in shapes] for shapes in parts.turret.values())]
+        movers = list(parts.links.values())
         # The shapes of moving body k start at index `_first_shape[k]`.
         self._first_shape = np.cumsum([0, *(len(of_mover) for of_mover in movers[:-1])])
         self.link_shapes = list(itertools.chain(*parts.links.values()))
         self._mover_shapes = parts.shapes
-        self._last = np.flatnonzero([shape.parentJoint == parts.tool_joint for shape in self.link_shapes])
+        self._last = np.flatnonzero([shape.parentJoint == robot.tool_joint for shape in self.link_shapes])
         # Offset subtracted from coal's distance, for each shape and obstacle [m].
         beyond = np.array([beyond_geometry(obstacle) for obstacle in obstacles], dtype=np.float64)
         grown = np.broadcast_to(np.asarray(growth, dtype=np.float64), beyond.shape)
         beyond += grown
         self._beyond: FloatArray = np.tile(beyond, (len(self._mover_shapes), 1))
-        for row, shape in enumerate(itertools.chain(*parts.turret.values()), len(self.link_shapes)):
-            never = below(robot, shape, obstacles, grown)
+        self.supported: tuple[tuple[str, str], ...] = ()
+        for row, (body, shape) in enumerate(zip(parts.bodies, self._mover_shapes, strict=False)):
+            supporting = supports(robot, body, shape, obstacles)
             if self.moving is not None:
-                never = self.moving.keep_below(never, shape.bottom)
-            self._beyond[row, never] = -np.inf
+                supporting[list(self.moving.numbers)] = False
+            self._beyond[row, supporting] = -np.inf
+            named = (obstacles[number].name for number in np.flatnonzero(supporting).tolist())
+            self.supported += tuple((body.name, name) for name in named)
         check_deadline()
         self.own_first = len(obstacles)
         own_names, own = parts.own_names
@@ -219,8 +206,8 @@ class CoalScene:
         """Checker with the pairs required by a tracking error [rad] and a clearance [m]."""
         if deviation <= self.deviation and clearance == self.clearance:
             return self
-        most, single = max(deviation, self.deviation), self._built["single_joint_pairs"]
-        parts = arm_parts(self.robot, self._built["links"], most, clearance, single_joint_pairs=single)
+        most = max(deviation, self.deviation)
+        parts = arm_parts(self.robot, most, clearance)
         if parts is self.parts or not (parts.own or self.parts.own):
             return self
         built = {**self._built, "deviation": most, "clearance": clearance}
@@ -306,8 +293,8 @@ class CoalScene:
     def distances(self, q: ArrayLike, time_s: float | None = None) -> FloatArray:
         """Signed distances at one configuration, (dof,) -> (bodies, obstacle names) [m].
 
-        Negative values are penetration depths. The distance is infinite if a link, or the turret, cannot touch that
-        part of the arm or obstacle. As in the other methods, `time_s` [s] is required if obstacles move, and otherwise
+        Negative values are penetration depths. The distance is infinite if a link cannot touch that part of the arm, or
+        if the obstacle supports it. As in the other methods, `time_s` [s] is required if obstacles move, and otherwise
         has no effect.
         """
         found = self.pair_distances(q, time_s)
@@ -435,32 +422,23 @@ def _rebuilt(built: dict[str, Any], touched: Sequence[tuple[str, tuple[str, ...]
     return scene
 
 
-def base_contacts(
-    robot: Robot, obstacles: Sequence[Solid], yaw: float = 0.0, *, margin: float = 0.0
-) -> tuple[Contact, ...]:
-    """Contacts of obstacles with the base: the URDF shapes of pedestal and turret.
+def base_contacts(robot: Robot, obstacles: Sequence[Solid], *, margin: float = 0.0) -> tuple[Contact, ...]:
+    """Contacts of obstacles with the base: the bodies that no joint moves.
 
-    These contacts are not part of the C-space, since no motion of the planar joints at this yaw changes them. The base
-    of a general (non-planar) arm consists of the bodies that no joint moves.
+    These contacts are not part of the C-space, since no motion changes them.
 
     Args:
         robot: The robot.
         obstacles: The obstacles.
-        yaw: Value of the yaw joint [rad].
         margin: Maximum distance that counts as contact [m].
     """
     if not obstacles:
         return ()
-    q, joints = np.zeros(robot.dof), base_joints(robot)
-    q[:joints] = yaw
-    data = robot.model.createData()
-    pin.forwardKinematics(robot.model, data, q)
     found = []
     distances = [(obstacle, distance_from(obstacle, margin)) for obstacle in obstacles]
-    for name, shape in base_bodies(robot):
-        place = data.oMi[shape.parentJoint] * shape.placement
+    for body, shape, place in base_bodies(robot):
         for obstacle, distance_of in distances:
-            distance = distance_of(shape.geometry, place)
+            distance = distance_of(shape.geometry, place * shape.placement)
             if distance <= margin:
-                found.append(Contact(name, obstacle.name, distance))
+                found.append(Contact(body.name, obstacle.name, distance))
     return tuple(found)

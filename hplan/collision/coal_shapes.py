@@ -1,10 +1,9 @@
-"""Coal shapes of links and obstacles, as Pinocchio geometry objects."""
+"""Coal shapes of obstacles, as Pinocchio geometry objects."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Literal, TypeAlias
 
 import coal
 import numpy as np
@@ -12,64 +11,16 @@ import pinocchio as pin
 
 from hplan.base.arrays import FloatArray, IntArray
 from hplan.base.deadline import check_deadline
-from hplan.robot.base_shapes import filled
-from hplan.robot.model import Robot, made_once
 from hplan.scene.convex_shape import convex_shape
 from hplan.scene.obstacle_kind import Convex
 from hplan.scene.obstacles import Box, Capsule, Cylinder, Solid, Sphere
 from hplan.scene.solids import Cloud, Hull
-
-#: Shape of the links: the planner's capsules, beams of the same half-widths, or the URDF's collision geometry.
-LinkShapes: TypeAlias = Literal["capsule", "box", "urdf"]
-LINK_SHAPES: tuple[LinkShapes, ...] = ("capsule", "box", "urdf")
 
 #: The axis of coal's capsules.
 _UP = np.array([0.0, 0.0, 1.0])
 
 _UNTURNED = np.eye(3)
 _AT_ORIGIN = pin.SE3.Identity()
-
-
-@made_once
-def link_shapes(robot: Robot, links: LinkShapes) -> list[pin.GeometryObject]:
-    """Capsule or beam of each link, in its joint's frame; cached for each robot."""
-    model, arm = robot.model, robot.arm
-    data = model.createData()
-    neutral = np.zeros(model.nq)
-    pin.forwardKinematics(model, data, neutral)
-    points = robot.plane_origin + arm.joint_points(neutral[robot.arm_slice]) @ robot.plane_axes
-    normal = np.cross(robot.plane_axes[0], robot.plane_axes[1])
-    aside = arm.lateral[:, None] * normal
-    first = 1 + robot.yaw_joints
-    shapes = []
-    for k, name in enumerate(arm.link_names):
-        half_width, length = float(arm.half_widths[k]), float(arm.lengths[k])
-        if links == "box":
-            along = (points[k + 1] - points[k]) / length
-            rotation = np.stack([np.cross(normal, along), normal, along], axis=1)
-            placement = pin.SE3(rotation, 0.5 * (points[k] + points[k + 1]) + aside[k])
-            shape = coal.Box(2.0 * half_width, 2.0 * half_width, length)
-        else:
-            placement, _ = _along(points[k] + aside[k], points[k + 1] + aside[k])
-            shape = coal.Capsule(half_width, length)
-        local = data.oMi[first + k].inverse() * placement
-        shapes.append(pin.GeometryObject(f"link:{name}", first + k, local, shape))
-    return shapes
-
-
-def urdf_shapes(robot: Robot) -> list[list[pin.GeometryObject]]:
-    """Collision shapes of each link in the URDF."""
-    first = 1 + robot.yaw_joints
-    found = []
-    for k, name in enumerate(robot.arm.link_names):
-        shapes = [g for g in robot.collision_model.geometryObjects if g.parentJoint == first + k]
-        found.append(
-            [
-                pin.GeometryObject(f"link:{name}:{number}", first + k, shape.placement, filled(shape))
-                for number, shape in enumerate(shapes)
-            ]
-        )
-    return found
 
 
 def capsule_shapes(capsules: Sequence[Capsule]) -> list[pin.GeometryObject]:

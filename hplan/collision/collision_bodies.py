@@ -1,7 +1,8 @@
 r"""Collision geometry of a robot as convex hulls with a radius.
 
-Each body is carried by one joint and contains its URDF shape. Spheres, capsules and boxes are exact. A cylinder becomes
-its circumscribed prism with `_SIDES` sides, and a mesh its convex hull. A closed mesh that fills less than `_FILLED` of
+Each body is carried by one joint and contains its URDF shape. Spheres, capsules and boxes are exact. URDF has no
+capsules: a cylinder with a ball of its radius at either end, on the same link, is one. Any other cylinder becomes its
+circumscribed prism with `_SIDES` sides, and a mesh its convex hull. A closed mesh that fills less than `_FILLED` of
 its hull is decomposed into at most `_PIECES` convex pieces, whose union contains it
 (`hplan.scene.convex_decomposition`). A hull with more than `MOST_POINTS` vertices is reduced to some of them, and grown
 by the maximum distance of the others.
@@ -12,8 +13,9 @@ A body may be larger than its shape in coal (`body_shapes`: the true cylinder, t
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final, NamedTuple
@@ -34,6 +36,9 @@ GROUND: Final = -1
 
 #: Maximum number of points of a body.
 MOST_POINTS: Final = 256
+
+#: Tolerance of centre and radius of a ball at the end of a cylinder [m].
+_SAME: Final = 1e-9
 
 #: Number of sides of the prism around a cylinder.
 _SIDES: Final = 24
@@ -60,8 +65,8 @@ class CollisionBody(Record):
         kind: `sphere`, `capsule`, `box`, `cylinder`, `mesh` (a convex one), `mesh hull` or `mesh piece`.
         exact: True if it equals the URDF's shape, up to rounding errors.
         growth: Upper bound of its excess over its shape in coal [m]; see `body_shapes`.
-        shape: Index of the URDF's shape in the geometry objects of `Robot.collision_model`, -1 for another shape;
-            the pieces of a mesh have the same index.
+        shapes: Indices of the URDF's shapes that it contains, or contains a piece of, in the geometry objects of
+            `Robot.collision_model`: one, three for a capsule, none for another shape.
     """
 
     name: str
@@ -71,11 +76,13 @@ class CollisionBody(Record):
     kind: str
     exact: bool
     growth: float
-    shape: int
+    shapes: tuple[int, ...]
 
 
 def collision_bodies(robot: Robot) -> tuple[CollisionBody, ...]:
     """Bodies of a robot, including the ground's, in geometry-object order; cached.
+
+    A capsule is at the place of its cylinder.
 
     Raises:
         RobotFileError: A shape has a kind that URDF does not define, or a mesh has no volume and cannot be thickened.
@@ -86,8 +93,8 @@ def collision_bodies(robot: Robot) -> tuple[CollisionBody, ...]:
 def body_shapes(robot: Robot) -> tuple[pin.GeometryObject, ...]:
     """Coal shape of each of the `collision_bodies`, in the same order; cached.
 
-    It is the URDF's shape itself, or the convex hull of a mesh (or of its piece) with all vertices. Names are the
-    bodies' names with a number.
+    It is the URDF's shape itself, the capsule of a cylinder and two balls, or the convex hull of a mesh (or of its
+    piece) with all vertices. Names are the bodies' names with a number.
     """
     return tuple(shape for _, shape in _made(robot))
 
@@ -111,8 +118,49 @@ def _made(robot: Robot) -> list[tuple[CollisionBody, pin.GeometryObject]]:
 
 def _bodies_from(robot: Robot, first: int) -> Iterator[tuple[CollisionBody, pin.GeometryObject]]:
     """Bodies of a robot's shapes from index `first` on."""
-    for number, shape in list(enumerate(robot.collision_model.geometryObjects))[first:]:
-        yield from bodies_of(robot, str(robot.model.frames[shape.parentFrame].name), shape, number)
+    shapes = list(robot.collision_model.geometryObjects)
+    capsules = dict[int, tuple[int, ...]]()
+    for number in range(first, len(shapes)):
+        balls = _balls_at_ends(shapes, number, first)
+        if balls and not set(balls) & set(itertools.chain(*capsules.values())):
+            capsules[number] = (number, *balls)
+    within = set(itertools.chain(*capsules.values()))
+    for number in range(first, len(shapes)):
+        shape, parts = shapes[number], capsules.get(number, (number,))
+        if number in within and number not in capsules:
+            continue
+        if number in capsules:
+            tube = shape.geometry
+            capsule = coal.Capsule(float(tube.radius), 2.0 * float(tube.halfLength))
+            shape = pin.GeometryObject(shape.name, shape.parentJoint, shape.parentFrame, shape.placement, capsule)
+        yield from bodies_of(robot, str(robot.model.frames[shape.parentFrame].name), shape, parts)
+
+
+def _balls_at_ends(shapes: Sequence[pin.GeometryObject], number: int, first: int) -> tuple[int, ...]:
+    """Indices of the two balls that make a cylinder a capsule; empty without them.
+
+    The balls have the cylinder's radius and are at its ends, up to `_SAME`, on the same link.
+
+    Args:
+        shapes: The shapes of a robot.
+        number: Index of the shape in question.
+        first: Index of the first shape that may be a ball.
+    """
+    tube = shapes[number]
+    if not isinstance(tube.geometry, coal.Cylinder):
+        return ()
+    found = list[int]()
+    for side in (-1.0, 1.0):
+        end = tube.placement.act(np.array([0.0, 0.0, side * float(tube.geometry.halfLength)]))
+        for other in range(first, len(shapes)):
+            ball = shapes[other]
+            if not isinstance(ball.geometry, coal.Sphere) or ball.parentFrame != tube.parentFrame:
+                continue
+            off = float(np.linalg.norm(ball.placement.translation - end))
+            if other not in found and off + abs(float(ball.geometry.radius) - float(tube.geometry.radius)) <= _SAME:
+                found.append(other)
+                break
+    return tuple(found) if len(found) == 2 else ()
 
 
 class _Solid(NamedTuple):
@@ -127,7 +175,7 @@ class _Solid(NamedTuple):
 
 
 def bodies_of(
-    robot: Robot, name: str, shape: pin.GeometryObject, number: int = -1
+    robot: Robot, name: str, shape: pin.GeometryObject, numbers: tuple[int, ...] = ()
 ) -> Iterator[tuple[CollisionBody, pin.GeometryObject]]:
     """Bodies of one shape of a robot's link, each with its shape in coal.
 
@@ -142,8 +190,8 @@ def bodies_of(
             kind = type(shape.geometry).__name__
             raise RobotFileError(robot.urdf_path, f"link {name!r}: shape {kind} is not supported")
         core = readonly(solid.core @ place.rotation.T + place.translation)
-        body = CollisionBody(name, joint - 1, core, solid.rounding, solid.kind, solid.exact, solid.growth, number)
-        yield body, pin.GeometryObject(f"{name}:{number}:{piece}", joint, place, solid.judged)
+        body = CollisionBody(name, joint - 1, core, solid.rounding, solid.kind, solid.exact, solid.growth, numbers)
+        yield body, pin.GeometryObject(f"{name}:{numbers[0] if numbers else -1}:{piece}", joint, place, solid.judged)
 
 
 def _primitive(geometry: coal.CollisionGeometry) -> _Solid | None:
@@ -253,3 +301,27 @@ def ball_about(core: FloatArray) -> tuple[FloatArray, float]:
     boxed = 0.5 * (core.min(axis=0) + core.max(axis=0))
     radii = [float(np.linalg.norm(core - middle, axis=1).max()) for middle in (centre, boxed)]
     return (centre, radii[0]) if radii[0] < radii[1] else (boxed, radii[1])
+
+
+def capsule_about(core: FloatArray) -> tuple[FloatArray, FloatArray, float]:
+    """Start, vector and radius of a bounding capsule of some points.
+
+    The segment has the direction of the maximum spread of the points; its ends are moved inward by the radius.
+    """
+    middle = core.mean(axis=0)
+    direction = np.linalg.svd(core - middle, full_matrices=False)[2][0]
+    along = (core - middle) @ direction
+    aside = core - middle - np.outer(along, direction)
+    centre = 0.5 * (aside.min(axis=0) + aside.max(axis=0))
+    radius = float(np.linalg.norm(aside - centre, axis=1).max())
+    low, high = float(along.min()) + radius, float(along.max()) - radius
+    if len(core) <= 2:
+        low, high = float(along.min()), float(along.max())
+    if low > high:
+        low = high = 0.5 * (low + high)
+    start = middle + centre + low * direction
+    vector = (high - low) * direction
+    length = high - low
+    at = np.clip((core - start) @ direction, 0.0, length)
+    needed = float(np.linalg.norm(core - start - np.outer(at, direction), axis=1).max())
+    return start, vector, needed

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from hplan.base.arrays import BoolArray, FloatArray, Record, frozen
-from hplan.collision.arm_pairs import ArmParts, arm_parts
-from hplan.collision.collision_bodies import GROUND, CollisionBody, ball_about, collision_bodies
-from hplan.collision.reach import carriers, joint_axis, points_reach
+from hplan.base.arrays import FloatArray, Record, frozen
+from hplan.collision.collision_bodies import GROUND, CollisionBody, ball_about, capsule_about, collision_bodies
+from hplan.collision.folds import Fold, folds
+from hplan.collision.reach import carriers, joint_axis, moves, points_reach
 from hplan.collision.touching_pairs import required_distances, self_pairs
 from hplan.robot.model import Robot, made_once
 from hplan.scene.corner_table import corner_table
@@ -18,7 +18,7 @@ from hplan.scene.corner_table import corner_table
 #: Columns of a body: its joint (`dof` for the ground); offsets of the start and end of its points in the numbers, and
 #: of their table (`hplan.scene.corner_table`; 0 for none); its rounding radius; centre (3) and radius of a bounding
 #: ball; start and vector (3 each) and radius of a bounding capsule; and 1 if it is checked against obstacles, because
-#: joints move it and no other body contains it.
+#: joints move it.
 JOINT, FIRST, LAST, TABLE, ROUNDING, BALL, BALL_RADIUS, AXIS, AXIS_RADIUS, MEETS = 0, 1, 2, 3, 4, 5, 8, 9, 15, 16
 
 #: Columns of a pair: its bodies, first the one whose motion relative to the other is considered; the distance of their
@@ -45,9 +45,9 @@ class FlatBodies(Record):
     """Moving bodies of a robot as rows that refer to numbers.
 
     Attributes:
-        movers: (bodies + pairs, COLUMNS) rows: the bodies in the order of `collision_bodies`, then capsules that
-            replace cylinders with a ball at either end; for a planar arm the capsules of its links, then the shapes of
-            turret and pedestal that they can touch. After the bodies, the checked self-collision pairs.
+        movers: (bodies + pairs, COLUMNS) rows: the bodies in the order of `collision_bodies`, then the parts of
+            neighbouring links that must not touch (`hplan.collision.folds`). After the bodies, the checked
+            self-collision pairs, those of the parts last.
         numbers: Flat array: the head, the joints, the motion-bound coefficients ((bodies + pairs, dof) by rows), and
             the points of all bodies, each with its table.
     """
@@ -70,13 +70,9 @@ class FlatBodies(Record):
             own_clearance: Required clearance of the self-collision pairs [m].
             deviation: Maximum deviation of every joint [rad, m]; bodies are grown by their displacement bound.
         """
-        if robot.planar is None:
-            still = robot.cached("flat bodies", lambda: _of_any_arm(robot))
-            farthest = self_pairs(robot).farthest
-        else:
-            parts = arm_parts(robot, "capsule", deviation, own_clearance, single_joint_pairs=False)
-            still = robot.cached(("flat bodies", *parts.key), lambda: _of_parts(parts))
-            farthest = np.full(len(parts.own), np.inf)
+        parts = folds(robot, deviation, own_clearance)
+        still = robot.cached(("flat bodies", parts), lambda: _of_bodies(robot, parts))
+        farthest = np.append(self_pairs(robot).farthest, [part.farthest for part in parts])
         kept = np.append(np.zeros(int(still.numbers[BODIES])), required_distances(farthest, own_clearance))
         return cls(frozen(thicker(still.movers, deviation * still.reaches.sum(axis=1) + kept)), still.numbers)
 
@@ -90,26 +86,18 @@ def thicker(movers: FloatArray, by: FloatArray) -> FloatArray:
     return movers
 
 
-def _of_any_arm(robot: Robot) -> FlatBodies:
-    """Bodies of a general (non-planar) arm, and its checked pairs."""
-    own, pairs = collision_bodies(robot), self_pairs(robot)
-    capsules = list(_capsules(own))
-    bodies = [*own, *(capsule for capsule, _ in capsules)]
-    held = {part for _, parts in capsules for part in parts}
-    meets = [body.joint != GROUND and number not in held for number, body in enumerate(bodies)]
-    return _flat(robot, bodies, meets, pairs.checked)
-
-
-def _of_parts(parts: ArmParts) -> FlatBodies:
-    """Shapes of a planar arm, then turret and pedestal shapes its links can touch."""
-    (both, _), links = parts.movers, len(parts.shapes)
-    return _flat(parts.robot, parts.bodies, np.arange(len(parts.bodies)) < links, both[links:].tolist())
+def _of_bodies(robot: Robot, parts: Sequence[Fold]) -> FlatBodies:
+    """Bodies of a robot and parts of neighbours, and the checked pairs."""
+    own = collision_bodies(robot)
+    bodies, meets = [*own, *(part.body for part in parts)], np.append(moves(robot), np.zeros(len(parts)))
+    pairs = [*self_pairs(robot).checked, *((len(own) + k, part.other) for k, part in enumerate(parts))]
+    return _flat(robot, bodies, meets, pairs)
 
 
 def _flat(
-    robot: Robot, bodies: Sequence[CollisionBody], meets: Sequence[bool] | BoolArray, pairs: Sequence[tuple[int, int]]
+    robot: Robot, bodies: Sequence[CollisionBody], meets: FloatArray, pairs: Sequence[tuple[int, int]]
 ) -> FlatBodies:
-    """Flatten bodies and pairs; `meets` marks the bodies that are checked against obstacles."""
+    """Flatten bodies and pairs; `meets` is 1 for bodies that are checked against obstacles."""
     joints, count = joint_numbers(robot), len(bodies)
     alone = np.array([points_reach(robot, body.core, body.joint) for body in bodies]).reshape(-1, robot.dof)
     reaches = np.concatenate([alone, np.zeros((len(pairs), robot.dof))])
@@ -127,9 +115,9 @@ def _flat(
         rows[row, ROUNDING] = body.rounding
         rows[row, BALL:BALL_RADIUS], radius = ball_about(body.core)
         rows[row, BALL_RADIUS] = radius * (1.0 + 1e-12) + body.rounding
-        rows[row, AXIS:AXIS_RADIUS], radius = _axis(body.core)
+        rows[row, AXIS : AXIS + 3], rows[row, AXIS + 3 : AXIS_RADIUS], radius = capsule_about(body.core)
         rows[row, AXIS_RADIUS] = radius * (1.0 + 1e-12) + body.rounding
-        rows[row, MEETS] = float(meets[row])
+        rows[row, MEETS] = meets[row]
     for row, (i, j) in enumerate(pairs, start=count):
         rows[row, OUTER], rows[row, INNER] = (i, j) if len(carried[i]) > len(carried[j]) else (j, i)
         rows[row, TOUCHING] = bodies[i].rounding + bodies[j].rounding
@@ -139,30 +127,6 @@ def _flat(
         between = sorted(set(carried[i]) ^ set(carried[j]))
         reaches[row, between] = (alone[i] + alone[j])[between]
     return FlatBodies(frozen(rows), frozen(np.concatenate([head, joints.ravel(), reaches.ravel(), *points])))
-
-
-def _capsules(bodies: Sequence[CollisionBody]) -> Iterator[tuple[CollisionBody, tuple[int, ...]]]:
-    """Capsules around a cylinder with a ball of its radius at either end.
-
-    URDFs describe capsules in this way. Each capsule comes with the indices of the three bodies that it contains. Only
-    the capsule is checked against obstacles, because it is smooth.
-    """
-    for number, tube in enumerate(bodies):
-        if tube.kind != "cylinder" or tube.joint == GROUND:
-            continue
-        ends = tube.core.reshape(2, -1, 3).mean(axis=1)
-        radius = float(np.linalg.norm(tube.core[0] - ends[0])) - tube.growth
-        parts, away = [number], 0.0
-        for end in ends:
-            for other, ball in enumerate(bodies):
-                off = float(np.linalg.norm(ball.core[0] - end)) + abs(ball.rounding - radius)
-                # Tolerance of centre and radius of a ball at the end of a cylinder [m].
-                if ball.kind == "sphere" and ball.joint == tube.joint and off <= 1e-9:
-                    parts.append(other)
-                    away = max(away, off)
-                    break
-        if len(parts) == 3:
-            yield replace(tube, core=frozen(ends), rounding=radius + away, kind="capsule", growth=0.0), tuple(parts)
 
 
 @made_once
@@ -195,27 +159,3 @@ def _of_joint(robot: Robot, joint: int) -> FloatArray:
     numbers[PARENT] = robot.dof if parent < 0 else parent
     numbers[TURN:JOINT_SIZE] = 0.0 if slides else axis
     return numbers
-
-
-def _axis(core: FloatArray) -> tuple[FloatArray, float]:
-    """Start, vector and radius of a bounding capsule of some points.
-
-    The segment has the direction of the maximum spread of the points; its ends are moved inward by the radius.
-    """
-    middle = core.mean(axis=0)
-    direction = np.linalg.svd(core - middle, full_matrices=False)[2][0]
-    along = (core - middle) @ direction
-    aside = core - middle - np.outer(along, direction)
-    centre = 0.5 * (aside.min(axis=0) + aside.max(axis=0))
-    radius = float(np.linalg.norm(aside - centre, axis=1).max())
-    low, high = float(along.min()) + radius, float(along.max()) - radius
-    if len(core) <= 2:
-        low, high = float(along.min()), float(along.max())
-    if low > high:
-        low = high = 0.5 * (low + high)
-    start = middle + centre + low * direction
-    vector = (high - low) * direction
-    length = high - low
-    at = np.clip((core - start) @ direction, 0.0, length)
-    needed = float(np.linalg.norm(core - start - np.outer(at, direction), axis=1).max())
-    return np.concatenate([start, vector]), needed

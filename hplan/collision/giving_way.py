@@ -2,8 +2,8 @@
 
 For the links that may push it, a compliant solid is smaller by its maximum deflection; for all others it has its full
 size. The depth of a contact is the penetration depth: the minimum translation that separates the two shapes. It is not
-meaningful beyond a link's half-width, when the link's axis is inside the solid. Deflections are therefore limited to
-the half-width of the thinnest link, and for general (non-planar) arms to the rounding radii of body and solid.
+meaningful once the cores of both meet, for example the axes of two capsules. Deflections are therefore limited to the
+rounding radii of the solid and of the thinnest body that may push it.
 """
 
 from __future__ import annotations
@@ -16,9 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hplan.base.arrays import BoolArray, FloatArray, Record, frozen
-from hplan.collision.arm_pairs import moving_bodies
 from hplan.collision.clearance_field import ClearanceField
-from hplan.collision.collision_bodies import collision_bodies
+from hplan.collision.collision_bodies import GROUND, collision_bodies
 from hplan.collision.reach import carriers
 from hplan.errors import OptionError
 from hplan.robot.model import Robot
@@ -148,32 +147,26 @@ def yielded(
     depth = np.array([solid.yields or HANGING_M * (solid.name in hanging) for solid in solids], dtype=np.float64)
     if not depth.any():
         return None
-    if robot.planar is not None:
-        most: ArrayLike = float(robot.arm.half_widths.min())
-    else:
-        names = pushing_links(robot, yield_links)
-        thin = min((body.rounding for body in collision_bodies(robot) if body.name in names), default=0.0)
-        # When a body contains points of a cloud, coal reports the contact but not the depth of the deepest point.
-        # So bodies of general (non-planar) arms keep at least 1e-6 m from the points of a compliant cloud.
-        most = np.array([solid.rounding + (-1e-6 if isinstance(solid, Cloud) else thin) for solid in solids])
+    names = pushing_links(robot, yield_links)
+    pushing = [body for body in collision_bodies(robot) if body.name in names]
+    thin = min((body.rounding for body in pushing), default=0.0)
+    # When a body contains points of a cloud, coal reports the contact, but the depth of the deepest point only for
+    # balls and capsules. Other bodies keep at least 1e-6 m from the points of a compliant cloud.
+    in_cloud = thin if all(body.kind in ("sphere", "capsule") for body in pushing) else -1e-6
+    most = np.array([solid.rounding + (in_cloud if isinstance(solid, Cloud) else thin) for solid in solids])
     found: FloatArray = np.maximum(0.0, np.minimum(depth, most))
     return found
 
 
 def _names(robot: Robot) -> tuple[str, ...]:
     """Names of the moving links with collision shapes, without decomposing meshes."""
-    if robot.planar is not None:
-        return robot.arm.link_names
     shapes = (shape for shape in robot.collision_model.geometryObjects if shape.parentJoint > 0)
     return tuple(dict.fromkeys(str(robot.model.frames[shape.parentFrame].name) for shape in shapes))
 
 
 def _links(robot: Robot) -> dict[str, int]:
     """Moving links, each with the joint that carries it."""
-    if robot.planar is not None:
-        return {name: joint for joint, name in enumerate(robot.arm.link_names, robot.arm_slice.start)}
-    bodies = collision_bodies(robot)
-    return {name: bodies[numbers[0]].joint for name, numbers in moving_bodies(robot).items()}
+    return {body.name: body.joint for body in collision_bodies(robot) if body.joint != GROUND}
 
 
 def _pushing(robot: Robot, names: Sequence[str]) -> BoolArray:

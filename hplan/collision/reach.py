@@ -17,6 +17,9 @@ axis, each ring is enclosed in its circumscribed polygon with `_CORNERS` corners
 previous joint, are the points to rotate. Prismatic joints move the points to the ends of their range. The distance from
 an axis is a convex function, so its maximum over a hull is attained at one of the points. The limits of revolute joints
 are not used.
+
+**A cylinder about the axis of its own joint** is the same at every value of that joint, like a ball or a capsule there:
+the coefficient is the distance of its own axis from the joint's, at most `ON_AXIS`.
 """
 
 from __future__ import annotations
@@ -28,13 +31,16 @@ from typing import Final, NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from hplan.base.arrays import FloatArray, frozen
+from hplan.base.arrays import BoolArray, FloatArray, frozen
 from hplan.base.planar_geometry import convex_hull
 from hplan.collision.collision_bodies import CollisionBody, collision_bodies
 from hplan.robot.model import Robot, made_once
 
 #: Number of corners of the polygon around a ring.
 _CORNERS: Final = 64
+
+#: Two axes within this distance of each other, over the length of a body, are one [m].
+ON_AXIS: Final = 1e-6
 
 #: Maximum sine of the angle between parallel axes.
 _PARALLEL: Final = 1e-12
@@ -67,7 +73,27 @@ def reach_of(robot: Robot, bodies: Sequence[CollisionBody], beyond: float = 0.0)
     # The URDF shape of a body that is not exact may have points beyond the core; they are within the rounding.
     beyond_core = np.array([0.0 if body.exact else body.rounding for body in bodies])[:, None]
     found: FloatArray = rows + np.where((rows > 0.0) & ~np.array(robot.slides), beyond_core, 0.0)
+    for row, body in zip(found, bodies, strict=True):
+        if body.kind == "cylinder" and body.joint >= 0:
+            away = _from_axis(robot, body)
+            row[body.joint] = away if away <= ON_AXIS else row[body.joint]
     return found
+
+
+def _from_axis(robot: Robot, cylinder: CollisionBody) -> float:
+    """Distance of a cylinder's own axis from its joint's axis [m]; infinite if that joint slides."""
+    axis, slides = joint_axis(robot, cylinder.joint)
+    ends = cylinder.core.reshape(2, -1, 3).mean(axis=1)
+    return math.inf if slides else float(np.linalg.norm(ends - (ends @ axis)[:, None] * axis, axis=1).max())
+
+
+@made_once
+def moves(robot: Robot) -> BoolArray:
+    """(bodies,) True for the bodies that some joint moves.
+
+    Bodies on the ground do not move, nor does a shape that is round about the axis of the only joint that carries it.
+    """
+    return frozen((reach(robot) > ON_AXIS).any(axis=1))
 
 
 def points_reach(robot: Robot, points: FloatArray, joint: int, beyond: float = 0.0) -> FloatArray:
@@ -157,9 +183,6 @@ def _carried(robot: Robot, points: FloatArray, joint: int, beyond: float) -> tup
 def largest_sway(robot: Robot, deviation: FloatArray) -> FloatArray:
     """Maximum tracking displacement bound of any part of a robot.
 
-    For an arm of the planar family it is the bound of its link axes (`PlanarFamily.sway`), for any other arm the bound
-    of its bodies.
-
     Args:
         robot: The robot.
         deviation: (..., dof) maximum joint deviations [rad, m].
@@ -167,9 +190,6 @@ def largest_sway(robot: Robot, deviation: FloatArray) -> FloatArray:
     Returns:
         (...) displacement bounds [m].
     """
-    if robot.planar is not None:
-        found: FloatArray = robot.planar.sway(deviation).max(axis=-1)
-        return found
     sways: FloatArray = (deviation @ reach(robot).T).max(axis=-1, initial=0.0)
     return sways
 

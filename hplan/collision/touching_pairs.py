@@ -12,8 +12,11 @@ Within **one arm** all pairs are checked, except
   configuration could pass a check;
 - bodies on both sides of one joint that cannot touch at any value of it: proved by bisection
   (`hplan.robot.base_shapes.ever`);
-- bodies on both sides of one joint that are never farther apart than `_BEARING`, also proved. They are **assumed** to
+- bodies on both sides of one joint that are never farther apart than `BEARING`, also proved. They are **assumed** to
   touch by construction: convex shapes of bearings overlap.
+
+Of two bodies on both sides of one revolute joint that always touch, or are assumed to, the parts beyond the joint are
+checked nevertheless (`hplan.collision.folds`).
 
 Samples exempt no pair. They only find the checked pairs that are too close to each other for a clearance requirement
 (`required_distances`); such a pair must not touch, and the certificate lists it with its own bound.
@@ -35,10 +38,12 @@ from hplan.collision.collision_bodies import body_shapes, collision_bodies
 from hplan.collision.reach import carriers, joint_axis, reach_of
 from hplan.robot.base_shapes import always, coal_distance, ever
 from hplan.robot.model import Robot, made_once
-from hplan.robot.self_contact import SLACK
 
 #: Maximum distance of the two sides of a bearing; also used for bodies with one link between them [m].
-_BEARING: Final = 0.02
+BEARING: Final = 0.02
+
+#: Bodies within this distance count as able to touch [m]: positions hold to 1e-6 rad, distances to 1e-5 m.
+SLACK: Final = 1e-4
 
 #: Margin beyond the joint limits within which pairs are classified, to cover tracking errors [rad, m].
 BEYOND: Final = 0.1
@@ -66,24 +71,39 @@ class SelfPairs(Record):
         allowed: Pairs (i, j), i < j, that are not checked, each with the reason.
         farthest: (checked,) maximum sampled distance of each pair of one arm [m]; infinite from 0.25 m on, and for
             pairs of different arms. It determines the clearance that can be required (`required_distances`).
+        hinged: Pairs (i, j), i < j, that are not checked because they are in contact about the one joint between them,
+            and that joint.
     """
 
     checked: tuple[tuple[int, int], ...]
     allowed: tuple[tuple[int, int, str], ...]
     farthest: FloatArray
+    hinged: tuple[tuple[int, int, int], ...] = ()
+
+
+def rounded_up(deviation: float) -> float:
+    """Round a tracking error up to one of few values [rad].
+
+    A motion's tracking error depends on its speed; rounding lets caches be shared between motions.
+    """
+    if not deviation < math.tau:
+        return math.tau  # a whole turn either way covers all angles
+    # Tracking errors are rounded up to multiples of this [rad].
+    deviation_step = 5e-3
+    return deviation_step * math.ceil(deviation / deviation_step - 1e-9)
 
 
 def required_distances(farthest: FloatArray, clearance: float) -> FloatArray:
     """Required distance of each pair, (pairs,) [m].
 
-    It is the clearance, or 0 if the pair is never farther apart than the clearance or `_BEARING`, whichever is larger.
+    It is the clearance, or 0 if the pair is never farther apart than the clearance or `BEARING`, whichever is larger.
     A negative clearance is required of all pairs.
 
     Args:
         farthest: (pairs,) maximum distances, as in `SelfPairs` [m].
         clearance: Required clearance [m].
     """
-    return np.where(farthest > max(clearance, _BEARING), clearance, min(clearance, 0.0))
+    return np.where(farthest > max(clearance, BEARING), clearance, min(clearance, 0.0))
 
 
 @made_once
@@ -103,12 +123,16 @@ def pairs_among(robot: Robot, chosen: Iterable[tuple[int, int]], beyond: float) 
     bodies = collision_bodies(robot)
     allowed: list[tuple[int, int, str]] = []
     left: list[tuple[int, int]] = []
+    hinged: list[tuple[int, int, int]] = []
     for pair in chosen:
         reason = _exemption(robot, pair, beyond)
         if reason is None:
             left.append(pair)
         else:
             allowed.append((*pair, reason))
+            between = _between(robot, *(bodies[body].joint for body in pair))
+            if len(between) == 1 and reason in _in_contact(robot, between[0]):
+                hinged.append((*pair, between[0]))
     is_own = [robot.owner_of(bodies[i].name) == robot.owner_of(bodies[j].name) for i, j in left]
     own = [pair for pair, same_arm in zip(left, is_own, strict=True) if same_arm]
     touching, distances = _sampled(robot, own)
@@ -118,7 +142,8 @@ def pairs_among(robot: Robot, chosen: Iterable[tuple[int, int]], beyond: float) 
             allowed.append((*pair, f"they touch wherever {_joints_in_words(robot, pair)} are"))
             del farthest[pair]
     checked = tuple(pair for pair, same_arm in zip(left, is_own, strict=True) if not same_arm or pair in farthest)
-    return SelfPairs(checked, tuple(sorted(allowed)), frozen(np.array([farthest.get(p, np.inf) for p in checked])))
+    apart = frozen(np.array([farthest.get(p, np.inf) for p in checked]))
+    return SelfPairs(checked, tuple(sorted(allowed)), apart, tuple(hinged))
 
 
 def _exemption(robot: Robot, pair: tuple[int, int], beyond: float) -> str | None:
@@ -246,19 +271,24 @@ def one_joint(
     return OneJoint(distance, float(robot.lower[joint]) - beyond, float(robot.upper[joint]) + beyond, rate)
 
 
+def _in_contact(robot: Robot, joint: int) -> tuple[str, str]:
+    """Reasons for exempting bodies about a joint: they always touch, or are assumed to."""
+    name = robot.joint_names[joint]
+    sides = f"they are the two sides of joint {name!r}, never farther apart than {1e3 * BEARING:g} mm"
+    return f"they touch wherever joint {name!r} is", f"{sides}: assumed to touch by construction"
+
+
 def _by_one_joint(robot: Robot, pair: tuple[int, int], joint: int, beyond: float) -> str | None:
     """Reason for exempting two bodies with one joint between them; None if checked."""
     shapes, name = (body_shapes(robot)[pair[0]], body_shapes(robot)[pair[1]]), robot.joint_names[joint]
+    touching, assumed = _in_contact(robot, joint)
     if one_joint(robot, shapes, joint, 0.0).always(0.0):
-        return f"they touch wherever joint {name!r} is"
+        return touching
     decided = one_joint(robot, shapes, joint, beyond)
     # Bodies nearer than `SLACK` count as touching: the bisection cannot resolve smaller distances [m].
     if not decided.ever(SLACK):
         return f"they cannot touch wherever joint {name!r} is"
-    if decided.always(_BEARING):
-        sides = f"they are the two sides of joint {name!r}, never farther apart than {1e3 * _BEARING:g} mm"
-        return f"{sides}: assumed to touch by construction"
-    return None
+    return assumed if decided.always(BEARING) else None
 
 
 def _radius(shape: pin.GeometryObject, placement: pin.SE3, axis: FloatArray) -> float:

@@ -164,7 +164,7 @@ class RunningMotion:
         """
         time = self.plan.trajectory.time
         seam = int(np.searchsorted(time, self._since_begin("at", at, self._now) - self._same_s))
-        self._world.check_base(self.plan.robot.yaw_of(self.plan.trajectory.position[seam]))
+        self._world.check_base()
         if self._may_stay():
             certificate = self._certificate(
                 Retimed.cut(self.plan.trajectory, self.plan.trajectory.samples - 1), self.row, rest=True

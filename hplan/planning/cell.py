@@ -644,7 +644,7 @@ def _field_between(cell: Cell, name: str, others: Collection[str]) -> ClearanceF
     pairs: list[set[str | None]] = [{name, other} for other in others]
     asked = [{arms[i], arms[j]} in pairs for i, j in self_pairs(cell.robot).checked]
     field = ClearanceField.of(cell.robot, [])
-    before = int(field.numbers[BODIES])  # capsules that cover several bodies come before the pairs
+    before = int(field.numbers[BODIES])
     return replace(field, movers=readonly(field.movers[[*range(before), *(before + np.flatnonzero(asked))]]))
 
 

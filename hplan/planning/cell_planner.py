@@ -383,7 +383,7 @@ def _check_arms_apart(cell: Cell) -> None:
         ConfigurationInCollisionError: Two bodies of different arms touch, or are closer than the clearance; names both
             bodies with their arms, and the depth or distance.
     """
-    checker = CoalScene(cell.robot, (), links="urdf", clearance=cell.scene.clearance)
+    checker = CoalScene(cell.robot, (), clearance=cell.scene.clearance)
     check_clear(checker, cell.configuration({}), cell.scene.clearance, "start")
 
 

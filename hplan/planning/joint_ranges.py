@@ -163,7 +163,8 @@ def _turns_that_decide(scene: CoalScene) -> Iterator[_Turn]:
     (_, reaches), alone = scene.parts.reaches(), len(scene.parts.shapes)
     decided = np.repeat(np.arange(len(counts)), np.repeat([scene.own_first, 1], [alone, len(counts) - alone]))
     one = counts.sum(axis=1) == 1.0
-    one[: len(scene.link_shapes)] = False  # the search trees handle obstacles of the first link
+    # The search trees handle the obstacles of the first link.
+    one[: len(scene.link_shapes)] &= [scene.robot.has_yaw and shape.parentJoint == 1 for shape in scene.link_shapes]
     for joint in np.flatnonzero(counts[one].any(axis=0)).tolist():
         pairs = np.flatnonzero((one & (counts[:, joint] > 0.0))[decided])
         if len(pairs):

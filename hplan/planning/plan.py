@@ -167,7 +167,7 @@ def _plans(
         return plans_in_time(robot, scene, options, plans_of, stop)
     problem = Problem.of(robot, scene, options)
     check_deadline()
-    problem.world.check_base(robot.yaw_of(problem.start))
+    problem.world.check_base()
     check_deadline()
     state = start_state(robot, scene)
     if state is not None and options.bound:

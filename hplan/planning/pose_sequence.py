@@ -185,7 +185,7 @@ def plan_poses(
         try:
             problem = Problem.of(robot, scene, options)
             begin = problem.start
-            problem.world.check_base(robot.yaw_of(begin))
+            problem.world.check_base()
             problem.world.check_clear(begin, "start")
             checked = tuple(checked_pose(matrix, f"poses[{k}]") for k, matrix in enumerate(matrices))
             gravity = np.array(robot.model.gravity.linear)

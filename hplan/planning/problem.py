@@ -148,10 +148,9 @@ class Problem(Record):
                 joint=name,
             )
         clearance = min(world.check_clear(first, "start"), world.check_clear(last, "goal"))
-        if robot.planar is None:
-            # coal's distances between hulls are accurate to its tolerance; the last digits depend on earlier queries.
-            in_kernels = float(world.field.along([first, last]).min())
-            clearance = in_kernels if in_kernels > 0.0 else clearance
+        # coal's distances between hulls are accurate to its tolerance; the last digits depend on earlier queries.
+        in_kernels = float(world.field.along([first, last]).min())
+        clearance = in_kernels if in_kernels > 0.0 else clearance
         last = readonly(np.where(locked, first, last))
         ranges = narrowed(world.checker, first, last, clearance)
         return replace(

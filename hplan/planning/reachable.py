@@ -111,7 +111,7 @@ def reachable(
         try:
             whole = replace(asked, deadline_s=None)
             problem = Problem.of(robot, scene, whole)
-            problem.world.check_base(robot.yaw_of(problem.start))
+            problem.world.check_base()
             problem.between(problem.start, problem.start)
             found: dict[str, FruitReach] = {}
             for number, fruit in enumerate(scene.fruits):

@@ -7,7 +7,6 @@ links.
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -22,11 +21,12 @@ from hplan.base.deadline import check_deadline
 from hplan.certificate.motion_bound import pair_sways
 from hplan.collision.box_bounds import CENTRE, HALF, RADIUS
 from hplan.collision.clearance_field import ClearanceField
+from hplan.collision.arm_pairs import base_radius
 from hplan.collision.coal_scene import CoalScene, OwnContact, base_contacts
 from hplan.collision.giving_way import LinkedSolids
 from hplan.errors import ConfigurationInCollisionError, InputError
 from hplan.planning.options import PlanOptions
-from hplan.robot.base_shapes import BASE_DEPTH, base_radius, turning_shapes
+from hplan.robot.base_shapes import BASE_DEPTH
 from hplan.robot.files import neighbouring_links
 from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel, largest_fraction, name_margin
@@ -195,10 +195,10 @@ class World(Record):
 
         return largest_fraction(is_clear)
 
-    def check_base(self, yaw: float) -> None:
-        """Refuse obstacles that intersect pedestal or turret.
+    def check_base(self) -> None:
+        """Refuse obstacles that intersect the base.
 
-        No joint motion changes such an overlap. The ground may touch the pedestal.
+        No joint motion changes such an overlap. The ground may touch the base.
 
         Raises:
             InputError: An obstacle intersects them; names it, the body and the depth.
@@ -207,14 +207,12 @@ class World(Record):
         sizes = np.linalg.norm(boxes[:, HALF:RADIUS], axis=1) + boxes[:, RADIUS]
         in_reach = np.linalg.norm(boxes[:, CENTRE:HALF], axis=1) <= sizes + base_radius(self.robot)
         close = [solid for solid, near in zip(self.solids, in_reach.tolist(), strict=True) if near]
-        contacts = base_contacts(self.robot, close, yaw, margin=-BASE_DEPTH)
+        contacts = base_contacts(self.robot, close, margin=-BASE_DEPTH)
         if contacts:
             worst = contacts[ties.argmin([contact.distance_m for contact in contacts])]
-            turns = any(shape.name == worst.link for shape in turning_shapes(self.robot))
             raise InputError(
                 f"obstacle {worst.obstacle!r} is {-1e3 * worst.distance_m:.3g} mm deep in the robot's {worst.link!r}, "
-                + (f"at a yaw of {math.degrees(yaw):.4g} deg" if turns else "which does not move")
-                + ": move the obstacle, or the robot, or leave it out (--drop-inside)",
+                "which does not move: move the obstacle, or the robot, or leave it out (--drop-inside)",
                 obstacle=worst.obstacle,
                 link=worst.link,
                 depth_m=-worst.distance_m,
@@ -252,7 +250,7 @@ def check_clear(checker: CoalScene, q: FloatArray, clearance: float, which: str,
         if is_own and arms[0] != arms[1]:
             how = "if they touch by design, declare the pair in the cell's scene (may_touch:)"
             error.add(f"the two arms stand too close together: move a base (position:); {how}", arms=arms)
-        elif is_own and robot.planar is None:
+        elif is_own:
             _name_neighbours(error, checker, q)
         raise error
     return beyond
@@ -278,22 +276,18 @@ def _name_neighbours(error: ConfigurationInCollisionError, checker: CoalScene, q
 
 
 def without_inside(robot: Robot, scene: Scene) -> tuple[Scene, tuple[str, ...]]:
-    """Return the scene without obstacles and fruits inside pedestal or turret.
+    """Return the scene without obstacles and fruits inside the base.
 
     These are the ones that `World.check_base` refuses; trees measured without an arm may overlap it. Removed solids are
     not covered by any certificate. Meshes and point clouds stay, because only a part of each is inside. If the goal
     fruit is removed, the first remaining fruit becomes the goal.
 
-    Args:
-        scene: The scene; the turret is placed at its start yaw.
-
     Returns:
         The scene, and the names of the removed obstacles and fruits, in scene order.
     """
-    yaw = robot.yaw_of(scene.start.configuration)
     whole = {obstacle.name for obstacle in scene.obstacles if obstacle.kind in ("mesh", "points")}
     solids = [solid for solid in scene.solids_with_goal if solid.name not in whole]
-    inside = {contact.obstacle for contact in base_contacts(robot, solids, yaw, margin=-BASE_DEPTH)}
+    inside = {contact.obstacle for contact in base_contacts(robot, solids, margin=-BASE_DEPTH)}
     if not inside:
         return scene, ()
     parts = {key: getattr(scene, key) for key in Scene.model_fields}

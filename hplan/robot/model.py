@@ -136,6 +136,11 @@ class Robot(PlanarNames, Record):
             raise RobotFamilyError(self.name, *(self.beyond_family or ("joints", "they are not those of one")))
         return self.planar
 
+    def with_shapes(self, collision_model: pin.GeometryModel) -> Robot:
+        """Return a copy of the robot with other collision geometry."""
+        planar, beyond = _read_planar(self.model, collision_model, self.tool_frame)
+        return replace(self, collision_model=collision_model, planar=planar, beyond_family=beyond)
+
     def with_arm(self, arm: PlanarArm) -> Robot:
         """Return a copy of the robot with another planar chain.
 
@@ -409,9 +414,9 @@ def load_robot(
             at the value given by the joint that they mimic.
         package_dirs: Folders searched for `package://` meshes before those around the URDF.
         srdf: SRDF with the pairs of links that may touch. Pairs that it disables because they never touch are checked
-            nevertheless, and so are all pairs of a planar-family arm, whose geometry determines which can touch.
+            nevertheless.
         allow_neighbours: True if links with one joint between them may touch, as in most SRDFs; False allows only those
-            that always touch. Planar-family arms do not need it.
+            that always touch, and of those only the parts near the joint.
         collision_from_visual: True to build the collision shapes of all links in `Robot.shape_faults` from their
             visuals; or names of the links whose collision shapes are replaced in this way.
 
@@ -507,11 +512,7 @@ def _read_robot(
         may_touch += neighbouring_links(model)
     acceleration, jerk = find_limits(urdf_path, adapted.urdf, joint_names, given, adapted.held)
     lower, upper = np.array(model.lowerPositionLimit), np.array(model.upperPositionLimit)
-    planar, beyond_family = None, None
-    try:
-        planar = read_family(model, collision_model, frame)
-    except RobotFamilyError as error:
-        beyond_family = error.element, error.reason
+    planar, beyond_family = _read_planar(model, collision_model, frame)
     robot = Robot(
         name=model.name,
         urdf_path=urdf_path,
@@ -535,6 +536,16 @@ def _read_robot(
         shape_faults=faults,
     )
     return robot, adapted.missing_visuals
+
+
+def _read_planar(
+    model: pin.Model, collision_model: pin.GeometryModel, tool_frame: str
+) -> tuple[PlanarFamily | None, tuple[str, str] | None]:
+    """Planar-family part of a robot, or the element that excludes it and the reason."""
+    try:
+        return read_family(model, collision_model, tool_frame), None
+    except RobotFamilyError as error:
+        return None, (error.element, error.reason)
 
 
 def _built(

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import coal
-import numpy as np
 import pinocchio as pin
 
-from hplan.base.arrays import readonly
 from hplan.collision.collision_bodies import reuse_bodies
 from hplan.robot.model import Robot
 
@@ -20,23 +17,18 @@ CARRIED = "carried fruit"
 def carrying(robot: Robot, radius: float, frames: Sequence[str] = ()) -> Robot:
     """Return the arm with a carried fruit in its collision geometry.
 
-    On a planar arm the whole last link is thickened to the radius of the fruit; any other arm gets a ball at the tool
-    frame, attached to the joint that carries the frame.
+    The fruit is a ball at the tool frame, attached to the joint that carries the frame.
 
     Args:
         radius: Radius of the fruit [m].
         frames: Tool frames of the loaded arms of a composite robot.
     """
-    if robot.planar is not None:
-        widths = np.array(robot.arm.half_widths)
-        widths[-1] = max(widths[-1], radius + abs(robot.arm.lateral[-1]))
-        return robot.with_arm(replace(robot.arm, half_widths=readonly(widths)))
     shapes = robot.collision_model.copy()
     for frame in frames or (robot.tool_frame,):
         number = robot.frame_number(frame)
         at = robot.model.frames[number]
         name = f"{CARRIED} {frame}" if frames else CARRIED
         shapes.addGeometryObject(pin.GeometryObject(name, at.parentJoint, number, at.placement, coal.Sphere(radius)))
-    loaded = replace(robot, collision_model=shapes)
+    loaded = robot.with_shapes(shapes)
     reuse_bodies(loaded, robot)
     return loaded

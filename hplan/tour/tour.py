@@ -181,7 +181,7 @@ class TourPlanner:
             raise SceneError("tours begin at rest; the start has a velocity or an acceleration", where="start")
         self.problem = Problem.of(robot, scene, options)
         self.start = self.problem.start
-        self.problem.world.check_base(robot.yaw_of(self.start))
+        self.problem.world.check_base()
         self.problem.between(self.start, self.start)
         if tour.drop_off is not None:
             progress("drop-off")

@@ -63,7 +63,7 @@ def _is_narrow(robot: Robot, scene: Scene) -> bool:
     """True if planning takes base, start and goal, and the straight motion is not clear."""
     try:
         problem = Problem.of(robot, scene, PlanOptions())
-        problem.world.check_base(robot.yaw_of(problem.start))
+        problem.world.check_base()
         problem = problem.between(problem.start, scene.goal.configuration)
     except HplanError:
         return False

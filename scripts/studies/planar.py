@@ -81,7 +81,7 @@ def random_scene(robot: Robot, seed: int, number: int) -> PlanarScene:
         scene = planar_scene(robot, f"clutter-{number}", discs, ends[0], ends[1])
         world = World.of_scene(robot, scene, PlanOptions())
         try:
-            world.check_base(robot.yaw_of(scene.start.configuration))
+            world.check_base()
         except InputError:
             continue
         return PlanarScene(scene, space, pair[0].astype(np.int64), pair[1].astype(np.int64))

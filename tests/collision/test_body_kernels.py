@@ -50,24 +50,13 @@ def solids() -> list[Solid]:
     ]
 
 
-def tubes_of(robot: Robot) -> list[list[int]]:
-    """The numbers of the bodies of each link that is a tube with a ball at either end."""
-    bodies = collision_bodies(robot)
-    of_joints = [[n for n, body in enumerate(bodies) if body.joint == joint] for joint in range(robot.dof)]
-    return [parts for parts in of_joints if [bodies[n].kind for n in parts] == ["cylinder", "sphere", "sphere"]]
-
-
 def by_coal(robot: Robot, solids: list[Solid], q: FloatArray) -> FloatArray:
-    """(movers,) clearances of bodies and pairs by coal, cylinders as the prisms that kernels know.
-
-    Of a tube with balls at its ends the kernels know the capsule, and nothing else.
-    """
+    """(movers,) clearances of bodies and pairs by coal, cylinders as the prisms that kernels know."""
     bodies, shapes, checked = collision_bodies(robot), body_shapes(robot), self_pairs(robot).checked
     data = robot.model.createData()
     pin.forwardKinematics(robot.model, data, q)
     exact = [coal.Convex if body.kind == "cylinder" else None for body in bodies]
     placed = [(shape.geometry, data.oMi[shape.parentJoint] * shape.placement) for shape in shapes]
-    tubes = [[placed[number] for number in parts] for parts in tubes_of(robot)]
     for number, body in enumerate(bodies):
         if exact[number] is not None:
             hull = solid_shape(hull_of(body.core, most=len(body.core) + 14))
@@ -92,12 +81,9 @@ def by_coal(robot: Robot, solids: list[Solid], q: FloatArray) -> FloatArray:
     def clearance(place: tuple[coal.CollisionGeometry, pin.SE3]) -> float:
         return min(distance(place, (shape.geometry, shape.placement)) - beyond for shape, beyond in others)
 
-    held = {number for parts in tubes_of(robot) for number in parts}
     found = [
-        np.inf if body.joint == GROUND or number in held else clearance(place)
-        for number, (body, place) in enumerate(zip(bodies, placed, strict=True))
+        np.inf if body.joint == GROUND else clearance(place) for body, place in zip(bodies, placed, strict=True)
     ]
-    found += [min(clearance(place) for place in parts) for parts in tubes]
     return np.array([*found, *(distance(placed[i], placed[j]) for i, j in checked)])
 
 
@@ -107,10 +93,10 @@ def test_bodies_are_where_pinocchio_has_them(arm: Robot) -> None:
     placed, frames = np.empty((int(field.numbers[BODIES]), PLACED)), np.empty((arm.dof + 1, 12))
     for q in np.random.default_rng(0).uniform(arm.lower, arm.upper, (20, arm.dof)):
         place_bodies(q, field.movers, field.numbers, frames, placed)
-        assert int(field.numbers[BODIES]) == len(bodies) + len(tubes_of(arm))
+        assert int(field.numbers[BODIES]) == len(bodies)
         data = arm.model.createData()
         pin.forwardKinematics(arm.model, data, q)
-        for body, row, mover in zip(bodies, placed, field.movers, strict=False):  # capsules and pairs follow
+        for body, row, mover in zip(bodies, placed, field.movers, strict=False):  # pairs follow
             place = data.oMi[body.joint + 1]
             frame = frames[int(mover[JOINT])]
             assert frame[:9].reshape(3, 3) == pytest.approx(place.rotation, abs=1e-12)
@@ -141,7 +127,7 @@ def test_clearances_are_those_of_coal(arm: Robot, solids: list[Solid], seed: int
 def test_grown_obstacles_and_deviations_leave_less(arm: Robot, solids: list[Solid]) -> None:
     q = np.array([0.3, 0.5, 0.4, -0.3, 0.5, 0.2])[: arm.dof]
     plain = ClearanceField.of(arm, solids).link_clearances(q)
-    bodies = len(collision_bodies(arm)) + len(tubes_of(arm))
+    bodies = len(collision_bodies(arm))
     near = plain < FAR - 0.05
     grown = ClearanceField.of(arm, solids, clearance=0.01, own_clearance=0.0).link_clearances(q)
     moving = near & (np.arange(len(near)) < bodies)

@@ -79,9 +79,9 @@ class NearestPairs:
             self._pairs = self._curve.pairs
         elif certificate.nearest is not None:
             self._pairs = ((certificate.nearest.link, certificate.nearest.obstacle),)
-        self._links: dict[str, pin.GeometryObject] = {}
-        if robot.planar is not None:
-            self._links = dict(zip(robot.arm.link_names, link_shapes(robot, "capsule"), strict=True))
+        self._links: dict[str, list[pin.GeometryObject]] = {}
+        for body, shape in zip(collision_bodies(robot), body_shapes(robot), strict=True):
+            self._links.setdefault(body.name, []).append(shape)
         self._data = robot.model.createData()
         self._solids: dict[str, list[pin.GeometryObject | Cloud]] = {name: [] for _, name in self._pairs}
         for solid in scene.listed_solids:
@@ -108,12 +108,13 @@ class NearestPairs:
         shapes = self._solids.get(name, [])
         if link not in self._links or not shapes:
             return head | {"action": mark.DELETE}
-        shape = self._links[link]
         pin.forwardKinematics(self._robot.model, self._data, q)
-        place = self._data.oMi[shape.parentJoint] * shape.placement
         stands = moved.get(name, pin.SE3.Identity())
-        seen = stands.actInv(place)
-        ends = min((_nearest_points(shape, seen, solid) for solid in shapes), key=lambda found: found[0])[1]
+        near = [
+            _nearest_points(shape, stands.actInv(self._data.oMi[shape.parentJoint] * shape.placement), solid)
+            for shape, solid in itertools.product(self._links[link], shapes)
+        ]
+        ends = min(near, key=lambda found: found[0])[1]
         ends = ends @ stands.rotation.T + stands.translation
         return head | {
             "type": mark.LINE_LIST,

@@ -119,7 +119,7 @@ def finish(
 def _finished(problem: Problem, path: GivenPath, keep_within_rad: float | None) -> PlanResult:
     """The result for a validated path."""
     robot, points = problem.robot, path.points
-    problem.world.check_base(robot.yaw_of(points[0]))
+    problem.world.check_base()
     clear = _shown_clear(problem, path)
     problem = problem.between(points[0], points[-1])
     if keep_within_rad is not None:

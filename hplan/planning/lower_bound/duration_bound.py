@@ -200,9 +200,8 @@ def _axes(obstacles: ClearanceField, motions: JointMotions, duration_s: float) -
 def _excess(robot: Robot, obstacles: ClearanceField) -> FloatArray:
     """(bodies,) maximum excess of bodies over the certificate's shapes [m]."""
     excess = np.zeros(len(obstacles.movers))
-    if robot.planar is None:  # planar arms have the same capsules in both
-        growth = [body.growth for body in collision_bodies(robot)]
-        excess[: len(growth)] = growth
+    growth = [body.growth for body in collision_bodies(robot)]
+    excess[: len(growth)] = growth
     return excess
 
 

@@ -1,8 +1,8 @@
-"""Distances of the round shapes of a planar arm's turret from obstacles.
+"""Distances from obstacles of bodies that turn in place.
 
-A turn about the yaw axis does not change such a shape, so its distances depend on the obstacles alone, and the
-collision checker (`hplan.collision.coal_scene`) has no pairs with it. The reported clearance includes the turret, but
-not the base, which no joint moves.
+A shape that is round about the axis of the only joint that carries it, such as a turret, is the same at every value of
+that joint. Its distances depend on the obstacles alone, and the collision checker (`hplan.collision.coal_scene`) has no
+pairs with it. The reported clearance includes such bodies, but not those on the ground.
 """
 
 from __future__ import annotations
@@ -14,11 +14,12 @@ import pinocchio as pin
 
 from hplan.base.arrays import FloatArray
 from hplan.certificate.pair_rules import PairRule
+from hplan.collision.arm_pairs import base_bodies
 from hplan.collision.coal_accuracy import distance_errors, extents
 from hplan.collision.coal_cloud import distance_from
 from hplan.collision.coal_scene import CoalScene
-from hplan.robot.base_shapes import BASE_DEPTH, TURRET, BaseShape, base_joints, base_shapes
-from hplan.robot.model import Robot
+from hplan.collision.collision_bodies import GROUND, CollisionBody, ball_about
+from hplan.robot.base_shapes import BASE_DEPTH
 from hplan.scene.obstacles import Solid
 from hplan.scene.tracks import Movement
 
@@ -26,15 +27,15 @@ from hplan.scene.tracks import Movement
 _TIMES: Final = 257
 
 #: Rules of the listed pairs.
-_TURNS: Final = "they must not touch: no joint moves a round shape of the turret nearer to it"
-_TOUCHES: Final = f"a round shape of the turret is within {1e3 * BASE_DEPTH:g} mm of it, as the ground may be"
+_TURNS: Final = "they must not touch: it turns in place, so no joint moves it nearer"
+_TOUCHES: Final = f"it turns in place within {1e3 * BASE_DEPTH:g} mm of it, as the ground may be"
 
 
-class TurretClearance(NamedTuple):
-    """Distances of the turret's round shapes.
+class ClearanceInPlace(NamedTuple):
+    """Distances of the bodies that turn in place.
 
     Attributes:
-        distance_m: Lower bound of all distances, except of shapes that touch an obstacle (within `BASE_DEPTH`);
+        distance_m: Lower bound of all distances, except of bodies that touch an obstacle (within `BASE_DEPTH`);
             infinite without any below the limit [m].
         rules: The pairs that are nearer than the clearance, each with its bound, and the pairs that touch.
     """
@@ -43,8 +44,17 @@ class TurretClearance(NamedTuple):
     rules: tuple[PairRule, ...]
 
 
-def turret_clearance(checker: CoalScene, span_s: tuple[float, float], clearance: float, most: float) -> TurretClearance:
-    """Distances of the turret's round shapes from the checker's grown obstacles.
+class _Placed(NamedTuple):
+    """A body, its shape and pose in coal, and a bounding ball in `base_link` [m]."""
+
+    body: CollisionBody
+    shape: pin.GeometryObject
+    place: pin.SE3
+    ball: tuple[FloatArray, float]
+
+
+def clearance_in_place(checker: CoalScene, span_s: tuple[float, float], clearance: float, most: float) -> ClearanceInPlace:
+    """Distances of the bodies that turn in place from the checker's grown obstacles.
 
     Args:
         checker: Collision checker of the arm among the obstacles.
@@ -53,17 +63,17 @@ def turret_clearance(checker: CoalScene, span_s: tuple[float, float], clearance:
         most: Maximum distance of interest; larger ones are ignored [m].
     """
     bounds = dict[tuple[str, str], float]()
-    for shape in _round_shapes(checker.robot):
-        for number in _near(shape, checker, most):
+    for placed in _placed_bodies(checker):
+        for number in _near(placed, checker, most):
             solid, growth = checker.grown_obstacles[number]
             movement = None if checker.moving is None else checker.moving.movements[number]
-            off = growth + float(distance_errors(extents([shape.placed]), [solid], np.zeros((0, 2, 3)))[0])
+            off = growth + float(distance_errors(extents([placed.shape]), [solid], np.zeros((0, 2, 3)))[0])
             if movement is None:
-                bound = distance_from(solid, most + off)(shape.placed.geometry, shape.placement)
+                bound = distance_from(solid, most + off)(placed.shape.geometry, placed.place)
             else:
                 ball = checker.obstacle_balls[number] - np.array([0.0, 0.0, 0.0, growth])
-                bound = _lower_bound(shape, (solid, ball), movement, span_s, most + off)
-            key = shape.name, solid.name
+                bound = _lower_bound(placed, (solid, ball), movement, span_s, most + off)
+            key = placed.body.name, solid.name
             bounds[key] = min(bound - off, bounds.get(key, np.inf))
     rules, least = list[PairRule](), float("inf")
     for (link, obstacle), bound in bounds.items():
@@ -73,27 +83,26 @@ def turret_clearance(checker: CoalScene, span_s: tuple[float, float], clearance:
             least = min(least, bound)
             if bound < clearance:
                 rules.append(PairRule(link, obstacle, _TURNS, 0.0, bound))
-    return TurretClearance(least, tuple(rules))
+    return ClearanceInPlace(least, tuple(rules))
 
 
-def _round_shapes(robot: Robot) -> tuple[BaseShape, ...]:
-    """Shapes of a planar arm's turret that are round about the yaw axis."""
-    shapes = base_shapes(robot) if base_joints(robot) else ()
-    return tuple(shape for shape in shapes if shape.carrier == TURRET and shape.is_round)
+def _placed_bodies(checker: CoalScene) -> list[_Placed]:
+    """The bodies that a joint carries and that turn in place."""
+    found = []
+    for body, shape, place in base_bodies(checker.robot):
+        if body.joint != GROUND:
+            centre, radius = ball_about(body.core)
+            ball = place.rotation @ centre + place.translation, radius + body.rounding
+            found.append(_Placed(body, shape, place * shape.placement, ball))
+    return found
 
 
-def _ball(shape: BaseShape) -> tuple[FloatArray, float]:
-    """Centre and radius of a bounding ball of a shape [m]."""
-    low, high = shape.core.min(axis=0), shape.core.max(axis=0)
-    return 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low)) + shape.rounding
-
-
-def _near(shape: BaseShape, checker: CoalScene, most: float) -> list[int]:
-    """Indices of obstacles that may come within `most` of a shape [m].
+def _near(placed: _Placed, checker: CoalScene, most: float) -> list[int]:
+    """Indices of obstacles that may come within `most` of a body [m].
 
     Static obstacles are culled by their bounding balls; all moving obstacles are included.
     """
-    centre, radius = _ball(shape)
+    centre, radius = placed.ball
     balls = checker.obstacle_balls
     near = np.linalg.norm(balls[:, :3] - centre, axis=1) - balls[:, 3] - radius <= most
     if checker.moving is not None:
@@ -103,9 +112,9 @@ def _near(shape: BaseShape, checker: CoalScene, most: float) -> list[int]:
 
 
 def _lower_bound(
-    shape: BaseShape, obstacle: tuple[Solid, FloatArray], movement: Movement, span_s: tuple[float, float], most: float
+    placed: _Placed, obstacle: tuple[Solid, FloatArray], movement: Movement, span_s: tuple[float, float], most: float
 ) -> float:
-    """Lower bound of the distance between a shape and a moving obstacle [m].
+    """Lower bound of the distance between a body and a moving obstacle [m].
 
     Args:
         obstacle: The obstacle and its bounding ball, (4,).
@@ -118,11 +127,11 @@ def _lower_bound(
     rotations, shifts = movement.at(times)
     steps = movement.rates(solid.core, solid.rounding) * np.diff(movement.breaks)
     travel = np.diff(np.interp(times, movement.breaks, np.concatenate([[0.0], np.cumsum(steps)])))
-    centre, radius = _ball(shape)
+    centre, radius = placed.ball
     found = np.linalg.norm(rotations @ ball[:3] + shifts - centre, axis=1) - ball[3] - radius
     distance = distance_from(solid)
     for number in np.flatnonzero(found <= most + float(travel.max())).tolist():
-        place = pin.SE3(rotations[number], shifts[number]).inverse() * shape.placement
-        found[number] = distance(shape.placed.geometry, place)
+        place = pin.SE3(rotations[number], shifts[number]).inverse() * placed.place
+        found[number] = distance(placed.shape.geometry, place)
     # Between two times the distance changes by no more than the obstacle's travel.
     return float((0.5 * (found[:-1] + found[1:] - travel)).min())

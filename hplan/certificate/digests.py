@@ -4,7 +4,8 @@ The subjects are a robot, a scene and a trajectory. The digests are computed fro
 comments, angle units in a URDF and mesh paths do not affect them; every number that planning or proof uses does.
 
 - **Robot**: names, joint frames and axes, masses, inertias, limits, links, link pairs that may touch, and all collision
-  shapes with vertices and triangles of their meshes, and all frames, which goals may name. Numbers are rounded to 12 decimals, since sines differ in the last bit from machine to machine.
+  shapes with vertices and triangles of their meshes, and all frames, which goals may name. Numbers are rounded to 12
+  decimals, since sines differ in the last bit from machine to machine.
 - **Scene**: its keys and values as in a scene file, and for each mesh or cloud the data instead of the file's name.
 - **Trajectory**: the joint names and the numbers of the CSV, bit by bit, and the curve between rows unless cubic.
 """

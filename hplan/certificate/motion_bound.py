@@ -12,10 +12,11 @@ its own parameter, bounded by the hull of its derivative's Bezier points.
 
 A second bound accounts for joints that cancel each other's motion. In the middle, joint j moves a point by :math:`J_j`
 per unit, and all joints together move the centre of the ball at :math:`v = \sum_j q_j' J_j` and rotate the body at
-:math:`\omega` (without the joint about whose axis the body is round: its motion by that joint changes nothing). Elsewhere in the segment rates differ by at most :math:`\varepsilon_j`, and configurations by at most
-half of :math:`m_j = \max |q_j'|`. Rotating joint k by an angle changes the :math:`J_j` of any point by no more than
-that angle times the R of the outer one of the two joints: a joint k inside j rotates body and axis as a whole, a joint
-k outside j leaves the axis of j unchanged. So the travel is at most
+:math:`\omega` (without the joint about whose axis the body is round: its motion by that joint changes nothing).
+Elsewhere in the segment rates differ by at most :math:`\varepsilon_j`, and configurations by at most half of :math:`m_j
+= \max |q_j'|`. Rotating joint k by an angle changes the :math:`J_j` of any point by no more than that angle times the R
+of the outer one of the two joints: a joint k inside j rotates body and axis as a whole, a joint k outside j leaves the
+axis of j unchanged. So the travel is at most
 
 .. math:: |v| + |\omega| \rho_b + \sum_j |J_j| \varepsilon_j
     + \sum_j m_j (\tfrac12 R_{bj} m_j + \sum_{k > j} R_{bk} m_k),
@@ -45,7 +46,7 @@ from hplan.collision.coal_scene import CoalScene
 from hplan.collision.flat_bodies import joints_alone
 from hplan.collision.placed_bodies import place_joints
 from hplan.collision.reach import ON_AXIS
-from hplan.collision.vectors import cross, dot, moved_on, placed_point, sub, turned
+from hplan.geometry.vectors import cross, dot, moved_on, placed_point, sub, turned
 from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel
 from hplan.scene.limits import FARTHEST_M

@@ -53,7 +53,9 @@ class _Placed(NamedTuple):
     ball: tuple[FloatArray, float]
 
 
-def clearance_in_place(checker: CoalScene, span_s: tuple[float, float], clearance: float, most: float) -> ClearanceInPlace:
+def clearance_in_place(
+    checker: CoalScene, span_s: tuple[float, float], clearance: float, most: float
+) -> ClearanceInPlace:
     """Distances of the bodies that turn in place from the checker's grown obstacles.
 
     Args:

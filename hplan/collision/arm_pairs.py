@@ -1,9 +1,9 @@
 """Arm shapes in coal, self-collision pairs and their motion-bound coefficients.
 
-The parts of an arm are its collision bodies (`hplan.collision.collision_bodies`), grouped by link name, and the parts of
-neighbouring links that must not fold into each other (`hplan.collision.folds`). Bodies that no joint moves, and shapes
-that are round about the axis of the only joint that carries them, are the base: they are not part of the motion checks,
-and are checked once (`hplan.collision.coal_scene.base_contacts`).
+The parts of an arm are its collision bodies (`hplan.collision.collision_bodies`), grouped by link name, and the parts
+of neighbouring links that must not fold into each other (`hplan.collision.folds`). Bodies that no joint moves, and
+shapes that are round about the axis of the only joint that carries them, are the base: they are not part of the motion
+checks, and are checked once (`hplan.collision.coal_scene.base_contacts`).
 """
 
 from __future__ import annotations
@@ -305,14 +305,12 @@ def _beyond(deviation: float) -> float:
     return BEYOND * max(1, math.ceil(deviation / BEYOND - 1e-9))
 
 
-def supports(
-    robot: Robot, body: CollisionBody, shape: pin.GeometryObject, obstacles: Sequence[Solid]
-) -> BoolArray:
+def supports(robot: Robot, body: CollisionBody, shape: pin.GeometryObject, obstacles: Sequence[Solid]) -> BoolArray:
     """(obstacles,) mask of static obstacles that support a body, as the ground supports a turntable.
 
-    The body turns about one joint alone. Its extent along the joint's axis is constant, and no obstacle that supports it
-    overlaps that extent by more than `BASE_DEPTH`. The obstacle is within `BASE_DEPTH` of the body at every value of the
-    joint: if the body only turns over or into it, the obstacle blocks it.
+    The body turns about one joint alone. Its extent along the joint's axis is constant, and no obstacle that supports
+    it overlaps that extent by more than `BASE_DEPTH`. The obstacle is within `BASE_DEPTH` of the body at every value of
+    the joint: if the body only turns over or into it, the obstacle blocks it.
     """
     found = np.zeros(len(obstacles), dtype=np.bool_)
     if len(carriers(robot, body.joint)) != 1 or robot.slides[body.joint] or not len(obstacles):

@@ -11,10 +11,11 @@ import pinocchio as pin
 
 from hplan.base.arrays import FloatArray, IntArray
 from hplan.base.deadline import check_deadline
-from hplan.scene.convex_shape import convex_shape
+from hplan.geometry.cloud import Cloud
+from hplan.geometry.coal_hull import convex_shape
+from hplan.geometry.hull import Hull
 from hplan.scene.obstacle_kind import Convex
 from hplan.scene.obstacles import Box, Capsule, Cylinder, Solid, Sphere
-from hplan.scene.solids import Cloud, Hull
 
 #: The axis of coal's capsules.
 _UP = np.array([0.0, 0.0, 1.0])

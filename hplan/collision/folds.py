@@ -3,8 +3,8 @@
 Two bodies on both sides of a revolute joint overlap around its axis at every angle, so the pair is not checked
 (`hplan.collision.touching_pairs.SelfPairs.hinged`). The part of either body that is farther from the axis than
 `_FOLD_REACH` times their required distance (both radii and the clearance) must keep the clearance from the whole other
-body. The factor is necessary because a link ends in a cap with its radius, and links that meet at an angle overlap up to
-1 / sin(angle) times their radii. Thus all angles down to 19.5 degrees are allowed.
+body. The factor is necessary because a link ends in a cap with its radius, and links that meet at an angle overlap up
+to 1 / sin(angle) times their radii. Thus all angles down to 19.5 degrees are allowed.
 
 The radius of a body is that of a bounding capsule. A part is cut off by a plane parallel to the axis and perpendicular
 to the body's direction, and is rounded as the body is.
@@ -26,11 +26,11 @@ from hplan.collision.coal_shapes import solid_shape
 from hplan.collision.collision_bodies import MOST_POINTS, CollisionBody, body_shapes, capsule_about, collision_bodies
 from hplan.collision.reach import joint_axis
 from hplan.collision.touching_pairs import BEARING, SLACK, one_joint, rounded_up, self_pairs
+from hplan.geometry.coal_hull import convex_hull_shape
+from hplan.geometry.hull import hull_of
 from hplan.robot.family_reader import outline
 from hplan.robot.model import Robot
-from hplan.scene.convex_shape import convex_hull_shape
 from hplan.scene.obstacles import Capsule
-from hplan.scene.solids import hull_of
 
 #: Neighbouring links may overlap up to this multiple of their required distance from their joint.
 _FOLD_REACH: Final = 3.0

@@ -20,9 +20,9 @@ from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.collision_bodies import GROUND, collision_bodies
 from hplan.collision.reach import carriers
 from hplan.errors import OptionError
+from hplan.geometry.cloud import Cloud
 from hplan.robot.model import Robot
 from hplan.scene.obstacles import Solid
-from hplan.scene.solids import Cloud
 
 #: Default maximum deflection of the obstacles that a fruit hangs from, while that fruit may be touched [m].
 HANGING_M = 0.02
@@ -150,9 +150,10 @@ def yielded(
     names = pushing_links(robot, yield_links)
     pushing = [body for body in collision_bodies(robot) if body.name in names]
     thin = min((body.rounding for body in pushing), default=0.0)
-    # When a body contains points of a cloud, coal reports the contact, but the depth of the deepest point only for
-    # balls and capsules. Other bodies keep at least 1e-6 m from the points of a compliant cloud.
-    in_cloud = thin if all(body.kind in ("sphere", "capsule") for body in pushing) else -1e-6
+    # When the core of a body contains points of a cloud, coal reports the contact but not the depth of the deepest
+    # point. Of all bodies only capsules know their cores (`hplan.collision.coal_cloud`). So the axes of capsules, and
+    # other bodies as a whole, keep at least 1e-6 m from the points of a compliant cloud.
+    in_cloud = (thin if all(body.kind == "capsule" for body in pushing) else 0.0) - 1e-6
     most = np.array([solid.rounding + (in_cloud if isinstance(solid, Cloud) else thin) for solid in solids])
     found: FloatArray = np.maximum(0.0, np.minimum(depth, most))
     return found

@@ -31,9 +31,9 @@ from typing import Final, NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from hplan.base.arrays import BoolArray, FloatArray, frozen
-from hplan.base.planar_geometry import convex_hull
+from hplan.base.arrays import BoolArray, FloatArray, frozen, readonly
 from hplan.collision.collision_bodies import CollisionBody, collision_bodies
+from hplan.geometry.polygon import convex_hull
 from hplan.robot.model import Robot, made_once
 
 #: Number of corners of the polygon around a ring.
@@ -93,7 +93,7 @@ def moves(robot: Robot) -> BoolArray:
 
     Bodies on the ground do not move, nor does a shape that is round about the axis of the only joint that carries it.
     """
-    return frozen((reach(robot) > ON_AXIS).any(axis=1))
+    return readonly((reach(robot) > ON_AXIS).any(axis=1), np.bool_)
 
 
 def points_reach(robot: Robot, points: FloatArray, joint: int, beyond: float = 0.0) -> FloatArray:

@@ -19,9 +19,9 @@ from hplan.base import ties
 from hplan.base.arrays import FloatArray, Record
 from hplan.base.deadline import check_deadline
 from hplan.certificate.motion_bound import pair_sways
+from hplan.collision.arm_pairs import base_radius
 from hplan.collision.box_bounds import CENTRE, HALF, RADIUS
 from hplan.collision.clearance_field import ClearanceField
-from hplan.collision.arm_pairs import base_radius
 from hplan.collision.coal_scene import CoalScene, OwnContact, base_contacts
 from hplan.collision.giving_way import LinkedSolids
 from hplan.errors import ConfigurationInCollisionError, InputError

@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike
 from hplan.base.arguments import number as checked_number
 from hplan.base.arrays import FloatArray
 from hplan.base.deadline import Cancel, TimeIsUpError, time_limit
-from hplan.base.polyline import path_length
 from hplan.errors import CertificationError, InputError, TimingError
+from hplan.geometry.polyline import path_length
 from hplan.optimization.repair import pushed_clear, repaired
 from hplan.optimization.smooth_path import SMALLEST_FRACTION
 from hplan.planning.finishing.given_path import SAME, GivenPath, given_path, scene_along
@@ -118,7 +118,7 @@ def finish(
 
 def _finished(problem: Problem, path: GivenPath, keep_within_rad: float | None) -> PlanResult:
     """The result for a validated path."""
-    robot, points = problem.robot, path.points
+    points = path.points
     problem.world.check_base()
     clear = _shown_clear(problem, path)
     problem = problem.between(points[0], points[-1])

@@ -5,14 +5,18 @@ The references use coal without hplan's formulas.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import coal
 import numpy as np
 import pinocchio as pin
 
+from hplan.collision.coal_scene import CoalScene
 from hplan.collision.coal_shapes import solid_shape
+from hplan.collision.collision_bodies import collision_bodies
 from hplan.robot.model import Robot, load_robot
 from hplan.robot.self_contact import SelfContact
 from hplan.scene.model import Scene
@@ -76,8 +80,7 @@ def load_variant(name: str, folder: Path) -> Robot:
             f'<axis xyz="{axis}"/>{limit % (2.5, 2.5)}</joint><link name="l{k}"><inertial><mass value="1"/>'
             f'<origin xyz="{0.5 * lengths[k]} 0 0"/>'
             '<inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial>'
-            f'<collision><origin xyz="{0.5 * lengths[k]} {body[k]} 0"/>'
-            f'<geometry><sphere radius="{widths[k]}"/></geometry></collision></link>'
+            f"{_capsule(lengths[k], widths[k], body[k])}</link>"
         )
         parent, place = f"l{k}", f'<origin xyz="{lengths[k]} {aside[k]} 0"/>'
         names.append(f"j{k}")
@@ -91,8 +94,25 @@ def load_variant(name: str, folder: Path) -> Robot:
     (folder / "variant.limits.yaml").write_text(f"format: hplan-limits/1\nacceleration_rad_s2: {{{table}}}\n")
     robot = load_robot(path)
     np.testing.assert_allclose(robot.arm.half_widths, widths, rtol=1e-12)
+    links = {body.name for body in collision_bodies(robot)}
+    robot = replace(robot, may_touch=tuple((*pair, "a test") for pair in itertools.combinations(sorted(links), 2)))
     robot.cached("self_contact", lambda: lambda *_: SelfContact())  # for any tracking error and clearance
     return robot
+
+
+def _capsule(length: float, width: float, aside: float) -> str:
+    """A capsule along x, as URDF has it: a cylinder with a ball at either end."""
+    parts = [(0.5 * length, f'<cylinder radius="{width}" length="{length}"/>')]
+    parts += [(end, f'<sphere radius="{width}"/>') for end in (0.0, length)]
+    return "".join(
+        f'<collision><origin xyz="{x} {aside} 0" rpy="0 1.5707963267948966 0"/><geometry>{shape}</geometry></collision>'
+        for x, shape in parts
+    )
+
+
+def from_obstacles(checker: CoalScene, q: np.ndarray) -> np.ndarray:
+    """(links, obstacles) signed distances of the links that move from the obstacles alone."""
+    return checker.distances(q)[: len(checker.link_names), : checker.own_first]
 
 
 def axis_points(robot: Robot, q: np.ndarray) -> np.ndarray:

@@ -46,7 +46,7 @@ def moving_base_contacts(robot: Robot, moving: MovingSolids, begin_s: float, end
         begin_s: Start of the time interval [s].
         end_s: End of the time interval [s].
     """
-    shapes = [(body.name, shape.geometry, place * shape.placement) for body, shape, place in base_bodies(robot)]
+    shapes = [(base.body.name, base.shape.geometry, base.place) for base in base_bodies(robot)]
     for number in moving.numbers:
         solid, movement = moving.solids[number], moving.movements[number]
         for name, body, place in shapes:

@@ -14,11 +14,11 @@ import pinocchio as pin
 
 from hplan.base.arrays import FloatArray
 from hplan.certificate.pair_rules import PairRule
-from hplan.collision.arm_pairs import base_bodies
+from hplan.collision.arm_pairs import BaseBody, base_bodies
 from hplan.collision.coal_accuracy import distance_errors, extents
 from hplan.collision.coal_cloud import distance_from
 from hplan.collision.coal_scene import CoalScene
-from hplan.collision.collision_bodies import GROUND, CollisionBody, ball_about
+from hplan.collision.collision_bodies import GROUND
 from hplan.robot.base_shapes import BASE_DEPTH
 from hplan.scene.obstacles import Solid
 from hplan.scene.tracks import Movement
@@ -44,15 +44,6 @@ class ClearanceInPlace(NamedTuple):
     rules: tuple[PairRule, ...]
 
 
-class _Placed(NamedTuple):
-    """A body, its shape and pose in coal, and a bounding ball in `base_link` [m]."""
-
-    body: CollisionBody
-    shape: pin.GeometryObject
-    place: pin.SE3
-    ball: tuple[FloatArray, float]
-
-
 def clearance_in_place(
     checker: CoalScene, span_s: tuple[float, float], clearance: float, most: float
 ) -> ClearanceInPlace:
@@ -65,17 +56,17 @@ def clearance_in_place(
         most: Maximum distance of interest; larger ones are ignored [m].
     """
     bounds = dict[tuple[str, str], float]()
-    for placed in _placed_bodies(checker):
-        for number in _near(placed, checker, most):
+    for base in base_bodies(checker.robot):
+        for number in _near(base, checker, most) if base.body.joint != GROUND else ():
             solid, growth = checker.grown_obstacles[number]
             movement = None if checker.moving is None else checker.moving.movements[number]
-            off = growth + float(distance_errors(extents([placed.shape]), [solid], np.zeros((0, 2, 3)))[0])
+            off = growth + float(distance_errors(extents([base.shape]), [solid], np.zeros((0, 2, 3)))[0])
             if movement is None:
-                bound = distance_from(solid, most + off)(placed.shape.geometry, placed.place)
+                bound = distance_from(solid, most + off)(base.shape.geometry, base.place)
             else:
                 ball = checker.obstacle_balls[number] - np.array([0.0, 0.0, 0.0, growth])
-                bound = _lower_bound(placed, (solid, ball), movement, span_s, most + off)
-            key = placed.body.name, solid.name
+                bound = _lower_bound(base, (solid, ball), movement, span_s, most + off)
+            key = base.body.name, solid.name
             bounds[key] = min(bound - off, bounds.get(key, np.inf))
     rules, least = list[PairRule](), float("inf")
     for (link, obstacle), bound in bounds.items():
@@ -88,23 +79,12 @@ def clearance_in_place(
     return ClearanceInPlace(least, tuple(rules))
 
 
-def _placed_bodies(checker: CoalScene) -> list[_Placed]:
-    """The bodies that a joint carries and that turn in place."""
-    found = []
-    for body, shape, place in base_bodies(checker.robot):
-        if body.joint != GROUND:
-            centre, radius = ball_about(body.core)
-            ball = place.rotation @ centre + place.translation, radius + body.rounding
-            found.append(_Placed(body, shape, place * shape.placement, ball))
-    return found
-
-
-def _near(placed: _Placed, checker: CoalScene, most: float) -> list[int]:
+def _near(base: BaseBody, checker: CoalScene, most: float) -> list[int]:
     """Indices of obstacles that may come within `most` of a body [m].
 
     Static obstacles are culled by their bounding balls; all moving obstacles are included.
     """
-    centre, radius = placed.ball
+    centre, radius = base.centre, base.radius
     balls = checker.obstacle_balls
     near = np.linalg.norm(balls[:, :3] - centre, axis=1) - balls[:, 3] - radius <= most
     if checker.moving is not None:
@@ -114,7 +94,7 @@ def _near(placed: _Placed, checker: CoalScene, most: float) -> list[int]:
 
 
 def _lower_bound(
-    placed: _Placed, obstacle: tuple[Solid, FloatArray], movement: Movement, span_s: tuple[float, float], most: float
+    base: BaseBody, obstacle: tuple[Solid, FloatArray], movement: Movement, span_s: tuple[float, float], most: float
 ) -> float:
     """Lower bound of the distance between a body and a moving obstacle [m].
 
@@ -129,11 +109,11 @@ def _lower_bound(
     rotations, shifts = movement.at(times)
     steps = movement.rates(solid.core, solid.rounding) * np.diff(movement.breaks)
     travel = np.diff(np.interp(times, movement.breaks, np.concatenate([[0.0], np.cumsum(steps)])))
-    centre, radius = placed.ball
+    centre, radius = base.centre, base.radius
     found = np.linalg.norm(rotations @ ball[:3] + shifts - centre, axis=1) - ball[3] - radius
     distance = distance_from(solid)
     for number in np.flatnonzero(found <= most + float(travel.max())).tolist():
-        place = pin.SE3(rotations[number], shifts[number]).inverse() * placed.place
-        found[number] = distance(placed.shape.geometry, place)
+        place = pin.SE3(rotations[number], shifts[number]).inverse() * base.place
+        found[number] = distance(base.shape.geometry, place)
     # Between two times the distance changes by no more than the obstacle's travel.
     return float((0.5 * (found[:-1] + found[1:] - travel)).min())

@@ -13,7 +13,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache, partial
-from typing import Final
+from typing import Final, NamedTuple
 
 import coal
 import numpy as np
@@ -26,7 +26,7 @@ from hplan.collision.coal_cloud import BareShape, distance_from
 from hplan.collision.collision_bodies import CollisionBody, ball_about, body_shapes, collision_bodies
 from hplan.collision.folds import Fold, folds
 from hplan.collision.geometry_pairs import ArmPairs
-from hplan.collision.reach import carriers, joint_axis, moves, reach_of
+from hplan.collision.reach import carriers, is_moved, joint_axis, reach_of
 from hplan.collision.touching_pairs import BEYOND, RIGID, SelfPairs, self_pairs
 from hplan.errors import RobotFileError
 from hplan.robot.base_shapes import BASE_DEPTH, always
@@ -270,7 +270,7 @@ def moving_bodies(robot: Robot) -> dict[str, list[int]]:
     """
     found: dict[str, list[int]] = {}
     for number, body in enumerate(collision_bodies(robot)):
-        if moves(robot)[number]:
+        if is_moved(robot)[number]:
             found.setdefault(body.name, []).append(number)
     if not found:
         reason = "no link that moves has a <collision>: it could touch nothing, and a certificate would say nothing"
@@ -278,26 +278,40 @@ def moving_bodies(robot: Robot) -> dict[str, list[int]]:
     return found
 
 
-def base_bodies(robot: Robot) -> Iterator[tuple[CollisionBody, pin.GeometryObject, pin.SE3]]:
-    """Bodies of the base, each with its shape and the pose of its joint in `base_link`.
+class BaseBody(NamedTuple):
+    """A body that no joint moves, in `base_link`.
 
-    They are the bodies that no joint moves (`hplan.collision.reach.moves`).
+    Attributes:
+        body: The body.
+        shape: Its shape in coal.
+        place: Pose of the shape.
+        centre: (3,) centre of a bounding ball [m].
+        radius: Radius of that ball [m].
     """
-    data = robot.model.createData()
-    pin.forwardKinematics(robot.model, data, pin.neutral(robot.model))
-    for body, shape, moved in zip(collision_bodies(robot), body_shapes(robot), moves(robot).tolist(), strict=True):
-        if not moved:
-            yield body, shape, data.oMi[shape.parentJoint]
+
+    body: CollisionBody
+    shape: pin.GeometryObject
+    place: pin.SE3
+    centre: FloatArray
+    radius: float
 
 
 @made_once
+def base_bodies(robot: Robot) -> tuple[BaseBody, ...]:
+    """The bodies that no joint moves (`hplan.collision.reach.is_moved`)."""
+    data, found = robot.model.createData(), list[BaseBody]()
+    pin.forwardKinematics(robot.model, data, pin.neutral(robot.model))
+    for body, shape, moved in zip(collision_bodies(robot), body_shapes(robot), is_moved(robot).tolist(), strict=True):
+        if not moved:
+            place, (centre, radius) = data.oMi[shape.parentJoint], ball_about(body.core)
+            centre = place.rotation @ centre + place.translation
+            found.append(BaseBody(body, shape, place * shape.placement, centre, radius + body.rounding))
+    return tuple(found)
+
+
 def base_radius(robot: Robot) -> float:
     """Radius of a ball about the origin of `base_link` that contains the base [m]."""
-    radius = 0.0
-    for body, _, place in base_bodies(robot):
-        core = body.core @ place.rotation.T + place.translation
-        radius = max(radius, float(np.linalg.norm(core, axis=1).max()) + body.rounding)
-    return radius
+    return max((float(np.linalg.norm(body.centre)) + body.radius for body in base_bodies(robot)), default=0.0)
 
 
 def _beyond(deviation: float) -> float:

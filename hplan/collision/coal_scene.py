@@ -436,9 +436,9 @@ def base_contacts(robot: Robot, obstacles: Sequence[Solid], *, margin: float = 0
         return ()
     found = []
     distances = [(obstacle, distance_from(obstacle, margin)) for obstacle in obstacles]
-    for body, shape, place in base_bodies(robot):
+    for base in base_bodies(robot):
         for obstacle, distance_of in distances:
-            distance = distance_of(shape.geometry, place * shape.placement)
+            distance = distance_of(base.shape.geometry, base.place)
             if distance <= margin:
-                found.append(Contact(body.name, obstacle.name, distance))
+                found.append(Contact(base.body.name, obstacle.name, distance))
     return tuple(found)

@@ -10,7 +10,7 @@ import numpy as np
 from hplan.base.arrays import FloatArray, Record, frozen
 from hplan.collision.collision_bodies import GROUND, CollisionBody, ball_about, capsule_about, collision_bodies
 from hplan.collision.folds import Fold, folds
-from hplan.collision.reach import carriers, joint_axis, moves, points_reach
+from hplan.collision.reach import carriers, is_moved, joint_axis, points_reach
 from hplan.collision.touching_pairs import required_distances, self_pairs
 from hplan.geometry.convex_distance import corner_table
 from hplan.robot.model import Robot, made_once
@@ -89,7 +89,7 @@ def thicker(movers: FloatArray, by: FloatArray) -> FloatArray:
 def _of_bodies(robot: Robot, parts: Sequence[Fold]) -> FlatBodies:
     """Bodies of a robot and parts of neighbours, and the checked pairs."""
     own = collision_bodies(robot)
-    bodies, meets = [*own, *(part.body for part in parts)], np.append(moves(robot), np.zeros(len(parts)))
+    bodies, meets = [*own, *(part.body for part in parts)], np.append(is_moved(robot), np.zeros(len(parts)))
     pairs = [*self_pairs(robot).checked, *((len(own) + k, part.other) for k, part in enumerate(parts))]
     return _flat(robot, bodies, meets, pairs)
 

@@ -88,7 +88,7 @@ def _from_axis(robot: Robot, cylinder: CollisionBody) -> float:
 
 
 @made_once
-def moves(robot: Robot) -> BoolArray:
+def is_moved(robot: Robot) -> BoolArray:
     """(bodies,) True for the bodies that some joint moves.
 
     Bodies on the ground do not move, nor does a shape that is round about the axis of the only joint that carries it.

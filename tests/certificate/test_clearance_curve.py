@@ -182,7 +182,7 @@ def test_where_obstacles_move_it_is_nowhere_above_their_distances_at_that_time(r
     bound = np.interp(clock, curve.time, curve.clearance_m)
     moved = scene.with_obstacles(items)
     for at, q, certain in zip(clock, on_cubics(motion, clock), bound, strict=True):
-        there = CoalScene(robot, moved.at(0.1 + at).solids, single_joint_pairs=False)
+        there = CoalScene(robot, moved.at(0.1 + at).solids)
         assert certain <= there.distances(q)[:, : there.own_first].min()
     np.testing.assert_array_less(curve.clearance_m, curve.distance_m)
 

@@ -351,7 +351,7 @@ def test_distances_and_sections_of_what_is_on_the_base_are_those_of_coal(tmp_pat
         if not bodies:
             continue
         only_them = replace(contact, bodies=tuple(bodies), links=())
-        checker = CoalScene(robot, [], single_joint_pairs=False)
+        checker = CoalScene(robot, [])
         field = ClearanceField.of(robot, [])
         grid = joint_grid(robot.arm, math.radians(25.0))
         nodes = grid.coordinates(np.stack(np.unravel_index(np.arange(grid.size), grid.shape), axis=-1))

@@ -82,9 +82,7 @@ def by_coal(robot: Robot, solids: list[Solid], q: FloatArray) -> FloatArray:
     def clearance(place: tuple[coal.CollisionGeometry, pin.SE3]) -> float:
         return min(distance(place, (shape.geometry, shape.placement)) - beyond for shape, beyond in others)
 
-    found = [
-        np.inf if body.joint == GROUND else clearance(place) for body, place in zip(bodies, placed, strict=True)
-    ]
+    found = [np.inf if body.joint == GROUND else clearance(place) for body, place in zip(bodies, placed, strict=True)]
     return np.array([*found, *(distance(placed[i], placed[j]) for i, j in checked)])
 
 

@@ -93,12 +93,12 @@ def others(rng, copies=40):
     return [*found, *Mesh.of("wedge", corners, [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]).solids]
 
 
-@pytest.mark.parametrize("kind", ["capsule", "urdf", "bodies"])
+@pytest.mark.parametrize("kind", ["capsules", "bodies"])
 def test_no_bound_is_above_the_distance_and_most_are_near_it(robot, kind, tmp_path_factory):
     arm = loaded_arm("lift", tmp_path_factory) if kind == "bodies" else robot
     rng = np.random.default_rng(2)
-    solids, links = [*many(rng), *others(rng)], "urdf" if kind == "urdf" else "capsule"
-    checker = CoalScene(arm, solids, links=links, growth=0.01, clearance=0.02)
+    solids = [*many(rng), *others(rng)]
+    checker = CoalScene(arm, solids, growth=0.01, clearance=0.02)
     pairs = np.arange(len(checker.pairs))
     errors, close = checker.distance_errors, 0
     for q in rng.uniform(arm.lower, arm.upper, (20, arm.dof)):
@@ -171,17 +171,16 @@ def wide(tmp_path_factory):
     return load_robot(write_robot(spec, tmp_path_factory.mktemp("arm") / "wide.urdf")[0])
 
 
-@pytest.mark.parametrize("links", ["capsule", "urdf"])
 @pytest.mark.parametrize("count", [0, 7, 13])
-def test_models_of_few_obstacles_answer_as_one_of_all(wide, links, count, monkeypatch):
+def test_models_of_few_obstacles_answer_as_one_of_all(wide, count, monkeypatch):
     rng = np.random.default_rng(count)
     obstacles = random_obstacles(rng, count)
     if count > 6:
         obstacles[4] = Cloud.of("cloud", rng.uniform([0.4, -0.6, 0.5], [1.8, 0.6, 1.7], (30, 3)), 0.02)
     growth = rng.uniform(0.0, 0.05, count)
-    whole = CoalScene(wide, obstacles, links=links, growth=growth)
+    whole = CoalScene(wide, obstacles, growth=growth)
     monkeypatch.setattr(module, "_CHUNK", 3)
-    parts = CoalScene(wide, obstacles, links=links, growth=growth)
+    parts = CoalScene(wide, obstacles, growth=growth)
     assert parts.pairs == whole.pairs
     assert len(parts.parts.own) > 0
     configurations = rng.uniform(wide.lower, wide.upper, (80, wide.dof))

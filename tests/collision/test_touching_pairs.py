@@ -94,7 +94,7 @@ def test_arms_whose_bases_are_too_close_are_refused():
             plan_cell(cell, PlanOptions(effort="quick"))
         assert how in str(refused.value)
         assert sorted(refused.value.data["arms"]) == ["a", "b"]
-        checker = CoalScene(cell.robot, (), links="urdf", clearance=clearance)
+        checker = CoalScene(cell.robot, (), clearance=clearance)
         distances = checker.distances(cell.configuration({}))
         (mover,) = (number for number, name in enumerate(checker.mover_names) if name == "b_base_link")
         assert distances[mover, checker.obstacle_names.index("a_base_link")] == pytest.approx(apart - 0.1, abs=1e-6)
@@ -175,7 +175,7 @@ def test_one_meaning_of_clearance(clearance):
     result = plan(robot, scene, PlanOptions(effort="quick"))
     found = result.certificate
     assert found.verified
-    checker = CoalScene(robot, (), links="urdf", clearance=clearance)
+    checker = CoalScene(robot, (), clearance=clearance)
     places = result.trajectory.positions(np.linspace(0.0, result.trajectory.duration, 300))
     true = np.min([checker.pair_distances(q) for q in places], axis=0)
     assert 0.0 < found.min_clearance_m <= true.min() + 1e-9

@@ -178,10 +178,10 @@ def test_the_last_link_alone_may_touch(robot: Robot) -> None:
 
 def test_ground_may_touch_the_pedestal(robot: Robot) -> None:
     ground = Box(name="ground", center=(0.0, 0.0, -0.05), size=(6.0, 6.0, 0.1))
-    World.of(robot, [ground], clearance=0.05, sigmas=3.0).check_base(0.0)
+    World.of(robot, [ground], clearance=0.05, sigmas=3.0).check_base()
     deeper = Box(name="ground", center=(0.0, 0.0, -0.05 + 2.0 * BASE_DEPTH), size=(6.0, 6.0, 0.1))
     with pytest.raises(InputError, match="'ground' is 2 mm deep in the robot's 'base_link'"):
-        World.of(robot, [deeper]).check_base(0.0)
+        World.of(robot, [deeper]).check_base()
 
 
 @pytest.mark.parametrize(
@@ -194,11 +194,10 @@ def test_ground_may_touch_the_pedestal(robot: Robot) -> None:
     ],
     ids=["ball", "capsule", "box", "cloud"],
 )
-@pytest.mark.parametrize("yaw", [0.0, -2.0])
-def test_what_stands_in_the_base_is_named(robot: Robot, obstacle, link: str, yaw: float) -> None:
+def test_what_stands_in_the_base_is_named(robot: Robot, obstacle, link: str) -> None:
     world = World.of(robot, [*BALLS, *obstacle.solids])
     with pytest.raises(InputError) as caught:
-        world.check_base(yaw)
+        world.check_base()
     assert caught.value.data["obstacle"] == obstacle.name
     assert caught.value.data["link"] == link
     assert caught.value.data["depth_m"] > BASE_DEPTH
@@ -210,14 +209,13 @@ def test_no_obstacle_is_missed(robot: Robot) -> None:
     rng, refused = np.random.default_rng(2), 0
     for _ in range(60):
         solids = random_obstacles(rng, 6)
-        yaw = float(rng.uniform(-3.0, 3.0))
         world = World.of(robot, solids, clearance=0.1)
-        if base_contacts(robot, solids, yaw, margin=-BASE_DEPTH):
+        if base_contacts(robot, solids, margin=-BASE_DEPTH):
             refused += 1
             with pytest.raises(InputError, match="deep in the robot's"):
-                world.check_base(yaw)
+                world.check_base()
         else:
-            world.check_base(yaw)
+            world.check_base()
     assert refused > 3
 
 

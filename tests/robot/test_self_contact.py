@@ -10,7 +10,7 @@ import coal
 import numpy as np
 import pinocchio as pin
 import pytest
-from arm_variants import coal_distances, link_axes
+from arm_variants import coal_distances, from_obstacles, link_axes
 from fitted_arms import fitted, quintic, scene_of
 from segments import segment_distances
 from studies.planar_cspace import arm_sections, joint_grid
@@ -19,7 +19,9 @@ from hplan.certificate.certificate import certify
 from hplan.certificate.motion_bound import motion_of_movers
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.coal_scene import CoalScene
-from hplan.collision.flat_bodies import BODIES, INNER, OUTER
+from hplan.collision.collision_bodies import collision_bodies
+from hplan.collision.flat_bodies import BODIES
+from hplan.collision.touching_pairs import required_distances, self_pairs
 from hplan.grid.grid import Grid
 from hplan.grid.occupancy import occupancy
 from hplan.planning.options import PlanOptions
@@ -108,6 +110,15 @@ def random_arms(rng, folder, count):
         yield arm_of(folder, low, high, lengths=lengths, widths=widths, has_yaw=has_yaw, height=height, **offsets)
 
 
+def key_of(robot, one, other):
+    """The key of two of the robot's bodies in `Truth.distances`; None for parts of bodies, and for two of the base."""
+    keys = []
+    for body in sorted((one, other), key=lambda body: -body.joint):
+        is_link = body.name in robot.arm.link_names
+        keys.append(robot.arm.link_names.index(body.name) if is_link else str(body.shapes[0]))
+    return None if isinstance(keys[0], str) or not (one.shapes and other.shapes) else tuple(keys)
+
+
 def named_pairs(robot):
     contact = self_contact(robot)
     links = {(j, i) for i, j in contact.links}
@@ -121,8 +132,6 @@ def named_pairs(robot):
 def test_harvester_cannot_touch_itself(robot, scene):
     contact = self_contact(robot)
     assert contact.links == contact.bodies == ()
-    assert CoalScene(robot, []).pairs == []
-    assert len(ClearanceField.of(robot, []).solids) == 0
     sections = arm_sections(robot, scene.solids)
     assert len(sections.own_pairs) == sections.own_names == 0
     assert sections.obstacle_names == tuple(solid.name for solid in scene.solids)
@@ -224,12 +233,13 @@ def test_four_links_in_the_cspace_are_exact(tmp_path, lengths):
 
 def own_clearances(robot, field, truth, q, found):
     """Distances of the arm's own pairs as coal has them, and as they were found."""
-    bodies, distances = self_contact(robot).bodies, truth.distances(q)
-    pairs = field.movers[int(field.numbers[BODIES]) :, [OUTER, INNER]].astype(int).tolist()
-    links = robot.arm.link_count
-    other = [inner if inner < links else str(bodies[inner - links].number) for _, inner in pairs]
-    expected = np.array([distances[outer, inner] for (outer, _), inner in zip(pairs, other, strict=True)])
-    return expected, found[len(found) - len(pairs) :]
+    bodies, pairs = collision_bodies(robot), self_pairs(robot)
+    distances, first = truth.distances(q), int(field.numbers[BODIES])
+    keys = [key_of(robot, bodies[i], bodies[j]) for i, j in pairs.checked]
+    known = np.array([key in distances for key in keys], dtype=bool)
+    expected = np.array([distances[key] for key in keys if key in distances])
+    required = required_distances(pairs.farthest, 0.01)[known]
+    return expected - required, found[first : first + len(keys)][known]
 
 
 def test_distances_from_what_carries_the_arm(tmp_path):
@@ -238,8 +248,7 @@ def test_distances_from_what_carries_the_arm(tmp_path):
     for robot in random_arms(rng, tmp_path, 12):
         field, truth = ClearanceField.of(robot, [], own_clearance=0.01), Truth(robot)
         for q in rng.uniform(robot.lower, robot.upper, (100, robot.dof)):
-            expected, found = own_clearances(robot, field, truth, q, field.link_clearances(q, 100.0))
-            lower = expected - 0.01
+            lower, found = own_clearances(robot, field, truth, q, field.link_clearances(q, 100.0))
             # Nothing nearer than coal says is missed, and little is made up.
             apart = lower > 0.0
             assert (found[apart] <= lower[apart] + TOUCH).all()
@@ -274,28 +283,24 @@ def test_judge_against_coal(tmp_path):
     contacts = 0
     for robot in random_arms(rng, tmp_path, 10):
         obstacles = [Sphere(name="turret", center=(2.0, 0.5, 1.0), radius=0.2)]  # a name that the arm has too
-        checker = CoalScene(robot, obstacles, single_joint_pairs=False)
-        truth, known = Truth(robot), named_pairs(robot)
+        checker = CoalScene(robot, obstacles)
+        truth, own = Truth(robot), checker.parts.own
         assert checker.own_first == 1
-        urdf = CoalScene(robot, obstacles, links="urdf", single_joint_pairs=False)
         configurations = rng.uniform(robot.lower, robot.upper, (40, robot.dof))
         for q, touching in zip(configurations, checker.in_collision(configurations), strict=True):
-            table = checker.distances(q)
-            assert table.shape == (robot.arm.link_count, len(checker.obstacle_names))
-            expected = np.full(table.shape, np.inf)
-            expected[:, 0] = coal_distances(robot, q, obstacles)[:, 0]
-            for (link, other), distance in truth.distances(q).items():
-                if (link, other) in known:
-                    frame = robot.model.frames[truth.base[other].parentFrame] if isinstance(other, str) else None
-                    name = frame.name if frame is not None else robot.arm.link_names[other]
-                    column = 1 + checker.obstacle_names[1:].index(name)
-                    expected[link, column] = min(expected[link, column], distance)
-            apart = expected > 0.0  # depths are coal's by iteration, and depend on who comes first
-            np.testing.assert_allclose(table[apart], expected[apart], atol=1e-5)
-            np.testing.assert_allclose(table[~apart], expected[~apart], atol=1e-3)
-            np.testing.assert_allclose(urdf.distances(q).clip(min=0.0), expected.clip(min=0.0), atol=1e-5)
+            rows = [checker.link_names.index(name) for name in robot.arm.link_names]
+            expected = coal_distances(robot, q, obstacles)[:, 0]
+            np.testing.assert_allclose(
+                from_obstacles(checker, q)[rows, 0].clip(min=0.0), expected.clip(min=0.0), atol=1e-5
+            )
+            table, distances = checker.pair_distances(q), truth.distances(q)
+            for pair, found in zip(own, table[len(table) - len(own) :], strict=True):
+                true = distances.get(key_of(robot, *pair.bodies))
+                if true is not None:
+                    # Depths are coal's by iteration, and depend on who comes first.
+                    assert found == pytest.approx(true, abs=1e-5 if true > 0.0 else 1e-3)
+                    contacts += int(found < 0.0)
             assert touching == (table.min() <= 0.0) or abs(table.min()) < 1e-5
-            contacts += int(table[:, 1:].min(initial=np.inf) < 0.0)
             nearest = checker.nearest(q)
             assert nearest.distance_m == pytest.approx(table.min(), abs=1e-5 if table.min() > 0.0 else 1e-3)
     assert contacts > 20
@@ -364,7 +369,8 @@ def test_certificates_are_as_dense_sampling_says(tmp_path):
                 for pair, distance in truth.distances(q).items()
                 if pair in known
             )
-            certificate = certify(robot, scene, trajectory, check_ends=False)
+            certificate, checker = certify(robot, scene, trajectory, check_ends=False), CoalScene(robot, [])
+            least = min(least, *(checker.pair_distances(q).min() for q in trajectory.position[::8]))
             if clearance_is_shown(certificate):
                 assert least >= certificate.min_clearance_m > 0.0
                 shown += 1

@@ -154,13 +154,13 @@ class _CoalWithShapes:
 
     def __init__(self, robot: Robot, scene: Scene) -> None:
         self._clearance = scene.clearance
-        self._solids = CoalScene(robot, scene.solids, clearance=scene.clearance, single_joint_pairs=False)
+        self._solids = CoalScene(robot, scene.solids, clearance=scene.clearance)
         bare = [
             Cloud(obstacle.name, obstacle.points, obstacle.radius, np.zeros((0, 7)))
             for obstacle in scene.obstacles
             if isinstance(obstacle, PointCloud)
         ]
-        self._points = CoalScene(robot, bare, clearance=scene.clearance, single_joint_pairs=False) if bare else None
+        self._points = CoalScene(robot, bare, clearance=scene.clearance) if bare else None
         surfaces = [obstacle.surface for obstacle in scene.obstacles if isinstance(obstacle, Mesh)]
         self._surfaces = _Surfaces(self._solids, surfaces) if surfaces else None
 

@@ -24,8 +24,8 @@ from studies.planar import without_jerk
 from studies.planar_cspace import arm_sections, joint_grid, sampled_occupancy
 
 from hplan.base.arrays import FloatArray, IntArray
-from hplan.base.polyline import path_length
 from hplan.collision.coal_scene import CoalScene
+from hplan.geometry.polyline import path_length
 from hplan.planar.grid import dense_search, two_level_search
 from hplan.planar.grid.grid import Occupancy
 from hplan.planar.grid.occupancy import occupancy

@@ -18,7 +18,7 @@ from hplan.apps.view.page import document
 from hplan.apps.view.scene_stage import GOAL_COLOR, REST_S, START_COLOR
 from hplan.apps.view.three_js import Body, Json
 from hplan.base.arrays import FloatArray
-from hplan.base.polyline import stations
+from hplan.geometry.polyline import stations
 from hplan.planar.pages.cspace_surface import surface_net
 from hplan.planar.pages.yaw_section import YawSection
 

@@ -15,8 +15,8 @@ import numpy as np
 from hplan.apps.view.framing import view_axes
 from hplan.apps.view.playback import Playback
 from hplan.base.arrays import FloatArray, frozen
-from hplan.base.polyline import stations
 from hplan.errors import InputError, OptionError
+from hplan.geometry.polyline import stations
 from hplan.planar.grid.grid import Grid
 from hplan.planar.pages.cspace_surface import hidden
 from hplan.planning.options import PlanOptions

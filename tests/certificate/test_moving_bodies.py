@@ -20,7 +20,7 @@ from hplan.geometry.hull import CUBE_CORNERS
 from hplan.planar.grid.occupancy import occupancy
 from hplan.planar.grid.prepared_obstacles import prepare_obstacles
 from hplan.planar.grid.sections import sections_at
-from hplan.planning.joint_ranges import MARGIN, joint_ranges
+from hplan.planning.joint_ranges import MARGIN
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
 from hplan.planning.specialist import joint_ranges

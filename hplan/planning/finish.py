@@ -19,7 +19,6 @@ from hplan.base import ties
 from hplan.base.arguments import number as checked_number
 from hplan.base.arrays import FloatArray, IntArray, Record, frozen, numbers
 from hplan.base.deadline import Cancel, TimeIsUpError, time_limit
-from hplan.base.polyline import path_length
 from hplan.collision.reach import reach
 from hplan.errors import (
     CertificationError,
@@ -29,6 +28,7 @@ from hplan.errors import (
     PathInContactError,
     TimingError,
 )
+from hplan.geometry.polyline import path_length
 from hplan.optimization.repair import pushed_clear, repaired
 from hplan.optimization.smooth_path import SMALLEST_FRACTION
 from hplan.planning.motion import Plan, Transit, certified_trajectory, quickest

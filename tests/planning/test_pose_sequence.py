@@ -198,12 +198,6 @@ def test_wrong_values(tmp_path_factory: pytest.TempPathFactory, poses: Any, opti
         hplan.plan_poses(arm, scene_of(arm), poses, **options)
 
 
-def test_planar_arms_have_too_few_joints() -> None:
-    robot = load_robot()
-    with pytest.raises(InputError, match="planar"):
-        hplan.plan_poses(robot, scene_of(robot, begin=np.zeros(4)), [np.eye(4)])
-
-
 def test_poses_of_a_file() -> None:
     turn = pin.rpy.rpyToMatrix(0.3, -0.4, 2.0)
     (pose,) = pose_matrices(np.array([[1.0, 2.0, 3.0, *pin.Quaternion(turn).coeffs()]]))

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Self
 
-from hplan.base.extensions import load_extensions
+from hplan.base.lazy_import import load_extensions
 from hplan.optimization.minimize_time import Effort as OptimizerEffort
 from hplan.optimization.minimize_time import Level
 from hplan.optimization.several_starts import StartsEffort

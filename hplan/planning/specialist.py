@@ -1,7 +1,7 @@
 """Specialists: additions to planning for one family of robots.
 
 A specialist has path finders and an infeasibility proof of its own. Planning does not know any of them;
-`hplan.base.extensions` describes how they are loaded.
+`hplan.base.lazy_import` describes how they are loaded.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from hplan.base.extensions import load_extensions
+from hplan.base.lazy_import import load_extensions
 from hplan.errors import NoPathError
 from hplan.planning.path_finder import PathFinder
 from hplan.planning.problem import Problem

@@ -24,7 +24,6 @@ from hplan.base.arguments import number as checked_number
 from hplan.base.arguments import truth
 from hplan.base.arrays import FloatArray, frozen, numbers, readonly
 from hplan.base.deadline import Cancel, TimeIsUpError, check_deadline, time_limit
-from hplan.base.polyline import path_length, stations
 from hplan.certificate.tool_bounds import ToolBounds, tool_bounds
 from hplan.errors import (
     BlockedError,
@@ -36,6 +35,8 @@ from hplan.errors import (
     NotFoundError,
     TimingError,
 )
+from hplan.geometry.polyline import path_length, stations
+from hplan.geometry.rotation import quaternion_rotation
 from hplan.kinematics.damped_steps import UPRIGHT, Chain, follow
 from hplan.kinematics.inverse_kinematics import chain_of, checked_pose
 from hplan.kinematics.straight_line import line_to
@@ -53,7 +54,6 @@ from hplan.planning.solver import best_motion
 from hplan.planning.stages import Progress, no_progress, stage, stage_clock
 from hplan.robot.model import Robot
 from hplan.scene.model import QUATERNION_LENGTH, Goal, Scene
-from hplan.scene.solids import quaternion_rotation
 from hplan.trajectory.spline import SplinePath
 
 #: Maximum number of poses.

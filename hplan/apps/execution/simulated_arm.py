@@ -20,10 +20,10 @@ from hplan.base.lazy_import import extra
 from hplan.base.options import NotNegative, Options, Positive
 from hplan.collision.giving_way import pushing_links, yielded
 from hplan.errors import InputError, RobotFileError
+from hplan.geometry.cloud import Cloud
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 from hplan.scene.obstacles import Box, Capsule, Cylinder, Solid, Sphere
-from hplan.scene.solids import Cloud
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike
 from hplan.base.arguments import number as checked_number
 from hplan.base.arrays import FloatArray
 from hplan.base.deadline import Cancel, TimeIsUpError, time_limit
-from hplan.base.polyline import path_length
 from hplan.errors import CertificationError, InputError, TimingError
+from hplan.geometry.polyline import path_length
 from hplan.optimization.repair import pushed_clear, repaired
 from hplan.optimization.smooth_path import SMALLEST_FRACTION
 from hplan.planning.finishing.given_path import SAME, GivenPath, given_path, scene_along

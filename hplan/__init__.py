@@ -108,8 +108,8 @@ __getattr__ = lazy_names(
     },
 )
 
-#: Rooms at the edge that add path finders, inverse kinematics and proofs for robots that they recognize.
-declare_extension("hplan.planar")
+#: Modules at the edge that add path finders, inverse kinematics, proofs and pages for robots that they recognize.
+declare_extension("hplan.planar.extension")
 
 
 def __dir__() -> list[str]:

@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike
 from hplan.base.arrays import BoolArray, FloatArray, IntArray, WordArray, frozen
 from hplan.base.deadline import check_deadline, is_up, until
 from hplan.base.kernels import kernel
-from hplan.grid.bits import lowest_bit, popcount
-from hplan.grid.grid import Occupancy, checked_node
-from hplan.grid.lattice import Lattice
+from hplan.planar.grid.bits import lowest_bit, popcount
+from hplan.planar.grid.grid import Occupancy, checked_node
+from hplan.planar.grid.lattice import Lattice
 
 #: A border row, which is never reached.
 _NOWHERE = 0

@@ -11,12 +11,12 @@ import pytest
 from pages import animation_of, commands_of, objects, orchard, steady_motion
 
 from hplan.apps.cli.main import main
-from hplan.apps.view.cspace_page import render_cspace_page
 from hplan.apps.view.playback import Playback
-from hplan.apps.view.yaw_section import YawSection, yaw_section
 from hplan.collision.body_kernels import FAR
 from hplan.collision.coal_scene import CoalScene
 from hplan.errors import InputError
+from hplan.planar.pages.cspace_page import render_cspace_page
+from hplan.planar.pages.yaw_section import YawSection, yaw_section
 from hplan.planning.options import PlanOptions
 from hplan.robot.family.members import HARVESTER, write_robot
 from hplan.robot.model import Robot, load_robot
@@ -49,7 +49,7 @@ def scene(**changes: Any) -> Scene:
 def coarse() -> Iterator[None]:
     """A grid of an eighth of the nodes, for speed."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("hplan.apps.view.yaw_section._STEP_DEG", 4.0)
+        patch.setattr("hplan.planar.pages.yaw_section._STEP_DEG", 4.0)
         yield
 
 

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING
 from hplan.base.lazy_import import lazy_names
 
 if TYPE_CHECKING:
-    from hplan.grid.astar import dense_search
-    from hplan.grid.flood import reachable, slices_with_path
-    from hplan.grid.result import Expansions, Fallback, SearchResult, StageTimes
-    from hplan.grid.two_level import two_level_search
+    from hplan.planar.grid.astar import dense_search
+    from hplan.planar.grid.flood import reachable, slices_with_path
+    from hplan.planar.grid.result import Expansions, Fallback, SearchResult, StageTimes
+    from hplan.planar.grid.two_level import two_level_search
 
 __all__ = [
     "Expansions",
@@ -30,9 +30,9 @@ __all__ = [
 __getattr__ = lazy_names(
     __name__,
     {
-        "hplan.grid.astar": "dense_search",
-        "hplan.grid.flood": "reachable slices_with_path",
-        "hplan.grid.result": "Expansions Fallback SearchResult StageTimes",
-        "hplan.grid.two_level": "two_level_search",
+        "hplan.planar.grid.astar": "dense_search",
+        "hplan.planar.grid.flood": "reachable slices_with_path",
+        "hplan.planar.grid.result": "Expansions Fallback SearchResult StageTimes",
+        "hplan.planar.grid.two_level": "two_level_search",
     },
 )

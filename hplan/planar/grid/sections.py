@@ -10,7 +10,7 @@ points grown by a radius.
 - Core of two points equally far from the plane (capsule along it): a stadium, exact.
 - Any other core: a rounded polygon around :math:`S` that exceeds it by at most `SECTION_ERROR`.
 
-`hplan.grid.hull_section` describes the computation of the polygon.
+`hplan.planar.grid.hull_section` describes the computation of the polygon.
 
 If the arm can touch itself (`hplan.robot.self_contact`), turret and pedestal are additional obstacles to the links that
 can touch them. Shapes that turn with the arm plane or are round about the yaw axis have the same section at every yaw.
@@ -22,7 +22,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal, NamedTuple, TypeAlias
+from typing import NamedTuple, get_args
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -30,16 +30,16 @@ import numpy as np
 from hplan.base.arguments import one_of
 from hplan.base.arrays import FloatArray, IntArray, Record, frozen, readonly
 from hplan.errors import OptionError
-from hplan.grid.cutting_arrays import ArmPlane, LinkExtents
-from hplan.grid.prepared_obstacles import PreparedObstacles, prepare_obstacles
-from hplan.grid.section_kernels import cut_balls, cut_hulls
+from hplan.planar.grid.cutting_arrays import ArmPlane, LinkExtents
+from hplan.planar.grid.prepared_obstacles import PreparedObstacles, prepare_obstacles
+from hplan.planar.grid.section_kernels import cut_balls, cut_hulls
+from hplan.planning.options import LinkModel
 from hplan.robot.base_shapes import BaseShape
 from hplan.robot.model import Robot
 from hplan.robot.self_contact import SelfContact, radius_in_plane, self_contact
 
-#: Link models: the capsule, the paper's three cases verbatim, or the exact rectangle.
-LinkModel: TypeAlias = Literal["capsule", "paper", "rectangle"]
-LINK_MODELS: tuple[LinkModel, ...] = ("capsule", "paper", "rectangle")
+#: The capsule, the paper's three cases verbatim, or the exact rectangle.
+LINK_MODELS: tuple[LinkModel, ...] = get_args(LinkModel)
 
 #: Maximum distance of a section without closed form outside the true section [m].
 SECTION_ERROR = 1e-3

@@ -16,7 +16,7 @@ import numpy as np
 from hplan.apps.view.figure_style import FAINT, QUIET
 from hplan.apps.view.framing import view_axes
 from hplan.base.arrays import BoolArray, FloatArray, IntArray
-from hplan.grid.grid import Grid
+from hplan.planar.grid.grid import Grid
 
 
 def surface_net(field: FloatArray) -> tuple[FloatArray, IntArray]:

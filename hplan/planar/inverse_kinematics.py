@@ -6,7 +6,7 @@ plane have the distance d from the yaw axis and the point the distance :math:`\r
 one with the point behind it. A point with :math:`\rho < d` is in the plane at no yaw; if the plane contains the axis, a
 point on the axis is in the plane at every yaw.
 
-The in-plane problem is solved by the chain of `hplan.kinematics.planar_chain`. With three joints, its free parameter is
+The in-plane problem is solved by the chain of `hplan.planar.chain`. With three joints, its free parameter is
 the *approach angle*: the absolute angle of the last link in the arm plane, 0 along the plane's horizontal axis,
 90 degrees straight up. Joints beyond three take values from a grid, starting with those nearest to the base.
 """
@@ -28,7 +28,7 @@ from hplan.base.arrays import BoolArray, ComplexArray, FloatArray, IntArray, fro
 from hplan.base.elementary import arctan2, modulus, product
 from hplan.errors import OptionError, UnreachableError
 from hplan.kinematics.approach_angles import Candidates, Window
-from hplan.kinematics.planar_chain import ANGLE_TOLERANCE, MATCH_TOLERANCE, FreeChain, Reached
+from hplan.planar.chain import ANGLE_TOLERANCE, MATCH_TOLERANCE, FreeChain, Reached
 from hplan.robot.model import Robot
 
 #: Default number of samples between the ends of continua.

@@ -16,11 +16,11 @@ from hplan.base.arguments import truth
 from hplan.base.arrays import FloatArray, IntArray, frozen
 from hplan.base.deadline import check_deadline, is_up
 from hplan.base.kernels import inlined, kernel
-from hplan.grid.bits import lowest_bit, popcount
-from hplan.grid.grid import Occupancy, checked_node
-from hplan.grid.heap import begin, pop, priority, push
-from hplan.grid.lattice import Lattice, LatticeArrays, Node, NodeSet
-from hplan.grid.result import Expansions, SearchResult, StageTimes
+from hplan.planar.grid.bits import lowest_bit, popcount
+from hplan.planar.grid.grid import Occupancy, checked_node
+from hplan.planar.grid.heap import begin, pop, priority, push
+from hplan.planar.grid.lattice import Lattice, LatticeArrays, Node, NodeSet
+from hplan.planar.grid.result import Expansions, SearchResult, StageTimes
 
 #: Bit mask of the expansion counter; the deadline is checked every `_OFTEN + 1` expansions.
 _OFTEN = 255

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from hplan.base.arrays import BoolArray, FloatArray, IntArray
-from hplan.grid.grid import Grid, Occupancy
+from hplan.planar.grid.grid import Grid, Occupancy
 
 Node = tuple[int, ...]
 

@@ -14,11 +14,11 @@ from test_occupancy import point_segment, segment_polygon
 
 from hplan.collision.coal_scene import CoalScene
 from hplan.errors import InputError, OptionError
-from hplan.grid.cutting_arrays import ArmPlane, LinkExtents
-from hplan.grid.occupancy import occupancy
-from hplan.grid.prepared_obstacles import prepare_obstacles
-from hplan.grid.section_kernels import cut_balls, cut_hulls
-from hplan.grid.sections import LINK_MODELS, SECTION_ERROR, sections_at
+from hplan.planar.grid.cutting_arrays import ArmPlane, LinkExtents
+from hplan.planar.grid.occupancy import occupancy
+from hplan.planar.grid.prepared_obstacles import prepare_obstacles
+from hplan.planar.grid.section_kernels import cut_balls, cut_hulls
+from hplan.planar.grid.sections import LINK_MODELS, SECTION_ERROR, sections_at
 from hplan.scene.obstacles import Box, Capsule, Cylinder, Sphere
 
 #: The plane of x and z at yaw 0, as a robot on a yaw has it: horizontal axis, upward axis, normal.

@@ -16,16 +16,16 @@ from studies.planar_cspace import arm_sections, joint_grid
 
 from hplan.base.arrays import BoolArray, FloatArray, IntArray, readonly
 from hplan.errors import OptionError
-from hplan.grid import SearchResult, dense_search, reachable, slices_with_path, two_level_search
-from hplan.grid.astar import bound
-from hplan.grid.blockers import _grown, blockers
-from hplan.grid.flood import flood_slices
-from hplan.grid.grid import MAX_NODES, Grid, Occupancy, words_for
-from hplan.grid.lattice import Lattice
-from hplan.grid.occupancy import occupancy
-from hplan.grid.prepared_obstacles import prepare_obstacles
-from hplan.grid.sections import LinkModel, sections_at
-from hplan.grid.yaw_layers import LayerCache, YawAxis, turning_occupancy, yaw_axis
+from hplan.planar.grid import SearchResult, dense_search, reachable, slices_with_path, two_level_search
+from hplan.planar.grid.astar import bound
+from hplan.planar.grid.blockers import _grown, blockers
+from hplan.planar.grid.flood import flood_slices
+from hplan.planar.grid.grid import MAX_NODES, Grid, Occupancy, words_for
+from hplan.planar.grid.lattice import Lattice
+from hplan.planar.grid.occupancy import occupancy
+from hplan.planar.grid.prepared_obstacles import prepare_obstacles
+from hplan.planar.grid.sections import LinkModel, sections_at
+from hplan.planar.grid.yaw_layers import LayerCache, YawAxis, turning_occupancy, yaw_axis
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 from hplan.scene.obstacles import Sphere

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from hplan.base.arrays import BoolArray
-from hplan.grid.grid import Grid
-from hplan.grid.occupancy import occupancy
-from hplan.grid.sections import ArmSections, meeting_pairs, only
+from hplan.planar.grid.grid import Grid
+from hplan.planar.grid.occupancy import occupancy
+from hplan.planar.grid.sections import ArmSections, meeting_pairs, only
 from hplan.robot.planar_family import PlanarArm
 
 

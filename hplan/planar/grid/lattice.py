@@ -17,8 +17,8 @@ import numpy as np
 from hplan.base.arrays import FloatArray, IntArray, Record, ShortArray, WordArray, readonly
 from hplan.base.deadline import until
 from hplan.base.kernels import kernel
-from hplan.grid.bits import popcount
-from hplan.grid.grid import words_for
+from hplan.planar.grid.bits import popcount
+from hplan.planar.grid.grid import words_for
 
 
 class Node(NamedTuple):

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from hplan.base.arrays import BoolArray, IntArray, Record, frozen
-from hplan.grid.lattice import Lattice
+from hplan.planar.grid.lattice import Lattice
 
 #: Stage that found the path or proved that no path exists: the union of the slices between start and goal (`none`); the
 #: union of all slices; flooding, with the dense search on the flooded nodes.

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from hplan.apps.view.cspace_surface import surface_net
 from hplan.base.arrays import FloatArray, IntArray
+from hplan.planar.pages.cspace_surface import surface_net
 
 
 class TestSurfaceNet:

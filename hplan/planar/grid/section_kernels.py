@@ -1,6 +1,6 @@
-"""Compiled kernels of `hplan.grid.sections`: cut all bodies by the arm plane, link by link.
+"""Compiled kernels of `hplan.planar.grid.sections`: cut all bodies by the arm plane, link by link.
 
-The section of a ball is a disc; `hplan.grid.hull_section` computes the section of a hull.
+The section of a ball is a disc; `hplan.planar.grid.hull_section` computes the section of a hull.
 """
 
 from __future__ import annotations
@@ -11,8 +11,8 @@ import numpy as np
 
 from hplan.base.arrays import FloatArray, IntArray
 from hplan.base.kernels import inlined, kernel
-from hplan.grid.cutting_arrays import ArmPlane, Balls, Cut, Hulls, LinkExtents
-from hplan.grid.hull_section import MOST_TANGENTS, cut_hull
+from hplan.planar.grid.cutting_arrays import ArmPlane, Balls, Cut, Hulls, LinkExtents
+from hplan.planar.grid.hull_section import MOST_TANGENTS, cut_hull
 
 
 @kernel

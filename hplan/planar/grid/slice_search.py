@@ -17,11 +17,11 @@ import numpy as np
 from hplan.base.arrays import FloatArray, IntArray, ShortArray, WordArray, frozen
 from hplan.base.deadline import check_deadline, is_up
 from hplan.base.kernels import kernel
-from hplan.grid.astar import bound
-from hplan.grid.flood import bits_of, flood_slices
-from hplan.grid.heap import NEW, begin, pop, priority, push
-from hplan.grid.lattice import Lattice, LatticeArrays, Node
-from hplan.grid.result import SlicePaths
+from hplan.planar.grid.astar import bound
+from hplan.planar.grid.flood import bits_of, flood_slices
+from hplan.planar.grid.heap import NEW, begin, pop, priority, push
+from hplan.planar.grid.lattice import Lattice, LatticeArrays, Node
+from hplan.planar.grid.result import SlicePaths
 
 
 def search_slices(

@@ -17,10 +17,10 @@ from hplan.base.deadline import check_deadline, is_up, until
 from hplan.base.forking import renewed_in_children
 from hplan.base.kernels import kernel
 from hplan.errors import OptionError
-from hplan.grid.grid import Grid, Occupancy, words_for
-from hplan.grid.occupancy import occupancy
-from hplan.grid.prepared_obstacles import PreparedObstacles
-from hplan.grid.sections import ArmSections, sections_at
+from hplan.planar.grid.grid import Grid, Occupancy, words_for
+from hplan.planar.grid.occupancy import occupancy
+from hplan.planar.grid.prepared_obstacles import PreparedObstacles
+from hplan.planar.grid.sections import ArmSections, sections_at
 from hplan.robot.model import Robot
 
 #: Maximum size of a C-space with a turning base [bytes], one bit per node; a search needs five times this memory.

@@ -14,13 +14,13 @@ from numpy.typing import ArrayLike
 
 from hplan.base.arguments import truth
 from hplan.base.arrays import IntArray, WordArray, frozen
-from hplan.grid.astar import astar
-from hplan.grid.flood import flood_from, has_bit
-from hplan.grid.grid import Occupancy, checked_node
-from hplan.grid.lattice import Lattice, NodeSet
-from hplan.grid.restoration import union_of
-from hplan.grid.result import Expansions, Fallback, SearchResult, SlicePaths, StageTimes
-from hplan.grid.slice_search import search_slices
+from hplan.planar.grid.astar import astar
+from hplan.planar.grid.flood import flood_from, has_bit
+from hplan.planar.grid.grid import Occupancy, checked_node
+from hplan.planar.grid.lattice import Lattice, NodeSet
+from hplan.planar.grid.restoration import union_of
+from hplan.planar.grid.result import Expansions, Fallback, SearchResult, SlicePaths, StageTimes
+from hplan.planar.grid.slice_search import search_slices
 
 
 def two_level_search(occupancy: Occupancy, start: ArrayLike, goal: ArrayLike, *, octile: bool = True) -> SearchResult:

@@ -11,8 +11,8 @@ import numpy as np
 
 from hplan.base.arrays import BoolArray, IntArray, WordArray
 from hplan.base.kernels import kernel
-from hplan.grid.lattice import Lattice, Node, NodeSet, numbered
-from hplan.grid.result import SlicePaths
+from hplan.planar.grid.lattice import Lattice, Node, NodeSet, numbered
+from hplan.planar.grid.result import SlicePaths
 
 
 def union_of(

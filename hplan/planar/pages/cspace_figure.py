@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hplan.apps.view.cspace_surface import draw_cspace_obstacle, hidden, joint_box
 from hplan.apps.view.figure_style import FAINT, GOAL, INK, OBSTACLE, START, new_figure, styled
-from hplan.apps.view.yaw_section import YawSection
+from hplan.planar.pages.cspace_surface import draw_cspace_obstacle, hidden, joint_box
+from hplan.planar.pages.yaw_section import YawSection
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -7,9 +7,9 @@ import pytest
 from reference import assert_path, make_occupancy, path_cost
 
 from hplan.base.arrays import BoolArray
-from hplan.grid import dense_search
-from hplan.grid.lattice import Lattice
-from hplan.grid.slice_search import search_slices
+from hplan.planar.grid import dense_search
+from hplan.planar.grid.lattice import Lattice
+from hplan.planar.grid.slice_search import search_slices
 
 SIDE = 24
 

@@ -13,9 +13,9 @@ the disc for
 
 (`_disc_half_angle`) and always if :math:`\rho \le R`. This is exact for a capsule link. The paper puts case 3 at
 :math:`\rho > \sqrt{L^2 + w^2} + r`, the reach of a rectangle's corner (model `paper`); the model `rectangle` solves
-the rectangle itself (`hplan.grid.rectangle_link`). Angles run counter-clockwise from +x of the arm plane, bearings by
-arctan2(y, x). The paper prints arctan(x / y), which gives its figures in no frame (`scripts/reproduce_paper.py` tries
-both).
+the rectangle itself (`hplan.planar.grid.rectangle_link`). Angles run counter-clockwise from +x of the arm plane,
+bearings by arctan2(y, x). The paper prints arctan(x / y), which gives its figures in no frame
+(`scripts/reproduce_paper.py` tries both).
 
 A rounded polygon also yields one interval: the hull of the intervals of its corner discs and of the directions to its
 straight sides' intersections with the circle of the link's reach.
@@ -32,9 +32,9 @@ from hplan.base.arrays import BoolArray, FloatArray, IntArray, WordArray, frozen
 from hplan.base.deadline import check_deadline, is_up, until
 from hplan.base.kernels import inlined, kernel
 from hplan.errors import InputError
-from hplan.grid.grid import Grid, Occupancy
-from hplan.grid.rectangle_link import rectangle_half_angles
-from hplan.grid.sections import LINK_MODELS, ArmSections, SectionArrays
+from hplan.planar.grid.grid import Grid, Occupancy
+from hplan.planar.grid.rectangle_link import rectangle_half_angles
+from hplan.planar.grid.sections import LINK_MODELS, ArmSections, SectionArrays
 from hplan.robot.planar_family import PlanarArm
 from hplan.robot.self_contact import part_of_arm
 

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from hplan.base.arrays import BoolArray, FloatArray, IntArray, Record, frozen
 from hplan.errors import InputError, OptionError
-from hplan.grid.cutting_arrays import Balls, Hulls
+from hplan.planar.grid.cutting_arrays import Balls, Hulls
 
 
 class ConvexObstacle(Protocol):

@@ -1,4 +1,4 @@
-"""Array types of `hplan.grid.section_kernels`: bodies, arm plane, links and sections."""
+"""Array types of `hplan.planar.grid.section_kernels`: bodies, arm plane, links and sections."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ class LinkExtents(NamedTuple):
 
 
 class Cut(NamedTuple):
-    """Sections, link by link, as in `hplan.grid.sections.ArmSections`.
+    """Sections, link by link, as in `hplan.planar.grid.sections.ArmSections`.
 
     All arrays but `link_start` have spare capacity at their end.
 

@@ -14,13 +14,13 @@ import numpy as np
 from hplan.apps.view import framing
 from hplan.apps.view import three_js as three
 from hplan.apps.view.commands import ROOT, animation, clip, moving, node, set_object, set_transform
-from hplan.apps.view.cspace_surface import surface_net
 from hplan.apps.view.page import document
 from hplan.apps.view.scene_stage import GOAL_COLOR, REST_S, START_COLOR
 from hplan.apps.view.three_js import Body, Json
-from hplan.apps.view.yaw_section import YawSection
 from hplan.base.arrays import FloatArray
 from hplan.geometry.polyline import stations
+from hplan.planar.pages.cspace_surface import surface_net
+from hplan.planar.pages.yaw_section import YawSection
 
 _REGION_COLOR = 0xE07B39
 _FAR = np.array([0.72, 0.79, 0.85])

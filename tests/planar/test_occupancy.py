@@ -12,9 +12,9 @@ from studies.planar_cspace import RoundedPolygon, arm_sections, joint_grid, plan
 
 from hplan.base.arrays import readonly
 from hplan.errors import InputError
-from hplan.grid.grid import Grid
-from hplan.grid.occupancy import occupancy
-from hplan.grid.sections import LINK_MODELS
+from hplan.planar.grid.grid import Grid
+from hplan.planar.grid.occupancy import occupancy
+from hplan.planar.grid.sections import LINK_MODELS
 from hplan.robot.planar_family import PlanarArm
 
 #: Cells this close to the boundary may be either [m].

@@ -8,8 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from hplan.base.extensions import declare_extension
-from hplan.base.lazy_import import VIEWERS, lazy_names
+from hplan.base.lazy_import import VIEWERS, declare_extension, lazy_names
 
 if TYPE_CHECKING:
     from hplan.certificate.certificate import Certificate, certify
@@ -127,7 +126,7 @@ def _notebook_html(result: Any) -> str:
 
 def _draw_trajectory(trajectory: Trajectory, robot: Robot | None) -> Any:
     """Draw joint values over time."""
-    from hplan.apps.view.trajectory_figure import draw_trajectory
+    from hplan.apps.view.figures import draw_trajectory
 
     return draw_trajectory(trajectory, robot)
 

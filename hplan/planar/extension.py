@@ -1,6 +1,6 @@
 """Registers the planar family with planning.
 
-`hplan` declares this module as an extension, and `hplan.base.extensions` imports it when a plan first asks for one.
+`hplan` declares this module as an extension, and `hplan.base.lazy_import` imports it when a plan first asks for one.
 """
 
 from __future__ import annotations

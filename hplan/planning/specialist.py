@@ -1,7 +1,7 @@
 """Specialists: additions to planning for one family of robots.
 
 A specialist may have budgets, inverse kinematics, path finders, proofs and pages of its own. What it leaves out follows
-the rules of all robots. Planning does not know any specialist; `hplan.base.extensions` describes how they are loaded.
+the rules of all robots. Planning does not know any specialist; `hplan.base.lazy_import` describes how they are loaded.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
 from hplan.base.arrays import FloatArray
-from hplan.base.extensions import load_extensions
+from hplan.base.lazy_import import load_extensions
 from hplan.collision.coal_scene import CoalScene
 from hplan.errors import NoPathError, OptionError
 from hplan.kinematics.approach_angles import Candidates

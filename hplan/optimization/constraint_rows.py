@@ -1,12 +1,14 @@
-"""First-order torque constraints of a timed spline, as linear program rows."""
+"""First-order constraints of a timed spline on torques and on the tool's tilt, as linear program rows."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
-from hplan.base.arrays import FloatArray
+from hplan.base.arrays import FloatArray, IntArray
+from hplan.kinematics.damped_steps import Chain, leaning
 from hplan.optimization.first_order import MotionLimits
 from hplan.optimization.interior_point import ProgramRows
 from hplan.optimization.timed_spline import RESTING, TimedSpline
@@ -21,8 +23,8 @@ ALLOWED = 0.995
 #: Fraction of the limits left for motion if gravity uses all of them, so that a slow motion exists.
 _LEFT = 0.05
 
-#: Number of sample times in each piece.
-_TIMES = 2
+#: Numbers of sample times in each piece, of torques and of the tilt.
+_TORQUE_TIMES, _TILT_TIMES = 2, 3
 
 #: Step of the finite differences, in rad, rad/s and rad/s^2.
 _DIFFERENCE = 1e-5
@@ -46,8 +48,8 @@ class TorqueUse:
 
     @classmethod
     def of(cls, spline: TimedSpline, dynamics: InverseDynamics, limit: FloatArray) -> TorqueUse:
-        """Torques at `_TIMES` sample times of each piece."""
-        clock = spline.clock(_TIMES)
+        """Torques at `_TORQUE_TIMES` sample times of each piece."""
+        clock = spline.clock(_TORQUE_TIMES)
         states = np.stack([spline.path.evaluate(clock, order) for order in range(3)])
         return cls(clock, states, dynamics.torques(*states) / limit, limit)
 
@@ -103,3 +105,49 @@ def with_rows(rows: ProgramRows, more: ProgramRows) -> ProgramRows:
         np.concatenate([rows.upper, more.upper]),
         rows.lower,
     )
+
+
+#: A program leaves out sample times with a tilt below this fraction of the maximum.
+LEANING = 0.3
+
+
+@dataclass(frozen=True, eq=False)
+class Leaning:
+    """Tilt of the tool at sample times of a motion.
+
+    Attributes:
+        clock: (times,) the times [s].
+        cosines: (times,) cosines of the tilt angles.
+        slopes: (times, dof) derivatives of the cosines with respect to the joints [1/rad].
+        most_rad: Maximum permitted tilt [rad].
+    """
+
+    clock: FloatArray
+    cosines: FloatArray
+    slopes: FloatArray
+    most_rad: float
+
+    @classmethod
+    def of(cls, spline: TimedSpline, upright: Chain) -> Leaning:
+        """Tilt at `_TILT_TIMES` sample times of each piece."""
+        clock = spline.clock(_TILT_TIMES)
+        configurations = np.ascontiguousarray(spline.positions(clock))
+        cosines, slopes = np.empty(len(clock)), np.empty(configurations.shape)
+        leaning(configurations, upright, cosines, slopes)
+        return cls(clock, cosines, slopes, float(upright.free_turn[1]))
+
+    @property
+    def is_upright(self) -> bool:
+        """True if the tilt stays within its maximum at all sample times."""
+        return bool(self.cosines.min() >= math.cos(self.most_rad))
+
+    def rows(self, spline: TimedSpline, movable: IntArray) -> ProgramRows:
+        """One constraint row for each tilted sample: stay within the maximum tilt.
+
+        A sample that already exceeds the maximum must not tilt further.
+        """
+        near = np.flatnonzero(self.cosines < math.cos(LEANING * self.most_rad))
+        weights = spline.weights(self.clock[near])[:, RESTING:-RESTING]
+        blocks = -weights[:, :, None] * self.slopes[near][:, None, movable]
+        bound = np.maximum(self.cosines[near] - math.cos(self.most_rad), 0.0)
+        return rows_of(blocks, np.zeros(len(near)), bound)

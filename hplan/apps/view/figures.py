@@ -1,17 +1,37 @@
-"""Figure of a tree row: stops, trees and fruit in two views."""
+"""Figures of a tree row, a study and a trajectory."""
 
 from __future__ import annotations
 
+import itertools
+import textwrap
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hplan.apps.view.figure_style import FAINT, INK, LINKS, OBSTACLE, PATH, QUIET, RESTORED, START, new_figure, styled
+from hplan.apps.view.figure_style import (
+    FAINT,
+    GOAL,
+    INK,
+    LINKS,
+    OBSTACLE,
+    PATH,
+    QUIET,
+    RESTORED,
+    START,
+    new_figure,
+    styled,
+)
+from hplan.base.arrays import FloatArray
+from hplan.base.units import joint_unit
+from hplan.robot.model import Robot
 from hplan.scene.obstacles import Capsule
-from hplan.tour.row import Place, RowResult
+from hplan.trajectory.trajectory import Trajectory, check_joints
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from hplan.study.run import StudyResult
+    from hplan.tour.row import Place, RowResult
 
 #: Colours of neighbouring stops and their fruits, used in turn.
 _STOPS = (PATH, START, RESTORED, LINKS[1])
@@ -105,3 +125,91 @@ def _draw_stops(axes: Any, result: RowResult) -> None:
             axes.annotate(
                 f"{stop.place.height:+.2g} m", at, (0, away), textcoords="offset points", ha="center", color=INK
             )
+
+
+#: Maximum number of choices on the front that are named below the figure, and line width of these names [characters].
+_NAMED, _WIDTH = 9, 84
+
+
+@styled
+def draw_study(result: StudyResult) -> Figure:
+    """Draw the choices of a study and its Pareto front.
+
+    The cost is the time for each fruit [s] if it was measured, else the arm's reach [m].
+
+    Raises:
+        InputError: Matplotlib is not installed.
+    """
+    shown = [choice for choice in result.choices if choice.share > 0.0]
+    best = sorted((choice for choice in shown if choice.is_best), key=lambda choice: choice.cost)
+    words = list[str]()
+    for number, one in enumerate(best[:_NAMED], start=1):
+        height = f", {one.height_m:g} m high" if one.height_m else ""
+        words += textwrap.wrap(f"{number}  {one.arm}, {one.distance_m:g} m{height}", _WIDTH, subsequent_indent="     ")
+    figure = new_figure(6.4, 4.2 + 0.17 * len(words), result.name)
+    axes = figure.add_subplot()
+    others = [choice for choice in shown if not choice.is_best]
+    axes.plot([one.cost for one in others], [100.0 * one.share for one in others], "o", ms=4, color=QUIET, alpha=0.6)
+    axes.plot(
+        [one.cost for one in best], [100.0 * one.share for one in best], "o-", drawstyle="steps-post", ms=6, color=PATH
+    )
+    for number, one in enumerate(best, start=1):
+        at = one.cost, 100.0 * one.share
+        axes.annotate(str(number), at, (5, 5), textcoords="offset points", color=INK, fontweight="bold")
+    is_timed = any(choice.seconds_per_fruit is not None for choice in shown)
+    axes.set_xlabel("\n".join(["seconds for each fruit" if is_timed else "reach of the arm [m]", "", *words]))
+    axes.xaxis.label.set(ha="left", x=0.0)
+    axes.set_ylabel("share of the fruit picked [%]")
+    axes.margins(x=0.08, y=0.12)
+    axes.set_ylim(bottom=0.0)
+    axes.grid(color=FAINT, lw=0.6)
+    axes.set_axisbelow(True)
+    return figure
+
+
+_COLORS = (PATH, OBSTACLE, START, GOAL, INK, RESTORED, QUIET)
+
+
+@styled
+def draw_trajectory(trajectory: Trajectory, robot: Robot | None = None) -> Figure:
+    """Draw a trajectory over time.
+
+    Args:
+        trajectory: The trajectory.
+        robot: Robot whose limits are drawn as dotted lines; None for no limits.
+
+    Raises:
+        InputError: Matplotlib is not installed, or the joints of the trajectory are not the robot's.
+    """
+    if robot is not None:
+        check_joints(trajectory, robot)
+    slides = trajectory.slides or (False,) * len(trajectory.joint_names)
+    units = [joint_unit(slide) for slide in slides]
+    factors = np.array([unit.factor for unit in units])
+    shown = ", ".join(dict.fromkeys(unit.shown for unit in units))
+    efforts = ", ".join(dict.fromkeys(unit.effort for unit in units))
+    ends: list[tuple[FloatArray, ...]] = [(), (), (), ()]
+    if robot is not None:
+        largest = robot.velocity_limit, robot.acceleration_limit, robot.torque_limit
+        ends = [(robot.lower, robot.upper), *((-limit, limit) for limit in largest)]
+    rows = (
+        (f"position [{shown}]", factors, trajectory.position),
+        (f"velocity [{shown}/s]", factors, trajectory.velocity),
+        (f"acceleration [{shown}/s²]", factors, trajectory.acceleration),
+        (f"effort [{efforts}]", np.ones(len(units)), trajectory.torque),
+    )
+    figure = new_figure(7.2, 8.0, f"{trajectory.duration:.3f} s")
+    axes = figure.subplots(4, sharex=True)
+    for axis, (label, factor, values), limits in zip(axes, rows, ends, strict=True):
+        axis.grid(color=FAINT, lw=0.6)
+        axis.set_ylabel(label)
+        for joint, name in enumerate(trajectory.joint_names):
+            style, color = "-" if joint < len(_COLORS) else "--", _COLORS[joint % len(_COLORS)]
+            axis.plot(trajectory.time, factor[joint] * values[:, joint], style, lw=1.3, color=color, label=name)
+        low, high = axis.get_ylim()
+        for joint, limit in itertools.product(range(len(units)), limits):
+            axis.axhline(factor[joint] * limit[joint], ls=":", lw=0.8, color=_COLORS[joint % len(_COLORS)])
+        axis.set_ylim(low, high)  # limits far outside the trajectory do not rescale the axis
+    axes[-1].set_xlabel("time [s]")
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower left", ncols=4)
+    return figure

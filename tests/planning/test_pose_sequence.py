@@ -17,7 +17,7 @@ from hplan.planning import pose_sequence
 from hplan.planning.options import PlanOptions
 from hplan.planning.pose_sequence import pose_matrices
 from hplan.planning.result import PlanResult
-from hplan.robot.model import Robot, load_robot
+from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel
 from hplan.scene import Box, Goal, Scene, Sphere, Start
 from hplan.scene.obstacles import Obstacle

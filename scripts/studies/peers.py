@@ -22,7 +22,7 @@ from hplan.collision.clearance_field import ClearanceField
 from hplan.errors import HplanError
 from hplan.geometry.polyline import stations
 from hplan.optimization.shortcut import shorten
-from hplan.planning.finishing.finish import finish
+from hplan.planning.finish import finish
 from hplan.planning.world import World
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene

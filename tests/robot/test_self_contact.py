@@ -22,8 +22,8 @@ from hplan.collision.coal_scene import CoalScene
 from hplan.collision.collision_bodies import collision_bodies
 from hplan.collision.flat_bodies import BODIES
 from hplan.collision.touching_pairs import required_distances, self_pairs
-from hplan.grid.grid import Grid
-from hplan.grid.occupancy import occupancy
+from hplan.planar.grid.grid import Grid
+from hplan.planar.grid.occupancy import occupancy
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
 from hplan.robot.base_shapes import coal_distance, turning_shapes

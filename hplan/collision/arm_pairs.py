@@ -26,7 +26,7 @@ from hplan.collision.coal_cloud import BareShape, distance_from
 from hplan.collision.collision_bodies import CollisionBody, ball_about, body_shapes, collision_bodies
 from hplan.collision.folds import Fold, folds
 from hplan.collision.geometry_pairs import ArmPairs
-from hplan.collision.reach import carriers, is_moved, joint_axis, reach_of
+from hplan.collision.reach import carriers, is_moved, joint_axis, joints_between, reach_of
 from hplan.collision.touching_pairs import BEYOND, RIGID, SelfPairs, self_pairs
 from hplan.errors import RobotFileError
 from hplan.robot.base_shapes import BASE_DEPTH, always
@@ -151,10 +151,11 @@ class ArmParts(Record):
         both = [(body, -1) for body in range(alone)]
         both += [(numbers[id(first)], numbers[id(second)]) for first, second in (pair.shapes for pair in self.own)]
         counts = np.zeros((len(both), self.robot.dof))
-        for row, pair in enumerate(both):
-            for body in pair:
-                joints = list(carriers(self.robot, self.bodies[body].joint)) if body >= 0 else []
-                counts[row, joints] = 1.0 - counts[row, joints]
+        for row, (one, other) in enumerate(both):
+            joints = carriers(self.robot, self.bodies[one].joint)
+            if other >= 0:
+                joints = joints_between(self.robot, self.bodies[one], self.bodies[other])
+            counts[row, list(joints)] = 1.0
         return readonly(np.array(both).reshape(-1, 2), np.int64), frozen(counts)
 
     @cached_property
@@ -319,16 +320,25 @@ def _beyond(deviation: float) -> float:
     return BEYOND * max(1, math.ceil(deviation / BEYOND - 1e-9))
 
 
-def supports(robot: Robot, body: CollisionBody, shape: pin.GeometryObject, obstacles: Sequence[Solid]) -> BoolArray:
-    """(obstacles,) mask of static obstacles that support a body, as the ground supports a turntable.
+def supports(robot: Robot, obstacles: Sequence[Solid]) -> BoolArray:
+    """(bodies, obstacles) mask of static obstacles that support a body, as the ground supports a turntable.
 
     The body turns about one joint alone. Its extent along the joint's axis is constant, and no obstacle that supports
     it overlaps that extent by more than `BASE_DEPTH`. The obstacle is within `BASE_DEPTH` of the body at every value of
     the joint: if the body only turns over or into it, the obstacle blocks it.
     """
-    found = np.zeros(len(obstacles), dtype=np.bool_)
-    if len(carriers(robot, body.joint)) != 1 or robot.slides[body.joint] or not len(obstacles):
-        return found
+    bodies = collision_bodies(robot)
+    found = np.zeros((len(bodies), len(obstacles)), dtype=np.bool_)
+    if len(obstacles):
+        for number in np.flatnonzero(is_moved(robot)).tolist():
+            joint = bodies[number].joint
+            if len(carriers(robot, joint)) == 1 and not robot.slides[joint]:
+                found[number] = _supports(robot, bodies[number], body_shapes(robot)[number], obstacles)
+    return found
+
+
+def _supports(robot: Robot, body: CollisionBody, shape: pin.GeometryObject, obstacles: Sequence[Solid]) -> BoolArray:
+    """(obstacles,) mask of the obstacles that support a body on the first joint."""
     place, (axis, _) = robot.model.jointPlacements[body.joint + 1], joint_axis(robot, body.joint)
     heights = body.core @ axis
     low, high = float(heights.min()) - body.rounding, float(heights.max()) + body.rounding
@@ -337,6 +347,7 @@ def supports(robot: Robot, body: CollisionBody, shape: pin.GeometryObject, obsta
     below = np.array([float(along.max()) + rounding for along, rounding in ends]) <= low + BASE_DEPTH
     above = np.array([float(along.min()) - rounding for along, rounding in ends]) >= high - BASE_DEPTH
     rate = float(np.linalg.norm(body.core - np.outer(heights, axis), axis=1).max()) + body.rounding
+    found = np.zeros(len(obstacles), dtype=np.bool_)
     for number in np.flatnonzero(below | above).tolist():
         asked = distance_from(obstacles[number])
 
@@ -344,7 +355,6 @@ def supports(robot: Robot, body: CollisionBody, shape: pin.GeometryObject, obsta
             turn = pin.SE3(pin.AngleAxis(value, axis).toRotationMatrix(), np.zeros(3))
             return asked(shape.geometry, place * turn * shape.placement)
 
-        found[number] = always(
-            distance, float(robot.lower[body.joint]), float(robot.upper[body.joint]), rate, BASE_DEPTH
-        )
+        ends_at = float(robot.lower[body.joint]), float(robot.upper[body.joint])
+        found[number] = always(distance, *ends_at, rate, BASE_DEPTH)
     return found

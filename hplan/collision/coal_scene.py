@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from hplan.base import ties
 from hplan.base.arrays import BoolArray, FloatArray, IntArray
 from hplan.base.deadline import check_deadline
-from hplan.collision.arm_pairs import ArmPair, arm_parts, base_bodies, supports
+from hplan.collision.arm_pairs import ArmPair, arm_parts, base_bodies, moving_bodies, supports
 from hplan.collision.box_bounds import (
     ANYWHERE,
     RADIUS,
@@ -137,6 +137,7 @@ class CoalScene:
         self.link_names = tuple(parts.links)
         self.mover_names = parts.mover_names
         movers = list(parts.links.values())
+        mover_of = [mover for mover, of_mover in enumerate(movers) for _ in of_mover]
         # The shapes of moving body k start at index `_first_shape[k]`.
         self._first_shape = np.cumsum([0, *(len(of_mover) for of_mover in movers[:-1])])
         self.link_shapes = list(itertools.chain(*parts.links.values()))
@@ -147,19 +148,17 @@ class CoalScene:
         grown = np.broadcast_to(np.asarray(growth, dtype=np.float64), beyond.shape)
         beyond += grown
         self._beyond: FloatArray = np.tile(beyond, (len(self._mover_shapes), 1))
-        self.supported: tuple[tuple[str, str], ...] = ()
-        for row, (body, shape) in enumerate(zip(parts.bodies, self._mover_shapes, strict=False)):
-            supporting = supports(robot, body, shape, obstacles)
-            if self.moving is not None:
-                supporting[list(self.moving.numbers)] = False
-            self._beyond[row, supporting] = -np.inf
-            named = (obstacles[number].name for number in np.flatnonzero(supporting).tolist())
-            self.supported += tuple((body.name, name) for name in named)
+        supporting = supports(robot, obstacles)[np.concatenate(list(moving_bodies(robot).values()))]
+        if self.moving is not None:
+            supporting[:, list(self.moving.numbers)] = False
+        self._beyond[supporting] = -np.inf
+        rows, columns = (places.tolist() for places in np.nonzero(supporting))
+        held = ((self.mover_names[mover_of[row]], obstacles[k].name) for row, k in zip(rows, columns, strict=True))
+        self.supported = tuple(dict.fromkeys(held))
         check_deadline()
         self.own_first = len(obstacles)
         own_names, own = parts.own_names
         self.obstacle_names = (*(obstacle.name for obstacle in obstacles), *own_names)
-        mover_of = [mover for mover, of_mover in enumerate(movers) for _ in of_mover]
         self.pairs = list(itertools.product(mover_of, range(len(obstacles))))
         self.pairs += zip(own[:, 0].tolist(), (self.own_first + own[:, 1]).tolist(), strict=True)
         self._yielded = self._depths(yielded(robot, obstacles, yield_links), yield_links)

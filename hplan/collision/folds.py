@@ -88,11 +88,11 @@ def _parts_beyond(robot: Robot, hinge: tuple[int, int, int], deviation: float, c
     if slides:
         return
     radii = sum(capsule_about(each.core)[2] + each.rounding for each in (body, bodies[other]))
-    # The axis in the frame of the body's joint: the hinge itself, or the joint before it.
-    origin = np.zeros(3)
-    if body.joint != joint:
-        place = robot.model.jointPlacements[joint + 1]
-        axis, origin = place.rotation @ axis, place.translation
+    # The axis in the frame of the body's joint.
+    data = robot.model.createData()
+    pin.forwardKinematics(robot.model, data, np.zeros(robot.dof))
+    place = data.oMi[body.joint + 1].actInv(data.oMi[joint + 1])
+    axis, origin = place.rotation @ axis, place.translation
     start, vector, _ = capsule_about(body.core)
     along = vector if np.linalg.norm(vector) > _ALONG else start - origin
     along = along - (along @ axis) * axis

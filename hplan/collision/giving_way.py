@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hplan.base.arrays import BoolArray, FloatArray, Record, frozen
+from hplan.collision.arm_pairs import supports
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.collision_bodies import GROUND, collision_bodies
 from hplan.collision.reach import carriers
@@ -70,15 +71,15 @@ class LinkedSolids(Record):
             OptionError: A name in `yield_links` is not a moving link.
         """
         grown = np.broadcast_to(np.asarray(growth, dtype=np.float64), (len(solids),))
-        depth = yielded(robot, solids, yield_links, hanging)
+        depth, clear = yielded(robot, solids, yield_links, hanging), _unsupported(robot, solids)
         if depth is None:
-            return cls(tuple(solids), frozen(grown.copy()))
+            return cls(tuple(solids), frozen(grown.copy()), None if clear.all() else frozen(clear))
         pushing = _pushing(robot, pushing_links(robot, yield_links))
         firm, soft = np.flatnonzero(depth == 0.0), np.flatnonzero(depth)
         smaller = np.broadcast_to(np.asarray(beyond, dtype=np.float64), (len(solids),)) - depth
         order = np.concatenate([firm, soft, soft])
         of_each = (np.ones_like(pushing), ~pushing, pushing)
-        joints = np.repeat(of_each, [len(firm), len(soft), len(soft)], axis=0)
+        joints = np.repeat(of_each, [len(firm), len(soft), len(soft)], axis=0) & clear[order]
         growths = np.concatenate([grown[firm], grown[soft], smaller[soft]])
         return cls(tuple(solids[number] for number in order.tolist()), frozen(growths), frozen(joints))
 
@@ -96,6 +97,15 @@ class LinkedSolids(Record):
     def named(self, names: Collection[str]) -> BoolArray:
         """(n,) mask of the solids with one of the given names."""
         return np.array([solid.name in names for solid in self.solids], dtype=np.bool_)
+
+
+def _unsupported(robot: Robot, solids: Sequence[Solid]) -> BoolArray:
+    """(solids, dof) mask of the joints whose bodies a solid does not support (`hplan.collision.arm_pairs.supports`)."""
+    found = np.ones((len(solids), robot.dof), dtype=np.bool_)
+    bodies = collision_bodies(robot)
+    for body, number in zip(*np.nonzero(supports(robot, solids)), strict=True):
+        found[number, bodies[body].joint] = False
+    return found
 
 
 def check_yield_links(robot: Robot, names: Sequence[str] | None) -> None:

@@ -75,16 +75,39 @@ def reach_of(robot: Robot, bodies: Sequence[CollisionBody], beyond: float = 0.0)
     found: FloatArray = rows + np.where((rows > 0.0) & ~np.array(robot.slides), beyond_core, 0.0)
     for row, body in zip(found, bodies, strict=True):
         if body.kind == "cylinder" and body.joint >= 0:
-            away = _from_axis(robot, body)
+            away = _from_axis(robot, body, body.joint)
             row[body.joint] = away if away <= ON_AXIS else row[body.joint]
     return found
 
 
-def _from_axis(robot: Robot, cylinder: CollisionBody) -> float:
-    """Distance of a cylinder's own axis from its joint's axis [m]; infinite if that joint slides."""
-    axis, slides = joint_axis(robot, cylinder.joint)
-    ends = cylinder.core.reshape(2, -1, 3).mean(axis=1)
-    return math.inf if slides else float(np.linalg.norm(ends - (ends @ axis)[:, None] * axis, axis=1).max())
+def _from_axis(robot: Robot, body: CollisionBody, joint: int) -> float:
+    """Distance of a round body's own axis from a joint's axis [m]; infinite for other bodies and for sliding joints.
+
+    The joint is the body's own, or one that is attached to the same joint or to the ground as the body.
+    """
+    axis, slides = joint_axis(robot, joint)
+    if slides or body.kind not in ("sphere", "capsule", "cylinder"):
+        return math.inf
+    ends = body.core.reshape(2, -1, 3).mean(axis=1) if body.kind == "cylinder" else body.core
+    if body.joint != joint:
+        place = robot.model.jointPlacements[joint + 1]
+        ends = (ends - place.translation) @ place.rotation
+    return float(np.linalg.norm(ends - (ends @ axis)[:, None] * axis, axis=1).max())
+
+
+def joints_between(robot: Robot, one: CollisionBody, other: CollisionBody) -> tuple[int, ...]:
+    """Joints that determine the distance of two bodies, from the outermost one inward.
+
+    They are those that carry one of the two alone, without a joint about whose axis a body next to it is round.
+    """
+    a, b = carriers(robot, one.joint), carriers(robot, other.joint)
+    found = [joint for joint in (*a, *b) if (joint in a) != (joint in b)]
+    for body in (one, other):
+        # The joints next to a body on the way to the other one.
+        for joint in [joint for joint in found if body.joint in (joint, int(robot.model.parents[joint + 1]) - 1)]:
+            if _from_axis(robot, body, joint) <= ON_AXIS:
+                found.remove(joint)
+    return tuple(found)
 
 
 @made_once

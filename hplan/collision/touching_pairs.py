@@ -5,7 +5,8 @@ declares that the two links may touch. No other rule applies to it.
 
 Within **one arm** all pairs are checked, except
 
-- two bodies that are carried by the same joint or both by the ground: they do not move relative to each other;
+- two bodies that are carried by the same joint or both by the ground, or that are round about the joints between them:
+  no joint changes their distance;
 - links that the robot's SRDF, or a Drake collision filter group, allows to touch, unless the reason is only that
   sampling found no contact;
 - bodies that always touch: proved by bisection over the joints between them (`_always_touch`), so that no
@@ -35,7 +36,7 @@ import pinocchio as pin
 
 from hplan.base.arrays import BoolArray, FloatArray, Record, frozen
 from hplan.collision.collision_bodies import body_shapes, collision_bodies
-from hplan.collision.reach import carriers, joint_axis, reach_of
+from hplan.collision.reach import carriers, joint_axis, joints_between, reach_of
 from hplan.robot.base_shapes import always, coal_distance, ever
 from hplan.robot.model import Robot, made_once
 
@@ -57,8 +58,9 @@ _FAR: Final = 0.25
 #: Maximum number of boxes of joint values, each with a distance query, in `_always_touch`.
 _MOST_BOXES: Final = 4_000
 
-#: Reason for exempting pairs that do not move relative to each other.
+#: Reasons for exempting pairs whose distance no joint changes.
 RIGID: Final = "they do not move relative to each other"
+ROUND: Final = "no joint changes their distance: they are round about the joints between them"
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,7 +132,7 @@ def pairs_among(robot: Robot, chosen: Iterable[tuple[int, int]], beyond: float) 
             left.append(pair)
         else:
             allowed.append((*pair, reason))
-            between = _between(robot, *(bodies[body].joint for body in pair))
+            between = joints_between(robot, *(bodies[body] for body in pair))
             if len(between) == 1 and reason in _in_contact(robot, between[0]):
                 hinged.append((*pair, between[0]))
     is_own = [robot.owner_of(bodies[i].name) == robot.owner_of(bodies[j].name) for i, j in left]
@@ -153,9 +155,11 @@ def _exemption(robot: Robot, pair: tuple[int, int], beyond: float) -> str | None
     declared = None if declared is None else f"may touch: {declared}"
     if robot.owner_of(first.name) != robot.owner_of(second.name):
         return declared
-    between = _between(robot, first.joint, second.joint)
-    if not between:
+    if first.joint == second.joint:
         return RIGID
+    between = joints_between(robot, first, second)
+    if not between:
+        return ROUND
     if declared is None and len(between) == 1:
         return _by_one_joint(robot, pair, between[0], beyond)
     return declared
@@ -176,7 +180,7 @@ def _always_touch(robot: Robot, pair: tuple[int, int]) -> bool:
     motion-bound coefficients (`hplan.collision.reach`).
     """
     bodies, shapes = collision_bodies(robot), [body_shapes(robot)[body] for body in pair]
-    between = list(_between(robot, *(bodies[body].joint for body in pair)))
+    between = list(joints_between(robot, *(bodies[body] for body in pair)))
     rates = reach_of(robot, [bodies[body] for body in pair]).sum(axis=0)[between]
     low, high = robot.lower[between], robot.upper[between].copy()
     slides = np.array(robot.slides)[between]
@@ -206,14 +210,8 @@ def _always_touch(robot: Robot, pair: tuple[int, int]) -> bool:
 
 def _joints_in_words(robot: Robot, pair: tuple[int, int]) -> str:
     """Names of the joints between two bodies, for messages."""
-    between = sorted(_between(robot, *(collision_bodies(robot)[body].joint for body in pair)))
+    between = sorted(joints_between(robot, *(collision_bodies(robot)[body] for body in pair)))
     return "joints " + ", ".join(repr(robot.joint_names[joint]) for joint in between)
-
-
-def _between(robot: Robot, first: int, second: int) -> tuple[int, ...]:
-    """Joints that determine the relative pose of the bodies on two joints."""
-    a, b = carriers(robot, first), carriers(robot, second)
-    return tuple(joint for joint in (*a, *b) if (joint in a) != (joint in b))
 
 
 class OneJoint(NamedTuple):
@@ -243,28 +241,31 @@ class OneJoint(NamedTuple):
 def one_joint(
     robot: Robot, shapes: tuple[pin.GeometryObject, pin.GeometryObject], joint: int, beyond: float
 ) -> OneJoint:
-    """Distance function of two shapes with one joint between them.
+    """Distance function of two shapes whose distance one joint determines.
 
     Args:
         robot: The robot.
         shapes: The two shapes.
-        joint: The joint between them.
+        joint: The joint.
         beyond: Maximum excess over the joint limits [rad, m].
     """
     axis, slides = joint_axis(robot, joint)
     still, moved = shapes
-    if still.parentJoint == joint + 1:
+    if joint in carriers(robot, int(still.parentJoint) - 1):
         still, moved = moved, still
-    at = robot.model.jointPlacements[joint + 1].inverse() * still.placement
+    # Poses in the joint's frame, with this joint and all that do not matter at 0.
+    data = robot.model.createData()
+    pin.forwardKinematics(robot.model, data, np.zeros(robot.dof))
+    at, place = (data.oMi[joint + 1].actInv(data.oMi[each.parentJoint] * each.placement) for each in (still, moved))
     # With a revolute joint, either shape can be regarded as the moving one.
-    rate = 1.0 if slides else min(_radius(still, at, axis), _radius(moved, moved.placement, axis))
+    rate = 1.0 if slides else min(_radius(still, at, axis), _radius(moved, place, axis))
 
-    def distance(place: float) -> float:
+    def distance(value: float) -> float:
         if slides:
-            motion = pin.SE3(np.eye(3), place * axis)
+            motion = pin.SE3(np.eye(3), value * axis)
         else:
-            motion = pin.SE3(pin.AngleAxis(place, axis).toRotationMatrix(), np.zeros(3))
-        return coal_distance(still.geometry, at, moved.geometry, motion * moved.placement)
+            motion = pin.SE3(pin.AngleAxis(value, axis).toRotationMatrix(), np.zeros(3))
+        return coal_distance(still.geometry, at, moved.geometry, motion * place)
 
     # Poses repeat after a whole turn.
     beyond = beyond if slides else min(beyond, math.tau)

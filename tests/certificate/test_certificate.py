@@ -269,7 +269,7 @@ def test_velocity_column_that_leads_into_the_obstacle(robot, scene):
     trajectory = rows(robot, [0.0, 1.0], position, velocity)  # rises by 0.25 rad half-way
     tip = np.array([2.19 * np.cos(0.75), 0.0, 0.6 + 2.19 * np.sin(0.75)])
     world = scene.with_obstacles([Sphere(name="above", center=tuple(tip), radius=0.05)])
-    assert CoalScene(robot, world.solids).distances(position[0]).min() > 0.3
+    assert CoalScene(robot, world.solids).distances(position[0])[:, 0].min() > 0.3
     certificate = certify(robot, world, trajectory)
     assert not certificate.verified
     assert any("above" in violation for violation in certificate.violations)

@@ -15,9 +15,10 @@ from hplan.collision.body_kernels import FAR, body_slopes
 from hplan.collision.body_motions import piece_is_clear, segment_is_clear
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.coal_shapes import beyond_geometry, solid_shape
-from hplan.collision.collision_bodies import GROUND, body_shapes, collision_bodies
+from hplan.collision.collision_bodies import body_shapes, collision_bodies
 from hplan.collision.flat_bodies import AXIS, AXIS_RADIUS, BALL, BALL_RADIUS, BODIES, JOINT
 from hplan.collision.placed_bodies import ALONG, CENTRE, PLACED, START, place_bodies
+from hplan.collision.reach import is_moved
 from hplan.collision.touching_pairs import self_pairs
 from hplan.geometry.cloud import Cloud
 from hplan.geometry.hull import hull_of
@@ -82,7 +83,7 @@ def by_coal(robot: Robot, solids: list[Solid], q: FloatArray) -> FloatArray:
     def clearance(place: tuple[coal.CollisionGeometry, pin.SE3]) -> float:
         return min(distance(place, (shape.geometry, shape.placement)) - beyond for shape, beyond in others)
 
-    found = [np.inf if body.joint == GROUND else clearance(place) for body, place in zip(bodies, placed, strict=True)]
+    found = [clearance(place) if moved else np.inf for moved, place in zip(is_moved(robot), placed, strict=True)]
     return np.array([*found, *(distance(placed[i], placed[j]) for i, j in checked)])
 
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 import math
 
 import numpy as np
 import pytest
-from arm_variants import VARIANTS, coal_distances, link_axes, load_variant, random_obstacles
+from arm_variants import VARIANTS, coal_distances, from_obstacles, link_axes, load_variant, random_obstacles
+from fitted_arms import fitted
 
 from hplan.collision import obstacle_rows
 from hplan.collision.body_kernels import FAR, body_clearances
@@ -110,13 +110,17 @@ def test_cylinders_from_outside(robot):
         can = Cylinder(name="can", center=center, length=length, radius=radius, rpy_deg=rpy)
         field, checker = ClearanceField.of(robot, can.solids), CoalScene(robot, can.solids)
         for q in rng.uniform(robot.lower, robot.upper, (20, 4)):
-            true, found = checker.distances(q)[:, 0], field.link_clearances(q, ALL)
+            true, found = from_obstacles(checker, q)[:, 0], field.link_clearances(q, ALL)[LINKS]
             apart = true > 1e-3
             assert (found[apart] <= true[apart] + 1e-9).all()
             assert (found[apart] >= true[apart] - can.excess - 1e-5).all()
             assert (found[true < 0.0] < can.excess).all()
             excess += [*(true - found)[apart] / can.excess]
     assert max(excess) > 0.9
+
+
+#: The links of the harvester among its bodies: pedestal and turret come first, pairs last.
+LINKS = slice(2, 5)
 
 
 def crowd(rng):
@@ -131,8 +135,11 @@ def test_each_obstacle_grown_by_its_own_clearance(robot):
     rng = np.random.default_rng(9)
     for _ in range(4):
         solids, keep = crowd(rng)
-        field = ClearanceField.of(robot, solids, clearance=keep)
-        alone = [ClearanceField.of(robot, [solid], clearance=each) for solid, each in zip(solids, keep, strict=True)]
+        field = ClearanceField.of(robot, solids, clearance=keep, own_clearance=0.0)
+        alone = [
+            ClearanceField.of(robot, [solid], clearance=each, own_clearance=0.0)
+            for solid, each in zip(solids, keep, strict=True)
+        ]
         for q in rng.uniform(robot.lower, robot.upper, (15, 4)):
             expected = np.min([one.link_clearances(q, ALL) for one in alone], axis=0)
             np.testing.assert_allclose(np.maximum(field.link_clearances(q, ALL), 0), np.maximum(expected, 0), atol=1e-9)
@@ -143,11 +150,14 @@ def test_only_some_of_the_solids(robot):
     rng = np.random.default_rng(10)
     for _ in range(6):
         solids, keep = crowd(rng)
-        field = ClearanceField.of(robot, solids, clearance=keep)
+        field = ClearanceField.of(robot, solids, clearance=keep, own_clearance=0.0)
         kept = rng.random(len(solids)) < 0.5
         some = field.only(kept)
         made = ClearanceField.of(
-            robot, [solid for solid, wanted in zip(solids, kept, strict=True) if wanted], clearance=keep[kept]
+            robot,
+            [solid for solid, wanted in zip(solids, kept, strict=True) if wanted],
+            clearance=keep[kept],
+            own_clearance=0.0,
         )
         assert set(some.owner.tolist()) == set(np.flatnonzero(kept).tolist())
         for q in rng.uniform(robot.lower, robot.upper, (15, 4)):
@@ -165,7 +175,8 @@ def test_some_solids_are_none_to_the_last_link(robot):
         field, touched = ClearanceField.of(robot, solids, clearance=keep), rng.random(len(solids)) < 0.5
         spared, without = field.sparing(touched), field.only(~touched)
         for q in rng.uniform(robot.lower, robot.upper, (15, 4)):
-            expected = np.append(field.link_clearances(q, ALL)[:-1], without.link_clearances(q, ALL)[-1])
+            expected = field.link_clearances(q, ALL)
+            expected[LINKS.stop - 1] = without.link_clearances(q, ALL)[LINKS.stop - 1]
             np.testing.assert_array_equal(spared.link_clearances(q, ALL), expected)
             near = spared.near(q[None], 0.1).link_clearances(q, ALL)
             np.testing.assert_array_equal(near[expected < 0.1], expected[expected < 0.1])
@@ -199,9 +210,9 @@ def test_near_a_motion_the_field_is_the_whole_one(robot):
     assert nearer > 100
 
 
-def test_near_looks_where_a_link_beside_the_plane_is(robot):
-    aside = robot.with_arm(dataclasses.replace(robot.arm, lateral=np.array([0.0, 0.0, 0.5])))
-    balls = [Sphere(name=f"b{y}", center=(2.0, y, 0.6), radius=0.05) for y in (0.0, -0.5)]  # the normal is -y
+def test_near_looks_where_a_link_beside_the_plane_is(tmp_path):
+    aside = fitted(tmp_path, link_offsets=(0.0, 0.0, 0.5))
+    balls = [Sphere(name=f"b{y}", center=(2.0, y, 0.6), radius=0.05) for y in (0.0, 0.5)]
     assert ClearanceField.of(aside, balls).near(np.zeros((1, 4)), 0.05).owner.tolist() == [1]
 
 

@@ -140,7 +140,8 @@ def test_declared_pairs_of_two_arms_may_touch():
 
 def wrist(size: float) -> str:
     """Two crossed joints at one point between a box and another, and between them a small ball."""
-    ball = f'<collision><geometry><sphere radius="{size}"/></geometry></collision>'
+    # Not quite on the second joint's axis, about which it would be round.
+    ball = f'<collision><origin xyz="0.001 0 0"/><geometry><sphere radius="{size}"/></geometry></collision>'
     return (
         f'<robot name="w" version="1.2"><link name="base_link">{box("0.1 0.1 0.1")}</link>'
         f'<link name="cross">{INERTIA}</link><link name="hand">{INERTIA}{ball}{box("0.02 0.02 0.3", "0 0 0.3")}</link>'

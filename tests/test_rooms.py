@@ -18,20 +18,20 @@ PACKAGE = Path(__file__).resolve().parents[1] / "hplan"
 ROOMS = (
     "errors",
     "base",
+    "geometry",
     "scene",
     "robot",
     "collision",
     "kinematics",
-    "grid",
     "trajectory",
     "optimization",
     "certificate",
     "planning",
-    "planar",
     "online",
     "tour",
     "study",
     "apps",
+    "planar",
 )
 
 

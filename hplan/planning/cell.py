@@ -41,6 +41,8 @@ from hplan.collision.collision_bodies import CollisionBody, collision_bodies
 from hplan.collision.flat_bodies import BODIES
 from hplan.collision.touching_pairs import self_pairs
 from hplan.errors import InputError, OptionError
+from hplan.geometry.hull import CUBE_CORNERS, whole_hull
+from hplan.geometry.rotation import rpy_rotation
 from hplan.planning.options import PlanOptions
 from hplan.planning.result import PlanResult
 from hplan.robot.model import Robot, load_robot
@@ -50,7 +52,6 @@ from hplan.scene.file import read_model
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacle_kind import moved
 from hplan.scene.obstacles import AnyObstacle, Capsule, Mesh, Sphere
-from hplan.scene.solids import CUBE_CORNERS, rpy_rotation, whole_hull
 from hplan.trajectory.cubics import Rows, evaluate
 from hplan.trajectory.trajectory import Retimed, Trajectory, stopped
 
@@ -484,7 +485,7 @@ def certify_cell(
     """
     instance("cell", cell, Cell, "load_cell")
     options = PlanOptions() if options is None else instance("options", options, PlanOptions)
-    options.check_for(None)
+    options.refuse_risk()
     if isinstance(motion, Trajectory):
         files = cell.apart(motion)
     elif isinstance(motion, Mapping) and motion:
@@ -614,7 +615,7 @@ def check_options(options: PlanOptions, what: str) -> None:
     Raises:
         OptionError: The options request a risk, a bound, or motions without a certificate.
     """
-    options.check_for(None)
+    options.refuse_risk()
     if options.bound:
         raise OptionError("bound", options.bound, f"False: {what} have no bound but the longest alone")
     if not options.certify:

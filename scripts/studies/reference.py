@@ -13,7 +13,7 @@ from studies.measure import median_ms, outcome
 from studies.outside import Motion, findings
 from studies.peers import quickest_polyline, stopping_duration, toppra_motion, world_of
 
-from hplan.base.polyline import path_length
+from hplan.geometry.polyline import path_length
 from hplan.planning.options import EFFORT_NAMES, PlanOptions
 from hplan.planning.plan import plan
 from hplan.robot.model import Robot, load_robot

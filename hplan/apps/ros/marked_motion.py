@@ -9,9 +9,8 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-from hplan.apps.ros import marker_parts as mark
-from hplan.apps.ros.marked_scene import FRUITS, fruit_marker
-from hplan.apps.ros.marker_parts import Marker
+from hplan.apps.ros import marked_scene as mark
+from hplan.apps.ros.marked_scene import FRUITS, Marker, fruit_marker
 from hplan.apps.ros.transforms import LinkFrames, xyz
 from hplan.apps.view.scenery import PICKED_COLOR, Pick
 from hplan.base.arrays import FloatArray
@@ -19,9 +18,9 @@ from hplan.base.units import at_least_mm
 from hplan.certificate.certificate import Certificate
 from hplan.certificate.clearance_curve import ClearanceCurve
 from hplan.collision.coal_shapes import link_shapes, solid_shape
+from hplan.geometry.cloud import Cloud
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
-from hplan.scene.solids import Cloud
 from hplan.trajectory.trajectory import Trajectory
 
 #: Namespace of the markers of motion and certificate, with ids 0 to 2.

@@ -3,7 +3,7 @@
 Configurations are the nodes of small planar grids with random offsets at random yaws. For each node three methods
 decide whether it is free:
 
-- the intervals of `hplan.planar`'s occupancy, on the sections of the obstacles at that yaw;
+- the intervals of `hplan.planar.grid.occupancy`, on the sections of the obstacles at that yaw;
 - the sign of the distance of `hplan.collision.clearance_field`;
 - coal, on capsule links placed by Pinocchio, which shares no formula with the other two. It checks the solids, the
   original triangles of meshes, and all points of clouds.
@@ -28,14 +28,14 @@ from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.coal_scene import CoalScene
 from hplan.collision.coal_shapes import triangle_tree
 from hplan.collision.geometry_pairs import GeometryPairs
-from hplan.grid.grid import Grid
-from hplan.grid.occupancy import occupancy
-from hplan.grid.prepared_obstacles import PreparedObstacles, prepare_obstacles
-from hplan.grid.sections import sections_at
+from hplan.geometry.cloud import Cloud
+from hplan.planar.grid.grid import Grid
+from hplan.planar.grid.occupancy import occupancy
+from hplan.planar.grid.prepared_obstacles import PreparedObstacles, prepare_obstacles
+from hplan.planar.grid.sections import sections_at
 from hplan.robot.model import Robot
 from hplan.scene.model import Fruit, Goal, Scene, Start
 from hplan.scene.obstacles import Mesh, PointCloud
-from hplan.scene.solids import Cloud
 
 #: Kinds of obstacles; each scene has one.
 KINDS: Final = ("sphere", "capsule", "cylinder", "box", "mesh", "points", "fruits")

@@ -216,7 +216,8 @@ def _limits(arguments: argparse.Namespace, machine: Machine) -> Limits:
     """
     from hplan.base.data_files import LIMITS_SUFFIX
     from hplan.robot.dynamics import joints_that_slide
-    from hplan.robot.files import limits_file, read_limits, robot_files
+    from hplan.robot.files import robot_files
+    from hplan.robot.limits_file import limits_file, read_limits
     from hplan.trajectory import limits_of
 
     torque = not arguments.no_torque

@@ -28,6 +28,7 @@ from hplan.robot.urdf_check import check_models
 from hplan.robot.urdf_file import Urdf, check_moving_joints, read_urdf
 from hplan.robot.urdf_xml import URDF_TEXT, is_urdf_text, line_of, read_urdf_xml
 
+
 @dataclass(frozen=True)
 class NamedRobot:
     """Robot of the package example-robot-data that hplan knows by name.
@@ -251,8 +252,8 @@ def build_models(
 
 def _check_meshes(faults: Faults, shapes: pin.GeometryModel) -> None:
     """Find meshes with vertices that are not finite, or farther away than any arm is long."""
-    # A mesh in millimetres without a scale reaches farther [m].
-    farthest = 50.0
+    # No arm is as long, not even in millimetres read as metres [m].
+    farthest = 1000.0
     for shape in shapes.geometryObjects:
         if not isinstance(shape.geometry, coal.BVHModelBase):
             continue

@@ -164,7 +164,7 @@ def limits_in_place(path: Path, joints: Collection[str]) -> dict[str, dict[str, 
 def default_limits(urdf_path: Path) -> Path:
     """Default limits file: `NAME.limits.yaml` in the URDF's folder, also for `NAME.urdf.xacro`."""
     if urdf_path.suffix != ".xacro":
-        return urdf_path.with_suffix(LIMITS_SUFFIX)
+        return urdf_path.with_suffix(LIMITS_SUFFIX) if urdf_path.name else urdf_path / LIMITS_SUFFIX
     return urdf_path.with_name(urdf_path.name.removesuffix(".xacro").removesuffix(".urdf") + LIMITS_SUFFIX)
 
 
@@ -208,8 +208,8 @@ def find_limits(
 
 #: Advice on how to specify limits.
 LIMITS_ADVICE: Final = (
-    "write acceleration (and jerk) into every <limit> (URDF 1.2), or give a limits file (limits, --limits; hplan inspect "
-    f"--write-limits writes one), or the name of a robot whose limits ship: {', '.join(robot_names())}"
+    "write acceleration (and jerk) into every <limit> (URDF 1.2), or give a limits file (limits, --limits; "
+    f"hplan inspect --write-limits writes one), or the name of a robot whose limits ship: {', '.join(robot_names())}"
 )
 
 

@@ -42,7 +42,9 @@ class MeshFinder:
         if name.startswith(_PACKAGE):
             within = name.partition("://")[2].lstrip("/")
             package, _, inside = within.partition("/")
-            found = next(filter(is_file, (folder / part for part in (within, inside) for folder in self._folders)), None)
+            found = next(
+                filter(is_file, (folder / part for part in (within, inside) for folder in self._folders)), None
+            )
             if found is None:
                 if package not in self._packages:
                     self._packages[package] = package_folder(self._path, self._package_dirs, package)

@@ -10,19 +10,17 @@ The pass modifies the XML elements in place after a strict read; the result is r
 from __future__ import annotations
 
 import math
-import os
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-import coal
 import numpy as np
 import pinocchio as pin
 
 from hplan.base.arrays import Record
-from hplan.base.files import is_file, note_input
+from hplan.base.files import is_file
 from hplan.base.units import joint_unit
 from hplan.errors import InputError, JointLimitError, RobotFileError
 from hplan.robot.drawn_links import shape_links_from_visuals
@@ -42,6 +40,7 @@ CONTINUOUS_RANGE: Final = 2.0 * math.pi
 
 #: A revolute limit beyond this counts as no limit: exporters write 1e16 for continuous joints [rad].
 _ENDLESS: Final = 1e3
+
 
 @dataclass(frozen=True, eq=False)
 class RobotChoice(Record):
@@ -246,7 +245,10 @@ class _Adaptation:
         return found
 
     def _mount(self) -> list[Joint]:
-        """Fixed joints above `base_link`, from it up; none if it is tilted: then scenes are in the root link's frame."""
+        """Fixed joints above `base_link`, from it up.
+
+        None if they tilt it: then scenes are in the root link's frame.
+        """
         mount = self._up_from(_BASE_LINK) if _BASE_LINK in self._urdf.links else []
         for joint in mount:
             if joint.kind != "fixed" and joint.name not in self._hold:

@@ -22,10 +22,10 @@ import pinocchio as pin
 from hplan.base.arguments import DECIMAL
 from hplan.base.arrays import FloatArray, readonly
 from hplan.errors import RobotFileError
+from hplan.geometry.rotation import rpy_rotation
 from hplan.robot.faults import Faults
 from hplan.robot.urdf_xml import line_of
 from hplan.scene.limits import FARTHEST_M
-from hplan.scene.solids import rpy_rotation
 
 #: Permitted attributes and child elements of each element; a missing entry permits any. Other names are extensions,
 #: unless they look like a misspelling; of the extensions only `_ACCELERATION` is read.
@@ -306,7 +306,8 @@ class _Reader:
                 drawn._origin_of(visual, where)
             if drawn._faults.found:
                 element.remove(visual)
-            for reason in (*drawn._faults.mended, *(f"{fault}; the <visual> is left out" for fault in drawn._faults.found)):
+            left_out = [f"{fault}; the <visual> is left out" for fault in drawn._faults.found]
+            for reason in (*drawn._faults.mended, *left_out):
                 self._faults.mend(reason)
         shapes = []
         for shape in [] if self._any_robot else element.findall("collision"):

@@ -107,7 +107,7 @@ def _expanded(path: Path, package_dirs: Sequence[Path], xacro_args: Mapping[str,
             document = xacrodoc.XacroDoc.from_file(str(path), subargs=dict(xacro_args), resolve_packages=False)
             text: str = document.to_urdf_string()
         except Exception as error:  # xacro raises classes of its own, expat's and Python's
-            missing = re.fullmatch(r"Package not found: (\S+)", str(error))
+            missing = re.search(r"Package not found: (\S+)", str(error))
             folder = None if missing is None or missing[1] in known else package_folder(path, package_dirs, missing[1])
             if missing is None or folder is None:
                 raise RobotFileError(path, f"xacro refuses it: {error}{_xacro_advice(path, str(error))}") from error
@@ -118,7 +118,7 @@ def _expanded(path: Path, package_dirs: Sequence[Path], xacro_args: Mapping[str,
 
 def _xacro_advice(path: Path, message: str) -> str:
     """End of a message about an error of xacro: the option that would help."""
-    if message.startswith("Package not found"):
+    if "Package not found" in message:
         return "; package_dirs=[FOLDER] (--package-dir FOLDER) says where packages are"
     declared = re.findall(r"<xacro:arg\s[^>]*?name=[\"']([^\"']+)", path.read_text(encoding="utf-8", errors="replace"))
     if not declared and "argument" not in message:
@@ -190,6 +190,6 @@ def _parsed(path: Path, content: bytes) -> ET.Element:
         parser.Parse(content, True)
     except (expat.ExpatError, LookupError, ValueError) as error:
         raise RobotFileError(path, f"malformed XML: {error}") from error
-    root: Element = builder.close()
+    root: Element = builder.close()  # type: ignore[assignment]
     root.encoding = declared[-1]
     return root

@@ -42,7 +42,7 @@ OUT = Path("timed.csv")
 #: Options that require `--scene`, and options that exclude it.
 _WITH_SCENE = (
     *("keep_path", "effort", "seed", "sigmas", "tracking_error", "tracking_error_m", "tracking_delay", "deadline_ms"),
-    *("poses", "free", "tilt", "tool_frame", "srdf", "allow_neighbours", "package_dir"),
+    *("poses", "free", "tilt", "tool_frame", "srdf", "allow_neighbours", "package_dir", "xacro"),
     "collision_from_visual",
 )
 _WITHOUT_SCENE = ("acceleration", "no_torque", "joints")
@@ -152,7 +152,7 @@ def _finished(arguments: argparse.Namespace, folder: JobFolder, errors: Console)
         status("reading robot and scene")
         with loading():
             from hplan.apps.cli.plan import STAGE_WORDS
-            from hplan.planning.finishing.finish import finish
+            from hplan.planning.finish import finish
             from hplan.planning.pose_sequence import plan_poses, pose_matrices
             from hplan.planning.report import curve_report, write_report
             from hplan.scene.file import load_scene, save_scene

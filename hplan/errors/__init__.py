@@ -90,9 +90,9 @@ from hplan.errors.no_motion import (
     UnreachableError,
     WorkersLostError,
 )
-from hplan.errors.root import HplanError
-from hplan.errors.warning import (
+from hplan.errors.root import (
     FarObstacleWarning,
+    HplanError,
     HplanWarning,
     MissingVisualWarning,
     RobotFileWarning,

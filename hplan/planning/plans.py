@@ -123,7 +123,7 @@ def _goal(problem: Problem) -> Problem | Target:
             ends = configurations_at(world, goal, start, scene.locked_joints)
             return merged([problem.between(start, end) for end in ends[: problem.effort.pose_goals]])
     if goal.pose is not None:
-        pose = pose_of(world.robot, goal)
+        pose = pose_of(goal)
         return Target("the pose", pose[:3, 3], world, world, pose=pose, frame=goal.frame)
     for fruit in scene.fruits:
         if fruit.name == goal.fruit:

@@ -16,13 +16,12 @@ from pydantic import ConfigDict
 
 from hplan.base.arguments import nearest_name
 from hplan.base.arrays import FloatArray
+from hplan.base.checked import Positive, StrictModel
 from hplan.base.data_files import LIMITS_SUFFIX, robot_names, shipped_limits
 from hplan.base.files import ByteBudget, is_file
-from hplan.base.options import Positive
 from hplan.errors import RobotFileError, SceneError
 from hplan.robot.urdf_file import Urdf
 from hplan.robot.urdf_xml import URDF_TEXT, line_of
-from hplan.scene.fault import StrictModel
 from hplan.scene.file import parse_model, read_model
 from hplan.scene.limits import MOST_SCENE_BYTES
 

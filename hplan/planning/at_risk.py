@@ -232,7 +232,7 @@ def _among_what_was_seen(problem: Problem, result: PlanResult, shown: TouchRisk)
     tracking = problem.options.certified_tracking
     contact: GoalContact = result.certificate.goal_contact or "approach"
     certificate = certify(
-        problem.robot, problem.scene, result.trajectory, tracking_error=tracking.still_rad, tracking_delay_s=tracking.delay_s,
-        sigmas=0.0, goal_contact=contact,
+        problem.robot, problem.scene, result.trajectory,
+        tracking_error=tracking.still_rad, tracking_delay_s=tracking.delay_s, sigmas=0.0, goal_contact=contact,
     )  # fmt: skip
     return replace(result, certificate=replace(certificate, risk=shown))

@@ -22,6 +22,7 @@ from hplan.planning.plans import plans_from_rest, reusing, with_all_efforts
 from hplan.planning.problem import Problem
 from hplan.planning.report import deadline_report
 from hplan.planning.result import PlanResult, bounded_phases
+from hplan.planning.specialist import check_method
 from hplan.planning.stages import Progress, current_clock, no_progress, stage, stage_clock
 from hplan.planning.start_in_motion import from_motion
 from hplan.robot.model import Robot
@@ -102,7 +103,9 @@ def check_task(
     check_yield_links(robot, checked_scene(scene).yield_links)
     function("progress", progress)
     if options is not None:
-        instance("options", options, PlanOptions).check_for(robot, takes_risk=takes_risk)
+        check_method(robot, instance("options", options, PlanOptions))
+        if not takes_risk:
+            options.refuse_risk()
     warn_of_far_obstacles(robot, scene)
 
 

@@ -60,7 +60,7 @@ def test_distances_to_all_kinds(robot):
 # Hulls and clouds
 
 
-def test_a_hull_of_corners_is_the_box(robot):
+def test_hull_of_corners_is_the_box(robot):
     rng = np.random.default_rng(5)
     for index in range(6):
         box = random_obstacles(rng, 3)[2]
@@ -78,7 +78,7 @@ def test_a_hull_of_corners_is_the_box(robot):
 
 
 @pytest.mark.parametrize("shape", ["room", "wall", "wire", "one", "twins"])
-def test_a_cloud_is_its_balls(robot, shape):
+def test_cloud_is_its_balls(robot, shape):
     """The tree against its balls one by one."""
     rng = np.random.default_rng(6)
     points = rng.uniform([0.4, -0.6, 0.5], [1.8, 0.6, 1.7], (60, 3))
@@ -133,7 +133,7 @@ def test_growth_of_each_obstacle(robot):
         np.testing.assert_array_equal(grown.in_collision(configurations)[sure], (np.array(least) <= 0.0)[sure])
 
 
-def test_the_last_link_may_touch(robot):
+def test_last_link_may_touch(robot):
     fruit, other = ball(2.1, 0, 0.6, radius=0.05, name="fruit"), ball(2.0, 0.3, 0.7, name="other")
     checker = CoalScene(robot, [fruit, other], growth=[0.01, 0.0])
     free = checker.touching("fruit")
@@ -199,7 +199,7 @@ def test_flat_and_needle_like_hulls_do_not_end_the_process(robot):
 
 
 @pytest.mark.parametrize("margin", [0.0, 0.05, -0.02])
-def test_in_collision_is_what_the_distances_say(robot, margin):
+def test_in_collision_agrees_with_distances(robot, margin):
     rng = np.random.default_rng(5)
     seen = np.zeros(2, dtype=int)
     for _ in range(3):
@@ -460,7 +460,7 @@ def test_one_for_each_pair(robot):
     np.testing.assert_array_equal(checker.touching("s").distance_errors, errors)
 
 
-def test_the_proof_takes_them_off(robot, monkeypatch):
+def test_proof_takes_them_off(robot, monkeypatch):
     """At rest, half of the slack is certified: of the distance less the error."""
     zero = np.zeros((1, 4))
     still = Trajectory(

@@ -12,11 +12,13 @@ from typing import Any
 import numpy as np
 
 from hplan.base.arrays import FloatArray, IntArray, Record, frozen
+from hplan.errors import CertificationError
 from hplan.planar.grid import SearchResult, dense_search, reachable, two_level_search
 from hplan.planar.grid.grid import Grid, Occupancy
 from hplan.planar.grid_entry import GridEntry, grid_entry
 from hplan.planar.grids import GridAttempt, grid_axes, grid_occupancy, step_deg
-from hplan.planar.no_path_proof import EnclosedError, Region
+from hplan.planar.no_path_proof import EnclosedError, Region, enclosed_goals
+from hplan.planar.own_contact import within_bodies
 from hplan.planning.problem import Problem
 from hplan.planning.stages import current_clock
 
@@ -64,8 +66,9 @@ def find_route(problem: Problem, attempt: GridAttempt, margin: float) -> Route:
         margin: Clearance required of motions to the grid at every evaluated configuration [m].
 
     Raises:
-        EnclosedError: The grid contains no path.
-        CertificationError: Start or goal cannot be connected to the grid.
+        EnclosedError: The grid contains no path, nor with links that are within the bodies of the arm.
+        CertificationError: Start or goal cannot be connected to the grid, or the grid contains no path, but its C-space
+            is larger than the bodies of the arm.
         OptionError: The step gives no valid grid.
     """
     space = grid_occupancy(problem, attempt)
@@ -122,6 +125,10 @@ def _planar_search(
                     return search, search.path
         known = known | reached
         largest = max(largest, reached, key=np.count_nonzero)
+    if within_bodies(problem.robot) is not problem.robot:
+        (proof,) = enclosed_goals(problem, attempt, [0], explained=True)
+        inconclusive = "the grid contains no path, but its links are larger than the bodies of the arm"
+        raise proof or CertificationError(inconclusive)
     count = int(largest.sum())
     description = f"the start reaches {count} of {space.grid.size} nodes, not the goal"
     raise EnclosedError(problem, attempt, count, Region(description, space.grid, largest))

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -28,6 +29,7 @@ from hplan.planar.grids import (
     obstacle_sections,
     step_deg,
 )
+from hplan.planar.own_contact import within_bodies
 from hplan.planning.failures import UnexplainedNoPathError
 from hplan.planning.problem import Problem
 from hplan.planning.stages import stage
@@ -155,14 +157,17 @@ def enclosed_goals(
         explained: True if the error of the first goal keeps the enclosed region.
 
     Returns:
-        For each goal the error that proves that no path exists; None if a path exists, or if start or goal cannot be
-        connected to the grid.
+        For each goal the error that proves that no path exists; None if a path exists, if start or goal cannot be
+        connected to the grid, or if the links have no capsules (`within_bodies`).
 
     Raises:
         OptionError: The step gives no valid grid.
     """
-    if not numbers:
-        return []
+    robot = within_bodies(problem.robot)
+    if not numbers or robot is None:
+        return [None] * len(numbers)
+    if robot is not problem.robot:
+        problem = replace(problem, robot=robot, other_world=replace(problem.world, robot=robot))
     problems = [problem.to(number) for number in numbers]
     margins = [0.1 * one.margin for one in problems]
     first = problems[0]

@@ -33,10 +33,11 @@ from hplan.errors import OptionError
 from hplan.planar.grid.cutting_arrays import ArmPlane, LinkExtents
 from hplan.planar.grid.prepared_obstacles import PreparedObstacles, prepare_obstacles
 from hplan.planar.grid.section_kernels import cut_balls, cut_hulls
+from hplan.planar.own_contact import checked_contact
 from hplan.planning.options import LinkModel
 from hplan.robot.base_shapes import BaseShape
 from hplan.robot.model import Robot
-from hplan.robot.self_contact import SelfContact, radius_in_plane, self_contact
+from hplan.robot.self_contact import SelfContact, radius_in_plane
 
 #: The capsule, the paper's three cases verbatim, or the exact rectangle.
 LINK_MODELS: tuple[LinkModel, ...] = get_args(LinkModel)
@@ -128,7 +129,7 @@ def sections_at(
     if obstacles.links is not None:
         links = sections.links
         sections = _picked(sections, np.flatnonzero(obstacles.links[sections.obstacle_of, links]), links)
-    contact = self_contact(robot, deviation=obstacles.deviation, clearance=obstacles.own_clearance)
+    contact = checked_contact(robot, deviation=obstacles.deviation, clearance=obstacles.own_clearance)
     if contact.bodies:
         same = tuple(body for body in contact.bodies if body.follows_arm_plane)
         others = tuple(body for body in contact.bodies if not body.follows_arm_plane)

@@ -16,6 +16,7 @@ from planned import straight
 import hplan
 from hplan.apps.cli.main import main
 from hplan.apps.execution.simulation import read_motion
+from hplan.base.arrays import FloatArray
 from hplan.certificate import goal_contact
 from hplan.certificate.certificate import certify
 from hplan.certificate.clearance_proof import point_at, prove_clearance
@@ -24,7 +25,7 @@ from hplan.certificate.motion_bound import largest_deviations, motion_of_movers
 from hplan.collision.coal_scene import CoalScene
 from hplan.collision.coal_shapes import solid_shape
 from hplan.collision.collision_bodies import body_shapes, collision_bodies
-from hplan.collision.reach import reach_ball
+from hplan.collision.reach import ON_AXIS, is_moved, joints_between, reach, reach_ball
 from hplan.collision.touching_pairs import required_distances, self_pairs
 from hplan.errors import InputError, JointLimitError, RobotFileError
 from hplan.geometry.cloud import Cloud
@@ -189,15 +190,21 @@ def test_no_body_travels_farther_than_its_bound(load, name):
     bezier = np.clip(bezier, robot.lower, robot.upper)
     mover_of, moved, _ = motion_of_movers(checker, bezier, np.zeros((1, robot.dof)))
     first, second = robot.model.createData(), robot.model.createData()
-    moving = [number for number, body in enumerate(bodies) if body.joint >= 0]
+    moving, matters = np.flatnonzero(is_moved(robot)).tolist(), reach(robot) > ON_AXIS
     used = np.zeros(len(moving))
+
+    def place_both(ends: FloatArray, joints: FloatArray) -> None:
+        """Place both models; joints that do not matter stand still."""
+        pin.forwardKinematics(robot.model, first, ends[0])
+        pin.forwardKinematics(robot.model, second, np.where(joints, ends[1], ends[0]))
+
     for piece in range(len(bezier)):
         at = rng.uniform(0.0, 0.9) + np.array([0.0, 0.1]) if piece % 2 else np.array([0.0, 1.0])
         part = float(at[1] - at[0])
-        for data, place in zip((first, second), at, strict=True):
-            pin.forwardKinematics(robot.model, data, point_at(bezier[piece : piece + 1], float(place)))
+        ends = np.array([point_at(bezier[piece : piece + 1], float(place)) for place in at])
         for row, number in enumerate(moving):
             body = bodies[number]
+            place_both(ends, matters[number])
             places = [data.oMi[body.joint + 1] for data in (first, second)]
             a, b = (body.core @ place.rotation.T + place.translation for place in places)
             went = np.linalg.norm(b - a, axis=1).max()
@@ -205,6 +212,7 @@ def test_no_body_travels_farther_than_its_bound(load, name):
             used[row] = max(used[row], went / (part * moved[mover_of[row], piece]))
         for row, (i, j) in enumerate(pairs.checked):
             seen = []
+            place_both(ends, np.isin(np.arange(robot.dof), joints_between(robot, bodies[i], bodies[j])))
             for data in (first, second):
                 relative = data.oMi[bodies[i].joint + 1].inverse() * data.oMi[bodies[j].joint + 1]
                 seen.append(bodies[j].core @ relative.rotation.T + relative.translation)

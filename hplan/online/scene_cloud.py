@@ -21,7 +21,7 @@ def check_cloud_name(scene: Scene, name: str) -> None:
     taken = [item for item in (*scene.obstacles, *scene.fruits) if item.name == name]
     if taken and not isinstance(taken[0], PointCloud):
         what = type(taken[0]).__name__.lower()
-        raise InputError(f"{name!r} is a {what}; a cloud needs a name of its own", name=name)
+        raise InputError(f"{name!r} is a {what}; a cloud must have its own name", name=name)
 
 
 def solids_named(scene: Scene, names: Sequence[str], cloud: str, time_s: float | None) -> tuple[Solid, ...]:
@@ -51,7 +51,7 @@ def solids_named(scene: Scene, names: Sequence[str], cloud: str, time_s: float |
     )
     if named.moves:
         if time_s is None:
-            expected = "when the frame was taken, on the clock of the scene's tracks: what is to be ignored moves"
+            expected = "the time of the frame on the clock of the scene's tracks: a body to ignore moves"
             raise OptionError("time_s", None, expected)
         named = named.at(time_s)
     return named.listed_solids

@@ -119,8 +119,8 @@ def plan_at_risk(
         allocation = _reallocated(allocation, shown, near, risk, deviations)
     if best is None:
         raise CertificationError(
-            f"no motion was found that touches something with a probability of at most {risk:g}: the least that was "
-            f"shown is {least:.3g}",
+            f"no motion was found whose contact probability is at most {risk:g}: the lowest bound that was "
+            f"proved is {least:.3g}",
             risk=risk,
             bound=least,
         )
@@ -130,7 +130,7 @@ def plan_at_risk(
 def _risk_of(result: PlanResult, scene: Scene, risk: float) -> TouchRisk:
     """The contact probability of a motion certified among grown obstacles."""
     if result.certificate.subject is None:
-        raise CertificationError("the motion's certificate does not say what it is about")
+        raise CertificationError("the motion's certificate has no digests")
     return touch_risk(result.certificate.subject, scene, risk)
 
 

@@ -136,8 +136,8 @@ def _no_path(scene: CoalScene, wall: Wall, other: float) -> NoPathError:
     contact = wall.contact
     message = (
         f"no path exists: between start and goal, from {low:.4g} to {high:.4g} deg of joint "
-        f"{scene.robot.joint_names[wall.joint]!r}, {contact.link!r} is in {contact.other}, or nearer than the "
-        "clearance to keep, whatever the other joints do"
+        f"{scene.robot.joint_names[wall.joint]!r}, {contact.link!r} is in {contact.other} or closer than the "
+        "required clearance, for all positions of the other joints"
     )
     blocker = {"obstacle": contact.obstacle, "link": contact.link, "cells": 0, "slices_deg": (low, high)}
     return NoPathError(message, reached_cells=0, blockers=[blocker])

@@ -92,9 +92,9 @@ class PlanOptions(Options):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.risk is not None and not self.certify:
-            raise OptionError("risk", self.risk, "None where motions need not be certified")
+            raise OptionError("risk", self.risk, "None if motions need not be certified")
         if self.deadline_s is not None and self.bound:
-            raise OptionError("bound", self.bound, "False where there is a deadline: a bound may take seconds")
+            raise OptionError("bound", self.bound, "False with a deadline: a bound may take seconds")
 
     def check_for(self, robot: Robot | None, *, takes_risk: bool = False) -> None:
         """Refuse options that the robot or the task cannot use.
@@ -107,11 +107,11 @@ class PlanOptions(Options):
             OptionError: A dense search for a robot without a grid, or a risk for more than a single plan.
         """
         if self.risk is not None and not takes_risk:
-            raise OptionError("risk", self.risk, "None: a risk is of a single plan from rest to rest")
+            raise OptionError("risk", self.risk, "None: only single plans from rest to rest have a risk bound")
         if robot is None:
             return
         if self.method == "dense" and robot.planar is None:
-            expected = f"'two-level' for {robot.name!r}, which is no planar arm: there is no grid to be searched"
+            expected = f"'two-level' for {robot.name!r}, which is not a planar arm: there is no grid to search"
             raise OptionError("method", self.method, expected)
 
     @property

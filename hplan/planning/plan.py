@@ -86,7 +86,7 @@ def plan(
         if options.risk is None:
             return planned(options)
         if scene.moves:
-            raise MovingObstacleError(scene.first_moving, "a risk is of what stands still")
+            raise MovingObstacleError(scene.first_moving, "a risk bound takes scenes without moving bodies")
         try:
             return plan_at_risk(robot, scene, options, options.risk, planned)
         except TimeIsUpError:
@@ -148,7 +148,7 @@ def plan_with(
     except (NoPathError, TimingError, CertificationError) as error:
         if not options.tracking.is_exact and options.deadline_s is None:
             fraction = _fraction_with_room(robot, scene, options)
-            name_margin(error, options.tracking, robot.slides, fraction, "the motion found without one has room for")
+            name_margin(error, options.tracking, robot.slides, fraction, "the motion found without one allows")
         raise
 
 
@@ -171,7 +171,7 @@ def _plans(
     check_deadline()
     state = start_state(robot, scene)
     if state is not None and options.bound:
-        raise OptionError("bound", True, "False where the start is in motion")
+        raise OptionError("bound", True, "False if the start is in motion")
     return plans(problem, state, before=before, stop=stop)
 
 

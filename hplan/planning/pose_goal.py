@@ -68,7 +68,7 @@ def pose_of(robot: Robot, goal: Goal) -> FloatArray:
         raise InputError("expected a goal with position and quaternion_xyzw")
     if robot.planar is not None:
         raise InputError(
-            f"goal.quaternion_xyzw: robot {robot.name!r} is a planar arm, whose tool cannot be turned at will; "
+            f"goal.quaternion_xyzw: robot {robot.name!r} is a planar arm, whose tool cannot take any orientation; "
             "give position and, for the angle of the last link, approach_deg",
             where="goal.quaternion_xyzw",
         )

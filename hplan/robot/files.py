@@ -133,12 +133,12 @@ def read_srdf(path: Path, links: Collection[str] | None = None) -> tuple[tuple[s
     """
     root = read_urdf_xml(path)
     if root.find("link") is not None:
-        raise RobotFileError(path, "it is a URDF, for it has a <link>; expected an SRDF, with <disable_collisions>")
+        raise RobotFileError(path, "it is a URDF because it has a <link>; expected an SRDF with <disable_collisions>")
     found, named = [], []
     for element in root.iter("disable_collisions"):
         pair = [element.get(key) for key in ("link1", "link2")]
         if not all(pair):
-            raise RobotFileError(path, f"{line_of(element)}<disable_collisions> names no two links")
+            raise RobotFileError(path, f"{line_of(element)}<disable_collisions> does not name two links")
         named.append(pair)
         reason = (element.get("reason") or "by the SRDF").strip()
         # A pair that was never seen to touch may still touch, so it is checked.
@@ -146,7 +146,9 @@ def read_srdf(path: Path, links: Collection[str] | None = None) -> tuple[tuple[s
             found.append((str(pair[0]), str(pair[1]), reason))
     if links is not None and named and not any(set(pair) <= set(links) for pair in named):
         first, second = named[0]
-        reason = f"it is another robot's: of its pairs, {first!r} and {second!r} first, none is of this one's links"
+        reason = (
+            f"it is for another robot: none of its pairs, {first!r} and {second!r} first, is of links of this robot"
+        )
         raise RobotFileError(path, f"{reason}: {', '.join(links)}")
     return tuple(found)
 
@@ -241,7 +243,7 @@ def build_models(
     except (ValueError, RuntimeError) as error:
         of_mesh = str(error).partition("message: ")[2].partition("\nHint:")[0].replace("\n", " ")
         cause = of_mesh or str(error)
-        reason = f"Pinocchio refuses it: {cause} (its reader's own words, if any, are on the terminal)"
+        reason = f"Pinocchio refuses it: {cause} (its own messages, if any, are on the terminal)"
         raise RobotFileError(urdf_path, reason) from error
     check_models(urdf_path, urdf, models[0], models[1])
     return models
@@ -256,12 +258,10 @@ def _check_moving_joints(path: Path, urdf: Urdf) -> None:
     for joint in urdf.joints.values():
         where = f"{line_of(joint.element)}joint {joint.name!r}"
         if joint.kind != "fixed" and joint.element.find("mimic") is not None:
-            raise RobotFileError(path, f"{where} mimics another; every joint must move by itself")
+            raise RobotFileError(path, f"{where} mimics another joint; every joint must move by itself")
         for key in ("velocity", "effort", "acceleration", "jerk") if joint.kind in ("revolute", "prismatic") else ():
             if key in joint.limits and not joint.limits[key] > 0.0:
-                reason = (
-                    f"{where}: {key} of <limit> is '{joint.limits[key]:g}', expected a finite number that is positive"
-                )
+                reason = f"{where}: {key} of <limit> is '{joint.limits[key]:g}', expected a positive finite number"
                 raise RobotFileError(path, reason)
 
 
@@ -307,7 +307,7 @@ def find_limits(
     def listed(key: str) -> FloatArray:
         for name, limit in zip(joint_names, limits, strict=True):
             if key not in limit:
-                reason = f"joint {name!r}: <limit> has no {key}, as others have: {_LIMITS_ADVICE}"
+                reason = f"joint {name!r}: <limit> has no {key}, unlike other joints: {_LIMITS_ADVICE}"
                 raise RobotFileError(urdf_path, line_of(urdf.joints[name].element) + reason)
         return np.array([limit[key] for limit in limits])
 
@@ -317,7 +317,7 @@ def find_limits(
 #: Advice on how to specify limits.
 _LIMITS_ADVICE = (
     "write acceleration (and jerk) into every <limit> (URDF 1.2), or give a limits file (limits, --limits), or the "
-    f"name of a robot whose limits ship: {', '.join(robot_names())}"
+    f"name of a robot whose limits ship with hplan: {', '.join(robot_names())}"
 )
 
 
@@ -354,7 +354,7 @@ def read_limits(
         places = (f"line {error.line}" if error.line else None), error.where
         hint = f"; expected format: {LIMITS_FORMAT}" if error.where == "format" else ""
         if not is_file(path):
-            hint = f"; it gives the acceleration limits, where the URDF does not: {_LIMITS_ADVICE}"
+            hint = f"; it gives the acceleration limits that the URDF lacks: {_LIMITS_ADVICE}"
         raise RobotFileError(path, ": ".join([*filter(None, places), error.reason + hint])) from error
 
     known, kinds = frozenset(others), dict(zip(joint_names, slides, strict=True))
@@ -366,9 +366,9 @@ def read_limits(
         found = (turning or {}) | (sliding or {})
         for name in sliding or {}:
             if not kinds.get(name, True):
-                raise RobotFileError(path, f"{keys[1]}: joint {name!r} turns; it belongs in {keys[0]}")
+                raise RobotFileError(path, f"{keys[1]}: joint {name!r} is revolute; it belongs in {keys[0]}")
             if name in (turning or {}):
-                raise RobotFileError(path, f"{keys[1]}: joint {name!r} is in {keys[0]} too")
+                raise RobotFileError(path, f"{keys[1]}: joint {name!r} is also in {keys[0]}")
         missing = [name for name in joint_names if name not in found]
         unknown = [name for name in found if name not in kinds and name not in known]
         if missing or unknown:
@@ -377,5 +377,5 @@ def read_limits(
 
     acceleration = ordered("acceleration_rad_s2", "acceleration_m_s2")
     if acceleration is None:
-        raise RobotFileError(path, "acceleration_rad_s2 is missing, of joints that slide acceleration_m_s2")
+        raise RobotFileError(path, "acceleration_rad_s2 is missing, or acceleration_m_s2 of prismatic joints")
     return acceleration, ordered("jerk_rad_s3", "jerk_m_s3")

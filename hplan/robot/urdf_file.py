@@ -191,8 +191,8 @@ def check_inertias(path: Path, urdf: Urdf) -> None:
         if moments[0] < -tolerance or moments[2] > moments[0] + moments[1] + tolerance:
             reason = (
                 f"{line_of(next(link.element.iter('inertia')))}link {link.name!r}: <inertia> has principal moments "
-                f"{', '.join(f'{moment:.6g}' for moment in moments)} kg m^2; of a body none is negative, and none is "
-                "larger than the sum of the others"
+                f"{', '.join(f'{moment:.6g}' for moment in moments)} kg m^2; those of a body are not negative, and "
+                "none is larger than the sum of the others"
             )
             raise RobotFileError(path, reason)
 
@@ -224,7 +224,7 @@ class _Reader:
             raise self.fault(element, f"{what} has no name")
         if not name.isprintable() or name != name.strip():
             reason = (
-                f"{what} is called {name!r}; a name holds no line break, no control character, no space at its ends"
+                f"{what} is called {name!r}; a name has no line break, no control character and no space at its ends"
             )
             raise self.fault(element, reason)
 
@@ -296,10 +296,12 @@ class _Reader:
         mass, inertia = element.find("mass"), element.find("inertia")
         if mass is None or inertia is None:
             missing = "mass" if mass is None else "inertia"
-            raise self.fault(element, f"{where}: <inertial> has no <{missing}>; without it it would not count at all")
+            raise self.fault(
+                element, f"{where}: <inertial> has no <{missing}>; the inertia would be ignored without it"
+            )
         (value,) = self._numbers(mass, "value", where, 1)
         if value < 0.0:
-            raise self._bad_number(mass, "value", where, "a finite number that is not negative")
+            raise self._bad_number(mass, "value", where, "a finite number >= 0")
         xx, xy, xz, yy, yz, zz = (
             self._numbers(inertia, key, where, 1)[0] for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
         )
@@ -313,21 +315,23 @@ class _Reader:
             raise self.fault(element, f"{where}: a <{element.tag}> has no geometry")
         self._check_parts(geometry, where)
         if len(geometry) > 1:
-            raise self.fault(geometry, f"{where}: a <geometry> has {len(geometry)} shapes; only the first would count")
+            raise self.fault(
+                geometry, f"{where}: a <geometry> has {len(geometry)} shapes; all except the first would be ignored"
+            )
         shape = geometry[0]
         if shape.tag == "mesh":
             if not shape.get("filename"):
                 raise self.fault(shape, f"{where}: <mesh> has no filename")
             scale = self._numbers(shape, "scale", where, 3) if "scale" in shape.attrib else (1.0, 1.0, 1.0)
             if 0.0 in scale:
-                raise self._bad_number(shape, "scale", where, "3 finite numbers that are not 0")
+                raise self._bad_number(shape, "scale", where, "3 finite nonzero numbers")
             return "mesh", scale
         size: list[float] = []
         # Attributes that specify the size of a shape.
         for attribute in {"box": ("size",), "sphere": ("radius",), "cylinder": ("radius", "length")}[shape.tag]:
             numbers = self._numbers(shape, attribute, where, 3 if attribute == "size" else 1)
             if not all(0.0 < number <= FARTHEST_M for number in numbers):
-                expected = f"a finite number that is positive, at most {FARTHEST_M:g} m"
+                expected = f"a positive finite number, at most {FARTHEST_M:g} m"
                 raise self._bad_number(shape, attribute, where, expected)
             size += numbers
         return shape.tag, tuple(size)
@@ -356,7 +360,7 @@ class _Reader:
         words = [word for word in text.split(" ") if word]
         numbers = tuple(map(float, words)) if all(map(DECIMAL.fullmatch, words)) else ()
         if len(numbers) != count or not all(map(math.isfinite, numbers)):
-            expected = "a finite number" if count == 1 else f"{count} finite numbers with spaces between"
+            expected = "a finite number" if count == 1 else f"{count} finite numbers separated by spaces"
             raise self._bad_number(element, attribute, where, expected)
         return numbers
 
@@ -380,17 +384,19 @@ class _Reader:
                 is_frame = part.tag == "origin" and not any(map(any, self._origin_of(element, where)))
                 if is_frame or self._is_extension(part.tag, known):
                     continue
-                reason = f"{where}: <{part.tag}> in <{element.tag}> means nothing, expected {', '.join(sorted(known))}"
+                reason = f"{where}: <{part.tag}> in <{element.tag}> has no meaning, expected {', '.join(sorted(known))}"
                 raise self.fault(part, reason)
             if part.tag in seen and part.tag not in ("visual", "collision"):
-                raise self.fault(part, f"{where}: a second <{part.tag}> in <{element.tag}>; only one would count")
+                raise self.fault(
+                    part, f"{where}: a second <{part.tag}> in <{element.tag}>; one of them would be ignored"
+                )
             seen.add(part.tag)
             attributes = _ATTRIBUTES.get(part.tag, frozenset(part.attrib))
             for attribute in sorted(part.attrib.keys() - attributes):
                 # Elements without known extensions.
                 closed = part.tag in ("origin", "mass", "inertia", "axis", "parent", "child")
                 if closed or not self._is_extension(attribute, attributes):
-                    raise self.fault(part, f"{where}: {attribute} of <{part.tag}> means nothing")
+                    raise self.fault(part, f"{where}: {attribute} of <{part.tag}> has no meaning")
 
     def _is_extension(self, name: str, known: frozenset[str]) -> bool:
         """True if an unknown name is a deliberate extension.

@@ -108,7 +108,7 @@ def _parsed(path: Path, content: bytes) -> ET.Element:
             raise RobotFileError(path, f"malformed XML: unknown encoding {encoding!r}; URDF is read as UTF-8")
 
     def document_type(*_: Any) -> None:
-        reason = f"line {parser.CurrentLineNumber}: it has a document type, whose entities readers of URDF differ on"
+        reason = f"line {parser.CurrentLineNumber}: it has a document type; URDF readers differ on its entities"
         raise RobotFileError(path, reason)
 
     parser.StartElementHandler = start

@@ -25,7 +25,7 @@ def within_reach(robot: Robot, scene: Scene) -> Scene:
     near, inside = without_inside(robot, cropped)
     rigid = next((one.name for one in cropped.obstacles if one.name in inside and not one.yields), None)
     if rigid is not None:
-        raise InputError(f"obstacle {rigid!r} stands in the robot's pedestal or turret", obstacle=rigid)
+        raise InputError(f"obstacle {rigid!r} is inside the robot's pedestal or turret", obstacle=rigid)
     return near
 
 

@@ -303,7 +303,7 @@ def _costs(
     found: dict[Place, dict[str, float] | None] = {}
     for _, lot in outcomes(partial(_seen_from, robot, scene, options, row), lots, *pool):
         found |= lot
-        progress(f"stops: {len(found)} of {len(places)} looked at")
+        progress(f"stops: {len(found)} of {len(places)} evaluated")
     return {place: held for place in places if (held := found[place]) is not None}
 
 

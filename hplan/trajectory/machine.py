@@ -83,18 +83,18 @@ def read_machine(
     movable = ("revolute", "prismatic", "continuous")
     for name in [*moving, *hold]:
         if name not in elements:
-            raise InputError(f"robot file {path}: there is no joint {name!r} that moves", path=str(path), joint=name)
+            raise InputError(f"robot file {path}: there is no moving joint {name!r}", path=str(path), joint=name)
         if name in tied and name in moving:
             raise _immovable(path, name, "moved", f"it and {tied[name]!r} move as one (mimic)")
         kind = elements[name].kind
         if kind not in movable:
             raise _immovable(
-                path, name, "moved or held", f"it is {kind}; revolute, prismatic and continuous joints can"
+                path, name, "moved or held", f"it is {kind}; only revolute, prismatic and continuous joints can"
             )
         if name in moving and name in hold:
             raise InputError(f"joint {name!r} cannot both move and be held", joint=name)
     if not moving:
-        raise InputError(f"robot file {path}: no joint is to move", path=str(path))
+        raise InputError(f"robot file {path}: there is no joint to move", path=str(path))
     values = standing_values(path, joints_of, hold)
     held = {name: values[name] for name in elements if name not in moving}
     for name in held:
@@ -103,7 +103,7 @@ def read_machine(
     try:
         model = pin.buildModelFromXML(ET.tostring(root, encoding="unicode"))
     except (ValueError, RuntimeError) as error:
-        reason = f"Pinocchio refuses it: {error} (its reader's own words, if any, are on the terminal)"
+        reason = f"Pinocchio refuses it: {error} (its own messages, if any, are on the terminal)"
         raise RobotFileError(path, reason) from error
     check_models(path, read_urdf(path, root, any_robot=True), model)
     for name, attributes in missing.items():
@@ -127,7 +127,7 @@ def _tied(joints: Mapping[str, Joint]) -> dict[str, str]:
 def _immovable(path: Path, joint: str, what: str, reason: str) -> InputError:
     return InputError(
         f"robot file {path}: joint {joint!r} cannot be {what}: {reason}. Name the joints to move; "
-        "the others stay where they are",
+        "the other joints keep their positions",
         path=str(path),
         joint=joint,
         reason=reason,
@@ -173,7 +173,7 @@ def limits_of(
             raise InputError(f"{what}: expected one number, or {model.nv}", option=what) from error
         for name, value in zip(names, array, strict=False):
             if value == np.inf:
-                raise InputError(f"joint {name!r} has no {what} limit; the motion needs one", joint=name)
+                raise InputError(f"joint {name!r} has no {what} limit; the motion requires one", joint=name)
             if not (np.isfinite(value) and value >= 0.0):
                 raise InputError(f"joint {name!r}: its {what} limit is {value:g}, expected a number >= 0", joint=name)
         return array

@@ -108,7 +108,7 @@ def time_waypoints(
         if (joint.nq, joint.nv) != (1, 1):
             raise InputError(
                 f"joint {name!r} ({joint.shortname()}) has {joint.nq} coordinates and {joint.nv} velocities; only "
-                "joints with one of each can be timed. hplan.trajectory.read_machine turns continuous joints into such",
+                "joints with one of each can be timed. hplan.trajectory.read_machine converts continuous joints",
                 joint=name,
             )
     points = as_waypoints(waypoints)

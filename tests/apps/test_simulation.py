@@ -210,7 +210,7 @@ def test_reading_positions_alone(tmp_path: Path) -> None:
         ("", "line 1: expected a header"),
         ("time_s,x\n0,1\n", "line 1: expected a header"),
         ("a_pos_rad\n0\n", "line 1: expected a header"),
-        ("time_s,a_pos_rad,a_pos_rad\n0,1,1\n", "line 1: column 'a_pos_rad' is there twice"),
+        ("time_s,a_pos_rad,a_pos_rad\n0,1,1\n", "line 1: column 'a_pos_rad' occurs twice"),
         ("time_s,a_pos_rad\n", "line 1: no rows"),
         ("time_s,a_pos_rad\n0,1\n1\n", "line 3: 1 values, expected 2"),
         ("time_s,a_pos_rad\n0,1\n1,one\n", "line 3: a_pos_rad is 'one'"),

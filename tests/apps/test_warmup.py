@@ -85,7 +85,7 @@ def test_a_command_tells_what_it_compiles(terminal: bool, monkeypatch: pytest.Mo
     if terminal:
         assert "compiling: kernel 87 of about 90, 0 s; looking" in said
     else:
-        assert said == "compiling, as on every first run: kernel 87 of about 90, 0 s\n"
+        assert said == "compiling (first run only): kernel 87 of about 90, 0 s\n"
 
 
 def test_about_as_many_kernels_are_called_as_is_told(tmp_path: Path) -> None:

@@ -541,4 +541,4 @@ def test_degrees_alone_are_no_tracking_error_of_what_slides(tmp_path: Path, caps
         assert main([*given, *options]) == 2
         assert says in " ".join(capsys.readouterr().err.split())
     assert main([*given, "--tracking-error", "0.5", "--tracking-error-m", "0.01"]) == 0
-    assert "tracking error 0.573 deg, 10 mm where a joint slides" in " ".join(capsys.readouterr().out.split())
+    assert "tracking error 0.573 deg, 10 mm for prismatic joints" in " ".join(capsys.readouterr().out.split())

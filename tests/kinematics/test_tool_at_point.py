@@ -73,7 +73,7 @@ def test_locked_joints_stay(picker: Robot) -> None:
 
 
 def test_beyond_the_stretched_arm_nothing_is_looked_for(arm: Robot) -> None:
-    with pytest.raises(errors.UnreachableError, match="beyond the stretched arm") as caught:
+    with pytest.raises(errors.UnreachableError, match="beyond the reach of the stretched arm") as caught:
         tool_at_point(arm, (20.0, 0.0, 0.0))
     assert caught.value.reason == "too_far"
     reach = 20.0 - caught.value.data["excess_m"]

@@ -81,7 +81,7 @@ def test_points_stand_where_they_were_seen(robot: Robot) -> None:
     free = planner.plan(begins_s=10.0)
     tip = robot.tool_positions(free.trajectory.position[[int(0.6 * free.trajectory.samples)]])
     points = tip + np.random.default_rng(0).normal(0.0, 0.03, (300, 3))
-    with pytest.raises(OptionError, match="time_s = None: expected when the frame was taken"):
+    with pytest.raises(OptionError, match="time_s = None: expected the time of the frame"):
         planner.set_cloud("canopy", points, radius=0.01)
     planner.set_cloud("canopy", points, radius=0.01, time_s=10.0)
     result = planner.plan(begins_s=10.0)
@@ -168,7 +168,7 @@ def test_what_is_ignored_is_where_it_is_by_then(robot: Robot) -> None:
     assert planner.set_cloud("seen", points, radius=0.01, time_s=15.0, ignore=["apple", "bird"]).ignored < 100
     # The base may be at rest: moving obstacles are evaluated at the frame's time all the same.
     planner = Planner(robot, a_scene(None, obstacles=(bird,)))
-    with pytest.raises(OptionError, match="what is to be ignored moves"):
+    with pytest.raises(OptionError, match="a body to ignore moves"):
         planner.set_cloud("seen", listed, radius=0.01, ignore=["bird"])
     assert planner.set_cloud("seen", listed[200:], radius=0.01, time_s=10.0, ignore=["bird"]).kept == 0
 
@@ -212,7 +212,7 @@ def test_a_cloud_that_was_cropped_for_less_is_refused(robot: Robot) -> None:
     planner.scene, planner.options = changes[0]["scene"], QUICK
     assert planner.set_cloud("seen", points, radius=0.01, options=options).kept == 2
     planner.replan(begins_s=0.0)
-    with pytest.raises(InputError, match="cropped to the reach where it was seen"):
+    with pytest.raises(InputError, match="cropped to the reach of the arm where it was seen"):
         planner.move("seen", position=(0.0, 0.3, 0.0))
 
 

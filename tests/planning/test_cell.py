@@ -311,7 +311,7 @@ def test_files(write):
     assert cell.arm("right").drop_off.position == cell.arm("right").scene.goal.position
     assert (cell.arm("left").drop_off, cell.arm("right").every) == (None, 1)
     assert plan_cell(cell).certificate.verified
-    with pytest.raises(SceneError, match="several robots: load_cell reads it"):
+    with pytest.raises(SceneError, match="several robots: read it with load_cell"):
         load_scene(write("same.yaml", YAML))
     with pytest.raises(SceneError, match=r"robots: .*missing"):
         load_cell(write("one.yaml", "format: hplan-scene/1\nname: s\n"))

@@ -85,7 +85,7 @@ def faulty():
         "no triangles": (vertices, np.zeros((0, 3), dtype=int), "the mesh is empty"),
         "no vertices": (np.zeros((0, 3)), faces, "there are no vertices"),
         "all one": (np.zeros((64, 3)), faces, "the mesh is empty: all of its triangles are points or lines"),
-        "beyond": (vertices, faces + 1, "names vertex 64, but there are 64"),
+        "beyond": (vertices, faces + 1, "refers to vertex 64, but the mesh has 64"),
         "before": (vertices, faces - 1, "names vertex"),
         "fractions": (vertices, faces.astype(float), "whole numbers"),
         "shape": (vertices[:, :2], faces, r"\(n, 3\)"),

@@ -182,12 +182,12 @@ def test_every_fruit_of_the_tour_can_be_picked(robot):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"wire_heights": (2.0, 1.0)}, "heights that increase"),
+        ({"wire_heights": (2.0, 1.0)}, "increasing heights"),
         ({"first_branch": 2.7}, "first_branch = 2.7: expected less than the tree's height, 2.7 m"),
         ({"form": "trellis", "wire_heights": ()}, "a wire below the tree's height"),
         ({"picked": (0,)}, r"picked\[0\] = 0: expected greater than or equal to 1"),
         ({"picked": (3, 3)}, "numbers from 1 to 24 that differ"),
-        ({"fruits": 2, "picked": (1, 2)}, "numbers from 1 to 2 that differ, and not all"),
+        ({"fruits": 2, "picked": (1, 2)}, "different numbers from 1 to 2, and not all"),
     ],
 )
 def test_options_that_make_no_orchard(changes, message):

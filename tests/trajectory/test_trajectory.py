@@ -124,7 +124,7 @@ def test_what_does_not_go_on_is_not_joined():
     with pytest.raises(InputError, match="motion 1 moves other joints"):
         joined([first, ending_at_rest(5, 1.0, 2.0, ("b", "a"))])
     for gap in (0.1, -2.0 * 1e-9):
-        with pytest.raises(InputError, match="motion 2 does not go on where the one before it ends") as caught:
+        with pytest.raises(InputError, match="motion 2 does not begin where the one before it ends") as caught:
             joined([first, first.reversed, ending_at_rest(5, gap, 2.0)])
         assert caught.value.data["motion"] == 2
     joined([first, first.reversed, ending_at_rest(5, 0.5 * 1e-9, 2.0)])
@@ -582,7 +582,7 @@ def test_motions_of_too_many_rows_are_refused_before_they_are_made(robot, scene)
     """A thousandth of full speed: half an hour, 450,000 samples."""
     begin = time.process_time()
     tracemalloc.start()
-    with pytest.raises(OptionError, match=r"lasts 1\d\d\d s and would have 4\d\d,\d\d\d") as error:
+    with pytest.raises(OptionError, match=r"motion of 1\d\d\d s would have 4\d\d,\d\d\d") as error:
         plan(robot, scene, PlanOptions(speed=1e-3))
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()

@@ -171,7 +171,7 @@ class _Reference:
         if not all(np.isfinite(values).all() for values in (time, position, velocity)):
             raise InputError("motion: it holds a value that is not finite")
         if not (np.diff(time) > 0.0).all():
-            raise InputError(f"motion: time does not increase at row {int(np.argmin(np.diff(time) > 0.0)) + 1}")
+            raise InputError(f"motion: time does not increase at sample {int(np.argmin(np.diff(time) > 0.0)) + 1}")
         bezier = motion.segments[0] if isinstance(motion, Trajectory) else hermite_pieces(time, position, velocity)[0]
         return cls(time - time[0], position[:, order], velocity[:, order], bezier[:, :, order])
 

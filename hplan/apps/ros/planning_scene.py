@@ -143,7 +143,7 @@ def _obstacles(world: _World, base: pin.SE3, prefix: str, open_meshes: OpenMeshe
         names.add(name)
         operation = item.get("operation", 0)
         if (operation.decode("latin-1") if isinstance(operation, bytes | bytearray) else operation) not in _ADDS:
-            reason = f"only objects that are added are read (ADD, 0); got {operation!r}"
+            reason = f"expected an object that is added (ADD, 0); got operation {operation!r}"
             raise SceneError(reason, where=f"{where}.operation", value=operation)
         if len(sequence(or_else(item.get("planes"), ()), f"{where}.planes")):
             raise SceneError(NO_PLANE, where=f"{where}.planes")

@@ -84,8 +84,8 @@ def _attached_fault(message: Mapping[str, Any]) -> str:
         held = mapping(item, f"{where}[{index}]")
         name = mapping(or_else(held.get("object"), {}), f"{where}[{index}].object").get("id")
         return (
-            f"{name!r} is attached to link {held.get('link_name')!r}, and an attached object is no obstacle; model it "
-            "as a part of that link in the URDF"
+            f"{name!r} is attached to link {held.get('link_name')!r}, and an attached object is not an obstacle; "
+            "model it as a part of that link in the URDF"
         )
     return ""
 
@@ -204,7 +204,7 @@ class FixedFrames:
         found = pin.SE3.Identity()
         known = [self._planning, *self._parents]
         if frame and frame not in known:
-            reason = f"{name!r} is in frame {frame!r}, known are {', '.join(map(repr, known))}"
+            reason = f"{name!r} is in frame {frame!r}, the known frames are {', '.join(map(repr, known))}"
             if self._first:
                 reason = (
                     f"{self._first!r} is in frame {self._planning!r}, {name!r} in {frame!r}; expected one frame, or "

@@ -46,12 +46,12 @@ def draw_row(result: RowResult) -> Figure:
     _draw(above, result, 0, "x: across the row [m]", (ends[0], ends[1]))
     _draw(front, result, 2, "z [m]", (ends[0], ends[2]))
     front.set_xlabel("y: along the row [m]")
-    above.set_title("from above; numbers are stops, dots what can be picked from each candidate")
+    above.set_title("from above; numbers are stops, dots the fruits that can be picked from each candidate")
     front.set_title("from the front")
     handles = [
         Line2D([], [], marker="o", ls="none", color=PATH, label="picked (a colour for each stop)"),
-        Line2D([], [], marker="o", ls="none", color=OBSTACLE, label="within reach, left"),
-        Line2D([], [], marker="o", ls="none", mfc="none", color=QUIET, label="out of reach or blocked"),
+        Line2D([], [], marker="o", ls="none", color=OBSTACLE, label="reachable, not picked"),
+        Line2D([], [], marker="o", ls="none", mfc="none", color=QUIET, label="unreachable or blocked"),
     ]
     figure.legend(handles=handles, loc="outside lower center", ncols=3)
     return figure

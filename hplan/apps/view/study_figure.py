@@ -41,9 +41,9 @@ def draw_study(result: StudyResult) -> Figure:
         at = one.cost, 100.0 * one.share
         axes.annotate(str(number), at, (5, 5), textcoords="offset points", color=INK, fontweight="bold")
     is_timed = any(choice.seconds_per_fruit is not None for choice in shown)
-    axes.set_xlabel("\n".join(["seconds for each fruit" if is_timed else "reach of the arm [m]", "", *words]))
+    axes.set_xlabel("\n".join(["time per fruit [s]" if is_timed else "reach of the arm [m]", "", *words]))
     axes.xaxis.label.set(ha="left", x=0.0)
-    axes.set_ylabel("share of the fruit picked [%]")
+    axes.set_ylabel("fraction of the fruits picked [%]")
     axes.margins(x=0.08, y=0.12)
     axes.set_ylim(bottom=0.0)
     axes.grid(color=FAINT, lw=0.6)

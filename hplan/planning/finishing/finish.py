@@ -108,7 +108,9 @@ def finish(
     path = given_path(robot, waypoints)
     along = scene_along(robot, scene, path)
     if keep_within_rad is None and np.abs(path.points[-1] - path.points[0]).max() <= SAME:
-        raise InputError("the path ends where it begins: shortened, nothing is left of it; its shape can be kept")
+        raise InputError(
+            "the path ends where it begins, and shortening leaves nothing of it; keep its shape (keep_within_rad)"
+        )
     with stage_clock(progress) as clock, time_limit(options.deadline_s, cancel) as limit:
         try:
             return _finished(Problem.of(robot, along, options), path, keep_within_rad)

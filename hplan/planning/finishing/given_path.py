@@ -70,7 +70,7 @@ def scene_along(robot: Robot, scene: Scene, path: GivenPath) -> Scene:
     if scene.moves:
         raise MovingObstacleError(scene.first_moving)
     if scene.start.is_moving:
-        raise InputError("the scene's start is in motion, and the motion along a given path begins at rest")
+        raise InputError("the scene's start is in motion, but the motion along a given path begins at rest")
     for joint in np.flatnonzero(robot.locked_mask(scene.locked_joints)).tolist():
         off = np.abs(path.points[:, joint] - path.points[0, joint])
         if off.max() > SAME:

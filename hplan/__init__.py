@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from hplan.planning.cell import Cell, CellResult, certify_cell, load_cell
     from hplan.planning.cell_planner import plan_cell, replan_cell
     from hplan.planning.configuration_check import ConfigurationCheck, check
-    from hplan.planning.finishing.finish import finish
+    from hplan.planning.finish import finish
     from hplan.planning.options import PlanOptions
     from hplan.planning.plan import plan
     from hplan.planning.pose_sequence import plan_poses
@@ -90,7 +90,7 @@ __getattr__ = lazy_names(
         "hplan.planning.cell": "Cell CellResult certify_cell load_cell",
         "hplan.planning.cell_planner": "plan_cell replan_cell",
         "hplan.planning.configuration_check": "ConfigurationCheck check",
-        "hplan.planning.finishing.finish": "finish",
+        "hplan.planning.finish": "finish",
         "hplan.planning.options": "PlanOptions",
         "hplan.planning.plan": "plan",
         "hplan.planning.pose_sequence": "plan_poses",

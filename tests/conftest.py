@@ -11,7 +11,7 @@ from any_arms import loaded_arm
 from hypothesis import settings
 from toy_urdf import urdf
 
-from hplan.planning.compile_ahead import compile_from_postprocessing_on, is_first_run
+from hplan.apps.cli.compile_ahead import compile_from_postprocessing_on, is_first_run
 from hplan.robot.model import Robot, load_robot
 from hplan.scene.file import load_scene
 from hplan.scene.model import Scene

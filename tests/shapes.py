@@ -93,3 +93,19 @@ def distances(solid: Solid, points: np.ndarray) -> np.ndarray:
 def uncovered(solids: tuple[Solid, ...], points: np.ndarray) -> float:
     """Maximum distance of some points from the nearest solid [m]; <= 0 if inside."""
     return float(np.min([distances(solid, points) for solid in solids], axis=0).max())
+
+
+def turned(vertices: np.ndarray) -> np.ndarray:
+    """Out of the axes, so that no cut lies in a side."""
+    c, s = np.cos(0.5), np.sin(0.5)
+    about_z, about_x = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]), np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
+    return vertices @ (about_z @ about_x).T
+
+
+def surface_points(vertices: np.ndarray, faces: np.ndarray, count: int) -> np.ndarray:
+    rng = np.random.default_rng(0)
+    corners = vertices[faces]
+    sizes = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    some = rng.choice(len(faces), count, p=sizes / sizes.sum())
+    weights = rng.dirichlet(np.ones(3), count)
+    return np.einsum("ni,nij->nj", weights, corners[some])

@@ -18,10 +18,10 @@ import hplan
 from hplan import errors
 from hplan.collision.coal_scene import CoalScene
 from hplan.errors import HplanError
+from hplan.geometry.cloud import Cloud
 from hplan.robot.model import Robot
 from hplan.scene.model import Goal, Scene
 from hplan.scene.obstacles import Mesh, PointCloud
-from hplan.scene.solids import Cloud
 
 SAMPLES = [
     HplanError("what", fact=1),

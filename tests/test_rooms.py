@@ -18,6 +18,7 @@ PACKAGE = Path(__file__).resolve().parents[1] / "hplan"
 ROOMS = (
     "errors",
     "base",
+    "geometry",
     "scene",
     "robot",
     "collision",

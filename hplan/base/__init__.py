@@ -1,4 +1,4 @@
-"""Utilities without robots: arrays, argument checks, files, compiled kernels, planar geometry.
+"""Utilities without robots: arrays, argument checks, files, compiled kernels.
 
 Imports nothing of hplan but `hplan.errors`.
 """

@@ -44,7 +44,7 @@ from hplan.collision.arm_pairs import ArmParts, arm_parts
 from hplan.collision.coal_scene import CoalScene
 from hplan.collision.flat_bodies import joints_alone
 from hplan.collision.placed_bodies import place_joints
-from hplan.collision.vectors import cross, dot, moved_on, placed_point, sub, turned
+from hplan.geometry.vectors import cross, dot, moved_on, placed_point, sub, turned
 from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel
 from hplan.scene.limits import FARTHEST_M

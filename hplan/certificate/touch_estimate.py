@@ -21,9 +21,9 @@ from hplan.certificate.clearance_curve import ProvedStretch, Subject
 from hplan.certificate.clearance_proof import point_at
 from hplan.certificate.motion_bound import motion_of_movers
 from hplan.collision.coal_cloud import distance_from, obstacle_shapes
+from hplan.geometry.cloud import Cloud
 from hplan.scene.model import Scene
 from hplan.scene.obstacles import Solid, Sphere
-from hplan.scene.solids import Cloud
 
 #: The arm is checked each time its fastest body has travelled this far [m].
 EVERY_M = 2e-3

@@ -7,7 +7,7 @@ covariance. Let a convex part of the obstacle and a body of the arm be separated
 .. math:: \min_{a \in \text{body}} n \cdot a - \max_{o \in \text{part}} n \cdot o \ge g.
 
 After the translation they touch only if :math:`n \cdot e \ge g`. Such half-spaces are found along the motion, for each
-body and each part, from the maximum gap at some configurations (`hplan.collision.convex_distance`, which returns the
+body and each part, from the maximum gap at some configurations (`hplan.geometry.convex_distance`, which returns the
 gap of the direction that it returns: the proof does not need it to be the maximum). Around such a configuration a gap
 shrinks by the travel of the body and by the displacement due to tracking errors (`hplan.certificate.motion_bound`);
 each time of the motion belongs to a half-space of its pair, or has a distance of more than :math:`7` standard
@@ -53,14 +53,14 @@ from hplan.certificate.touch_estimate import TouchEstimate, touch_estimate
 from hplan.collision import flat_bodies as flat
 from hplan.collision.body_kernels import pose_of
 from hplan.collision.coal_scene import CoalScene
-from hplan.collision.convex_distance import SEPARATING, WORK, Wanted, core_distance
 from hplan.collision.placed_bodies import place_joints
-from hplan.collision.sweep import STILL
+from hplan.geometry.cloud import Cloud
+from hplan.geometry.convex_distance import SEPARATING, WORK, Wanted, core_distance
+from hplan.geometry.sweep import STILL
 from hplan.robot.family_reader import outline
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 from hplan.scene.obstacle_kind import largest_deviation
-from hplan.scene.solids import Cloud
 
 #: Standard deviations beyond which obstacles are ignored: 2e-10 of a position's errors are larger.
 FAR: Final = 7.0

@@ -37,6 +37,7 @@ from hplan.collision.geometry_pairs import ArmPairs
 from hplan.collision.reach import carriers, reach_of
 from hplan.collision.touching_pairs import BEYOND, RIGID, SelfPairs, one_joint, pairs_among, self_pairs
 from hplan.errors import RobotFileError
+from hplan.geometry.hull import hull_of
 from hplan.robot.base_shapes import (
     BASE_DEPTH,
     TURRET,
@@ -50,7 +51,6 @@ from hplan.robot.family_reader import outline
 from hplan.robot.model import Robot, made_once
 from hplan.robot.self_contact import SLACK, SelfContact, held_apart, is_held, rounded_up, self_contact
 from hplan.scene.obstacles import Solid
-from hplan.scene.solids import hull_of
 
 #: Tolerance of equal heights [m].
 _ROUNDING: Final = 1e-9

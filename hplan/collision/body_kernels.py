@@ -3,7 +3,7 @@
 The moving bodies are the arm's bodies (`hplan.collision.flat_bodies`) followed by its self-collision pairs. The
 distance of a pair is expressed in the frame of one of its bodies, so a joint that carries both does not count as
 motion. Bodies and obstacles are convex hulls of points grown by a radius; their distance is the distance of the hulls
-(`hplan.collision.convex_distance`) minus both radii. Checks run from cheap to exact: bounding balls first, then the
+(`hplan.geometry.convex_distance`) minus both radii. Checks run from cheap to exact: bounding balls first, then the
 axis segments of the bodies, whose distance from points, segments and boxes has a closed form (exact for balls and
 capsules, a lower bound for other shapes), then GJK until a direction separates the hulls by the required clearance.
 
@@ -11,7 +11,7 @@ capsules, a lower bound for other shapes), then GJK until a direction separates 
 (`hplan.collision.motion_cover` finds the collision-free part of a motion with far less work.)
 
 **Depth.** The penetration depth of two overlapping hulls is the minimum translation that separates them
-(`hplan.collision.penetration`), plus both radii.
+(`hplan.geometry.penetration`), plus both radii.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ from hplan.base.deadline import is_up
 from hplan.base.kernels import any_int, inlined, kernel
 from hplan.collision import flat_bodies as flat
 from hplan.collision import obstacle_rows as row
-from hplan.collision.convex_distance import NEAREST, ON_FIRST, WORK, Span, Wanted, core_distance
-from hplan.collision.distances import off_box, off_segment, point_segment
 from hplan.collision.obstacle_rows import FieldArrays
-from hplan.collision.penetration import penetration
 from hplan.collision.placed_bodies import ALONG, CENTRE, PLACED, START, place_bodies
-from hplan.collision.sweep import STILL
-from hplan.collision.vectors import Pose, Vector, dot, sub, turned_back
+from hplan.geometry.convex_distance import NEAREST, ON_FIRST, WORK, Span, Wanted, core_distance
+from hplan.geometry.penetration import penetration
+from hplan.geometry.segment_distance import off_box, off_segment, point_segment
+from hplan.geometry.sweep import STILL
+from hplan.geometry.vectors import Pose, Vector, dot, sub, turned_back
 
 _FIRST_ROW = any_int(0)
 

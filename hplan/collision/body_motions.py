@@ -19,11 +19,11 @@ from hplan.base.kernels import any_int, kernel
 from hplan.collision import flat_bodies as flat
 from hplan.collision import obstacle_rows as row
 from hplan.collision.body_kernels import segment_of
-from hplan.collision.distances import point_segment
 from hplan.collision.motion_cover import Moving, Part, moving_arm, part_shown_clear
 from hplan.collision.obstacle_rows import FieldArrays
 from hplan.collision.placed_bodies import PLACED, place_bodies
 from hplan.collision.twists import motion_bends
+from hplan.geometry.segment_distance import point_segment
 
 _FIRST_ROW = any_int(0)
 

@@ -21,9 +21,9 @@ from hplan.collision.arm_pairs import ArmParts
 from hplan.collision.flat_bodies import joints_alone
 from hplan.collision.placed_bodies import place_joints
 from hplan.errors import RobotFileError
+from hplan.geometry.cloud import Cloud
 from hplan.robot.model import Robot, made_once
 from hplan.scene.obstacles import Box, Capsule, Cylinder, Solid, Sphere
-from hplan.scene.solids import Cloud
 
 #: Columns of a box: its rotation (row by row) and its centre in the frame of its joint; its half sizes; its radius; the
 #: index of the joint that carries it, the number of joints for the base.

@@ -22,10 +22,10 @@ from hplan.base.arrays import FloatArray
 from hplan.base.deadline import check_deadline
 from hplan.base.kernels import kernel
 from hplan.collision.coal_shapes import beyond_geometry, capsule_shapes, solid_shape, triangle_tree
+from hplan.geometry.cloud import LEAF, Cloud
+from hplan.geometry.cloud_tree import tree_of
 from hplan.robot.base_shapes import coal_distance
-from hplan.scene.cloud_tree import tree_of
 from hplan.scene.obstacles import Capsule, Solid
-from hplan.scene.solids import LEAF, Cloud
 
 #: Size of the triangle that represents a point [m]. For triangles degenerated to points, coal's distance from a ball is
 #: wrong.
@@ -81,7 +81,7 @@ class PointBlocks:
     """
 
     def __init__(self, points: FloatArray, nodes: FloatArray) -> None:
-        """Take a cloud's points and tree nodes, as in `hplan.scene.solids.Cloud`."""
+        """Take a cloud's points and tree nodes, as in `hplan.geometry.cloud.Cloud`."""
         self._points, self._nodes = points, nodes
         self._trees: dict[int, coal.BVHModelOBBRSS] = {}
 
@@ -175,7 +175,7 @@ def nearest_block(
     Args:
         place: (3, 3) rotation and (3,) translation of the box's frame.
         core: (2, 3) centre and half sizes of the box in that frame.
-        nodes: (k, 7) the tree, as in `hplan.scene.solids.Cloud`.
+        nodes: (k, 7) the tree, as in `hplan.geometry.cloud.Cloud`.
         after: Result of the previous call; leaves up to it in the order of bound and index are skipped.
         limit: Leaves with a bound of at least this are skipped [m].
 

@@ -12,12 +12,13 @@ import pinocchio as pin
 
 from hplan.base.arrays import FloatArray, IntArray
 from hplan.base.deadline import check_deadline
+from hplan.geometry.cloud import Cloud
+from hplan.geometry.coal_hull import convex_shape
+from hplan.geometry.hull import Hull
 from hplan.robot.base_shapes import filled
 from hplan.robot.model import Robot, made_once
-from hplan.scene.convex_shape import convex_shape
 from hplan.scene.obstacle_kind import Convex
 from hplan.scene.obstacles import Box, Capsule, Cylinder, Solid, Sphere
-from hplan.scene.solids import Cloud, Hull
 
 #: Shape of the links: the planner's capsules, beams of the same half-widths, or the URDF's collision geometry.
 LinkShapes: TypeAlias = Literal["capsule", "box", "urdf"]

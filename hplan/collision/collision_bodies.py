@@ -3,8 +3,8 @@ r"""Collision geometry of a robot as convex hulls with a radius.
 Each body is carried by one joint and contains its URDF shape. Spheres, capsules and boxes are exact. A cylinder becomes
 its circumscribed prism with `_SIDES` sides, and a mesh its convex hull. A closed mesh that fills less than `_FILLED` of
 its hull is decomposed into at most `_PIECES` convex pieces, whose union contains it
-(`hplan.scene.convex_decomposition`). A hull with more than `MOST_POINTS` vertices is reduced to some of them, and grown
-by the maximum distance of the others.
+(`hplan.geometry.convex_decomposition`). A hull with more than `MOST_POINTS` vertices is reduced to some of them, and
+grown by the maximum distance of the others.
 
 A body may be larger than its shape in coal (`body_shapes`: the true cylinder, the hull with all vertices);
 `CollisionBody.growth` is an upper bound of the difference.
@@ -24,10 +24,10 @@ import pinocchio as pin
 
 from hplan.base.arrays import FloatArray, IntArray, Record, readonly
 from hplan.errors import RobotFileError
+from hplan.geometry.coal_hull import convex_hull_shape, convex_shape
+from hplan.geometry.convex_decomposition import convex_pieces
+from hplan.geometry.hull import CUBE_CORNERS, hull_of, thickening
 from hplan.robot.model import Robot
-from hplan.scene.convex_decomposition import convex_pieces
-from hplan.scene.convex_shape import convex_hull_shape, convex_shape
-from hplan.scene.solids import CUBE_CORNERS, hull_of, thickening
 
 #: Joint index of bodies that no joint moves.
 GROUND: Final = -1
@@ -54,7 +54,7 @@ class CollisionBody(Record):
         name: Name of its link in the URDF; several bodies may have the same name.
         joint: Index in `Robot.joint_names` of the joint that carries it; `GROUND` (-1) if no joint moves it.
         core: (n, 3) points in that joint's frame (Pinocchio's; for the ground, `base_link`), at most `MOST_POINTS` [m]:
-            one for a sphere, two for a capsule, eight for a box in the order of `hplan.scene.solids.CUBE_CORNERS`
+            one for a sphere, two for a capsule, eight for a box in the order of `hplan.geometry.hull.CUBE_CORNERS`
             ((-1, -1, -1) ... (1, 1, 1)), and the vertices of the hull for all others.
         rounding: Radius around the core [m].
         kind: `sphere`, `capsule`, `box`, `cylinder`, `mesh` (a convex one), `mesh hull` or `mesh piece`.

@@ -12,13 +12,13 @@ from hplan.collision.arm_pairs import ArmParts, arm_parts
 from hplan.collision.collision_bodies import GROUND, CollisionBody, ball_about, collision_bodies
 from hplan.collision.reach import carriers, joint_axis, points_reach
 from hplan.collision.touching_pairs import required_distances, self_pairs
+from hplan.geometry.convex_distance import corner_table
 from hplan.robot.model import Robot, made_once
-from hplan.scene.corner_table import corner_table
 
 #: Columns of a body: its joint (`dof` for the ground); offsets of the start and end of its points in the numbers, and
-#: of their table (`hplan.scene.corner_table`; 0 for none); its rounding radius; centre (3) and radius of a bounding
-#: ball; start and vector (3 each) and radius of a bounding capsule; and 1 if it is checked against obstacles, because
-#: joints move it and no other body contains it.
+#: of their table (`hplan.geometry.convex_distance`; 0 for none); its rounding radius; centre (3) and radius of a
+#: bounding ball; start and vector (3 each) and radius of a bounding capsule; and 1 if it is checked against obstacles,
+#: because joints move it and no other body contains it.
 JOINT, FIRST, LAST, TABLE, ROUNDING, BALL, BALL_RADIUS, AXIS, AXIS_RADIUS, MEETS = 0, 1, 2, 3, 4, 5, 8, 9, 15, 16
 
 #: Columns of a pair: its bodies, first the one whose motion relative to the other is considered; the distance of their

@@ -21,9 +21,9 @@ from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.collision_bodies import collision_bodies
 from hplan.collision.reach import carriers
 from hplan.errors import OptionError
+from hplan.geometry.cloud import Cloud
 from hplan.robot.model import Robot
 from hplan.scene.obstacles import Solid
-from hplan.scene.solids import Cloud
 
 #: Default maximum deflection of the obstacles that a fruit hangs from, while that fruit may be touched [m].
 HANGING_M = 0.02

@@ -41,13 +41,13 @@ from hplan.collision.body_kernels import (
     segment_of,
     span_of,
 )
-from hplan.collision.convex_distance import NEAREST, SEPARATING, WORK, Span, Wanted, core_distance
-from hplan.collision.distances import point_segment
 from hplan.collision.obstacle_rows import FieldArrays
 from hplan.collision.placed_bodies import CENTRE, PLACED, place_bodies
-from hplan.collision.sweep import Sweep, used_up
 from hplan.collision.twists import MOVING, TWIST, find_twists
-from hplan.collision.vectors import Vector, cross, dot, sub, turned_back
+from hplan.geometry.convex_distance import NEAREST, SEPARATING, WORK, Span, Wanted, core_distance
+from hplan.geometry.segment_distance import point_segment
+from hplan.geometry.sweep import Sweep, used_up
+from hplan.geometry.vectors import Vector, cross, dot, sub, turned_back
 
 _FIRST_ROW = any_int(0)
 

@@ -11,8 +11,8 @@ import pinocchio as pin
 
 from hplan.base.arrays import BoolArray, FloatArray, Record, frozen
 from hplan.collision.coal_shapes import solid_shape
+from hplan.geometry.cloud import Cloud
 from hplan.scene.obstacles import Solid
-from hplan.scene.solids import Cloud
 from hplan.scene.tracks import Movement
 
 #: Rotations that tilt no axis from the vertical by more than this keep heights.

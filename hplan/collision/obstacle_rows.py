@@ -17,9 +17,10 @@ from numpy.typing import ArrayLike
 
 from hplan.base.arrays import BoolArray, FloatArray, IntArray
 from hplan.base.deadline import check_deadline
-from hplan.scene.corner_table import corner_table
+from hplan.geometry.cloud import Cloud
+from hplan.geometry.convex_distance import corner_table
+from hplan.geometry.hull import whole_hull
 from hplan.scene.obstacles import Box, Capsule, Solid, Sphere
-from hplan.scene.solids import Cloud, whole_hull
 
 #: Kinds of rows. Nodes and leaves belong to the tree of a cloud, and a leaf has points; rows below a joint range
 #: concern only the bodies that these joints carry.
@@ -39,7 +40,7 @@ RANGE = -2
 SHAPE, SECOND_END, AXES, _FACETS, _EDGES, _EDGES_END, POINTS, POINTS_END = 6, 9, 9, 6, 7, 8, 6, 7
 
 #: In `rows_of`, every kind that is a single hull also has the index of its corners in the data. Two numbers precede the
-#: corners: the index of their end, and the index of their table (`hplan.scene.corner_table`) after them, 0 for no
+#: corners: the index of their end, and the index of their table (`hplan.geometry.convex_distance`) after them, 0 for no
 #: table.
 CORNERS = 18
 

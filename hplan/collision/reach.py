@@ -29,8 +29,8 @@ import numpy as np
 import pinocchio as pin
 
 from hplan.base.arrays import FloatArray, frozen
-from hplan.base.planar_geometry import convex_hull
 from hplan.collision.collision_bodies import CollisionBody, collision_bodies
+from hplan.geometry.polygon import convex_hull
 from hplan.robot.model import Robot, made_once
 
 #: Number of corners of the polygon around a ring.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from hplan.base.arrays import FloatArray
 from hplan.base.kernels import kernel
 from hplan.collision import flat_bodies as flat
-from hplan.collision.vectors import cross
+from hplan.geometry.vectors import cross
 
 #: Columns of a moving frame: after the pose the angular velocity of the bodies that the joint carries, and the velocity
 #: of their point at the origin; and the number of columns.

@@ -20,8 +20,8 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from hplan.base.arrays import FloatArray, IntArray, Record, frozen
-from hplan.base.polyline import curve_length
 from hplan.errors import ApproachError
+from hplan.geometry.polyline import curve_length
 from hplan.kinematics.damped_steps import ABOUT_Z, KEPT, draw_back, follow
 from hplan.kinematics.inverse_kinematics import chain_of
 from hplan.robot.model import Robot

@@ -10,7 +10,8 @@ import numpy as np
 from hplan.base.arrays import FloatArray
 from hplan.base.kernels import kernel
 from hplan.collision import obstacle_rows as row
-from hplan.collision.distances import Vector, point_hull, point_segment
+from hplan.geometry.segment_distance import point_hull, point_segment
+from hplan.geometry.vectors import Vector
 
 
 class Bodies(NamedTuple):

@@ -16,7 +16,7 @@ import numpy as np
 
 from hplan.base.arrays import BoolArray, FloatArray, IntArray, ShortArray
 from hplan.base.kernels import any_int, inlined, kernel
-from hplan.collision.distances import Vector
+from hplan.geometry.vectors import Vector
 from hplan.online.body_distances import Bodies, distance_from_bodies
 
 #: Indices of a tally: rows that are not finite, points out of range, points of the arm, ignored points, rows (0, 0, 0)

@@ -28,9 +28,9 @@ import numpy as np
 
 from hplan.base.arrays import BoolArray, FloatArray, IntArray
 from hplan.base.kernels import inlined, kernel
-from hplan.collision.distances import Vector
 from hplan.collision.obstacle_rows import solid_rows
 from hplan.errors import OptionError
+from hplan.geometry.vectors import Vector
 from hplan.online.arm_shape import reach_ball
 from hplan.online.body_distances import distances_from_bodies
 from hplan.online.hidden_points import CELLS, cells_about, shortest_ranges

@@ -26,7 +26,7 @@ from hplan.certificate.moving_obstacles import checker_in_time
 from hplan.certificate.retimed_certificate import CertifiedMotion, certified_from, later
 from hplan.certificate.task_check import SAME
 from hplan.errors import HplanError, InputError, NotOnMotionError, RunningMotionBlockedError, UnavoidableContactError
-from hplan.planning.moving.obstacles_at import without_moving
+from hplan.planning.in_time import without_moving
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan_with
 from hplan.planning.result import PlanResult

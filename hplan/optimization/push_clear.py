@@ -14,11 +14,11 @@ import numpy as np
 from hplan.base.arrays import FloatArray, IntArray, frozen
 from hplan.base.deadline import check_deadline, is_up
 from hplan.base.kernels import kernel
-from hplan.base.polyline import stations
 from hplan.collision.body_kernels import FAR, body_slopes, least_body_clearance
 from hplan.collision.body_motions import piece_is_clear
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.obstacle_rows import FieldArrays
+from hplan.geometry.polyline import stations
 from hplan.optimization.options import JointArrays, PostprocessOptions
 from hplan.trajectory.cubics import bezier_piece
 from hplan.trajectory.spline import STRIDE, MovableSpline, SplinePath

@@ -41,6 +41,8 @@ from hplan.collision.collision_bodies import CollisionBody, collision_bodies
 from hplan.collision.flat_bodies import BODIES
 from hplan.collision.touching_pairs import self_pairs
 from hplan.errors import InputError, OptionError
+from hplan.geometry.hull import CUBE_CORNERS, whole_hull
+from hplan.geometry.rotation import rpy_rotation
 from hplan.planning.options import PlanOptions
 from hplan.planning.result import PlanResult
 from hplan.robot.model import Robot, load_robot
@@ -50,7 +52,6 @@ from hplan.scene.file import read_model
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacle_kind import moved
 from hplan.scene.obstacles import AnyObstacle, Capsule, Mesh, Sphere
-from hplan.scene.solids import CUBE_CORNERS, rpy_rotation, whole_hull
 from hplan.trajectory.cubics import Rows, evaluate
 from hplan.trajectory.trajectory import Retimed, Trajectory, stopped
 

@@ -12,8 +12,23 @@ from hplan.optimization.minimize_time import Effort as OptimizerEffort
 from hplan.optimization.minimize_time import Level
 from hplan.optimization.several_starts import StartsEffort
 from hplan.planning.options import EffortName, PlanOptions
-from hplan.planning.sampling.several_trees import TreesEffort
 from hplan.robot.model import Robot
+
+
+@dataclass(frozen=True)
+class TreesEffort:
+    """Effort of several pairs of trees.
+
+    Attributes:
+        pairs: Number of pairs.
+        each: Maximum number of distance queries of each pair.
+        seed: Seed of the first pair; the others have the following ones.
+    """
+
+    pairs: int
+    each: int
+    seed: int = 0
+
 
 #: Long trees before a goal is refused, for robots that also have a grid; and none.
 LONG_TREES, NO_TREES = TreesEffort(2, 60_000), TreesEffort(0, 0)

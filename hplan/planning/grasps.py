@@ -4,6 +4,11 @@ Each configuration with the tool at the point (`hplan.planning.tool_paths`) gets
 link or, for a general (non-planar) arm, along the z axis of the tool frame. The approach starts at a stand-off of the
 requested distance, or of a shorter one if that is infeasible. Only the last link may touch the target fruit,
 and only during the approach; if no straight approach is collision-free, it may touch the fruit during the whole motion.
+
+If the position of a fruit is uncertain, approaches differ in the probability that it is within the gripper's capture
+range: its center is off by at most one length along the tool axis at the grasp and by at most another length across it.
+The error is normal, with the fruit's own covariance and the shared one. The probability is the fraction of 4,096 evenly
+distributed draws, the same for all approaches; it is accurate to about 0.2 %. Errors of the arm are not included.
 """
 
 from __future__ import annotations
@@ -25,7 +30,6 @@ from hplan.collision.coal_scene import Contact
 from hplan.errors import BlockedError, UnreachableError
 from hplan.kinematics.approach_angles import Candidates
 from hplan.kinematics.straight_line import StraightLine
-from hplan.planning.capture import SAME, caught
 from hplan.planning.joint_ranges import LEAST_MARGIN, JointRanges, joint_ranges
 from hplan.planning.options import PlanOptions
 from hplan.planning.tool_paths import Approaches, tool_of
@@ -34,6 +38,32 @@ from hplan.robot.limits import rest_to_rest
 from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel, name_margin
 from hplan.scene.model import Fruit, Scene
+
+#: Number of draws, and the maximum difference in probability from the best approach to count as equally good.
+_DRAWS, SAME = 4096, 0.005
+
+
+def caught(approaches: FloatArray, covariance: FloatArray, capture_m: tuple[float, float]) -> FloatArray:
+    """(k,) probabilities that a fruit is within capture range.
+
+    Args:
+        approaches: (k, 3) directions of the tool, of any length.
+        covariance: (3, 3) covariance of the fruit's position [m^2].
+        capture_m: Maximum offset of its center across the approach, and along it [m].
+    """
+    from scipy.special import ndtri
+
+    # Multiples of the inverse powers of the root of x^4 = x + 1, modulo 1, fill a cube evenly.
+    root = 1.2207440846057596
+    even = (0.5 + np.arange(1, _DRAWS + 1)[:, None] * root ** -np.arange(1.0, 4.0)) % 1.0
+    values, vectors = np.linalg.eigh(covariance)
+    errors = (ndtri(even) * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
+    ahead = approaches / np.linalg.norm(approaches, axis=1, keepdims=True)
+    along = errors @ ahead.T
+    across = np.maximum((errors**2).sum(axis=1)[:, None] - along**2, 0.0)
+    within: FloatArray = ((np.abs(along) <= capture_m[1]) & (across <= capture_m[0] ** 2)).mean(axis=0)
+    return within
+
 
 #: Approximate number of candidate configurations.
 COUNT = 64

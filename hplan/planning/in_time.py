@@ -3,7 +3,7 @@
 Paths are planned without the moving obstacles (on a moving base: among all obstacles at their initial poses), and, if
 that motion would collide, around the volume that they sweep meanwhile and around their poses at the collision, at the
 start and at the end. A motion along each path runs unchanged if it is certified; otherwise it gets the earliest timing
-through its cells of path and time (`hplan.planning.moving.schedule`): it waits at a clear configuration, slows down, or
+through its cells of path and time (`hplan.planning.schedule`): it waits at a clear configuration, slows down, or
 passes before the obstacle comes. If no motion from a start in motion is found, the arm is brought to rest first.
 """
 
@@ -12,21 +12,22 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
-from typing import Any, TypeAlias
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 
+from hplan.base.arrays import FloatArray
 from hplan.certificate.certificate import Certificate, certify
 from hplan.certificate.start_state import start_state
 from hplan.errors import HplanError, MovingObstacleError, ObstacleInTimeError, TimingError
 from hplan.planning.motion import Motion, Plan, best_of
-from hplan.planning.moving.obstacles_at import among_poses, without_moving
-from hplan.planning.moving.path_in_time import MovingField, PathInTime
-from hplan.planning.moving.schedule import STEP_S, earliest_schedule, room_to_change
 from hplan.planning.options import PlanOptions
+from hplan.planning.schedule import STEP_S, MovingField, PathInTime, earliest_schedule, room_to_change
 from hplan.planning.start_in_motion import after_stop, stops
 from hplan.robot.model import Robot
-from hplan.scene.model import Scene, Start
+from hplan.scene.model import Fruit, Scene, Start
+from hplan.scene.obstacle_kind import moved
+from hplan.scene.obstacles import AnyObstacle, Sphere
 from hplan.trajectory.trajectory import Phase, Retimed, Trajectory, joined, scaled
 
 #: Anytime plans of a scene with or without moving obstacles.
@@ -222,3 +223,73 @@ def _later(phase: Phase, retimed: Retimed) -> Phase:
     begin = max(0, int(np.searchsorted(clock, phase.start_s + 1e-9, side="right")) - 1)
     end = int(np.searchsorted(clock, phase.end_s - 1e-9, side="left")) if phase.end_s < clock[-1] - 1e-9 else -1
     return Phase(phase.name, float(time[begin]) if phase.start_s > 0.0 else 0.0, float(time[end]))
+
+
+#: Maximum displacement between consecutive poses of one obstacle [m], and the maximum number of poses.
+APART_M: Final = 0.03
+_MOST_POSES: Final = 24
+
+
+def without_moving(scene: Scene) -> Scene:
+    """The scene without its moving obstacles.
+
+    On a moving base: the other obstacles, at their initial poses.
+    """
+    at_first = scene.at(0.0)
+    kept = {item.name for item in (*scene.obstacles, *scene.fruits) if item.track is None}
+    return at_first.copy_unchecked(
+        {
+            "obstacles": tuple(item for item in at_first.obstacles if item.name in kept),
+            "fruits": tuple(item for item in at_first.fruits if item.name in kept),
+        }
+    )
+
+
+def among_poses(scene: Scene, from_s: float, to_s: float) -> Scene:
+    """The scene with moving obstacles at all their poses within an interval.
+
+    Consecutive poses are close to each other (`APART_M`).
+
+    Args:
+        from_s: Start of the interval [s].
+        to_s: End of the interval [s].
+    """
+    moving = set(scene.poses_at([from_s]))
+    still_fruits = tuple(fruit for fruit in scene.fruits if fruit.name not in moving)
+    fruits = tuple(fruit for fruit in scene.fruits if fruit.name in moving)
+    obstacles: list[AnyObstacle] = [item for item in scene.obstacles if item.name not in moving]
+    items = [*(item for item in scene.obstacles if item.name in moving), *(_ball(fruit) for fruit in fruits)]
+    clock = np.linspace(from_s, to_s, _MOST_POSES)
+    poses = scene.poses_at(clock)
+    for item in items:
+        rotations, shifts = poses[item.name]
+        points = _points(item)
+        places = points @ np.swapaxes(rotations, 1, 2) + shifts[:, None]
+        steps = np.linalg.norm(np.diff(places, axis=0), axis=2).max(axis=1)
+        for number in _apart(steps):
+            name = f"{item.name} at {clock[number]:.3f} s"
+            update = moved(item, rotations[number], shifts[number])
+            obstacles.append(item.copy_unchecked(update | {"name": name}))
+    return scene.copy_unchecked({"obstacles": tuple(obstacles), "fruits": still_fruits, "base_track": None})
+
+
+def _apart(steps: FloatArray) -> Iterator[int]:
+    """Choose poses: the first, the last, and few close ones between them."""
+    gone = math.inf
+    for number, step in enumerate([0.0, *steps.tolist()]):
+        following = float(steps[number]) if number < len(steps) else math.inf
+        gone += step
+        if gone + following > APART_M and (gone > 0.0 or number == 0):
+            gone = 0.0
+            yield number
+
+
+def _ball(fruit: Fruit) -> Sphere:
+    """A fruit as an obstacle."""
+    keys = ("name", "center", "radius", "sigma", "track", "sway", "yields")
+    return Sphere(**{key: getattr(fruit, key) for key in keys})
+
+
+def _points(item: AnyObstacle) -> FloatArray:
+    """(k, 3) core points of an obstacle, to measure its travel."""
+    return np.concatenate([solid.core for solid in item.solids])

@@ -52,7 +52,7 @@ class PlanOptions(Options):
             point, and for no approach to a pose.
         capture_m: Maximum offset of a fruit's center from where the gripper expects it: across the approach, and along
             it [m]. Only the grasps with the best approach for the position error are kept, within half a percent, and
-            reports give the probability to catch each fruit (`hplan.planning.capture`). None for neither.
+            reports give the probability to catch each fruit (`hplan.planning.grasps`). None for neither.
         certify: False to export motions that are not certified; the report says so.
         bound: True to compute a lower bound of the duration of all motions, too (`hplan.planning.lower_bound`). It
             takes seconds if the base does not turn and obstacles block the way. Tours have no bound.

@@ -24,7 +24,6 @@ from hplan.base.arguments import number as checked_number
 from hplan.base.arguments import truth
 from hplan.base.arrays import FloatArray, frozen, numbers, readonly
 from hplan.base.deadline import Cancel, TimeIsUpError, check_deadline, time_limit
-from hplan.base.polyline import path_length, stations
 from hplan.certificate.tool_bounds import ToolBounds, tool_bounds
 from hplan.errors import (
     BlockedError,
@@ -36,11 +35,13 @@ from hplan.errors import (
     NotFoundError,
     TimingError,
 )
+from hplan.geometry.polyline import path_length, stations
+from hplan.geometry.rotation import quaternion_rotation
 from hplan.kinematics.damped_steps import UPRIGHT, Chain, follow
 from hplan.kinematics.inverse_kinematics import chain_of, checked_pose
 from hplan.kinematics.straight_line import line_to
 from hplan.optimization.smooth_path import SMALLEST_FRACTION
-from hplan.planning.finishing.given_path import given_path, scene_along
+from hplan.planning.finish import given_path, scene_along
 from hplan.planning.motion import Motion, Plan, Transit, best_of, certified_trajectory, improve
 from hplan.planning.options import PlanOptions
 from hplan.planning.path_finder import Origin
@@ -48,12 +49,11 @@ from hplan.planning.plan import check_task, plan_result
 from hplan.planning.pose_goal import configurations_at
 from hplan.planning.problem import Problem, merged
 from hplan.planning.result import PlanResult
-from hplan.planning.sampling.rrt_connect import Held, TreeEffort, tree_path
+from hplan.planning.rrt_connect import Held, tree_path
 from hplan.planning.solver import best_motion
 from hplan.planning.stages import Progress, no_progress, stage, stage_clock
 from hplan.robot.model import Robot
 from hplan.scene.model import QUATERNION_LENGTH, Goal, Scene
-from hplan.scene.solids import quaternion_rotation
 from hplan.trajectory.spline import SplinePath
 
 #: Maximum number of poses.
@@ -362,7 +362,7 @@ def _upright(tilt: _Tilt, tasks: Sequence[Problem], number: int, given_up: Seque
     """
     if not tasks:
         return
-    field, robot, reached = tasks[0].field, tasks[0].robot, False
+    field, reached = tasks[0].field, False
     for to in tasks:
         rows = _followed(tilt, to, to.start, to.goal)
         if rows is not None and field.is_clear(rows, 0.1 * to.margin):
@@ -376,9 +376,8 @@ def _upright(tilt: _Tilt, tasks: Sequence[Problem], number: int, given_up: Seque
         if not left:
             return
         goals = np.array([to.goal for to in left])
-        effort = TreeEffort(evaluations, first.effort.trees.seed + seed)
         with stage("trees"):
-            path, _ = tree_path(first, field, robot.velocity_limit, least, effort, goals=goals, held=held)
+            path, _ = tree_path(first, least, evaluations, first.effort.trees.seed + seed, goals=goals, held=held)
         if path is not None:
             reached, to = True, left[int((goals == path[-1]).all(axis=1).argmax())]
             yield _Leg(number, to, _shorter(tilt, to, path))

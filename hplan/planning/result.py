@@ -12,9 +12,9 @@ import numpy as np
 
 from hplan.base.arrays import FloatArray, Record
 from hplan.base.lazy_import import InNotebook
-from hplan.base.polyline import path_length
 from hplan.certificate.certificate import REST, Certificate
 from hplan.certificate.retimed_certificate import CertifiedMotion, certified_retiming
+from hplan.geometry.polyline import path_length
 from hplan.planning.grasps import Grasp
 from hplan.planning.motion import Transit
 from hplan.planning.problem import Problem

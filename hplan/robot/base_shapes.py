@@ -19,9 +19,9 @@ import numpy as np
 import pinocchio as pin
 
 from hplan.base.arrays import FloatArray, frozen
+from hplan.geometry.coal_hull import convex_hull_shape
 from hplan.robot.family_reader import outline
 from hplan.robot.model import Robot, made_once
-from hplan.scene.convex_shape import convex_hull_shape
 
 #: Carriers of base shapes that a link can touch: bodies that turn with the arm plane, and fixed bodies.
 TURRET: Final = -1

@@ -20,9 +20,9 @@ import pinocchio as pin
 from hplan.base.arguments import nearest_name
 from hplan.base.arrays import FloatArray
 from hplan.errors import RobotFileError
+from hplan.geometry.coal_hull import convex_shape
+from hplan.geometry.hull import CUBE_CORNERS, whole_hull
 from hplan.robot.urdf_xml import line_of
-from hplan.scene.convex_shape import convex_shape
-from hplan.scene.solids import CUBE_CORNERS, whole_hull
 
 #: A link without its own shapes counts as covered if it protrudes from its neighbours' shapes by at most this [m].
 _COVERED_M: Final = 1e-3

@@ -16,10 +16,10 @@ import pinocchio as pin
 from hplan.base import ties
 from hplan.base.arrays import FloatArray, readonly
 from hplan.errors import RobotFamilyError, RobotFileError
+from hplan.geometry.hull import CUBE_CORNERS
 from hplan.robot.dynamics import SLIDING, TURNING
 from hplan.robot.planar_family import PlanarArm, PlanarFamily
 from hplan.robot.urdf_check import frame_number
-from hplan.scene.solids import CUBE_CORNERS
 
 #: Lengths below this count as zero, and offsets below this as on the plane [m].
 _GEOMETRY_TOLERANCE = 1e-6

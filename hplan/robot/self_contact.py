@@ -24,7 +24,7 @@ from typing import Final
 import numpy as np
 
 from hplan.base.arrays import FloatArray, frozen
-from hplan.base.planar_geometry import convex_hull, polygon_distances
+from hplan.geometry.polygon import convex_hull, polygon_distances
 from hplan.robot.base_shapes import (
     TURRET,
     BaseShape,

@@ -21,9 +21,9 @@ import pinocchio as pin
 from hplan.base.arguments import DECIMAL
 from hplan.base.arrays import FloatArray, readonly
 from hplan.errors import RobotFileError
+from hplan.geometry.rotation import rpy_rotation
 from hplan.robot.urdf_xml import line_of
 from hplan.scene.limits import FARTHEST_M
-from hplan.scene.solids import rpy_rotation
 
 #: Permitted attributes and child elements of each element; a missing entry permits any. Other names are extensions,
 #: unless they look like a misspelling; of the extensions only `_ACCELERATION` is read.

@@ -2,7 +2,7 @@
 
 A scene is immutable; `with_` returns a checked copy with other values, `with_obstacles` one with other obstacles. The
 classes are also the schema of the scene file (`hplan.scene.file`). The arm keeps its clearance from an obstacle's
-`solids`: the obstacle itself, or the solids of a mesh or a point cloud (`hplan.scene.solids`).
+`solids`: the obstacle itself, or the hulls of a mesh (`hplan.geometry.hull`) or a cloud (`hplan.geometry.cloud`).
 """
 
 from __future__ import annotations
@@ -21,6 +21,9 @@ from hplan.base.arguments import instance, list_of, number
 from hplan.base.arrays import FloatArray, numbers
 from hplan.base.data_files import robot_names
 from hplan.errors import MovingObstacleError, SceneError
+from hplan.geometry.cloud import Cloud
+from hplan.geometry.hull import Hull
+from hplan.geometry.rotation import quaternion_rotation, rpy_rotation
 from hplan.scene.fault import StrictModel, check_values, fault
 from hplan.scene.limits import FARTHEST_M, MOST_OBSTACLES, Size, Vector
 from hplan.scene.obstacle_kind import (
@@ -34,7 +37,6 @@ from hplan.scene.obstacle_kind import (
     turned_covariance,
 )
 from hplan.scene.obstacles import AnyObstacle, Obstacle, Solid, Sphere
-from hplan.scene.solids import Cloud, Hull, quaternion_rotation, rpy_rotation
 from hplan.scene.tracks import Movement
 
 #: Format of scene files, the value of their key `format`.

@@ -1,8 +1,14 @@
-"""Base classes of obstacles and their common fields.
+r"""Base classes of obstacles and their common fields.
 
 A new kind is a class on these bases in a file of its own, and an entry in `hplan.scene.obstacles`. A convex kind
 defines the points of its hull (`core`) and their radius (`rounding`); kernels, certificate, pages and messages derive
 the rest (`hull`, `surface`, `excess`) from these, unless the kind overrides it.
+
+**Swept solids.** Let a solid be the hull of a core :math:`C` grown by a rounding. Shifted by all of :math:`[-a, a]`, it
+sweeps the hull of :math:`C - a` and :math:`C + a` grown by the same rounding: a ball becomes a capsule, any other solid
+a hull. This is exact, except that a flat hull is thickened by `hplan.geometry.hull.THIN`, and a hull with many vertices
+is simplified as for a mesh. A cloud becomes a cloud of copies along the segment, dense enough that balls with a radius
+larger by `SWEPT_ERROR` cover the swept balls; if that needs too many points, fewer copies of larger balls.
 """
 
 from __future__ import annotations
@@ -18,9 +24,11 @@ import numpy as np
 from pydantic import AfterValidator, Field, PrivateAttr, model_validator
 
 from hplan.base.arrays import FloatArray, IntArray, frozen, readonly
+from hplan.geometry.cloud import Cloud
+from hplan.geometry.hull import Hull, hull_of, thickening, whole_hull
+from hplan.geometry.rotation import rpy_of, rpy_rotation
 from hplan.scene.fault import StrictModel, fault
 from hplan.scene.limits import FARTHEST_M, MOST_POINTS, Angles, Vector
-from hplan.scene.solids import Cloud, Hull, hull_of, rpy_of, rpy_rotation, thickening, whole_hull
 from hplan.scene.tracks import Sway, Track
 
 Name: TypeAlias = Annotated[str, Field(min_length=1)]
@@ -220,7 +228,7 @@ class FromData(Turned):
         return write_shape(self._data, path)
 
 
-#: A solid that the planner avoids: the hull of `core` grown by `rounding`; for a point set a ball about each core
+#: A solid that the planner avoids: the hull of `core` grown by `rounding`; if `is_point_set`, a ball about each core
 #: point; for a cylinder the hull contains it.
 Solid: TypeAlias = Convex | Hull | Cloud
 

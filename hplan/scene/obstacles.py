@@ -19,6 +19,10 @@ from pydantic import Field, PositiveFloat, ValidationError, ValidationInfo, mode
 from hplan.base.arrays import FloatArray, IntArray, readonly
 from hplan.base.files import ByteBudget
 from hplan.errors import SceneError
+from hplan.geometry.cloud import Cloud
+from hplan.geometry.hull import CUBE_CORNERS, Hull
+from hplan.geometry.prism import prism, prism_excess
+from hplan.geometry.rotation import rpy_rotation
 from hplan.scene.fault import fault, scene_error, validated
 from hplan.scene.limits import FARTHEST_M, MOST_SHAPE_BYTES, Angles, Size, Vector
 from hplan.scene.obstacle_kind import (
@@ -29,8 +33,6 @@ from hplan.scene.obstacle_kind import (
     Turned,
 )
 from hplan.scene.obstacle_kind import Solid as Solid  # a name of this module too
-from hplan.scene.prism import prism, prism_excess
-from hplan.scene.solids import CUBE_CORNERS, Cloud, Hull, rpy_rotation
 
 if TYPE_CHECKING:
     from hplan.scene.shape_data import PointSet, Surface
@@ -120,7 +122,7 @@ class Capsule(Convex):
 class Cylinder(Turned, Convex):
     """A cylinder with flat ends, its axis along z before rotation.
 
-    The certificate and MuJoCo use the exact cylinder, kernels and sections a circumscribed prism (`hplan.scene.prism`).
+    The certificate and MuJoCo use the exact cylinder, kernels and sections a circumscribed `hplan.geometry.prism`.
     `track`, `sway`, `yields` and `covariance` are described in `hplan.scene.obstacle_kind.Item`.
 
     Attributes:

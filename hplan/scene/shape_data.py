@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 from hplan.base.arguments import DECIMAL
 from hplan.base.arrays import FloatArray, IntArray, as_array, frozen, readonly
 from hplan.base.files import ByteBudget, write_text
-from hplan.scene.convex_decomposition import Pieces, convex_pieces
+from hplan.geometry.convex_decomposition import Pieces, convex_pieces
 from hplan.scene.limits import FARTHEST_M, MOST_POINTS, MOST_TRIANGLES
 
 _T = TypeVar("_T")

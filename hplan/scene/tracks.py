@@ -29,9 +29,9 @@ from pydantic import Field, model_validator
 
 from hplan.base.arrays import FloatArray, Record, frozen, readonly
 from hplan.errors import OptionError
+from hplan.geometry.rotation import rpy_rotation
 from hplan.scene.fault import StrictModel, fault
 from hplan.scene.limits import LONGEST_S, MOST_TRACK_POINTS, Angles, Size, Vector
-from hplan.scene.solids import rpy_rotation
 
 Time: TypeAlias = Annotated[float, Field(ge=-LONGEST_S, le=LONGEST_S)]
 

@@ -24,9 +24,8 @@ from hplan.base.arrays import FloatArray, IntArray
 from hplan.planning.effort import CLOSE, NO_TREES
 from hplan.planning.failures import NO_MOTION, FailuresError
 from hplan.planning.motion import Motion, best_of, seconds
-from hplan.planning.path_finder import first_tree_path, is_straight_clear
+from hplan.planning.path_finder import Path, is_straight_clear, path_time, shortened, tree_paths
 from hplan.planning.problem import Problem
-from hplan.planning.sampling.several_trees import PromisingPath
 from hplan.planning.solver import motion_near, motions, searches_first
 from hplan.robot.limits import Limits, rest_to_rest
 from hplan.scene.model import Fruit
@@ -93,7 +92,7 @@ class Moves:
         self._thorough: set[_Key] = set()
         self._blocked: set[_Key] = set()
         self._joins = {carries: Joins(partial(self._may_pass, carries)) for carries in (False, True)}
-        self._routes: dict[_Key, list[PromisingPath]] = {}
+        self._routes: dict[_Key, list[Path]] = {}
         # Flat lists of stop pairs: pairs with planned motions, and pairs with estimates only; the last estimate of
         # a pair is the best.
         self._looked = {carries: array("q") for carries in (False, True)}
@@ -144,11 +143,12 @@ class Moves:
             elif key in self._routes:
                 self._plan(key, motion_near(problem, self._routes.pop(key)))
             elif key in self._blocked:
-                routes = first_tree_path(problem)
-                if routes and routes[0].seconds < self._joins[loaded].between(a, b):
+                routes = tree_paths(problem, replace(problem.effort.trees, pairs=1))
+                least_s = [path_time(shortened(problem, path), problem.robot.velocity_limit) for path in routes]
+                if least_s and least_s[0] < self._joins[loaded].between(a, b):
                     self._routes[key] = routes
                     # A motion near a tree path takes about this multiple of the path's duration at the velocity limits.
-                    self._estimate(key, 1.2 * routes[0].seconds)
+                    self._estimate(key, 1.2 * least_s[0])
                 else:
                     self._plan(key, None)
             elif is_straight_clear(problem):

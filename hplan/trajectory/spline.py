@@ -17,11 +17,11 @@ from numpy.typing import ArrayLike
 from hplan.base.arrays import BoolArray, FloatArray, Record, frozen, readonly
 from hplan.base.deadline import check_deadline
 from hplan.base.kernels import kernel
-from hplan.base.polyline import curve_length, stations
 from hplan.collision.body_motions import piece_is_clear
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.obstacle_rows import FieldArrays
 from hplan.errors import InputError
+from hplan.geometry.polyline import curve_length, stations
 from hplan.trajectory.cubics import bezier_piece, bezier_pieces, evaluate
 
 #: Longest step along a piece, as a fraction, of the optimizer's sampled contact check before the exact one.

@@ -30,6 +30,7 @@ from studies.trees import DISTANCES, Orchard, crop_of, measured_orchard, shipped
 from hplan.base.arrays import FloatArray
 from hplan.collision.clearance_field import ClearanceField
 from hplan.errors import HplanError
+from hplan.geometry.hull import Hull
 from hplan.online.arm_shape import arm_solids
 from hplan.online.frame import CloudOptions
 from hplan.online.planner import Planner
@@ -37,7 +38,6 @@ from hplan.planning.options import PlanOptions
 from hplan.robot.model import Robot
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Box, Capsule, Solid, Sphere
-from hplan.scene.solids import Hull
 
 #: Returns of a frame, about; frames of each motion, the first one among them, and motions in each orchard.
 SIZES, FRAMES, GOALS = (10_000, 100_000, 300_000, 1_000_000), 4, 4

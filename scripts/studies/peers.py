@@ -18,11 +18,11 @@ from studies.outside import TimedMotion, contacts, findings
 
 from hplan.base.arrays import FloatArray
 from hplan.base.lazy_import import extra
-from hplan.base.polyline import stations
 from hplan.collision.clearance_field import ClearanceField
 from hplan.errors import HplanError
+from hplan.geometry.polyline import stations
 from hplan.optimization.shortcut import shorten
-from hplan.planning.finishing.finish import finish
+from hplan.planning.finish import finish
 from hplan.planning.world import World
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene

@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike
 
 from hplan.base.arguments import one_of
 from hplan.base.arrays import BoolArray, FloatArray, readonly
-from hplan.base.planar_geometry import convex_hull
 from hplan.collision.coal_scene import CoalScene
+from hplan.geometry.polygon import convex_hull
 from hplan.grid.grid import Grid
 from hplan.grid.prepared_obstacles import ConvexObstacle, prepare_obstacles
 from hplan.grid.sections import LINK_MODELS, ArmSections, LinkModel, balls_only, sections_at

@@ -24,8 +24,8 @@ from studies.planar import without_jerk
 from studies.planar_cspace import arm_sections, joint_grid, sampled_occupancy
 
 from hplan.base.arrays import FloatArray, IntArray
-from hplan.base.polyline import path_length
 from hplan.collision.coal_scene import CoalScene
+from hplan.geometry.polyline import path_length
 from hplan.grid import dense_search, two_level_search
 from hplan.grid.grid import Occupancy
 from hplan.grid.occupancy import occupancy

@@ -14,10 +14,10 @@ from hypothesis.extra.numpy import arrays
 
 from hplan.apps.ros import read_moveit_scene
 from hplan.errors import SceneError
+from hplan.geometry.prism import ERROR
 from hplan.scene.file import load_scene, save_scene
 from hplan.scene.model import Scene
 from hplan.scene.obstacles import Box, Cylinder, Sphere
-from hplan.scene.prism import ERROR
 
 NEW = """\
 (noname)+

@@ -27,12 +27,12 @@ from hplan.collision.collision_bodies import body_shapes, collision_bodies
 from hplan.collision.reach import reach_ball
 from hplan.collision.touching_pairs import required_distances, self_pairs
 from hplan.errors import InputError, JointLimitError, RobotFileError
+from hplan.geometry.cloud import Cloud
 from hplan.online.arm_shape import arm_solids
 from hplan.robot.model import Robot, load_robot
 from hplan.robot.tracking import TrackingModel
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Box, Capsule, Sphere
-from hplan.scene.solids import Cloud
 from hplan.scene.tracks import Track
 from hplan.trajectory import read_waypoints
 from hplan.trajectory.trajectory import Trajectory

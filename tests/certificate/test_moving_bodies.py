@@ -16,6 +16,7 @@ from hplan.certificate.certificate import certify
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.coal_scene import CoalScene
 from hplan.errors import ConfigurationInCollisionError, InputError, NoPathError
+from hplan.geometry.hull import CUBE_CORNERS
 from hplan.grid.occupancy import occupancy
 from hplan.grid.prepared_obstacles import prepare_obstacles
 from hplan.grid.sections import sections_at
@@ -26,7 +27,6 @@ from hplan.planning.world import World
 from hplan.robot.base_shapes import GROUND, TURRET, always, base_shapes, coal_distance, ever, turning_shapes
 from hplan.robot.self_contact import self_contact
 from hplan.scene.obstacles import Box, Capsule, Sphere
-from hplan.scene.solids import CUBE_CORNERS
 
 COUNTERWEIGHT = box((0.5, 0.1, 0.1), (-0.3, 0.0, 0.45))
 REST = (0.0, 45.0, 45.0, 45.0)

@@ -19,9 +19,10 @@ from hplan.collision.collision_bodies import GROUND, body_shapes, collision_bodi
 from hplan.collision.flat_bodies import AXIS, AXIS_RADIUS, BALL, BALL_RADIUS, BODIES, JOINT
 from hplan.collision.placed_bodies import ALONG, CENTRE, PLACED, START, place_bodies
 from hplan.collision.touching_pairs import self_pairs
+from hplan.geometry.cloud import Cloud
+from hplan.geometry.hull import hull_of
 from hplan.robot.model import Robot
 from hplan.scene.obstacles import Box, Cylinder, Solid, Sphere
-from hplan.scene.solids import Cloud, hull_of
 
 SEEDS = st.integers(0, 2**32 - 1)
 

@@ -14,8 +14,9 @@ from hplan.collision import obstacle_rows
 from hplan.collision.body_kernels import FAR, body_clearances
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.coal_scene import CoalScene
+from hplan.geometry.cloud import Cloud
+from hplan.geometry.hull import hull_of
 from hplan.scene.obstacles import Box, Cylinder, Sphere
-from hplan.scene.solids import Cloud, hull_of
 
 #: Clearances beyond all of the scenes [m].
 ALL = 100.0

@@ -22,13 +22,14 @@ from hplan.collision.coal_accuracy import CURVED, ITERATION, PARALLEL, SIZE, dis
 from hplan.collision.coal_cloud import BareShape, PointBlocks, distance_from, nearest_block
 from hplan.collision.coal_scene import CoalScene, base_contacts
 from hplan.collision.coal_shapes import LINK_SHAPES, solid_shape
+from hplan.geometry.cloud import Cloud
+from hplan.geometry.coal_hull import convex_hull_shape
+from hplan.geometry.hull import CUBE_CORNERS, hull_of
 from hplan.robot.base_shapes import base_radius, coal_distance
 from hplan.robot.family import HARVESTER, write_robot
 from hplan.robot.model import load_robot
-from hplan.scene.convex_shape import convex_hull_shape
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Box, Capsule, Cylinder, Sphere
-from hplan.scene.solids import CUBE_CORNERS, Cloud, hull_of
 from hplan.trajectory.trajectory import Trajectory
 
 FLAT = np.zeros(4)

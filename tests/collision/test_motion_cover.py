@@ -16,12 +16,12 @@ from hplan.collision.collision_bodies import collision_bodies
 from hplan.collision.flat_bodies import BODIES, FIRST, INNER, JOINT, LAST, OUTER
 from hplan.collision.motion_cover import moving_arm, part_shown_clear
 from hplan.collision.placed_bodies import place_joints
-from hplan.collision.sweep import Sweep, used_up
 from hplan.collision.touching_pairs import self_pairs
 from hplan.collision.twists import MOVING, TWIST, find_twists, motion_bends
+from hplan.geometry.cloud import Cloud
+from hplan.geometry.sweep import Sweep, used_up
 from hplan.robot.model import Robot, load_robot
 from hplan.scene.obstacles import Box, Solid
-from hplan.scene.solids import Cloud
 
 SEEDS = st.integers(0, 2**32 - 1)
 

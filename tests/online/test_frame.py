@@ -13,13 +13,15 @@ from hypothesis import strategies as st
 from hplan.collision.coal_cloud import distance_from
 from hplan.collision.obstacle_rows import solid_rows
 from hplan.errors import InputError
+from hplan.geometry.cloud import Cloud
+from hplan.geometry.hull import hull_of
+from hplan.geometry.rotation import rpy_rotation
 from hplan.online.arm_shape import arm_solids, reach_ball
 from hplan.online.body_distances import distance_from_bodies, distances_from_bodies
 from hplan.online.frame import CloudOptions, Frame, filter_frame
 from hplan.online.frame_kernels import Scratch
 from hplan.robot.model import load_robot
 from hplan.scene.obstacles import Sphere
-from hplan.scene.solids import Cloud, hull_of, rpy_rotation
 
 RADIUS = 0.005
 TUCKED = np.radians([20.0, 90.0, 90.0, 90.0])

@@ -11,11 +11,11 @@ import pytest
 from hplan import Planner, PlanOptions
 from hplan.collision.coal_cloud import PointBlocks
 from hplan.errors import InputError, NoPathError
+from hplan.geometry.cloud import Cloud
 from hplan.online.arm_shape import reach_ball
 from hplan.online.frame import CloudOptions
 from hplan.scene.model import Fruit, Goal, Scene, Start
 from hplan.scene.obstacles import PointCloud, Sphere
-from hplan.scene.solids import Cloud
 
 #: Options that accept frames without any return.
 MAY_BE_EMPTY = CloudOptions(allow_empty=True, max_lost=1.0)

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from hplan.base.polyline import path_length
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.coal_scene import CoalScene
 from hplan.errors import CertificationError
+from hplan.geometry.polyline import path_length
 from hplan.optimization import coarse_profile as coarse
 from hplan.optimization import smooth_path as postprocess_path
 from hplan.optimization.coarse_profile import coarse_profile

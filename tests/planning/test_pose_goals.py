@@ -14,12 +14,12 @@ import hplan.errors as errors
 from hplan.base.arrays import FloatArray
 from hplan.certificate.certificate import certify
 from hplan.certificate.digests import scene_digest
+from hplan.geometry.rotation import quaternion_rotation
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 from hplan.scene.obstacles import Box, Obstacle, Sphere
-from hplan.scene.solids import quaternion_rotation
 
 QUICK = PlanOptions(effort="quick")
 START, END = (0.3, 0.8, 0.6, -0.4, 0.5, 0.2), (1.5, 0.9, 0.5, -0.2, -0.4, 0.6)

@@ -18,12 +18,13 @@ from hplan.base.arrays import readonly
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.coal_scene import CoalScene
 from hplan.errors import SceneError
+from hplan.geometry.cloud import MERGE_ERROR, Cloud
+from hplan.geometry.hull import HULL_VERTICES, hull_of
+from hplan.geometry.prism import ERROR, FEWEST_SIDES, MOST_SIDES
 from hplan.scene.file import dump_scene, load_scene, parse_scene, save_scene
 from hplan.scene.limits import Angles, Size, Vector
 from hplan.scene.obstacle_kind import Convex, Name, Sigma, Turned
 from hplan.scene.obstacles import KINDS, Box, Cylinder, Mesh, PointCloud
-from hplan.scene.prism import ERROR, FEWEST_SIDES, MOST_SIDES
-from hplan.scene.solids import HULL_VERTICES, MERGE_ERROR, Cloud, hull_of
 from hplan.scene.tracks import Sway
 
 

@@ -15,11 +15,13 @@ from shapes import crate, distances
 from hplan.certificate.digests import scene_digest
 from hplan.collision.coal_accuracy import ITERATION
 from hplan.errors import InputError, MovingObstacleError, OptionError, SceneError
+from hplan.geometry.cloud import Cloud
+from hplan.geometry.hull import THIN
+from hplan.geometry.rotation import rpy_of
 from hplan.scene.file import dump_scene, load_scene, parse_scene, save_scene
 from hplan.scene.model import Fruit, Goal, Scene, Start
 from hplan.scene.obstacle_kind import SWEPT_ERROR, posed
 from hplan.scene.obstacles import Box, Capsule, Mesh, PointCloud, Solid, Sphere
-from hplan.scene.solids import THIN, Cloud, rpy_of
 from hplan.scene.tracks import Sway, Track
 
 TURNING = Track(

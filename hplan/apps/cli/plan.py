@@ -180,8 +180,8 @@ def _made(arguments: argparse.Namespace, folder: JobFolder, errors: Console) -> 
 
 def _planned(robot: Robot, scene: Scene, options: PlanOptions, progress: Callable[[str], None]) -> PlanResult:
     """Plan; on a first run another process compiles the last kernels meanwhile."""
+    from hplan.apps.cli.compile_ahead import compiling_ahead, is_first_run
     from hplan.online.warm_up import warm_up
-    from hplan.planning.compile_ahead import compiling_ahead, is_first_run
     from hplan.planning.plan import plan
 
     with compiling_ahead(is_first_run()) as compile_last:

@@ -161,7 +161,7 @@ def _finished(arguments: argparse.Namespace, folder: JobFolder, errors: Console)
         status("reading robot and scene")
         with loading():
             from hplan.apps.cli.plan import STAGE_WORDS
-            from hplan.planning.finishing.finish import finish
+            from hplan.planning.finish import finish
             from hplan.planning.pose_sequence import plan_poses, pose_matrices
             from hplan.planning.report import curve_report, write_report
             from hplan.scene.file import load_scene, save_scene

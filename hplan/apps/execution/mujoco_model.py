@@ -16,10 +16,10 @@ import pinocchio as pin
 from hplan.base.lazy_import import extra
 from hplan.collision.giving_way import pushing_links, yielded
 from hplan.errors import InputError, RobotFileError
+from hplan.geometry.cloud import Cloud
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 from hplan.scene.obstacles import Box, Capsule, Cylinder, Solid, Sphere
-from hplan.scene.solids import Cloud
 
 #: Contact bits of the links that may not push compliant obstacles, and of the links that may.
 _FIRM, _PUSHES = 1, 2

@@ -19,9 +19,9 @@ from hplan.base.units import at_least_mm
 from hplan.certificate.certificate import Certificate
 from hplan.certificate.clearance_curve import ClearanceCurve
 from hplan.collision.coal_shapes import link_shapes, solid_shape
+from hplan.geometry.cloud import Cloud
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
-from hplan.scene.solids import Cloud
 from hplan.trajectory.trajectory import Trajectory
 
 #: Namespace of the markers of motion and certificate, with ids 0 to 2.

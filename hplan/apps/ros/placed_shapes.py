@@ -11,10 +11,10 @@ import pinocchio as pin
 
 from hplan.base.arguments import list_between, one_of
 from hplan.errors import OptionError, SceneError
+from hplan.geometry.hull import hull_of
+from hplan.geometry.prism import prism
 from hplan.scene.limits import FARTHEST_M
 from hplan.scene.obstacles import Box, Cylinder, Mesh, Obstacle, Sphere
-from hplan.scene.prism import prism
-from hplan.scene.solids import hull_of
 
 #: Treatment of a mesh that is not closed: refuse it, or replace it by its convex hull.
 OpenMeshes: TypeAlias = Literal["refuse", "hull"]

@@ -20,7 +20,7 @@ from hplan.apps.view.scene_stage import GOAL_COLOR, REST_S, START_COLOR
 from hplan.apps.view.three_js import Body, Json
 from hplan.apps.view.yaw_section import YawSection
 from hplan.base.arrays import FloatArray
-from hplan.base.polyline import stations
+from hplan.geometry.polyline import stations
 
 _REGION_COLOR = 0xE07B39
 _FAR = np.array([0.72, 0.79, 0.85])

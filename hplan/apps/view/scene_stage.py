@@ -20,13 +20,13 @@ from hplan.apps.view.framing import Frame
 from hplan.apps.view.playback import Playback
 from hplan.apps.view.three_js import Body, Json
 from hplan.base.arrays import FloatArray
-from hplan.base.polyline import stations
 from hplan.collision.collision_bodies import collision_bodies
+from hplan.geometry.hull import CUBE_CORNERS
+from hplan.geometry.polyline import stations
 from hplan.online.arm_shape import reach_ball
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 from hplan.scene.obstacles import Solid
-from hplan.scene.solids import CUBE_CORNERS
 from hplan.trajectory.trajectory import Phase, Trajectory
 
 #: Maximum number of keyframes per second and per motion; they keep pages of long tours small.

@@ -16,8 +16,8 @@ from hplan.apps.view.cspace_surface import hidden
 from hplan.apps.view.framing import view_axes
 from hplan.apps.view.playback import Playback
 from hplan.base.arrays import FloatArray, frozen
-from hplan.base.polyline import stations
 from hplan.errors import InputError, OptionError
+from hplan.geometry.polyline import stations
 from hplan.grid.grid import Grid
 from hplan.planning.options import PlanOptions
 from hplan.planning.world import World

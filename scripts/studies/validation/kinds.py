@@ -28,6 +28,7 @@ from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.coal_scene import CoalScene
 from hplan.collision.coal_shapes import triangle_tree
 from hplan.collision.geometry_pairs import GeometryPairs
+from hplan.geometry.cloud import Cloud
 from hplan.grid.grid import Grid
 from hplan.grid.occupancy import occupancy
 from hplan.grid.prepared_obstacles import PreparedObstacles, prepare_obstacles
@@ -35,7 +36,6 @@ from hplan.grid.sections import sections_at
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 from hplan.scene.obstacles import Mesh, PointCloud
-from hplan.scene.solids import Cloud
 
 #: A configuration whose distance is this close to the clearance is in contact, which may be decided either way [m].
 CONTACT_TOLERANCE: Final = 1e-9

@@ -21,11 +21,11 @@ from studies.validation.random_scenes import direction, vector
 
 from hplan.base.arrays import FloatArray, IntArray
 from hplan.errors import OptionError
+from hplan.geometry.hull import hull_of
 from hplan.robot.model import Robot
 from hplan.scene.limits import Vector
 from hplan.scene.model import Fruit, Goal, Scene, Start
 from hplan.scene.obstacles import Box, Capsule, Mesh, Obstacle, PointCloud, Sphere
-from hplan.scene.solids import hull_of
 
 #: What a scene may hold.
 Kind: TypeAlias = Literal["sphere", "capsule", "box", "mesh", "points", "fruits"]

@@ -1,27 +1,13 @@
-r"""Solids of meshes and point clouds: convex hulls and ball clouds.
+r"""Convex hulls grown by a radius.
 
-Every solid has `name`, `core` (k, 3), `rounding`, `is_point_set` and `sigma`. A solid is the hull of its core grown by
-its rounding; for a point set, each core point is a separate ball of that radius.
-
-**Hull.** A hull with more than `HULL_VERTICES` vertices keeps a subset :math:`V` of them. Its rounding is the maximum
-distance of the other vertices from :math:`\mathrm{conv}\,V`. The grown hull is convex and contains every vertex, so it
-contains the whole hull; its excess is at most its rounding.
-
-**Cloud.** Points in one voxel of a grid may be merged into one ball. Its radius grows by their maximum distance from
-its centre, at most `MERGE_ERROR`, so the new balls contain the old ones. The points are stored in the order of a tree,
-along a Morton curve that is split recursively.
-
-**Swept solids.** Let a solid be the hull of a core :math:`C` grown by a rounding. Shifted by all of :math:`[-a, a]`, it
-sweeps the hull of :math:`C - a` and :math:`C + a` grown by the same rounding: a ball becomes a capsule, any other solid
-a hull. This is exact, except that a flat hull is thickened by `THIN`, and a hull with many vertices is simplified as
-for a mesh. A cloud becomes a cloud of copies along the segment, dense enough that balls with a radius larger by
-`SWEPT_ERROR` cover the swept balls; if that needs too many points, fewer copies of larger balls.
+A hull with more than `HULL_VERTICES` vertices keeps a subset :math:`V` of them. Its rounding is the maximum distance of
+the other vertices from :math:`\mathrm{conv}\,V`. The grown hull is convex and contains every vertex, so it contains the
+whole hull; its excess is at most its rounding.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar, Final, Literal
@@ -37,48 +23,8 @@ HULL_VERTICES: Final = 128
 #: Points with a smaller extent than this in some direction are thickened by it to either side [m].
 THIN: Final = 1e-5
 
-#: Maximum growth of a ball by merging [m].
-MERGE_ERROR: Final = 1e-3
-
-#: Maximum number of points in a leaf of a cloud's tree.
-LEAF: Final = 16
-
 #: (8, 3) corners of the cube from -1 to 1.
 CUBE_CORNERS: Final = readonly([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
-
-
-def rpy_rotation(roll: float, pitch: float, yaw: float) -> FloatArray:
-    """Rotation by roll, pitch and yaw about fixed axes, (3, 3) [rad]."""
-    cr, sr, cp, sp, cy, sy = (f(a) for a in (roll, pitch, yaw) for f in (math.cos, math.sin))
-    return np.array(
-        [
-            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-            [-sp, cp * sr, cp * cr],
-        ]
-    )
-
-
-def quaternion_rotation(quaternion_xyzw: Sequence[float]) -> FloatArray:
-    """Rotation of a quaternion (x, y, z, w) after normalization, (3, 3)."""
-    q = np.asarray(quaternion_xyzw, dtype=np.float64)
-    x, y, z, w = q / np.linalg.norm(q)
-    across = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    rotation: FloatArray = np.eye(3) + 2.0 * w * across + 2.0 * across @ across
-    return rotation
-
-
-def rpy_of(rotation: FloatArray) -> tuple[float, float, float]:
-    """Roll, pitch and yaw of a (3, 3) rotation [deg].
-
-    It inverts `rpy_rotation`, which takes radians.
-    """
-    pitch = math.atan2(-rotation[2, 0], math.hypot(rotation[0, 0], rotation[1, 0]))
-    if math.hypot(rotation[0, 0], rotation[1, 0]) > 1e-9:
-        roll, yaw = math.atan2(rotation[2, 1], rotation[2, 2]), math.atan2(rotation[1, 0], rotation[0, 0])
-    else:  # gimbal lock: roll and yaw rotate about the same axis
-        roll, yaw = 0.0, math.atan2(-rotation[0, 1], rotation[1, 1])
-    return math.degrees(roll), math.degrees(pitch), math.degrees(yaw)
 
 
 def triangle_normals(triangles: FloatArray) -> FloatArray:
@@ -111,7 +57,7 @@ class Hull(Record):
     """The convex hull of a few points, grown by a radius.
 
     Attributes:
-        name: Name of the obstacle that it belongs to.
+        name: Name of the object that it belongs to.
         core: (k, 3) vertices of the hull [m].
         faces: (m, 3) triangles of vertices, counter-clockwise as seen from outside.
         rounding: Radius about the core [m].
@@ -326,49 +272,3 @@ def _distance_to_triangles(points: FloatArray, triangles: FloatArray) -> FloatAr
             inner = ((away * inward).sum(axis=2) >= 0.0).all(axis=1)
             least[inner] = np.minimum(least[inner], np.abs(away[inner, 0] @ normal) / size)
     return least
-
-
-@dataclass(frozen=True, eq=False)
-class Cloud(Record):
-    """Many balls of one radius.
-
-    Attributes:
-        name: Name of the obstacle.
-        core: (n, 3) centres [m], in the order of the tree.
-        rounding: Radius of every ball [m].
-        tree: (nodes, 7) tree in preorder: first centre and one past the last; index of the next node that is not a
-            descendant; centre and radius of a ball that bounds its centres [m].
-        sigma: Standard deviation of its position [m].
-        yields: Maximum deflection [m].
-    """
-
-    name: str
-    core: FloatArray
-    rounding: float
-    tree: FloatArray
-    sigma: float = 0.0
-    yields: float = 0.0
-
-    #: Each core point is a separate ball; `excess` is the maximum distance from the obstacle [m].
-    is_point_set: ClassVar[Literal[True]] = True
-    excess: ClassVar[float] = 0.0
-
-    @classmethod
-    def of(cls, name: str, points: FloatArray, radius: float, sigma: float = 0.0) -> Cloud:
-        """Return balls about (n, 3) points, n > 0, possibly merged.
-
-        Points are merged if that reduces their number considerably.
-        """
-        from hplan.scene.cloud_tree import merged  # compiled: numba is loaded only for clouds
-
-        # The diagonal of a voxel with this edge is twice the maximum error.
-        core, growth = merged(np.array(points, dtype=np.float64, order="C"), 2.0 * MERGE_ERROR / math.sqrt(3.0))
-        return cls.unmerged(name, core, radius + growth, sigma)
-
-    @classmethod
-    def unmerged(cls, name: str, points: FloatArray, radius: float, sigma: float = 0.0) -> Cloud:
-        """Return balls about all (n, 3) points, n > 0."""
-        from hplan.scene.cloud_tree import tree_of
-
-        core, tree = tree_of(np.ascontiguousarray(points, dtype=np.float64), LEAF)
-        return cls(name, frozen(core), radius, frozen(tree), sigma)

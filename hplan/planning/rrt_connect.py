@@ -11,8 +11,7 @@ same path on every machine. If no path is found, nothing is proved.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import NamedTuple, Protocol, TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -20,9 +19,9 @@ from hplan.base.arrays import FloatArray, IntArray, frozen
 from hplan.base.deadline import check_deadline, is_up
 from hplan.base.kernels import any_int, kernel
 from hplan.collision.body_motions import shown_part, straight_piece
-from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.obstacle_rows import FieldArrays
 from hplan.kinematics.damped_steps import Chain, solve
+from hplan.planning.problem import Problem
 
 #: Number of samples drawn at a time, and maximum number of nodes of a tree.
 _CHUNK, _MOST_NODES = 500, 20_000
@@ -42,39 +41,6 @@ _ASIDE, _SCALES = 0.6, 7
 
 #: Maximum distance of a sample beyond start and goals in any joint [rad, m].
 _FAR = 4.0 * np.pi
-
-
-@dataclass(frozen=True)
-class TreeEffort:
-    """Effort of one pair of trees.
-
-    Attributes:
-        evaluations: Number of distance queries, each of all links at one configuration.
-        seed: Seed of the samples.
-    """
-
-    evaluations: int
-    seed: int = 0
-
-
-class SamplingProblem(Protocol):
-    """Start, goal and joint limits of a search.
-
-    Attributes:
-        start: (dof,) start configuration.
-        goal: (dof,) goal configuration.
-        lower: (n, dof) lower joint limits; only the first row is used.
-        upper: (n, dof) upper joint limits; only the first row is used.
-    """
-
-    @property
-    def start(self) -> FloatArray: ...  # noqa: D102
-    @property
-    def goal(self) -> FloatArray: ...  # noqa: D102
-    @property
-    def lower(self) -> FloatArray: ...  # noqa: D102
-    @property
-    def upper(self) -> FloatArray: ...  # noqa: D102
 
 
 class Tree(NamedTuple):
@@ -144,18 +110,18 @@ class Surroundings(NamedTuple):
 
 
 def tree_path(
-    problem: SamplingProblem, field: ClearanceField, velocity: FloatArray, margin: float, effort: TreeEffort,
+    problem: Problem, margin: float, evaluations: int, seed: int,
     *, goals: FloatArray | None = None, held: Held | None = None, pairs: Pairs | None = None,
 ) -> tuple[FloatArray | None, int]:  # fmt: skip
     """A collision-free path of straight motions from start to goal.
 
     Args:
-        problem: Start, goal and joint limits.
-        field: Arm and obstacles.
-        velocity: (dof,) velocity limits [rad/s]; distances are times at these.
+        problem: Start, goals and the joint limits of the motion to the first goal; distances are times at the velocity
+            limits.
         margin: Clearance required beyond the scene's own during motions [m].
-        effort: Budget and seed.
-        goals: (k, dof) alternative goals, whichever is reached first; None for the problem's goal.
+        evaluations: Maximum number of distance queries, each of all links at one configuration.
+        seed: Seed of the samples.
+        goals: (k, dof) alternative goals, whichever is reached first; None for the problem's first goal.
         held: Constraint that all nodes satisfy, as start and goals do; None for none.
         pairs: Pairs of trees from the same start that have grown with less effort. This pair grows on, and stays there
             if its trees do not meet. None to start from the roots.
@@ -164,16 +130,17 @@ def tree_path(
         (m, dof) waypoints, m >= 2, or None if no path was found; and the number of distance queries.
     """
     ends = np.array(problem.goal[None] if goals is None else goals)
-    key = effort.seed, margin, id(field), ends.tobytes()
+    key = seed, margin, id(problem.field), ends.tobytes()
     known = None if pairs is None else pairs.pop(key, None)
-    arm = Surroundings(1.0 / velocity, field.arrays, margin, EDGE_S if held is None else held.edge_s)
+    slowness = 1.0 / problem.robot.velocity_limit
+    arm = Surroundings(slowness, problem.field.arrays, margin, EDGE_S if held is None else held.edge_s)
     chain = () if held is None else held.chain
     if known is None:
-        generator, nothing = np.random.Generator(np.random.PCG64(effort.seed)), np.zeros((0, len(problem.start)))
+        generator, nothing = np.random.Generator(np.random.PCG64(seed)), np.zeros((0, len(problem.start)))
         looks = np.zeros(2, dtype=np.int64)
         known = Pair(_tree(problem.start[None]), _tree(ends), generator, nothing, looks, 0)
     first, second, generator, samples, looks, before = known
-    looks[0] += effort.evaluations - before
+    looks[0] += evaluations - before
     path = None
     while path is None and looks[0] > 0 and max(first.size[0], second.size[0]) < _MOST_NODES - _CHUNK:
         if looks[1] == len(samples):
@@ -184,11 +151,11 @@ def tree_path(
             there = np.concatenate([_branch(first, int(joined[0]))[::-1], _branch(second, int(joined[1]))])
             path = frozen(there[np.append(True, (np.diff(there, axis=0) != 0.0).any(axis=1))])
     if path is None and pairs is not None:
-        pairs[key] = Pair(first, second, generator, samples, looks, effort.evaluations)
-    return path, effort.evaluations - int(looks[0])
+        pairs[key] = Pair(first, second, generator, samples, looks, evaluations)
+    return path, evaluations - int(looks[0])
 
 
-def _samples(generator: np.random.Generator, problem: SamplingProblem, goals: FloatArray) -> FloatArray:
+def _samples(generator: np.random.Generator, problem: Problem, goals: FloatArray) -> FloatArray:
     """(_CHUNK, dof) samples of three kinds in turn.
 
     Anywhere; in the box of start and goals; around start or a goal at all scales.

@@ -8,7 +8,7 @@ from __future__ import annotations
 import coal
 
 from hplan.base.arrays import FloatArray
-from hplan.scene.solids import Hull, whole_hull
+from hplan.geometry.hull import Hull, whole_hull
 
 
 def convex_shape(hull: Hull) -> coal.Convex:

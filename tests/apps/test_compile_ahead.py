@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from hplan.planning import compile_ahead
+from hplan.apps.cli import compile_ahead
 
 #: Modules whose kernels a plan calls only after the path on the grid is found.
 LATER = ("push_clear", "coarse_profile", "shortcut", "spline", "topp", "dynamics", "clearance_proof")
@@ -33,7 +33,7 @@ def called_by(code: str) -> dict[str, int]:
 
 def test_each_process_compiles_its_half_once() -> None:
     """A kernel called with two argument types doubles its share of every start."""
-    later = called_by("from hplan.planning.compile_ahead import compile_from_postprocessing_on as work\nwork()\n")
+    later = called_by("from hplan.apps.cli.compile_ahead import compile_from_postprocessing_on as work\nwork()\n")
     everything = called_by("import hplan\nhplan.plan(hplan.load_robot(), hplan.load_scene())\n")
     assert {name.split(".")[0] for name in later} >= set(LATER)
     assert len(set(everything) - set(later)) > 5
@@ -45,7 +45,7 @@ def test_a_first_run_is_one_without_kernels_on_disk(tmp_path: Path) -> None:
     """The cache's own tests cover the detection."""
     compile_ahead.compile_from_postprocessing_on()
     assert not compile_ahead.is_first_run()
-    code = "from hplan.planning.compile_ahead import is_first_run; raise SystemExit(not is_first_run())"
+    code = "from hplan.apps.cli.compile_ahead import is_first_run; raise SystemExit(not is_first_run())"
     subprocess.run([sys.executable, "-c", code], env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}, check=True)
     assert list(tmp_path.rglob("*.nbc")) == []
 

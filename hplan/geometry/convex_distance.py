@@ -9,22 +9,29 @@ and `v` itself is no nearer than the nearest point. The result is the maximum of
 never make a distance too large by more than their own size.
 
 Points, segments and flat polygons are hulls like any other. The distance is 0 if the hulls share a point;
-`hplan.collision.penetration` computes the depth.
+`hplan.geometry.penetration` computes the depth.
+
+**Support points.** A vertex at least as far in a direction as all its neighbours is the support point. So a walk from
+vertex to vertex, always to the farthest neighbour, ends there. A hull with many vertices has a table of neighbours
+(`corner_table`), which also holds a start vertex for each of the eight octants of directions.
 """
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple, TypeAlias
+from typing import Final, NamedTuple, TypeAlias
 
-from hplan.base.arrays import FloatArray
+import numpy as np
+
+from hplan.base import ties
+from hplan.base.arrays import FloatArray, IntArray
 from hplan.base.kernels import any_int, inlined, kernel
-from hplan.collision.sweep import STILL, Sweep, used_up
-from hplan.collision.vectors import Pose, Vector, cross, dot, placed_point, sub, turned_back
-from hplan.scene.corner_table import OCTANTS
+from hplan.geometry.hull import CUBE_CORNERS
+from hplan.geometry.sweep import STILL, Sweep, used_up
+from hplan.geometry.vectors import Pose, Vector, cross, dot, placed_point, sub, turned_back
 
 #: Range of a point set in an array of numbers: index of the first coordinate, index past the last one, and index of the
-#: corner table (`hplan.scene.corner_table`), 0 for no table.
+#: table (`corner_table`), 0 for no table.
 Span: TypeAlias = tuple[int, int, int]
 
 #: Layout of `work`: the simplex (four points of A - B), the matching points of A, the indices of both their corners,
@@ -37,6 +44,12 @@ WORK = 46
 
 #: Maximum number of corners visited, and the fraction of the simplex's size below which a distance counts as zero.
 _MOST, _NONE = any_int(128), 1e-13
+
+#: Up to this number of vertices, all of them are compared.
+FEW: Final = 16
+
+#: Number of start vertices.
+OCTANTS: Final = 8
 
 #: Initial number of corners.
 _NONE_YET = any_int(0)
@@ -58,6 +71,41 @@ class Wanted(NamedTuple):
     fraction: float
     radii: float
     sweep: Sweep = STILL
+
+
+def corner_table(corners: FloatArray, first: int, table: int, faces: IntArray | None = None) -> FloatArray:
+    """Return the adjacency table of a hull's vertices.
+
+    Args:
+        corners: (n, 3) vertices.
+        first: Index of the first vertex coordinate in the kernel's number array, x, y, z of each vertex in turn.
+        table: Index of the table in that array.
+        faces: (m, 3) triangles of the hull; None if unknown.
+
+    Returns:
+        Numbers: for each octant (index 1 for x > 0, 2 for y > 0, 4 for z > 0, added) the index of a vertex; for each
+            vertex, and one past the last, the index of its first neighbour in the table; the indices of the neighbours.
+            Empty for at most `FEW` vertices, or vertices in one plane: then all are compared.
+    """
+    if len(corners) <= FEW:
+        return np.zeros(0)
+    # A vertex without a triangle would have no neighbours.
+    if faces is None or not (np.bincount(faces.ravel(), minlength=len(corners)) > 0).all():
+        from scipy.spatial import ConvexHull, QhullError
+
+        try:
+            faces = ConvexHull(corners).simplices
+        except QhullError:
+            return np.zeros(0)
+    are_neighbours = np.zeros((len(corners), len(corners)), dtype=np.bool_)
+    for a, b in ((0, 1), (1, 2), (2, 0)):
+        are_neighbours[faces[:, a], faces[:, b]] = are_neighbours[faces[:, b], faces[:, a]] = True
+    here, there = np.nonzero(are_neighbours)
+    begin = np.searchsorted(here, np.arange(len(corners) + 1))
+    signs = CUBE_CORNERS[np.lexsort(CUBE_CORNERS.T)]  # x changes fastest
+    octants = ties.on_raster(corners @ signs.T).argmax(axis=0)
+    lists = table + OCTANTS + len(begin)
+    return np.concatenate([first + 3 * octants, lists + begin, first + 3 * there]).astype(np.float64)
 
 
 @kernel

@@ -1,4 +1,4 @@
-"""Compiled construction of a point cloud: merging of near points, bounding-ball tree.
+"""Compiled construction of a point cloud's tree of bounding balls.
 
 Points are sorted along a Morton curve through the cells of a bounding cube, by the interleaved bits of the three
 coordinates. A node is an interval of the curve, split where its highest differing bit changes, down to small leaves.
@@ -13,41 +13,11 @@ import numpy as np
 from hplan.base.arrays import FloatArray, IntArray
 from hplan.base.kernels import inlined, kernel
 
-#: Number of columns of a node, as in `hplan.scene.solids.Cloud`.
+#: Number of columns of a node, as in `hplan.geometry.cloud.Cloud`.
 _COLUMNS = 7
 
 #: Number of low bits that hold a point's index; the bits above hold its Morton code, so one sort orders both.
 _NUMBER = 26
-
-
-def merged(points: FloatArray, edge: float) -> tuple[FloatArray, float]:
-    """Merge the points of each voxel if that reduces their number considerably.
-
-    The merged point is the centre of their bounding box.
-
-    Args:
-        points: (n, 3) points [m].
-        edge: Edge length of a voxel [m].
-
-    Returns:
-        (m, 3) merged points, and the maximum distance of an old point from its merged one [m].
-    """
-    cells = np.floor(points / edge).astype(np.int64)
-    cells -= cells.min(axis=0)
-    sizes = tuple((cells.max(axis=0) + 1).tolist())
-    if math.prod(sizes) >= 2**63:  # the points are kilometres apart
-        return points, 0.0
-    keys = np.ravel_multi_index(tuple(cells.T), sizes)
-    order = np.argsort(keys)
-    firsts = np.flatnonzero(np.diff(keys[order], prepend=-1))
-    # Points are merged if at most this fraction of the balls remains.
-    worth_merging = 0.7
-    if len(firsts) > worth_merging * len(points):
-        return points, 0.0
-    points = np.take(points, order, axis=0)
-    middles: FloatArray = 0.5 * (np.minimum.reduceat(points, firsts) + np.maximum.reduceat(points, firsts))
-    away = points - np.repeat(middles, np.diff(firsts, append=len(points)), axis=0)
-    return middles, float(np.linalg.norm(away, axis=1).max())
 
 
 @inlined
@@ -167,7 +137,7 @@ def tree_of(points: FloatArray, leaf: int) -> tuple[FloatArray, FloatArray]:
         leaf: Maximum number of points of a leaf, at least 4.
 
     Returns:
-        (n, 3) sorted points, and (nodes, 7) nodes, as in `hplan.scene.solids.Cloud`.
+        (n, 3) sorted points, and (nodes, 7) nodes, as in `hplan.geometry.cloud.Cloud`.
     """
     places = _places(points)
     places.sort()

@@ -7,7 +7,7 @@ from typing import TypeAlias
 from hplan.base.arrays import FloatArray
 from hplan.base.kernels import kernel
 
-#: Three coordinates.
+#: Three coordinates. A tuple stays in registers; an array would be allocated and reference-counted in each call.
 Vector: TypeAlias = tuple[float, float, float]
 
 #: A rotation, three rows of three numbers, and a translation [m].

@@ -56,7 +56,7 @@ def compiling_ahead(first_run: bool) -> Iterator[Callable[[], None]]:
 
 def _start() -> subprocess.Popen[bytes] | None:
     """Start the second process; None if it cannot be started."""
-    command, nowhere = python_module("hplan.planning.compile_ahead"), subprocess.DEVNULL
+    command, nowhere = python_module("hplan.apps.cli.compile_ahead"), subprocess.DEVNULL
     try:
         return subprocess.Popen(command, stdin=nowhere, stdout=nowhere, stderr=nowhere, env=import_environment())
     except OSError:

@@ -13,7 +13,8 @@ from typing import Final
 
 import numpy as np
 
-from hplan.scene.solids import HULL_VERTICES, Hull, rpy_rotation, whole_hull
+from hplan.geometry.hull import HULL_VERTICES, Hull, whole_hull
+from hplan.geometry.rotation import rpy_rotation
 
 #: Maximum excess of a prism over its cylinder, if `MOST_SIDES` sides suffice for it [m].
 ERROR: Final = 5e-4

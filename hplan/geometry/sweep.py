@@ -6,7 +6,7 @@ import math
 from typing import NamedTuple
 
 from hplan.base.kernels import kernel
-from hplan.collision.vectors import Vector, cross, dot
+from hplan.geometry.vectors import Vector, cross, dot
 
 
 class Sweep(NamedTuple):

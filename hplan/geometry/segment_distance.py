@@ -1,6 +1,4 @@
-"""Distances of segments and points from simple shapes.
-
-Segments from points, segments and boxes; points from hulls.
+"""Closed-form distances of segments from points, segments and boxes; of points from hulls.
 
 A distance is 0 if the two meet.
 """
@@ -12,9 +10,7 @@ from typing import TypeAlias
 
 from hplan.base.arrays import FloatArray
 from hplan.base.kernels import inlined, kernel
-
-#: Three coordinates. A tuple stays in registers; an array would be allocated and reference-counted in each call.
-Vector: TypeAlias = tuple[float, float, float]
+from hplan.geometry.vectors import Vector
 
 #: Vector from a body's point nearest to a segment to the segment's nearest point, and the latter's parameter on it.
 Off: TypeAlias = tuple[float, float, float, float]

@@ -10,13 +10,13 @@ corner of :math:`C`. Hence
     \{\text{corners of } C \text{ in } S_C\}).
 
 Triangles in the plane of a cut belong to the side of the solid. The winding number decides if a corner is inside, at a
-point `_NUDGE` inwards of the box. (Hulls with many vertices are simplified from outside, see `hplan.scene.solids`.
+point `_NUDGE` inwards of the box. (Hulls with many vertices are simplified from outside, see `hplan.geometry.hull`.
 Parts within `_IN_PLANE` of a cut are assigned to its other side. So "contains" means up to less than a micrometre.)
 
 A surface may bound sheets as well as solids: leaves and panels, two faces back to back or nearly so. A part thinner
-than `hplan.scene.solids.THIN` is thickened by that length to either side, so that hulls of sheets have a volume too.
+than `hplan.geometry.hull.THIN` is thickened by that length to either side, so that hulls of sheets have a volume too.
 
-The excess of the parts over the solid is measured on a voxel grid (`hplan.scene.voxels`). The part with the maximum
+The excess of the parts over the solid is measured on a voxel grid (`_SolidVoxels`). The part with the maximum
 excess is cut next, at the place that minimizes the total hull volume of the halves, until no excess is above the
 tolerance or there are `PIECES` parts.
 """
@@ -30,9 +30,8 @@ from typing import Final
 import numpy as np
 
 from hplan.base import ties
-from hplan.base.arrays import FloatArray, IntArray
-from hplan.scene.solids import CUBE_CORNERS, THIN, Hull, hull_of, shared_edges, thickening, triangle_normals
-from hplan.scene.voxels import SolidVoxels
+from hplan.base.arrays import BoolArray, FloatArray, IntArray
+from hplan.geometry.hull import CUBE_CORNERS, THIN, Hull, hull_of, shared_edges, thickening, triangle_normals
 
 #: Maximum number of convex parts of a mesh.
 PIECES: Final = 64
@@ -76,7 +75,7 @@ def convex_pieces(vertices: FloatArray, faces: IntArray, *, most: int = PIECES) 
     if _is_convex(vertices, faces):
         return Pieces((whole,), whole.rounding)
     triangles = vertices[faces]
-    voxels = SolidVoxels.of(triangles)
+    voxels = _SolidVoxels.of(triangles)
     places = _reflex_places(vertices, faces)
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     ready: list[tuple[float, _ClippedPart]] = []
@@ -319,4 +318,88 @@ def _reflex_places(vertices: FloatArray, faces: IntArray) -> list[FloatArray]:
     for axis in range(3):
         places = np.unique(rows[:, axis])
         found.append(places[np.diff(places, prepend=-np.inf) > _IN_PLANE])
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class _SolidVoxels:
+    """Distance field of a solid, for the excess of its convex parts.
+
+    Attributes:
+        origin: (3,) centre of the first voxel [m].
+        edge: Edge length of a voxel [m].
+        distance: Distance of each voxel centre from the nearest centre of a solid voxel [m].
+        tolerance: Maximum accepted excess of a part [m].
+    """
+
+    origin: FloatArray
+    edge: float
+    distance: FloatArray
+    tolerance: float
+
+    @classmethod
+    def of(cls, triangles: FloatArray) -> _SolidVoxels:
+        """Voxelize a closed surface; the edge length is half the tolerance."""
+        from scipy import ndimage
+
+        low, high = triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1))
+        # Accepted excess: 5 mm, or a fraction of the mesh's longest side if that is more.
+        tolerance = max(5e-3, 0.02 * float((high - low).max()))
+        edge = 0.5 * tolerance
+        origin = low - 0.5 * edge
+        shape = tuple((np.ceil((high - low) / edge) + 2).astype(int).tolist())
+        solid: BoolArray = np.zeros(shape, dtype=np.bool_)
+        for points in _covering_points(triangles, 0.7 * edge):
+            solid[tuple(np.rint((points - origin) / edge).astype(int).T)] = True
+        distance = edge * ndimage.distance_transform_edt(~ndimage.binary_fill_holes(solid))
+        return cls(origin, edge, distance, tolerance)
+
+    @property
+    def blur(self) -> float:
+        """Maximum error of a distance between centres: one voxel diagonal [m].
+
+        It is half a diagonal at either end.
+        """
+        return float(np.sqrt(3.0) * self.edge)
+
+    def excess(self, hull: Hull) -> float:
+        """Excess of a hull over the solid [m].
+
+        It is the maximum distance over voxels within half a diagonal of the hull.
+        """
+        margin = 0.5 * self.blur + hull.rounding
+        low = np.floor((hull.core.min(axis=0) - margin - self.origin) / self.edge).astype(int)
+        high = np.ceil((hull.core.max(axis=0) + margin - self.origin) / self.edge).astype(int) + 1
+        low, high = np.maximum(low, 0), np.minimum(high, self.distance.shape)
+        near = self.distance[low[0] : high[0], low[1] : high[1], low[2] : high[2]]
+        index = np.argwhere(near > 0.5 * self.tolerance)
+        # Farthest first, so that the first voxel in the hull is the answer.
+        far = near[tuple(index.T)]
+        order = np.argsort(-far, kind="stable")
+        for k in range(0, len(order), 20_000):
+            some = order[k : k + 20_000]
+            centers = self.origin + self.edge * (index[some] + low)
+            within = (centers @ hull.planes[:, :3].T <= hull.planes[:, 3] + margin).all(axis=1)
+            if within.any():
+                return float(far[some[int(within.argmax())]])
+        return 0.5 * self.tolerance
+
+
+def _covering_points(triangles: FloatArray, spacing: float) -> list[FloatArray]:
+    """Points on all triangles, at most `spacing` apart [m].
+
+    Triangles are bisected along the longest side until they are small enough.
+    """
+    found = [triangles.reshape(-1, 3)]
+    while len(triangles):
+        sides = np.linalg.norm(triangles - triangles[:, [1, 2, 0]], axis=2)
+        triangles = triangles[sides.max(axis=1) > spacing]
+        sides = sides[sides.max(axis=1) > spacing]
+        turn = (sides.argmax(axis=1)[:, None] + np.arange(3)) % 3
+        corners = np.take_along_axis(triangles, turn[:, :, None], axis=1)
+        middle = 0.5 * (corners[:, 0] + corners[:, 1])
+        found.append(middle)
+        first = np.stack([corners[:, 0], middle, corners[:, 2]], axis=1)
+        second = np.stack([middle, corners[:, 1], corners[:, 2]], axis=1)
+        triangles = np.concatenate([first, second])
     return found

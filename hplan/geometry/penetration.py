@@ -17,8 +17,8 @@ import numpy as np
 
 from hplan.base.arrays import FloatArray, IntArray
 from hplan.base.kernels import any_int, kernel
-from hplan.collision.convex_distance import NEAREST, ON_FIRST, Span, farthest_corner, on_triangle
-from hplan.collision.vectors import Pose, Vector, cross, dot, placed_point, sub, turned_back
+from hplan.geometry.convex_distance import NEAREST, ON_FIRST, Span, farthest_corner, on_triangle
+from hplan.geometry.vectors import Pose, Vector, cross, dot, placed_point, sub, turned_back
 
 #: Two hulls: point coordinates, range and pose of the first; point coordinates and range of the other.
 Hulls: TypeAlias = tuple[FloatArray, Span, Pose, FloatArray, Span]
@@ -41,7 +41,7 @@ def penetration(hulls: Hulls, work: FloatArray) -> float:
     0 if the differences of their points span no volume.
 
     Args:
-        hulls: The two, as for `hplan.collision.convex_distance.core_distance`.
+        hulls: The two, as for `hplan.geometry.convex_distance.core_distance`.
         work: (WORK,) buffer. In the entries of the nearest points it receives the shortest translation of the other
             hull that separates the two, and the first hull's point that is deepest in the other.
     """

@@ -254,7 +254,7 @@ def _by_one_joint(robot: Robot, pair: tuple[int, int], joint: int, beyond: float
     decided = one_joint(robot, shapes, joint, beyond)
     # Bodies nearer than `SLACK` count as touching: the bisection cannot resolve smaller distances [m].
     if not decided.ever(SLACK):
-        return f"they touch at no position of joint {name!r}"
+        return f"they cannot touch at any position of joint {name!r}"
     if decided.always(_BEARING):
         sides = f"they are the two sides of joint {name!r}, never farther apart than {1e3 * _BEARING:g} mm"
         return f"{sides}: assumed to touch by construction"

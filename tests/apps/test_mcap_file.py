@@ -300,7 +300,7 @@ def test_a_run_of_a_motion_its_stop_and_what_follows(picked: PlanResult, tmp_pat
     assert len(found.messages["/robot_description"]) == 1
     shown = [markers for _, markers in found.messages["/scene"] if len(markers.markers) > 1]
     assert [[m.action for m in markers.markers].count(3) for markers in shown] == [0, 1, 1]
-    with pytest.raises(InputError, match="one robot"):
+    with pytest.raises(InputError, match="the same robot"):
         write_mcap([], tmp_path / "run.mcap")
 
 

@@ -204,7 +204,7 @@ WRONG = {
         6,
         "expected one of sphere, box, cylinder, cone or mesh, got 'torus'",
     ),
-    "a plane": (changed("box\n0.2 0.45 0.3\n", "plane\n0 0 1 0\n"), 6, "'Box_0': a plane has no end"),
+    "a plane": (changed("box\n0.2 0.45 0.3\n", "plane\n0 0 1 0\n"), 6, "'Box_0': a plane is infinite"),
     "an octomap": (changed("* Box_0", "* <octomap>"), 2, "octomaps are not supported"),
     "triangles of nothing": (one("mesh\n3 99999999999\n0 0 0\n1 0 0\n0 1 0\n0 1 2\n"), 16, "a vertex of a triangle"),
 }

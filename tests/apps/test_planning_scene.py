@@ -172,7 +172,7 @@ WRONG: dict[str, tuple[list[Any], Any, str, str]] = {
     "twice": (["id"], "shelf", "", "two objects 'shelf'"),
     "frame": (["header", "frame_id"], "elsewhere", "", "expected one frame"),
     "removed": (["operation"], 1, ".operation", "expected an object that is added"),
-    "plane": (["planes"], [{"coef": [0, 0, 1, 0]}], ".planes", "a plane has no end"),
+    "plane": (["planes"], [{"coef": [0, 0, 1, 0]}], ".planes", "a plane is infinite"),
 }
 
 

@@ -215,7 +215,7 @@ def test_reading_positions_alone(tmp_path: Path) -> None:
         ("time_s,a_pos_rad\n0,1\n1\n", "line 3: 1 values, expected 2"),
         ("time_s,a_pos_rad\n0,1\n1,one\n", "line 3: a_pos_rad is 'one'"),
         ("time_s,a_pos_rad\n0,nan\n", "line 2: a_pos_rad is 'nan'"),
-        ("time_s,a_pos_rad\n0,1\n0,1\n", "line 3: time_s is 0, no later"),
+        ("time_s,a_pos_rad\n0,1\n0,1\n", "line 3: time_s is 0, not later"),
         ('time_s,a_pos_rad\n0,"1\n', "line 2"),
     ],
 )

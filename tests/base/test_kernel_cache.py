@@ -395,7 +395,7 @@ def test_no_room_to_keep_them(folder: Path) -> None:
     said, warned = run(folder, full + USE)
     assert said == "False True 4.0 6.0"
     assert warned.count("KernelCacheWarning") == 1
-    assert "can be written ([Errno 28] No space left on device)" in warned
+    assert "is writable ([Errno 28] No space left on device)" in warned
     assert list(folder.rglob("*.nbc*")) == []
 
 

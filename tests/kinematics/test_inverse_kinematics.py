@@ -389,6 +389,6 @@ def test_locked_joints_and_those_beyond_the_frame_keep_their_values(tmp_path_fac
 def test_out_of_reach_is_said_to_be_sought_only(arm: Robot) -> None:
     far = np.eye(4)
     far[:3, 3] = 50.0
-    with pytest.raises(errors.UnreachableError, match="no proof") as refused:
+    with pytest.raises(errors.UnreachableError, match="does not prove") as refused:
         inverse_kinematics(arm, far, seeds=8)
     assert refused.value.reason == "not_found"

@@ -83,6 +83,6 @@ def test_beyond_the_stretched_arm_nothing_is_looked_for(arm: Robot) -> None:
 
 
 def test_what_is_not_found_is_no_proof(picker: Robot) -> None:
-    with pytest.raises(errors.UnreachableError, match="no proof") as caught:
+    with pytest.raises(errors.UnreachableError, match="does not prove") as caught:
         tool_at_point(picker, (1.1, 0.1, 0.1), approach_deg=180.0)
     assert caught.value.reason == "not_found"

@@ -222,7 +222,7 @@ def test_memory_is_cropped_for_the_least_of_its_frames(robot: Robot) -> None:
     planner.set_cloud("seen", points, radius=0.01, keep_s=60.0, time_s=0.0)
     planner.scene = planner.scene.model_copy(update={"clearance": 0.2})
     planner.set_cloud("seen", points, radius=0.01, keep_s=60.0, time_s=1.0)
-    with pytest.raises(InputError, match="remove it before"):
+    with pytest.raises(InputError, match="remove it first"):
         planner.plan()
     planner.remove("seen")
     planner.set_cloud("seen", points, radius=0.01, keep_s=60.0, time_s=2.0)

@@ -93,7 +93,7 @@ def test_an_arm_that_is_elsewhere_is_refused(robot: Robot, joint: int) -> None:
         error = caught.value
         assert (error.joint, error.covered, error.at_s) == (robot.joint_names[joint], 0.0, pytest.approx(10.3))
         assert error.off_by == pytest.approx(5e-3)
-        assert "tracking error of 0 rad is covered" in error.message
+        assert "covers a tracking error of 0 rad" in error.message
     assert planner.last is last
     planner.options = PlanOptions(effort="quick", tracking_error=4e-3, tracking_delay_s=2e-3)
     rate = float(abs(planned(robot).trajectory.state_at(0.3)[1][joint]))

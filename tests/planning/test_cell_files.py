@@ -250,7 +250,7 @@ def test_the_command_judges_files_as_given(picker, write, tmp_path, capsys):
     lines = write_csv(good, file).read_text().splitlines()
     tampered = {
         "nan": (2, lines[2].replace(lines[2].split(",")[1], "nan")),
-        "no later than": (3, lines[2]),
+        "not later than": (3, lines[2]),
         "expected the columns": (0, lines[0].replace("time_s", "time")),
         "expected 0 in the first sample": (1, "0.5" + lines[1][lines[1].index(",") :]),
         "the robot has|the arm has": (0, lines[0].replace("base_yaw", "other")),

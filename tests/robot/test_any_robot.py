@@ -141,7 +141,7 @@ def test_a_tool_frame_that_is_missing_is_told_before_joints_that_only_it_lets_mo
 
 def test_limits_that_ship_are_taken_by_the_name_of_their_robot():
     text, limits = six_axis_arm(), shipped_limits("ur5")
-    with pytest.raises(RobotFileError, match=r"or the name of a robot whose limits ship: harvester, .*ur5"):
+    with pytest.raises(RobotFileError, match=r"or the name of a robot whose limits ship with hplan: harvester, .*ur5"):
         load_robot(text)
     with pytest.raises(RobotFileError, match=r"ur5\.limits\.yaml: .*joints missing"):
         load_robot(text, limits="ur5")

@@ -61,7 +61,7 @@ FAULTS = {
     "four numbers of three": ('xyz="0.1 0 0"', 'xyz="0.1 0 0 0"', "expected 3 finite numbers"),
     "full-width space": ('xyz="0.1 0 0"', 'xyz="0.1\u30000\u30000"', "xyz of <origin>"),
     "a place beyond all": ('xyz="0.1 0 0"', 'xyz="1e200 0 0"', "3 finite numbers of at most 10000 m"),
-    "a size beyond all": ('"0.05 0.1 0.02"', '"0.05 0.1 1e308"', "positive, at most 10000 m"),
+    "a size beyond all": ('"0.05 0.1 0.02"', '"0.05 0.1 1e308"', "a positive finite number, at most 10000 m"),
     "no mass": ('<mass value="3"/>', "", "<inertial> has no <mass>"),
     "an inertia with a number missing": ('iyz="0" ', "", "<inertia> has no iyz"),
     "negative inertia": ('ixx=".01"', 'ixx="-.01"', "principal moments -0.01, 0.01, 0.01 kg m^2; those of a body are"),

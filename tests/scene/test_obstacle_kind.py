@@ -272,7 +272,7 @@ ASCII = ply(np.arange(9.0).reshape(3, 3), "ascii")
     ("name", "content", "message"),
     [
         # trimesh read these as 600 points at other places.
-        ("c.xyz", "0,123 0,456 0,789\n1,0 2,0 3,0\n", "line 1: '0,123' is not a number; write decimal points"),
+        ("c.xyz", "0,123 0,456 0,789\n1,0 2,0 3,0\n", "line 1: '0,123' is not a number; use decimal points"),
         ("c.xyz", "1 2 3\n4 5,5 6\n", "line 2: '5,5' is not a number"),
         ("c.xyz", "0.1,0.2,0.3\n", "line 1: '0.1,0.2,0.3' is not a number; .* spaces between columns"),
         ("c.xyz", "0.1;0.2;0.3\n", "line 1: .* spaces between columns"),

@@ -89,5 +89,5 @@ def test_the_trees_own_fruit_is_taken_the_nearest_first_and_gives_way_where_that
     assert {piece.yields for piece in scene.obstacles if piece.radius >= 0.02} == {0.0}
     assert {piece.yields for piece in scene.obstacles if piece.radius < 0.02} == {0.02}
     assert [fruit.name for fruit in measured_orchard([path], MeasuredOptions(fruits=1)).fruits] == ["fruit 2"]
-    with pytest.raises(OptionError, match="fruit of their own"):
+    with pytest.raises(OptionError, match="their own fruits"):
         measured_orchard([path], MeasuredOptions(fruit_radius=0.03))

@@ -268,7 +268,7 @@ def test_bad_content(case):
         (f"{HEAD}x: &a [*a]\n", 5, "alias *a is inside the value that it repeats"),
         (f"{HEAD}x: *b\n", 5, "undefined alias 'b'"),
         (f"{HEAD}x: {'[' * 5000}\n", None, "nested too deeply"),
-        (f'{HEAD}x: "\\ud83c"\n', 5, "half a character"),
+        (f'{HEAD}x: "\\ud83c"\n', 5, "half of a character"),
         (f"{HEAD}x: \x01\n", None, "is not allowed in YAML"),
     ],
 )

@@ -129,7 +129,7 @@ def test_what_does_not_go_on_is_not_joined():
         assert caught.value.data["motion"] == 2
     joined([first, first.reversed, ending_at_rest(5, 0.5 * 1e-9, 2.0)])
     moving = Trajectory(first.joint_names, first.time, first.position + 1.0, first.velocity + 0.1, *np.zeros((2, 5, 2)))
-    with pytest.raises(InputError, match="does not go on"):
+    with pytest.raises(InputError, match="does not begin where"):
         joined([first, moving])
 
 
@@ -202,7 +202,7 @@ def test_reads_what_others_write(tmp_path, text):
         ([HEADER, "0,0,0,0,0", "1,0,0,x,0"], 3, "a_acc_rad_s2 is 'x', expected a finite number"),
         ([HEADER, "0,nan,0,0,0"], 2, "a_pos_rad is 'nan', expected a finite number"),
         ([HEADER, "0.5,0,0,0,0"], 2, "time_s is 0.5, expected 0"),
-        ([HEADER, "0,0,0,0,0", "1,0,0,0,0", "1,0,0,0,0"], 4, "no later than"),
+        ([HEADER, "0,0,0,0,0", "1,0,0,0,0", "1,0,0,0,0"], 4, "not later than"),
         ([HEADER, '0,"0,0,0,0'], 2, "unexpected end of data"),
     ],
 )
@@ -503,7 +503,7 @@ def test_share_of_the_speed(robot, limits, smooth_limits):
     assert free.scaled(0.3).torque is None
 
 
-@pytest.mark.parametrize(("where", "share"), [("begin", (0.0, 0.0, 0.0, 1.0)), ("end", (0.0, 3.0, -3.0, 1.0))])
+@pytest.mark.parametrize(("where", "share"), [("start", (0.0, 0.0, 0.0, 1.0)), ("end", (0.0, 3.0, -3.0, 1.0))])
 def test_a_path_whose_parameter_stands_still_is_refused(robot, limits, where, share):
     """As in an optimized motion, which begins and ends at rest."""
 
@@ -514,7 +514,7 @@ def test_a_path_whose_parameter_stands_still_is_refused(robot, limits, where, sh
             part = np.polynomial.Polynomial(share).deriv(derivative)(np.asarray(s))
             return START * (derivative == 0) + np.multiply.outer(part, GOAL - START)
 
-    with pytest.raises(TimingError, match=f"stands still at its {where}"):
+    with pytest.raises(TimingError, match=f"zero derivative at its {where}"):
         time_path(Path(), robot.model, limits)
 
 

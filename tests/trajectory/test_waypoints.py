@@ -289,7 +289,7 @@ def test_held_joints_stand_where_told(load):
     with pytest.raises(InputError, match="cannot both"):
         load(*joints, joints=["a"], hold={"a": 0.0})
     for name in ("c", "l1"):
-        with pytest.raises(InputError, match=f"no joint '{name}'"):
+        with pytest.raises(InputError, match=f"no moving joint '{name}'"):
             load(*joints, joints=[name])
     with pytest.raises(InputError, match="there is no joint to move"):
         load(*joints, joints=[])

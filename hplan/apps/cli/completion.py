@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 _EPILOG = """\
 for this shell: source <(hplan completion bash)
-for all later shells: write it to ~/.local/share/bash-completion/completions/hplan
+for later shells, write it to ~/.local/share/bash-completion/completions/hplan
 """
 
 _BASH = """\

@@ -42,7 +42,7 @@ yields: [{wood: 0.02, below: 0.008, fruit: 0.02}]
 exit status:
   0  done
   2  bad input
-  6  the worker processes of some designs were lost repeatedly; the others are done
+  6  some designs lost their worker processes repeatedly; the others are done
 """
 
 #: Files of a study in addition to its report: the table of designs and the figure.

@@ -160,7 +160,7 @@ def test_script_writes_the_csv(script, capsys, files, tmp_path):
         (("--acceleration", "4", "--rate", "0"), 2, "rate_hz"),
         (("--acceleration", "4", "--speed", "2"), 2, "speed"),
         (("--acceleration", "4", "--deviation", "0"), 2, "deviation_rad"),
-        (("--acceleration", "4", "--joints", "c"), 2, "no joint 'c'"),
+        (("--acceleration", "4", "--joints", "c"), 2, "no moving joint 'c'"),
         (("--acceleration", "4", "--joints", "a", "--hold", "b"), 2, "--hold = 'b'"),
         (("--limits", "none.yaml"), 2, "No such file"),
     ],

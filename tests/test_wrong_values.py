@@ -17,8 +17,8 @@ import pytest
 
 import hplan
 from hplan.apps.cli.job_folder import read_report
-from hplan.apps.execution.plant import Plant
 from hplan.apps.execution.recorded_motion import RecordedMotion, read_motion
+from hplan.apps.execution.simulated_arm import Plant
 from hplan.apps.execution.simulation import execute
 from hplan.apps.ros import read_moveit_scene, read_planning_scene
 from hplan.apps.view.page import write_page
@@ -26,9 +26,9 @@ from hplan.apps.view.playback import Playback
 from hplan.base.files import write_text
 from hplan.base.options import Options
 from hplan.errors import HplanError, InputError, SceneError
-from hplan.grid import dense_search, reachable, slices_with_path, two_level_search
-from hplan.grid.grid import Grid, Occupancy
 from hplan.online.frame import CloudOptions
+from hplan.planar.grid import dense_search, reachable, slices_with_path, two_level_search
+from hplan.planar.grid.grid import Grid, Occupancy
 from hplan.robot.family.members import HARVESTER, ArmSpec, cross_check, load_member, write_robot
 from hplan.robot.tracking import TrackingModel
 from hplan.scene.cell import CellRobot, CellScene
@@ -570,7 +570,7 @@ def test_every_public_function_is_among_the_cases() -> None:
         "hplan.scene.model",
         "hplan.scene.orchard",
         "hplan.trajectory.timing",
-        "hplan.grid",
+        "hplan.planar.grid",
         "hplan.robot.family.members",
     ]
     names = {name for module in modules for name in getattr(importlib.import_module(module), "__all__", ())}

@@ -89,8 +89,7 @@ from hplan.errors.no_motion import (
     UnreachableError,
     WorkersLostError,
 )
-from hplan.errors.root import HplanError
-from hplan.errors.warning import FarObstacleWarning, HplanWarning, MissingVisualWarning, UncoveredLinkWarning
+from hplan.errors.root import FarObstacleWarning, HplanError, HplanWarning, MissingVisualWarning, UncoveredLinkWarning
 
 __all__ = [
     "ApproachError",

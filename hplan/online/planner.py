@@ -31,10 +31,16 @@ from hplan.errors import HplanError, InputError, NotInTimeError, OptionError, Pl
 from hplan.online.arm_shape import arm_solids
 from hplan.online.body_distances import distances_from_bodies
 from hplan.online.frame import CloudOptions, Frame, FrameReport, SeenPoints, filter_frame, rigid
-from hplan.online.frame_check import AcceptedFrame, check_content, check_order
+from hplan.online.frame_check import (
+    AcceptedFrame,
+    check_cloud_name,
+    check_content,
+    check_order,
+    solids_named,
+    with_cloud,
+)
 from hplan.online.frame_kernels import Scratch
 from hplan.online.next_view import NextView, shows, sweep
-from hplan.online.scene_cloud import check_cloud_name, solids_named, with_cloud
 from hplan.online.seen_space import UNSEEN, SeenSpace
 from hplan.online.splice import RunningMotion, SplicedResult
 from hplan.planning.motion import Transit

@@ -30,9 +30,10 @@ from hplan.collision.coal_scene import Contact
 from hplan.errors import BlockedError, UnreachableError
 from hplan.kinematics.approach_angles import Candidates
 from hplan.kinematics.straight_line import StraightLine
-from hplan.planning.joint_ranges import LEAST_MARGIN, JointRanges, joint_ranges
+from hplan.planning.joint_ranges import LEAST_MARGIN, JointRanges
 from hplan.planning.options import PlanOptions
-from hplan.planning.tool_paths import Approaches, tool_of
+from hplan.planning.specialist import joint_ranges
+from hplan.planning.tool_paths import Approaches, Tool
 from hplan.planning.world import World
 from hplan.robot.limits import rest_to_rest
 from hplan.robot.model import Robot
@@ -110,7 +111,7 @@ class Grasp(Record):
         """The approach; None for a grasp without one."""
         if self.distance <= 0.0:
             return None
-        return tool_of(robot, locked, self.keeps_turn).path(self.goal, self.distance)
+        return Tool(robot, locked, self.keeps_turn).path(self.goal, self.distance)
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,7 +170,7 @@ class Target(Record):
 
         The minimum stand-off keeps the tool clear of the fruit.
         """
-        least = fruit.radius + tool_of(world.robot).thickness(world.deviation) + world.clearance + 2.0 * SPARE
+        least = fruit.radius + Tool(world.robot).thickness(world.deviation) + world.clearance + 2.0 * SPARE
         return cls(
             f"fruit {fruit.name!r}", fruit.center, world, world.touching(fruit.name, fruit.hangs_from),
             scene.goal.approach_deg, fruit, least, capture_m=options.capture_m,
@@ -285,7 +286,7 @@ def grasps_or_blocked(
     if isinstance(clear, Blocked):
         return clear
     found, room = clear
-    tool = tool_of(target.world.robot, locked, target.pose is not None)
+    tool = Tool(target.world.robot, locked, target.pose is not None)
     found = tool.soonest(found, count)
     goals = frozen(found.configurations)
     lengths = _distances(standoff, target.least_standoff)
@@ -360,7 +361,7 @@ def _clear_candidates(
     Raises:
         UnreachableError: No configuration reaches the point.
     """
-    world, tool = target.world_touching, tool_of(target.world.robot, locked)
+    world, tool = target.world_touching, Tool(target.world.robot, locked)
 
     def evenly_spaced(count: int) -> _Measured:
         if target.pose is not None:
@@ -406,9 +407,10 @@ def _clear_approaches(
     The approach is checked along a polyline of a few points; the certificate covers the exact path, `Grasp.path`.
     """
     chosen: dict[int, tuple[float, FloatArray]] = {}
-    enough = tool_of(target.world.robot).enough
+    enough = Tool(target.world.robot).enough
     for length in lengths:
-        if chosen and len(chosen) >= min(enough, len(along(length).polylines)):
+        every = len(along(length).polylines)
+        if chosen and len(chosen) >= (every if enough is None else min(enough, every)):
             break
         approaches = along(length).polylines
         begins = approaches[:, -1]

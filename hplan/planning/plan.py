@@ -22,6 +22,7 @@ from hplan.planning.plans import plans
 from hplan.planning.problem import Problem
 from hplan.planning.report import deadline_report
 from hplan.planning.result import PlanResult, bounded_phases
+from hplan.planning.specialist import check_method
 from hplan.planning.stages import Progress, current_clock, no_progress, stage, stage_clock
 from hplan.robot.model import Robot
 from hplan.robot.tracking import largest_fraction, name_margin
@@ -112,7 +113,9 @@ def check_task(
     check_yield_links(robot, checked_scene(scene).yield_links)
     function("progress", progress)
     if options is not None:
-        instance("options", options, PlanOptions).check_for(robot, takes_risk=takes_risk)
+        check_method(robot, instance("options", options, PlanOptions))
+        if not takes_risk:
+            options.refuse_risk()
     warn_of_far_obstacles(robot, scene)
 
 

@@ -31,6 +31,7 @@ from hplan.planning.motion import Plan, Transit
 from hplan.planning.pose_goal import configurations_at, pose_of
 from hplan.planning.problem import Problem, merged
 from hplan.planning.solver import motions, prove_infeasible, reuse_motion
+from hplan.planning.specialist import presets_of
 from hplan.planning.stages import stage
 from hplan.planning.start_in_motion import plans_in_motion
 from hplan.trajectory.trajectory import Trajectory
@@ -62,7 +63,7 @@ def plans(
         yield Plan(kept)
         return
     best_s, is_found = math.inf, False
-    efforts = efforts_of(problem.robot, problem.options)
+    efforts = efforts_of(presets_of(problem.robot), problem.options)
     for effort in efforts:
         if problem.options.objective == "length":
             best_s = math.inf  # a larger effort yields shorter paths, not faster motions
@@ -122,7 +123,7 @@ def _goal(problem: Problem) -> Problem | Target:
             ends = configurations_at(world, goal, start, scene.locked_joints)
             return merged([problem.between(start, end) for end in ends[: problem.effort.pose_goals]])
     if goal.pose is not None:
-        pose = pose_of(world.robot, goal)
+        pose = pose_of(goal)
         return Target("the pose", pose[:3, 3], world, world, pose=pose, frame=goal.frame)
     for fruit in scene.fruits:
         if fruit.name == goal.fruit:

@@ -135,7 +135,7 @@ def plan_poses(
     """Plan a certified motion from the scene's start through tool poses.
 
     Args:
-        robot: A general (non-planar) arm.
+        robot: The arm. With fewer than six joints it reaches few poses, and follows few straight lines.
         scene: Start, obstacles, required clearance, locked joints. Its goal is ignored; a fruit that is its goal is an
             obstacle like the others.
         poses: (n, 4, 4) poses of the tool frame in `base_link` [m].
@@ -166,10 +166,6 @@ def plan_poses(
     """
     check_task(robot, scene, options, progress)
     options = PlanOptions() if options is None else options
-    if robot.planar is not None:
-        raise InputError(
-            f"robot {robot.name!r} is a planar arm, whose tool cannot take any orientation: it accepts no poses"
-        )
     if scene.moves:
         raise MovingObstacleError(scene.first_moving)
     matrices = numbers("poses", poses, (None, 4, 4))
@@ -267,7 +263,7 @@ def _through(task: _Poses, begin: FloatArray, number: int) -> list[_Leg]:
         except (NotFoundError, BlockedError, TimingError, CertificationError) as error:
             failure = failure or error
     raise failure or NotFoundError(
-        [f"motions {'straight' if task.straight[number] else 'by trees'} to pose {number + 1}"], pose=number
+        [f"motions {'straight' if task.straight[number] else 'of trees'} to pose {number + 1}"], pose=number
     )
 
 

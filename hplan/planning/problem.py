@@ -13,8 +13,8 @@ from hplan.collision.clearance_field import ClearanceField
 from hplan.errors import InputError
 from hplan.optimization.several_starts import StartsEffort
 from hplan.planning.effort import Effort, efforts_of
-from hplan.planning.joint_ranges import narrowed
 from hplan.planning.options import PlanOptions
+from hplan.planning.specialist import narrowed, presets_of
 from hplan.planning.world import World
 from hplan.robot.limits import least_duration
 from hplan.robot.model import Robot
@@ -68,7 +68,7 @@ class Problem(Record):
         start = robot.check_configuration(robot.joints_of(scene.start, "start"), "start")
         movable = np.flatnonzero(~robot.locked_mask(scene.locked_joints))
         rows, nothing = frozen(np.zeros((0, robot.dof))), frozen(np.zeros(0))
-        effort = efforts_of(robot, options)[-1]
+        effort = efforts_of(presets_of(robot), options)[-1]
         return cls(world, scene, options, effort, start, rows, rows, rows, nothing, readonly(movable, np.int64))
 
     @property

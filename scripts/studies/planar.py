@@ -12,9 +12,9 @@ from studies.planar_cspace import arm_sections, joint_grid
 
 from hplan.base.arrays import FloatArray, IntArray
 from hplan.errors import InputError
-from hplan.grid import dense_search, two_level_search
-from hplan.grid.grid import Occupancy
-from hplan.grid.occupancy import occupancy
+from hplan.planar.grid import dense_search, two_level_search
+from hplan.planar.grid.grid import Occupancy
+from hplan.planar.grid.occupancy import occupancy
 from hplan.planning.options import PlanOptions
 from hplan.planning.world import World
 from hplan.robot.model import Robot

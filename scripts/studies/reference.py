@@ -26,9 +26,9 @@ from studies.planar_cspace import arm_sections, joint_grid, sampled_occupancy
 from hplan.base.arrays import FloatArray, IntArray
 from hplan.collision.coal_scene import CoalScene
 from hplan.geometry.polyline import path_length
-from hplan.grid import dense_search, two_level_search
-from hplan.grid.grid import Occupancy
-from hplan.grid.occupancy import occupancy
+from hplan.planar.grid import dense_search, two_level_search
+from hplan.planar.grid.grid import Occupancy
+from hplan.planar.grid.occupancy import occupancy
 from hplan.planning.options import EFFORT_NAMES, PlanOptions
 from hplan.planning.plan import plan
 from hplan.robot.model import Robot, load_robot

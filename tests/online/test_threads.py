@@ -14,7 +14,7 @@ from planned import post, task
 
 import hplan
 from hplan.collision.coal_scene import CoalScene
-from hplan.grid.yaw_layers import LayerCache
+from hplan.planar.grid.yaw_layers import LayerCache
 from hplan.planning.plan import plan_with
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene

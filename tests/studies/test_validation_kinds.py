@@ -13,10 +13,10 @@ from studies.validation.kinds import CONTACT_TOLERANCE, EXAMPLES, MOST_LOST, _Co
 from studies.validation.scenes import KINDS, Kind, random_scene
 
 from hplan.collision.clearance_field import ClearanceField
-from hplan.grid.grid import Grid, Occupancy
-from hplan.grid.occupancy import occupancy
-from hplan.grid.prepared_obstacles import prepare_obstacles
-from hplan.grid.sections import sections_at
+from hplan.planar.grid.grid import Grid, Occupancy
+from hplan.planar.grid.occupancy import occupancy
+from hplan.planar.grid.prepared_obstacles import prepare_obstacles
+from hplan.planar.grid.sections import sections_at
 from hplan.robot.model import Robot
 
 #: A bucket, a ring and a notched plate that are cut in a moment.

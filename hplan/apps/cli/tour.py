@@ -71,7 +71,7 @@ def parser(prog: str) -> argparse.ArgumentParser:
         type=float,
         nargs=7,
         metavar=("X", "Y", "Z", "QX", "QY", "QZ", "QW"),
-        help="drop-off as a pose of the tool frame (metres, quaternion), for a general (non-planar) arm",
+        help="drop-off as a pose of the tool frame (metres, quaternion)",
     )
     add("--drop-off-joints", type=float, nargs="+", metavar="DEG", help="drop-off as joint positions, in degrees")
     add(

@@ -17,10 +17,10 @@ from studies.paper.measure import DEMO_CENTRE, DEMO_DIAMETER, PAPER_DENSE, PAPER
 from studies.paper.plain import path_found
 
 from hplan.apps.view import figure_style as look
-from hplan.apps.view.cspace_surface import draw_cspace_obstacle, hidden, joint_box, panes
 from hplan.apps.view.figure_style import new_figure, styled
 from hplan.base.arrays import BoolArray, FloatArray, IntArray
-from hplan.grid.grid import Grid
+from hplan.planar.grid.grid import Grid
+from hplan.planar.pages.cspace_surface import draw_cspace_obstacle, hidden, joint_box, panes
 from hplan.robot.planar_family import PlanarArm
 
 if TYPE_CHECKING:

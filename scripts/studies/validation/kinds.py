@@ -3,7 +3,7 @@ r"""The C-space compared with coal on random scenes of every kind of obstacle, w
 Of each scene `configurations` nodes are looked at, on small planar grids with random offsets at many yaws, so that
 nearly every node stands at no round number. Three sides answer for each:
 
-- the *intervals* of `hplan.grid.occupancy` on the sections of `hplan.grid.sections`, at that yaw;
+- the *intervals* of `hplan.planar.grid.occupancy` on the sections of `hplan.planar.grid.sections`, at that yaw;
 - the *distances* of `hplan.collision.clearance_field`, by their sign;
 - *coal* on capsule links placed by Pinocchio, which shares no formula with the other two. It is asked about the solids
   that keep the arm away, about the triangles of meshes as they were given, and all points of clouds.
@@ -29,10 +29,10 @@ from hplan.collision.coal_scene import CoalScene
 from hplan.collision.coal_shapes import triangle_tree
 from hplan.collision.geometry_pairs import GeometryPairs
 from hplan.geometry.cloud import Cloud
-from hplan.grid.grid import Grid
-from hplan.grid.occupancy import occupancy
-from hplan.grid.prepared_obstacles import PreparedObstacles, prepare_obstacles
-from hplan.grid.sections import sections_at
+from hplan.planar.grid.grid import Grid
+from hplan.planar.grid.occupancy import occupancy
+from hplan.planar.grid.prepared_obstacles import PreparedObstacles, prepare_obstacles
+from hplan.planar.grid.sections import sections_at
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 from hplan.scene.obstacles import Mesh, PointCloud

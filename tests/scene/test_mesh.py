@@ -111,7 +111,7 @@ def test_faulty_arrays(name):
         ("file: empty.stl", b"", "file", "empty.stl is empty"),
         ("file: junk.stl", b"this is no mesh", "file", "empty: it has no triangles"),
         ("file: cut.ply", b"ply\nformat ascii 1.0\nelement vertex 3\n", "file", "ply"),
-        ("file: crate.dae", b"<xml/>", "file", "'crate.dae' is no mesh file .*convert it to one of .stl"),
+        ("file: crate.dae", b"<xml/>", "file", "'crate.dae' is not a readable mesh file.*convert it to one of .stl"),
         ("scale: 2.0", None, "file", "this key is missing"),
         ("{file: ring.ply, scale: 0}", None, "scale", "greater than 0"),
         ("{file: ring.ply, scale: 1.0e+7}", None, "file", "check its scale"),

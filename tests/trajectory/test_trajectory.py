@@ -589,7 +589,7 @@ def test_motions_of_too_many_rows_are_refused_before_they_are_made(robot, scene)
     assert error.value.data["option"] == "rate_hz"
     assert peak < 2e8
     assert time.process_time() - begin < 100.0  # seconds, kernels compiled in it
-    with pytest.raises(OptionError, match="rows"):
+    with pytest.raises(OptionError, match="samples"):
         plan(robot, scene, PlanOptions(speed=1e-9))
 
 

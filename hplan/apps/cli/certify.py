@@ -46,7 +46,7 @@ _EXIT_STATUS = """\
 exit status:
   0  certified
   2  bad input
-  5  not certified, or robot, scene or trajectory differ from those of the report
+  5  not certified, or robot, scene or trajectory differ from the report's
 """
 
 

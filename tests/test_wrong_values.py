@@ -23,8 +23,8 @@ from hplan.apps.execution.simulation import execute
 from hplan.apps.ros import read_moveit_scene, read_planning_scene
 from hplan.apps.view.page import write_page
 from hplan.apps.view.playback import Playback
+from hplan.base.checked import Options
 from hplan.base.files import write_text
-from hplan.base.options import Options
 from hplan.errors import HplanError, InputError, SceneError
 from hplan.online.frame import CloudOptions
 from hplan.planar.grid import dense_search, reachable, slices_with_path, two_level_search

@@ -21,7 +21,7 @@ from pydantic import Field
 
 from hplan.base.arguments import instance, number
 from hplan.base.arrays import FloatArray, Record, as_array, frozen, numbers, readonly
-from hplan.base.options import Options
+from hplan.base.checked import Options
 from hplan.base.units import FARTHEST_JOINT
 from hplan.collision.obstacle_rows import solid_rows
 from hplan.errors import InputError, OptionError

@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike
 
 from hplan.base.arguments import between, number, one_of, text
 from hplan.base.arrays import FloatArray, numbers, readonly
+from hplan.base.checked import StrictModel
 from hplan.base.deadline import Cancel, TimeIsUpError, time_limit
 from hplan.base.forking import renewed_in_children
 from hplan.certificate.certificate import with_violations
@@ -48,7 +49,6 @@ from hplan.planning.options import PlanOptions
 from hplan.planning.plan import check_task, plan_with
 from hplan.planning.result import PlanResult
 from hplan.robot.model import Robot
-from hplan.scene.fault import StrictModel
 from hplan.scene.limits import FARTHEST_M
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacle_kind import FromData

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from hplan.base.options import NotNegative, Options, Positive
+from hplan.base.checked import NotNegative, Options, Positive
 from hplan.errors import OptionError
 from hplan.robot.tracking import TrackingModel
 from hplan.scene.limits import FARTHEST_M, LEAST_RISK

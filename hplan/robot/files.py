@@ -20,14 +20,13 @@ import pinocchio as pin
 
 from hplan.base.arguments import file_path
 from hplan.base.arrays import FloatArray
+from hplan.base.checked import Positive, StrictModel
 from hplan.base.data_files import LIMITS_SUFFIX, robot_names, shipped_limits, shipped_robots, urdf_dir
 from hplan.base.files import is_file
-from hplan.base.options import Positive
 from hplan.errors import InputError, RobotFileError, SceneError
 from hplan.robot.urdf_check import check_models
 from hplan.robot.urdf_file import Urdf, read_urdf
 from hplan.robot.urdf_xml import URDF_TEXT, is_urdf_text, line_of, read_urdf_xml
-from hplan.scene.fault import StrictModel
 from hplan.scene.file import read_model
 
 #: Value of the key `format` in a limits file.

@@ -25,7 +25,7 @@ from scipy.sparse import coo_array
 
 from hplan.base.arguments import instance
 from hplan.base.arrays import Record
-from hplan.base.options import Options
+from hplan.base.checked import Options
 from hplan.base.tasks import Pool, outcomes, pool_of
 from hplan.collision.reach import reach_ball
 from hplan.errors import HplanError, InputError, MovingObstacleError, OptionError, TourError

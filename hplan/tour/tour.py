@@ -21,8 +21,8 @@ from pydantic import Field
 from hplan.base import ties
 from hplan.base.arguments import instance, list_of
 from hplan.base.arrays import FloatArray
+from hplan.base.checked import Options
 from hplan.base.deadline import Cancel, TimeIsUpError, time_limit
-from hplan.base.options import Options
 from hplan.certificate.certificate import all_of
 from hplan.certificate.digests import Digests
 from hplan.errors import CertificationError, OptionError, SceneError, TourError, UnreachableError

@@ -246,7 +246,7 @@ def panda_scene(robot: Robot, problem: dict[str, Any], name: str) -> Scene:
     for number, part in enumerate(problem["obstacles"]):
         x, y, z, w = part["quaternion_xyzw"]
         turn = pin.rpy.matrixToRpy(pin.Quaternion(w, x, y, z).normalized().toRotationMatrix())
-        keys = {
+        keys: dict[str, Any] = {
             "name": f"{part['name']} {number}",
             "center": tuple(part["position"]),
             "rpy_deg": tuple(np.degrees(turn).tolist()),

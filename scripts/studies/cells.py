@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import re
 import xml.etree.ElementTree as ET
+from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -29,6 +30,7 @@ from hplan.planning.options import PlanOptions
 from hplan.robot.files import named_robot
 from hplan.robot.model import Robot, load_robot
 from hplan.scene.cell import CellRobot, CellScene
+from hplan.scene.limits import Vector
 from hplan.scene.model import Goal, Start
 from hplan.scene.obstacles import Box
 
@@ -52,16 +54,21 @@ def problems(config: StudyConfig) -> list[tuple[str, str, dict[str, Any]]]:
 
 
 @cache
-def bases(folder: Path) -> dict[str, tuple[tuple[float, ...], tuple[float, ...]]]:
+def bases(folder: Path) -> dict[str, tuple[Vector, Vector]]:
     """Position [m] and orientation [deg] of each arm's base."""
     (file,) = (path for path in sorted(folder.glob("*/urdf/*.xacro")) if not path.name.endswith("_.urdf.xacro"))
     text = re.sub(r"<!--.*?-->", "", file.read_text(), flags=re.DOTALL)
     names = dict(re.findall(r'<xacro:arg name="(\w+)" default="(\w+)"', text))
     arm = re.compile(r'<xacro:panda_arm arm_id="\$\(arg (\w+)\)" connected_to="base"\s+xyz="([^"]*)" rpy="([^"]*)"')
     return {
-        names[match[1]]: (tuple(map(float, match[2].split())), tuple(math.degrees(float(x)) for x in match[3].split()))
+        names[match[1]]: (_numbers(match[2].split()), _numbers(map(math.degrees, _numbers(match[3].split()))))
         for match in arm.finditer(text)
     }
+
+
+def _numbers(values: Iterable[str | float]) -> Vector:
+    x, y, z = map(float, values)
+    return x, y, z
 
 
 @cache
@@ -97,7 +104,7 @@ def cell_of(config: StudyConfig, group: str, test: dict[str, Any]) -> Cell:
         for name, start in sorted(test["starts"].items())
     )  # fmt: skip
     boxes = [
-        Box(name=name, center=tuple(map(float, box["origin"])), size=tuple(map(float, box["size"])))
+        Box(name=name, center=_numbers(box["origin"]), size=_numbers(box["size"]))
         for name, box in (test.get("world_objects") or {}).items()
     ]
     table = Box(name="table", center=(0.0, 0.0, 0.048), size=(2.0, 2.0, 0.1))

@@ -16,8 +16,8 @@ from numpy.typing import ArrayLike
 
 from hplan.base.arguments import instance
 from hplan.base.arrays import FloatArray, IntArray, numbers
+from hplan.base.checked import NotNegative, Options, Positive
 from hplan.base.lazy_import import extra
-from hplan.base.options import NotNegative, Options, Positive
 from hplan.collision.giving_way import pushing_links, yielded
 from hplan.errors import InputError, RobotFileError
 from hplan.geometry.cloud import Cloud

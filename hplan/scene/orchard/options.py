@@ -10,8 +10,8 @@ from typing import Annotated, Final, Literal, TypeAlias
 from pydantic import Field
 
 from hplan.base.arguments import one_of
+from hplan.base.checked import Options, Text
 from hplan.base.data_files import shipped_robots
-from hplan.base.options import Options, Text
 from hplan.errors import OptionError
 
 #: Training form of the trees: branches all around a leader, or arms along the wires.

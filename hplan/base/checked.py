@@ -1,43 +1,105 @@
-"""Validated, immutable models of a scene, and their errors in plain words."""
+"""Checked values of users and files: frozen option dataclasses and models, validated by pydantic.
+
+`Options` raise `OptionError`, like the checks of single arguments (`hplan.base.arguments`). A `StrictModel` is the
+schema of a file: it raises `SceneError` with the key path, to which `hplan.scene.file` adds the line.
+"""
 
 from __future__ import annotations
 
+import dataclasses
+import re
 from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
 from functools import cache
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, ClassVar, Self, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self, TypeAlias, TypeVar, get_type_hints
 
-from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model, model_validator
 from pydantic_core import PydanticCustomError
 
 from hplan.base.arguments import nearest_name
 from hplan.base.arrays import MOST_SHOWN, Unquoted
-from hplan.base.options import plain
-from hplan.errors import SceneError
-
-if TYPE_CHECKING:
-    from pydantic._internal._model_construction import ModelMetaclass
-else:
-    ModelMetaclass = type(BaseModel)  # it has no public name
+from hplan.errors import OptionError, SceneError
 
 _Part = TypeVar("_Part", bound=BaseModel)
 
-
-class _SceneErrors(ModelMetaclass):
-    """Metaclass whose constructors raise `SceneError` for an invalid value."""
-
-    if not TYPE_CHECKING:
-
-        def __call__(self, *arguments, **values):
-            """Construct an object."""
-            try:
-                return super().__call__(*arguments, **values)
-            except ValidationError as error:
-                raise scene_error(error, self.error) from error
+#: Positive numbers, nonnegative numbers, non-empty strings.
+Positive: TypeAlias = Annotated[float, Field(gt=0.0)]
+NotNegative: TypeAlias = Annotated[float, Field(ge=0.0)]
+Text: TypeAlias = Annotated[str, Field(min_length=1)]
 
 
-class StrictModel(BaseModel, metaclass=_SceneErrors):
+def plain(value: Any) -> Any:
+    """Convert lists and arrays to tuples, NumPy numbers to Python numbers."""
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    return tuple(map(plain, value)) if isinstance(value, list) else value
+
+
+class Options:
+    """Base of frozen option dataclasses.
+
+    Numbers are finite; lists and arrays become tuples; nothing else is converted.
+
+    Raises:
+        OptionError: A value is not of its field's type, or outside the field's range (`pydantic.Field`).
+    """
+
+    def __post_init__(self) -> None:
+        kind: Any = type(self)
+        values = {field.name: plain(getattr(self, field.name)) for field in dataclasses.fields(kind)}
+        try:
+            checked = _model(kind).model_validate(values)
+        except ValidationError as error:
+            # A union has one fault per member; the deepest one belongs to the intended member.
+            fault = max(error.errors(), key=lambda fault: len(fault["loc"]))
+            words = "more values" if fault["type"] == "missing" else fault["msg"]
+            expected = re.sub(r"^\w+ should (be|have) ", "", words)
+            raise OptionError(_place(values, fault["loc"]), fault["input"], expected) from None
+        for name in values:
+            object.__setattr__(self, name, getattr(checked, name))
+
+    def with_(self, **changes: Any) -> Self:
+        """Return a checked copy with other values.
+
+        Args:
+            changes: New values by field name.
+
+        Raises:
+            OptionError: A name is not an option, or its option does not accept the value.
+
+        Examples:
+            >>> from hplan import PlanOptions
+            >>> PlanOptions().with_(speed=0.5).speed
+            0.5
+        """
+        kind: Any = type(self)
+        names = [field.name for field in dataclasses.fields(kind)]
+        for key, value in changes.items():
+            if key not in names:
+                raise OptionError(key, value, f"an option of {kind.__name__}; {nearest_name(key, names)}")
+        copied: Self = dataclasses.replace(self, **changes)  # type: ignore[type-var]
+        return copied
+
+
+@cache
+def _model(kind: Any) -> type[BaseModel]:
+    """Pydantic model that checks the values of a dataclass."""
+    fields: dict[str, Any] = {name: (hint, ...) for name, hint in get_type_hints(kind, include_extras=True).items()}
+    return create_model(kind.__name__, __config__=ConfigDict(strict=True, allow_inf_nan=False), **fields)
+
+
+def _place(value: Any, steps: Sequence[Any]) -> str:
+    """Path to the invalid value, as `lower[2]`, without pydantic's type names."""
+    name, value = str(steps[0]), value[steps[0]]
+    for step in steps[1:]:
+        if isinstance(value, dict | tuple) and (step in value or step in range(len(value))):
+            name, value = f"{name}[{step!r}]", value[step]
+    return name
+
+
+class StrictModel(BaseModel):
     """Immutable model without unknown keys, NaN, infinity or text as number.
 
     Lists and arrays become tuples. Values are checked by each way to make an object: the constructor, `with_`, and
@@ -120,6 +182,15 @@ class StrictModel(BaseModel, metaclass=_SceneErrors):
 
     if not TYPE_CHECKING:
 
+        def __init__(self, /, **values):
+            """Validate the values; pydantic does not call this for parts of other models."""
+            try:
+                super().__init__(**values)
+            except ValidationError as error:
+                raise scene_error(error, self.error) from error
+
+        __init__.__pydantic_base_init__ = True
+
         def model_copy(self, *, update=None, deep=False):
             """Copy as in pydantic, but check new values as `with_` does."""
             return super(StrictModel, self if not update else self.with_(**update)).model_copy(deep=deep)
@@ -161,7 +232,8 @@ class StrictModel(BaseModel, metaclass=_SceneErrors):
 @cache
 def _names_of(kind: type[BaseModel]) -> Mapping[str, str]:
     fields = kind.model_fields
-    return {field.alias: name for name, field in fields.items() if field.alias} | {name: name for name in fields}
+    aliases = {str(field.validation_alias): name for name, field in fields.items() if field.validation_alias}
+    return aliases | {name: name for name in fields}
 
 
 def validated(kind: type[_Part], content: Any, context: dict[str, Any]) -> _Part:

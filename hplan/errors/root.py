@@ -101,6 +101,16 @@ class UncoveredLinkWarning(HplanWarning):
     """
 
 
+class RobotFileWarning(HplanWarning):
+    """A robot file has faults that no motion depends on; it was read without them.
+
+    Examples:
+        >>> from hplan.errors import HplanWarning, RobotFileWarning
+        >>> issubclass(RobotFileWarning, HplanWarning)
+        True
+    """
+
+
 class MissingVisualWarning(HplanWarning):
     """A visual's mesh file is missing, so the link is not drawn.
 

@@ -42,7 +42,7 @@ OUT = Path("timed.csv")
 #: Options that require `--scene`, and options that exclude it.
 _WITH_SCENE = (
     *("keep_path", "effort", "seed", "sigmas", "tracking_error", "tracking_error_m", "tracking_delay", "deadline_ms"),
-    *("poses", "free", "tilt", "tool_frame", "srdf", "allow_neighbours", "package_dir"),
+    *("poses", "free", "tilt", "tool_frame", "srdf", "allow_neighbours", "package_dir", "xacro"),
     "collision_from_visual",
 )
 _WITHOUT_SCENE = ("acceleration", "no_torque", "joints")
@@ -225,7 +225,8 @@ def _limits(arguments: argparse.Namespace, machine: Machine) -> Limits:
     """
     from hplan.base.data_files import LIMITS_SUFFIX
     from hplan.robot.dynamics import joints_that_slide
-    from hplan.robot.files import limits_file, read_limits, robot_files
+    from hplan.robot.files import robot_files
+    from hplan.robot.limits_file import limits_file, read_limits
     from hplan.trajectory import limits_of
 
     torque = not arguments.no_torque

@@ -208,7 +208,8 @@ def find_limits(
 #: Advice on how to specify limits.
 LIMITS_ADVICE: Final = (
     "write acceleration (and jerk) into every <limit> (URDF 1.2), or give a limits file (limits, --limits; "
-    f"hplan inspect --write-limits writes one), or the name of a robot whose limits ship with hplan: {', '.join(robot_names())}"
+    "hplan inspect --write-limits writes one), or the name of a robot whose limits ship with hplan: "
+    f"{', '.join(robot_names())}"
 )
 
 

@@ -161,7 +161,7 @@ def test_shapes_far_too_large_are_told_and_cover(meshes):
     drawn = body("visual", mesh(meshes / "block.stl"))
     robot, found = loaded(arm({3: drawn + body("collision", mesh(meshes / "in_mm.stl"))}))
     assert robot.uncovered_links == ()
-    assert "0.274 m across as drawn, but its collision shape 274 m" in str(found[0].message)
+    assert "0.274 m across as drawn, but its collision shape is 274 m" in str(found[0].message)
 
 
 def test_empty_collision_meshes_are_refused_or_built_anew(meshes):

@@ -103,7 +103,7 @@ def test_files_hold_the_message(swing: Trajectory, tmp_path: Path) -> None:
         assert read(content) == to_joint_trajectory(swing, prefix="left_")
 
 
-def test_joints_in_another_order_and_no_effort(robot: Robot, swing: Trajectory) -> None:
+def test_message_with_other_joint_order_and_without_effort(robot: Robot, swing: Trajectory) -> None:
     message = to_joint_trajectory(swing, effort=False)
     order = [2, 0, 3, 1]
     message["joint_names"] = [message["joint_names"][index] for index in order]

@@ -57,7 +57,7 @@ HARMLESS = {
         ("<collision>", DRAWN.format('<material name="grey"/><material name="red"/>') + "<collision>"),
         "link 'elbow_link': a second <material> in <visual>; one of them would be ignored; it is left out",
     ),
-    "a material of a link": (("<collision>", '<material name="grey"/><collision>'), "<material> in <link> has no meaning"),
+    "a material of a link": (("<collision>", '<material name="grey"/><collision>'), "<material> in <link> has no"),
     "a visual of no size": (
         ("<collision>", '<visual><geometry><box size="0 0,1 0"/></geometry></visual><collision>'),
         "size of <box> is '0 0,1 0', expected 3 finite numbers separated by spaces; the <visual> is left out",

@@ -12,6 +12,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from hplan.base import ties
@@ -140,6 +141,13 @@ def chain_of(robot: Robot, pose: FloatArray, turn: float, name: str | None = Non
         pose=np.concatenate([pose[:3, :3].ravel(), pose[:3, 3]]),
         free_turn=np.array([turn, 0.0]),
     )
+
+
+def pointed(chain: Chain, axis: FloatArray) -> Chain:
+    """Return the chain with its frame turned, so that its z axis is a (3,) unit vector of the frame."""
+    turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), axis).toRotationMatrix()
+    rotation = chain.placement[:9].reshape(3, 3) @ turn
+    return chain._replace(placement=np.append(rotation.ravel(), chain.placement[9:]))
 
 
 def distinct(robot: Robot, solutions: FloatArray, start: FloatArray, chain: Chain) -> FloatArray:

@@ -40,6 +40,7 @@ from hplan.robot.files import build_models, filtered_links, neighbouring_links, 
 from hplan.robot.limits_file import default_limits, find_limits, limits_file
 from hplan.robot.mesh_files import MeshFinder
 from hplan.robot.planar_family import PlanarArm, PlanarFamily, PlanarNames
+from hplan.robot.tool_axis import find_tool_axis
 from hplan.robot.urdf_adaptation import AdaptedUrdf, RobotChoice, adapt_urdf
 from hplan.robot.urdf_check import frame_number
 from hplan.robot.urdf_xml import URDF_TEXT, is_urdf_text, read_urdf_xml
@@ -169,14 +170,8 @@ class Robot(PlanarNames, Record):
 
     @cached_property
     def tool_axis(self) -> FloatArray:
-        """(3,) pointing direction in the tool frame: z; along the last link for planar arms."""
-        if self.planar is None:
-            return readonly([0.0, 0.0, 1.0])
-        pose, joint = (self.forward_kinematics(self.lower, name) for name in (None, self.joint_names[-1]))
-        normal = self.planar.plane_at(self.planar.yaw_of(self.lower))[1][2]
-        along = pose[:3, 3] - joint[:3, 3]
-        along -= (along @ normal) * normal
-        return readonly(pose[:3, :3].T @ along / np.linalg.norm(along))
+        """(3,) pointing direction in the tool frame: z, or along the last link (`hplan.robot.tool_axis`)."""
+        return find_tool_axis(self.model, self.frame_number(self.tool_frame))
 
     @cached_property
     def _made(self) -> dict[Hashable, Any]:

@@ -171,8 +171,8 @@ class Goal(JointValues):
         joints_rad: Joint values [rad or m].
         position: Position of `tool0` in `base_link` [m].
         fruit: Name of a fruit of the scene.
-        approach_deg: Angle, or interval of angles, of the last link in the arm plane (0: outward, 90: up) at a position
-            or fruit; for a general (non-planar) robot, of the tool frame's z axis [deg]. None for any angle.
+        approach_deg: Angle, or interval of angles, of the tool axis at a position or fruit (0: outward, 90: up) [deg].
+            None for any angle.
         quaternion_xyzw: Orientation of the frame; with `position` it makes a pose, for any robot. None for no pose.
         frame: Name of the frame of a pose; None for the tool frame.
 

@@ -227,10 +227,9 @@ def show_summary(console: Console, result: PlanResult, folder: Path, files: Sequ
         grasp = report["grasp"]
         point = "the point" if result.scene.goal.pose is None else "the pose"
         what = point if grasp["fruit"] is None else escape(grasp["fruit"])
-        along = "tool" if result.robot.planar is None else "last link"
         angle = round(grasp["approach_deg"], 1) + 0.0  # no -0.0
         caught = f", caught with {percent(grasp['caught'])} %" if "caught" in grasp else ""
-        add("grasp", f"{what}, {along} at {angle:.1f} deg, {_approach_words(grasp['standoff_m'])}{caught}")
+        add("grasp", f"{what}, tool at {angle:.1f} deg, {_approach_words(grasp['standoff_m'])}{caught}")
     if result.path is None:
         add("search", "none: start and goal are the same")
     elif planner["method"] == "direct":

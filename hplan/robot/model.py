@@ -130,7 +130,9 @@ class Robot(PlanarNames, Record):
             RobotFamilyError: The robot does not belong to the family; the message names the element and the reason.
         """
         if self.planar is None:
-            raise RobotFamilyError(self.name, *(self.beyond_family or ("joints", "they are not those of one")))
+            raise RobotFamilyError(
+                self.name, *(self.beyond_family or ("joints", "they are not the joints of a planar arm"))
+            )
         return self.planar
 
     def with_arm(self, arm: PlanarArm) -> Robot:
@@ -235,7 +237,7 @@ class Robot(PlanarNames, Record):
         found = frame_number(self.model, name) if is_name else self.model.nframes
         if found == self.model.nframes:
             names = ", ".join(frame.name for frame in self.model.frames if frame.type == pin.FrameType.BODY)
-            raise InputError(f"frame {name!r} is not of the robot; it has {names}", frame=name)
+            raise InputError(f"the robot has no frame {name!r}; it has {names}", frame=name)
         return found
 
     def locked_mask(self, names: Sequence[str]) -> BoolArray:
@@ -297,7 +299,7 @@ class Robot(PlanarNames, Record):
         if values.joints_deg is not None and any(self.slides):
             name = self.joint_names[self.slides.index(True)]
             raise InputError(
-                f"{which}: joints_deg, but joint {name!r} slides; give joints_rad: radians, and metres of what slides",
+                f"{which}: joints_deg, but joint {name!r} is prismatic; give joints_rad: in radians or metres",
                 which=which,
                 joint=name,
             )
@@ -575,7 +577,9 @@ def _built(
         if not broken:
             raise
         if not mend:
-            error.add(f"collision_from_visual={list(broken)} (--collision-from-visual) builds shapes from the visuals")
+            error.add(
+                f"collision_from_visual={list(broken)} (--collision-from-visual) builds the shapes from the visuals"
+            )
             raise
     return _built(urdf_path, text, replace(choice, from_visual=broken))
 

@@ -56,7 +56,7 @@ def open_rows(path: Path | None, kind: type[_Row], job: str) -> Iterator[tuple[l
             if not file.tell():
                 _append(file, columns)
         except BlockingIOError as error:
-            raise OutputError(path, f"another {job} is writing rows to it") from error
+            raise OutputError(path, f"another {job} is writing to it") from error
         except OSError as error:
             raise OutputError(path, error.strerror or str(error)) from error
 
@@ -77,7 +77,9 @@ def _check_header(path: Path, file: BinaryIO, columns: Sequence[str], job: str) 
     file.seek(0)
     header, line = f"{','.join(columns)}\n".encode(), file.readline()
     if not header.startswith(line):
-        raise CsvFile.read(path, "row", "row").fault(1, f"it has no rows of a {job}; expected {','.join(columns)}")
+        raise CsvFile.read(path, "row", "row").fault(
+            1, f"it is not the table of a {job}; expected the columns {','.join(columns)}"
+        )
 
 
 def _cut_incomplete_row(file: BinaryIO) -> None:
@@ -104,12 +106,12 @@ def _format_cell(value: Any) -> str:
 def _read_rows(path: Path, kind: type[_Row], columns: Sequence[str], job: str) -> list[_Row]:
     file = CsvFile.read(path, "row", "row")
     if list(file.header) != list(columns):
-        raise file.fault(1, f"it has no rows of a {job}; expected {','.join(columns)}")
+        raise file.fault(1, f"it is not the table of a {job}; expected the columns {','.join(columns)}")
     parsers = [_PARSERS[str(field.type)] for field in fields(kind)]  # type: ignore[arg-type]
     rows = []
     for line, cells in file.rows:
         try:
             rows.append(kind(*(parse(cell) for parse, cell in zip(parsers, cells, strict=True))))
         except (KeyError, ValueError) as error:
-            raise file.fault(line, f"it is no row of a {job}: {error}") from error
+            raise file.fault(line, f"it is not a row of a {job}: {error}") from error
     return rows

@@ -179,7 +179,7 @@ def run_study(
                 kept[row.digest] = row
                 progress(len(kept), len(designs))
         except WorkersLostError as error:
-            error.add("the study goes on where it is called again with these rows")
+            error.add("run the study again with these rows to resume it")
             raise
     return StudyResult(study.name, tuple(map(kept.__getitem__, designs)), len(left), time.perf_counter() - begin)
 

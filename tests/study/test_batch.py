@@ -84,7 +84,7 @@ def test_batch_refuses_no_scenes_and_a_scene_given_twice(scenes: list[Path]) -> 
 def test_batch_leaves_the_table_of_another_program_unchanged(scenes: list[Path], tmp_path: Path) -> None:
     table = tmp_path / "other.csv"
     table.write_text("a,b\n1,2\n")
-    with pytest.raises(InputError, match="no rows of a batch"):
+    with pytest.raises(InputError, match="not the table of a batch"):
         run_batch(scenes[:1], QUICK, rows=table, workers=1)
     assert table.read_text() == "a,b\n1,2\n"
 

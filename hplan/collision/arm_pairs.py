@@ -46,7 +46,9 @@ _MANY: Final = 256
 
 @dataclass(frozen=True, eq=False)
 class ArmPair:
-    """Two parts of the arm with names and shapes, the moving one first.
+    """Two parts of the arm with names and shapes.
+
+    The moving one is first.
 
     Attributes:
         mover_name: Name of the moving part.
@@ -101,13 +103,16 @@ class ArmParts(Record):
 
     @cached_property
     def shape_pairs(self) -> tuple[tuple[pin.GeometryObject, pin.GeometryObject], ...] | ArmPairs:
-        """Shapes of the self-collision pairs, in a shared model if they are many."""
+        """Shapes of the self-collision pairs.
+
+        They are in a shared model if they are many.
+        """
         pairs = tuple(pair.shapes for pair in self.own)
         return ArmPairs(self.shapes, pairs) if len(pairs) >= _MANY else pairs
 
     @cached_property
     def own_names(self) -> tuple[tuple[str, ...], IntArray]:
-        """Names of the pairs' second parts, and (pairs, 2) indices of both parts."""
+        """Names of the pairs' second parts; (pairs, 2) indices of both."""
         movers = {name: number for number, name in enumerate(self.mover_names)}
         names = {name: number for number, name in enumerate(dict.fromkeys(pair.other_name for pair in self.own))}
         numbers = [(movers[pair.mover_name], names[pair.other_name]) for pair in self.own]
@@ -120,7 +125,10 @@ class ArmParts(Record):
 
     @cached_property
     def extents(self) -> tuple[FloatArray, FloatArray]:
-        """`coal_accuracy.extents` of the `shapes`, (shapes, 3), and of the pairs, (pairs, 2, 3)."""
+        """Extents of the shapes, (shapes, 3), and pairs, (pairs, 2, 3).
+
+        As returned by `coal_accuracy.extents`.
+        """
         return extents(self.shapes), extents(itertools.chain(*(pair.shapes for pair in self.own))).reshape(-1, 2, 3)
 
     @cached_property
@@ -141,7 +149,7 @@ class ArmParts(Record):
 
     @cached_property
     def movers(self) -> tuple[IntArray, FloatArray]:
-        """Moving bodies: each of the `shapes`, then the relative motion of each pair.
+        """Moving bodies: the `shapes`, then the relative motion of each pair.
 
         Returns:
             (movers, 2) indices of the bodies, -1 for no second body; (movers, dof) 1 for joints that contribute to the
@@ -160,7 +168,7 @@ class ArmParts(Record):
 
     @cached_property
     def travellers(self) -> tuple[IntArray, IntArray]:
-        """Indices of the body travels that make up the travel of the `movers`.
+        """Indices of the body travels that compose the `movers`' travel.
 
         A body travel is the travel of a body due to the joints from a given joint outward.
 
@@ -194,7 +202,9 @@ class ArmParts(Record):
 
     @cached_property
     def rows(self) -> FloatArray:
-        """(bodies, 5) joint of each body (`dof` for the ground), centre and radius of its bounding ball [m].
+        """(bodies, 5) joint and bounding ball of each body.
+
+        The joint is `dof` for the ground; then follow centre and radius of the ball [m].
 
         The ball contains the core, and for a body that is not exact also its rounding.
         """
@@ -274,7 +284,9 @@ def moving_bodies(robot: Robot) -> dict[str, list[int]]:
         if is_moved(robot)[number]:
             found.setdefault(body.name, []).append(number)
     if not found:
-        reason = "no link that moves has a <collision>: it could touch nothing, and a certificate would say nothing"
+        reason = (
+            "no moving link has a <collision>: the robot could touch nothing, and a certificate would prove nothing"
+        )
         raise RobotFileError(robot.urdf_path, reason)
     return found
 

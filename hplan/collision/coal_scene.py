@@ -53,7 +53,7 @@ class Contact:
 
 @dataclass(frozen=True)
 class OwnContact(Contact):
-    """Signed distance between a link and another part of the arm, `obstacle` [m]."""
+    """Signed distance between a link and another part, `obstacle` [m]."""
 
     @property
     def other(self) -> str:
@@ -62,7 +62,9 @@ class OwnContact(Contact):
 
 
 class CoalScene:
-    """Collision checker of an arm among obstacles: pairs of shapes and their distances.
+    """Collision checker of an arm among obstacles.
+
+    It has pairs of shapes and their distances.
 
     The pairs are each shape of each moving link with each obstacle, link by link; then the self-collision pairs
     (`hplan.collision.touching_pairs`, `hplan.collision.folds`). The shapes are those of
@@ -193,7 +195,10 @@ class CoalScene:
 
     @cached_property
     def obstacle_balls(self) -> FloatArray:
-        """(obstacles, 4) centre and radius of a bounding ball of each grown obstacle, at its listed pose [m]."""
+        """(obstacles, 4) bounding ball of each grown obstacle [m].
+
+        Centre and radius, at its listed pose.
+        """
         found = np.zeros((self.own_first, 4))
         for row, (solid, growth) in zip(found, self.grown_obstacles, strict=True):
             low, high = solid.core.min(axis=0), solid.core.max(axis=0)
@@ -202,7 +207,10 @@ class CoalScene:
         return found
 
     def covering(self, deviation: float, clearance: float) -> CoalScene:
-        """Checker with the pairs required by a tracking error [rad] and a clearance [m]."""
+        """Checker with the pairs required by tracking error and clearance.
+
+        Tracking error [rad], clearance [m].
+        """
         if deviation <= self.deviation and clearance == self.clearance:
             return self
         most = max(deviation, self.deviation)
@@ -213,7 +221,7 @@ class CoalScene:
         return _rebuilt(built, self._touched)
 
     def touching(self, name: str, hangs_from: Sequence[str] = ()) -> CoalScene:
-        """Checker in which the last link may touch the obstacles of a name.
+        """Checker whose last link may touch the obstacles of a name.
 
         Their distance to the last link counts as infinite.
 
@@ -235,7 +243,10 @@ class CoalScene:
         return other
 
     def _depths(self, yielded: FloatArray | None, yield_links: Sequence[str] | None) -> FloatArray | None:
-        """Maximum deflection of each pair, (pairs,) [m]; 0 for rigid pairs, None if all are rigid."""
+        """Maximum deflection of each pair, (pairs,) [m].
+
+        0 for rigid pairs; None if all pairs are rigid.
+        """
         if yielded is None:
             return None
         names = pushing_links(self.robot, yield_links)
@@ -260,7 +271,9 @@ class CoalScene:
         return np.flatnonzero(self._yielded) if self._yielded is not None else np.zeros(0, dtype=np.int64)
 
     def kept(self, clearance: float) -> float | FloatArray:
-        """Required distances of the `pairs` for a clearance, one number or (pairs,) [m].
+        """Required distances of the `pairs` [m].
+
+        For a clearance, one number or (pairs,) [m].
 
         The required distance is 0 for bodies of one arm that are always closer together than the clearance
         (`touching_pairs.required_distances`). For a compliant obstacle it is negative at any clearance.
@@ -281,7 +294,9 @@ class CoalScene:
         return kept if self._yielded is None else np.where(self._yielded > 0.0, -self._yielded, kept)
 
     def counted(self, clearance: float) -> FloatArray:
-        """(pairs,) offsets that make distances of compliant obstacles comparable to the clearance [m].
+        """(pairs,) offsets of distances of compliant obstacles [m].
+
+        They make these distances comparable to the clearance.
 
         With its offset, a compliant obstacle at its maximum deflection is exactly at the clearance.
         """
@@ -314,7 +329,9 @@ class CoalScene:
         return self._geometry.distances(np.asarray(q, dtype=np.float64)) - self._taken_off
 
     def place(self, q: FloatArray, time_s: float | None = None) -> None:
-        """Set the poses of links and moving obstacles for `distances_of`, in this thread.
+        """Set the poses of links and moving obstacles for `distances_of`.
+
+        They hold in this thread.
 
         Raises:
             MovingObstacleError: Obstacles move, and no time is given.
@@ -331,12 +348,18 @@ class CoalScene:
             self._geometry.put(self.moving.places(time_s))
 
     def distances_of(self, pairs: IntArray) -> FloatArray:
-        """Signed distances of some of the `pairs` at the last placement, (k,) indices -> (k,) [m]."""
+        """Signed distances of some `pairs`, (k,) indices -> (k,) [m].
+
+        At the last placement.
+        """
         return self._geometry.distances_of(pairs) - self._taken_off[pairs]
 
     @cached_property
     def boxes(self) -> tuple[FloatArray, IntArray]:
-        """Bounding boxes of arm bodies and obstacles (see `box_bounds`), and (pairs, 2) box indices."""
+        """Bounding boxes of bodies and obstacles; (pairs, 2) box indices.
+
+        See `box_bounds`.
+        """
         parts, count, obstacles = self.parts, self.own_first, self._built["obstacles"]
         bodies = self.robot.cached(("boxes", *parts.key), lambda: boxes_about(parts))
         solids = boxes_about_solids(obstacles, self.robot.dof)
@@ -347,7 +370,7 @@ class CoalScene:
         return np.concatenate([bodies, solids]), np.concatenate([np.column_stack([mover, len(bodies) + solid]), of_own])
 
     def lower_bounds(self, q: FloatArray, pairs: IntArray) -> FloatArray:
-        """Lower bounds of signed distances of some of the `pairs`, (k,) indices -> (k,) [m].
+        """Lower bounds of some `pairs`' distances, (k,) indices -> (k,) [m].
 
         They are hundreds of times faster than the distances. For a moving obstacle they are huge negative numbers.
         """
@@ -356,11 +379,17 @@ class CoalScene:
 
     @property
     def taken_off(self) -> FloatArray:
-        """(pairs,) offsets subtracted from distances of shapes [m]; minus infinity for pairs that may touch."""
+        """(pairs,) offsets subtracted from distances of shapes [m].
+
+        Minus infinity for pairs that may touch.
+        """
         return self._taken_off
 
     def nearest_pair(self, q: FloatArray, kept: FloatArray, time_s: float | None = None) -> tuple[int, float]:
-        """Pair with the minimum distance beyond its required one, `kept` (pairs,), and its distance [m]."""
+        """Pair with the minimum distance beyond its required one.
+
+        With its distance [m]; `kept` (pairs,) are the required distances.
+        """
         # Number of pairs, nearest by lower bound, whose distances limit the other queries.
         first_asked = 16
         if len(kept) <= 2 * first_asked:
@@ -389,7 +418,7 @@ class CoalScene:
         return self.contact(*self.pairs[pair], distance)
 
     def in_collision(self, configurations: ArrayLike, *, margin: float = 0.0) -> BoolArray:
-        """(n,) mask of configurations in collision with an obstacle or the arm itself.
+        """(n,) mask of configurations in collision.
 
         All configurations are checked in one compiled call.
 

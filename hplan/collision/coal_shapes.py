@@ -89,7 +89,7 @@ def triangle_tree(points: FloatArray, faces: IntArray) -> coal.BVHModelOBBRSS:
 
 
 def _along(start: FloatArray, end: FloatArray) -> tuple[pin.SE3, float]:
-    """Placement at the middle of a segment, with z along it, and its length [m]."""
+    """Placement at a segment's middle, z along it; its length [m]."""
     axis = end - start
     length = math.sqrt(axis @ axis)  # as `np.linalg.norm`, in a tenth of the time
     if length == 0.0:

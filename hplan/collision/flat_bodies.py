@@ -78,7 +78,7 @@ class FlatBodies(Record):
 
 
 def thicker(movers: FloatArray, by: FloatArray) -> FloatArray:
-    """Grow bodies, and required distances of pairs, by (bodies + pairs,) distances [m]."""
+    """Grow bodies and required distances by (bodies + pairs,) [m]."""
     movers, is_pair = movers.copy(), movers[:, IS_PAIR] > 0.0
     for columns, chosen in (((ROUNDING, BALL_RADIUS, AXIS_RADIUS), ~is_pair), ((TOUCHING, BALLS, AXES), is_pair)):
         for column in columns:

@@ -121,7 +121,7 @@ def self_pairs(robot: Robot, beyond: float = BEYOND) -> SelfPairs:
 
 
 def pairs_among(robot: Robot, chosen: Iterable[tuple[int, int]], beyond: float) -> SelfPairs:
-    """Classify the given pairs (i, j), i < j, as checked or exempt."""
+    """Classify pairs (i, j), i < j, as checked or exempt."""
     bodies = collision_bodies(robot)
     allowed: list[tuple[int, int, str]] = []
     left: list[tuple[int, int]] = []
@@ -141,7 +141,7 @@ def pairs_among(robot: Robot, chosen: Iterable[tuple[int, int]], beyond: float) 
     farthest = dict(zip(own, np.where(distances >= _FAR, np.inf, distances).tolist(), strict=True))
     for pair, touches in zip(own, touching.tolist(), strict=True):
         if touches and _always_touch(robot, pair):
-            allowed.append((*pair, f"they touch wherever {_joints_in_words(robot, pair)} are"))
+            allowed.append((*pair, f"they touch at all positions of {_joints_in_words(robot, pair)}"))
             del farthest[pair]
     checked = tuple(pair for pair, same_arm in zip(left, is_own, strict=True) if not same_arm or pair in farthest)
     apart = frozen(np.array([farthest.get(p, np.inf) for p in checked]))
@@ -149,7 +149,10 @@ def pairs_among(robot: Robot, chosen: Iterable[tuple[int, int]], beyond: float) 
 
 
 def _exemption(robot: Robot, pair: tuple[int, int], beyond: float) -> str | None:
-    """Reason for exempting a pair; None if it is checked or requires samples."""
+    """Reason for exempting a pair; None without one.
+
+    Without one the pair is checked, or requires samples.
+    """
     first, second = (collision_bodies(robot)[body] for body in pair)
     declared = _declared(robot).get(frozenset((first.name, second.name))) if first.name != second.name else None
     declared = None if declared is None else f"may touch: {declared}"
@@ -215,7 +218,7 @@ def _joints_in_words(robot: Robot, pair: tuple[int, int]) -> str:
 
 
 class OneJoint(NamedTuple):
-    """Distance of two shapes as a function of the one joint between them.
+    """Distance of two shapes as a function of their joint.
 
     Attributes:
         distance: Function from the joint value to the distance [m].
@@ -280,7 +283,7 @@ def _in_contact(robot: Robot, joint: int) -> tuple[str, str]:
 
 
 def _by_one_joint(robot: Robot, pair: tuple[int, int], joint: int, beyond: float) -> str | None:
-    """Reason for exempting two bodies with one joint between them; None if checked."""
+    """Reason for exempting two bodies on one joint; None if checked."""
     shapes, name = (body_shapes(robot)[pair[0]], body_shapes(robot)[pair[1]]), robot.joint_names[joint]
     touching, assumed = _in_contact(robot, joint)
     if one_joint(robot, shapes, joint, 0.0).always(0.0):
@@ -293,7 +296,10 @@ def _by_one_joint(robot: Robot, pair: tuple[int, int], joint: int, beyond: float
 
 
 def _radius(shape: pin.GeometryObject, placement: pin.SE3, axis: FloatArray) -> float:
-    """Upper bound of the distance of a shape's points from an axis [m]."""
+    """Upper bound of the distance of a shape from an axis [m].
+
+    Of all points of the shape.
+    """
     shape.geometry.computeLocalAABB()
     centre = placement * np.asarray(shape.geometry.aabb_center)
     return float(np.linalg.norm(centre - (centre @ axis) * axis)) + float(shape.geometry.aabb_radius)

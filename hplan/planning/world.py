@@ -271,8 +271,8 @@ def _name_neighbours(error: ConfigurationInCollisionError, checker: CoalScene, q
     found = [list(pair) for pair in touching if frozenset(pair) in neighbours]
     if found:
         named = ", ".join(" and ".join(pair) for pair in found)
-        how = "say so by an SRDF (--srdf) or allow_neighbours (--allow-neighbours)"
-        error.add(f"are they meant to? Neighbours that touch here: {named}; {how}", neighbours=found)
+        how = "declare it with an SRDF (--srdf) or allow_neighbours (--allow-neighbours)"
+        error.add(f"is this intended? Neighbours that touch here: {named}; {how}", neighbours=found)
 
 
 def without_inside(robot: Robot, scene: Scene) -> tuple[Scene, tuple[str, ...]]:

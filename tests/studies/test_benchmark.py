@@ -97,7 +97,7 @@ def test_peers(tmp_path: Path) -> None:
 def test_motionbenchmaker(tmp_path: Path) -> None:
     problems = Path(__file__).parents[3] / "shared" / "data" / "motionbenchmaker"
     if not problems.is_dir():
-        pytest.skip("MotionBenchMaker's problems are not beside the project")
+        pytest.skip("MotionBenchMaker's problems are not next to the project")
     try:
         peer = ["--peer", "roboplan"] if find_spec("roboplan") else []
         rows = rows_of("panda", tmp_path, "--files", str(problems), "--effort", "quick", *peer)

@@ -85,7 +85,7 @@ def test_nothing_in_contact_is_free(robot: Robot, kind: str) -> None:
     "variant",
     [
         *("shoulder aside and behind, arm turned", "one link on a yaw", "tilted plane"),
-        *("plane beside the yaw axis", "links beside each other, off the axis"),
+        *("plane off the yaw axis", "links next to each other, off the axis"),
     ],
 )
 def test_other_arms(variant: str, tmp_path: Path) -> None:

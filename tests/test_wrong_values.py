@@ -17,9 +17,8 @@ import pytest
 
 import hplan
 from hplan.apps.cli.job_folder import read_report
-from hplan.apps.execution.recorded_motion import RecordedMotion, read_motion
 from hplan.apps.execution.simulated_arm import Plant
-from hplan.apps.execution.simulation import execute
+from hplan.apps.execution.simulation import RecordedMotion, execute, read_motion
 from hplan.apps.ros import read_moveit_scene, read_planning_scene
 from hplan.apps.view.page import write_page
 from hplan.apps.view.playback import Playback

@@ -15,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hplan.apps.ros import from_joint_trajectory, to_joint_state, to_joint_trajectory, write_joint_trajectory
-from hplan.apps.ros.message_times import message_time, seconds_of, time_ns
+from hplan.apps.ros.transforms import message_time, seconds_of, time_ns
 from hplan.certificate.digests import trajectory_digest
 from hplan.errors import InputError, OptionError
 from hplan.robot.model import Robot

@@ -15,8 +15,7 @@ from make_pictures import browse
 from pages import needs_chromium
 
 import hplan
-from hplan.apps.view.motion_data import STRETCHES, motion_data
-from hplan.apps.view.page import MOST_VIOLATIONS, render_page
+from hplan.apps.view.page import MOST_VIOLATIONS, STRETCHES, motion_data, render_page
 from hplan.apps.view.playback import Playback
 from hplan.base.data_files import view_asset
 from hplan.collision.coal_scene import Contact

@@ -15,7 +15,7 @@ from planned import straight
 
 import hplan
 from hplan.apps.cli.main import main
-from hplan.apps.execution.recorded_motion import read_motion
+from hplan.apps.execution.simulation import read_motion
 from hplan.certificate import goal_contact
 from hplan.certificate.certificate import certify
 from hplan.certificate.clearance_proof import point_at, prove_clearance

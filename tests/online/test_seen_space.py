@@ -12,9 +12,8 @@ from hplan.errors import HplanError, InputError, OptionError
 from hplan.online.arm_shape import arm_solids
 from hplan.online.frame import CloudOptions
 from hplan.online.hidden_points import CELLS
-from hplan.online.next_view import shows
 from hplan.online.planner import Planner
-from hplan.online.seen_space import UNSEEN, SeenSpace
+from hplan.online.seen_space import UNSEEN, SeenSpace, shows
 from hplan.robot.model import Robot
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Box, Sphere

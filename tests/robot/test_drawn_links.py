@@ -14,7 +14,7 @@ import trimesh
 
 import hplan
 from hplan.apps.cli.main import main
-from hplan.apps.view.motion_data import certificate_words
+from hplan.apps.view.page import certificate_words
 from hplan.base.data_files import robot_names, shipped_robots
 from hplan.certificate.digests import robot_digest
 from hplan.errors import MissingVisualWarning, RobotFileError, UncoveredLinkWarning

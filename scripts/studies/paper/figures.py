@@ -16,8 +16,8 @@ from numpy.typing import ArrayLike
 from studies.paper.measure import DEMO_CENTRE, DEMO_DIAMETER, PAPER_DENSE, PAPER_TWO_LEVEL, Evidence, Reproduction
 from studies.paper.plain import path_found
 
-from hplan.apps.view import figure_style as look
-from hplan.apps.view.figure_style import new_figure, styled
+from hplan.apps.view import figures as look
+from hplan.apps.view.figures import new_figure, styled
 from hplan.base.arrays import BoolArray, FloatArray, IntArray
 from hplan.planar.grid.grid import Grid
 from hplan.planar.pages.cspace_surface import draw_cspace_obstacle, hidden, joint_box, panes

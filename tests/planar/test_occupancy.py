@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from studies.planar_cspace import RoundedPolygon, arm_sections, joint_grid, planar_sections
+from planar_sections import RoundedPolygon, planar_sections
+from studies.planar_cspace import arm_sections, joint_grid
 
 from hplan.base.arrays import readonly
 from hplan.errors import InputError

@@ -9,7 +9,8 @@ import pytest
 from arm_variants import VARIANTS, load_variant, random_obstacles
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from studies.planar_cspace import RoundedPolygon, arm_sections, joint_grid, planar_sections
+from planar_sections import RoundedPolygon, planar_sections
+from studies.planar_cspace import arm_sections, joint_grid
 from test_occupancy import point_segment, segment_polygon
 
 from hplan.collision.coal_scene import CoalScene

@@ -67,7 +67,9 @@ def _closer_pairs(checker: CoalScene, proof: Proof, clearance: float) -> Iterato
     bounds, first = dict(proof.own_bounds), len(checker.pairs) - len(checker.parts.own)
     for number, (pair, required) in enumerate(checker.own_required(clearance)):
         if required < clearance:
-            rule = f"they must not touch: at random configurations they are {1e3 * pair.farthest:.4g} mm apart at most"
+            rule = (
+                f"they must not touch: at random configurations their distance is at most {1e3 * pair.farthest:.4g} mm"
+            )
             yield PairRule(pair.mover_name, pair.other_name, rule, required, bounds.get(first + number))
 
 

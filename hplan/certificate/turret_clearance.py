@@ -26,7 +26,7 @@ from hplan.scene.tracks import Movement
 _TIMES: Final = 257
 
 #: Rules of the listed pairs.
-_TURNS: Final = "they must not touch: no joint moves a round shape of the turret nearer to it"
+_TURNS: Final = "they must not touch: no joint moves a round shape of the turret closer to it"
 _TOUCHES: Final = f"a round shape of the turret is within {1e3 * BASE_DEPTH:g} mm of it, as the ground may be"
 
 

@@ -320,7 +320,7 @@ def _planar_exemptions(
     for (name, some), (other, others) in itertools.combinations(shapes.items(), 2):
         if all(frozenset((id(one), id(two))) in checked for one, two in itertools.product(some, others)):
             continue
-        reason = "some or all of their shapes always touch, or cannot come within the clearance"
+        reason = "some or all of their shapes always touch or never come within the clearance"
         if frozenset((name, other)) in neighbours:
             reason = "neighbours may overlap near their joint; only the parts beyond it must not touch"
         yield name, other, reason
@@ -424,7 +424,9 @@ def moving_bodies(robot: Robot) -> dict[str, list[int]]:
         if body.joint >= 0:
             found.setdefault(body.name, []).append(number)
     if not found:
-        reason = "no link that moves has a <collision>: it could touch nothing, and a certificate would say nothing"
+        reason = (
+            "no moving link has a <collision>: the robot could touch nothing, and a certificate would prove nothing"
+        )
         raise RobotFileError(robot.urdf_path, reason)
     return found
 

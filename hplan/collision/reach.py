@@ -31,6 +31,7 @@ import pinocchio as pin
 from hplan.base.arrays import FloatArray, frozen
 from hplan.collision.collision_bodies import CollisionBody, collision_bodies
 from hplan.geometry.polygon import convex_hull
+from hplan.robot.dynamics import joint_axis as model_joint_axis
 from hplan.robot.model import Robot, made_once
 
 #: Number of corners of the polygon around a ring.
@@ -176,11 +177,7 @@ def largest_sway(robot: Robot, deviation: FloatArray) -> FloatArray:
 
 def joint_axis(robot: Robot, joint: int) -> tuple[FloatArray, bool]:
     """(3,) unit axis of a joint in its own frame, and True for a prismatic joint."""
-    moved = robot.model.joints[joint + 1]
-    data = moved.createData()
-    moved.calc(data, np.zeros(1))
-    slide, turn = np.array(data.S, dtype=np.float64).reshape(2, 3)
-    return (slide, True) if slide.any() else (turn, False)
+    return model_joint_axis(robot.model, joint + 1)
 
 
 def carriers(robot: Robot, joint: int) -> tuple[int, ...]:

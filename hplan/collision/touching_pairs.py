@@ -115,7 +115,7 @@ def pairs_among(robot: Robot, chosen: Iterable[tuple[int, int]], beyond: float) 
     farthest = dict(zip(own, np.where(distances >= _FAR, np.inf, distances).tolist(), strict=True))
     for pair, touches in zip(own, touching.tolist(), strict=True):
         if touches and _always_touch(robot, pair):
-            allowed.append((*pair, f"they touch wherever {_joints_in_words(robot, pair)} are"))
+            allowed.append((*pair, f"they touch at all positions of {_joints_in_words(robot, pair)}"))
             del farthest[pair]
     checked = tuple(pair for pair, same_arm in zip(left, is_own, strict=True) if not same_arm or pair in farthest)
     return SelfPairs(checked, tuple(sorted(allowed)), frozen(np.array([farthest.get(p, np.inf) for p in checked])))
@@ -250,11 +250,11 @@ def _by_one_joint(robot: Robot, pair: tuple[int, int], joint: int, beyond: float
     """Reason for exempting two bodies with one joint between them; None if checked."""
     shapes, name = (body_shapes(robot)[pair[0]], body_shapes(robot)[pair[1]]), robot.joint_names[joint]
     if one_joint(robot, shapes, joint, 0.0).always(0.0):
-        return f"they touch wherever joint {name!r} is"
+        return f"they touch at all positions of joint {name!r}"
     decided = one_joint(robot, shapes, joint, beyond)
     # Bodies nearer than `SLACK` count as touching: the bisection cannot resolve smaller distances [m].
     if not decided.ever(SLACK):
-        return f"they cannot touch wherever joint {name!r} is"
+        return f"they cannot touch at any position of joint {name!r}"
     if decided.always(_BEARING):
         sides = f"they are the two sides of joint {name!r}, never farther apart than {1e3 * _BEARING:g} mm"
         return f"{sides}: assumed to touch by construction"

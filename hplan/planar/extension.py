@@ -9,7 +9,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from hplan.planar.effort import EFFORTS
-from hplan.planar.inverse_kinematics import reach
+from hplan.planar.goal_sampler import configurations_at_point
 from hplan.planar.joint_ranges import joint_ranges
 from hplan.planar.no_path_proof import describe_proof, prove_infeasible
 from hplan.planar.path_finders import path_finders, searches_first
@@ -63,7 +63,7 @@ register_specialist(
         recognizes=is_planar,
         presets=EFFORTS,
         # The closed form returns all configurations, and all of their approaches are tried.
-        goal_sampler=GoalSampler(reach, more=512, enough=None, is_sorted=False),
+        goal_sampler=GoalSampler(configurations_at_point, more=512, enough=None, is_sorted=False),
         joint_ranges=joint_ranges,
         path_finders=path_finders,
         prove_infeasible=prove_infeasible,

@@ -92,7 +92,7 @@ class EnclosedError(UnexplainedNoPathError):
                 error = self._bounded(self._region)
         if self._attempt.step_factor > 1.0:
             step = step_deg(self._problem, self._attempt)
-            remark = f"the grid's step is {step:g} deg, as a finer one over all joint ranges is too large"
+            remark = f"the grid's step is {step:g} deg because a finer grid over all joint ranges is too large"
             error.add(remark, step_deg=step)
         return error
 
@@ -118,7 +118,7 @@ class EnclosedError(UnexplainedNoPathError):
             first = walls[0]
             low, high = first["slices_deg"]
             message += (
-                f"; most of their border is held by obstacle {first['obstacle']!r} against link {first['link']!r}"
+                f"; most of their border is blocked by obstacle {first['obstacle']!r} against link {first['link']!r}"
                 f" ({arm.joint_names[-1]} from {low:g} to {high:g} deg)"
             )
         return NoPathError(message, reached_cells=int(reached.sum()), blockers=walls)

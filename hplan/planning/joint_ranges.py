@@ -53,8 +53,8 @@ class Wall:
         contact = self.contact
         message = (
             f"no path exists: between start and goal, from {low:.4g} to {high:.4g} deg of joint "
-            f"{robot.joint_names[self.joint]!r}, {contact.link!r} is in {contact.other}, or nearer than the "
-            "clearance to keep, whatever the other joints do"
+            f"{robot.joint_names[self.joint]!r}, {contact.link!r} is in {contact.other} or closer than the "
+            "required clearance, for all positions of the other joints"
         )
         blocker = {"obstacle": contact.obstacle, "link": contact.link, "cells": 0, "slices_deg": (low, high)}
         return NoPathError(message, reached_cells=0, blockers=[blocker])

@@ -135,9 +135,7 @@ def solved(
     except (NoPathError, TimingError, CertificationError) as error:
         if not options.tracking.is_exact and options.deadline_s is None:
             fraction = _fraction_with_room(problem)
-            name_margin(
-                error, options.tracking, problem.robot.slides, fraction, "the motion found without one has room for"
-            )
+            name_margin(error, options.tracking, problem.robot.slides, fraction, "the motion found without one allows")
         raise
 
 

@@ -233,7 +233,7 @@ def _failure(target: Target, ordered: Sequence[Grasp], errors: Sequence[HplanErr
     room = max(grasp.room for grasp in ordered)
     if room < SPARE:
         remark = (
-            f"spare clearance {1e3 * room:.2g} mm at the grasp; with {1e3 * SPARE:g} mm there would be room to move"
+            f"spare clearance {1e3 * room:.2g} mm at the grasp; with {1e3 * SPARE:g} mm the arm would have room to move"
         )
         failure.add(remark, spare_clearance_m=room, needed_clearance_m=SPARE)
     return failure

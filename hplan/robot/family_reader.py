@@ -92,7 +92,7 @@ def check_joints(path: Path, model: pin.Model) -> None:
     for index in range(1, model.njoints):
         name, kind = model.names[index], model.joints[index].shortname()
         if kind not in TURNING + SLIDING:
-            advice = hold_advice(name) if model.joints[index].nq == 1 else "make it fixed where it stands"
+            advice = hold_advice(name) if model.joints[index].nq == 1 else "make it a fixed joint"
             reason = f"it is a {kind}; only revolute and prismatic joints move; {advice}"
             raise RobotFileError(path, f"joint {name!r}: {reason}")
         axis = model.joints[index].createData()
@@ -134,7 +134,7 @@ def _has_yaw(model: pin.Model, axes: FloatArray) -> bool:
         return False
     joint, tilt = f"joint {model.names[1]!r}", _angle_between(axes[0], np.array([0.0, 0.0, 1.0]))
     if tilt > _AXIS_TOLERANCE:
-        reason = "it is not parallel to the next joint and not vertical either" + _nearly(min(between, tilt))
+        reason = "it is neither parallel to the next joint nor vertical" + _nearly(min(between, tilt))
         raise RobotFamilyError(model.name, joint, reason)
     if axes[0, 2] < 0.0:
         raise RobotFamilyError(model.name, joint, "the yaw axis points down; turn it to +z")
@@ -200,7 +200,7 @@ def _angle_between(axis: FloatArray, other: FloatArray) -> float:
 
 def hold_advice(joint: str) -> str:
     """End of a message: the argument that holds a joint."""
-    return f"hold={{{joint!r}: 0.0}} (--hold {joint}=0) lets it stand still"
+    return f"hold={{{joint!r}: 0.0}} (--hold {joint}=0) locks it"
 
 
 def _nearly(angle: float) -> str:
@@ -208,7 +208,7 @@ def _nearly(angle: float) -> str:
     if angle > 0.01:
         return ""
     return (
-        f", by {angle:.3g} rad, of which {_AXIS_TOLERANCE:g} is taken: write angles in full, a right one as "
+        f" by {angle:.3g} rad, more than the tolerance of {_AXIS_TOLERANCE:g}: write angles in full, a right angle as "
         "1.5707963267948966, or turn the <axis> instead of the <origin>"
     )
 

@@ -68,10 +68,10 @@ class MeshFinder:
             found = self.find(name)
             if found is None:
                 if not _is_foreign(name):
-                    looked = ", ".join(map(str, self._folders)) or "no folder, for it is a text"
+                    looked = ", ".join(map(str, self._folders)) or "no folder, because the URDF was given as text"
                     faults.add(
                         f"{line_of(mesh)}mesh {name!r} is not found; looked for in {looked}, with and without the "
-                        "package's name; package_dirs=[FOLDER] (--package-dir FOLDER) says where packages are"
+                        "package's name; package_dirs=[FOLDER] (--package-dir FOLDER) names the folders of packages"
                     )
                 continue
             if name.startswith(_PACKAGE) or not is_file(self._path.parent / name.removeprefix("file://")):

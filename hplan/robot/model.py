@@ -40,6 +40,7 @@ from hplan.robot.files import build_models, filtered_links, neighbouring_links, 
 from hplan.robot.limits_file import default_limits, find_limits, limits_file
 from hplan.robot.mesh_files import MeshFinder
 from hplan.robot.planar_family import PlanarArm, PlanarFamily, PlanarNames
+from hplan.robot.tool_axis import find_tool_axis
 from hplan.robot.urdf_adaptation import AdaptedUrdf, RobotChoice, adapt_urdf
 from hplan.robot.urdf_check import frame_number
 from hplan.robot.urdf_xml import URDF_TEXT, is_urdf_text, read_urdf_xml
@@ -129,7 +130,9 @@ class Robot(PlanarNames, Record):
             RobotFamilyError: The robot does not belong to the family; the message names the element and the reason.
         """
         if self.planar is None:
-            raise RobotFamilyError(self.name, *(self.beyond_family or ("joints", "they are not those of one")))
+            raise RobotFamilyError(
+                self.name, *(self.beyond_family or ("joints", "they are not the joints of a planar arm"))
+            )
         return self.planar
 
     def with_arm(self, arm: PlanarArm) -> Robot:
@@ -167,14 +170,8 @@ class Robot(PlanarNames, Record):
 
     @cached_property
     def tool_axis(self) -> FloatArray:
-        """(3,) pointing direction in the tool frame: z; along the last link for planar arms."""
-        if self.planar is None:
-            return readonly([0.0, 0.0, 1.0])
-        pose, joint = (self.forward_kinematics(self.lower, name) for name in (None, self.joint_names[-1]))
-        normal = self.planar.plane_at(self.planar.yaw_of(self.lower))[1][2]
-        along = pose[:3, 3] - joint[:3, 3]
-        along -= (along @ normal) * normal
-        return readonly(pose[:3, :3].T @ along / np.linalg.norm(along))
+        """(3,) pointing direction in the tool frame: z, or along the last link (`hplan.robot.tool_axis`)."""
+        return find_tool_axis(self.model, self.frame_number(self.tool_frame))
 
     @cached_property
     def _made(self) -> dict[Hashable, Any]:
@@ -240,7 +237,7 @@ class Robot(PlanarNames, Record):
         found = frame_number(self.model, name) if is_name else self.model.nframes
         if found == self.model.nframes:
             names = ", ".join(frame.name for frame in self.model.frames if frame.type == pin.FrameType.BODY)
-            raise InputError(f"frame {name!r} is not of the robot; it has {names}", frame=name)
+            raise InputError(f"the robot has no frame {name!r}; it has {names}", frame=name)
         return found
 
     def locked_mask(self, names: Sequence[str]) -> BoolArray:
@@ -302,7 +299,7 @@ class Robot(PlanarNames, Record):
         if values.joints_deg is not None and any(self.slides):
             name = self.joint_names[self.slides.index(True)]
             raise InputError(
-                f"{which}: joints_deg, but joint {name!r} slides; give joints_rad: radians, and metres of what slides",
+                f"{which}: joints_deg, but joint {name!r} is prismatic; give joints_rad: in radians or metres",
                 which=which,
                 joint=name,
             )
@@ -580,7 +577,9 @@ def _built(
         if not broken:
             raise
         if not mend:
-            error.add(f"collision_from_visual={list(broken)} (--collision-from-visual) builds shapes from the visuals")
+            error.add(
+                f"collision_from_visual={list(broken)} (--collision-from-visual) builds the shapes from the visuals"
+            )
             raise
     return _built(urdf_path, text, replace(choice, from_visual=broken))
 

@@ -119,7 +119,7 @@ def _expanded(path: Path, package_dirs: Sequence[Path], xacro_args: Mapping[str,
 def _xacro_advice(path: Path, message: str) -> str:
     """End of a message about an error of xacro: the option that would help."""
     if "Package not found" in message:
-        return "; package_dirs=[FOLDER] (--package-dir FOLDER) says where packages are"
+        return "; package_dirs=[FOLDER] (--package-dir FOLDER) names the folders of packages"
     declared = re.findall(r"<xacro:arg\s[^>]*?name=[\"']([^\"']+)", path.read_text(encoding="utf-8", errors="replace"))
     if not declared and "argument" not in message:
         return ""
@@ -178,7 +178,7 @@ def _parsed(path: Path, content: bytes) -> ET.Element:
             declared.append(encoding.lower())
 
     def document_type(*_: Any) -> None:
-        reason = f"line {parser.CurrentLineNumber}: it has a document type, whose entities readers of URDF differ on"
+        reason = f"line {parser.CurrentLineNumber}: it has a document type; URDF readers differ on its entities"
         raise RobotFileError(path, reason)
 
     parser.StartElementHandler = start

@@ -185,7 +185,7 @@ def run_study(
                 kept[row.digest] = row
                 progress(len(kept), len(designs))
         except WorkersLostError as error:
-            error.add("the study goes on where it is called again with these rows")
+            error.add("run the study again with these rows to resume it")
             raise
     return StudyResult(study.name, tuple(map(kept.__getitem__, designs)), len(left), time.perf_counter() - begin)
 
@@ -260,7 +260,7 @@ def _row_file(path: Path | None) -> Iterator[tuple[list[StudyRow], Callable[[Stu
             if not file.tell():
                 _add(file, _COLUMNS)
         except BlockingIOError as error:
-            raise OutputError(path, "another study is writing rows to it") from error
+            raise OutputError(path, "another study is writing to it") from error
         except OSError as error:
             raise OutputError(path, error.strerror or str(error)) from error
 
@@ -284,7 +284,9 @@ def _check_header(path: Path, file: BinaryIO) -> None:
     file.seek(0)
     header, line = f"{','.join(_COLUMNS)}\n".encode(), file.readline()
     if not header.startswith(line):
-        raise CsvFile.read(path, "row", "row").fault(1, f"it has no rows of a study; expected {','.join(_COLUMNS)}")
+        raise CsvFile.read(path, "row", "row").fault(
+            1, f"it is not the table of a study; expected the columns {','.join(_COLUMNS)}"
+        )
 
 
 def _cut_half_a_row(file: BinaryIO) -> None:
@@ -313,7 +315,7 @@ def _read(path: Path) -> list[StudyRow]:
     """Read the rows of a file."""
     file = CsvFile.read(path, "row", "row")
     if tuple(file.header) != _COLUMNS:
-        raise file.fault(1, f"it has no rows of a study; expected {','.join(_COLUMNS)}")
+        raise file.fault(1, f"it is not the table of a study; expected the columns {','.join(_COLUMNS)}")
     return [_row(file, line, cells) for line, cells in file.rows]
 
 
@@ -323,5 +325,5 @@ def _row(file: CsvFile, line: int, cells: Sequence[str]) -> StudyRow:
     try:
         values = [kinds[str(field.type)](cell) for field, cell in zip(fields(StudyRow), cells, strict=True)]
     except ValueError as error:
-        raise file.fault(line, f"it is no row of a study: {error}") from error
+        raise file.fault(line, f"it is not a row of a study: {error}") from error
     return StudyRow(*values)

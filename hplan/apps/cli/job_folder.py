@@ -106,7 +106,7 @@ class JobFolder:
         """
         for path in inputs():
             if path.parent == self.path.resolve() and any(path.match(pattern) for pattern in self._files):
-                raise OptionError("--out", str(self.path), f"another folder than that of {path}, which is read")
+                raise OptionError("--out", str(self.path), f"a folder other than that of {path}, which is an input")
         self._is_settled = False
         self._check_own()
         prepare_folder(self.path)
@@ -301,9 +301,9 @@ def read_report(path: Path, *, is_input: bool = True) -> dict[str, Any]:
     try:
         content = json.loads(text)
     except (ValueError, RecursionError) as error:
-        raise fault(f"it is no JSON: {error}") from error
+        raise fault(f"it is not valid JSON: {error}") from error
     if not isinstance(content, dict):
-        raise fault("it is no mapping of keys")
+        raise fault("it is not a mapping of keys")
     return content
 
 

@@ -109,7 +109,7 @@ def occupancy(arm: PlanarArm, sections: ArmSections, grid: Grid) -> Occupancy:
     links = arm.link_count
     if len(grid.shape) != links or len(sections.link_start) != links + 1:
         raise InputError(
-            f"occupancy: the arm has {links} links, the grid {len(grid.shape)} axes and the sections are for "
+            f"occupancy: the arm has {links} links, the grid has {len(grid.shape)} axes, and the sections are for "
             f"{len(sections.link_start) - 1} links",
         )
     shape = np.array(grid.shape)

@@ -142,7 +142,9 @@ def sections_at(
 
 def balls_only(name: str) -> OptionError:
     """Error that names an obstacle unsupported by the link model `rectangle`."""
-    return OptionError("link_model", "rectangle", f"another model, as this one takes only balls and {name!r} is none")
+    return OptionError(
+        "link_model", "rectangle", f"another model, because this one takes only spheres, and {name!r} is not a sphere"
+    )
 
 
 def _cut(

@@ -120,7 +120,7 @@ def turning_occupancy(
             "step_deg",
             round(math.degrees(step), 6),
             f"a larger step: with the base turning, one bit for each of {planar.size} nodes and {count} yaws takes "
-            f"{size / 1e6:.0f} MB, more than {_MOST_BYTES / 1e6:.0f} MB, and a search five times that",
+            f"{size / 1e6:.0f} MB, more than {_MOST_BYTES / 1e6:.0f} MB, and a search takes five times as much",
         )
     grid = Grid(np.append(planar.lower, first), np.append(planar.step, step), (*planar.shape, count))
     words = np.empty((planar.size, words_for(count)), dtype=np.uint64)

@@ -58,7 +58,7 @@ def cspace_at_yaw(section: YawSection, title: str = "") -> Figure:
         from matplotlib.cm import ScalarMappable
 
         bar = figure.colorbar(ScalarMappable(norm, colors), ax=axes, shrink=0.42, aspect=18, pad=0.09)
-        bar.set_label("yaw apart from the region's [deg]")
+        bar.set_label("yaw difference from the region [deg]")
         bar.outline.set_edgecolor(FAINT)
     return figure
 

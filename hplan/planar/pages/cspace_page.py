@@ -43,7 +43,7 @@ def render_cspace_page(section: YawSection, title: str) -> str:
     far = math.degrees(float(section.yaw_distance.max()))
     entries = [("Forbidden", [_REGION_COLOR]), ("Motion", [0x22303C])]
     if far > 0.5:
-        entries.append((f"Motion at a yaw {far:.0f}° apart", [three.color_of(_FAR)]))
+        entries.append((f"Motion at a yaw {far:.0f}° away", [three.color_of(_FAR)]))
     entries += [("Start", [START_COLOR]), ("Goal", [GOAL_COLOR])]
     return document(title, words, entries, _commands(section))
 

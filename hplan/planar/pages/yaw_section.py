@@ -133,7 +133,7 @@ def check_yaw(robot: Robot, yaw: float | None) -> None:
     """
     if robot.arm.link_count != 3:
         raise InputError(
-            f"the C-space view wants three planar joints; {robot.name!r} has {robot.arm.link_count}",
+            f"the C-space view requires three planar joints; {robot.name!r} has {robot.arm.link_count}",
             expected=3, got=robot.arm.link_count,
         )  # fmt: skip
     low, high = (float(robot.lower[0]), float(robot.upper[0])) if robot.has_yaw else (0.0, 0.0)

@@ -68,7 +68,7 @@ class _Round(NamedTuple):
 def urdf_text(spec: ArmSpec) -> str:
     """Text of the member's URDF, in chain order; deterministic."""
     root = ET.Element("robot", name=spec.name)
-    words = f" {spec!r}, written by hplan.robot.family: do not edit, write it again "
+    words = f" {spec!r}, written by hplan.robot.family: do not edit, generate it again "
     root.append(ET.Comment(words))
     for name, color in _COLORS.items():
         ET.SubElement(ET.SubElement(root, "material", name=name), "color", rgba=color)
@@ -171,4 +171,4 @@ def limits_text(spec: ArmSpec) -> str:
     if spec.jerk is not None:
         document["jerk_rad_s3"] = dict(zip(spec.joint_names, spec.jerk, strict=True))
     body: str = yaml.safe_dump(document, sort_keys=False, default_flow_style=None, width=100)
-    return f"# Limits of {spec.name} that URDF cannot hold. Written by hplan.robot.family.\n{body}"
+    return f"# Limits of {spec.name} that URDF cannot contain. Written by hplan.robot.family.\n{body}"

@@ -300,9 +300,9 @@ def test_each_obstacle_keeps_its_own_clearance(robot):
 
 def test_rectangle_takes_only_balls(robot):
     box = Box(name="crate", center=(1, 0, 1), size=(0.1, 0.1, 0.1))
-    with pytest.raises(OptionError, match="'crate' is none"):
+    with pytest.raises(OptionError, match="'crate' is not a sphere"):
         arm_sections(robot, [box], link_model="rectangle")
-    with pytest.raises(OptionError, match="'section 0' is none"):
+    with pytest.raises(OptionError, match="'section 0' is not a sphere"):
         planar_sections([RoundedPolygon(np.eye(2), 0.1)], np.array([0.1]), link_model="rectangle")
 
 

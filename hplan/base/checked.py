@@ -1,4 +1,4 @@
-"""Checked values of users and files: frozen option dataclasses and models, validated by pydantic.
+"""Frozen option dataclasses and models, validated by pydantic.
 
 `Options` raise `OptionError`, like the checks of single arguments (`hplan.base.arguments`). A `StrictModel` is the
 schema of a file: it raises `SceneError` with the key path, to which `hplan.scene.file` adds the line.
@@ -183,7 +183,10 @@ class StrictModel(BaseModel):
     if not TYPE_CHECKING:
 
         def __init__(self, /, **values):
-            """Validate the values; pydantic does not call this for parts of other models."""
+            """Validate the values.
+
+            pydantic does not call this for parts of other models.
+            """
             try:
                 super().__init__(**values)
             except ValidationError as error:

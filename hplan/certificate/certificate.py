@@ -91,7 +91,7 @@ Stretch: TypeAlias = tuple[slice, CoalScene]
 
 
 class MotionRates(NamedTuple):
-    """Limit use and speeds of the motions that a trajectory is assembled from.
+    """Limit use and speeds of the motions in a trajectory.
 
     They are kept so that the samples added by the assembly do not change them.
 
@@ -171,7 +171,9 @@ class Certificate:
 
     @property
     def pushes(self) -> tuple[Push, ...] | None:
-        """Contacts with compliant obstacles: link, maximum deflection and time; computed on first access.
+        """Contacts with compliant obstacles: link, maximum deflection and time.
+
+        Computed on first access.
 
         Empty if nothing is touched. None for a certificate made by hand or derived from the certificate of its path.
         """
@@ -345,7 +347,10 @@ def goal_contacts(
 
 
 def _pieces(trajectory: Trajectory) -> FloatArray:
-    """Bezier points of a motion, (segments, 4 or 6, dof), clipped to +-`FARTHEST_JOINT`."""
+    """Bezier points of a motion, (segments, 4 or 6, dof).
+
+    Clipped to +-`FARTHEST_JOINT`.
+    """
     bezier: FloatArray = np.clip(trajectory.segments[0], -FARTHEST_JOINT, FARTHEST_JOINT)
     return bezier
 

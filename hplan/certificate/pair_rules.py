@@ -1,4 +1,4 @@
-"""Link pairs with a rule of their own instead of the scene's clearance.
+"""Link pairs with their own rule instead of the scene's clearance.
 
 `Certificate.min_clearance_m` is a lower bound of every distance that was checked. Two kinds of pairs of one arm have a
 rule of their own: pairs that are never as far apart as the clearance must not touch, and have their own certified
@@ -41,7 +41,7 @@ class PairRule:
 
 
 def pair_rules(checker: CoalScene, proof: Proof, clearance: float) -> tuple[PairRule, ...]:
-    """Pairs with a rule of their own, with proved bounds of their distances.
+    """Pairs with their own rule, and proved bounds of their distances.
 
     Args:
         checker: The arm among the obstacles.

@@ -1,4 +1,4 @@
-"""Check that a trajectory solves its scene's task: start, goal and locked joints."""
+"""Check that a trajectory has its scene's start, goal and locked joints."""
 
 from __future__ import annotations
 

@@ -99,7 +99,7 @@ def self_pairs(robot: Robot, beyond: float = BEYOND) -> SelfPairs:
 
 
 def pairs_among(robot: Robot, chosen: Iterable[tuple[int, int]], beyond: float) -> SelfPairs:
-    """Classify the given pairs (i, j), i < j, as checked or exempt."""
+    """Classify pairs (i, j), i < j, as checked or exempt."""
     bodies = collision_bodies(robot)
     allowed: list[tuple[int, int, str]] = []
     left: list[tuple[int, int]] = []
@@ -122,7 +122,10 @@ def pairs_among(robot: Robot, chosen: Iterable[tuple[int, int]], beyond: float) 
 
 
 def _exemption(robot: Robot, pair: tuple[int, int], beyond: float) -> str | None:
-    """Reason for exempting a pair; None if it is checked or requires samples."""
+    """Reason for exempting a pair; None without one.
+
+    Without one the pair is checked, or requires samples.
+    """
     first, second = (collision_bodies(robot)[body] for body in pair)
     declared = _declared(robot).get(frozenset((first.name, second.name))) if first.name != second.name else None
     declared = None if declared is None else f"may touch: {declared}"
@@ -192,7 +195,7 @@ def _between(robot: Robot, first: int, second: int) -> tuple[int, ...]:
 
 
 class OneJoint(NamedTuple):
-    """Distance of two shapes as a function of the one joint between them.
+    """Distance of two shapes as a function of their joint.
 
     Attributes:
         distance: Function from the joint value to the distance [m].
@@ -247,7 +250,7 @@ def one_joint(
 
 
 def _by_one_joint(robot: Robot, pair: tuple[int, int], joint: int, beyond: float) -> str | None:
-    """Reason for exempting two bodies with one joint between them; None if checked."""
+    """Reason for exempting two bodies on one joint; None if checked."""
     shapes, name = (body_shapes(robot)[pair[0]], body_shapes(robot)[pair[1]]), robot.joint_names[joint]
     if one_joint(robot, shapes, joint, 0.0).always(0.0):
         return f"they touch at all positions of joint {name!r}"
@@ -262,7 +265,10 @@ def _by_one_joint(robot: Robot, pair: tuple[int, int], joint: int, beyond: float
 
 
 def _radius(shape: pin.GeometryObject, placement: pin.SE3, axis: FloatArray) -> float:
-    """Upper bound of the distance of a shape's points from an axis [m]."""
+    """Upper bound of the distance of a shape from an axis [m].
+
+    Of all points of the shape.
+    """
     shape.geometry.computeLocalAABB()
     centre = placement * np.asarray(shape.geometry.aabb_center)
     return float(np.linalg.norm(centre - (centre @ axis) * axis)) + float(shape.geometry.aabb_radius)

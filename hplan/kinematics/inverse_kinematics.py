@@ -144,7 +144,10 @@ def chain_of(robot: Robot, pose: FloatArray, turn: float, name: str | None = Non
 
 
 def pointed(chain: Chain, axis: FloatArray) -> Chain:
-    """Return the chain with its frame turned, so that its z axis is a (3,) unit vector of the frame."""
+    """Return the chain with the frame's z axis along a vector.
+
+    The (3,) unit vector is in the present frame.
+    """
     turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), axis).toRotationMatrix()
     rotation = chain.placement[:9].reshape(3, 3) @ turn
     return chain._replace(placement=np.append(rotation.ravel(), chain.placement[9:]))

@@ -1,4 +1,6 @@
-"""A cloud replaced frame by frame, and checks of a frame: acceptance on arrival, age for plans.
+"""Clouds replaced frame by frame, with checks of each frame.
+
+Frames are accepted on arrival, and their age is checked for plans.
 
 A refused frame changes nothing: the obstacles of the last good frame stay in the scene.
 """

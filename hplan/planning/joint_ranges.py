@@ -48,7 +48,10 @@ class Wall:
         return value > self.angle + ROUNDING if self.is_upper else value < self.angle - ROUNDING
 
     def no_path(self, robot: Robot, other: float) -> NoPathError:
-        """Return the error that names the contact blocking the joint, from the wall to another angle [rad]."""
+        """Return the error that names the contact blocking the joint.
+
+        The blocked range is from the wall to another angle [rad].
+        """
         low, high = sorted(np.degrees([self.angle, other]).tolist())
         contact = self.contact
         message = (

@@ -98,7 +98,7 @@ class PlanOptions(Options):
             raise OptionError("bound", self.bound, "False with a deadline: a bound may take seconds")
 
     def refuse_risk(self) -> None:
-        """Refuse a risk for a task other than a single plan from rest to rest.
+        """Refuse a risk for tasks other than single plans at rest.
 
         Raises:
             OptionError: The options have a risk.

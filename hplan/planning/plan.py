@@ -112,7 +112,9 @@ def check_task(
 def solved(
     problem: Problem, *, progress: Progress = no_progress, before: Transit | None = None, stop: Trajectory | None = None
 ) -> PlanResult:
-    """Solve the problem of a scene, with an earlier motion to reuse and a stop to try.
+    """Solve the problem of a scene.
+
+    With an earlier motion to reuse and a stop to try.
 
     The deadline counts from the start of the enclosing time limit or, without one, from this call.
 
@@ -140,7 +142,9 @@ def solved(
 
 
 def solver(before: Transit | None = None, stop: Trajectory | None = None) -> Solver:
-    """The solver of any problem: of a problem from rest among static obstacles, and its wrappers.
+    """The solver of any problem.
+
+    That of problems from rest among static obstacles, and its wrappers.
 
     Args:
         before: An earlier motion, kept or repaired if possible.

@@ -253,7 +253,10 @@ def build_models(
 
 
 def _check_meshes(faults: Faults, shapes: pin.GeometryModel) -> None:
-    """Find meshes with vertices that are not finite, or farther away than any arm is long."""
+    """Find meshes with vertices that are not finite or too far.
+
+    Too far is farther than any arm is long.
+    """
     # No arm is as long, not even in millimetres read as metres [m].
     farthest = 1000.0
     for shape in shapes.geometryObjects:

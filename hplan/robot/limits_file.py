@@ -1,4 +1,6 @@
-"""Limits files: acceleration and jerk limits, and others in place of the URDF's.
+"""Limits files: acceleration, jerk and other limits of joints.
+
+Velocities and efforts replace those of the URDF.
 
 Read are hplan's own format and MoveIt's `joint_limits.yaml`.
 """
@@ -52,7 +54,10 @@ class _LimitsFile(StrictModel):
 
 
 class _MoveItJoint(StrictModel):
-    """Limits of one joint in MoveIt's file; a limit counts if its `has_` key is true."""
+    """Limits of one joint in MoveIt's file.
+
+    A limit counts if its `has_` key is true.
+    """
 
     model_config = ConfigDict(extra="ignore")
 

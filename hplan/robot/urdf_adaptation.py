@@ -136,7 +136,9 @@ def adapt_urdf(path: Path, root: ET.Element, choice: RobotChoice, faults: Faults
 
 
 def _write_limits(root: ET.Element, file: Path | None) -> bool:
-    """Write the velocities, efforts and positions of a limits file into the joints; True if it has any.
+    """Write a limits file's limits into the joints; True if any.
+
+    Velocities, efforts and positions.
 
     Raises:
         RobotFileError: The limits file is missing or malformed, or names a joint that the URDF lacks.
@@ -155,7 +157,7 @@ def _write_limits(root: ET.Element, file: Path | None) -> bool:
 
 
 def _check_accelerations(faults: Faults, urdf: Urdf, choice: RobotChoice) -> None:
-    """Add to the faults of a file that nothing gives the accelerations of its joints."""
+    """Add the fault that nothing gives a file's acceleration limits."""
     moving = [joint for joint in urdf.joints.values() if joint.element.get("type") != "fixed"]
     is_given = choice.limits is not None or (faults.path != URDF_TEXT and is_file(default_limits(faults.path)))
     if moving and not is_given and not any("acceleration" in joint.limits for joint in moving):
@@ -212,7 +214,10 @@ class _Adaptation:
                 raise InputError(f"joint {name!r} cannot both move and be held", joint=name)
 
     def _tip(self) -> str:
-        """Link that is the tool frame or carries it; a guess if the frame is missing, which is a fault."""
+        """Link that is the tool frame or carries it.
+
+        A guess if the frame is missing, which is a fault.
+        """
         frame = self._choice.tool_frame
         if frame in self._urdf.links:
             return frame
@@ -311,7 +316,10 @@ class _Adaptation:
         return moving
 
     def _leader(self, name: str) -> str:
-        """Joint at the end of a mimic chain; the joint itself if it mimics none."""
+        """Joint at the end of a mimic chain.
+
+        The joint itself if it mimics none.
+        """
         mimic = self._urdf.joints[name].element.find("mimic")
         return name if mimic is None else self._leader(str(mimic.get("joint")))
 
@@ -332,7 +340,10 @@ class _Adaptation:
         self.held[joint.name] = value
 
     def _bound(self, joint: Joint) -> bool:
-        """Add limits to a continuous or one-sided joint; return True if it is one."""
+        """Add limits to a continuous or one-sided joint.
+
+        Returns True if it is one.
+        """
         limit = joint.element.find("limit")
         if limit is None:
             return False  # Pinocchio reports it
@@ -435,7 +446,10 @@ def fix_joint(path: Path, joint: Joint, value: float | None) -> None:
 
 
 def _placed(joint: Joint, value: float | None) -> pin.SE3:
-    """Placement of a joint's child in its parent at a value; None for 0."""
+    """Placement of a joint's child at a value; None for 0.
+
+    In the frame of its parent.
+    """
     if not value:
         return joint.placement
     axis = joint.axis / np.linalg.norm(joint.axis)

@@ -233,7 +233,10 @@ def check_inertias(faults: Faults, urdf: Urdf) -> None:
 
 
 def _write_inertia(element: ET.Element, axes: FloatArray, moments: FloatArray) -> None:
-    """Write the inertia of a body with moments close to the given, ascending ones."""
+    """Write the inertia of a body with moments near given ones.
+
+    The given moments ascend.
+    """
     raised = np.maximum(moments, 0.0)
     raised[:2] += 0.5 * max(0.0, raised[2] - raised[1] - raised[0])
     inertia = axes @ np.diag(raised) @ axes.T
@@ -242,7 +245,7 @@ def _write_inertia(element: ET.Element, axes: FloatArray, moments: FloatArray) -
 
 
 def check_moving_joints(faults: Faults, urdf: Urdf) -> None:
-    """Find moving joints that mimic another one, or have a limit that is not positive."""
+    """Find moving joints that mimic another, or lack positive limits."""
     for joint in urdf.joints.values():
         where, kind = f"{line_of(joint.element)}joint {joint.name!r}", joint.element.get("type")
         is_known = any(fault.startswith(f"{where} mimics") for fault in faults.found)
@@ -381,7 +384,10 @@ class _Reader:
         return len(self._faults.found) == known
 
     def _check_numbers(self, part: ET.Element, where: str) -> None:
-        """Check the numbers of a part whose attributes are single numbers, but for names of joints."""
+        """Check the numbers of a part with single-number attributes.
+
+        Names of joints are not numbers.
+        """
         for attribute in sorted(part.attrib.keys() & (_ATTRIBUTES[part.tag] - {"joint"})):
             self._numbers(part, attribute, where, 1)
 
@@ -485,7 +491,9 @@ class _Reader:
                 seen.add(part.tag)
 
     def _is_kept(self, element: ET.Element, part: ET.Element, seen: set[str], where: str) -> bool:
-        """True for a known part; False for an extension, and for a wrong one that was removed.
+        """True for a known part of a URDF.
+
+        False for an extension, and for a wrong part that was removed.
 
         Raises:
             RobotFileError: The part is unknown or duplicated.

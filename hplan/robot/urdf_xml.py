@@ -117,7 +117,7 @@ def _expanded(path: Path, package_dirs: Sequence[Path], xacro_args: Mapping[str,
 
 
 def _xacro_advice(path: Path, message: str) -> str:
-    """End of a message about an error of xacro: the option that would help."""
+    """End of a message about xacro: the option that would help."""
     if "Package not found" in message:
         return "; package_dirs=[FOLDER] (--package-dir FOLDER) names the folders of packages"
     declared = re.findall(r"<xacro:arg\s[^>]*?name=[\"']([^\"']+)", path.read_text(encoding="utf-8", errors="replace"))
@@ -128,7 +128,10 @@ def _xacro_advice(path: Path, message: str) -> str:
 
 
 def package_folder(path: Path, package_dirs: Sequence[Path], name: str) -> Path | None:
-    """Folder of a ROS package near a file, by its name or its `package.xml`; None if there is none."""
+    """Folder of a ROS package near a file, or None.
+
+    By its name or its `package.xml`.
+    """
     for folder in (*package_dirs, *folders_around(path)):
         for place in (folder, folder / name, *_packages_in(folder)):
             if (place.name == name and place.is_dir()) or _package_name(place) == name:
@@ -137,7 +140,10 @@ def package_folder(path: Path, package_dirs: Sequence[Path], name: str) -> Path 
 
 
 def folders_around(path: Path) -> list[Path]:
-    """Folder of a robot file and the four above it; none for a text."""
+    """Folder of a robot file and the four above it.
+
+    Empty for a text.
+    """
     return [] if path == URDF_TEXT else [path.resolve().parent, *path.resolve().parents[1:5]]
 
 

@@ -51,7 +51,7 @@ ENDLESS = 1e9
 def read_kinematics(
     path: Path | str, joints: Sequence[str] | None = None, *, hold: Mapping[str, float] | None = None
 ) -> tuple[pin.Model, dict[str, float | None]]:
-    """Read the moving joints and the inertia of any robot's URDF, without geometry.
+    """Read moving joints and inertia of a robot's URDF, without geometry.
 
     Revolute, prismatic and continuous joints can move. A continuous joint becomes a revolute one without limits: its
     angles count beyond a whole turn. Joints with several coordinates, and joints that mimic another or are mimicked,

@@ -203,7 +203,9 @@ class JobFolder:
         self._others = frozenset(file.name for file in found if not is_own(file))
 
     def _check_replaced(self, name: str) -> None:
-        """Refuse to replace a file that is not hplan's now, or was not when the job began.
+        """Refuse to replace a file that is, or was, not hplan's.
+
+        The file is checked now, and was checked when the job began.
 
         Raises:
             OutputError: It is one.

@@ -13,6 +13,7 @@ COMMANDS = {
     "plan": "plan one motion; write trajectory.csv, report.json and scene.html",
     "tour": "plan a picking tour through the fruits of a scene",
     "row": "choose stops along a row of trees and plan a tour at each",
+    "batch": "plan one motion for each of many scene files",
     "study": "evaluate many arms at many trees, on all processors",
     "time": "time a motion through waypoints, for any robot",
     "certify": "prove that a trajectory keeps clearance and limits",

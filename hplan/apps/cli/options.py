@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import difflib
 import math
 import re
 import textwrap
@@ -29,6 +30,21 @@ if TYPE_CHECKING:
 OUT = Path("out")
 
 
+class _Parser(argparse.ArgumentParser):
+    """Parser whose error about an unknown option names the one with the most similar spelling."""
+
+    def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Parse the arguments, and refuse unknown ones."""
+        found, unknown = self.parse_known_args(args, namespace)
+        if unknown:
+            known = [name for action in self._actions for name in action.option_strings]
+            words = [word.partition("=")[0] for word in unknown if word.startswith("-")]
+            near = {word: difflib.get_close_matches(word, known, 1) for word in words}
+            hints = [f"did you mean {names[0]} for {word}?" for word, names in near.items() if names]
+            self.error("; ".join([f"unrecognized arguments: {' '.join(unknown)}", *hints]))
+        return found
+
+
 def command_parser(
     description: str | None, epilog: str, *, prog: str | None = None, usage: str | None = None
 ) -> argparse.ArgumentParser:
@@ -40,7 +56,7 @@ def command_parser(
         prog: Program name; None for the script's name. Programs whose name begins with `hplan` have `--version`.
         usage: Usage line; None for the generated one.
     """
-    parser = argparse.ArgumentParser(
+    parser = _Parser(
         prog=prog,
         usage=usage,
         description=textwrap.fill(" ".join((description or "").split()), 79),

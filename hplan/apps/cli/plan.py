@@ -1,4 +1,4 @@
-"""Plan a collision-free motion of a harvesting arm, time it, certify it, and write it for the controller.
+"""Plan a certified motion of a harvesting arm for the controller.
 
 Writes trajectory.csv, report.json and an animated scene.html.
 """
@@ -143,7 +143,7 @@ def parser(prog: str) -> argparse.ArgumentParser:
 
 
 def _made(arguments: argparse.Namespace, folder: JobFolder, errors: Console) -> tuple[PlanResult, list[str]]:
-    """Load, plan and write; return the plan and the names of its files."""
+    """Load, plan and write; return the plan and its file names."""
     with progress_line(errors, quiet=arguments.quiet, kernels=KERNELS) as status:
         status("reading robot and scene")
         with loading():
@@ -201,7 +201,7 @@ def _planned(robot: Robot, scene: Scene, options: PlanOptions, progress: Callabl
 
 
 def _write_cspace(page: str, draw: Callable[[], Any], folder: Path, errors: Console) -> list[str]:
-    """Write page and figure of the C-space at one yaw; return the file names."""
+    """Write page and figure of the C-space; return the file names."""
     from hplan.base.files import HTML_COMMENT, write_marked
 
     write_marked(folder / CSPACE_PAGE, page, HTML_COMMENT)
@@ -280,7 +280,7 @@ def show_summary(console: Console, result: PlanResult, folder: Path, files: Sequ
 
 
 def _bound_words(bound: dict[str, Any] | None, phases: int) -> str:
-    """Phrase for the optimality gap of the motion or its first phases, rounded up.
+    """Phrase for the optimality gap of the motion or its phases.
 
     The gap is relative to the fastest motion that the lower bound does not exclude.
     """

@@ -1,4 +1,7 @@
-"""Figures of a tree row, a study and a trajectory, and the style of all figures."""
+"""Figures of a tree row, a study and a trajectory.
+
+Also the style of all figures.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Grid over joint space (or any other box), and the occupancy of its nodes.
+"""Grid over a box, such as joint space, and its occupancy.
 
 Occupancy uses one bit per node, with the last axis along the bits of 64-bit words: a forbidden interval of the last
 joint is then a few masks, and one word operation floods 64 slices.
@@ -90,7 +90,7 @@ class Grid(Record):
         return coordinates
 
     def position(self, coordinates: ArrayLike) -> FloatArray:
-        """Coordinates in units of steps from node 0, (..., d) -> (..., d)."""
+        """Coordinates in steps from node 0, (..., d) -> (..., d)."""
         position: FloatArray = (np.asarray(coordinates) - self.lower) / self.step
         return position
 
@@ -160,7 +160,7 @@ class Occupancy(Record):
 
 
 def checked_node(occupancy: Occupancy, index: ArrayLike, which: str) -> IntArray:
-    """Validate the index of a free node; return it as a (d,) array.
+    """Validate the index of a free node; return it as (d,).
 
     Raises:
         OptionError: `occupancy` is not an `Occupancy`.

@@ -1,4 +1,7 @@
-"""Figure of the C-space at one yaw, with the forbidden region and the motion."""
+"""Figure of the C-space at one yaw.
+
+It shows the forbidden region and the motion.
+"""
 
 from __future__ import annotations
 
@@ -64,7 +67,10 @@ def cspace_at_yaw(section: YawSection, title: str = "") -> Figure:
 
 
 def _draw_motion(axes: Any, section: YawSection, towards: Any, color_of: Any) -> bool:
-    """Draw the motion with its ends, farthest segments first; return True if any is hidden."""
+    """Draw the motion; return True if any segment is hidden.
+
+    The farthest segments are drawn first, then the ends.
+    """
     from mpl_toolkits.mplot3d.art3d import Line3DCollection
 
     points = np.degrees(section.path)

@@ -1,4 +1,4 @@
-"""C-space at one yaw: forbidden region of the planar joints, and a projected motion.
+"""C-space at one yaw, and a motion projected into it.
 
 The forbidden region is the set of configurations with negative clearance. Clearance is evaluated at the nodes of a
 grid, and the region's surface is interpolated between them. For a motion that turns the base, the picture is valid only
@@ -125,7 +125,9 @@ def yaw_section(
 
 
 def check_yaw(robot: Robot, yaw: float | None) -> None:
-    """Check that an arm's C-space can be drawn at a yaw; None for the goal's yaw.
+    """Check that an arm's C-space can be drawn at a yaw.
+
+    None for the goal's yaw.
 
     Raises:
         InputError: The arm does not have three planar joints.

@@ -1,4 +1,4 @@
-"""Generates the URDF and the limits file of a robot-family member as text."""
+"""Generates URDF and limits file of a family member as text."""
 
 from __future__ import annotations
 
@@ -135,7 +135,7 @@ def _add_joint(
     place: tuple[float, float, float],
     axis: tuple[float, float, float],
 ) -> None:
-    """Add a joint: revolute if the spec has limits for it, else fixed."""
+    """Add a joint: revolute with limits in the specification, else fixed."""
     moves = name in spec.joint_names
     joint = ET.SubElement(root, "joint", name=name, type="revolute" if moves else "fixed")
     ET.SubElement(joint, "origin", xyz=_text(*place))
@@ -149,7 +149,7 @@ def _add_joint(
 
 
 def _nine(value: float) -> float:
-    """Round to nine digits, which hides binary rounding noise and no measurable mass."""
+    """Round to nine digits, which hides binary rounding noise."""
     return float(f"{value:.9g}")
 
 
@@ -159,7 +159,7 @@ def _text(*values: float) -> str:
 
 
 def limits_text(spec: ArmSpec) -> str:
-    """Text of the member's limits file, with the limits that URDF cannot express.
+    """Text of the member's limits file.
 
     Returns:
         The YAML document; deterministic.

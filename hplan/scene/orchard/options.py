@@ -82,7 +82,7 @@ class _Row(Options):
 
 @dataclass(frozen=True)
 class OrchardOptions(_Row):
-    """A tree row along y, at x = `distance` in front of the arm.
+    """A tree row along y, at x = `distance`.
 
     Wires run along the row through the trunks, from post to post; the posts are half a spacing beyond the outer trees.
     The defaults describe an apple orchard, with the harvester's fruit zone.

@@ -41,8 +41,7 @@ from hplan.online.frame_check import (
     with_cloud,
 )
 from hplan.online.frame_kernels import Scratch
-from hplan.online.next_view import NextView, shows, sweep
-from hplan.online.seen_space import UNSEEN, SeenSpace
+from hplan.online.seen_space import UNSEEN, NextView, SeenSpace, shows, sweep
 from hplan.online.splice import RunningMotion, SplicedResult
 from hplan.planning.motion import Transit
 from hplan.planning.options import PlanOptions

@@ -109,7 +109,7 @@ def test_reversal_and_a_detour_within_the_deviation(toy):
         ({"jerk": [10.0, 0.0]}, "b", "jerk limit of zero"),
     ],
 )
-def test_what_cannot_be_timed_names_joint_and_cause(toy, change, joint, cause):
+def test_untimeable_path_names_joint_and_cause(toy, change, joint, cause):
     limits = {"velocity": [2.0, 2.0], "acceleration": [4.0, 4.0], "torque": [60.0, 60.0]} | change
     with pytest.raises(TimingError, match=f"'{joint}'") as caught:
         time_waypoints(toy, CORNERS, Limits(**{key: np.array(value) for key, value in limits.items()}))
@@ -174,7 +174,7 @@ def test_script_failures(script, capsys, files, tmp_path, arguments, status, rea
     assert out.read_text() == "an earlier result"
 
 
-def test_script_does_not_overwrite_what_it_reads(script, capsys, files, tmp_path):
+def test_script_does_not_overwrite_its_input(script, capsys, files, tmp_path):
     before = files[1].read_bytes()
     for out, reason in ((files[1], "another file"), (tmp_path / "none" / "o.csv", "folder does not exist")):
         status, _, text = run(script, capsys, *files, "--acceleration", 4, "--out", out)
@@ -277,7 +277,7 @@ def test_mimic_is_held_with_the_one_it_mimics(load):
         load(*joints, hold={"other": 0.4})
 
 
-def test_held_joints_stand_where_told(load):
+def test_held_joints_are_at_given_positions(load):
     wide, narrow = LIMIT, LIMIT.replace('lower="-3"', 'lower="0.5"')
     joints = [f'<joint name="a" type="revolute">{wide}', f'<joint name="b" type="revolute">{narrow}']
     assert load(*joints, joints=["a"])[1] == {"b": 0.5}

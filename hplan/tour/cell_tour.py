@@ -27,17 +27,17 @@ from hplan.base.deadline import Cancel, TimeIsUpError, time_limit
 from hplan.base.lazy_import import InNotebook
 from hplan.certificate.certificate import Certificate
 from hplan.errors import CertificationError, HplanError, TourError
-from hplan.planning.cell import Cell, CellArm, between, certify_between, check_options, may_touch_report, standing
 from hplan.planning.options import PlanOptions
 from hplan.planning.reachable import reachable
 from hplan.planning.stages import Progress, no_progress
-from hplan.planning.timetable import SPARES, Timetable
 from hplan.planning.world import World
 from hplan.tour.motions import carrying
 from hplan.tour.ordering import Costs, along, best
 from hplan.tour.result import TourResult
 from hplan.tour.tour import TourOptions, TourPlanner
 from hplan.trajectory.trajectory import Phase, Trajectory
+from hplan.workcell.cell import Cell, CellArm, between, certify_between, check_options, may_touch_report, standing
+from hplan.workcell.timetable import SPARES, Timetable
 
 #: Proximity of an arm at a fruit to another arm at another fruit: 0 if far, 1 for contact.
 Nearness: TypeAlias = Mapping[tuple[str, str, str, str], float]

@@ -8,8 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from hplan.base.extensions import declare_extension
-from hplan.base.lazy_import import VIEWERS, lazy_names
+from hplan.base.lazy_import import VIEWERS, declare_extension, lazy_names
 
 if TYPE_CHECKING:
     from hplan.certificate.certificate import Certificate, certify
@@ -19,7 +18,7 @@ if TYPE_CHECKING:
     from hplan.planning.cell import Cell, CellResult, certify_cell, load_cell
     from hplan.planning.cell_planner import plan_cell, replan_cell
     from hplan.planning.configuration_check import ConfigurationCheck, check
-    from hplan.planning.finishing.finish import finish
+    from hplan.planning.finish import finish
     from hplan.planning.options import PlanOptions
     from hplan.planning.plan import plan
     from hplan.planning.pose_sequence import plan_poses
@@ -90,7 +89,7 @@ __getattr__ = lazy_names(
         "hplan.planning.cell": "Cell CellResult certify_cell load_cell",
         "hplan.planning.cell_planner": "plan_cell replan_cell",
         "hplan.planning.configuration_check": "ConfigurationCheck check",
-        "hplan.planning.finishing.finish": "finish",
+        "hplan.planning.finish": "finish",
         "hplan.planning.options": "PlanOptions",
         "hplan.planning.plan": "plan",
         "hplan.planning.pose_sequence": "plan_poses",
@@ -109,8 +108,8 @@ __getattr__ = lazy_names(
     },
 )
 
-#: Rooms at the edge that add path finders, inverse kinematics and proofs for robots that they recognize.
-declare_extension("hplan.planar")
+#: Modules at the edge that add path finders, inverse kinematics, proofs and pages for robots that they recognize.
+declare_extension("hplan.planar.extension")
 
 
 def __dir__() -> list[str]:
@@ -127,7 +126,7 @@ def _notebook_html(result: Any) -> str:
 
 def _draw_trajectory(trajectory: Trajectory, robot: Robot | None) -> Any:
     """Draw joint values over time."""
-    from hplan.apps.view.trajectory_figure import draw_trajectory
+    from hplan.apps.view.figures import draw_trajectory
 
     return draw_trajectory(trajectory, robot)
 

@@ -1,8 +1,8 @@
-"""Measure hplan and its peers: all studies in one command, with comparisons.
+"""Measure hplan and other planners: all studies in one command, with comparisons.
 
-Rows of numbers are written as they come, then tables. Peers, with --peer: OMPL's planners, toppra on their paths,
-roboplan (extra bench). Times are CPU times of a thread; compare ratios within one run only. Without names all studies
-run that need no further input.
+Rows of numbers are written as they are computed, then tables. Peers, with --peer: OMPL's planners, toppra on their
+paths, roboplan (extra bench). Times are CPU times of a thread; compare ratios within one run only. Without names all
+studies run that need no further input.
 """
 
 from __future__ import annotations
@@ -25,20 +25,16 @@ from hplan.errors import InputError, OptionError
 
 if TYPE_CHECKING:
     from rich.console import Console
-    from studies.harness import Asked, Study
+    from studies.harness import Study, StudyConfig
 
 #: Module of each study.
 STUDIES = {
     "reference": "reference:REFERENCE",
-    "cspace": "validation.kinds:CSPACE",
-    "motions": "validation.episodes:MOTIONS",
+    "cspace": "validation.cspace:CSPACE",
+    "motions": "validation.motions:MOTIONS",
     "grazing": "validation.grazing:GRAZING",
-    "clearances": "validation.clearances:CLEARANCES_STUDY",
-    "messages": "validation.controller:MESSAGES",
-    "strangers": "validation.controller:STRANGERS_STUDY",
-    "yielding": "validation.yielding:YIELDING",
+    "yielding": "validation.compliance:YIELDING",
     "soak": "validation.soak:SOAK",
-    "interrupts": "interrupts:INTERRUPTS",
     "clutter": "planar:CLUTTER",
     "trees": "trees:TREES",
     "tours": "trees:TOURS",
@@ -48,48 +44,53 @@ STUDIES = {
     "panda": "arms:PANDA",
     "random": "arms:RANDOM",
     "cells": "cells:CELLS",
-    "workcells": "validation.workcells:WORKCELLS",
     "cell_trees": "cell_trees:CELL_TREES",
 }
 
-#: Who can solve the problems of a study too.
+#: Other planners that can solve the problems of a study.
 PEERS = ("RRTConnect", "BITstar", "roboplan")
 
 _EPILOG = """\
-writes into DIR: STUDY.jsonl, what was asked for and on what in its first line, then a row a line as they come; and
+writes into DIR: STUDY.jsonl, with options and environment in its first line and then one row per line; and
 benchmark.md
 
 exit status:
   0  done, and hplan was not found at fault
   2  bad input
-  5  hplan was found at fault, as by a certified motion in contact
+  5  hplan was found at fault, for example with a certified motion in contact
 """
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
     words = list(sys.argv[1:] if argv is None else argv)
-    told = [f"  {name:11} {study_of(name).about}" for name in STUDIES] if {"-h", "--help"} & set(words) else []
-    arguments = _parser("\n".join(["studies:", *told, "", _EPILOG])).parse_args(words)
+    lines = [f"  {name:11} {study_of(name).about}" for name in STUDIES] if {"-h", "--help"} & set(words) else []
+    arguments = _parser("\n".join(["studies:", *lines, "", _EPILOG])).parse_args(words)
     return run_command(lambda console, errors: _run(arguments, console, errors))
 
 
 def _parser(epilog: str) -> argparse.ArgumentParser:
     parser = command_parser(__doc__, epilog)
     add = parser.add_argument
-    add("studies", nargs="*", metavar="STUDY", help="what to measure (default: all that need nothing)")
+    add("studies", nargs="*", metavar="STUDY", help="studies to run (default: all without required input)")
     add("--out", type=Path, metavar="DIR", help="folder to write into (default: a temporary one, named in the end)")
     add("--count", type=int, metavar="N", help="problems of each study, or of each of its groups")
-    add("--quick", action="store_true", help="few problems: a look, not a measurement")
+    add("--quick", action="store_true", help="few problems, as a check")
     add("--first", type=int, default=0, metavar="N", help="number of the first problem drawn (default: 0)")
     add("--seed", type=int, default=0, metavar="N", help="seed of problems and planners (default: 0)")
     add("--jobs", type=int, default=1, metavar="N", help="processes (default: 1)")
     add("--effort", choices=("quick", "default", "best"), default="default", help="of hplan (default: default)")
-    add("--peer", nargs="?", const=PEERS[0], choices=PEERS, help=f"who solves the problems too (default: {PEERS[0]})")
+    add(
+        "--peer",
+        nargs="?",
+        const=PEERS[0],
+        choices=PEERS,
+        help=f"another planner for the problems (default: {PEERS[0]})",
+    )
     add("--trees", type=Path, metavar="DIR", help="folder of measured trees, a CSV of capsules each")
     add("--files", type=Path, metavar="DIR", help="folder of MotionBenchMaker's sets, panda_SET.json each")
     add("--values", nargs="+", default=[], metavar="NAME=X,Y", help="numbers of a study, as deadlines=20,50 [ms]")
-    add("--improve", action="store_true", help="fastest: keep what is faster than the best known in the project's file")
+    add("--improve", action="store_true", help="fastest: store faster motions in the project's file")
     add("--compare", nargs=2, type=Path, metavar=("OLD", "NEW"), help="compare the rows of two folders, problem by "
         "problem, instead of measuring")  # fmt: skip
     add_shared(parser, "robot", "parts")
@@ -122,9 +123,9 @@ def _run(arguments: argparse.Namespace, console: Console, errors: Console) -> in
     studies = [study_of(name) for name in arguments.studies or STUDIES]
     if arguments.compare:
         return _compare(arguments.compare, studies, console)
-    from studies.harness import Asked
+    from studies.harness import StudyConfig
 
-    asked = Asked(
+    config = StudyConfig(
         first=arguments.first,
         seed=arguments.seed,
         effort=arguments.effort,
@@ -138,21 +139,21 @@ def _run(arguments: argparse.Namespace, console: Console, errors: Console) -> in
         studies = [study for study in studies if not study.needs]
     arguments.out = arguments.out or Path(tempfile.mkdtemp(prefix="hplan-"))
     prepare_folder(arguments.out)
-    if asked.trees is not None and not any(asked.trees.glob("*.csv")):
-        raise InputError(f"--trees {asked.trees}: there is no CSV in it", path=str(asked.trees))
+    if config.trees is not None and not any(config.trees.glob("*.csv")):
+        raise InputError(f"--trees {config.trees}: the folder has no CSV", path=str(config.trees))
     faults, lines = 0, list[str]()
     for study in studies:
         count = arguments.count or study.count[arguments.quick]
-        told, wrong = _measured(study, asked, count, arguments, errors)
-        lines, faults = lines + told, faults + wrong
-        console.print("\n".join(told), markup=False, soft_wrap=True)
+        report, wrong = _measured(study, config, count, arguments, errors)
+        lines, faults = lines + report, faults + wrong
+        console.print("\n".join(report), markup=False, soft_wrap=True)
     (arguments.out / "benchmark.md").write_text("\n".join(lines), encoding="utf-8")
     console.print(f"written to {arguments.out}", markup=False, soft_wrap=True)
     return FAILED if faults else 0
 
 
 def _measured(
-    study: Study, asked: Asked, count: int | None, arguments: argparse.Namespace, errors: Console
+    study: Study, config: StudyConfig, count: int | None, arguments: argparse.Namespace, errors: Console
 ) -> tuple[list[str], int]:
     """Run a study and write its rows; its report and fault count."""
     from dataclasses import replace
@@ -162,7 +163,7 @@ def _measured(
     from studies.harness import Row, plain, run, summary
     from studies.measure import environment
 
-    asked, rows = replace(asked, count=count), list[Row]()
+    config, rows = replace(config, count=count), list[Row]()
     options = {name: str(value) for name, value in vars(arguments).items() if value not in (None, [], False)}
     with (
         Progress(console=errors, transient=True, disable=not errors.is_terminal) as bars,
@@ -172,8 +173,9 @@ def _measured(
         bar = bars.add_task(study.name, total=None)
         head = {"study": study.name, "count": count, "options": options, "environment": environment()}
         file.write(json.dumps(plain(head)) + "\n")
-        told = lambda done, total: bars.update(bar, completed=done, total=total)  # noqa: E731
-        for row in run(study, asked, executor=executor, told=told):
+        for row in run(
+            study, config, executor=executor, report=lambda done, total: bars.update(bar, completed=done, total=total)
+        ):
             rows.append(row)
             file.write(json.dumps(plain(row)) + "\n")
             file.flush()

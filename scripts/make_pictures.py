@@ -30,14 +30,13 @@ import numpy as np
 from PIL import Image, PngImagePlugin
 
 import hplan
-from hplan.apps.view.cspace_figure import cspace_at_yaw
 from hplan.apps.view.figure_style import png_bytes
+from hplan.apps.view.figures import draw_row, draw_study
 from hplan.apps.view.page import render_page
 from hplan.apps.view.playback import Playback, playable
-from hplan.apps.view.row_figure import draw_row
-from hplan.apps.view.study_figure import draw_study
-from hplan.apps.view.yaw_section import yaw_section
 from hplan.base.files import write_bytes
+from hplan.planar.pages.cspace_figure import cspace_at_yaw
+from hplan.planar.pages.yaw_section import yaw_section
 from hplan.scene.orchard import MeasuredOptions, measured_orchard
 
 ROOT = Path(__file__).resolve().parents[1]

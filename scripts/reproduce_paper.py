@@ -4,10 +4,10 @@
 The paper plans for a three-link arm among one disc: analytic C-space (equations 1-3), a 2-D A* in every theta3 slice,
 connectivity restoration, and a second A* on the sparse union. Three searches are run here:
 
-- *dense*: A* on all 753,571 nodes, `hplan.grid.dense_search`;
+- *dense*: A* on all 753,571 nodes, `hplan.planar.grid.dense_search`;
 - *plain*: the two levels to the letter of the paper, written out in a page of plain code (`studies.paper.plain`);
-- *hplan*: `hplan.grid.two_level_search`, which floods before it searches, restores on both sides and is complete on
-  the grid; once with plain A* and the paper's straight-line bound, once with the default settings.
+- *hplan*: `hplan.planar.grid.two_level_search`, which floods before it searches, restores on both sides and is complete
+  on the grid; once with plain A* and the paper's straight-line bound, once with the default settings.
 
 Each figure has the number and the subject of the paper's; the layout is our own. Choices that the paper's text leaves
 open (the searched slices and the restored waypoints) are run each way.

@@ -25,7 +25,7 @@ from hplan.apps.cli.main import COMMANDS, main
 from hplan.apps.cli.options import names_robots
 from hplan.base.data_files import shipped_scenes
 from hplan.errors import InputError
-from hplan.robot.files import read_limits
+from hplan.robot.limits_file import read_limits
 from hplan.study.definition import load_study
 
 ROOT = Path(__file__).parents[1]

@@ -23,16 +23,15 @@ ROOMS = (
     "robot",
     "collision",
     "kinematics",
-    "grid",
     "trajectory",
     "optimization",
     "certificate",
     "planning",
-    "planar",
     "online",
     "tour",
     "study",
     "apps",
+    "planar",
 )
 
 

@@ -17,18 +17,18 @@ import pytest
 
 import hplan
 from hplan.apps.cli.job_folder import read_report
-from hplan.apps.execution.plant import Plant
 from hplan.apps.execution.recorded_motion import RecordedMotion, read_motion
+from hplan.apps.execution.simulated_arm import Plant
 from hplan.apps.execution.simulation import execute
 from hplan.apps.ros import read_moveit_scene, read_planning_scene
 from hplan.apps.view.page import write_page
 from hplan.apps.view.playback import Playback
+from hplan.base.checked import Options
 from hplan.base.files import write_text
-from hplan.base.options import Options
 from hplan.errors import HplanError, InputError, SceneError
-from hplan.grid import dense_search, reachable, slices_with_path, two_level_search
-from hplan.grid.grid import Grid, Occupancy
 from hplan.online.frame import CloudOptions
+from hplan.planar.grid import dense_search, reachable, slices_with_path, two_level_search
+from hplan.planar.grid.grid import Grid, Occupancy
 from hplan.robot.family.members import HARVESTER, ArmSpec, cross_check, load_member, write_robot
 from hplan.robot.tracking import TrackingModel
 from hplan.scene.cell import CellRobot, CellScene
@@ -49,7 +49,7 @@ from hplan.scene.tracks import Sway, Track
 from hplan.study.definition import Study
 from hplan.study.run import run_study
 from hplan.tour.tour import TourOptions
-from hplan.trajectory import corner_grid, limit_shares, limits_of, read_machine, read_waypoints, time_waypoints
+from hplan.trajectory import corner_grid, limit_shares, limits_of, read_kinematics, read_waypoints, time_waypoints
 from hplan.trajectory.corner_rounding import largest_deviation, rounded_path
 
 NAN, INF = math.nan, math.inf
@@ -411,8 +411,10 @@ CASES: dict[str, Case] = {
         waypoints=[[0.0] * 4, [0.1] * 4],
         limits=limits_of(ROBOT.model, 1.0),
     ),
-    "read_machine": case(
-        read_machine, bad={"joints": ("wrist", 1, [1]), "hold": (1, "wrist", {"wrist": "a"})}, path=str(ROBOT.urdf_path)
+    "read_kinematics": case(
+        read_kinematics,
+        bad={"joints": ("wrist", 1, [1]), "hold": (1, "wrist", {"wrist": "a"})},
+        path=str(ROBOT.urdf_path),
     ),
     "read_waypoints": case(read_waypoints, bad={"joint_names": (None, "a", [1])}, path="w.csv", joint_names=["a"]),
     "Trajectory.since": case(a_trajectory().since, "row:whole", row=1),
@@ -568,7 +570,7 @@ def test_every_public_function_is_among_the_cases() -> None:
         "hplan.scene.model",
         "hplan.scene.orchard",
         "hplan.trajectory.timing",
-        "hplan.grid",
+        "hplan.planar.grid",
         "hplan.robot.family.members",
     ]
     names = {name for module in modules for name in getattr(importlib.import_module(module), "__all__", ())}

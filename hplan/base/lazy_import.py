@@ -1,4 +1,8 @@
-"""Deferred imports: rarely used modules are imported on first use."""
+"""Deferred imports: rarely used modules and registered additions are imported on first use.
+
+A package that lower packages must not import registers its additions in their tables when it is imported. The top-level
+`__init__` declares such modules, and `load_extensions` imports them.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +13,20 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from types import ModuleType
 from typing import Any
+
+_MODULES: list[str] = []
+
+
+def declare_extension(module: str) -> None:
+    """Declare a module that registers additions when imported."""
+    if module not in _MODULES:
+        _MODULES.append(module)
+
+
+def load_extensions() -> None:
+    """Import all declared modules; already loaded modules cost nothing."""
+    for module in _MODULES:
+        importlib.import_module(module)
 
 
 class _Deferred(ModuleType):

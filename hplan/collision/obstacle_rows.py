@@ -31,7 +31,7 @@ RANGE = -2
 
 #: Columns of a row: its kind; the row to continue with if its bounding ball is too far; that ball; the radius around
 #: its core. A point has a start, a segment start and end, a box half sizes and, by rows, its axes. A leaf has points in
-#: the data from `first` to `last`, a joint range its joints; a hull, in `solid_rows`, its facets up to `edges`, then its
+#: the data from `first` to `last`, a joint range has joints; a hull, in `solid_rows`, has facets up to `edges`, then
 #: edges.
 #:
 #: In `rows_of`, every kind that is a single hull also has the index of its corners in the data. Two numbers precede the

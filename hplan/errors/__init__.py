@@ -39,6 +39,7 @@ Warnings derive from `HplanWarning`, which is a `UserWarning`::
     HplanWarning
     +-- FarObstacleWarning                        obstacle sizes are probably in millimetres
     +-- MissingVisualWarning                      visual mesh file not found
+    +-- RobotFileWarning                          robot file read without its harmless faults
     +-- UncoveredLinkWarning                      a link has visuals without collision shapes
 
 An error carries its facts as attributes, so that a program can act on the joint, the obstacle or the depth without
@@ -89,8 +90,14 @@ from hplan.errors.no_motion import (
     UnreachableError,
     WorkersLostError,
 )
-from hplan.errors.root import HplanError
-from hplan.errors.warning import FarObstacleWarning, HplanWarning, MissingVisualWarning, UncoveredLinkWarning
+from hplan.errors.root import (
+    FarObstacleWarning,
+    HplanError,
+    HplanWarning,
+    MissingVisualWarning,
+    RobotFileWarning,
+    UncoveredLinkWarning,
+)
 
 __all__ = [
     "ApproachError",
@@ -117,6 +124,7 @@ __all__ = [
     "PlanCancelledError",
     "RobotFamilyError",
     "RobotFileError",
+    "RobotFileWarning",
     "RunningMotionBlockedError",
     "SceneError",
     "StartStateError",

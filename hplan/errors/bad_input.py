@@ -25,7 +25,8 @@ class RobotFileError(InputError):
 
     Attributes:
         path: The file, or `URDF text` for a robot given as text.
-        reason: The fault.
+        reason: The fault; several faults follow one another on lines of their own.
+        faults: All faults of the file that were found, each with its line if there is one.
 
     Examples:
         >>> from hplan.errors import RobotFileError
@@ -36,11 +37,15 @@ class RobotFileError(InputError):
 
     path: Path
     reason: str
+    faults: tuple[str, ...]
 
-    def __init__(self, path: Path | str, reason: str) -> None:
+    def __init__(self, path: Path | str, *faults: str) -> None:
         place = path if str(path) == "URDF text" else f"robot file {path}"
+        reason = faults[0] if len(faults) == 1 else "\n  ".join([f"it has {len(faults)} faults:", *faults])
         super().__init__(f"{place}: {reason}", path=str(path), reason=reason)
-        self.path = Path(path)
+        if len(faults) > 1:
+            self.data["faults"] = list(faults)
+        self.path, self.faults = Path(path), faults
 
 
 class RobotFamilyError(InputError):

@@ -1,1 +1,1 @@
-"""Inverse kinematics: numerical, closed-form for planar arms, straight tool motions."""
+"""Inverse kinematics from many starts, and straight tool motions."""

@@ -79,6 +79,9 @@ def inverse_kinematics(
         asked = "this pose" if not free else "this pose, however it is turned about its z axis"
         held = f", with {', '.join(locked)} locked" if keeps.any() else ""
         detail = f"{asked} was not reached from any of {count} starts{held}; that is no proof that it cannot be"
+        joints = np.count_nonzero(chain.moves)
+        if joints < (5 if free else 6):
+            detail += f"; {joints} joints reach few poses exactly, any other goal is better given as a position alone"
         raise UnreachableError(chain.pose[9:].tolist(), "not_found", detail, joints=list(robot.joint_names))
     return distinct(robot, solutions[found], begin, chain)
 

@@ -1,13 +1,14 @@
-"""The arm as solids for camera models, and its workspace ball."""
+"""The arm as solids for camera models, and its workspace, also on a moving base."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 import pinocchio as pin
 
-from hplan.base.arrays import FloatArray, frozen
+from hplan.base.arrays import BoolArray, FloatArray, Record, frozen
 from hplan.collision import reach
 from hplan.collision.collision_bodies import GROUND, collision_bodies
 from hplan.collision.obstacle_rows import convex_solid
@@ -15,6 +16,60 @@ from hplan.robot.base_shapes import base_shapes
 from hplan.robot.model import Robot, made_once
 from hplan.scene.obstacle_kind import posed
 from hplan.scene.obstacles import Solid
+from hplan.scene.tracks import Poses, Track
+
+
+@dataclass(frozen=True, eq=False)
+class SweptReach(Record):
+    """A ball that is carried along a track.
+
+    Attributes:
+        centres: (k, 3) its centre at some times, in `base_link` at zero displacement of the base [m].
+        radius: Radius of the balls around them that contain everything it sweeps [m].
+    """
+
+    centres: FloatArray
+    radius: float
+
+    @classmethod
+    def of(cls, ball: FloatArray, track: Track) -> SweptReach:
+        """Sweep a ball fixed to the base along a track.
+
+        `ball` is (4,), centre and radius [m].
+        """
+        poses = Poses.of(track)
+        offset = ball[:3] - poses.about
+        # Upper bound of the centre's travel between two times of the track.
+        travel = np.linalg.norm(np.diff(poses.shifts, axis=0), axis=1)
+        travel += np.linalg.norm(poses.turns, axis=1) * np.linalg.norm(offset)
+        # Spacing of the samples along a track [m], and their maximum number, which may enlarge the spacing.
+        spacing_m, most_places = 0.05, 4096
+        parts = np.maximum(np.ceil(travel / max(spacing_m, float(travel.sum()) / most_places)), 1.0)
+        spans = zip(poses.times[:-1], poses.times[1:], parts.astype(int).tolist(), strict=True)
+        clock = np.concatenate([np.linspace(*span, endpoint=False) for span in spans] + [poses.times[-1:]])
+        rotations, places = poses.at(clock)
+        # Between two samples it is within half of its travel of one of them.
+        return cls(places + rotations @ offset, float(ball[3] + 0.5 * (travel / parts).max()))
+
+    def ball_seen_from(self, rotation: FloatArray, shift: FloatArray) -> FloatArray:
+        """(4,) a ball around the swept volume [m].
+
+        In the frame of the base at a pose.
+        """
+        seen = (self.centres - shift) @ rotation
+        middle = 0.5 * (seen.min(axis=0) + seen.max(axis=0))
+        return np.append(middle, self.radius + np.linalg.norm(seen - middle, axis=1).max())
+
+    def comes_near(self, points: FloatArray, distance: float) -> BoolArray:
+        """(n,) mask of the points that the ball may come near.
+
+        Points are (n, 3), in `base_link` at zero displacement of the base [m].
+        """
+        from scipy.spatial import KDTree
+
+        near, _ = KDTree(self.centres).query(points, distance_upper_bound=self.radius + distance)
+        found: BoolArray = np.isfinite(near)
+        return found
 
 
 def arm_solids(robot: Robot, q: FloatArray) -> tuple[Solid, ...]:

@@ -21,12 +21,12 @@ from pydantic import Field
 
 from hplan.base.arguments import instance, number
 from hplan.base.arrays import FloatArray, Record, as_array, frozen, numbers, readonly
-from hplan.base.options import Options
+from hplan.base.checked import Options
 from hplan.base.units import FARTHEST_JOINT
 from hplan.collision.obstacle_rows import solid_rows
 from hplan.errors import InputError, OptionError
 from hplan.geometry.rotation import rpy_rotation
-from hplan.online.arm_shape import arm_solids, reach_ball
+from hplan.online.arm_shape import SweptReach, arm_solids, reach_ball
 from hplan.online.body_distances import Bodies, distances_from_bodies
 from hplan.online.frame_kernels import (
     COUNT,
@@ -43,7 +43,6 @@ from hplan.online.frame_kernels import (
     middles,
 )
 from hplan.online.hidden_points import hidden
-from hplan.online.swept_reach import SweptReach
 from hplan.robot.model import Robot
 from hplan.scene.limits import FARTHEST_M
 from hplan.scene.obstacle_kind import Convex, Solid

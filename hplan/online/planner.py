@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike
 
 from hplan.base.arguments import between, number, one_of, text
 from hplan.base.arrays import FloatArray, numbers, readonly
+from hplan.base.checked import StrictModel
 from hplan.base.deadline import Cancel, TimeIsUpError, time_limit
 from hplan.base.forking import renewed_in_children
 from hplan.certificate.certificate import with_violations
@@ -31,18 +32,24 @@ from hplan.errors import HplanError, InputError, NotInTimeError, OptionError, Pl
 from hplan.online.arm_shape import arm_solids
 from hplan.online.body_distances import distances_from_bodies
 from hplan.online.frame import CloudOptions, Frame, FrameReport, SeenPoints, filter_frame, rigid
-from hplan.online.frame_check import AcceptedFrame, check_content, check_order
+from hplan.online.frame_check import (
+    AcceptedFrame,
+    check_cloud_name,
+    check_content,
+    check_order,
+    solids_named,
+    with_cloud,
+)
 from hplan.online.frame_kernels import Scratch
 from hplan.online.next_view import NextView, shows, sweep
-from hplan.online.scene_cloud import check_cloud_name, solids_named, with_cloud
 from hplan.online.seen_space import UNSEEN, SeenSpace
 from hplan.online.splice import RunningMotion, SplicedResult
 from hplan.planning.motion import Transit
 from hplan.planning.options import PlanOptions
-from hplan.planning.plan import check_task, plan_with
+from hplan.planning.plan import check_task, solved
+from hplan.planning.problem import Problem
 from hplan.planning.result import PlanResult
 from hplan.robot.model import Robot
-from hplan.scene.fault import StrictModel
 from hplan.scene.limits import FARTHEST_M
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacle_kind import FromData
@@ -272,7 +279,8 @@ class Planner:
         begin = self._begin_of(begins_s, scene)
         self._check_clouds(scene, options, begins_s)
         self._check_known(scene)
-        found = plan_with(self.robot, scene if math.isnan(begin) else scene.since(begin), options, before=before)
+        shown = scene if math.isnan(begin) else scene.since(begin)
+        found = solved(Problem.of(self.robot, shown, options), before=before)
         self.last = self._with_ages(replace(found, begins_s=begin), scene, begins_s)
         return self.last
 
@@ -556,7 +564,7 @@ class Planner:
             self._check_clouds(scene, self.options, None)
             self._begin_of(None, scene)
             known = with_cloud(scene, UNSEEN, None)
-            path = plan_with(self.robot, known, self.options).trajectory.position
+            path = solved(Problem.of(self.robot, known, self.options)).trajectory.position
             unseen = space.unknown(sweep(self.robot, path, space.edge), since_s)
             found = list[tuple[int, int]]()
             for number, view in enumerate(views):
@@ -579,7 +587,7 @@ class Planner:
                     there = scene.copy_unchecked({"goal": Goal(joints_rad=tuple(joints.tolist()))})
                     self._check_known(there)
                     try:
-                        motion = plan_with(self.robot, there, self.options)
+                        motion = solved(Problem.of(self.robot, there, self.options))
                     except (NotInTimeError, PlanCancelledError):
                         raise
                     except HplanError:

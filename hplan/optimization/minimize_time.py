@@ -17,6 +17,7 @@ import numpy as np
 
 from hplan.base import ties
 from hplan.base.arrays import FloatArray, frozen
+from hplan.optimization.constraint_rows import ALLOWED
 from hplan.optimization.time_problem import TimeProblem
 from hplan.optimization.timed_spline import (
     RESTING,
@@ -25,7 +26,6 @@ from hplan.optimization.timed_spline import (
     breaks_at_rows,
     even_breaks,
 )
-from hplan.optimization.torque_rows import ALLOWED
 from hplan.trajectory.cubics import accelerations, hermite_pieces
 from hplan.trajectory.retime import KEPT
 

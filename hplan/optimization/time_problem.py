@@ -13,12 +13,11 @@ from hplan.collision.body_motions import piece_is_clear
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.flat_bodies import thicker
 from hplan.kinematics.damped_steps import Chain
+from hplan.optimization.constraint_rows import NEAR_LIMIT, Leaning, TorqueUse, torque_rows, with_rows
 from hplan.optimization.first_order import MotionArrays, MotionLimits, first_order, least_time_scale
 from hplan.optimization.interior_point import ProgramRows, solve
 from hplan.optimization.options import PostprocessOptions
 from hplan.optimization.timed_spline import RESTING, BoundaryState, TimedSpline
-from hplan.optimization.tool_rows import Leaning
-from hplan.optimization.torque_rows import NEAR_LIMIT, TorqueUse, torque_rows, with_rows
 from hplan.robot.dynamics import InverseDynamics
 from hplan.robot.limits import Limits, rest_to_rest
 from hplan.trajectory.retime import KEPT, torque_excess

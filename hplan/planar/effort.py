@@ -9,9 +9,8 @@ from typing import Final, Self
 from hplan.optimization.minimize_time import Effort as OptimizerEffort
 from hplan.optimization.several_starts import StartsEffort
 from hplan.planar.grids import GridAttempt
-from hplan.planning.effort import COARSE, FINE, FINEST, LAST, QUICK_START, Effort, near_one
+from hplan.planning.effort import COARSE, FINE, FINEST, LAST, QUICK_START, Effort, TreesEffort, near_one
 from hplan.planning.options import EffortName
-from hplan.planning.sampling.several_trees import TreesEffort
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,8 @@ from hplan.base import ties
 from hplan.base.arrays import FloatArray, IntArray
 from hplan.collision.clearance_field import ClearanceField
 from hplan.errors import CertificationError
-from hplan.grid.grid import Occupancy
 from hplan.optimization.repair import leave_contact
+from hplan.planar.grid.grid import Occupancy
 from hplan.planar.grids import grid_axes
 from hplan.planning.problem import Problem
 

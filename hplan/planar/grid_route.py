@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from hplan.base.arrays import FloatArray, IntArray, Record, frozen
-from hplan.grid import SearchResult, dense_search, reachable, two_level_search
-from hplan.grid.grid import Grid, Occupancy
+from hplan.planar.grid import SearchResult, dense_search, reachable, two_level_search
+from hplan.planar.grid.grid import Grid, Occupancy
 from hplan.planar.grid_entry import GridEntry, grid_entry
 from hplan.planar.grids import GridAttempt, grid_axes, grid_occupancy, step_deg
 from hplan.planar.no_path_proof import EnclosedError, Region

@@ -9,11 +9,11 @@ import numpy as np
 
 from hplan.base.arrays import IntArray
 from hplan.errors import OptionError
-from hplan.grid.grid import Grid, Occupancy
-from hplan.grid.occupancy import occupancy
-from hplan.grid.prepared_obstacles import PreparedObstacles, prepare_obstacles
-from hplan.grid.sections import ArmSections, sections_at
-from hplan.grid.yaw_layers import LayerCache, turning_occupancy, yaw_axis
+from hplan.planar.grid.grid import Grid, Occupancy
+from hplan.planar.grid.occupancy import occupancy
+from hplan.planar.grid.prepared_obstacles import PreparedObstacles, prepare_obstacles
+from hplan.planar.grid.sections import ArmSections, sections_at
+from hplan.planar.grid.yaw_layers import LayerCache, turning_occupancy, yaw_axis
 from hplan.planning.problem import MARGIN, Problem
 from hplan.planning.stages import stage
 from hplan.planning.world import World

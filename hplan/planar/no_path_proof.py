@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from hplan.base.arrays import IntArray, WordArray
 from hplan.base.deadline import TimeIsUpError
 from hplan.errors import CertificationError, NoPathError
-from hplan.grid.blockers import blockers
-from hplan.grid.flood import bits_of, flood_from, has_bit, slice_sizes
-from hplan.grid.grid import Grid
-from hplan.grid.lattice import Lattice
+from hplan.planar.grid.blockers import blockers
+from hplan.planar.grid.flood import bits_of, flood_from, has_bit, slice_sizes
+from hplan.planar.grid.grid import Grid
+from hplan.planar.grid.lattice import Lattice
 from hplan.planar.grid_entry import grid_entry
 from hplan.planar.grids import (
     GridAttempt,

@@ -24,6 +24,7 @@ from hplan.planar.grids import (
     possible_growth,
 )
 from hplan.planar.no_path_proof import EnclosedError, enclosed_goals, prove_infeasible
+from hplan.planning.effort import TreesEffort
 from hplan.planning.failures import FailuresError
 from hplan.planning.path_finder import (
     Budget,
@@ -37,7 +38,6 @@ from hplan.planning.path_finder import (
     tree_paths,
 )
 from hplan.planning.problem import Problem
-from hplan.planning.sampling.several_trees import TreesEffort
 
 #: Free nodes do not imply free segments: if the segments of a grid path cannot be verified, the search is repeated with
 #: obstacles grown by these lengths [m] and, if that fails too, on grids with these multiples of the step.
@@ -145,7 +145,7 @@ class TwoLevelGrid:
             return []
         if is_straight_clear(problem):
             return []
-        return [Path(path.waypoints, "trees") for path in tree_paths(problem, effort.after_grid)]
+        return tree_paths(problem, effort.after_grid)
 
 
 class FirstGridPaths(FirstPaths):

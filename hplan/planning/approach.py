@@ -25,7 +25,7 @@ from hplan.planning.motion import (
 )
 from hplan.planning.problem import Problem
 from hplan.planning.stages import stage
-from hplan.planning.tool_paths import Tool, tool_of
+from hplan.planning.tool_paths import Tool
 from hplan.robot.model import Robot
 from hplan.trajectory.trajectory import Trajectory
 
@@ -77,7 +77,7 @@ class Approach:
 
     @property
     def _tool(self) -> Tool:
-        return tool_of(self.problem.robot, self.problem.scene.locked_joints, self.grasp.keeps_turn)
+        return Tool(self.problem.robot, self.problem.scene.locked_joints, self.grasp.keeps_turn)
 
     @property
     def motions(self) -> tuple[Motion, ...]:

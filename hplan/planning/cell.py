@@ -484,7 +484,7 @@ def certify_cell(
     """
     instance("cell", cell, Cell, "load_cell")
     options = PlanOptions() if options is None else instance("options", options, PlanOptions)
-    options.check_for(None)
+    options.refuse_risk()
     if isinstance(motion, Trajectory):
         files = cell.apart(motion)
     elif isinstance(motion, Mapping) and motion:
@@ -614,7 +614,7 @@ def check_options(options: PlanOptions, what: str) -> None:
     Raises:
         OptionError: The options request a risk, a bound, or motions without a certificate.
     """
-    options.check_for(None)
+    options.refuse_risk()
     if options.bound:
         raise OptionError("bound", options.bound, f"False: {what} have no bound but the longest alone")
     if not options.certify:

@@ -37,7 +37,7 @@ from hplan.errors import (
     TimingError,
 )
 from hplan.planning.cell import Cell, CellResult, How, between, certify_cell, check_options, standing
-from hplan.planning.finishing.finish import finish
+from hplan.planning.finish import finish
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
 from hplan.planning.result import PlanResult

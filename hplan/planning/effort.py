@@ -3,17 +3,30 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Self
 
-from hplan.base.extensions import load_extensions
 from hplan.optimization.minimize_time import Effort as OptimizerEffort
 from hplan.optimization.minimize_time import Level
 from hplan.optimization.several_starts import StartsEffort
 from hplan.planning.options import EffortName, PlanOptions
-from hplan.planning.sampling.several_trees import TreesEffort
-from hplan.robot.model import Robot
+
+
+@dataclass(frozen=True)
+class TreesEffort:
+    """Effort of several pairs of trees.
+
+    Attributes:
+        pairs: Number of pairs.
+        each: Maximum number of distance queries of each pair.
+        seed: Seed of the first pair; the others have the following ones.
+    """
+
+    pairs: int
+    each: int
+    seed: int = 0
+
 
 #: Long trees before a goal is refused, for robots that also have a grid; and none.
 LONG_TREES, NO_TREES = TreesEffort(2, 60_000), TreesEffort(0, 0)
@@ -88,7 +101,7 @@ _AT_ONCE = near_one(replace(COARSE, steps=8, gain=0.02, trust=1.0, enough=0.02))
 #: after about a second.
 _WITHIN_A_SECOND = TreesEffort(2, 45_000)
 
-#: The presets of all robots without presets of their own (`register_presets`).
+#: The presets of all robots without a specialist (`hplan.planning.specialist`).
 EFFORTS: dict[EffortName, Effort] = {
     "quick": Effort(
         trees=TreesEffort(1, 6_000),
@@ -136,31 +149,17 @@ EFFORTS: dict[EffortName, Effort] = {
 }
 
 
-_PRESETS: list[tuple[Callable[[Robot], bool], Mapping[EffortName, Effort]]] = []
-
-
-def register_presets(recognizes: Callable[[Robot], bool], presets: Mapping[EffortName, Effort]) -> None:
-    """Use other presets for the robots that a function recognizes."""
-    _PRESETS.append((recognizes, presets))
-
-
-def effort_named(robot: Robot, name: EffortName) -> Effort:
-    """The preset of a robot by its name."""
-    load_extensions()
-    return next((presets for recognizes, presets in _PRESETS if recognizes(robot)), EFFORTS)[name]
-
-
-def efforts_of(robot: Robot, options: PlanOptions) -> tuple[Effort, ...]:
+def efforts_of(presets: Mapping[EffortName, Effort], options: PlanOptions) -> tuple[Effort, ...]:
     """The budgets of successive searches; the last is the requested one.
 
     With a deadline a first motion comes at once. An optimizer with more starts need not find everything that one with
     fewer starts finds, so `best` includes `default`.
     """
-    requested, quick = effort_named(robot, options.effort), effort_named(robot, "quick")
+    requested, quick = presets[options.effort], presets["quick"]
     first = replace(requested, starts=_AT_ONCE, begun=quick.begun, long=NO_TREES, proof_nodes=0.0, at_once=True)
     efforts = (
         *((first,) if options.deadline_s is not None else ()),
-        *((effort_named(robot, "default"),) if options.effort == "best" else ()),
+        *((presets["default"],) if options.effort == "best" else ()),
         requested,
     )
     return efforts if options.seed == 0 else tuple(effort.seeded(_SEEDS * options.seed) for effort in efforts)

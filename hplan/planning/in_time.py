@@ -3,50 +3,56 @@
 Paths are planned without the moving obstacles (on a moving base: among all obstacles at their initial poses), and, if
 that motion would collide, around the volume that they sweep meanwhile and around their poses at the collision, at the
 start and at the end. A motion along each path runs unchanged if it is certified; otherwise it gets the earliest timing
-through its cells of path and time (`hplan.planning.moving.schedule`): it waits at a clear configuration, slows down, or
+through its cells of path and time (`hplan.planning.schedule`): it waits at a clear configuration, slows down, or
 passes before the obstacle comes. If no motion from a start in motion is found, the arm is brought to rest first.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from typing import Any, TypeAlias
+from typing import Any, Final
 
 import numpy as np
 
+from hplan.base.arrays import FloatArray
 from hplan.certificate.certificate import Certificate, certify
 from hplan.certificate.start_state import start_state
 from hplan.errors import HplanError, MovingObstacleError, ObstacleInTimeError, TimingError
-from hplan.planning.motion import Motion, Plan, best_of
-from hplan.planning.moving.obstacles_at import among_poses, without_moving
-from hplan.planning.moving.path_in_time import MovingField, PathInTime
-from hplan.planning.moving.schedule import STEP_S, earliest_schedule, room_to_change
-from hplan.planning.options import PlanOptions
+from hplan.planning.motion import Motion, Plan, Solver, best_of
+from hplan.planning.problem import Problem
+from hplan.planning.schedule import STEP_S, MovingField, PathInTime, earliest_schedule, room_to_change
 from hplan.planning.start_in_motion import after_stop, stops
-from hplan.robot.model import Robot
-from hplan.scene.model import Scene, Start
+from hplan.scene.model import Fruit, Scene, Start
+from hplan.scene.obstacle_kind import moved
+from hplan.scene.obstacles import AnyObstacle, Sphere
 from hplan.trajectory.trajectory import Phase, Retimed, Trajectory, joined, scaled
 
-#: Anytime plans of a scene with or without moving obstacles.
-PlansOf: TypeAlias = Callable[[Scene], Iterator[Plan]]
 
-
-def plans_in_time(
-    robot: Robot, scene: Scene, options: PlanOptions, plans_of: PlansOf, stop: Trajectory | None = None
-) -> Iterator[Plan]:
-    """Certified plans among moving obstacles, each faster than the one before.
+def past_moving_obstacles(solve: Solver, stop: Trajectory | None = None) -> Solver:
+    """A solver that also solves problems with moving obstacles.
 
     Args:
-        scene: The scene, and the task.
+        solve: Solver of problems among static obstacles.
         stop: A motion to rest from a start in motion, tried in addition to the default ones; None for none.
+    """
+
+    def solver(problem: Problem) -> Iterator[Plan]:
+        return _plans_in_time(problem, solver, stop) if problem.scene.moves else solve(problem)
+
+    return solver
+
+
+def _plans_in_time(problem: Problem, solve: Solver, stop: Trajectory | None) -> Iterator[Plan]:
+    """Certified plans among moving obstacles, each faster than the one before.
 
     Raises:
         MovingObstacleError: The goal is a fruit that moves as seen from the base, or the options request a bound.
         ObstacleInTimeError: No motion was certified; names a blocking obstacle and the time.
-        HplanError: As raised by `plans_of` for the scene without moving obstacles.
+        HplanError: As raised by `solve` for the scene without moving obstacles.
     """
+    robot, scene, options = problem.robot, problem.scene, problem.options
     if options.bound:
         raise MovingObstacleError(scene.first_moving, "bounds of durations take scenes in which nothing moves")
     for fruit in scene.fruits:
@@ -54,56 +60,54 @@ def plans_in_time(
             moving = None if fruit.track is None else fruit.name
             raise MovingObstacleError(moving, "a fruit to pick must not move, as seen from the base")
     try:
-        yield from _Search(robot, scene, options, plans_of).plans()
+        yield from _Search(problem, solve).plans()
     except ObstacleInTimeError:
         state = start_state(robot, scene)
         if state is None:
             raise
         yield after_stop(
             stops(robot, state, 1.0 / options.rate_hz, stop),
-            lambda motion: certified_in_time(robot, scene, options, motion, check_ends=False),
-            lambda stopped: stopping_first(robot, scene, options, plans_of, stopped),
+            lambda motion: certified_in_time(problem, motion, check_ends=False),
+            lambda stopped: stopping_first(problem, solve, stopped),
         )
 
 
-def stopping_first(robot: Robot, scene: Scene, options: PlanOptions, plans_of: PlansOf, stop: Motion) -> Plan | None:
+def stopping_first(problem: Problem, solve: Solver, stop: Motion) -> Plan | None:
     """A stop and a plan from its end; None if not certified.
 
     The plan starts with the moving obstacles as they are at the end of the stop.
     """
     stop_s = stop.trajectory.duration
     rest = Start(joints_rad=tuple(stop.trajectory.position[-1].tolist()))
-    plan = best_of(plans_of(scene.since(stop_s).copy_unchecked({"start": rest})))
+    after = problem.scene.since(stop_s).copy_unchecked({"start": rest})
+    plan = best_of(solve(Problem.of(problem.robot, after, problem.options)))
     later, trajectory, _ = plan.whole
     first, *others = (phase.later(stop_s) for phase in later)
     phases = (replace(first, start_s=0.0), *others)
     trajectory = joined([stop.trajectory, trajectory])
-    certificate = certified_in_time(robot, scene, options, trajectory, direct=len(phases) == 1)
-    told = {**plan.told, "stops_until_s": stop_s}
-    return _run(plan, scene, (phases, trajectory, certificate), told) if certificate.verified else None
+    certificate = certified_in_time(problem, trajectory, direct=len(phases) == 1)
+    if not certificate.verified:
+        return None
+    told = plan.told.get("in_time", {})
+    return _run(plan, problem.scene, (phases, trajectory, certificate), {**told, "stops_until_s": stop_s})
 
 
 def certified_in_time(
-    robot: Robot, scene: Scene, options: PlanOptions, motion: Trajectory, *,
-    direct: bool = False, check_ends: bool = True,
-) -> Certificate:  # fmt: skip
+    problem: Problem, motion: Trajectory, *, direct: bool = False, check_ends: bool = True
+) -> Certificate:
     """The certificate of a motion among moving obstacles.
 
     Args:
-        scene: The scene; its clock is the motion's.
+        problem: The problem with the scene; its clock is the motion's.
         direct: True if the fruit may be touched during the whole motion, which then has no approach.
         check_ends: True for a whole motion; False for a stop, which need not reach the goal.
     """
+    options = problem.options
     return certify(
-        robot,
-        scene,
-        motion,
-        tracking_error=options.tracking_error,
-        tracking_delay_s=options.tracking_delay_s,
-        sigmas=options.sigmas,
-        goal_contact="motion" if direct else "approach",
-        check_ends=check_ends,
-    )
+        problem.robot, problem.scene, motion,
+        tracking_error=options.tracking_error, tracking_delay_s=options.tracking_delay_s, sigmas=options.sigmas,
+        goal_contact="motion" if direct else "approach", check_ends=check_ends,
+    )  # fmt: skip
 
 
 class _Search:
@@ -115,8 +119,9 @@ class _Search:
         first: The first plan without moving obstacles, and its certificate among them.
     """
 
-    def __init__(self, robot: Robot, scene: Scene, options: PlanOptions, plans_of: PlansOf) -> None:
-        self._robot, self._scene, self._options, self._plans_of = robot, scene, options, plans_of
+    def __init__(self, problem: Problem, solve: Solver) -> None:
+        robot, scene, options = problem.robot, problem.scene, problem.options
+        self._problem, self._robot, self._scene, self._options, self._solve = problem, robot, scene, options, solve
         self._field = MovingField(robot, scene, sigmas=options.sigmas, tracking_error=options.tracking.still_rad)
         self.best_s = math.inf
         self.tried: list[str] = []
@@ -130,7 +135,7 @@ class _Search:
         """
         for path, among in self._scenes():
             try:
-                stills = self._plans_of(among)
+                stills = self._solve(Problem.of(self._robot, among, self._options))
                 for still in stills if self._options.deadline_s is not None else [best_of(stills)]:
                     plan = self._past(path, still)
                     if plan is not None and plan.duration < self.best_s - 1e-9:
@@ -202,7 +207,7 @@ class _Search:
         return None
 
     def _certified(self, still: Plan, motion: Trajectory) -> Certificate:
-        return certified_in_time(self._robot, self._scene, self._options, motion, direct=not still.others)
+        return certified_in_time(self._problem, motion, direct=not still.others)
 
 
 def _run(
@@ -210,7 +215,7 @@ def _run(
 ) -> Plan:
     """A plan with its motion and certificate among moving obstacles."""
     transit = replace(plan.transit, problem=replace(plan.transit.problem, scene=scene))
-    return replace(plan, transit=transit, run=run, told={**told, "clear_until_s": run[2].clear_until_s})
+    return replace(plan, transit=transit, run=run, told={"in_time": {**told, "clear_until_s": run[2].clear_until_s}})
 
 
 def _later(phase: Phase, retimed: Retimed) -> Phase:
@@ -222,3 +227,73 @@ def _later(phase: Phase, retimed: Retimed) -> Phase:
     begin = max(0, int(np.searchsorted(clock, phase.start_s + 1e-9, side="right")) - 1)
     end = int(np.searchsorted(clock, phase.end_s - 1e-9, side="left")) if phase.end_s < clock[-1] - 1e-9 else -1
     return Phase(phase.name, float(time[begin]) if phase.start_s > 0.0 else 0.0, float(time[end]))
+
+
+#: Maximum displacement between consecutive poses of one obstacle [m], and the maximum number of poses.
+APART_M: Final = 0.03
+_MOST_POSES: Final = 24
+
+
+def without_moving(scene: Scene) -> Scene:
+    """The scene without its moving obstacles.
+
+    On a moving base: the other obstacles, at their initial poses.
+    """
+    at_first = scene.at(0.0)
+    kept = {item.name for item in (*scene.obstacles, *scene.fruits) if item.track is None}
+    return at_first.copy_unchecked(
+        {
+            "obstacles": tuple(item for item in at_first.obstacles if item.name in kept),
+            "fruits": tuple(item for item in at_first.fruits if item.name in kept),
+        }
+    )
+
+
+def among_poses(scene: Scene, from_s: float, to_s: float) -> Scene:
+    """The scene with moving obstacles at all their poses within an interval.
+
+    Consecutive poses are close to each other (`APART_M`).
+
+    Args:
+        from_s: Start of the interval [s].
+        to_s: End of the interval [s].
+    """
+    moving = set(scene.poses_at([from_s]))
+    still_fruits = tuple(fruit for fruit in scene.fruits if fruit.name not in moving)
+    fruits = tuple(fruit for fruit in scene.fruits if fruit.name in moving)
+    obstacles: list[AnyObstacle] = [item for item in scene.obstacles if item.name not in moving]
+    items = [*(item for item in scene.obstacles if item.name in moving), *(_ball(fruit) for fruit in fruits)]
+    clock = np.linspace(from_s, to_s, _MOST_POSES)
+    poses = scene.poses_at(clock)
+    for item in items:
+        rotations, shifts = poses[item.name]
+        points = _points(item)
+        places = points @ np.swapaxes(rotations, 1, 2) + shifts[:, None]
+        steps = np.linalg.norm(np.diff(places, axis=0), axis=2).max(axis=1)
+        for number in _apart(steps):
+            name = f"{item.name} at {clock[number]:.3f} s"
+            update = moved(item, rotations[number], shifts[number])
+            obstacles.append(item.copy_unchecked(update | {"name": name}))
+    return scene.copy_unchecked({"obstacles": tuple(obstacles), "fruits": still_fruits, "base_track": None})
+
+
+def _apart(steps: FloatArray) -> Iterator[int]:
+    """Choose poses: the first, the last, and few close ones between them."""
+    gone = math.inf
+    for number, step in enumerate([0.0, *steps.tolist()]):
+        following = float(steps[number]) if number < len(steps) else math.inf
+        gone += step
+        if gone + following > APART_M and (gone > 0.0 or number == 0):
+            gone = 0.0
+            yield number
+
+
+def _ball(fruit: Fruit) -> Sphere:
+    """A fruit as an obstacle."""
+    keys = ("name", "center", "radius", "sigma", "track", "sway", "yields")
+    return Sphere(**{key: getattr(fruit, key) for key in keys})
+
+
+def _points(item: AnyObstacle) -> FloatArray:
+    """(k, 3) core points of an obstacle, to measure its travel."""
+    return np.concatenate([solid.core for solid in item.solids])

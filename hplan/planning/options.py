@@ -7,14 +7,15 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from hplan.base.options import NotNegative, Options, Positive
+from hplan.base.checked import NotNegative, Options, Positive
 from hplan.errors import OptionError
-from hplan.grid.sections import LinkModel
-from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel
 from hplan.scene.limits import FARTHEST_M, LEAST_RISK
 
 Method = Literal["two-level", "dense"]
+
+#: Link models of grids: the capsule, the paper's three cases verbatim, or the exact rectangle.
+LinkModel = Literal["capsule", "paper", "rectangle"]
 
 #: Cost to minimize.
 Objective = Literal["duration", "length"]
@@ -52,7 +53,7 @@ class PlanOptions(Options):
             point, and for no approach to a pose.
         capture_m: Maximum offset of a fruit's center from where the gripper expects it: across the approach, and along
             it [m]. Only the grasps with the best approach for the position error are kept, within half a percent, and
-            reports give the probability to catch each fruit (`hplan.planning.capture`). None for neither.
+            reports give the probability to catch each fruit (`hplan.planning.grasps`). None for neither.
         certify: False to export motions that are not certified; the report says so.
         bound: True to compute a lower bound of the duration of all motions, too (`hplan.planning.lower_bound`). It
             takes seconds if the base does not turn and obstacles block the way. Tours have no bound.
@@ -96,23 +97,14 @@ class PlanOptions(Options):
         if self.deadline_s is not None and self.bound:
             raise OptionError("bound", self.bound, "False where there is a deadline: a bound may take seconds")
 
-    def check_for(self, robot: Robot | None, *, takes_risk: bool = False) -> None:
-        """Refuse options that the robot or the task cannot use.
-
-        Args:
-            robot: The robot; None for several.
-            takes_risk: True if the task may have a risk.
+    def refuse_risk(self) -> None:
+        """Refuse a risk for a task other than a single plan from rest to rest.
 
         Raises:
-            OptionError: A dense search for a robot without a grid, or a risk for more than a single plan.
+            OptionError: The options have a risk.
         """
-        if self.risk is not None and not takes_risk:
+        if self.risk is not None:
             raise OptionError("risk", self.risk, "None: a risk is of a single plan from rest to rest")
-        if robot is None:
-            return
-        if self.method == "dense" and robot.planar is None:
-            expected = f"'two-level' for {robot.name!r}, which is no planar arm: there is no grid to be searched"
-            raise OptionError("method", self.method, expected)
 
     @property
     def standoff_m(self) -> float:

@@ -14,18 +14,24 @@ from typing import Any, Literal, NamedTuple, Protocol, TypeAlias
 
 import numpy as np
 
+from hplan.base import ties
 from hplan.base.arrays import FloatArray, frozen
 from hplan.errors import HplanError, NoPathError
-from hplan.planning.effort import FAR, Effort
+from hplan.optimization.path_classes import PARTS, class_numbers
+from hplan.optimization.shortcut import shorten
+from hplan.optimization.smooth_path import START_SHORTCUTS
+from hplan.planning.effort import FAR, Effort, TreesEffort
 from hplan.planning.failures import FailuresError
 from hplan.planning.problem import Problem
-from hplan.planning.sampling.rrt_connect import Pairs, TreeEffort, tree_path
-from hplan.planning.sampling.several_trees import PromisingPath, TreesEffort, promising_paths
+from hplan.planning.rrt_connect import Pairs, tree_path
 from hplan.planning.stages import stage
 
 #: The origin of a path: none (start and goal are the same), a straight line, trees, a grid search, an earlier motion
 #: (repaired or unchanged), or the caller.
 Origin: TypeAlias = Literal["none", "direct", "trees", "search", "mended", "kept", "given"]
+
+#: Maximum number of paths of one homotopy class; more than one, since smoothing may fail.
+OF_A_CLASS = 3
 
 #: Minimum number of distance queries of a second pair of long trees.
 _SHORT = 8_000
@@ -159,15 +165,15 @@ class Trees:
         The others are skipped if the motion is close to the fastest.
         """
         one = problem.to(number)
-        first = first_tree_path(one, budget.pairs)
+        first = tree_paths(one, replace(budget.effort.trees, pairs=1), pairs=budget.pairs)
         if first:
-            yield _as_paths(first, number)
+            yield (first[0]._replace(goal=number),)
         if budget.durations[number] <= budget.effort.close * one.least_duration:
             return
         found = tree_paths(one, budget.effort.trees, first, 1, budget.pairs)
         if math.isfinite(budget.durations[number]):  # the motion near the first
             found = [path for path in found if path is not first[0]]
-        group = (*self.others(one, number), *_as_paths(found, number))
+        group = (*self.others(one, number), *(path._replace(goal=number) for path in found))
         if group:
             yield group
 
@@ -189,7 +195,7 @@ class LongTrees:
         long = long_trees(problem)
         each = long.each
         for seed in range(long.seed, long.seed + long.pairs):
-            path, evaluations = tree_to_any(problem, TreeEffort(each, seed), budget.pairs)
+            path, evaluations = tree_to_any(problem, each, seed, budget.pairs)
             if path is None:
                 continue
             found.setdefault(path.goal, []).append(path)
@@ -238,7 +244,7 @@ class FirstPaths:
         if self.trees is not None:
             trees = replace(self.trees, seed=trees.seed)
         for seed in range(trees.seed, trees.seed + trees.pairs):
-            path, _ = tree_to_any(problem.to(*left), TreeEffort(trees.each, seed))
+            path, _ = tree_to_any(problem.to(*left), trees.each, seed)
             if path is not None:
                 yield path._replace(goal=left[path.goal])
 
@@ -247,42 +253,72 @@ class FirstPaths:
         return [None] * len(problem.goals)
 
 
-def first_tree_path(problem: Problem, pairs: Pairs | None = None) -> list[PromisingPath]:
-    """The path of one pair of trees, if any.
+def tree_paths(
+    problem: Problem, effort: TreesEffort, known: Sequence[Path] = (), grown: int = 0, pairs: Pairs | None = None
+) -> list[Path]:
+    """Paths of pairs of trees to the problem's first goal, the fastest of every homotopy class.
+
+    They are compared by their durations after shortcuts, but not shortened: shortened paths touch the margin and leave
+    no room for smoothing.
 
     Args:
         problem: The problem with one goal.
+        effort: Number of pairs, budget and seed.
+        known: Paths that are known already.
+        grown: Number of pairs that have grown already and found the known paths.
         pairs: Trees that can grow on, as in `tree_path`.
+
+    Returns:
+        The paths, known ones included, fastest first; at most `OF_A_CLASS` of each homotopy class
+        (`hplan.optimization.path_classes`).
     """
-    return tree_paths(problem, replace(problem.effort.trees, pairs=1), pairs=pairs)
-
-
-def tree_paths(
-    problem: Problem,
-    effort: TreesEffort,
-    known: Sequence[PromisingPath] = (),
-    grown: int = 0,
-    pairs: Pairs | None = None,
-) -> list[PromisingPath]:
-    """The paths of several pairs of trees, the most promising first (`promising_paths`)."""
+    found = list(known)
     with stage("trees"):
-        velocity = problem.robot.velocity_limit
-        return promising_paths(problem, problem.field, velocity, 0.1 * problem.margin, effort, known, grown, pairs)
+        for seed in range(effort.seed + grown, effort.seed + effort.pairs):
+            waypoints, _ = tree_path(problem, 0.1 * problem.margin, effort.each, seed, pairs=pairs)
+            if waypoints is not None:
+                found.append(Path(waypoints, "trees"))
+        if len(found) < 2:
+            return found
+        velocity, shorter = problem.robot.velocity_limit, [shortened(problem, path) for path in found]
+        order = ties.argsort([path_time(points, velocity) for points in shorter]).tolist()
+        if len(found) > OF_A_CLASS:
+            points = np.stack([_evenly(shorter[number], velocity) for number in order])
+            classes = class_numbers(points, problem.field)
+            order = [k for n, k in enumerate(order) if np.count_nonzero(classes[:n] == classes[n]) < OF_A_CLASS]
+        return [found[number] for number in order]
 
 
-def tree_to_any(problem: Problem, effort: TreeEffort, pairs: Pairs | None = None) -> tuple[Path | None, int]:
+def shortened(problem: Problem, path: Path) -> FloatArray:
+    """(k, dof) waypoints of a path of trees after shortcuts."""
+    return shorten(path.waypoints, problem.field, margin=0.1 * problem.margin, rounds=START_SHORTCUTS)
+
+
+def path_time(path: FloatArray, velocity: FloatArray) -> float:
+    """Approximate duration of a motion along waypoints [s].
+
+    Time at the velocity limits, plus 0.02 s for each corner.
+    """
+    return float((np.abs(np.diff(path, axis=0)) / velocity).max(axis=1).sum() + 0.02 * (len(path) - 2))
+
+
+def _evenly(path: FloatArray, velocity: FloatArray) -> FloatArray:
+    """(k, dof) points of a path, at `PARTS` of its duration."""
+    clock = np.concatenate([[0.0], np.cumsum((np.abs(np.diff(path, axis=0)) / velocity).max(axis=1))])
+    return np.stack([np.interp(PARTS * clock[-1], clock, joint) for joint in path.T], axis=1)
+
+
+def tree_to_any(problem: Problem, evaluations: int, seed: int, pairs: Pairs | None = None) -> tuple[Path | None, int]:
     """A path of one pair of trees to any goal, or None.
 
     The second value is the number of distance queries spent.
     """
     margin = 0.1 * min(problem.to(number).margin for number in range(len(problem.goals)))
     with stage("trees"):
-        path, evaluations = tree_path(
-            problem, problem.field, problem.robot.velocity_limit, margin, effort, goals=problem.goals, pairs=pairs
-        )
+        path, used = tree_path(problem, margin, evaluations, seed, goals=problem.goals, pairs=pairs)
     if path is None:
-        return None, evaluations
-    return Path(path, "trees", int((problem.goals == path[-1]).all(axis=1).argmax())), evaluations
+        return None, used
+    return Path(path, "trees", int((problem.goals == path[-1]).all(axis=1).argmax())), used
 
 
 def long_trees(problem: Problem) -> TreesEffort:
@@ -301,11 +337,3 @@ def describe_trees(problem: Problem) -> str:
     for trees in (problem.effort.trees, long_trees(problem)):
         each |= dict.fromkeys(range(trees.seed, trees.seed + trees.pairs), trees.each)
     return f"trees with {sum(each.values())} distance queries"
-
-
-def _as_paths(found: Sequence[PromisingPath], goal: int) -> tuple[Path, ...]:
-    """Paths of trees, not shortened.
-
-    Shortened paths touch the margin and leave no room for smoothing.
-    """
-    return tuple(Path(path.waypoints, "trees", goal) for path in found)

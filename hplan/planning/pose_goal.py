@@ -12,7 +12,6 @@ from hplan.base.deadline import check_deadline
 from hplan.errors import BlockedError, ConfigurationInCollisionError, InputError
 from hplan.kinematics.inverse_kinematics import inverse_kinematics
 from hplan.planning.world import World
-from hplan.robot.model import Robot
 from hplan.scene.model import Goal
 
 
@@ -30,12 +29,11 @@ def configurations_at(world: World, goal: Goal, start: FloatArray, locked: Seque
         (`hplan.kinematics.inverse_kinematics`).
 
     Raises:
-        InputError: The goal has no pose, or an unknown frame; or the arm is planar and has too few joints for most
-            poses.
+        InputError: The goal has no pose, or an unknown frame.
         UnreachableError: No configuration was found, obstacles ignored.
         BlockedError: Obstacles, or parts of the arm, block every configuration found; names them.
     """
-    robot, pose = world.robot, pose_of(world.robot, goal)
+    robot, pose = world.robot, pose_of(goal)
     found = inverse_kinematics(robot, pose, start=start, frame=goal.frame, locked=locked)
     clear: list[FloatArray] = []
     blocked: Counter[tuple[str, str]] = Counter()
@@ -58,18 +56,12 @@ def configurations_at(world: World, goal: Goal, start: FloatArray, locked: Seque
     return frozen(np.array(clear))
 
 
-def pose_of(robot: Robot, goal: Goal) -> FloatArray:
+def pose_of(goal: Goal) -> FloatArray:
     """Return the (4, 4) pose of a goal.
 
     Raises:
-        InputError: The goal has no pose; or the arm is planar and has too few joints for most poses.
+        InputError: The goal has no pose.
     """
     if goal.pose is None:
         raise InputError("expected a goal with position and quaternion_xyzw")
-    if robot.planar is not None:
-        raise InputError(
-            f"goal.quaternion_xyzw: robot {robot.name!r} is a planar arm, whose tool cannot be turned at will; "
-            "give position and, for the angle of the last link, approach_deg",
-            where="goal.quaternion_xyzw",
-        )
     return goal.pose

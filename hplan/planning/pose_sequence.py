@@ -41,7 +41,7 @@ from hplan.kinematics.damped_steps import UPRIGHT, Chain, follow
 from hplan.kinematics.inverse_kinematics import chain_of, checked_pose
 from hplan.kinematics.straight_line import line_to
 from hplan.optimization.smooth_path import SMALLEST_FRACTION
-from hplan.planning.finishing.given_path import given_path, scene_along
+from hplan.planning.finish import given_path, scene_along
 from hplan.planning.motion import Motion, Plan, Transit, best_of, certified_trajectory, improve
 from hplan.planning.options import PlanOptions
 from hplan.planning.path_finder import Origin
@@ -49,7 +49,7 @@ from hplan.planning.plan import check_task, plan_result
 from hplan.planning.pose_goal import configurations_at
 from hplan.planning.problem import Problem, merged
 from hplan.planning.result import PlanResult
-from hplan.planning.sampling.rrt_connect import Held, TreeEffort, tree_path
+from hplan.planning.rrt_connect import Held, tree_path
 from hplan.planning.solver import best_motion
 from hplan.planning.stages import Progress, no_progress, stage, stage_clock
 from hplan.robot.model import Robot
@@ -135,7 +135,7 @@ def plan_poses(
     """Plan a certified motion from the scene's start through tool poses.
 
     Args:
-        robot: A general (non-planar) arm.
+        robot: The arm. With fewer than six joints it reaches few poses, and follows few straight lines.
         scene: Start, obstacles, required clearance, locked joints. Its goal is ignored; a fruit that is its goal is an
             obstacle like the others.
         poses: (n, 4, 4) poses of the tool frame in `base_link` [m].
@@ -166,10 +166,6 @@ def plan_poses(
     """
     check_task(robot, scene, options, progress)
     options = PlanOptions() if options is None else options
-    if robot.planar is not None:
-        raise InputError(
-            f"robot {robot.name!r} is a planar arm, whose tool cannot be turned at will: it takes no poses"
-        )
     if scene.moves:
         raise MovingObstacleError(scene.first_moving)
     matrices = numbers("poses", poses, (None, 4, 4))
@@ -362,7 +358,7 @@ def _upright(tilt: _Tilt, tasks: Sequence[Problem], number: int, given_up: Seque
     """
     if not tasks:
         return
-    field, robot, reached = tasks[0].field, tasks[0].robot, False
+    field, reached = tasks[0].field, False
     for to in tasks:
         rows = _followed(tilt, to, to.start, to.goal)
         if rows is not None and field.is_clear(rows, 0.1 * to.margin):
@@ -376,9 +372,8 @@ def _upright(tilt: _Tilt, tasks: Sequence[Problem], number: int, given_up: Seque
         if not left:
             return
         goals = np.array([to.goal for to in left])
-        effort = TreeEffort(evaluations, first.effort.trees.seed + seed)
         with stage("trees"):
-            path, _ = tree_path(first, field, robot.velocity_limit, least, effort, goals=goals, held=held)
+            path, _ = tree_path(first, least, evaluations, first.effort.trees.seed + seed, goals=goals, held=held)
         if path is not None:
             reached, to = True, left[int((goals == path[-1]).all(axis=1).argmax())]
             yield _Leg(number, to, _shorter(tilt, to, path))

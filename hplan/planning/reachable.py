@@ -20,7 +20,6 @@ from hplan.errors import (
     UnreachableError,
 )
 from hplan.planning.approach import Approach
-from hplan.planning.effort import effort_named
 from hplan.planning.failures import NO_MOTION
 from hplan.planning.grasps import Blocked, Grasp, Target, grasps_or_blocked
 from hplan.planning.motion import Motion
@@ -28,6 +27,7 @@ from hplan.planning.options import PlanOptions
 from hplan.planning.plan import check_task
 from hplan.planning.plans import plans_to_grasps
 from hplan.planning.problem import Problem
+from hplan.planning.specialist import presets_of
 from hplan.planning.stages import Progress, no_progress, stage_clock
 from hplan.robot.model import Robot
 from hplan.scene.model import Fruit, Scene
@@ -134,7 +134,7 @@ def _reach(problem: Problem, fruit: Fruit, *, motions: bool) -> FruitReach:
     if isinstance(found, Blocked):
         return _blocked(fruit.name, found)
     if motions:
-        quick = replace(problem, effort=effort_named(problem.robot, "quick"))
+        quick = replace(problem, effort=presets_of(problem.robot)["quick"])
         try:
             approach, plan = next(plans_to_grasps(quick, target, found))
         except NO_MOTION as error:

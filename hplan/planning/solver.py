@@ -32,8 +32,7 @@ from hplan.planning.path_finder import (
     is_straight_clear,
 )
 from hplan.planning.problem import Problem
-from hplan.planning.sampling.rrt_connect import Pairs
-from hplan.planning.sampling.several_trees import PromisingPath
+from hplan.planning.rrt_connect import Pairs
 from hplan.planning.specialist import specialist_of
 from hplan.trajectory.retime import resting
 
@@ -130,10 +129,10 @@ def reuse_motion(problem: Problem, previous: Transit) -> Transit | None:
     return None
 
 
-def motion_near(problem: Problem, paths: Sequence[PromisingPath]) -> Transit | None:
+def motion_near(problem: Problem, paths: Sequence[Path]) -> Transit | None:
     """The fastest certified motion near some paths of trees, or None."""
     with suppress(CertificationError, TimingError):
-        return quickest(problem, [Path(path.waypoints, "trees") for path in paths], problem.margin) if paths else None
+        return quickest(problem, paths, problem.margin) if paths else None
     return None
 
 

@@ -1,12 +1,11 @@
 """Tool configurations at a point or pose, and straight approaches.
 
-Planar arms use closed-form inverse kinematics, all others a numerical search. The tool approaches along its axis
-(`Robot.tool_axis`), see `hplan.kinematics.straight_line`.
+The configurations at a point come from the robot's goal sampler (`hplan.planning.specialist`), those at a pose from a
+numerical search. The tool approaches along its axis (`Robot.tool_axis`), see `hplan.kinematics.straight_line`.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -17,9 +16,9 @@ from hplan.collision.collision_bodies import collision_bodies
 from hplan.collision.reach import reach as reach_of_bodies
 from hplan.kinematics.approach_angles import Candidates
 from hplan.kinematics.inverse_kinematics import inverse_kinematics
-from hplan.kinematics.planar_inverse_kinematics import reach
 from hplan.kinematics.straight_line import StraightLine, lines_back
-from hplan.kinematics.tool_at_point import approach_angles, tool_at_point
+from hplan.kinematics.tool_at_point import approach_angles
+from hplan.planning.specialist import goal_sampler_of
 from hplan.robot.model import Robot
 
 #: Points of an approach that are checked, as fractions of its length: whole steps of `hplan.kinematics.straight_line`.
@@ -39,32 +38,32 @@ class Approaches(NamedTuple):
 
 
 class Tool:
-    """Configurations and straight approaches of the tool of a general (non-planar) arm.
-
-    Attributes:
-        enough: With this number of approaches, shorter ones are not searched.
-        more: Number of directions (configurations for a planar arm) tried if all of a smaller number collide.
-    """
-
-    enough: float = 8
-    more = 256
-    _is_sorted = True
+    """Configurations and straight approaches of a robot's tool."""
 
     def __init__(self, robot: Robot, locked: Sequence[str] = (), keeps_turn: bool = False) -> None:
         """Set up the tool of a robot.
 
         Args:
             locked: Names of joints that keep their start values.
-            keeps_turn: Whether the tool of a general (non-planar) arm keeps its rotation about its axis on approaches.
+            keeps_turn: Whether the tool keeps its rotation about its axis on approaches.
         """
         self._robot, self._locked, self._keeps_turn = robot, tuple(locked), keeps_turn
+        self._sampler = goal_sampler_of(robot)
+
+    @property
+    def enough(self) -> int | None:
+        """With this number of approaches, shorter ones are not searched; None to search all lengths."""
+        return self._sampler.enough
+
+    @property
+    def more(self) -> int:
+        """Number of directions or samples that are tried if all of a smaller number collide."""
+        return self._sampler.more
 
     def at(
         self, position: ArrayLike, *, approach_deg: float | tuple[float, float] | None, count: int, start: FloatArray
     ) -> Candidates:
         """Return configurations with the tool at a position.
-
-        For a planar arm these are all configurations; continua are sampled with about `count` configurations.
 
         Args:
             position: (3,) in `base_link` [m].
@@ -73,9 +72,9 @@ class Tool:
             start: (dof,) start configuration.
 
         Raises:
-            HplanError: As `hplan.kinematics.planar_inverse_kinematics.reach` and `hplan.kinematics.tool_at_point`.
+            HplanError: As `hplan.kinematics.tool_at_point.tool_at_point`.
         """
-        return tool_at_point(
+        return self._sampler.at_point(
             self._robot, position, approach_deg=approach_deg, count=count, start=start, locked=self._locked
         )
 
@@ -89,11 +88,8 @@ class Tool:
         return Candidates(found, approach_angles(self._robot, found, pose[:3, 3]))
 
     def soonest(self, found: Candidates, count: int) -> Candidates:
-        """Return at most `count` configurations, the quickest to reach.
-
-        All configurations are returned for a planar arm: they are fewer, and not sorted by time.
-        """
-        if not self._is_sorted or len(found.approach) <= count:
+        """Return at most `count` configurations, the quickest to reach; all of a sampler that does not sort them."""
+        if not self._sampler.is_sorted or len(found.approach) <= count:
             return found
         return Candidates(frozen(found.configurations[:count]), frozen(found.approach[:count]))
 
@@ -115,8 +111,7 @@ class Tool:
     def thickness(self, deviation: float) -> float:
         """Extent of the tool beyond its frame, tracking error included [m].
 
-        It is measured along the tool axis. For a planar arm it is the half-width of the last link plus the tracking
-        displacement bound.
+        It is measured along the tool axis.
 
         Args:
             deviation: Tracking error of every joint [rad].
@@ -126,27 +121,6 @@ class Tool:
         ahead = [0.0]
         for body, row in zip(collision_bodies(robot), reach_of_bodies(robot), strict=True):
             if body.joint == robot.tool_joint - 1:
-                along = (body.core - frame.translation) @ frame.rotation[:, 2]
+                along = (body.core - frame.translation) @ (frame.rotation @ robot.tool_axis)
                 ahead.append(float(along.max()) + body.rounding + deviation * float(row.sum()))
         return max(ahead)
-
-
-class _PlanarTool(Tool):
-    """The tool of a planar arm."""
-
-    enough = math.inf
-    more = 512
-    _is_sorted = False
-
-    def at(
-        self, position: ArrayLike, *, approach_deg: float | tuple[float, float] | None, count: int, start: FloatArray
-    ) -> Candidates:
-        return reach(self._robot, position, approach_deg=approach_deg, count=count, start=start, locked=self._locked)
-
-    def thickness(self, deviation: float) -> float:
-        return float(self._robot.arm.half_widths[-1] + self._robot.sway(deviation)[-1])
-
-
-def tool_of(robot: Robot, locked: Sequence[str] = (), keeps_turn: bool = False) -> Tool:
-    """Return the tool of a robot, planar or general."""
-    return (Tool if robot.planar is None else _PlanarTool)(robot, locked, keeps_turn)

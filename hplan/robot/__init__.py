@@ -1,4 +1,4 @@
 """Robots: URDF, limits, kinematics, dynamics, collision bodies, self-contact and tracking error.
 
-Files are read strictly. Joint grids belong to `hplan.grid`; `family` generates members of the harvester family.
+Files are read strictly. `family` generates members of the harvester family.
 """

@@ -8,30 +8,25 @@ from __future__ import annotations
 
 import itertools
 import xml.etree.ElementTree as ET
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Final, Literal
+from typing import Final
 
+import coal
 import numpy as np
 import pinocchio as pin
 
 from hplan.base.arguments import file_path
-from hplan.base.arrays import FloatArray
-from hplan.base.data_files import LIMITS_SUFFIX, robot_names, shipped_limits, shipped_robots, urdf_dir
+from hplan.base.data_files import shipped_limits, shipped_robots, urdf_dir
 from hplan.base.files import is_file
-from hplan.base.options import Positive
-from hplan.errors import InputError, RobotFileError, SceneError
+from hplan.errors import InputError, RobotFileError
+from hplan.robot.faults import Faults
 from hplan.robot.urdf_check import check_models
-from hplan.robot.urdf_file import Urdf, read_urdf
+from hplan.robot.urdf_file import Urdf, check_moving_joints, read_urdf
 from hplan.robot.urdf_xml import URDF_TEXT, is_urdf_text, line_of, read_urdf_xml
-from hplan.scene.fault import StrictModel
-from hplan.scene.file import read_model
-
-#: Value of the key `format` in a limits file.
-LIMITS_FORMAT = "hplan-limits/1"
 
 
 @dataclass(frozen=True)
@@ -211,7 +206,10 @@ def read_models(urdf_path: Path) -> tuple[pin.Model, pin.GeometryModel, pin.Geom
         RobotFileError: The file is missing, unreadable or malformed XML, `hplan.robot.urdf_file` or Pinocchio refuses
             its content, or Pinocchio reads it differently.
     """
-    return build_models(urdf_path, read_urdf(urdf_path, read_urdf_xml(urdf_path)))
+    root, faults = read_urdf_xml(urdf_path), Faults(urdf_path)
+    urdf = read_urdf(urdf_path, root, faults=faults)
+    faults.check()
+    return build_models(urdf_path, urdf, ET.tostring(root, encoding="unicode") if faults.mended else None)
 
 
 def build_models(
@@ -227,7 +225,9 @@ def build_models(
     Raises:
         RobotFileError: Pinocchio refuses the content, or reads it differently.
     """
-    _check_moving_joints(urdf_path, urdf)
+    faults = Faults(urdf_path)
+    check_moving_joints(faults, urdf)
+    faults.check()
     models: tuple[pin.Model, pin.GeometryModel, pin.GeometryModel]
     folders = [str(urdf_path.parent)]
     try:
@@ -244,138 +244,23 @@ def build_models(
         reason = f"Pinocchio refuses it: {cause} (its reader's own words, if any, are on the terminal)"
         raise RobotFileError(urdf_path, reason) from error
     check_models(urdf_path, urdf, models[0], models[1])
+    for model in models[1:]:
+        _check_meshes(faults, model)
+    faults.check()
     return models
 
 
-def _check_moving_joints(path: Path, urdf: Urdf) -> None:
-    """Check that no joint mimics another and that all limits are positive.
-
-    Raises:
-        RobotFileError: A joint mimics another, or a moving joint has a limit that is not positive.
-    """
-    for joint in urdf.joints.values():
-        where = f"{line_of(joint.element)}joint {joint.name!r}"
-        if joint.kind != "fixed" and joint.element.find("mimic") is not None:
-            raise RobotFileError(path, f"{where} mimics another; every joint must move by itself")
-        for key in ("velocity", "effort", "acceleration", "jerk") if joint.kind in ("revolute", "prismatic") else ():
-            if key in joint.limits and not joint.limits[key] > 0.0:
-                reason = (
-                    f"{where}: {key} of <limit> is '{joint.limits[key]:g}', expected a finite number that is positive"
-                )
-                raise RobotFileError(path, reason)
-
-
-class _LimitsFile(StrictModel):
-    """Limits YAML: limits that URDF cannot express, by joint name."""
-
-    format: Literal["hplan-limits/1"]
-    acceleration_rad_s2: dict[str, Positive] | None = None
-    acceleration_m_s2: dict[str, Positive] | None = None
-    jerk_rad_s3: dict[str, Positive] | None = None
-    jerk_m_s3: dict[str, Positive] | None = None
-
-
-def find_limits(
-    urdf_path: Path, urdf: Urdf, joint_names: tuple[str, ...], given: Path | None, held: Iterable[str]
-) -> tuple[FloatArray, FloatArray | None]:
-    """Find acceleration and jerk limits in a limits file or URDF 1.2.
-
-    Args:
-        urdf_path: The URDF; the default limits file is `NAME.limits.yaml` in its folder, also for `NAME.urdf.xacro`.
-        urdf: Its content.
-        joint_names: Names of the joints, in the order of the result.
-        given: The limits file; None for the default one.
-        held: Names of further joints that the file may contain.
-
-    Returns:
-        (dof,) acceleration [rad/s^2, m/s^2] and jerk limits [rad/s^3, m/s^3]; None for no jerk limits.
-
-    Raises:
-        RobotFileError: The limits file is invalid (`read_limits`); or there is no file and the URDF lacks the
-            acceleration of a joint, or the jerk of some joints only.
-    """
-    name = urdf_path.name.removesuffix(".xacro").removesuffix(".urdf") if urdf_path.suffix == ".xacro" else None
-    default = urdf_path.with_suffix(LIMITS_SUFFIX) if name is None else urdf_path.with_name(name + LIMITS_SUFFIX)
-    limits = [urdf.joints[name].limits for name in joint_names]
-    is_text = urdf_path == URDF_TEXT
-    if given is not None or not any("acceleration" in limit for limit in limits) or (is_file(default) and not is_text):
-        if given is None and is_text:
-            raise RobotFileError(urdf_path, f"it has no acceleration limits: {_LIMITS_ADVICE}")
-        slides = [urdf.joints[name].kind == "prismatic" for name in joint_names]
-        return read_limits(default if given is None else given, joint_names, slides, held)
-
-    def listed(key: str) -> FloatArray:
-        for name, limit in zip(joint_names, limits, strict=True):
-            if key not in limit:
-                reason = f"joint {name!r}: <limit> has no {key}, as others have: {_LIMITS_ADVICE}"
-                raise RobotFileError(urdf_path, line_of(urdf.joints[name].element) + reason)
-        return np.array([limit[key] for limit in limits])
-
-    return listed("acceleration"), listed("jerk") if any("jerk" in limit for limit in limits) else None
-
-
-#: Advice on how to specify limits.
-_LIMITS_ADVICE = (
-    "write acceleration (and jerk) into every <limit> (URDF 1.2), or give a limits file (limits, --limits), or the "
-    f"name of a robot whose limits ship: {', '.join(robot_names())}"
-)
-
-
-def limits_file(given: Path) -> Path:
-    """Path of a limits file, given by path or robot name.
-
-    A name must be of a robot whose limits ship with hplan.
-    """
-    return shipped_limits(str(given)) if not is_file(given) and str(given) in robot_names() else given
-
-
-def read_limits(
-    path: Path, joint_names: Sequence[str], slides: Sequence[bool], others: Iterable[str] = ()
-) -> tuple[FloatArray, FloatArray | None]:
-    """Read acceleration and jerk limits from a limits file.
-
-    Args:
-        path: The limits file.
-        joint_names: Names of the joints, in the order of the result.
-        slides: Whether each joint is prismatic: its limits are in metres, and may be in `acceleration_m_s2` and
-            `jerk_m_s3`.
-        others: Names of further joints that either table may contain.
-
-    Returns:
-        (dof,) acceleration [rad/s^2, m/s^2] and jerk limits [rad/s^3, m/s^3]; None for no jerk limits.
-
-    Raises:
-        RobotFileError: The file is missing or malformed; a joint is missing, unknown or in both units, or is revolute
-            but in metres; or a limit is not positive.
-    """
-    try:
-        limits = read_model(_LimitsFile, path)
-    except SceneError as error:
-        places = (f"line {error.line}" if error.line else None), error.where
-        hint = f"; expected format: {LIMITS_FORMAT}" if error.where == "format" else ""
-        if not is_file(path):
-            hint = f"; it gives the acceleration limits, where the URDF does not: {_LIMITS_ADVICE}"
-        raise RobotFileError(path, ": ".join([*filter(None, places), error.reason + hint])) from error
-
-    known, kinds = frozenset(others), dict(zip(joint_names, slides, strict=True))
-
-    def ordered(*keys: str) -> FloatArray | None:
-        turning, sliding = (getattr(limits, key) for key in keys)
-        if turning is None and sliding is None:
-            return None
-        found = (turning or {}) | (sliding or {})
-        for name in sliding or {}:
-            if not kinds.get(name, True):
-                raise RobotFileError(path, f"{keys[1]}: joint {name!r} turns; it belongs in {keys[0]}")
-            if name in (turning or {}):
-                raise RobotFileError(path, f"{keys[1]}: joint {name!r} is in {keys[0]} too")
-        missing = [name for name in joint_names if name not in found]
-        unknown = [name for name in found if name not in kinds and name not in known]
-        if missing or unknown:
-            raise RobotFileError(path, f"{keys[0]}: joints missing {missing}, unknown {unknown}")
-        return np.array([found[name] for name in joint_names])
-
-    acceleration = ordered("acceleration_rad_s2", "acceleration_m_s2")
-    if acceleration is None:
-        raise RobotFileError(path, "acceleration_rad_s2 is missing, of joints that slide acceleration_m_s2")
-    return acceleration, ordered("jerk_rad_s3", "jerk_m_s3")
+def _check_meshes(faults: Faults, shapes: pin.GeometryModel) -> None:
+    """Find meshes with vertices that are not finite, or farther away than any arm is long."""
+    # No arm is as long, not even in millimetres read as metres [m].
+    farthest = 1000.0
+    for shape in shapes.geometryObjects:
+        if not isinstance(shape.geometry, coal.BVHModelBase):
+            continue
+        away = np.abs(np.asarray(shape.geometry.vertices())).max(axis=1)
+        where = f"link {shape.name.rpartition('_')[0]!r}: mesh {shape.meshPath}"
+        if not np.isfinite(away).all():
+            faults.add(f"{where} has {int(np.sum(~np.isfinite(away)))} vertices that are not finite numbers")
+        elif away.max() > farthest:
+            advice = 'scale="0.001 0.001 0.001" in <mesh> reads millimetres'
+            faults.add(f"{where} reaches to {away.max():.4g} m, expected at most {farthest:g} m; {advice}")

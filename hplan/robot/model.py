@@ -22,6 +22,7 @@ from numpy.typing import ArrayLike
 
 from hplan.base.arguments import each, file_path, instance, list_of, number, truth
 from hplan.base.arrays import BoolArray, FloatArray, Record, as_array, numbers, readonly
+from hplan.base.files import is_file
 from hplan.base.units import FARTHEST_JOINT, JointUnit, joint_unit
 from hplan.errors import (
     InputError,
@@ -29,24 +30,19 @@ from hplan.errors import (
     MissingVisualWarning,
     RobotFamilyError,
     RobotFileError,
+    RobotFileWarning,
     UncoveredLinkWarning,
 )
 from hplan.robot.drawn_links import ShapeFault, describe_shape_faults, find_shape_faults
 from hplan.robot.dynamics import InverseDynamics, joints_that_slide
 from hplan.robot.family_reader import check_joints, read_family
-from hplan.robot.files import (
-    build_models,
-    filtered_links,
-    find_limits,
-    limits_file,
-    neighbouring_links,
-    read_srdf,
-    robot_files,
-)
+from hplan.robot.files import build_models, filtered_links, neighbouring_links, read_srdf, robot_files
+from hplan.robot.limits_file import default_limits, find_limits, limits_file
+from hplan.robot.mesh_files import MeshFinder
 from hplan.robot.planar_family import PlanarArm, PlanarFamily, PlanarNames
-from hplan.robot.urdf_adaptation import AdaptedUrdf, RobotChoice, adapt_urdf, drop_missing_visuals, links_without_mesh
+from hplan.robot.urdf_adaptation import AdaptedUrdf, RobotChoice, adapt_urdf
 from hplan.robot.urdf_check import frame_number
-from hplan.robot.urdf_xml import is_urdf_text, read_urdf_xml
+from hplan.robot.urdf_xml import URDF_TEXT, is_urdf_text, read_urdf_xml
 
 if TYPE_CHECKING:
     from hplan.scene.model import JointValues, Start
@@ -392,6 +388,7 @@ def load_robot(
     srdf: Path | str | None = None,
     allow_neighbours: bool = False,
     collision_from_visual: bool | Sequence[str] = False,
+    xacro_args: Mapping[str, str] | None = None,
 ) -> Robot:
     """Load a robot from URDF or xacro; joints that do not move become fixed.
 
@@ -402,12 +399,14 @@ def load_robot(
             `ur10`.
         limits: Limits YAML, or the name of a robot whose limits ship with hplan, for example `ur5`; None for
             `NAME.limits.yaml` in the URDF's folder or, without that file, for acceleration and jerk in the URDF (1.2).
+            Velocities and efforts in it take the place of the URDF's. MoveIt's `joint_limits.yaml` is read as well.
         tool_frame: Frame at the end of the arm; None for the default of a robot loaded by name, else for `tool0`.
         joints: Names of the moving joints in the robot's order, from the base on; None for all revolute, continuous and
             prismatic joints up to the tool frame that are not held.
         hold: Values of held joints [rad, m]. Other joints that do not move are held at 0, at the limit nearest to 0, or
             at the value given by the joint that they mimic.
-        package_dirs: Folders searched for `package://` meshes before those around the URDF.
+        package_dirs: Folders searched for packages and meshes before those around the URDF.
+        xacro_args: Values of the arguments of a xacro file, by name: `{"ur_type": "ur5e"}`.
         srdf: SRDF with the pairs of links that may touch. Pairs that it disables because they never touch are checked
             nevertheless, and so are all pairs of a planar-family arm, whose geometry determines which can touch.
         allow_neighbours: True if links with one joint between them may touch, as in most SRDFs; False allows only those
@@ -416,18 +415,20 @@ def load_robot(
             visuals; or names of the links whose collision shapes are replaced in this way.
 
     Warns:
+        RobotFileWarning: The file has faults that no motion depends on, or a tilted base.
         UncoveredLinkWarning: A link has a visual, but no collision shape or one of another size.
         MissingVisualWarning: The mesh file of a visual is missing; the link is not drawn.
 
     Raises:
         RobotFileError: The URDF, the limits file or the SRDF is missing, malformed or incomplete; a collision mesh is
             missing; a link of `collision_from_visual` does not exist or has no visual; the URDF is well-formed but has
-            no moving joint, no tool frame, or a joint of the wrong kind. The message names the element and the reason.
+            no moving joint, no tool frame, or a joint of the wrong kind. The message names every fault that was found,
+            with its line, element and remedy.
         InputError: A joint to move or to hold does not exist or cannot be moved or held; xacro without `xacrodoc`; a
             robot by name without example-robot-data.
         JointLimitError: A joint is held outside its limits.
     """
-    robot, missing = _read_robot(
+    robot, adapted = _read_robot(
         path,
         limits=limits,
         tool_frame=tool_frame,
@@ -437,9 +438,13 @@ def load_robot(
         srdf=srdf,
         allow_neighbours=allow_neighbours,
         collision_from_visual=collision_from_visual,
+        xacro_args=xacro_args,
     )
-    if missing:
-        listed = ", ".join(f"{file} of link {link!r}" for link, file in missing)
+    if adapted.mended:
+        message = f"robot file {robot.urdf_path}: " + "\n  ".join(adapted.mended)
+        warnings.warn(message, RobotFileWarning, stacklevel=2)
+    if adapted.missing_visuals:
+        listed = ", ".join(f"{file} of link {link!r}" for link, file in adapted.missing_visuals)
         message = f"robot {robot.name!r}: visual meshes are missing, and their links are not drawn: {listed}"
         warnings.warn(message, MissingVisualWarning, stacklevel=2)
     if robot.shape_faults:
@@ -468,18 +473,25 @@ def _read_robot(
     srdf: Path | str | None = None,
     allow_neighbours: bool = False,
     collision_from_visual: bool | Sequence[str] = False,
-) -> tuple[Robot, tuple[tuple[str, str], ...]]:
-    """Return the robot of `load_robot`, and link and file of each missing visual mesh."""
+    xacro_args: Mapping[str, str] | None = None,
+) -> tuple[Robot, AdaptedUrdf]:
+    """Return the robot of `load_robot`, and the URDF that it was built from."""
     files = robot_files(path)
+    given = files.limits if limits is None else limits_file(file_path("limits", limits))
     frame = instance("tool_frame", files.tool_frame if tool_frame is None else tool_frame, str)
     choice = RobotChoice(
         frame,
         None if joints is None else list_of("joints", joints, str, "names"),
-        {name: number(f"hold[{name!r}]", value, "a position") for name, value in _mapping(hold).items()},
+        {
+            name: number(f"hold[{name!r}]", value, "a position")
+            for name, value in _mapping("hold", hold, "{joint: value}").items()
+        },
         (*each("package_dirs", package_dirs, "a list of folders", file_path), *files.package_dirs),
         ()
         if isinstance(collision_from_visual, bool)
         else list_of("collision_from_visual", collision_from_visual, str, "names of links"),
+        limits=given if given is not None or files.urdf == URDF_TEXT else _existing(default_limits(files.urdf)),
+        xacro_args={name: str(value) for name, value in _mapping("xacro_args", xacro_args, "{name: value}").items()},
     )
     text = path if isinstance(path, str) and is_urdf_text(path) else None
     urdf_path = files.urdf
@@ -499,7 +511,6 @@ def _read_robot(
     if choice.joints is not None and choice.joints != joint_names:
         expected = f"joints: {', '.join(choice.joints)}; expected in the robot's order: {', '.join(joint_names)}"
         raise InputError(expected, joints=list(choice.joints), expected=list(joint_names))
-    given = files.limits if limits is None else limits_file(file_path("limits", limits))
     allowed = files.srdf if srdf is None else file_path("srdf", srdf)
     may_touch = () if allowed is None else read_srdf(allowed, adapted.urdf.links)
     may_touch += filtered_links(urdf_path, root, adapted.urdf.links)
@@ -534,7 +545,7 @@ def _read_robot(
         may_touch=may_touch,
         shape_faults=faults,
     )
-    return robot, adapted.missing_visuals
+    return robot, adapted
 
 
 def _built(
@@ -550,15 +561,22 @@ def _built(
     Returns:
         The final choice of reading options, the elements, the adapted URDF and the models.
     """
-    root = read_urdf_xml(urdf_path, text, choice.package_dirs)
-    adapted = adapt_urdf(urdf_path, root, choice)
+    root = read_urdf_xml(urdf_path, text, choice.package_dirs, choice.xacro_args)
+    meshes = MeshFinder(urdf_path, choice.package_dirs)
+    try:
+        adapted = adapt_urdf(urdf_path, root, choice)
+    except RobotFileError:
+        missing = meshes.links_without_mesh(root, tries=False) if mend and not choice.from_visual else ()
+        if not missing:
+            raise
+        return _built(urdf_path, text, replace(choice, from_visual=missing))
     try:
         return choice, root, adapted, build_models(urdf_path, adapted.urdf, adapted.text)
     except RobotFileError as error:
         unread = replace(choice, tries_visuals=True)
-        if drop_missing_visuals(urdf_path, root, unread):
+        if meshes.drop_missing_visuals(root, tries=True):
             return _built(urdf_path, text, unread, mend=mend)
-        broken = links_without_mesh(urdf_path, root)
+        broken = meshes.links_without_mesh(root, tries=True)
         if not broken:
             raise
         if not mend:
@@ -567,5 +585,9 @@ def _built(
     return _built(urdf_path, text, replace(choice, from_visual=broken))
 
 
-def _mapping(hold: Mapping[str, float] | None) -> dict[str, float]:
-    return {} if hold is None else dict(instance("hold", hold, Mapping, "{joint: value}"))  # type: ignore[type-abstract]
+def _mapping(name: str, given: Mapping[str, _T] | None, expected: str) -> dict[str, _T]:
+    return {} if given is None else dict(instance(name, given, Mapping, expected))  # type: ignore[type-abstract]
+
+
+def _existing(file: Path) -> Path | None:
+    return file if is_file(file) else None

@@ -1,8 +1,8 @@
 """Adapts third-party URDFs to the requirements of Pinocchio and hplan.
 
 A real robot's URDF has more joints than the arm: fingers, mimic joints, a lift, a camera pan. Each of these becomes a
-fixed joint at its held value, so that the mass and the shapes of its links keep their place. `base_link` becomes the
-root, continuous joints get limits of one turn to either side, and mesh files are located.
+fixed joint at its held value, so that the mass and the shapes of its links keep their place. An upright `base_link`
+becomes the root, continuous joints get limits of one turn to either side, and mesh files are located.
 
 The pass modifies the XML elements in place after a strict read; the result is read strictly again.
 """
@@ -10,24 +10,25 @@ The pass modifies the XML elements in place after a strict read; the result is r
 from __future__ import annotations
 
 import math
-import os
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-import coal
 import numpy as np
 import pinocchio as pin
 
 from hplan.base.arrays import Record
-from hplan.base.files import is_file, note_input
+from hplan.base.files import is_file
 from hplan.base.units import joint_unit
 from hplan.errors import InputError, JointLimitError, RobotFileError
 from hplan.robot.drawn_links import shape_links_from_visuals
 from hplan.robot.family_reader import hold_advice
-from hplan.robot.urdf_file import Joint, Urdf, check_inertias, read_urdf
+from hplan.robot.faults import Faults
+from hplan.robot.limits_file import LIMITS_ADVICE, default_limits, limits_in_place
+from hplan.robot.mesh_files import MeshFinder
+from hplan.robot.urdf_file import LIMIT_ADVICE, Joint, Urdf, check_inertias, check_moving_joints, read_urdf
 from hplan.robot.urdf_xml import URDF_TEXT, line_of
 from hplan.scene.limits import FARTHEST_M
 
@@ -39,8 +40,6 @@ CONTINUOUS_RANGE: Final = 2.0 * math.pi
 
 #: A revolute limit beyond this counts as no limit: exporters write 1e16 for continuous joints [rad].
 _ENDLESS: Final = 1e3
-
-_PACKAGE: Final = "package://"
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +54,9 @@ class RobotChoice(Record):
         package_dirs: Folders searched first for `package://` meshes.
         from_visual: Names of links whose collision shapes are built from their visuals.
         tries_visuals: Whether visual meshes are read, and dropped if they cannot be.
+        limits: Limits file whose velocities and efforts take the place of the URDF's; None for none.
+        xacro_args: Values of the arguments of a xacro file, by name.
+        repairs: Whether faults that have an obvious remedy are mended.
     """
 
     tool_frame: str = "tool0"
@@ -63,6 +65,9 @@ class RobotChoice(Record):
     package_dirs: tuple[Path, ...] = ()
     from_visual: tuple[str, ...] = ()
     tries_visuals: bool = False
+    limits: Path | None = None
+    xacro_args: Mapping[str, str] | None = None
+    repairs: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,6 +80,7 @@ class AdaptedUrdf(Record):
         held: Values of the joints that were made fixed, by name [rad, m]; None for joints of several coordinates.
         missing_visuals: Name of the link and of the mesh file for each visual that was dropped, as its file is missing
             or unreadable.
+        mended: Faults of the file that no motion depends on, and what was done about each.
     """
 
     urdf: Urdf
@@ -82,45 +88,86 @@ class AdaptedUrdf(Record):
     continuous: frozenset[str]
     held: Mapping[str, float | None]
     missing_visuals: tuple[tuple[str, str], ...] = ()
+    mended: tuple[str, ...] = ()
 
 
-def adapt_urdf(path: Path, root: ET.Element, choice: RobotChoice) -> AdaptedUrdf:
+def adapt_urdf(path: Path, root: ET.Element, choice: RobotChoice, faults: Faults | None = None) -> AdaptedUrdf:
     """Adapt a URDF: fix the joints that do not move.
 
     Args:
         path: The file, for messages and for finding files relative to it.
         root: Its root element; modified in place.
+        faults: Collector of the faults; None for one of its own. They are raised either way.
 
     Raises:
-        RobotFileError: `read_urdf` or `check_inertias` rejects the URDF; a collision mesh is not found; a joint mimics
-            a joint that does not exist, or itself; a moving joint mimics or is mimicked, or is continuous without
-            velocity or effort limit; the base is tilted or not fixed relative to its parent; a link whose shape is
-            built from its visual has no visual.
+        RobotFileError: `read_urdf` or `check_inertias` finds faults in the URDF; a collision mesh is not found; a joint
+            mimics a joint that does not exist, or itself; a moving joint mimics or is mimicked, has a limit that is not
+            positive, or is continuous without velocity or effort limit; the base is not fixed relative to its parent;
+            a link whose shape is built from its visual has no visual. Names all faults that were found.
         InputError: A joint to move or to hold does not exist or cannot be moved or held.
         JointLimitError: A joint is held outside its limits.
     """
-    urdf = read_urdf(path, root)
-    missing = drop_missing_visuals(path, root, choice)
-    changed = _find_meshes(path, root, choice) or bool(missing)
+    collected = Faults(path, repairs=choice.repairs) if faults is None else faults
+    meshes = MeshFinder(path, choice.package_dirs)
+    changed = _write_limits(root, choice.limits)
+    urdf = read_urdf(path, root, faults=collected)
+    missing = meshes.drop_missing_visuals(root, tries=choice.tries_visuals)
     if choice.from_visual:
-        shape_links_from_visuals(path, root, choice.from_visual)
+        with collected.collecting():
+            shape_links_from_visuals(path, root, choice.from_visual)
         changed = True
-    chain = _Adaptation(path, str(root.get("name")), urdf, choice)
-    changed |= chain.apply()
-    as_is = not changed and path != URDF_TEXT and path.suffix != ".xacro"
-    adapted = urdf if as_is else read_urdf(path, root)
-    check_inertias(path, adapted)
+    changed |= meshes.locate(root, collected) or bool(missing)
+    chain = _Adaptation(collected, str(root.get("name")), urdf, choice)
+    if len(urdf.joints) == len(root.findall("joint")):
+        with collected.collecting():
+            changed |= chain.apply()
+    is_utf8 = getattr(root, "encoding", "utf-8") in ("utf-8", "ascii", "us-ascii")
+    as_is = not changed and not collected.mended and is_utf8 and path != URDF_TEXT and path.suffix != ".xacro"
+    adapted = urdf if as_is or collected.found else read_urdf(path, root, faults=collected)
+    check_inertias(collected, adapted)
+    check_moving_joints(collected, adapted)
+    if collected.found:
+        _check_accelerations(collected, adapted, choice)
+    collected.check()
     if as_is:
-        return AdaptedUrdf(urdf, None, frozenset(), {})
+        return AdaptedUrdf(urdf, None, frozenset(), {}, mended=tuple(collected.mended))
     text = ET.tostring(root, encoding="unicode")
-    return AdaptedUrdf(adapted, text, frozenset(chain.continuous), chain.held, missing)
+    return AdaptedUrdf(adapted, text, frozenset(chain.continuous), chain.held, missing, tuple(collected.mended))
+
+
+def _write_limits(root: ET.Element, file: Path | None) -> bool:
+    """Write the velocities, efforts and positions of a limits file into the joints; True if it has any.
+
+    Raises:
+        RobotFileError: The limits file is missing or malformed, or names a joint that the URDF lacks.
+    """
+    if file is None:
+        return False
+    joints = {str(joint.get("name")): joint for joint in root.findall("joint") if joint.get("type") != "fixed"}
+    found = limits_in_place(file, joints)
+    for name, limits in found.items():
+        element = joints[name].find("limit")
+        if element is None:
+            element = ET.SubElement(joints[name], "limit")
+        for quantity, value in limits.items():
+            element.set(quantity, repr(value))
+    return bool(found)
+
+
+def _check_accelerations(faults: Faults, urdf: Urdf, choice: RobotChoice) -> None:
+    """Add to the faults of a file that nothing gives the accelerations of its joints."""
+    moving = [joint for joint in urdf.joints.values() if joint.element.get("type") != "fixed"]
+    is_given = choice.limits is not None or (faults.path != URDF_TEXT and is_file(default_limits(faults.path)))
+    if moving and not is_given and not any("acceleration" in joint.limits for joint in moving):
+        faults.add(f"it has no acceleration limits: {LIMITS_ADVICE}")
 
 
 class _Adaptation:
     """The pass over one robot's joints."""
 
-    def __init__(self, path: Path, robot: str, urdf: Urdf, choice: RobotChoice) -> None:
-        self._path = path
+    def __init__(self, faults: Faults, robot: str, urdf: Urdf, choice: RobotChoice) -> None:
+        self._faults = faults
+        self._path = faults.path
         self._robot = robot
         self._urdf = urdf
         self._choice = choice
@@ -135,7 +182,7 @@ class _Adaptation:
         if not self._is_tree() or all(joint.kind == "fixed" for joint in self._urdf.joints.values()):
             return False  # Pinocchio and the readers of its model report the fault
         tip = self._tip()
-        mount = self._up_from(_BASE_LINK) if _BASE_LINK in self._urdf.links else []
+        mount = self._mount()
         changed = self._make_root(mount)
         above = {joint.name for joint in mount}
         chain = [joint for joint in self._up_from(tip)[::-1] if joint.name not in above]
@@ -165,15 +212,16 @@ class _Adaptation:
                 raise InputError(f"joint {name!r} cannot both move and be held", joint=name)
 
     def _tip(self) -> str:
-        """Link that is the tool frame or carries it."""
+        """Link that is the tool frame or carries it; a guess if the frame is missing, which is a fault."""
         frame = self._choice.tool_frame
         if frame in self._urdf.links:
             return frame
-        if frame not in self._urdf.joints:
-            reason = f"it marks the end of the arm and is missing; the links are {', '.join(self._urdf.links)}; "
-            advice = "tool_frame=NAME (--tool-frame NAME) takes another frame"
-            raise RobotFileError(self._path, f"frame {frame!r}: {reason}{advice}")
-        return self._urdf.joints[frame].child
+        if frame in self._urdf.joints:
+            return self._urdf.joints[frame].child
+        reason = f"it marks the end of the arm and is missing; the links are {', '.join(self._urdf.links)}; "
+        advice = "tool_frame=NAME (--tool-frame NAME) takes another frame"
+        self._faults.add(f"frame {frame!r}: {reason}{advice}")
+        return tool_frames(self._urdf)[0]
 
     def _is_tree(self) -> bool:
         """True if the links form a tree.
@@ -196,11 +244,12 @@ class _Adaptation:
             link = found[-1].parent
         return found
 
-    def _make_root(self, mount: list[Joint]) -> bool:
-        """Invert the fixed joints above `base_link`, so that it becomes the root.
+    def _mount(self) -> list[Joint]:
+        """Fixed joints above `base_link`, from it up.
 
-        The links above become its descendants; no link with shapes is lost, and gravity and the vertical are unchanged.
+        None if they tilt it: then scenes are in the root link's frame.
         """
+        mount = self._up_from(_BASE_LINK) if _BASE_LINK in self._urdf.links else []
         for joint in mount:
             if joint.kind != "fixed" and joint.name not in self._hold:
                 reason = (
@@ -216,10 +265,19 @@ class _Adaptation:
         if math.hypot(tilt[0, 2], tilt[1, 2]) > 1e-9 or tilt[2, 2] < 0.0:
             angle = math.degrees(math.atan2(math.hypot(tilt[0, 2], tilt[1, 2]), tilt[2, 2]))
             reason = (
-                f"it tilts {_BASE_LINK!r} by {angle:.4g} deg, and gravity would pull along another axis than -z; mount "
-                f'{_BASE_LINK!r} upright (rpy="0 0 YAW"), or give the upright link that name'
+                f"joint {mount[0].name!r} tilts {_BASE_LINK!r} by {angle:.4g} deg; gravity pulls along -z of "
+                f"{mount[-1].parent!r}, and scenes are in that frame"
             )
-            raise self._fault(mount[0], ": " + reason)
+            self._faults.mend(line_of(mount[0].element) + reason)
+            return []
+        return mount
+
+    def _make_root(self, mount: list[Joint]) -> bool:
+        """Invert the fixed joints above `base_link`, so that it becomes the root.
+
+        The links above become its descendants; no link with shapes is lost, and gravity and the vertical are unchanged.
+        """
+        values = self._values() if mount else {}
         for joint in mount:
             if joint.kind != "fixed":
                 self._fix(joint, values[joint.name])
@@ -243,12 +301,13 @@ class _Adaptation:
         }
         for joint in self._urdf.joints.values():
             if joint.name in moving:
-                self._check_moving(joint)
+                with self._faults.collecting():
+                    self._check_moving(joint)
         for follower in self._urdf.joints.values():
             leader = self._leader(follower.name)
             if leader in moving and leader != follower.name:
                 reason = f"joint {follower.name!r} mimics it and would have to move along; {hold_advice(leader)}"
-                raise self._fault(self._urdf.joints[leader], ": " + reason)
+                self._faults.add(*self._fault(self._urdf.joints[leader], ": " + reason).faults)
         return moving
 
     def _leader(self, name: str) -> str:
@@ -264,7 +323,8 @@ class _Adaptation:
         missing = [key for key in ("velocity", "effort") if key not in joint.limits]
         if joint.kind == "continuous" and missing:
             reason = f"it is continuous, and its <limit> gives no {' and no '.join(missing)}; a motion needs both: "
-            raise self._fault(joint, ": " + f"{reason}write them there, or {hold_advice(joint.name)}")
+            advice = f"{reason}write them there, or {hold_advice(joint.name)}{LIMIT_ADVICE}"
+            raise self._fault(joint, ": " + advice)
 
     def _fix(self, joint: Joint, value: float | None) -> None:
         """Fix a joint at a value."""
@@ -395,76 +455,20 @@ def set_origin(element: ET.Element, placement: pin.SE3) -> None:
         origin.set(key, " ".join(repr(number) for number in numbers.tolist()))
 
 
-def drop_missing_visuals(path: Path, root: ET.Element, choice: RobotChoice) -> tuple[tuple[str, str], ...]:
-    """Remove visuals with missing or unreadable meshes; return their link and file names."""
-    folders, found = _mesh_folders(path, choice), list[tuple[str, str]]()
-    for link in root.findall("link"):
-        for visual in link.findall("visual"):
-            mesh = visual.find("geometry/mesh")
-            name = "" if mesh is None else mesh.get("filename", "")
-            file = _mesh_in(folders, name) if name.startswith(_PACKAGE) else path.parent / name.removeprefix("file://")
-            if not name or (":" in name and not name.startswith((_PACKAGE, "file://"))):
-                continue  # Pinocchio knows more kinds of addresses
-            if file is None or not is_file(file) or (choice.tries_visuals and not _is_mesh(file)):
-                link.remove(visual)
-                found.append((str(link.get("name")), name))
-    return tuple(found)
+def tool_frames(urdf: Urdf) -> tuple[str, ...]:
+    """Links that may be the tool frame, the likeliest first.
 
-
-def links_without_mesh(path: Path, root: ET.Element) -> tuple[str, ...]:
-    """Names of the links with a visual and an unreadable collision mesh."""
-
-    def is_broken(mesh: ET.Element) -> bool:
-        return not _is_mesh(path.parent / mesh.get("filename", "").removeprefix("file://"))
-
-    return tuple(
-        str(link.get("name"))
-        for link in root.findall("link")
-        if link.find("visual") is not None and any(map(is_broken, link.findall("collision/geometry/mesh")))
-    )
-
-
-def _is_mesh(file: Path) -> bool:
-    """True if coal can read a mesh from a file."""
-    try:
-        return bool(coal.MeshLoader().load(str(file), np.ones(3)).num_tris)
-    except (RuntimeError, ValueError):
-        return False
-
-
-def _mesh_folders(path: Path, choice: RobotChoice) -> list[Path]:
-    """Folders searched for `package://` meshes, in order."""
-    around = [] if path == URDF_TEXT else [path.resolve().parent, *path.resolve().parents[1:5]]
-    ros = [Path(folder) for folder in os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep) if folder]
-    ros += [Path(folder) / "share" for folder in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if folder]
-    return [*choice.package_dirs, *around, *ros]
-
-
-def _mesh_in(folders: list[Path], name: str) -> Path | None:
-    """The file of a `package://` mesh; None if no folder has it."""
-    within = name.removeprefix(_PACKAGE).lstrip("/")
-    candidates = [folder / part for part in (within, within.partition("/")[2]) for folder in folders]
-    return next(filter(is_file, candidates), None)
-
-
-def _find_meshes(path: Path, root: ET.Element, choice: RobotChoice) -> bool:
-    """Replace `package://` names by mesh files; return True if there were any.
-
-    Each mesh is searched as NAME/FILE and then as FILE in the given folders, in the URDF's folder and the four above
-    it, and in the ROS package folders.
+    These are the links without children after the most movable joints. A frame without shapes at the end of fixed
+    joints, as `tool0`, comes before a body.
     """
-    folders = _mesh_folders(path, choice)
-    meshes = [mesh for mesh in root.iter("mesh") if mesh.get("filename", "").startswith(_PACKAGE)]
-    for mesh in meshes:
-        name = mesh.get("filename", "")
-        found = _mesh_in(folders, name)
-        if found is None:
-            looked = ", ".join(map(str, folders)) or "no folder, for it is a text"
-            reason = (
-                f"{line_of(mesh)}mesh {name!r} is not found; looked for in {looked}, with and without the package's "
-                "name; package_dirs=[FOLDER] (--package-dir FOLDER) says where packages are"
-            )
-            raise RobotFileError(path, reason)
-        note_input(found)
-        mesh.set("filename", str(found.resolve()))
-    return bool(meshes)
+    carrying, parents = {joint.child: joint for joint in urdf.joints.values()}, {j.parent for j in urdf.joints.values()}
+
+    def rank(link: str) -> tuple[int, bool, int]:
+        above = list[Joint]()
+        while link in carrying and len(above) <= len(carrying):
+            above.append(carrying[link])
+            link = above[-1].parent
+        movable = [joint for joint in above if joint.element.find("mimic") is None and joint.kind != "fixed"]
+        return -len(movable), bool(urdf.links[above[0].child].shapes) if above else True, -len(above)
+
+    return tuple(sorted((name for name in urdf.links if name not in parents), key=rank))

@@ -1,8 +1,9 @@
-"""Strictly reads a URDF: links, joints, inertia and collision geometry as numbers.
+"""Reads a URDF: links, joints, inertia and collision geometry as numbers.
 
 `urdfdom`, which Pinocchio uses, ignores much that it cannot read: it drops a mass whose origin has a decimal comma and
-an element whose name is misspelled. Here each of these is an error with its line and element. `hplan.robot.urdf_check`
-verifies that Pinocchio reads the same.
+an element whose name is misspelled. Here each of these is a fault with its line and element, wherever a motion depends
+on it; other faults are mended in the elements and reported. `hplan.robot.urdf_check` verifies that Pinocchio reads the
+same.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from hplan.base.arguments import DECIMAL
 from hplan.base.arrays import FloatArray, readonly
 from hplan.errors import RobotFileError
 from hplan.geometry.rotation import rpy_rotation
+from hplan.robot.faults import Faults
 from hplan.robot.urdf_xml import line_of
 from hplan.scene.limits import FARTHEST_M
 
@@ -56,6 +58,16 @@ _CHILDREN: Final[Mapping[str, frozenset[str]]] = {
     ),
 }
 _ELEMENTS: Final = frozenset(_ATTRIBUTES).union(_CHILDREN, *_CHILDREN.values())
+
+#: Elements that no motion depends on; a wrong one is removed.
+_HARMLESS: Final = frozenset({"material", "visual", "dynamics", "safety_controller", "calibration"})
+
+#: Minimum similarity for a misspelling (`difflib.SequenceMatcher.ratio`).
+_ALIKE: Final = 0.8
+
+#: Elements without known extensions, and attributes that they may have nevertheless.
+_CLOSED: Final = frozenset({"origin", "mass", "inertia", "axis", "parent", "child"})
+_LABELS: Final = frozenset({"name", "id", "comment", "description"})
 
 #: Acceleration limit as Drake's files name it; URDF has its own since 1.2, which takes precedence.
 _ACCELERATION: Final = "drake:acceleration"
@@ -144,57 +156,106 @@ class Urdf:
     joints: Mapping[str, Joint]
 
 
-def read_urdf(path: Path, root: ET.Element, *, any_robot: bool = False) -> Urdf:
+def read_urdf(path: Path, root: ET.Element, *, any_robot: bool = False, faults: Faults | None = None) -> Urdf:
     """Read the content of a URDF.
+
+    Harmless faults are mended in the elements: a second `<material>`, a misplaced element that no motion depends on, a
+    malformed `<visual>`.
 
     Args:
         path: The file, for messages.
-        root: Its root element.
+        root: Its root element; modified in place.
         any_robot: Whether only joints and inertias are needed: shapes are not read.
+        faults: Collector of the faults; a value that cannot be read is replaced by its default, and a joint without
+            both of its links is left out. None to raise them.
 
     Raises:
         RobotFileError: A name is missing, repeated or unprintable, a joint refers to a link that does not exist, an
             element or attribute is missing, unknown or duplicated, or a number is malformed or out of range; names line
-            and element.
+            and element of all of these. Never with a collector.
     """
-    reader = _Reader(path, any_robot)
-    reader.check_name(root, "the robot")
-    links, joints = root.findall("link"), root.findall("joint")
-    for kind, elements in (("link", links), ("joint", joints)):
-        seen: set[str] = set()
-        for element in elements:
-            reader.check_name(element, f"a <{kind}>")
-            name = str(element.get("name"))
-            if name in seen:
-                raise reader.fault(element, f"{kind} {name!r} is defined twice")
-            seen.add(name)
-    found = {str(link.get("name")): reader.link(link) for link in links}
-    return Urdf(found, {str(joint.get("name")): reader.joint(joint, found) for joint in joints})
+    collected = Faults(path) if faults is None else faults
+    reader = _Reader(collected, any_robot)
+    with collected.collecting():
+        reader.check_name(root, "the robot")
+    named: dict[str, dict[str, ET.Element]] = {}
+    for kind in ("link", "joint"):
+        seen = named.setdefault(kind, {})
+        for element in root.findall(kind):
+            with collected.collecting():
+                reader.check_name(element, f"a <{kind}>")
+                name = str(element.get("name"))
+                if name in seen:
+                    raise reader.fault(element, f"{kind} {name!r} is defined twice")
+                seen[name] = element
+    links = {name: reader.link(link) for name, link in named["link"].items()}
+    joints = {name: reader.joint(joint, links) for name, joint in named["joint"].items()}
+    if faults is None:
+        collected.check()
+    return Urdf(links, {name: joint for name, joint in joints.items() if joint is not None})
 
 
-def check_inertias(path: Path, urdf: Urdf) -> None:
-    """Check that inertias of moving links are physically possible.
+def check_inertias(faults: Faults, urdf: Urdf) -> None:
+    """Find inertias of moving links that no body has.
 
-    Inertias of other links have no effect.
+    One that is slightly off is a harmless fault: it counts as the file has it. Inertias of other links have no effect.
 
-    Raises:
-        RobotFileError: A principal moment is negative, or larger than the sum of the others; names line and link.
+    Args:
+        faults: Collector of the faults: a principal moment is negative, or larger than the sum of the others.
+        urdf: The content of the file.
     """
-    # Tolerance as a fraction of the maximum principal moment: CAD programs round.
-    inertia_tolerance = 1e-3
+    # Tolerances as a fraction of the maximum principal moment: CAD programs round, and vendors' files are off by 1 %.
+    rounded, slight = 1e-3, 0.1
+    # Moments below this need no torque worth counting: 0.1 mN m at 100 rad/s^2 [kg m^2].
+    tiny = 1e-6
     carrying = {joint.child: joint for joint in urdf.joints.values()}
     for link in urdf.links.values():
         if link.inertial is None or not _is_moved(link.name, carrying):
             continue
-        moments = np.linalg.eigvalsh(link.inertial.inertia)
-        tolerance = max(inertia_tolerance * float(np.abs(moments).max()), 1e-12)
-        if moments[0] < -tolerance or moments[2] > moments[0] + moments[1] + tolerance:
-            reason = (
-                f"{line_of(next(link.element.iter('inertia')))}link {link.name!r}: <inertia> has principal moments "
-                f"{', '.join(f'{moment:.6g}' for moment in moments)} kg m^2; of a body none is negative, and none is "
-                "larger than the sum of the others"
-            )
-            raise RobotFileError(path, reason)
+        moments, axes = np.linalg.eigh(link.inertial.inertia)
+        largest = float(np.abs(moments).max())
+        excess = max(-float(moments[0]), float(moments[2] - moments[1] - moments[0]))
+        if excess <= max(rounded * largest, 1e-12):
+            continue
+        element = next(link.element.iter("inertia"))
+        reason = (
+            f"{line_of(element)}link {link.name!r}: <inertia> has principal moments "
+            f"{', '.join(f'{moment:.6g}' for moment in moments)} kg m^2; of a body none is negative, and none is "
+            "larger than the sum of the others"
+        )
+        if faults.repairs:
+            _write_inertia(element, axes, moments)
+            faults.mend(f"{reason}: the smaller moments were raised")
+        elif excess <= max(slight * largest, tiny):
+            faults.mend(f"{reason}; they count as they are")
+        else:
+            faults.add(reason)
+
+
+def _write_inertia(element: ET.Element, axes: FloatArray, moments: FloatArray) -> None:
+    """Write the inertia of a body with moments close to the given, ascending ones."""
+    raised = np.maximum(moments, 0.0)
+    raised[:2] += 0.5 * max(0.0, raised[2] - raised[1] - raised[0])
+    inertia = axes @ np.diag(raised) @ axes.T
+    for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"):
+        element.set(key, repr(float(inertia["xyz".index(key[1]), "xyz".index(key[2])])))
+
+
+def check_moving_joints(faults: Faults, urdf: Urdf) -> None:
+    """Find moving joints that mimic another one, or have a limit that is not positive."""
+    for joint in urdf.joints.values():
+        where, kind = f"{line_of(joint.element)}joint {joint.name!r}", joint.element.get("type")
+        is_known = any(fault.startswith(f"{where} mimics") for fault in faults.found)
+        if kind != "fixed" and joint.element.find("mimic") is not None and not is_known:
+            faults.add(f"{where} mimics another; every joint must move by itself")
+        for key in ("velocity", "effort", "acceleration", "jerk") if kind in ("revolute", "prismatic") else ():
+            if key in joint.limits and not joint.limits[key] > 0.0:
+                value = f"{key} of <limit> is '{joint.limits[key]:g}', expected a finite number that is positive"
+                faults.add(f"{where}: {value}{'' if key == 'jerk' else LIMIT_ADVICE}")
+
+
+#: End of a message about a limit: where else it may be written.
+LIMIT_ADVICE: Final = "; a limits file may give it (hplan inspect --write-limits writes one)"
 
 
 def _is_moved(link: str, carrying: Mapping[str, Joint]) -> bool:
@@ -202,7 +263,7 @@ def _is_moved(link: str, carrying: Mapping[str, Joint]) -> bool:
     for _ in carrying:
         if link not in carrying:
             return False
-        if carrying[link].kind != "fixed":
+        if carrying[link].element.get("type") != "fixed":
             return True
         link = carrying[link].parent
     return link in carrying
@@ -211,12 +272,15 @@ def _is_moved(link: str, carrying: Mapping[str, Joint]) -> bool:
 class _Reader:
     """Reads the elements of one file."""
 
-    def __init__(self, path: Path, any_robot: bool) -> None:
-        self._path = path
+    def __init__(self, faults: Faults, any_robot: bool) -> None:
+        self._faults = faults
         self._any_robot = any_robot
 
     def fault(self, element: ET.Element, reason: str) -> RobotFileError:
-        return RobotFileError(self._path, line_of(element) + reason)
+        return RobotFileError(self._faults.path, line_of(element) + reason)
+
+    def _mend(self, element: ET.Element, reason: str) -> None:
+        self._faults.mend(line_of(element) + reason)
 
     def check_name(self, element: ET.Element, what: str) -> None:
         name = element.get("name")
@@ -229,40 +293,52 @@ class _Reader:
             raise self.fault(element, reason)
 
     def link(self, element: ET.Element) -> Link:
-        where = f"link {element.get('name')!r}"
+        where, collecting = f"link {element.get('name')!r}", self._faults.collecting
         self._check_parts(element, where)
-        inertial = element.find("inertial")
+        found, inertial = element.find("inertial"), None
+        if found is not None:
+            with collecting():
+                inertial = self._inertial(found, where)
         for visual in [] if self._any_robot else element.findall("visual"):
-            self._geometry_of(visual, where)
-            self._origin_of(visual, where)
-        return Link(
-            element,
-            str(element.get("name")),
-            None if inertial is None else self._inertial(inertial, where),
-            tuple(
-                CollisionShape(shape, *self._geometry_of(shape, where), self._placement(shape, where))
-                for shape in ([] if self._any_robot else element.findall("collision"))
-            ),
-        )
+            drawn = _Reader(Faults(self._faults.path, repairs=self._faults.repairs), self._any_robot)
+            with drawn._faults.collecting():
+                drawn._geometry_of(visual, where)
+                drawn._origin_of(visual, where)
+            if drawn._faults.found:
+                element.remove(visual)
+            left_out = [f"{fault}; the <visual> is left out" for fault in drawn._faults.found]
+            for reason in (*drawn._faults.mended, *left_out):
+                self._faults.mend(reason)
+        shapes = []
+        for shape in [] if self._any_robot else element.findall("collision"):
+            with collecting():
+                shapes.append(CollisionShape(shape, *self._geometry_of(shape, where), self._placement(shape, where)))
+        return Link(element, str(element.get("name")), inertial, tuple(shapes))
 
-    def joint(self, element: ET.Element, links: Mapping[str, Link]) -> Joint:
-        name, kind = str(element.get("name")), element.get("type")
-        where = f"joint {name!r}"
+    def joint(self, element: ET.Element, links: Mapping[str, Link]) -> Joint | None:
+        name, kind = str(element.get("name")), str(element.get("type"))
+        where, collecting = f"joint {name!r}", self._faults.collecting
         self._check_parts(element, where)
         kinds = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
-        if kind not in kinds:
-            raise self.fault(element, f"{where}: its type is {kind!r}, expected one of {', '.join(kinds)}")
-        axis = element.find("axis")
-        return Joint(
-            element,
-            name,
-            kind,
-            self._end(element, "parent", links, where),
-            self._end(element, "child", links, where),
-            self._placement(element, where),
-            readonly((1.0, 0.0, 0.0) if axis is None else self._numbers(axis, "xyz", where, 3)),
-            self._limits(element, where, kind),
-        )
+        parent, child, axis = None, None, readonly((1.0, 0.0, 0.0))
+        placement, limits = pin.SE3.Identity(), dict[str, float]()
+        with collecting():
+            if kind not in kinds:
+                given = element.get("type")
+                raise self.fault(element, f"{where}: its type is {given!r}, expected one of {', '.join(kinds)}")
+            limits = self._limits(element, where, kind)
+        with collecting():
+            parent = self._end(element, "parent", links, where)
+        with collecting():
+            child = self._end(element, "child", links, where)
+        with collecting():
+            placement = self._placement(element, where)
+        with collecting():
+            if (given_axis := element.find("axis")) is not None:
+                axis = readonly(self._numbers(given_axis, "xyz", where, 3))
+        if not self._has_readable_mimic(element, where) or kind not in kinds or parent is None or child is None:
+            return None
+        return Joint(element, name, kind, parent, child, placement, axis, limits)
 
     def _end(self, joint: ET.Element, end: str, links: Mapping[str, Link], where: str) -> str:
         """Link at the `parent` or `child` end of a joint."""
@@ -273,10 +349,13 @@ class _Reader:
         return link
 
     def _limits(self, joint: ET.Element, where: str, kind: str) -> dict[str, float]:
-        for tag in ("dynamics", "safety_controller", "mimic", "calibration"):
+        for tag in ("dynamics", "safety_controller", "calibration"):
             for part in joint.findall(tag):
-                for attribute in sorted(part.attrib.keys() & (_ATTRIBUTES[tag] - {"joint"})):
-                    self._numbers(part, attribute, where, 1)
+                try:
+                    self._check_numbers(part, where)
+                except RobotFileError as error:
+                    joint.remove(part)
+                    self._faults.mend(f"{error.reason}; the <{tag}> is left out")
         limit = joint.find("limit")
         bounded = kind in ("revolute", "prismatic")
         if limit is None:
@@ -285,11 +364,26 @@ class _Reader:
             return {}
         limits: dict[str, float] = {}
         for attribute in ("lower", "upper", "velocity", "effort", "acceleration", "jerk"):
-            if attribute in limit.attrib or (bounded and attribute in ("velocity", "effort")):
-                (limits[attribute],) = self._numbers(limit, attribute, where, 1)
+            with self._faults.collecting():
+                if attribute in limit.attrib:
+                    (limits[attribute],) = self._numbers(limit, attribute, where, 1)
+                elif bounded and attribute in ("velocity", "effort"):
+                    raise self.fault(limit, f"{where}: <limit> has no {attribute}{LIMIT_ADVICE}")
         if _ACCELERATION in limit.attrib:
             limits.setdefault("acceleration", *self._numbers(limit, _ACCELERATION, where, 1))
         return limits
+
+    def _has_readable_mimic(self, joint: ET.Element, where: str) -> bool:
+        known = len(self._faults.found)
+        for mimic in joint.findall("mimic"):
+            with self._faults.collecting():
+                self._check_numbers(mimic, where)
+        return len(self._faults.found) == known
+
+    def _check_numbers(self, part: ET.Element, where: str) -> None:
+        """Check the numbers of a part whose attributes are single numbers, but for names of joints."""
+        for attribute in sorted(part.attrib.keys() & (_ATTRIBUTES[part.tag] - {"joint"})):
+            self._numbers(part, attribute, where, 1)
 
     def _inertial(self, element: ET.Element, where: str) -> Inertial:
         self._check_parts(element, where)
@@ -315,6 +409,8 @@ class _Reader:
         if len(geometry) > 1:
             raise self.fault(geometry, f"{where}: a <geometry> has {len(geometry)} shapes; only the first would count")
         shape = geometry[0]
+        if shape.tag not in _CHILDREN["geometry"]:
+            raise self.fault(shape, self._unknown(shape, geometry, where))
         if shape.tag == "mesh":
             if not shape.get("filename"):
                 raise self.fault(shape, f"{where}: <mesh> has no filename")
@@ -353,11 +449,17 @@ class _Reader:
         text = element.get(attribute)
         if text is None:
             raise self.fault(element, f"{where}: <{element.tag}> has no {attribute}")
-        words = [word for word in text.split(" ") if word]
-        numbers = tuple(map(float, words)) if all(map(DECIMAL.fullmatch, words)) else ()
-        if len(numbers) != count or not all(map(math.isfinite, numbers)):
+        for written in (text, *((text.replace(",", "."), text.replace(",", " ")) if self._faults.repairs else ())):
+            words = [word for word in written.split(" ") if word]
+            numbers = tuple(map(float, words)) if all(map(DECIMAL.fullmatch, words)) else ()
+            if len(numbers) == count and all(map(math.isfinite, numbers)):
+                break
+        else:
             expected = "a finite number" if count == 1 else f"{count} finite numbers with spaces between"
             raise self._bad_number(element, attribute, where, expected)
+        if written != text:
+            element.set(attribute, written)
+            self._mend(element, f"{where}: {attribute} of <{element.tag}> was {text!r}, now {written!r}")
         return numbers
 
     def _bad_number(self, element: ET.Element, attribute: str, where: str, expected: str) -> RobotFileError:
@@ -365,40 +467,77 @@ class _Reader:
         return self.fault(element, reason)
 
     def _check_parts(self, element: ET.Element, where: str) -> None:
-        """Check for unknown elements or attributes and for duplicates.
+        """Find unknown elements or attributes, and duplicates.
 
-        URDF readers ignore these silently.
-
-        Raises:
-            RobotFileError: An element or attribute is unknown or duplicated.
+        URDF readers ignore these silently. Those that no motion depends on are removed.
         """
         known = _CHILDREN[element.tag]
         seen: set[str] = set()
-        for part in element:
-            if part.tag not in known:
-                # A link has no origin of its own; an identity origin has no effect and is accepted.
-                is_frame = part.tag == "origin" and not any(map(any, self._origin_of(element, where)))
-                if is_frame or self._is_extension(part.tag, known):
-                    continue
-                reason = f"{where}: <{part.tag}> in <{element.tag}> means nothing, expected {', '.join(sorted(known))}"
-                raise self.fault(part, reason)
-            if part.tag in seen and part.tag not in ("visual", "collision"):
-                raise self.fault(part, f"{where}: a second <{part.tag}> in <{element.tag}>; only one would count")
-            seen.add(part.tag)
-            attributes = _ATTRIBUTES.get(part.tag, frozenset(part.attrib))
-            for attribute in sorted(part.attrib.keys() - attributes):
-                # Elements without known extensions.
-                closed = part.tag in ("origin", "mass", "inertia", "axis", "parent", "child")
-                if closed or not self._is_extension(attribute, attributes):
-                    raise self.fault(part, f"{where}: {attribute} of <{part.tag}> means nothing")
+        for part in list(element):
+            with self._faults.collecting():
+                if self._is_kept(element, part, seen, where):
+                    self._check_attributes(part, where)
+            if part.tag in known:
+                seen.add(part.tag)
+
+    def _is_kept(self, element: ET.Element, part: ET.Element, seen: set[str], where: str) -> bool:
+        """True for a known part; False for an extension, and for a wrong one that was removed.
+
+        Raises:
+            RobotFileError: The part is unknown or duplicated.
+        """
+        known = _CHILDREN[element.tag]
+        if part.tag not in known:
+            # A link has no origin of its own; an identity origin has no effect and is accepted.
+            is_frame = part.tag == "origin" and not any(map(any, self._origin_of(element, where)))
+            if is_frame or self._is_extension(part.tag, known):
+                return False
+            reason = self._unknown(part, element, where)
+            meant = get_close_matches(part.tag.lower(), known, 1, _ALIKE)
+            if self._faults.repairs and meant:
+                self._mend(part, f"{where}: <{part.tag}> in <{element.tag}> is called <{meant[0]}> now")
+                part.tag = meant[0]
+                return True
+        elif part.tag in seen and part.tag not in ("visual", "collision"):
+            reason = f"{where}: a second <{part.tag}> in <{element.tag}>; only one would count"
+        else:
+            return True
+        if part.tag not in _HARMLESS:
+            raise self.fault(part, reason)
+        element.remove(part)
+        self._mend(part, f"{reason}; it is left out")
+        return False
+
+    def _unknown(self, part: ET.Element, element: ET.Element, where: str) -> str:
+        known = ", ".join(sorted(_CHILDREN[element.tag]))
+        return f"{where}: <{part.tag}> in <{element.tag}> means nothing, expected {known}"
+
+    def _check_attributes(self, part: ET.Element, where: str) -> None:
+        """Check for unknown attributes.
+
+        Raises:
+            RobotFileError: An attribute is unknown.
+        """
+        attributes = _ATTRIBUTES.get(part.tag, frozenset(part.attrib))
+        for attribute in sorted(part.attrib.keys() - attributes):
+            known = attribute in _LABELS if part.tag in _CLOSED else self._is_extension(attribute, attributes)
+            meant = get_close_matches(attribute.lower(), attributes, 1, _ALIKE)
+            if known:
+                continue
+            if self._faults.repairs and meant and meant[0] not in part.attrib:
+                part.set(meant[0], part.attrib.pop(attribute))
+                self._mend(part, f"{where}: {attribute} of <{part.tag}> is called {meant[0]} now")
+            elif part.tag in _HARMLESS:
+                del part.attrib[attribute]
+                self._mend(part, f"{where}: {attribute} of <{part.tag}> means nothing; it is left out")
+            else:
+                raise self.fault(part, f"{where}: {attribute} of <{part.tag}> means nothing")
 
     def _is_extension(self, name: str, known: frozenset[str]) -> bool:
         """True if an unknown name is a deliberate extension.
 
         It is not if it resembles a known name, is a known element at a wrong place, or is a shape.
         """
-        # Minimum similarity for a misspelling (`difflib.SequenceMatcher.ratio`).
-        alike = 0.8
         shortened = any(word.startswith(name.lower()) for word in known)
-        misspelt = shortened or get_close_matches(name.lower(), known, 1, alike)
+        misspelt = shortened or get_close_matches(name.lower(), known, 1, _ALIKE)
         return ":" in name or not (name in _ELEMENTS or misspelt or known == _CHILDREN["geometry"])

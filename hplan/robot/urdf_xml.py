@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import re
 import xml.etree.ElementTree as ET
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 from xml.parsers import expat
@@ -18,16 +19,25 @@ _MOST_BYTES: Final = 16_000_000
 
 
 class Element(ET.Element):
-    """XML element with its line number; 0 if not from a file."""
+    """XML element with its line number (0 if not from a file).
+
+    The root has the encoding that the file declares.
+    """
 
     line = 0
+    encoding = "utf-8"
 
 
 #: Path of a URDF that is given as text.
 URDF_TEXT: Final = Path("URDF text")
 
 
-def read_urdf_xml(path: Path, text: str | None = None, package_dirs: Sequence[Path] = ()) -> ET.Element:
+def read_urdf_xml(
+    path: Path,
+    text: str | None = None,
+    package_dirs: Sequence[Path] = (),
+    xacro_args: Mapping[str, str] | None = None,
+) -> ET.Element:
     """Read a URDF's XML and return its root element.
 
     All elements are `Element`; the content is not checked further.
@@ -36,13 +46,19 @@ def read_urdf_xml(path: Path, text: str | None = None, package_dirs: Sequence[Pa
         path: The file; xacro expands it first if it ends in `.xacro`.
         text: The content; None to read the file.
         package_dirs: Folders in which xacro looks for packages first.
+        xacro_args: Values of the arguments of a xacro file, by name.
 
     Raises:
         RobotFileError: The file is missing, unreadable, too large, malformed XML, has a document type, or its root is
-            not `<robot>`.
+            not `<robot>`; xacro needs an argument or a package that is missing, or arguments are given without xacro.
         InputError: The file is xacro, and `xacrodoc` is not installed.
     """
-    content = _content(path, package_dirs) if text is None else text.lstrip().encode("utf-8", "surrogatepass")
+    if xacro_args and (text is not None or path.suffix != ".xacro"):
+        raise RobotFileError(path, f"it is not xacro, and takes no arguments such as {next(iter(xacro_args))!r}")
+    if text is None:
+        content = _content(path, package_dirs, xacro_args or {})
+    else:
+        content = text.lstrip().encode("utf-8", "surrogatepass")
     if len(content) > _MOST_BYTES:
         raise RobotFileError(path, f"it has more than {_MOST_BYTES:,} bytes")
     root = _parsed(path, content)
@@ -61,7 +77,7 @@ def is_urdf_text(source: object) -> bool:
     return isinstance(source, str) and source.lstrip().startswith("<")
 
 
-def _content(path: Path, package_dirs: Sequence[Path]) -> bytes:
+def _content(path: Path, package_dirs: Sequence[Path], xacro_args: Mapping[str, str]) -> bytes:
     try:
         content = ByteBudget(_MOST_BYTES).read(path)
     except OSError as error:
@@ -73,19 +89,73 @@ def _content(path: Path, package_dirs: Sequence[Path]) -> bytes:
         raise RobotFileError(path, reason) from error
     except ValueError as error:
         raise RobotFileError(path, str(error)) from error
-    return _expanded(path, package_dirs).encode("utf-8") if path.suffix == ".xacro" else content
+    return _expanded(path, package_dirs, xacro_args).encode("utf-8") if path.suffix == ".xacro" else content
 
 
-def _expanded(path: Path, package_dirs: Sequence[Path]) -> str:
-    """Expand a xacro file to URDF text; package paths are resolved later."""
+def _expanded(path: Path, package_dirs: Sequence[Path], xacro_args: Mapping[str, str]) -> str:
+    """Expand a xacro file to URDF text; package paths are resolved later.
+
+    Packages are looked for in the given folders, around the file, and where ROS has them.
+    """
     with extra("xacro", f"robot file {path}: xacro needs xacrodoc", path=str(path)):
         import xacrodoc
+    xacrodoc.packages.reset()  # packages of the same name may be elsewhere for another file
+    known: dict[str, Path] = {}
+    while True:
+        try:
+            xacrodoc.packages.update_package_cache(known)
+            document = xacrodoc.XacroDoc.from_file(str(path), subargs=dict(xacro_args), resolve_packages=False)
+            text: str = document.to_urdf_string()
+        except Exception as error:  # xacro raises classes of its own, expat's and Python's
+            missing = re.search(r"Package not found: (\S+)", str(error))
+            folder = None if missing is None or missing[1] in known else package_folder(path, package_dirs, missing[1])
+            if missing is None or folder is None:
+                raise RobotFileError(path, f"xacro refuses it: {error}{_xacro_advice(path, str(error))}") from error
+            known[missing[1]] = folder
+            continue
+        return text
+
+
+def _xacro_advice(path: Path, message: str) -> str:
+    """End of a message about an error of xacro: the option that would help."""
+    if "Package not found" in message:
+        return "; package_dirs=[FOLDER] (--package-dir FOLDER) says where packages are"
+    declared = re.findall(r"<xacro:arg\s[^>]*?name=[\"']([^\"']+)", path.read_text(encoding="utf-8", errors="replace"))
+    if not declared and "argument" not in message:
+        return ""
+    names = f"; its arguments are {', '.join(dict.fromkeys(declared))}" if declared else ""
+    return f"{names}; xacro_args={{NAME: VALUE}} (--xacro NAME:=VALUE) gives one"
+
+
+def package_folder(path: Path, package_dirs: Sequence[Path], name: str) -> Path | None:
+    """Folder of a ROS package near a file, by its name or its `package.xml`; None if there is none."""
+    for folder in (*package_dirs, *folders_around(path)):
+        for place in (folder, folder / name, *_packages_in(folder)):
+            if (place.name == name and place.is_dir()) or _package_name(place) == name:
+                return place
+    return None
+
+
+def folders_around(path: Path) -> list[Path]:
+    """Folder of a robot file and the four above it; none for a text."""
+    return [] if path == URDF_TEXT else [path.resolve().parent, *path.resolve().parents[1:5]]
+
+
+def _packages_in(folder: Path) -> list[Path]:
+    """Folders of the packages directly in a folder."""
     try:
-        xacrodoc.packages.look_in([str(folder) for folder in package_dirs])
-        text: str = xacrodoc.XacroDoc.from_file(str(path), resolve_packages=False).to_urdf_string()
-    except Exception as error:  # xacro raises classes of its own, expat's and Python's
-        raise RobotFileError(path, f"xacro refuses it: {error}") from error
-    return text
+        return sorted(file.parent for file in folder.glob("*/package.xml"))
+    except OSError:
+        return []
+
+
+def _package_name(folder: Path) -> str | None:
+    """Name in a folder's `package.xml`."""
+    try:
+        found = re.search(r"<name>\s*([^<\s]+)\s*</name>", (folder / "package.xml").read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError):
+        return None
+    return None if found is None else found[1]
 
 
 def line_of(element: ET.Element) -> str:
@@ -97,15 +167,15 @@ def line_of(element: ET.Element) -> str:
 def _parsed(path: Path, content: bytes) -> ET.Element:
     parser = expat.ParserCreate()
     parser.buffer_text = True
+    declared = ["utf-16"] if content.startswith((b"\xff\xfe", b"\xfe\xff")) else ["utf-8"]
     builder = ET.TreeBuilder(element_factory=Element)
 
     def start(tag: str, attributes: dict[str, str]) -> None:
         builder.start(tag, attributes).line = parser.CurrentLineNumber  # type: ignore[attr-defined]
 
     def declaration(_version: str, encoding: str | None, _standalone: int) -> None:
-        # Only encodings that all URDF readers interpret alike: they decode as UTF-8 regardless of the declaration.
-        if encoding is not None and encoding.lower() not in ("utf-8", "us-ascii", "ascii"):
-            raise RobotFileError(path, f"malformed XML: unknown encoding {encoding!r}; URDF is read as UTF-8")
+        if encoding is not None:
+            declared.append(encoding.lower())
 
     def document_type(*_: Any) -> None:
         reason = f"line {parser.CurrentLineNumber}: it has a document type, whose entities readers of URDF differ on"
@@ -120,5 +190,6 @@ def _parsed(path: Path, content: bytes) -> ET.Element:
         parser.Parse(content, True)
     except (expat.ExpatError, LookupError, ValueError) as error:
         raise RobotFileError(path, f"malformed XML: {error}") from error
-    root: ET.Element = builder.close()
+    root: Element = builder.close()  # type: ignore[assignment]
+    root.encoding = declared[-1]
     return root

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal, TypeAlias
 
 from pydantic import Field, model_validator
 
-from hplan.scene.fault import StrictModel, fault
+from hplan.base.checked import StrictModel, fault
 from hplan.scene.limits import FARTHEST_M, MOST_OBSTACLES, Vector
 from hplan.scene.model import FORMAT, Fruit, Goal, Scene, Start
 from hplan.scene.obstacle_kind import Name

@@ -16,11 +16,11 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import to_jsonable_python
 
 from hplan.base.arguments import file_path, instance
+from hplan.base.checked import StrictModel, dotted, plain_message, validated, worst_fault
 from hplan.base.data_files import shipped_scene, shipped_scenes
 from hplan.base.files import YAML_COMMENT, ByteBudget, cut, is_file, write_marked
 from hplan.base.yaml_text import read_yaml, write_yaml
 from hplan.errors import SceneError
-from hplan.scene.fault import StrictModel, dotted, plain_message, validated, worst_fault
 from hplan.scene.limits import MOST_SCENE_BYTES, MOST_SHAPE_BYTES
 from hplan.scene.model import Scene
 from hplan.scene.obstacles import Mesh, PointCloud

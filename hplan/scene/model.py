@@ -19,12 +19,12 @@ from pydantic import BeforeValidator, Field, field_validator, model_validator
 
 from hplan.base.arguments import instance, list_of, number
 from hplan.base.arrays import FloatArray, numbers
+from hplan.base.checked import StrictModel, check_values, fault
 from hplan.base.data_files import robot_names
 from hplan.errors import MovingObstacleError, SceneError
 from hplan.geometry.cloud import Cloud
 from hplan.geometry.hull import Hull
 from hplan.geometry.rotation import quaternion_rotation, rpy_rotation
-from hplan.scene.fault import StrictModel, check_values, fault
 from hplan.scene.limits import FARTHEST_M, MOST_OBSTACLES, Size, Vector
 from hplan.scene.obstacle_kind import (
     CovarianceField,

@@ -24,10 +24,10 @@ import numpy as np
 from pydantic import AfterValidator, Field, PrivateAttr, model_validator
 
 from hplan.base.arrays import FloatArray, IntArray, frozen, readonly
+from hplan.base.checked import StrictModel, fault
 from hplan.geometry.cloud import Cloud
 from hplan.geometry.hull import Hull, hull_of, thickening, whole_hull
 from hplan.geometry.rotation import rpy_of, rpy_rotation
-from hplan.scene.fault import StrictModel, fault
 from hplan.scene.limits import FARTHEST_M, MOST_POINTS, Angles, Vector
 from hplan.scene.tracks import Sway, Track
 

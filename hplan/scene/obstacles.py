@@ -17,13 +17,13 @@ from numpy.typing import ArrayLike
 from pydantic import Field, PositiveFloat, ValidationError, ValidationInfo, model_validator
 
 from hplan.base.arrays import FloatArray, IntArray, readonly
+from hplan.base.checked import fault, scene_error, validated
 from hplan.base.files import ByteBudget
 from hplan.errors import SceneError
 from hplan.geometry.cloud import Cloud
 from hplan.geometry.hull import CUBE_CORNERS, Hull
 from hplan.geometry.prism import prism, prism_excess
 from hplan.geometry.rotation import rpy_rotation
-from hplan.scene.fault import fault, scene_error, validated
 from hplan.scene.limits import FARTHEST_M, MOST_SHAPE_BYTES, Angles, Size, Vector
 from hplan.scene.obstacle_kind import (
     Convex,
@@ -77,9 +77,8 @@ class Sphere(Convex):
 
     def swept(self, reach: FloatArray) -> Solid:
         """Capsule swept by shifts from -`reach` to `reach`, (3,) [m]."""
-        start, end = (self.core[0] - reach).tolist(), (self.core[0] + reach).tolist()
-        kept = {"radius": self.radius, "sigma": self.sigma, "yields": self.yields}
-        return Capsule(name=self.name, start=tuple(start), end=tuple(end), **kept)
+        start, end = (tuple((self.core[0] + shift).tolist()) for shift in (-reach, reach))
+        return Capsule(name=self.name, start=start, end=end, radius=self.radius, sigma=self.sigma, yields=self.yields)
 
 
 class Capsule(Convex):
@@ -103,8 +102,8 @@ class Capsule(Convex):
 
     kind: Literal["capsule"] = "capsule"
     name: Name
-    start: Vector = Field(alias="from")
-    end: Vector = Field(alias="to")
+    start: Vector = Field(validation_alias="from", serialization_alias="from")
+    end: Vector = Field(validation_alias="to", serialization_alias="to")
     radius: Size
     sigma: Sigma = 0.0
 

@@ -28,9 +28,9 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from hplan.base.arrays import FloatArray, Record, frozen, readonly
+from hplan.base.checked import StrictModel, fault
 from hplan.errors import OptionError
 from hplan.geometry.rotation import rpy_rotation
-from hplan.scene.fault import StrictModel, fault
 from hplan.scene.limits import LONGEST_S, MOST_TRACK_POINTS, Angles, Size, Vector
 
 Time: TypeAlias = Annotated[float, Field(ge=-LONGEST_S, le=LONGEST_S)]

@@ -14,12 +14,12 @@ from typing import Annotated, Any, ClassVar, Final, Literal, Self
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from hplan.base.arguments import file_path
+from hplan.base.checked import StrictModel, fault
 from hplan.certificate.digests import robot_digest
 from hplan.errors import HplanError, OptionError, StudyError
 from hplan.robot.family.members import load_member
 from hplan.robot.family.spec import HARVESTER, ORCHARD_HARVESTER, ArmSpec
 from hplan.robot.model import Robot, load_robot
-from hplan.scene.fault import StrictModel, fault
 from hplan.scene.file import read_model
 from hplan.scene.model import Scene
 from hplan.scene.obstacle_kind import Name

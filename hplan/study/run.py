@@ -22,8 +22,7 @@ from hplan.collision.reach import reach_ball
 from hplan.errors import HplanError, OutputError, TourError, WorkersLostError
 from hplan.planning.options import PlanOptions
 from hplan.study.definition import Design, Study, load_study
-from hplan.tour.pickable import pickable, within_reach
-from hplan.tour.row import RowOptions, plan_row
+from hplan.tour.row import RowOptions, pickable, plan_row, within_reach
 from hplan.tour.tour import TourOptions, plan_tour
 
 

@@ -14,7 +14,7 @@ Once the tour is found, motions are blended: the arm does not stop at stand-offs
 optimized with durations that include the stops.
 
 Carried fruit is part of the arm's collision geometry from the stand-off before a fruit to the drop-off, with the size
-of the largest fruit (`hplan.tour.carried`). The motions of the empty arm are planned without it.
+of the largest fruit (`hplan.tour.motions`). The motions of the empty arm are planned without it.
 """
 
 from __future__ import annotations
@@ -27,10 +27,13 @@ from dataclasses import replace
 from itertools import islice
 from typing import NamedTuple, TypeAlias
 
+import coal
 import numpy as np
+import pinocchio as pin
 
 from hplan.base import ties
 from hplan.base.arrays import FloatArray, IntArray, readonly
+from hplan.collision.collision_bodies import reuse_bodies
 from hplan.errors import HplanError, UnreachableError
 from hplan.planning.approach import Approach, blended, retreat_of
 from hplan.planning.failures import NO_MOTION
@@ -41,9 +44,39 @@ from hplan.planning.pose_goal import configurations_at
 from hplan.planning.problem import Problem, merged
 from hplan.planning.solver import best_motion
 from hplan.robot.limits import rest_to_rest
+from hplan.robot.model import Robot
 from hplan.scene.model import Fruit, Goal
 from hplan.tour.moves import Moves, Stop
 from hplan.tour.ordering import Costs, Visits, along
+
+#: Name of the collision shape of the carried fruit.
+CARRIED = "carried fruit"
+
+
+def carrying(robot: Robot, radius: float, frames: Sequence[str] = ()) -> Robot:
+    """Return the arm with a carried fruit in its collision geometry.
+
+    On a planar arm the whole last link is thickened to the radius of the fruit; any other arm gets a ball at the tool
+    frame, attached to the joint that carries the frame.
+
+    Args:
+        radius: Radius of the fruit [m].
+        frames: Tool frames of the loaded arms of a composite robot.
+    """
+    if robot.planar is not None:
+        widths = np.array(robot.arm.half_widths)
+        widths[-1] = max(widths[-1], radius + abs(robot.arm.lateral[-1]))
+        return robot.with_arm(replace(robot.arm, half_widths=readonly(widths)))
+    shapes = robot.collision_model.copy()
+    for frame in frames or (robot.tool_frame,):
+        number = robot.frame_number(frame)
+        at = robot.model.frames[number]
+        name = f"{CARRIED} {frame}" if frames else CARRIED
+        shapes.addGeometryObject(pin.GeometryObject(name, at.parentJoint, number, at.placement, coal.Sphere(radius)))
+    loaded = replace(robot, collision_model=shapes)
+    reuse_bodies(loaded, robot)
+    return loaded
+
 
 #: Optimizes a tour from the costs, the fruit order of the previous tour, and whether to search globally because the
 #: tour no longer changes.

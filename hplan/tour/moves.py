@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from array import array
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -24,13 +24,11 @@ from hplan.base.arrays import FloatArray, IntArray
 from hplan.planning.effort import CLOSE, NO_TREES
 from hplan.planning.failures import NO_MOTION, FailuresError
 from hplan.planning.motion import Motion, best_of, seconds
-from hplan.planning.path_finder import first_tree_path, is_straight_clear
+from hplan.planning.path_finder import Path, is_straight_clear, path_time, shortened, tree_paths
 from hplan.planning.problem import Problem
-from hplan.planning.sampling.several_trees import PromisingPath
 from hplan.planning.solver import motion_near, motions, searches_first
 from hplan.robot.limits import Limits, rest_to_rest
 from hplan.scene.model import Fruit
-from hplan.tour.joins import GAIN_S, Joins
 
 #: Number of rows of the bounds matrix computed at a time.
 _ROWS: Final = 64
@@ -93,7 +91,7 @@ class Moves:
         self._thorough: set[_Key] = set()
         self._blocked: set[_Key] = set()
         self._joins = {carries: Joins(partial(self._may_pass, carries)) for carries in (False, True)}
-        self._routes: dict[_Key, list[PromisingPath]] = {}
+        self._routes: dict[_Key, list[Path]] = {}
         # Flat lists of stop pairs: pairs with planned motions, and pairs with estimates only; the last estimate of
         # a pair is the best.
         self._looked = {carries: array("q") for carries in (False, True)}
@@ -144,11 +142,12 @@ class Moves:
             elif key in self._routes:
                 self._plan(key, motion_near(problem, self._routes.pop(key)))
             elif key in self._blocked:
-                routes = first_tree_path(problem)
-                if routes and routes[0].seconds < self._joins[loaded].between(a, b):
+                routes = tree_paths(problem, replace(problem.effort.trees, pairs=1))
+                least_s = [path_time(shortened(problem, path), problem.robot.velocity_limit) for path in routes]
+                if least_s and least_s[0] < self._joins[loaded].between(a, b):
                     self._routes[key] = routes
                     # A motion near a tree path takes about this multiple of the path's duration at the velocity limits.
-                    self._estimate(key, 1.2 * routes[0].seconds)
+                    self._estimate(key, 1.2 * least_s[0])
                 else:
                     self._plan(key, None)
             elif is_straight_clear(problem):
@@ -271,3 +270,96 @@ class Moves:
         both = [self._found.get(_key(a, b, also)) for also in (loaded, loaded or self._carries)]
         there = min((one for one in both if one is not None), key=lambda one: one.trajectory.duration)
         return there if a < b else there.reversed
+
+
+#: Minimum gain for a joined motion to replace another one [s]; durations are whole numbers of periods.
+GAIN_S = 1e-6
+
+
+class Joins:
+    """Symmetric shortest connections from stop to stop."""
+
+    def __init__(self, may_pass: Callable[[int], bool]) -> None:
+        """Start without motions.
+
+        Args:
+            may_pass: Whether the arm may pause at a stop on its way to another.
+        """
+        self._may_pass = may_pass
+        self._stops: list[int] = []
+        self._place = np.full(0, -1)  # index of each stop in `_stops`
+        self._passes = np.zeros(0, dtype=np.bool_)
+        # Durations from stop to stop and the last stop but one, with spare capacity.
+        self._seconds, self._before = np.zeros((0, 0)), np.zeros((0, 0), dtype=np.int32)
+
+    def add(self, a: int, b: int, seconds: float) -> None:
+        """Add a motion between two stops.
+
+        Args:
+            a: First stop.
+            b: Second stop.
+            seconds: Duration of the motion; infinite if there is no motion [s].
+        """
+        i, j = self._place_of(a), self._place_of(b)
+        if math.isinf(seconds):
+            return
+        for start, end in ((i, j), (j, i)):
+            count = len(self._stops)
+            ways, before = self._seconds[:count, :count], self._before[:count, :count]
+            there = np.where(self._passes[start] | (np.arange(count) == start), ways[:, start], math.inf)
+            onward = np.where(self._passes[end] | (np.arange(count) == end), ways[end], math.inf)
+            over = there[:, None] + (seconds + onward)
+            last = np.where(np.arange(count) == end, start, before[end])
+            better = over < ways - GAIN_S
+            np.copyto(ways, over, where=better)
+            np.copyto(before, np.broadcast_to(last, before.shape), where=better)
+
+    def seconds(self, a: IntArray, b: IntArray) -> FloatArray:
+        """(k,) durations between stops [s]; infinite without a connection."""
+        longest = int(max(a.max(initial=-1), b.max(initial=-1)))
+        place = np.append(self._place, np.full(max(0, longest + 1 - len(self._place)), -1))
+        i, j = place[a], place[b]
+        found = np.full(len(a), math.inf)
+        here = (i >= 0) & (j >= 0)
+        found[here] = self._seconds[i[here], j[here]]
+        return found
+
+    def between(self, a: int, b: int) -> float:
+        """Duration between two stops [s]; infinite without a connection."""
+        return float(self.seconds(np.array([a]), np.array([b]))[0])
+
+    def way(self, a: int, b: int) -> list[int] | None:
+        """Stops of the fastest connection between two stops; None without a connection.
+
+        Examples:
+            >>> joins = Joins(lambda stop: True)
+            >>> joins.add(0, 1, 1.0)
+            >>> joins.add(1, 2, 1.0)
+            >>> joins.way(0, 2), joins.between(0, 2)
+            ([0, 1, 2], 2.0)
+        """
+        i, j = self._place_of(a), self._place_of(b)
+        if not math.isfinite(self._seconds[i, j]):
+            return None
+        way = [b]
+        while i != j:
+            j = int(self._before[i, j])
+            way.append(self._stops[j])
+        return way[::-1]
+
+    def _place_of(self, stop: int) -> int:
+        """Index of a stop in `_stops`; a new stop is added."""
+        if stop >= len(self._place):
+            self._place = np.append(self._place, np.full(stop + 1, -1))
+        if self._place[stop] < 0:
+            place = len(self._stops)
+            self._place[stop] = place
+            self._stops.append(stop)
+            if place == len(self._passes):
+                more = (0, place + 16)
+                self._passes = np.pad(self._passes, more)
+                self._seconds = np.pad(self._seconds, (more, more), constant_values=math.inf)
+                self._before = np.pad(self._before, (more, more))
+            self._passes[place] = self._may_pass(stop)
+            self._seconds[place, place], self._before[place, place] = 0.0, place
+        return int(self._place[stop])

@@ -18,24 +18,135 @@ from dataclasses import asdict, dataclass, replace
 from functools import partial
 from typing import Annotated, Any, Final, Literal, NamedTuple, TypeAlias
 
+import numpy as np
 from pydantic import Field
+from scipy.optimize import LinearConstraint, milp
+from scipy.sparse import coo_array
 
 from hplan.base.arguments import instance
 from hplan.base.arrays import Record
-from hplan.base.options import Options
+from hplan.base.checked import Options
 from hplan.base.tasks import Pool, outcomes, pool_of
 from hplan.collision.reach import reach_ball
 from hplan.errors import HplanError, InputError, MovingObstacleError, OptionError, TourError
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import check_task
+from hplan.planning.reachable import FruitReach, reachable
 from hplan.planning.stages import Progress, no_progress
+from hplan.planning.world import without_inside
 from hplan.robot.model import Robot
-from hplan.scene.model import Scene
+from hplan.scene.model import Goal, Scene
 from hplan.scene.obstacles import Capsule
-from hplan.tour.pickable import pickable, within_reach
 from hplan.tour.result import TourResult
-from hplan.tour.set_cover import cover
 from hplan.tour.tour import TourOptions, plan_tour
+
+
+def within_reach(robot: Robot, scene: Scene) -> Scene:
+    """Crop a scene to the robot's workspace.
+
+    Fruits and compliant obstacles inside the base are removed. The returned scene has no fruit as its goal.
+
+    Raises:
+        InputError: A rigid obstacle is inside the base.
+    """
+    scene = scene.copy_unchecked({"goal": Goal(position=(0.0, 0.0, 0.0), approach_deg=scene.goal.approach_deg)})
+    ball = reach_ball(robot)
+    cropped = scene.cropped(float(ball[3]) + scene.clearance, ball[:3])
+    near, inside = without_inside(robot, cropped)
+    rigid = next((one.name for one in cropped.obstacles if one.name in inside and not one.yields), None)
+    if rigid is not None:
+        raise InputError(f"obstacle {rigid!r} stands in the robot's pedestal or turret", obstacle=rigid)
+    return near
+
+
+def pickable(robot: Robot, scene: Scene, options: PlanOptions | None = None) -> dict[str, FruitReach]:
+    """The fruits that can be picked, in a feasible order (`hplan.reachable`).
+
+    Fruits blocked by others are checked again once those are picked.
+
+    Args:
+        robot: The arm.
+        scene: Scene cropped to the workspace (`within_reach`).
+        options: Planning options; None for the defaults.
+
+    Raises:
+        HplanError: An error of `hplan.reachable`.
+    """
+    found: dict[str, FruitReach] = {}
+    while scene.fruits:
+        now = {name: one for name, one in reachable(robot, scene, options).items() if one.can_be_picked}
+        if not now:
+            break
+        found |= now
+        scene = scene.copy_unchecked({"fruits": tuple(fruit for fruit in scene.fruits if fruit.name not in now)})
+    return found
+
+
+def cover(
+    costs: Sequence[Mapping[str, float]], each: float, least: int | None = None
+) -> tuple[dict[int, list[str]], bool]:
+    """Minimum-cost selection of sets that covers the elements.
+
+    One integer program: set i is selected (y_i), element f is covered by set i (x_fi <= y_i), every element once.
+
+    Args:
+        costs: For each set, the cost of covering each of its elements.
+        each: Cost of a set; infinite to minimize their number first, and the costs of their elements second.
+        least: Minimum number of elements to cover, at most all; None for all.
+
+    Returns:
+        Indices of the selected sets and the elements that each covers, in the order of the set; and whether this is
+        proved optimal.
+
+    Examples:
+        >>> cover([{"a": 1.0, "b": 1.0}, {"b": 0.5}], math.inf)
+        ({0: ['a', 'b']}, True)
+    """
+    pairs = [(i, name, cost) for i, held in enumerate(costs) for name, cost in held.items()]
+    names = list(dict.fromkeys(name for _, name, _ in pairs))
+    if not names or (least is not None and least <= 0):
+        return {}, True
+    sets, count = len(costs), len(pairs)
+    number = {name: n for n, name in enumerate(names)}
+    element = np.array([number[name] for _, name, _ in pairs])
+    owner = np.array([i for i, _, _ in pairs])
+    weights = np.array([cost for _, _, cost in pairs])
+    if math.isinf(each):  # scaled so that the sum of all weights is worth less than one set
+        each, weights = 1.0, weights * (0.5 / max(1e-9, len(names) * weights.max()))
+    column, one = sets + np.arange(count), np.ones(count)
+    taken = coo_array((one, (element, column)), (len(names), sets + count))
+    rows = np.tile(np.arange(count), 2)
+    within = coo_array((np.r_[one, -one], (rows, np.r_[column, owner])), (count, sets + count))
+    enough = coo_array((one, (np.zeros(count, dtype=int), column)), (1, sets + count))
+    least = len(names) if least is None else min(least, len(names))
+    found = milp(
+        np.r_[np.full(sets, each), weights],
+        integrality=np.r_[np.ones(sets), np.zeros(count)],
+        bounds=(0.0, 1.0),
+        constraints=[
+            LinearConstraint(taken.tocsr(), 0.0 if least < len(names) else 1.0, 1.0),
+            LinearConstraint(within.tocsr(), -np.inf, 0.0),
+            LinearConstraint(enough.tocsr(), float(least), np.inf),
+        ],
+        # Time limit of the solver [s].
+        options={"time_limit": 60.0},
+    )
+    if found.x is None:  # the solver found no cover in time: assign each element to its cheapest set
+        best: dict[str, tuple[float, int]] = {}
+        for i, name, cost in pairs:
+            best[name] = min(best.get(name, (math.inf, 0)), (cost, i))
+        return _by_set({name: i for name, (_, i) in best.items()}, costs), False
+    most: dict[str, tuple[float, int]] = {}
+    for (i, name, _), part in zip(pairs, found.x[sets:].tolist(), strict=True):
+        if part > max(1e-6, most.get(name, (0.0, 0))[0]):
+            most[name] = part, i
+    return _by_set({name: i for name, (_, i) in most.items()}, costs), found.status == 0
+
+
+def _by_set(owner: Mapping[str, int], costs: Sequence[Mapping[str, float]]) -> dict[int, list[str]]:
+    chosen = {i: [name for name in held if owner.get(name) == i] for i, held in enumerate(costs)}
+    return {i: names for i, names in chosen.items() if names}
+
 
 #: Maximum number of candidate stops, of passes along the row, and of stops in one task of a worker.
 _MOST: Final = 20_000

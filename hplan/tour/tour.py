@@ -21,8 +21,8 @@ from pydantic import Field
 from hplan.base import ties
 from hplan.base.arguments import instance, list_of
 from hplan.base.arrays import FloatArray
+from hplan.base.checked import Options
 from hplan.base.deadline import Cancel, TimeIsUpError, time_limit
-from hplan.base.options import Options
 from hplan.certificate.certificate import all_of
 from hplan.certificate.digests import Digests
 from hplan.errors import CertificationError, OptionError, SceneError, TourError, UnreachableError
@@ -35,8 +35,7 @@ from hplan.planning.report import far_report, motion_report
 from hplan.planning.stages import Progress, no_progress
 from hplan.robot.model import Robot
 from hplan.scene.model import Fruit, Goal, Scene
-from hplan.tour.carried import carrying
-from hplan.tour.motions import LegMotions, Motions, drop_off
+from hplan.tour.motions import LegMotions, Motions, carrying, drop_off
 from hplan.tour.moves import Stop
 from hplan.tour.ordering import Costs, Visits, along, best, nearest
 from hplan.tour.result import Leg, TourResult, Unreached

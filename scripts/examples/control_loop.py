@@ -31,8 +31,7 @@ from pathlib import Path
 import numpy as np
 
 import hplan
-from hplan.apps.execution.plant import Plant
-from hplan.apps.execution.simulated_arm import CONTROL_PERIOD, SimulatedArm, Touch
+from hplan.apps.execution.simulated_arm import CONTROL_PERIOD, Plant, SimulatedArm, Touch
 from hplan.certificate.retimed_certificate import CertifiedMotion
 from hplan.collision.obstacle_rows import solid_rows
 from hplan.errors import ConfigurationInCollisionError, HplanError, NotInTimeError

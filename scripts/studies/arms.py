@@ -21,11 +21,11 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from studies.harness import Asked, Row, Study
+from studies.harness import Row, Study, StudyConfig
 from studies.measure import planned, ratio, timed
 from studies.outside import contacts, path_is_clear
 from studies.peers import RESOLUTION, ompl_path, roboplan_row, seed_ompl, toppra_motion, world_of
-from studies.validation.random_scenes import direction
+from studies.validation.random_worlds import direction
 
 from hplan.base.arrays import FloatArray
 from hplan.collision.coal_scene import CoalScene, base_contacts
@@ -160,15 +160,15 @@ def free_ends(
 FINE, FIND_S, EVERY_RAD = (0.002, 0.0005), 5.0, 5e-3
 
 
-def _random(asked: Asked, number: int) -> Row:
+def _random(config: StudyConfig, number: int) -> Row:
     """Results of a straight motion, OMPL's RRTConnect and hplan; contacts by coal."""
-    robot = asked.arm()
-    scene = random_scene(robot, asked.seed, number)
+    robot = config.arm()
+    scene = random_scene(robot, config.seed, number)
     goal = scene.goal.configuration
     straight = _is_clear(robot, scene, np.array([scene.start.configuration, goal]))
     row: Row = {"name": scene.name, "straight": straight}
-    if asked.peer is not None:
-        seed_ompl(asked.seed)
+    if config.peer is not None:
+        seed_ompl(config.seed)
         world, row["peer_solved"], row["peer_ms"] = world_of(robot, scene), False, 0.0
         for fine in FINE:
             path, ms = timed(lambda fine=fine: ompl_path(world, scene, goal, seconds=FIND_S, resolution=fine))  # type: ignore[misc]
@@ -176,7 +176,7 @@ def _random(asked: Asked, number: int) -> Row:
             row["peer_solved"] = path is not None and _is_clear(robot, scene, path)
             if path is None or row["peer_solved"]:
                 break
-    found, told = planned(robot, scene, PlanOptions(effort=asked.effort))
+    found, told = planned(robot, scene, PlanOptions(effort=config.effort))
     row |= told | {"missed": not told["certified"] and row.get("peer_solved", False)}
     if found is not None:
         row["contacts"] = sum(contacts(robot, scene, found.trajectory))
@@ -246,7 +246,7 @@ def panda_scene(robot: Robot, problem: dict[str, Any], name: str) -> Scene:
     for number, part in enumerate(problem["obstacles"]):
         x, y, z, w = part["quaternion_xyzw"]
         turn = pin.rpy.matrixToRpy(pin.Quaternion(w, x, y, z).normalized().toRotationMatrix())
-        keys = {
+        keys: dict[str, Any] = {
             "name": f"{part['name']} {number}",
             "center": tuple(part["position"]),
             "rpy_deg": tuple(np.degrees(turn).tolist()),
@@ -258,31 +258,31 @@ def panda_scene(robot: Robot, problem: dict[str, Any], name: str) -> Scene:
     return Scene.model_validate({"format": "hplan-scene/1", "name": name, "obstacles": tuple(obstacles), **ends})
 
 
-def panda_scenes(asked: Asked) -> Iterable[tuple[str, Robot, Scene]]:
+def panda_scenes(config: StudyConfig) -> Iterable[tuple[str, Robot, Scene]]:
     """Problems of all sets, as name, robot and scene."""
-    if asked.files is None:
+    if config.files is None:
         return []
     robot, found = panda(), []
     for name in SETS:
-        problems = panda_problems(asked.files, name)
-        every = max(1, len(problems) // (asked.count or len(problems)))
-        chosen = problems[::every][: asked.count]
+        problems = panda_problems(config.files, name)
+        every = max(1, len(problems) // (config.count or len(problems)))
+        chosen = problems[::every][: config.count]
         found += [(name, robot, panda_scene(robot, one, f"{name} {one['number']}")) for one in chosen]
     return found
 
 
-def _panda_row(asked: Asked, problem: tuple[str, Robot, Scene]) -> Row:
+def _panda_row(config: StudyConfig, problem: tuple[str, Robot, Scene]) -> Row:
     set_name, robot, scene = problem
-    found, row = planned(robot, scene, PlanOptions(effort=asked.effort))
+    found, row = planned(robot, scene, PlanOptions(effort=config.effort))
     row |= {"name": scene.name, "set": set_name}
     if found is not None:
         row["contacts"], row["own_contacts"] = contacts(robot, scene, found.trajectory)
         row["fault"] |= row["contacts"] + row["own_contacts"] > 0
-    if asked.peer is None:
+    if config.peer is None:
         return row
-    if asked.peer == "roboplan":
-        return row | roboplan_row(asked, robot, scene, row.get("duration_s"))
-    seed_ompl(asked.seed + 1)
+    if config.peer == "roboplan":
+        return row | roboplan_row(config, robot, scene, row.get("duration_s"))
+    seed_ompl(config.seed + 1)
     world, goal = world_of(robot, scene), scene.goal.configuration
     path, row["peer_ms"] = timed(lambda: ompl_path(world, scene, goal, seconds=FIND_S, resolution=RESOLUTION))
     spline, timing_ms = timed(lambda: None if path is None else toppra_motion(robot, path))

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from studies.harness import Asked, Row, Study
+from studies.harness import Row, Study, StudyConfig
 from studies.measure import timed
 from studies.outside import contacts
 
@@ -40,9 +40,9 @@ STANDS = {
 EQUAL = 0.8
 
 
-def _problems(asked: Asked) -> list[tuple[Path, str]]:
-    files = sorted((asked.trees or Path()).glob("*.csv"))[asked.first :][: asked.count]
-    chosen = [list(STANDS)[int(number)] for number in asked.values.get("stands", (0, 1))]
+def _problems(config: StudyConfig) -> list[tuple[Path, str]]:
+    files = sorted((config.trees or Path()).glob("*.csv"))[config.first :][: config.count]
+    chosen = [list(STANDS)[int(number)] for number in config.values.get("stands", (0, 1))]
     return [(file, stands) for stands in chosen for file in files]
 
 
@@ -58,14 +58,14 @@ def cell_of(robot: Robot, tree: Scene, stands: str) -> Cell:
     return Cell.of(scene, {arm.name: robot for arm in arms})
 
 
-def _picked(asked: Asked, file: Path, stands: str, yaw_deg: float) -> tuple[CellTour, float]:
+def _picked(config: StudyConfig, file: Path, stands: str, yaw_deg: float) -> tuple[CellTour, float]:
     """A picked tree, and the CPU time of planning [ms].
 
     Raises:
         InputError: An arm's base or waiting pose is in the tree.
         HplanError: As in `plan_cell_tour`.
     """
-    robot, fruits = load_robot("orchard_harvester"), int(asked.values.get("fruits", (FRUITS,))[0])
+    robot, fruits = load_robot("orchard_harvester"), int(config.values.get("fruits", (FRUITS,))[0])
     options = MeasuredOptions(
         distance=DISTANCE, yaw_deg=yaw_deg, fruits=fruits, wood_yields=YIELDS, fruit_yields=YIELDS
     )
@@ -76,26 +76,26 @@ def _picked(asked: Asked, file: Path, stands: str, yaw_deg: float) -> tuple[Cell
         for key in ("obstacles", "fruits")
     }
     cell = cell_of(robot, tree.with_(**kept), stands)
-    return timed(lambda: plan_cell_tour(cell, PlanOptions(effort=asked.effort)))
+    return timed(lambda: plan_cell_tour(cell, PlanOptions(effort=config.effort)))
 
 
-def _alone(asked: Asked, cell: Cell, name: str) -> tuple[float, float]:
+def _alone(config: StudyConfig, cell: Cell, name: str) -> tuple[float, float]:
     """How many fruits a second an arm picks that is there alone, and which part of its time is the way out and home."""
     arm = cell.arm(name)
     try:
-        tour = plan_tour(arm.robot, arm.scene, PlanOptions(effort=asked.effort), tour=TourOptions(back=True))
+        tour = plan_tour(arm.robot, arm.scene, PlanOptions(effort=config.effort), tour=TourOptions(back=True))
     except TourError:
         return 0.0, 0.0
     out, home = tour.phases[0], tour.phases[-1]
     return len(tour.order) / tour.duration, (out.end_s - out.start_s + home.end_s - home.start_s) / tour.duration
 
 
-def _row(asked: Asked, problem: tuple[Path, str]) -> Row:
+def _row(config: StudyConfig, problem: tuple[Path, str]) -> Row:
     file, stands = problem
     row: Row = {"name": f"{file.stem} {stands}", "stands": stands, "solved": False}
     for yaw_deg in (0.0, 90.0):
         try:
-            found, ms = _picked(asked, file, stands, yaw_deg)
+            found, ms = _picked(config, file, stands, yaw_deg)
             break
         except HplanError as error:
             row |= {"how": error.kind, "message": error.message}
@@ -110,7 +110,7 @@ def _row(asked: Asked, problem: tuple[Path, str]) -> Row:
     }
     busy = {name: max(seconds, 1e-3) for name, seconds in report["busy_s"].items()}
     quicker = max(own, key=lambda name: own[name] / busy[name])
-    (alone, ways), shares = _alone(asked, cell, quicker), list(own.values())
+    (alone, ways), shares = _alone(config, cell, quicker), list(own.values())
     rate, arms = len(found.picked) / found.trajectory.duration, len(cell.arms)
     equal = len(shares) == arms and min(shares) * arms >= EQUAL * sum(shares)
     rigid = tuple(item for item in cell.scene.obstacles if not item.yields)

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from studies.harness import Asked, Row, Study, evenly_chosen
+from studies.harness import Row, Study, StudyConfig, evenly_chosen
 from studies.measure import planned
 from studies.pinches import pinch
 from studies.planar import random_scene
@@ -123,12 +123,12 @@ def improve(rows: Iterable[Row]) -> int:
     return improved
 
 
-def _problems(asked: Asked) -> Iterable[FastestProblem]:
-    records = [record for record in read_records() if asked.trees is not None or group_of(record) == "planar"]
-    return [problem_of(record, asked.trees) for record in evenly_chosen(records, asked.count, group_of)]
+def _problems(config: StudyConfig) -> Iterable[FastestProblem]:
+    records = [record for record in read_records() if config.trees is not None or group_of(record) == "planar"]
+    return [problem_of(record, config.trees) for record in evenly_chosen(records, config.count, group_of)]
 
 
-def _row(_: Asked, problem: FastestProblem) -> Row:
+def _row(_: StudyConfig, problem: FastestProblem) -> Row:
     """The motion with each effort, to the best known."""
     record, robot, scene = problem
     row: Row = {"name": record["name"], "group": group_of(record), "certified": True, "fault": False}

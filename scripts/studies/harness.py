@@ -1,11 +1,11 @@
-"""One harness for all studies: problems, rows of numbers, summaries.
+"""The harness of all studies: problems, rows of numbers, summaries.
 
-`run` yields rows as they are made, in this process or on any executor of `concurrent.futures`; `summary` tabulates
+`run` yields rows as they are computed, in this process or on any executor of `concurrent.futures`; `summary` tabulates
 them, `compare` lists changes between two runs, problem by problem. The keys of a row name its results for one problem:
 
 - `name`: the problem, the same in every run;
-- `fault`: true if hplan is at fault, for example with a certified motion in contact;
-- texts and truths are counted; for numbers the median, the 95th percentile and the maximum are reported.
+- `fault`: True if hplan is at fault, for example with a certified motion in contact;
+- texts and booleans are counted; for numbers the median, the 95th percentile and the maximum are reported.
 """
 
 from __future__ import annotations
@@ -30,15 +30,12 @@ from hplan.robot.model import Robot, load_robot
 #: Results for one problem.
 Row: TypeAlias = dict[str, Any]
 
-#: Group of a summary with all rows.
-ALL = "all"
-
 #: Studies whose kernels this process has loaded.
 _WARM: set[str] = set()
 
 
 @dataclass(frozen=True)
-class Asked:
+class StudyConfig:
     """Settings of a study's run.
 
     Attributes:
@@ -73,9 +70,9 @@ class Asked:
         return range(self.first, self.first + (self.count or 0))
 
 
-def numbered(asked: Asked) -> Iterable[Any]:
-    """Problems that are no more than their numbers."""
-    return asked.numbers
+def numbered(config: StudyConfig) -> Iterable[Any]:
+    """Problems given by their numbers alone."""
+    return config.numbers
 
 
 @dataclass(frozen=True)
@@ -98,9 +95,9 @@ class Study:
 
     name: str
     about: str
-    row: Callable[[Asked, Any], Row | list[Row] | None]
+    row: Callable[[StudyConfig, Any], Row | list[Row] | None]
     columns: tuple[str, ...]
-    problems: Callable[[Asked], Iterable[Any]] = numbered
+    problems: Callable[[StudyConfig], Iterable[Any]] = numbered
     by: str = ""
     totals: tuple[str, ...] = ()
     count: tuple[int | None, int] = (None, 3)
@@ -110,38 +107,41 @@ class Study:
 
 
 def run(
-    study: Study, asked: Asked, *, executor: Executor | None = None, told: Callable[[int, int], None] = lambda *_: None
+    study: Study,
+    config: StudyConfig,
+    *,
+    executor: Executor | None = None,
+    report: Callable[[int, int], None] = lambda *_: None,
 ) -> Iterator[Row]:
     """Yield the rows of a study, in the order of its problems.
 
     Args:
         study: The study.
-        asked: Its settings.
-        executor: Executor that makes the rows; None for this process.
-        told: Called with the number of finished problems, and their total.
+        config: Its settings.
+        executor: Executor that computes the rows; None for this process.
+        report: Called with the number of finished problems, and their total.
     """
-    missing = [name for name in study.needs if getattr(asked, name) is None]
+    missing = [name for name in study.needs if getattr(config, name) is None]
     if missing:
         raise InputError(f"{study.name}: needs --{' and --'.join(missing)}", study=study.name, missing=missing)
-    if asked.peer not in (None, *study.peers):
-        raise OptionError("--peer", asked.peer, f"one of {', '.join(study.peers)} for {study.name}")
-    problems = list(study.problems(asked))
+    if config.peer not in (None, *study.peers):
+        raise OptionError("--peer", config.peer, f"one of {', '.join(study.peers)} for {study.name}")
+    problems = list(study.problems(config))
     warm = problems[:: max(1, math.ceil(len(problems) / max(1, study.warm)))] if study.warm else []
-    made = partial(_rows, study, asked, warm)
-    told(0, len(problems))
-    found = map(made, problems) if executor is None else executor.map(made, problems)
-    for done, rows in enumerate(found, 1):
+    report(0, len(problems))
+    solve = partial(_rows, study, config, warm)
+    for done, rows in enumerate(map(solve, problems) if executor is None else executor.map(solve, problems), 1):
         yield from rows
-        told(done, len(problems))
+        report(done, len(problems))
 
 
-def _rows(study: Study, asked: Asked, warm: Sequence[Any], problem: Any) -> list[Row]:
+def _rows(study: Study, config: StudyConfig, warm: Sequence[Any], problem: Any) -> list[Row]:
     """The rows of one problem; the first call in a process warms up."""
     if study.name not in _WARM:
         _WARM.add(study.name)
         for one in warm:
-            study.row(asked, one)
-    found = study.row(asked, problem)
+            study.row(config, one)
+    found = study.row(config, problem)
     return [] if found is None else found if isinstance(found, list) else [found]
 
 
@@ -162,7 +162,7 @@ def number(value: float, digits: int = 3) -> str:
     return f"{value:,.0f}" if abs(value) >= 10.0**digits else f"{value:.{digits}g}"
 
 
-def told_of(values: Sequence[Any]) -> str:
+def summarize(values: Sequence[Any]) -> str:
     """The summary of one column's values, without missing ones."""
     kept = [value for value in values if value is not None]
     if not kept:
@@ -185,10 +185,10 @@ def table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
 def summary(study: Study, rows: Sequence[Row]) -> list[str]:
     """Markdown lines: a table with a row per group, and the faults."""
     groups = list(dict.fromkeys(str(row.get(study.by)) for row in rows)) if study.by else []
-    chosen = {name: [row for row in rows if str(row.get(study.by)) == name] for name in groups} | {ALL: rows}
+    chosen = {name: [row for row in rows if str(row.get(study.by)) == name] for name in groups} | {"all": rows}
     kept = [key for key in study.columns if any(row.get(key) is not None for row in rows)]
     cells = [
-        (name, str(len(some)), *(told_of([row.get(key) for row in some]) for key in kept))
+        (name, str(len(some)), *(summarize([row.get(key) for row in some]) for key in kept))
         for name, some in chosen.items()
     ]
     faults = [str(row.get("name")) for row in rows if row.get("fault")]
@@ -215,7 +215,7 @@ def compare(before: Sequence[Row], after: Sequence[Row], columns: Sequence[str])
     """Markdown lines: changes in each column between two runs.
 
     Only problems of both runs count. For numbers the ratios after : before are reported (of their sums, then median, 95
-    % and maximum over problems), for truths and texts the number of each change.
+    % and maximum over problems), for booleans and texts the number of each change.
     """
     old = {row["name"]: row for row in before}
     pairs = [(old[row["name"]], row) for row in after if row["name"] in old]
@@ -226,25 +226,21 @@ def compare(before: Sequence[Row], after: Sequence[Row], columns: Sequence[str])
             continue
         if any(isinstance(value, bool | str) for value in itertools.chain.from_iterable(both)):
             changed = Counter(f"{a} -> {b}" for a, b in both if a != b)
-            told = ", ".join(f"{count}: {change}" for change, count in changed.most_common()) or "no change"
-            lines.append((key, str(len(both)), told, "", ""))
+            changes = ", ".join(f"{count}: {change}" for change, count in changed.most_common()) or "no change"
+            lines.append((key, str(len(both)), changes, "", ""))
             continue
         a, b = np.array(both, dtype=np.float64).T
         good = np.isfinite(a) & np.isfinite(b) & (a > 0.0)
         ratio = (b[good] / a[good]).tolist()
         total = number(b[good].sum() / a[good].sum(), 4) if ratio else "-"
         more = f"{sum(one > 1.0 + 1e-9 for one in ratio)} more, {sum(one < 1.0 - 1e-9 for one in ratio)} less"
-        lines.append((key, str(len(ratio)), total, told_of(ratio), more))
-    heads = ("after : before", "pairs", "of sums", "median / 95 % / largest", "")
-    return [
-        f"{len(before)} rows before, {len(after)} after, {len(pairs)} of the same problems",
-        "",
-        *table(heads, lines),
-    ]
+        lines.append((key, str(len(ratio)), total, summarize(ratio), more))
+    first = f"{len(before)} rows before, {len(after)} after, {len(pairs)} of the same problems"
+    return [first, "", *table(("after : before", "pairs", "of sums", "median / 95 % / largest", ""), lines)]
 
 
 def read_rows(file: Path) -> list[Row]:
-    """Read the rows that a run has written."""
+    """Read the rows of an earlier run."""
     try:
         lines = [json.loads(line) for line in file.read_text(encoding="utf-8").splitlines()]
     except (OSError, ValueError) as error:

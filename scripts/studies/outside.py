@@ -14,7 +14,7 @@ import numpy as np
 import pinocchio as pin
 from studies.harness import Row
 from studies.validation import judge
-from studies.validation.judge import TICK_S, Arm, Thing
+from studies.validation.judge import TICK_S, Arm, JudgedObstacle, SampledMotion
 
 from hplan.base.arrays import FloatArray
 from hplan.errors import InputError
@@ -32,7 +32,7 @@ EVERY_S = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class TimedMotion:
-    """A motion as a function of time: how long it lasts [s], and (n,) times -> (n, dof) configurations."""
+    """A motion as a function of time: duration [s], and (n,) times -> (n, dof) configurations."""
 
     duration: float
     positions: Callable[[FloatArray], FloatArray]
@@ -43,32 +43,28 @@ Motion = TimedMotion | Trajectory
 
 
 def contacts(robot: Robot, scene: Scene, motion: Motion) -> tuple[int, int]:
-    """How many pairs of a body and an obstacle, and of two bodies, touch along a motion; all fruit is an obstacle."""
-    return touching_at(robot, scene, np.append(np.arange(0.0, motion.duration, TICK_S), motion.duration), motion)
+    """Numbers of contacts with obstacles and fruit, and of contacts between bodies of the robot, along a motion."""
+    return _contacts_at(robot, scene, np.append(np.arange(0.0, motion.duration, TICK_S), motion.duration), motion)
 
 
 def path_is_clear(robot: Robot, scene: Scene, path: FloatArray) -> bool:
     """True if closely spaced (n, dof) configurations are all collision-free."""
     numbers = np.arange(len(path), dtype=np.float64)
-    return not any(touching_at(robot, scene, numbers, TimedMotion(numbers[-1], lambda _: path)))
+    return not any(_contacts_at(robot, scene, numbers, TimedMotion(numbers[-1], lambda _: path)))
 
 
-def touching_at(robot: Robot, scene: Scene, clock: FloatArray, motion: Motion) -> tuple[int, int]:
-    """`contacts` of the times of a clock."""
-    found = _found(robot, scene, judge.Motion(robot.joint_names, clock, motion.positions(clock)))
+def _contacts_at(robot: Robot, scene: Scene, clock: FloatArray, motion: Motion) -> tuple[int, int]:
+    found = _found(robot, scene, SampledMotion(robot.joint_names, clock, motion.positions(clock)))
     own = {body.name for body in arm_of(robot).bodies}
     return sum(contact.second not in own for contact in found), sum(contact.second in own for contact in found)
 
 
-def _found(robot: Robot, scene: Scene, motion: judge.Motion) -> list[judge.Contact]:
-    return judge.contacts(arm_of(robot), motion, things_of(scene))
+def _found(robot: Robot, scene: Scene, motion: SampledMotion) -> list[judge.Contact]:
+    return judge.contacts(arm_of(robot), motion, obstacles_of(scene))
 
 
 def between_arms(cell: Cell, more: Sequence[pin.GeometryObject] = ()) -> pin.GeometryModel:
-    """The original meshes of a workcell, with pairs of different arms.
-
-    Bodies of `more` are added.
-    """
+    """The original meshes of a workcell and of `more`, with the pairs of different arms."""
     geometry = pin.GeometryModel(cell.robot.collision_model)
     geometry.removeAllCollisionPairs()
     for body in more:
@@ -81,18 +77,16 @@ def between_arms(cell: Cell, more: Sequence[pin.GeometryObject] = ()) -> pin.Geo
     return geometry
 
 
-def things_of(scene: Scene | CellScene) -> list[Thing]:
+def obstacles_of(scene: Scene | CellScene) -> list[JudgedObstacle]:
     """Obstacles and fruit for the judge, in the scene's frame."""
     items = [obstacle.model_dump(mode="json", by_alias=True) for obstacle in scene.obstacles]
     for item, obstacle in zip(items, scene.obstacles, strict=True):
-        if isinstance(obstacle, FromData):  # dumps hold no data; in its own frame, for the judge places it by itself
+        if isinstance(obstacle, FromData):  # dumps have no data; the judge places it itself
             item |= {key: getattr(obstacle._data, key, None) for key in ("vertices", "faces", "points")}
-        for key in ("track", "sway"):  # dumps of scenes do not hold them
+        for key in ("track", "sway"):  # dumps of scenes have neither
             moves = getattr(obstacle, key, None)
             item[key] = None if moves is None else moves.model_dump()
-    fruits = [{"kind": "sphere", "name": fruit.name, "center": fruit.center, "radius": fruit.radius}
-              for fruit in scene.fruits]  # fmt: skip
-    return judge.things_of([*items, *fruits])
+    return judge.read_obstacles([*items, *({"kind": "sphere", **fruit.model_dump()} for fruit in scene.fruits)])
 
 
 def arm_of(robot: Robot) -> Arm:
@@ -128,9 +122,9 @@ def findings(robot: Robot, scene: Scene, motion: Motion, every_s: float = EVERY_
     v, a = (q[2:] - q[:-2]) / (2.0 * h), (q[2:] - 2.0 * q[1:-1] + q[:-2]) / h**2
     data = robot.model.createData()
     torque = np.array([pin.rnea(robot.model, data, *row) for row in zip(q[1:-1], v, a, strict=True)])
-    found = _found(robot, scene, judge.Motion(robot.joint_names, clock, q))
+    found = _found(robot, scene, SampledMotion(robot.joint_names, clock, q))
     return {
-        "looks": len(q),
+        "samples": len(q),
         "contacts": len(found),
         "depth_mm": 1e3 * max((contact.depth_m for contact in found), default=0.0),
         "outside_deg": float(np.degrees(np.maximum(robot.lower - q, q - robot.upper).max().clip(0.0))),

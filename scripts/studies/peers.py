@@ -1,6 +1,6 @@
-"""Peers: OMPL's planners with hplan's distances, toppra on a spline, stops at corners.
+"""Other planners: OMPL with hplan's distances, roboplan, toppra on a spline, straight segments with stops at corners.
 
-None of them limits the jerk, as hplan does if the robot has jerk limits.
+They do not limit the jerk, as hplan does if the robot has jerk limits.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from studies.harness import Asked, Row
+from studies.harness import Row, StudyConfig
 from studies.measure import or_error, ratio, timed
 from studies.outside import TimedMotion, contacts, findings
 
@@ -22,12 +22,12 @@ from hplan.collision.clearance_field import ClearanceField
 from hplan.errors import HplanError
 from hplan.geometry.polyline import stations
 from hplan.optimization.shortcut import shorten
-from hplan.planning.finishing.finish import finish
+from hplan.planning.finish import finish
 from hplan.planning.world import World
 from hplan.robot.model import Robot
 from hplan.scene.model import Scene
 
-#: CPU time for a planner to find a path, and to simplify it [s]; clearance required of the motions of its path [m].
+#: CPU time limits for finding and for simplifying a path [s]; clearance required of the motions of a path [m].
 PATIENCE_S, SIMPLIFY_S, MARGIN_M = 10.0, 1.0, 1e-5
 
 #: Use of a limit that counts as a violation: cubics between a peer's samples of 5 ms add up to a tenth.
@@ -58,11 +58,7 @@ def ompl() -> tuple[Any, Any, Any]:
 
 @cache
 def seed_ompl(seed: int) -> None:
-    """Seed OMPL's random numbers, once a process.
-
-    Raises:
-        InputError: OMPL is not installed.
-    """
+    """Seed OMPL's random numbers, once a process."""
     ompl()[2].RNG.setSeed(max(1, seed))
 
 
@@ -89,6 +85,7 @@ def ompl_path(
     base, geometric, _ = ompl()
     robot, begin = world.robot, scene.start.configuration
     joints = np.flatnonzero(~robot.locked_mask(scene.locked_joints)).tolist()
+    axes = range(len(joints))
     space, bounds = base.RealVectorStateSpace(len(joints)), base.RealVectorBounds(len(joints))
     for axis, joint in enumerate(joints):
         bounds.setLow(axis, float(robot.lower[joint]))
@@ -96,99 +93,80 @@ def ompl_path(
     space.setBounds(bounds)
     setup, q = geometric.SimpleSetup(space), np.stack([begin, begin])
 
-    class Shown(base.MotionValidator):  # type: ignore[misc, name-defined]
+    class Verified(base.MotionValidator):  # type: ignore[misc, name-defined]
         def checkMotion(self, first: Any, second: Any) -> bool:  # noqa: N802 - OMPL's name
-            q[:, joints] = [[state[axis] for axis in range(len(joints))] for state in (first, second)]
+            q[:, joints] = [[state[axis] for axis in axes] for state in (first, second)]
             return world.field.is_clear(q, MARGIN_M)
 
     def is_free(state: Any) -> bool:
-        q[0, joints] = [state[axis] for axis in range(len(joints))]
+        q[0, joints] = [state[axis] for axis in axes]
         return world.field.clearance(q[0]) > 0.0
 
     setup.setStateValidityChecker(is_free)
     information = setup.getSpaceInformation()
     if resolution is None:
-        information.setMotionValidator(Shown(information))
+        information.setMotionValidator(Verified(information))
     else:
         information.setStateValidityCheckingResolution(resolution)
-    ends = []
-    for end in (begin, goal):
-        state = space.allocState()
+    ends = [space.allocState(), space.allocState()]
+    for state, end in zip(ends, (begin, goal), strict=True):
         for axis, joint in enumerate(joints):
             state[axis] = float(end[joint])
-        ends.append(state)
     setup.setStartAndGoalStates(*ends)
     setup.setPlanner(getattr(geometric, planner)(information))
-    world.field.is_clear(q, MARGIN_M)  # compiling must not take of OMPL's time
+    world.field.is_clear(q, MARGIN_M)  # compile before OMPL's time starts
     world.field.clearance(begin)
-    if not solve(setup, seconds):
+    # If an end is in collision OMPL sleeps without CPU time: a wall-clock limit wakes it.
+    until_s, patience_s = time.thread_time() + seconds, time.monotonic() + 1.5 * seconds
+    setup.solve(
+        base.PlannerTerminationCondition(lambda: time.thread_time() >= until_s or time.monotonic() >= patience_s)
+    )
+    if not setup.haveExactSolutionPath():
         return None
     setup.simplifySolution(SIMPLIFY_S)
     states = setup.getSolutionPath().getStates()
     path = np.repeat(begin[None], len(states), axis=0)
-    path[:, joints] = [[state[axis] for axis in range(len(joints))] for state in states]
+    path[:, joints] = [[state[axis] for axis in axes] for state in states]
     path[0], path[-1] = begin, goal
     return path
 
 
-def solve(setup: Any, seconds: float) -> bool:
-    """True if a `SimpleSetup` finds a path within a CPU time [s].
-
-    If an end is in collision OMPL sleeps without CPU time: a wall-clock timer wakes it.
-    """
-    until_s, patience_s = time.thread_time() + seconds, time.monotonic() + 1.5 * seconds
-    setup.solve(
-        ompl()[0].PlannerTerminationCondition(lambda: time.thread_time() >= until_s or time.monotonic() >= patience_s)
-    )
-    return bool(setup.haveExactSolutionPath())
-
-
 def world_of(robot: Robot, scene: Scene) -> World:
-    """The arm among all that a scene holds."""
+    """The arm among all obstacles and fruit of a scene."""
     return World.of(robot, scene.solids_with_goal, clearance=scene.clearance)
 
 
-def finished_s(robot: Robot, scene: Scene, path: FloatArray | None) -> float | None:
-    """Duration of hplan's motion along a peer's path, or None [s]."""
-    if path is None:
-        return None
-    found = or_error(lambda: finish(robot, scene, path))
-    return None if isinstance(found, HplanError) else found.trajectory.duration
+def peer_row(
+    config: StudyConfig, robot: Robot, scene: Scene, duration_s: float | None, seconds: float = PATIENCE_S
+) -> Row:
+    """Results of a peer for a scene.
 
-
-def peer_row(asked: Asked, robot: Robot, scene: Scene, duration_s: float | None, seconds: float = PATIENCE_S) -> Row:
-    """Results of a peer for a scene, with hplan's motions.
-
-    They are for its path, for splines through it, and for its path finished by hplan. `to_spline` and `to_peer` are the
-    ratios of the duration of hplan's motion to toppra's on a cubic spline through the path, with or without contact,
-    and to hplan's motion along the peer's path.
+    `to_spline` is the ratio of the duration of hplan's motion to toppra's on a cubic spline through the peer's path,
+    with or without contact, `to_peer` to hplan's motion along the peer's path.
     """
-    if asked.peer is None:
+    if config.peer is None:
         return {}
-    world, planner = world_of(robot, scene), asked.peer
-    seed_ompl(asked.seed + 1)
+    world, planner = world_of(robot, scene), config.peer
+    seed_ompl(config.seed + 1)
     path, ms = timed(lambda: ompl_path(world, scene, scene.goal.configuration, planner=planner, seconds=seconds))
     if path is None:
         return {"peer_solved": False, "peer_ms": ms}
     spline = toppra_motion(robot, path)
-    finished = finished_s(robot, scene, path)
+    finished = or_error(lambda: finish(robot, scene, path))
     return {
         "peer_solved": True,
         "peer_ms": ms,
-        "to_peer": ratio(duration_s, finished),
+        "to_peer": None if isinstance(finished, HplanError) else ratio(duration_s, finished.trajectory.duration),
         "to_spline": None if spline is None else ratio(duration_s, spline.duration),
         "spline_touches": None if spline is None else any(contacts(robot, scene, spline)),
     }
 
 
-def roboplan_row(asked: Asked, robot: Robot, scene: Scene, duration_s: float | None) -> Row:
-    """Results of roboplan for a scene: CPU times of all steps.
-
-    The steps are path, shortcuts and timing; the arm is loaded before.
-    """
+def roboplan_row(config: StudyConfig, robot: Robot, scene: Scene, duration_s: float | None) -> Row:
+    """Results of roboplan for a scene; the CPU time includes path, shortcuts and timing, not loading the arm."""
     from studies.roboplan_peer import RoboplanArm
 
-    arm = RoboplanArm(robot, scene, asked.seed + 1)
+    arm = RoboplanArm(robot, scene, config.seed + 1)
     motion, ms = timed(lambda: arm.motion(scene.start.configuration, scene.goal.configuration))
     row = {"peer_solved": motion is not None, "peer_ms": ms}
     if motion is None:
@@ -202,16 +180,13 @@ def roboplan_row(asked: Asked, robot: Robot, scene: Scene, duration_s: float | N
 
 
 def toppra_motion(robot: Robot, path: FloatArray, *, defaults: bool = False) -> TimedMotion | None:
-    """A cubic spline through waypoints, timed by toppra under velocity, acceleration and torque limits.
+    """A cubic spline through waypoints, timed by toppra under velocity, acceleration and torque limits, or None.
 
     Args:
         path: (m, dof) waypoints.
-        defaults: As toppra comes: parameters 0 to 1 in equal parts, `ParametrizeSpline`, torque by collocation. Else
-            as its users are advised: parameters by length, waypoints among the grid points,
+        defaults: toppra's defaults: parameters 0 to 1 in equal parts, `ParametrizeSpline`, torque by collocation. Else
+            as its documentation advises: parameters by length, waypoints among the grid points,
             `ParametrizeConstAccel`, all by interpolation.
-
-    Returns:
-        The motion, or None where toppra finds none.
     """
     import pinocchio as pin
     import toppra
@@ -227,24 +202,23 @@ def toppra_motion(robot: Robot, path: FloatArray, *, defaults: bool = False) -> 
     def inverse_dynamics(q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
         return np.array(pin.rnea(robot.model, data, q, v, a))
 
-    def both(limit: FloatArray) -> FloatArray:
-        return np.stack([-limit, limit], axis=1)
-
+    limits = [np.stack([-limit, limit], axis=1) for limit in
+              (robot.velocity_limit, robot.acceleration_limit, robot.torque_limit)]  # fmt: skip
     scheme: Any = {} if defaults else {"discretization_scheme": constraint.DiscretizationType.Interpolation}
     constraints = [
-        constraint.JointVelocityConstraint(both(robot.velocity_limit)),
-        constraint.JointAccelerationConstraint(both(robot.acceleration_limit), **scheme),
-        constraint.JointTorqueConstraint(inverse_dynamics, both(robot.torque_limit), np.zeros(robot.dof), **scheme),
+        constraint.JointVelocityConstraint(limits[0]),
+        constraint.JointAccelerationConstraint(limits[1], **scheme),
+        constraint.JointTorqueConstraint(inverse_dynamics, limits[2], np.zeros(robot.dof), **scheme),
     ]
-    chosen: Any = {}
+    options: Any = {}
     if not defaults:
         share = np.arange(_GRID_POINTS_EACH) / _GRID_POINTS_EACH
         each = (station[:-1, None] + np.diff(station)[:, None] * share).ravel()
         grid = np.union1d(np.linspace(0.0, station[-1], _GRID_POINTS), each)
         grid = grid[np.diff(grid, prepend=-np.inf) > 1e-6 * station[-1]]
         grid[-1] = station[-1]
-        chosen = {"parametrizer": "ParametrizeConstAccel", "gridpoints": grid}
-    trajectory = algorithm.TOPPRA(constraints, spline, **chosen).compute_trajectory()
+        options = {"parametrizer": "ParametrizeConstAccel", "gridpoints": grid}
+    trajectory = algorithm.TOPPRA(constraints, spline, **options).compute_trajectory()
     if trajectory is None:
         return None
     end = float(trajectory.duration)
@@ -252,10 +226,10 @@ def toppra_motion(robot: Robot, path: FloatArray, *, defaults: bool = False) -> 
 
 
 def quickest_polyline(robot: Robot, path: FloatArray, field: ClearanceField) -> FloatArray:
-    """The shortened path that is fastest with stops at its corners.
+    """The shortened path that is fastest with stops at its corners, after different numbers of shortcuts.
 
-    It is chosen among paths after more and fewer shortcuts. Many shortcuts give the shortest path, but many corners;
-    without any it goes from each waypoint to the farthest visible one.
+    Many shortcuts give the shortest path, but many corners; without any it goes from each waypoint to the farthest
+    visible one.
     """
     polylines = [shorten(path, field, margin=MARGIN_M, rounds=rounds) for rounds in _SHORTCUTS]
     return min(polylines, key=lambda polyline: stopping_duration(robot, polyline))
@@ -269,9 +243,8 @@ def stopping_duration(robot: Robot, path: FloatArray) -> float:
     total = 0.0
     for turn in np.abs(np.diff(path, axis=0)):
         moves = turn > 1e-12
-        if not moves.any():
-            continue
-        speed = float((robot.velocity_limit[moves] / turn[moves]).min())
-        acceleration = float((robot.acceleration_limit[moves] / turn[moves]).min())
-        total += 2.0 / np.sqrt(acceleration) if speed**2 >= acceleration else 1.0 / speed + speed / acceleration
+        if moves.any():
+            speed = float((robot.velocity_limit[moves] / turn[moves]).min())
+            acceleration = float((robot.acceleration_limit[moves] / turn[moves]).min())
+            total += 2.0 / np.sqrt(acceleration) if speed**2 >= acceleration else 1.0 / speed + speed / acceleration
     return total

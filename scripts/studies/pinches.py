@@ -12,7 +12,6 @@ from itertools import pairwise
 from typing import TypeAlias
 
 import numpy as np
-from studies.validation.random_scenes import vector
 
 from hplan.base.arrays import FloatArray
 from hplan.errors import HplanError
@@ -117,7 +116,7 @@ def _drawn(robot: Robot, random: np.random.Generator, room: float) -> _Drawn | N
         radius = _least_distance(swept, arm.half_widths, center) - left
         if RADII[0] <= radius <= RADII[1]:
             place = origin + center @ robot.plane_axes
-            balls.append(Sphere(name=f"ball {len(balls)}", center=vector(place), radius=radius))
+            balls.append(Sphere(name=f"ball {len(balls)}", center=tuple(place.tolist()), radius=radius))
         if len(balls) == count:
             yaw = [0.0] * robot.yaw_joints
             return np.array([*yaw, *corners[0]]), np.array([*yaw, *corners[-1]]), balls

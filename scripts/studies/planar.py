@@ -1,20 +1,20 @@
-"""Random planar scenes, the base locked: searches and motions."""
+"""Random planar scenes with a locked base, and the two-level search compared with the dense one in them."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
-from studies.harness import Asked, Row, Study
+from studies.harness import Row, Study, StudyConfig
 from studies.measure import planned, ratio, timed
-from studies.peers import MARGIN_M, peer_row, quickest_polyline, stopping_duration, toppra_motion, world_of
+from studies.peers import peer_row
 from studies.planar_cspace import arm_sections, joint_grid
 
 from hplan.base.arrays import FloatArray, IntArray
 from hplan.errors import InputError
-from hplan.grid import dense_search, two_level_search
-from hplan.grid.grid import Occupancy
-from hplan.grid.occupancy import occupancy
+from hplan.planar.grid import dense_search, two_level_search
+from hplan.planar.grid.grid import Occupancy
+from hplan.planar.grid.occupancy import occupancy
 from hplan.planning.options import PlanOptions
 from hplan.planning.world import World
 from hplan.robot.model import Robot
@@ -108,49 +108,36 @@ def planar_scene(robot: Robot, name: str, discs: list[Sphere], start: FloatArray
     )
 
 
-def _clutter(asked: Asked, number: int) -> Row:
-    """Results of both searches, the motion, and other post-processing."""
-    robot = asked.arm()
-    drawn = random_scene(robot, asked.seed, number)
-    fast_runs = [timed(lambda: two_level_search(drawn.space, drawn.start, drawn.goal)) for _ in range(3)]
-    fast, fast_ms = fast_runs[0][0], float(np.median([ms for _, ms in fast_runs]))
+def _clutter(config: StudyConfig, number: int) -> Row:
+    """Results of both searches, the motion, and a peer."""
+    robot = config.arm()
+    drawn = random_scene(robot, config.seed, number)
+    runs = [timed(lambda: two_level_search(drawn.space, drawn.start, drawn.goal)) for _ in range(3)]
+    fast, fast_ms = runs[0][0], float(np.median([ms for _, ms in runs]))
     dense, dense_ms = timed(lambda: dense_search(drawn.space, drawn.start, drawn.goal))
     has_path = dense.path is not None
-    found, row = planned(robot, drawn.scene, PlanOptions(effort=asked.effort))
-    field = world_of(robot, drawn.scene).field
-    ends = np.stack([drawn.scene.start.configuration, drawn.scene.goal.configuration])
+    _, row = planned(robot, drawn.scene, PlanOptions(effort=config.effort))
     row |= {
         "name": drawn.scene.name,
-        "way": "no path" if not has_path else "straight" if field.is_clear(ends, MARGIN_M) else "around",
+        "path": has_path,
         "search_ratio": dense_ms / fast_ms,
         "cost_ratio": ratio(fast.cost, dense.cost) if has_path else None,
         "two_level_ms": fast_ms,
         "fallback": fast.fallback,
+        "disagree": (fast.path is not None) != has_path,
     }
-    row["disagree"] = (fast.path is not None) != has_path
-    if found is None:
-        return row
-    duration, grid = row["duration_s"], toppra_motion(robot, found.grid_path)
-    row["to_grid_spline"] = None if grid is None else duration / grid.duration
-    row["to_stops"] = duration / stopping_duration(robot, quickest_polyline(robot, found.grid_path, field))
-    return row | peer_row(asked, robot, drawn.scene, duration, seconds=1.0)
+    return row | peer_row(config, robot, drawn.scene, row.get("duration_s"), seconds=1.0)
 
 
 CLUTTER = Study(
     "clutter",
-    "random planar scenes: searches, motions, toppra on the grid path (spline), straight pieces with stops",
+    "random planar scenes: the two-level search compared with the dense one, and motions",
     _clutter,
     (
         *("certified", "ms", "two_level_ms", "search_ratio", "cost_ratio", "fallback", "disagree"),
-        *("to_grid_spline", "to_stops"),
         *("peer_solved", "peer_ms", "to_peer", "to_spline", "spline_touches"),
     ),
-    by="way",
+    by="path",
     count=(200, 10),
     warm=2,
 )
-
-
-def without_jerk(robot: Robot) -> Robot:
-    """The robot with no limit on jerk, as the common recipes see it."""
-    return replace(robot, jerk_limit=None)

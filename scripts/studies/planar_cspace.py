@@ -12,9 +12,10 @@ from hplan.base.arguments import one_of
 from hplan.base.arrays import BoolArray, FloatArray, readonly
 from hplan.collision.coal_scene import CoalScene
 from hplan.geometry.polygon import convex_hull
-from hplan.grid.grid import Grid
-from hplan.grid.prepared_obstacles import ConvexObstacle, prepare_obstacles
-from hplan.grid.sections import LINK_MODELS, ArmSections, LinkModel, balls_only, sections_at
+from hplan.planar.grid.grid import Grid
+from hplan.planar.grid.prepared_obstacles import ConvexObstacle, prepare_obstacles
+from hplan.planar.grid.sections import LINK_MODELS, ArmSections, balls_only, sections_at
+from hplan.planning.options import LinkModel
 from hplan.robot.model import Robot
 from hplan.robot.planar_family import PlanarArm
 

@@ -15,7 +15,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from studies.harness import Asked, Row, Study, evenly_chosen
+from studies.harness import Row, Study, StudyConfig, evenly_chosen
 from studies.measure import or_error, planned, timed
 from studies.outside import contacts
 from studies.peers import peer_row
@@ -24,9 +24,9 @@ from hplan.base.arrays import FloatArray
 from hplan.base.data_files import scenes_dir
 from hplan.collision.clearance_field import ClearanceField
 from hplan.errors import HplanError, InputError, OptionError, UnreachableError
-from hplan.kinematics.planar_inverse_kinematics import reach
+from hplan.planar.inverse_kinematics import reach
 from hplan.planning.options import PlanOptions
-from hplan.planning.tool_paths import tool_of
+from hplan.planning.tool_paths import Tool
 from hplan.robot.limits import least_duration
 from hplan.robot.model import Robot
 from hplan.scene.file import load_scene
@@ -163,7 +163,7 @@ def _standoff(robot: Robot, scene: Scene, fruit: Fruit, home: FloatArray) -> Flo
     goals = goals[touching.along(goals).min(axis=1) > SPARE]
     if not len(goals):
         return "blocked"
-    feasible, polylines = tool_of(robot).approaches(goals, STANDOFF)
+    feasible, polylines = Tool(robot).approaches(goals, STANDOFF)
     ways = polylines[feasible]
     if not len(ways):
         return "no_approach"
@@ -172,26 +172,26 @@ def _standoff(robot: Robot, scene: Scene, fruit: Fruit, home: FloatArray) -> Flo
     return min(clear, key=lambda q: least_duration(home, q, *limits), default="blocked")
 
 
-def orchards_of(asked: Asked) -> list[Orchard]:
+def orchards_of(config: StudyConfig) -> list[Orchard]:
     """Measured trees, if their folder is given, and the shipped orchards for the arm."""
-    robot = asked.arm()
-    return [*(() if asked.trees is None else measured_orchards(robot, asked.trees)), *shipped_orchards(robot)]
+    robot = config.arm()
+    return [*(() if config.trees is None else measured_orchards(robot, config.trees)), *shipped_orchards(robot)]
 
 
-def _problems(asked: Asked) -> Iterable[TreeProblem]:
-    robot = asked.arm()
-    found = [problem for orchard in orchards_of(asked) for problem in motions_in(robot, orchard)]
-    return evenly_chosen(found, asked.count, lambda problem: problem.group)
+def _problems(config: StudyConfig) -> Iterable[TreeProblem]:
+    robot = config.arm()
+    found = [problem for orchard in orchards_of(config) for problem in motions_in(robot, orchard)]
+    return evenly_chosen(found, config.count, lambda problem: problem.group)
 
 
-def _row(asked: Asked, problem: TreeProblem) -> Row:
+def _row(config: StudyConfig, problem: TreeProblem) -> Row:
     robot, scene = problem.robot, problem.scene
-    found, row = planned(robot, scene, PlanOptions(effort=asked.effort))
+    found, row = planned(robot, scene, PlanOptions(effort=config.effort))
     row |= {"name": problem.name, "group": problem.group}
     if found is not None:
         row["contacts"] = sum(contacts(robot, scene, found.trajectory))
         row["fault"] |= row["contacts"] > 0
-    row |= peer_row(asked, robot, scene, row.get("duration_s"))
+    row |= peer_row(config, robot, scene, row.get("duration_s"))
     return row | {"missed": not row["solved"] and row.get("peer_solved", False)}
 
 
@@ -209,17 +209,17 @@ TREES = Study(
 )
 
 
-def _tours(asked: Asked) -> Sequence[Orchard]:
-    if asked.trees is None:
-        return shipped_orchards(asked.arm())[: asked.count]
-    return [measured_orchard(asked.arm(), file, DISTANCES[0]) for file in sorted(asked.trees.glob("*.csv"))][
-        : asked.count
+def _tours(config: StudyConfig) -> Sequence[Orchard]:
+    if config.trees is None:
+        return shipped_orchards(config.arm())[: config.count]
+    return [measured_orchard(config.arm(), file, DISTANCES[0]) for file in sorted(config.trees.glob("*.csv"))][
+        : config.count
     ]
 
 
-def _tour(asked: Asked, orchard: Orchard) -> Row:
-    robot, scene = asked.arm(), orchard.scene
-    found, ms = timed(lambda: or_error(lambda: plan_tour(robot, scene, PlanOptions(effort=asked.effort))))
+def _tour(config: StudyConfig, orchard: Orchard) -> Row:
+    robot, scene = config.arm(), orchard.scene
+    found, ms = timed(lambda: or_error(lambda: plan_tour(robot, scene, PlanOptions(effort=config.effort))))
     row: Row = {
         "name": orchard.name,
         "ms": ms,

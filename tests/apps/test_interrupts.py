@@ -11,12 +11,12 @@ import time
 from pathlib import Path
 
 import pytest
-from studies.interrupts import COMMANDS, interrupt
+from small_tree import TREE
 
 from hplan.apps.cli.main import main
 from hplan.base.interrupts import SignalError, handling_signals, uninterrupted
 
-#: Ends `hplan plan` by a signal when a function is called, in a process of its own.
+#: Ends an hplan command by a signal when a function is called, in a process of its own.
 WHEN = """
 import os, signal, sys, time
 signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -33,9 +33,24 @@ def patch():
     was = getattr(module, name)
     setattr(module, name, ended)
 patch()
-sys.argv = ["hplan", "plan", "--quiet", "--effort", "quick", "--out", {out!r}]
+sys.argv = ["hplan", *{words!r}]
 sys.exit(main())
 """
+#: Two arms, far from each other.
+CELL = """\
+format: hplan-scene/1
+name: two
+robots:
+- name: left
+  start: {joints_deg: [-40, 60, 60, 60]}
+  goal: {joints_deg: [40, 60, 60, 60]}
+- name: right
+  position: [3, 0, 0]
+  start: {joints_deg: [0, 90, 90, 90]}
+  goal: {joints_deg: [20, 80, 90, 90]}
+"""
+
+#: Functions at whose call a plan is interrupted.
 STAGES = [
     ("hplan.apps.cli.plan", "plan_options"),
     ("hplan.scene.file", "load_scene"),
@@ -48,29 +63,64 @@ STAGES = [
 ]
 
 
+def end_command(words: list[str], module: str, name: str, number: signal.Signals) -> None:
+    """Run a command that a signal ends, and check its exit."""
+    code = WHEN.format(module=module, name=name, number=int(number), words=words)
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    message = "interrupted\n" if number == signal.SIGINT else "ended by SIGTERM\n"
+    assert (ended.returncode, ended.stderr) == (128 + number, message)
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 @pytest.mark.parametrize(("module", "name"), STAGES, ids=lambda value: value)
-def test_an_interrupted_plan_leaves_its_report(module: str, name: str, number: signal.Signals, tmp_path: Path) -> None:
+def test_interrupted_plan_leaves_its_report(module: str, name: str, number: signal.Signals, tmp_path: Path) -> None:
     out = tmp_path / "out"
     out.mkdir()
     (out / "notes.txt").write_text("mine")
-    code = WHEN.format(module=module, name=name, number=int(number), out=str(out))
-    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    said = "interrupted\n" if number == signal.SIGINT else "ended by SIGTERM\n"
-    assert (ended.returncode, ended.stderr) == (128 + number, said)
+    end_command(["plan", "--quiet", "--effort", "quick", "--out", str(out)], module, name, number)
     report = json.loads((out / "report.json").read_text())
     assert (report["status"], report["signal"]) == ("interrupted", number.name)
     assert {path.name for path in out.iterdir()} == {"notes.txt", "report.json"}
 
 
-@pytest.mark.parametrize("number", range(len(COMMANDS)))
-def test_a_signal_at_a_random_instant(number: int) -> None:
-    """One for each command; `scripts/benchmark.py interrupts` sends 200."""
-    row = interrupt(list(COMMANDS)[number], 77_000 + number)
-    assert not row["fault"], row
+@pytest.mark.parametrize(
+    ("words", "module", "name", "report"),
+    [
+        ("tour --csv each", "hplan.apps.cli.job_folder", "digests_of", "tour.json"),
+        ("plan cell.yaml --effort quick", "hplan.apps.cli.job_folder", "digests_of", "report.json"),
+        (
+            "time harvester way.csv --scene table-1 --effort quick",
+            "hplan.apps.cli.job_folder",
+            "digests_of",
+            "report.json",
+        ),
+        ("row row.yaml --distance 1.2 --step 1.1 --effort quick", "hplan.tour.row", "plan_row", "row.json"),
+        ("study study.yaml", "hplan.study.run", "run_study", "study.json"),
+    ],
+)
+def test_interrupted_command_leaves_its_report(words: str, module: str, name: str, report: str, inputs: Path) -> None:
+    """The folder has the report and the files of others, and no part of a file."""
+    end_command([*words.split(), "--quiet", "--out", "out"], module, name, signal.SIGTERM)
+    assert json.loads((inputs / "out" / report).read_text())["status"] == "interrupted"
+    assert {path.name for path in (inputs / "out").iterdir()} - {"rows.jsonl", "scene.yaml"} == {"notes.txt", report}
 
 
-def test_an_earlier_job_that_is_read_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture
+def inputs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with the inputs of all commands, and a file of the user."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "notes.txt").write_text("mine")
+    (tmp_path / "way.csv").write_text("base_yaw,shoulder,elbow,wrist\n0,0.3,0.3,0.3\n0,0.4,0.3,0.5\n")
+    (tmp_path / "cell.yaml").write_text(CELL)
+    (tmp_path / "tree.csv").write_text(TREE)
+    (tmp_path / "study.yaml").write_text("name: one\narms: [orchard_harvester]\ntrees: [tree.csv]\ndistances: [1.2]\n")
+    words = "orchard --import tree.csv --distance 1.2 --robot orchard_harvester --yield 0.02 --out row.yaml --quiet"
+    assert main(words.split()) == 0
+    return tmp_path
+
+
+def test_earlier_job_that_is_an_input_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The command's input is in its output folder."""
     words = ["plan", "--effort", "quick", "--quiet", "--out", str(tmp_path)]
     assert main(words) == 0
@@ -108,7 +158,7 @@ def spin(seconds: float = 5.0) -> None:
         pass
 
 
-def test_a_signal_waits_for_the_end_of_what_must_not_be_cut() -> None:
+def test_signal_waits_for_the_end_of_uninterrupted_block() -> None:
     done = []
 
     def work() -> None:
@@ -125,7 +175,7 @@ def test_a_signal_waits_for_the_end_of_what_must_not_be_cut() -> None:
 
 
 @pytest.mark.parametrize("module", ["numba.core.dispatcher", "llvmlite.binding.ffi", "hplan.base.kernels", "importlib"])
-def test_a_signal_waits_for_a_compiler_and_for_imports(module: str) -> None:
+def test_signal_waits_for_compiler_and_imports(module: str) -> None:
     done: list[str] = []
     code = "def compiled():\n    kill()\n    spin(0.05)\n    done.append('whole')\n"
     place = {"__name__": module, "kill": lambda: os.kill(os.getpid(), signal.SIGINT), "spin": spin, "done": done}
@@ -141,7 +191,7 @@ def test_a_signal_waits_for_a_compiler_and_for_imports(module: str) -> None:
     assert done == ["whole"]
 
 
-def test_a_signal_waits_for_a_destructor() -> None:
+def test_signal_waits_for_destructor() -> None:
     done = []
 
     class Dying:

@@ -208,7 +208,7 @@ def test_a_cloud_that_the_scene_names_stays(tmp_path: Path) -> None:
 
 
 def test_files_follow_the_umask(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("hplan.apps.view.yaw_section._STEP_DEG", 10.0)
+    monkeypatch.setattr("hplan.planar.pages.yaw_section._STEP_DEG", 10.0)
     before = os.umask(0o027)
     try:
         words = ["--quiet", "--effort", "quick", "--mcap", "--cspace", "--out", str(tmp_path / "out")]

@@ -17,10 +17,10 @@ from pages import needs_chromium
 from PIL import Image
 
 import hplan
-from hplan.apps.view.cspace_page import render_cspace_page
 from hplan.apps.view.page import render_page
 from hplan.apps.view.playback import Playback
-from hplan.apps.view.yaw_section import yaw_section
+from hplan.planar.pages.cspace_page import render_cspace_page
+from hplan.planar.pages.yaw_section import yaw_section
 
 KEPT = Path(__file__).with_name("screenshots")
 DESK, PHONE = (1280, 860), (390, 844)

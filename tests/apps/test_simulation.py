@@ -15,8 +15,8 @@ from script_loader import load_script
 from shapes import torus
 
 from hplan.apps.execution import simulation
-from hplan.apps.execution.plant import Plant
 from hplan.apps.execution.recorded_motion import RecordedMotion, read_motion
+from hplan.apps.execution.simulated_arm import Plant
 from hplan.apps.execution.simulation import HOLD, Execution, execute
 from hplan.collision.coal_scene import CoalScene
 from hplan.errors import InputError

@@ -66,7 +66,7 @@ def test_timing_leaves_matplotlib_out() -> None:
     assert found.stdout.strip() == "True"
 
 
-@pytest.mark.parametrize("package", ["hplan", "hplan.scene", "hplan.grid", "hplan.trajectory", "hplan.apps.ros"])
+@pytest.mark.parametrize("package", ["hplan", "hplan.scene", "hplan.planar.grid", "hplan.trajectory", "hplan.apps.ros"])
 def test_public_names_load_from_the_modules_that_type_checkers_see(package: str) -> None:
     module = importlib.import_module(package)
     blocks = [node for node in ast.parse(Path(str(module.__file__)).read_text()).body if isinstance(node, ast.If)]

@@ -409,7 +409,7 @@ def test_an_installation_that_nobody_may_write_to(tmp_path: Path) -> None:
         (each / "__pycache__").touch()
     code = (
         "import sys\n"
-        "from hplan.planning.compile_ahead import compiling_ahead, is_first_run\n"
+        "from hplan.apps.cli.compile_ahead import compiling_ahead, is_first_run\n"
         "from hplan.robot.model import load_robot\n"
         "assert 'site' in sys.modules['hplan'].__file__\n"
         "with compiling_ahead(is_first_run()):\n"

@@ -11,7 +11,7 @@ from hplan.certificate.certificate import certify
 from hplan.certificate.digests import scene_digest
 from hplan.collision.giving_way import HANGING_M, pushing_links, yielded
 from hplan.errors import BlockedError, ConfigurationInCollisionError, OptionError, SceneError
-from hplan.grid.sections import sections_at
+from hplan.planar.grid.sections import sections_at
 from hplan.planar.grids import prepared
 from hplan.planning.plan import plan
 from hplan.planning.world import World

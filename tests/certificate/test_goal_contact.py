@@ -17,7 +17,7 @@ from hplan.certificate.certificate import certify, stretches
 from hplan.certificate.digests import trajectory_digest
 from hplan.certificate.goal_contact import OFFSET, THERE, TURN, FruitContact, contact_window
 from hplan.certificate.retimed_certificate import certified_retiming
-from hplan.kinematics.planar_inverse_kinematics import reach
+from hplan.planar.inverse_kinematics import reach
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
 from hplan.planning.result import PlanResult

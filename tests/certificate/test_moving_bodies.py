@@ -17,12 +17,13 @@ from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.coal_scene import CoalScene
 from hplan.errors import ConfigurationInCollisionError, InputError, NoPathError
 from hplan.geometry.hull import CUBE_CORNERS
-from hplan.grid.occupancy import occupancy
-from hplan.grid.prepared_obstacles import prepare_obstacles
-from hplan.grid.sections import sections_at
-from hplan.planning.joint_ranges import MARGIN, joint_ranges
+from hplan.planar.grid.occupancy import occupancy
+from hplan.planar.grid.prepared_obstacles import prepare_obstacles
+from hplan.planar.grid.sections import sections_at
+from hplan.planning.joint_ranges import MARGIN
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
+from hplan.planning.specialist import joint_ranges
 from hplan.planning.world import World
 from hplan.robot.base_shapes import GROUND, TURRET, always, base_shapes, coal_distance, ever, turning_shapes
 from hplan.robot.self_contact import self_contact

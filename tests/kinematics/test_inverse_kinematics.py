@@ -17,8 +17,8 @@ import hplan.errors as errors
 from hplan.base.arrays import FloatArray, readonly
 from hplan.errors import UnreachableError
 from hplan.kinematics.inverse_kinematics import SAME, inverse_kinematics
-from hplan.kinematics.planar_chain import FreeChain
-from hplan.kinematics.planar_inverse_kinematics import AXIS_YAWS, reach
+from hplan.planar.chain import FreeChain
+from hplan.planar.inverse_kinematics import AXIS_YAWS, reach
 from hplan.robot.model import Robot
 
 EXACT = 1e-9

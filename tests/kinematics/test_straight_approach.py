@@ -8,9 +8,9 @@ from any_arms import loaded_arm
 from arm_variants import VARIANTS, link_axes, load_variant
 
 import hplan.errors as errors
-from hplan.kinematics.planar_inverse_kinematics import reach
 from hplan.kinematics.straight_line import STEP_M, TURNING, StraightLine, lines_back
 from hplan.kinematics.tool_at_point import tool_at_point
+from hplan.planar.inverse_kinematics import reach
 from hplan.robot.limits import Limits
 from hplan.robot.model import Robot, load_robot
 from hplan.trajectory.retime import time_path

@@ -7,10 +7,9 @@ import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
 from hplan.errors import HplanError, InputError, OptionError
-from hplan.online.arm_shape import reach_ball
+from hplan.online.arm_shape import SweptReach, reach_ball
 from hplan.online.frame import CloudOptions
 from hplan.online.planner import Planner
-from hplan.online.swept_reach import SweptReach
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
 from hplan.robot.model import Robot

@@ -14,7 +14,6 @@ from planned import assert_clear, between_rows, task
 from spliced import FIELDS, assert_goes_on
 from studies.outside import contacts
 
-import hplan.planning.plan as planning
 from hplan.certificate.certificate import certify
 from hplan.errors import ObstacleInTimeError, RunningMotionBlockedError
 from hplan.online.planner import Planner
@@ -22,7 +21,8 @@ from hplan.online.splice import SplicedResult
 from hplan.planning.in_time import certified_in_time, stopping_first
 from hplan.planning.motion import Motion, Plan
 from hplan.planning.options import PlanOptions
-from hplan.planning.plan import plan
+from hplan.planning.plan import plan, solver
+from hplan.planning.problem import Problem
 from hplan.planning.result import PlanResult
 from hplan.robot.model import Robot
 from hplan.scene.model import Goal, Scene, Start
@@ -234,16 +234,17 @@ def test_after_a_stop_what_moves_is_where_it_is_then(robot, monkeypatch):
 
     options = PlanOptions(effort="quick")
 
-    def plans_of(later: Scene) -> Iterator[Plan]:
-        seen.append(later)
-        return planning._plans(robot, later, options, None, None)
+    def solve(problem: Problem) -> Iterator[Plan]:
+        seen.append(problem.scene)
+        return solver()(problem)
 
-    certified = certified_in_time(robot, scene, options, stop, check_ends=False)
-    found = stopping_first(robot, scene, options, plans_of, Motion("stop", stop, certified))
+    problem = Problem.of(robot, scene, options)
+    certified = certified_in_time(problem, stop, check_ends=False)
+    found = stopping_first(problem, solve, Motion("stop", stop, certified))
     assert found is not None
     assert found.run is not None
     assert found.run[2].verified
-    assert found.told["stops_until_s"] == stop.duration > 0.1
+    assert found.told["in_time"]["stops_until_s"] == stop.duration > 0.1
     for one, other in zip(seen[0].poses_at([0.5])["ball"], scene.poses_at([stop.duration + 0.5])["ball"], strict=True):
         np.testing.assert_allclose(one, other, atol=1e-12)
 

@@ -13,12 +13,12 @@ from scipy.interpolate import BSpline
 
 from hplan.certificate.limit_use import limit_use
 from hplan.collision.clearance_field import ClearanceField
+from hplan.optimization.constraint_rows import ALLOWED, TorqueUse, torque_rows
 from hplan.optimization.first_order import NEAR, PLACES, SCALE, MotionArrays, MotionLimits, first_order
 from hplan.optimization.minimize_time import Effort, Level, minimize_time
 from hplan.optimization.options import PostprocessOptions
 from hplan.optimization.time_problem import TimeProblem
 from hplan.optimization.timed_spline import BoundaryState, TimedSpline
-from hplan.optimization.torque_rows import ALLOWED, TorqueUse, torque_rows
 from hplan.robot.limits import Limits
 from hplan.scene.obstacles import Sphere
 

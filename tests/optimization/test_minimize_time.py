@@ -20,6 +20,7 @@ from hplan.collision.clearance_field import ClearanceField
 from hplan.kinematics.damped_steps import UPRIGHT
 from hplan.kinematics.inverse_kinematics import chain_of
 from hplan.optimization.coarse_profile import coarse_profile
+from hplan.optimization.constraint_rows import ALLOWED, LEANING, Leaning, TorqueUse, torque_rows
 from hplan.optimization.first_order import (
     NEAR,
     PLACES,
@@ -34,8 +35,6 @@ from hplan.optimization.interior_point import ProgramRows, solve
 from hplan.optimization.minimize_time import minimize_time, rough_motion
 from hplan.optimization.time_problem import TimeProblem
 from hplan.optimization.timed_spline import TimedSpline, even_breaks
-from hplan.optimization.tool_rows import LEANING, Leaning
-from hplan.optimization.torque_rows import ALLOWED, TorqueUse, torque_rows
 from hplan.planning.effort import EFFORTS
 from hplan.planning.motion import motion_limits, smoothing_options
 from hplan.planning.options import EFFORT_NAMES, PlanOptions

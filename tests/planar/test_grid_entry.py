@@ -13,7 +13,7 @@ import hplan.planar.grids
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.coal_scene import CoalScene
 from hplan.errors import NoPathError
-from hplan.grid.grid import Grid, Occupancy
+from hplan.planar.grid.grid import Grid, Occupancy
 from hplan.planar.grid_entry import joined_nodes
 from hplan.planar.grids import GridAttempt, count_nodes, grid_occupancy
 from hplan.planning.options import PlanOptions

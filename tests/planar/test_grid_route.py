@@ -12,8 +12,8 @@ from planned import ABOVE, BAR, BELOW, posed, random_scene, task
 
 import hplan.planar.no_path_proof
 from hplan.errors import HplanError, OptionError
-from hplan.grid.grid import Occupancy
-from hplan.grid.yaw_layers import LayerCache, turning_occupancy, yaw_axis
+from hplan.planar.grid.grid import Occupancy
+from hplan.planar.grid.yaw_layers import LayerCache, turning_occupancy, yaw_axis
 from hplan.planar.grid_route import find_route
 from hplan.planar.grids import GridAttempt, grid_axes, planar_grid, prepared
 from hplan.planar.no_path_proof import EnclosedError, enclosed_goals, prove_infeasible

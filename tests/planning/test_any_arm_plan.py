@@ -79,9 +79,7 @@ def test_a_start_in_an_obstacle_is_refused(arm: Robot) -> None:
 
 
 def test_the_dense_search_is_refused_where_there_is_no_grid(arm: Robot) -> None:
-    with pytest.raises(
-        OptionError, match="method = 'dense': expected 'two-level' for 'six_axes', which is no planar arm"
-    ):
+    with pytest.raises(OptionError, match="method = 'dense': expected 'two-level' for 'six_axes', which has no grid"):
         plan(arm, scene_of(), PlanOptions(method="dense"))
 
 

@@ -9,7 +9,7 @@ import pytest
 
 import hplan
 from hplan.errors import OptionError
-from hplan.planning.capture import SAME, caught
+from hplan.planning.grasps import SAME, caught
 from hplan.robot.model import Robot
 from hplan.scene.model import Fruit, Goal, Scene, Start
 

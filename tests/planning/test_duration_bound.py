@@ -24,6 +24,7 @@ from hplan.base.arrays import BoolArray, FloatArray
 from hplan.certificate.certificate import LIMIT_TOLERANCE
 from hplan.collision.coal_scene import CoalScene
 from hplan.errors import BoundError, HplanError
+from hplan.planning.lower_bound.cells import Samples, is_reachable
 from hplan.planning.lower_bound.duration_bound import (
     DurationBound,
     _excess,
@@ -33,7 +34,6 @@ from hplan.planning.lower_bound.duration_bound import (
 )
 from hplan.planning.lower_bound.grid_search import GridSearch, TimedGrid
 from hplan.planning.lower_bound.joint_tubes import JointMotions
-from hplan.planning.lower_bound.reachability import Samples, is_reachable
 from hplan.planning.motion import motion_limits
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan

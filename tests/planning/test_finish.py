@@ -14,7 +14,7 @@ from hplan.base.arrays import FloatArray
 from hplan.certificate.certificate import certify
 from hplan.collision.coal_scene import CoalScene
 from hplan.errors import HplanError, InputError, MovingObstacleError, NotInTimeError, OptionError, PathInContactError
-from hplan.planning.finishing.finish import finish
+from hplan.planning.finish import finish
 from hplan.planning.options import PlanOptions
 from hplan.planning.result import PlanResult
 from hplan.robot.model import Robot, load_robot

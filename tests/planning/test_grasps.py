@@ -11,8 +11,8 @@ from planned import at, last_link, post
 
 from hplan.collision.coal_scene import CoalScene
 from hplan.errors import BlockedError
-from hplan.kinematics.planar_inverse_kinematics import reach
 from hplan.kinematics.straight_line import StraightLine
+from hplan.planar.inverse_kinematics import reach
 from hplan.planning.grasps import SEARCHED, SPARE, Grasp, Target, grasps, promising
 from hplan.planning.world import World
 from hplan.robot.model import Robot

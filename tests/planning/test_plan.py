@@ -18,7 +18,7 @@ from studies.planar_cspace import sampled_occupancy
 import hplan
 from hplan.collision.coal_scene import CoalScene
 from hplan.errors import CertificationError, JointLimitError, NoPathError
-from hplan.grid.grid import Grid
+from hplan.planar.grid.grid import Grid
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
 from hplan.planning.report import beyond_sigmas, failure_report, uncertainty_report, write_report

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 import threading
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 from planned import post, task
@@ -15,9 +15,9 @@ from hplan.apps.cli.main import main
 from hplan.apps.execution.simulation import execute
 from hplan.base.deadline import current
 from hplan.errors import MovingObstacleError, NotFoundError, NotInTimeError, OptionError, PlanCancelledError
+from hplan.planning.motion import Plan
 from hplan.planning.options import PlanOptions
-from hplan.planning.plan import plan
-from hplan.planning.plans import plans
+from hplan.planning.plan import plan, solver
 from hplan.planning.problem import Problem
 from hplan.planning.world import World, without_inside
 from hplan.robot.model import Robot
@@ -129,13 +129,13 @@ def test_the_best_so_far_is_handed_out_at_the_deadline(robot: Robot, monkeypatch
     """Time is up after the first motion."""
     found = []
 
-    def one(*arguments: Any, **options: Any) -> Any:
-        for each in plans(*arguments, **options):
+    def one(problem: Problem) -> Iterator[Plan]:
+        for each in solver()(problem):
             found.append(each.duration)
             yield each
             time_is_up()
 
-    monkeypatch.setattr("hplan.planning.plan.plans", one)
+    monkeypatch.setattr("hplan.planning.plan.solver", lambda *_: one)
     result = hplan.plan(robot, hplan.load_scene("orchard-row"), hplan.PlanOptions(deadline_s=ENOUGH_S))
     assert result.certificate.verified
     assert len(found) == 1
@@ -147,7 +147,7 @@ def test_the_best_so_far_is_handed_out_at_the_deadline(robot: Robot, monkeypatch
 
 def test_each_motion_in_time_is_certified_and_quicker_than_the_one_before(robot: Robot) -> None:
     problem = Problem.of(robot, hplan.load_scene("tour"), hplan.PlanOptions(deadline_s=ENOUGH_S))
-    found = list(plans(problem))
+    found = list(solver()(problem))
     assert len(found) > 1
     assert all(motion.certificate.verified for plan in found for motion in plan.motions)
     durations = [plan.duration for plan in found]

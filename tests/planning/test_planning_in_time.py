@@ -12,13 +12,20 @@ from fitted_arms import box, fitted
 from planned import assert_within_limits, task
 
 from hplan.errors import ConfigurationInCollisionError, MovingObstacleError, ObstacleInTimeError
-from hplan.planning.in_time import _later
-from hplan.planning.moving.obstacles_at import among_poses, without_moving
-from hplan.planning.moving.path_in_time import MovingField, PathInTime
-from hplan.planning.moving.schedule import CHANGES, LEVELS, STEP_S, USED, earliest_schedule, room_to_change
+from hplan.planning.in_time import _later, among_poses, without_moving
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
 from hplan.planning.result import PlanResult
+from hplan.planning.schedule import (
+    CHANGES,
+    LEVELS,
+    STEP_S,
+    USED,
+    MovingField,
+    PathInTime,
+    earliest_schedule,
+    room_to_change,
+)
 from hplan.robot.model import Robot
 from hplan.scene.model import Fruit, Goal, Scene
 from hplan.scene.obstacles import Box, Sphere

@@ -19,7 +19,7 @@ import hplan.planning.plans
 import hplan.planning.tool_paths
 from hplan.collision.coal_scene import CoalScene
 from hplan.errors import BlockedError, CertificationError, NoPathError, NotFoundError, TimingError
-from hplan.kinematics.planar_inverse_kinematics import reach
+from hplan.planar.inverse_kinematics import reach
 from hplan.planning.failures import FailuresError
 from hplan.planning.grasps import COUNT, ROOMS, SPARE, Grasp, Target, grasps, promising
 from hplan.planning.options import PlanOptions
@@ -99,7 +99,7 @@ def test_finer_angles_before_blocked(robot: Robot, name: str, monkeypatch: pytes
     scene = TIGHT[name]
     found = plan(robot, scene, COARSE)
     assert_sound(robot, scene, found)
-    monkeypatch.setattr(hplan.planning.tool_paths._PlanarTool, "more", COUNT)
+    monkeypatch.setattr(hplan.planning.tool_paths.Tool, "more", COUNT)
     least = 0.0
     with suppress(BlockedError):
         least = min(grasp.room for grasp in grasps_of(robot, scene)[0])

@@ -17,7 +17,7 @@ from hplan.planning import pose_sequence
 from hplan.planning.options import PlanOptions
 from hplan.planning.pose_sequence import pose_matrices
 from hplan.planning.result import PlanResult
-from hplan.robot.model import Robot, load_robot
+from hplan.robot.model import Robot
 from hplan.robot.tracking import TrackingModel
 from hplan.scene import Box, Goal, Scene, Sphere, Start
 from hplan.scene.obstacles import Obstacle
@@ -196,12 +196,6 @@ def test_wrong_values(tmp_path_factory: pytest.TempPathFactory, poses: Any, opti
     arm = loaded_arm("picker", tmp_path_factory)
     with pytest.raises(InputError):
         hplan.plan_poses(arm, scene_of(arm), poses, **options)
-
-
-def test_planar_arms_have_too_few_joints() -> None:
-    robot = load_robot()
-    with pytest.raises(InputError, match="planar"):
-        hplan.plan_poses(robot, scene_of(robot, begin=np.zeros(4)), [np.eye(4)])
 
 
 def test_poses_of_a_file() -> None:

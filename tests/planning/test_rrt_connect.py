@@ -15,10 +15,11 @@ from hplan.base.arrays import FloatArray
 from hplan.collision.coal_scene import CoalScene
 from hplan.optimization.shortcut import shorten
 from hplan.optimization.smooth_path import START_SHORTCUTS
+from hplan.planning.effort import TreesEffort
+from hplan.planning.path_finder import path_time, tree_paths
 from hplan.planning.plan import plan
 from hplan.planning.problem import Problem
-from hplan.planning.sampling.rrt_connect import EDGE_S, Pairs, TreeEffort, tree_path
-from hplan.planning.sampling.several_trees import TreesEffort, path_time, promising_paths
+from hplan.planning.rrt_connect import EDGE_S, Pairs, tree_path
 from hplan.planning.world import World
 from hplan.robot.model import Robot, load_robot
 from hplan.scene import Box, Scene, Sphere
@@ -27,8 +28,8 @@ MARGIN = 2e-4
 START, GOAL = np.array([0.0, 1.2, 0.3, 0.3]), np.array([0.0, 0.1, 0.3, 0.3])
 
 
-def path_of(robot: Robot, problem: Problem, world: World, effort: TreeEffort) -> FloatArray | None:
-    return tree_path(problem, world.field, robot.velocity_limit, MARGIN, effort)[0]
+def path_of(problem: Problem, evaluations: int, seed: int = 0) -> FloatArray | None:
+    return tree_path(problem, MARGIN, evaluations, seed)[0]
 
 
 @pytest.fixture
@@ -42,7 +43,7 @@ def blocked(robot: Robot) -> tuple[Problem, World]:
 @pytest.mark.parametrize("seed", range(4))
 def test_path_is_clear_all_along(robot: Robot, blocked: tuple[Problem, World], seed: int) -> None:
     problem, world = blocked
-    path = path_of(robot, problem, world, TreeEffort(50_000, seed))
+    path = path_of(problem, 50_000, seed)
     assert path is not None
     assert (path[0] == problem.start).all()
     assert (path[-1] == problem.goal).all()
@@ -65,24 +66,22 @@ def test_nothing_is_found_through_a_plate(robot: Robot) -> None:
     world = World.of(robot, [plate])
     start, goal = np.array([0.0, 1.5, 0.1, 0.1]), np.array([0.0, 0.0, 0.1, 0.1])
     problem = problem_between(world, start, goal, locked_joints=("base_yaw",))
-    assert path_of(robot, problem, world, TreeEffort(20_000)) is None
+    assert path_of(problem, 20_000) is None
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_trees_that_grow_on_are_those_that_grow_at_once(
-    robot: Robot, blocked: tuple[Problem, World], seed: int
-) -> None:
-    problem, world = blocked
-    arguments, pairs = (problem, world.field, robot.velocity_limit, MARGIN), Pairs()
-    at_once, used = tree_path(*arguments, TreeEffort(50_000, seed))
+def test_trees_that_grow_on_are_those_that_grow_at_once(blocked: tuple[Problem, World], seed: int) -> None:
+    problem, _ = blocked
+    arguments, pairs = (problem, MARGIN), Pairs()
+    at_once, used = tree_path(*arguments, 50_000, seed)
     assert at_once is not None
     for less in (used // 8, used // 4):
-        path, so_far = tree_path(*arguments, TreeEffort(less, seed), pairs=pairs)
+        path, so_far = tree_path(*arguments, less, seed, pairs=pairs)
         assert path is None
         assert so_far >= less
     (pair,) = pairs.values()
     before = int(pair.first.size[0] + pair.second.size[0])
-    path, in_all = tree_path(*arguments, TreeEffort(50_000, seed), pairs=pairs)
+    path, in_all = tree_path(*arguments, 50_000, seed, pairs=pairs)
     assert path is not None
     assert np.array_equal(path, at_once)
     assert in_all == used
@@ -94,7 +93,7 @@ def test_locked_joints_stay(robot: Robot, scene: Scene) -> None:
     world = World.of(robot, scene.solids, clearance=scene.clearance)
     ends = scene.start.configuration, scene.goal.configuration
     problem = problem_between(world, *ends, locked_joints=("base_yaw",))
-    path = path_of(robot, problem, world, TreeEffort(100_000))
+    path = path_of(problem, 100_000)
     assert path is not None
     assert (path[:, 0] == problem.start[0]).all()
 
@@ -102,11 +101,12 @@ def test_locked_joints_stay(robot: Robot, scene: Scene) -> None:
 def test_of_several_each_pair_is_one_that_grows_alone(robot: Robot, blocked: tuple[Problem, World]) -> None:
     """The fastest path of every class first."""
     (problem, world), velocity = blocked, robot.velocity_limit
-    grown = (path_of(robot, problem, world, TreeEffort(50_000, seed)) for seed in range(3))
+    grown = (path_of(problem, 50_000, seed) for seed in range(3))
     alone = [path for path in grown if path is not None]
     times = [path_time(shorten(path, world.field, margin=MARGIN, rounds=START_SHORTCUTS), velocity) for path in alone]
-    paths = promising_paths(problem, world.field, velocity, MARGIN, TreesEffort(3, 50_000))
-    assert [path.seconds for path in paths] == pytest.approx(sorted(times), abs=1e-9)
+    paths = tree_paths(problem, TreesEffort(3, 50_000))
+    shorter = (shorten(path.waypoints, world.field, margin=MARGIN, rounds=START_SHORTCUTS) for path in paths)
+    assert [path_time(points, velocity) for points in shorter] == pytest.approx(sorted(times), abs=1e-9)
     assert all(any(np.array_equal(path.waypoints, other) for other in alone) for path in paths)
 
 

@@ -16,7 +16,7 @@ from hplan.base.arrays import FloatArray
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.coal_scene import CoalScene, base_contacts
 from hplan.errors import ConfigurationInCollisionError, InputError
-from hplan.grid.sections import sections_at
+from hplan.planar.grid.sections import sections_at
 from hplan.planar.grids import prepared
 from hplan.planning.problem import Problem
 from hplan.planning.world import BASE_DEPTH, World, without_inside

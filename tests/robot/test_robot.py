@@ -22,7 +22,8 @@ from hplan.errors import JointLimitError, OptionError, RobotFamilyError, RobotFi
 from hplan.robot.base_shapes import turning_shapes
 from hplan.robot.family import HARVESTER, ORCHARD_HARVESTER, cross_check
 from hplan.robot.family.members import ArmSpec, write_robot
-from hplan.robot.files import read_limits, read_models
+from hplan.robot.files import read_models
+from hplan.robot.limits_file import read_limits
 from hplan.robot.model import Robot, load_robot
 
 HALF_PI = math.pi / 2
@@ -342,7 +343,7 @@ FILE_FAULTS = {
     "collision of nothing": (collision_of_hand("<collision><geometry/></collision>"), "a <collision> has no geometry"),
     "missing mesh": (
         collision_of_hand('<collision><geometry><mesh filename="nowhere.stl"/></geometry></collision>'),
-        "nowhere.stl could not be found",
+        "mesh 'nowhere.stl' is not found; looked for in",
     ),
 }
 

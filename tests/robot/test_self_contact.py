@@ -19,8 +19,8 @@ from hplan.certificate.certificate import certify
 from hplan.certificate.motion_bound import motion_of_movers
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.coal_scene import CoalScene
-from hplan.grid.grid import Grid
-from hplan.grid.occupancy import occupancy
+from hplan.planar.grid.grid import Grid
+from hplan.planar.grid.occupancy import occupancy
 from hplan.planning.options import PlanOptions
 from hplan.planning.plan import plan
 from hplan.robot.base_shapes import coal_distance, turning_shapes

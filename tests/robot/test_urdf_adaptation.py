@@ -18,7 +18,7 @@ from hplan.apps.cli.main import main
 from hplan.base.data_files import urdf_dir
 from hplan.certificate.certificate import certify
 from hplan.certificate.digests import robot_digest
-from hplan.errors import InputError, JointLimitError, RobotFamilyError, RobotFileError
+from hplan.errors import InputError, JointLimitError, RobotFamilyError, RobotFileError, RobotFileWarning
 from hplan.robot.model import Robot, load_robot
 from hplan.robot.urdf_adaptation import CONTINUOUS_RANGE
 from hplan.scene.model import Goal, Scene, Start
@@ -202,10 +202,6 @@ REFUSED = {
         edited(CONTINUOUS, ('velocity="1.5"', "")), {}, RobotFileError,
         "joint 'base_yaw': it is continuous, and its <limit> gives no velocity; a motion needs both",
     ),
-    "tilted base": (
-        edited(more=WORLD.replace("0 0 0.7", "0.1 0 0.7")), {}, RobotFileError,
-        "joint 'mount': it tilts 'base_link' by 5.73 deg, and gravity would pull along another axis than -z; mount",
-    ),
     "moving base": (
         edited(more=LIFT), {}, RobotFileError,
         "joint 'mount': it is prismatic and carries 'base_link', in which scenes are; only fixed joints may",
@@ -231,6 +227,19 @@ def test_advice_works(load):
     base = pin.SE3(pin.rpy.rpyToMatrix(0.0, 0.0, 0.7), np.array([3.0, -2.0, 0.52]))
     world = lifted.model.frames[lifted.model.getFrameId("world")].placement
     np.testing.assert_allclose(world.homogeneous, base.inverse().homogeneous, atol=1e-14)
+
+
+def test_a_hanging_arm_is_in_the_frame_of_what_carries_it(load, plain):
+    hanging = edited(more=WORLD.replace("0 0 0.7", f"{math.pi!r} 0 0"))
+    with pytest.warns(RobotFileWarning, match=r"tilts 'base_link' by 180 deg; gravity pulls along -z of 'world', and"):
+        robot = load(hanging)
+    q = np.array([0.3, 0.5, 0.2, 0.4])
+    there, here = robot.forward_kinematics(q), plain.forward_kinematics(q)
+    np.testing.assert_allclose(there[:3, 3], np.array([3.0, -2.0, 0.5]) + here[:3, 3] * [1.0, -1.0, -1.0], atol=1e-12)
+    # Gravity pulls the arm away from its base.
+    zeros = np.zeros((1, 4))
+    torque = robot.dynamics.torques(q[None], zeros, zeros)[0]
+    np.testing.assert_allclose(torque, -plain.dynamics.torques(q[None], zeros, zeros)[0], atol=1e-9)
 
 
 # The base turns on

@@ -19,7 +19,7 @@ from hplan.scene.file import dump_scene, load_scene
 from hplan.scene.obstacles import Capsule, Sphere
 from hplan.scene.orchard import SHIPPED, TUCKED_DEG, FruitZone, OrchardOptions, fruit_at_tips, generate
 from hplan.scene.orchard.fruits import Canopy
-from hplan.scene.orchard.pieces import capsule
+from hplan.scene.orchard.wood import capsule
 
 VARIANTS = {
     "default": OrchardOptions(),

@@ -10,13 +10,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from script_loader import load_script
-from studies import camera, harness, reference
+from studies import harness, reference
 from studies import trees as among_trees
 from studies.harness import Study, read_rows
 from toy_urdf import SIX_AXIS_LIMITS, six_axis_arm
 
 from hplan.errors import InputError
-from hplan.scene.obstacles import Capsule, Sphere
 
 script = load_script("benchmark")
 
@@ -63,23 +62,9 @@ def test_a_study_runs(study: str, first: int, tmp_path: Path) -> None:
     assert f"### {study}" in (tmp_path / "benchmark.md").read_text()
 
 
-def test_points_around_wood_are_on_all_of_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(camera, "AROUND_SIGMA_M", 0.0)
-    branch = Capsule(name="branch", start=(1.0, 0.0, 1.0), end=(1.0, 0.4, 1.0), radius=0.02)
-    ball = Sphere(name="fruit", center=(1.0, -0.5, 1.0), radius=0.04)
-    points = camera.PointsAround(4000, [branch, ball]).frame(np.random.default_rng(0)).astype(np.float64)
-    of_fruit = points[:, 1] < -0.4
-    assert of_fruit.mean() == pytest.approx(0.04 * 0.08 / (0.04 * 0.08 + 0.02 * 0.44), abs=0.03)
-    np.testing.assert_allclose(np.linalg.norm(points[of_fruit] - ball.center, axis=1), 0.04, atol=1e-6)
-    np.testing.assert_allclose(np.linalg.norm(points[~of_fruit][:, [0, 2]] - 1.0, axis=1), 0.02, atol=1e-6)
-    assert np.ptp(points[~of_fruit], axis=0) == pytest.approx([0.04, 0.4, 0.04], abs=2e-3)
-
-
 def test_the_reference_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(reference, "REPETITIONS", 1)
     rows = {row["name"]: row for row in rows_of("reference", tmp_path)}
-    assert rows["dense A*"]["cost_deg"] == pytest.approx(rows["two-level"]["cost_deg"]) == pytest.approx(145.214952)
-    assert (rows["C-space"]["occupied"], rows["coal at each node"]["differ"]) == (128_891, 0)
     assert rows["grid path, toppra"]["ratio"] > 2.0
     assert rows["hplan"]["contacts"] == 0 < rows["shortened, toppra's defaults"]["contacts"]
 
@@ -89,8 +74,8 @@ def test_motions_among_trees(tmp_path: Path, trees: str, monkeypatch: pytest.Mon
     rows = rows_of("trees", tmp_path, "--trees", trees)
     assert {row["group"] for row in rows} >= {"measured at 1.4 m", "measured at 1 m", "tour"}
     assert all(row["certified"] and row["contacts"] == 0 for row in rows if row["solved"])
-    asked = "--values", "stands=0", "fruits=6", "--effort", "quick"
-    (together,) = rows_of("cell_trees", tmp_path, "--trees", trees, *asked)
+    config = "--values", "stands=0", "fruits=6", "--effort", "quick"
+    (together,) = rows_of("cell_trees", tmp_path, "--trees", trees, *config)
     assert together["solved"]
     assert together["contacts"] == together["with_wood"] == 0
     (tour,) = rows_of("tours", tmp_path, "--trees", trees)
@@ -124,7 +109,7 @@ def test_motionbenchmaker(tmp_path: Path) -> None:
 
 
 def test_faults_are_told_by_the_exit_status(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    study = Study("toy", "", lambda asked, n: {"name": f"{n}", "ms": np.float64(n), "fault": n == 2}, ("ms",))
+    study = Study("toy", "", lambda config, n: {"name": f"{n}", "ms": np.float64(n), "fault": n == 2}, ("ms",))
     monkeypatch.setattr(script, "import_module", lambda _: SimpleNamespace(CLUTTER=study))
     assert script.main(["clutter", "--count", "2", "--out", str(tmp_path / "a")]) == 0
     assert script.main(["clutter", "--count", "3", "--out", str(tmp_path / "b")]) == 5
@@ -142,7 +127,7 @@ def test_bad_input(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
         (["clutter", "--peer", "roboplan"], "one of RRTConnect, BITstar for clutter"),
         (["deadlines", "--values", "deadlines"], "--values"),
         (["cells", "--compare", str(tmp_path), str(tmp_path)], "no study is in both"),
-        (["trees", "--trees", str(tmp_path)], "there is no CSV"),
+        (["trees", "--trees", str(tmp_path)], "the folder has no CSV"),
     ):
         assert script.main([*options, *out]) == 2
         assert needed in " ".join(capsys.readouterr().err.split())

@@ -6,12 +6,12 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 from studies import harness
-from studies.harness import Asked, Row, Study, compare, run, summary, told_of
+from studies.harness import Row, Study, StudyConfig, compare, run, summarize, summary
 
 SOLVED: list[int] = []
 
 
-def _row(asked: Asked, number: int) -> Row | list[Row] | None:
+def _row(config: StudyConfig, number: int) -> Row | list[Row] | None:
     SOLVED.append(number)
     if number == 1:
         return None
@@ -35,18 +35,18 @@ def forgotten() -> None:
 
 
 def test_rows_come_in_order_on_any_executor() -> None:
-    told: list[tuple[int, int]] = []
-    rows = list(run(STUDY, Asked(count=5), told=lambda *now: told.append(now)))
+    reports: list[tuple[int, int]] = []
+    rows = list(run(STUDY, StudyConfig(count=5), report=lambda *now: reports.append(now)))
     assert [row["name"] for row in rows] == ["0", "2", "2 again", "3", "4"]
-    assert told == [(done, 5) for done in range(6)]
+    assert reports == [(done, 5) for done in range(6)]
     assert SOLVED == [0, 3, 0, 1, 2, 3, 4]  # two of them, evenly chosen, as warm-up
     with ThreadPoolExecutor(2) as pool:
-        assert list(run(STUDY, Asked(count=5), executor=pool)) == rows
-    assert [row["name"] for row in run(STUDY, Asked(count=2, first=3))] == ["3", "4"]
+        assert list(run(STUDY, StudyConfig(count=5), executor=pool)) == rows
+    assert [row["name"] for row in run(STUDY, StudyConfig(count=2, first=3))] == ["3", "4"]
 
 
 def test_summary_has_groups_and_faults() -> None:
-    lines = summary(STUDY, list(run(STUDY, Asked(count=5))))
+    lines = summary(STUDY, list(run(STUDY, StudyConfig(count=5))))
     assert lines[2:7] == [
         "| kind | rows | ms | good |",
         "|---|---:|---:|---:|",
@@ -55,7 +55,7 @@ def test_summary_has_groups_and_faults() -> None:
         "| all | 5 | 2 / 3.8 / 4 | 4 of 5 |",
     ]
     assert lines[-2].endswith("At fault: 4.")
-    assert told_of(["x", None, "y", "x"]) == "2 x, 1 y"
+    assert summarize(["x", None, "y", "x"]) == "2 x, 1 y"
 
 
 def test_runs_are_compared_problem_by_problem() -> None:

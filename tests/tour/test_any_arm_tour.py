@@ -20,7 +20,7 @@ from hplan.robot.model import Robot
 from hplan.scene.file import save_scene
 from hplan.scene.model import Goal, Scene, Start
 from hplan.scene.obstacles import Capsule
-from hplan.tour.carried import CARRIED, carrying
+from hplan.tour.motions import CARRIED, carrying
 from hplan.tour.result import TourResult
 from hplan.tour.tour import TourOptions, plan_tour
 

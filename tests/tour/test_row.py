@@ -20,9 +20,7 @@ from hplan.robot.model import Robot, load_robot
 from hplan.scene.model import Scene
 from hplan.scene.obstacles import Box
 from hplan.scene.orchard import MeasuredOptions, measured_orchard
-from hplan.tour.pickable import pickable, within_reach
-from hplan.tour.row import Place, RowOptions, RowResult, plan_row
-from hplan.tour.set_cover import cover
+from hplan.tour.row import Place, RowOptions, RowResult, cover, pickable, plan_row, within_reach
 
 QUICK = hplan.PlanOptions(effort="quick")
 COARSE = RowOptions(distance=1.2, step=0.8)

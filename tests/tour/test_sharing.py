@@ -7,8 +7,8 @@ import itertools
 import numpy as np
 
 from hplan.base.arrays import readonly
+from hplan.tour.cell_tour import Share, exchanged
 from hplan.tour.ordering import Costs
-from hplan.tour.sharing import Share, exchanged
 
 FRUITS = ("a", "b", "c", "d", "e", "f")
 

@@ -28,9 +28,8 @@ from hplan.scene.file import save_scene
 from hplan.scene.model import Fruit, Goal, Scene, Start
 from hplan.scene.obstacles import Box, Sphere
 from hplan.tour import ordering
-from hplan.tour.carried import carrying
-from hplan.tour.joins import Joins
-from hplan.tour.moves import Moves, Stop
+from hplan.tour.motions import carrying
+from hplan.tour.moves import Joins, Moves, Stop
 from hplan.tour.ordering import SEGMENT, Costs, Visits, along, best, nearest
 from hplan.tour.result import TourResult
 from hplan.tour.tour import TourOptions, TourPlanner, plan_tour

@@ -44,7 +44,18 @@ if TYPE_CHECKING:
 
 #: Options that apply to a single robot only, and the error text if one of them is given.
 _OF_ONE_ROBOT = (
-    *("robot", "limits", "hold", "tool_frame", "srdf", "package_dir", "allow_neighbours", "drop_inside", "yield_links"),
+    *(
+        "robot",
+        "limits",
+        "hold",
+        "tool_frame",
+        "srdf",
+        "package_dir",
+        "xacro",
+        "allow_neighbours",
+        "drop_inside",
+        "yield_links",
+    ),
     "collision_from_visual",
     *("bound", "view", "cspace", "cspace_yaw", "certify", "fruits", "drop_off", "drop_off_pose", "drop_off_joints"),
     *(

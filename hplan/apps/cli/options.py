@@ -71,8 +71,10 @@ _SHARED: tuple[tuple[str, str, str, dict[str, Any]], ...] = (
     ("parts", "--srdf", "which links may touch, for robots beyond the planar family",
         {"type": Path, "metavar": "FILE"}),
     ("parts", "--allow-neighbours", "links with one joint between them may touch", {"action": "store_true"}),
-    ("parts", "--package-dir", "where package:// meshes are looked for first",
+    ("parts", "--package-dir", "where packages and meshes are looked for first",
         {"action": "append", "type": Path, "default": [], "metavar": "DIR"}),
+    ("parts", "--xacro", "arguments of a xacro file",
+        {"nargs": "+", "action": "extend", "default": [], "metavar": "NAME:=VALUE"}),
     ("parts", "--collision-from-visual", "build collision shapes from the visuals of these links; without names, of "
         "all drawn links whose shapes are missing or of another size", {"nargs": "*", "metavar": "LINK"}),
     ("contacts", "--drop-inside", "leave out obstacles and fruits that stand in pedestal or turret, and say which; "
@@ -190,6 +192,21 @@ def held_joints(arguments: argparse.Namespace) -> dict[str, float]:
     return held
 
 
+def xacro_arguments(arguments: argparse.Namespace) -> dict[str, str]:
+    """Arguments of a xacro file from `--xacro`.
+
+    Raises:
+        OptionError: An argument is not of the form NAME:=VALUE.
+    """
+    given = {}
+    for text in arguments.xacro:
+        name, sign, value = text.partition(":=")
+        if not (name and sign):
+            raise OptionError("--xacro", text, "NAME:=VALUE, an argument of the xacro file and its value")
+        given[name] = value
+    return given
+
+
 def from_visual(arguments: argparse.Namespace) -> bool | tuple[str, ...]:
     """Links of `--collision-from-visual`; True without names, False without the option."""
     names = getattr(arguments, "collision_from_visual", None)
@@ -218,6 +235,7 @@ def robot_of(arguments: argparse.Namespace, scene: Scene | None = None, job: Fin
         srdf=arguments.srdf,
         allow_neighbours=arguments.allow_neighbours,
         collision_from_visual=from_visual(arguments),
+        xacro_args=xacro_arguments(arguments),
     )
     check_tracking(arguments, robot)
     return robot

@@ -137,9 +137,10 @@ def _made(arguments: argparse.Namespace, folder: JobFolder, errors: Console) -> 
     with progress_line(errors, quiet=arguments.quiet, kernels=KERNELS) as status:
         status("reading robot and scene")
         with loading():
-            from hplan.apps.view.yaw_section import check_yaw
+            from hplan.errors import OptionError
             from hplan.planning.plan import with_export_time
             from hplan.planning.report import curve_report, write_report
+            from hplan.planning.specialist import specialist_of
             from hplan.scene.file import load_scene
 
         options = plan_options(arguments, *OF_PLANS, "risk", "certify", "bound")
@@ -148,8 +149,11 @@ def _made(arguments: argparse.Namespace, folder: JobFolder, errors: Console) -> 
         robot = robot_of(arguments, given)
         yaw = None if arguments.cspace_yaw is None else math.radians(arguments.cspace_yaw)
         wants_cspace = arguments.cspace or yaw is not None
-        if wants_cspace:
-            check_yaw(robot, yaw)
+        specialist = specialist_of(robot) if wants_cspace else None
+        if specialist is not None:
+            specialist.check_cspace(robot, yaw)
+        elif wants_cspace:
+            raise OptionError("cspace", True, f"False for {robot.name!r}, which has no C-space that can be drawn")
         scene, left_out = scene_among(arguments, robot, given, errors)
 
         def progress(stage: str) -> None:
@@ -161,8 +165,8 @@ def _made(arguments: argparse.Namespace, folder: JobFolder, errors: Console) -> 
             begin = time.perf_counter()
             with folder.filling() as staging:
                 files = write_result(result, {TRAJECTORY: result.trajectory}, staging, mcap=arguments.mcap)
-                if wants_cspace:
-                    files += _write_cspace(options, result, yaw, staging, errors)
+                if specialist is not None:
+                    files += _write_cspace(*specialist.draw_cspace(result, options, yaw), staging, errors)
                 result = with_export_time(result, time.perf_counter() - begin)
                 write_report(result.report | curve_report(result.certificate) | left_out, staging / REPORT)
     return result, [TRAJECTORY, REPORT, *files]
@@ -170,8 +174,8 @@ def _made(arguments: argparse.Namespace, folder: JobFolder, errors: Console) -> 
 
 def _planned(robot: Robot, scene: Scene, options: PlanOptions, progress: Callable[[str], None]) -> PlanResult:
     """Plan; on a first run another process compiles the last kernels meanwhile."""
+    from hplan.apps.cli.compile_ahead import compiling_ahead, is_first_run
     from hplan.online.warm_up import warm_up
-    from hplan.planning.compile_ahead import compiling_ahead, is_first_run
     from hplan.planning.plan import plan
 
     with compiling_ahead(is_first_run()) as compile_last:
@@ -186,20 +190,12 @@ def _planned(robot: Robot, scene: Scene, options: PlanOptions, progress: Callabl
         return plan(robot, scene, options, progress=stage)
 
 
-def _write_cspace(
-    options: PlanOptions, result: PlanResult, yaw: float | None, folder: Path, errors: Console
-) -> list[str]:
+def _write_cspace(page: str, draw: Callable[[], Any], folder: Path, errors: Console) -> list[str]:
     """Write page and figure of the C-space at one yaw; return the file names."""
-    from hplan.apps.view.cspace_figure import cspace_at_yaw
-    from hplan.apps.view.cspace_page import render_cspace_page
-    from hplan.apps.view.playback import Playback
-    from hplan.apps.view.yaw_section import yaw_section
     from hplan.base.files import HTML_COMMENT, write_marked
 
-    title = result.scene.name
-    section = yaw_section(result.robot, result.scene, Playback.of(result), options, yaw=yaw)
-    write_marked(folder / CSPACE_PAGE, render_cspace_page(section, title), HTML_COMMENT)
-    return [CSPACE_PAGE, *write_figure(lambda: cspace_at_yaw(section, title), folder / CSPACE_FIGURE, errors)]
+    write_marked(folder / CSPACE_PAGE, page, HTML_COMMENT)
+    return [CSPACE_PAGE, *write_figure(draw, folder / CSPACE_FIGURE, errors)]
 
 
 def show_summary(console: Console, result: PlanResult, folder: Path, files: Sequence[str]) -> None:

@@ -78,7 +78,7 @@ def _made(
     """Load, plan and write; return the result and its file names."""
     progress("reading robot and scene")
 
-    from hplan.apps.view.row_figure import draw_row
+    from hplan.apps.view.figures import draw_row
     from hplan.base.files import HTML_COMMENT, write_marked
     from hplan.planning.report import write_report
     from hplan.scene.file import load_scene

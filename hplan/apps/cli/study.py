@@ -67,7 +67,7 @@ def run(arguments: argparse.Namespace, console: Console, errors: Console) -> int
     with progress_line(errors, quiet=arguments.quiet) as progress:
         progress("reading the study")
 
-        from hplan.apps.view.study_figure import draw_study
+        from hplan.apps.view.figures import draw_study
         from hplan.planning.report import versions, write_report
         from hplan.study.definition import load_study
         from hplan.study.run import run_study

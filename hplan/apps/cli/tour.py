@@ -69,7 +69,7 @@ def parser(prog: str) -> argparse.ArgumentParser:
         type=float,
         nargs=7,
         metavar=("X", "Y", "Z", "QX", "QY", "QZ", "QW"),
-        help="drop-off: a pose of the tool frame, of a general (non-planar) arm",
+        help="drop-off: a pose of the tool frame",
     )
     add("--drop-off-joints", type=float, nargs="+", metavar="DEG", help="drop-off: joints")
     add("--every", type=int, metavar="K", help="fruits carried to the drop-off at most (default: 1)")

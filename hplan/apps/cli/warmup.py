@@ -57,7 +57,7 @@ def warm_up_any_arm() -> None:
 #: Jobs, as commands or functions; each one runs in its own process and folder. The first `_FIRST` compile most of the
 #: kernels that the others share, and therefore run before them.
 JOBS = {
-    "certified motion": "hplan.planning.compile_ahead:compile_from_postprocessing_on",
+    "certified motion": "hplan.apps.cli.compile_ahead:compile_from_postprocessing_on",
     "plan": "plan --out a; certify a",
     "fruit": "plan dense-canopy",
     "orchard": "plan orchard-row; plan orchard-arm-row",

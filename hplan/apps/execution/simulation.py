@@ -27,9 +27,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hplan.apps.execution.plant import Plant
 from hplan.apps.execution.recorded_motion import Movement
-from hplan.apps.execution.simulated_arm import CONTROL_PERIOD, SimulatedArm, Touch
+from hplan.apps.execution.simulated_arm import CONTROL_PERIOD, Plant, SimulatedArm, Touch
 from hplan.base import ties
 from hplan.base.arguments import instance
 from hplan.base.arrays import FloatArray, Record, readonly

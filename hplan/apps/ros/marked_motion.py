@@ -9,9 +9,8 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-from hplan.apps.ros import marker_parts as mark
-from hplan.apps.ros.marked_scene import FRUITS, fruit_marker
-from hplan.apps.ros.marker_parts import Marker
+from hplan.apps.ros import marked_scene as mark
+from hplan.apps.ros.marked_scene import FRUITS, Marker, fruit_marker
 from hplan.apps.ros.transforms import LinkFrames, xyz
 from hplan.apps.view.scenery import PICKED_COLOR, Pick
 from hplan.base.arrays import FloatArray

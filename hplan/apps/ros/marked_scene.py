@@ -6,17 +6,77 @@ replaces the previous one.
 
 from __future__ import annotations
 
-import coal
+from collections.abc import Sequence
+from typing import Any, TypeAlias
 
-from hplan.apps.ros import marker_parts as mark
-from hplan.apps.ros.marker_parts import Marker
-from hplan.apps.ros.transforms import xyz
+import coal
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hplan.apps.ros.message_times import message_time
+from hplan.apps.ros.transforms import quaternion, xyz
 from hplan.apps.view.scenery import FRUIT_COLOR, GOAL_FRUIT_COLOR, look_of
 from hplan.base.arguments import instance, text
 from hplan.base.arrays import FloatArray
 from hplan.collision.coal_shapes import solid_shape
 from hplan.scene.model import Fruit, Scene
 from hplan.scene.obstacles import Box, Capsule, Cylinder, Obstacle, PointCloud, Sphere
+
+Marker: TypeAlias = dict[str, Any]
+
+#: Constants of the message: marker types and actions.
+CUBE, _SPHERE, CYLINDER, LINE_STRIP, LINE_LIST, SPHERE_LIST, TEXT, TRIANGLES = 1, 2, 3, 4, 5, 7, 9, 11
+ADD, DELETE, DELETE_ALL = 0, 2, 3
+
+
+def head(*, frame_id: str, ns: str, number: int) -> Marker:
+    """Fields common to all markers.
+
+    The time is 0, so that a marker follows its frame.
+
+    Args:
+        frame_id: Frame of the marker.
+        ns: Namespace of the marker.
+        number: Number in the namespace; a marker with the same number replaces the previous one.
+    """
+    return {
+        "header": {"stamp": message_time(0), "frame_id": frame_id},
+        "ns": ns,
+        "id": number,
+        "action": ADD,
+        "frame_locked": True,
+    }
+
+
+def color(rgb: int, opacity: float = 1.0) -> dict[str, float]:
+    """Convert a colour such as 0xFF8800 to a `std_msgs/msg/ColorRGBA`.
+
+    Examples:
+        >>> color(0xFF0000, 0.5)
+        {'r': 1.0, 'g': 0.0, 'b': 0.0, 'a': 0.5}
+    """
+    return dict(zip("rgb", (part / 255.0 for part in rgb.to_bytes(3)), strict=True)) | {"a": opacity}
+
+
+def pose(position: ArrayLike = (0.0, 0.0, 0.0), rotation: ArrayLike | None = None) -> dict[str, Any]:
+    """Create a `geometry_msgs/msg/Pose`.
+
+    Args:
+        position: (3,) position [m].
+        rotation: (3, 3) rotation matrix; None for the identity.
+    """
+    return {"position": xyz(position), "orientation": quaternion(np.eye(3) if rotation is None else rotation)}
+
+
+def points(places: ArrayLike) -> list[dict[str, float]]:
+    """Convert (n, 3) points to `geometry_msgs/msg/Point`s [m]."""
+    return [{"x": x, "y": y, "z": z} for x, y, z in np.asarray(places, dtype=np.float64).tolist()]
+
+
+def ball(center: Sequence[float] | FloatArray, radius: float) -> Marker:
+    """Shape and pose of a sphere marker: (3,) centre, radius [m]."""
+    return {"type": _SPHERE, "pose": pose(center), "scale": xyz((2.0 * radius,) * 3)}
+
 
 #: Namespaces of markers.
 _OBSTACLES, FRUITS = "obstacles", "fruits"
@@ -47,8 +107,8 @@ def scene_markers(scene: Scene, frame_id: str = "base_link") -> list[Marker]:
     for obstacle in scene.obstacles:
         look = look_of(obstacle.name)
         for marker in _parts(obstacle):
-            head = mark.head(frame_id=frame_of(scene, obstacle, frame_id), ns=_OBSTACLES, number=len(markers))
-            markers.append(head | marker | {"color": mark.color(look.color, look.opacity)})
+            top = head(frame_id=frame_of(scene, obstacle, frame_id), ns=_OBSTACLES, number=len(markers))
+            markers.append(top | marker | {"color": color(look.color, look.opacity)})
     goal = scene.goal.fruit
     hanging = [(fruit, frame_of(scene, fruit, frame_id)) for fruit in scene.fruits]
     return [*markers, *(fruit_marker(scene, fruit, frame, is_goal=fruit.name == goal) for fruit, frame in hanging)]
@@ -71,9 +131,9 @@ def fruit_marker(scene: Scene, fruit: Fruit, frame_id: str, *, is_goal: bool) ->
     """Marker of a fruit at its place on the tree."""
     number = scene.fruits.index(fruit)
     return (
-        mark.ball(fruit.center, fruit.radius)
-        | mark.head(frame_id=frame_id, ns=FRUITS, number=number)
-        | {"color": mark.color(GOAL_FRUIT_COLOR if is_goal else FRUIT_COLOR)}
+        ball(fruit.center, fruit.radius)
+        | head(frame_id=frame_id, ns=FRUITS, number=number)
+        | {"color": color(GOAL_FRUIT_COLOR if is_goal else FRUIT_COLOR)}
     )
 
 
@@ -83,23 +143,23 @@ def _parts(obstacle: Obstacle) -> list[Marker]:
         return [_balls(solid.core, solid.rounding) for solid in obstacle.solids]
     if not isinstance(obstacle, Sphere | Capsule | Cylinder | Box):
         vertices, faces = obstacle.surface
-        corners = mark.points(vertices[faces].reshape(-1, 3))
-        return [{"type": mark.TRIANGLES, "pose": mark.pose(), "scale": xyz((1.0, 1.0, 1.0)), "points": corners}]
+        corners = points(vertices[faces].reshape(-1, 3))
+        return [{"type": TRIANGLES, "pose": pose(), "scale": xyz((1.0, 1.0, 1.0)), "points": corners}]
     placed = solid_shape(obstacle)
-    shape, pose = placed.geometry, mark.pose(placed.placement.translation, placed.placement.rotation)
+    shape, place = placed.geometry, pose(placed.placement.translation, placed.placement.rotation)
     if isinstance(shape, coal.Sphere):
-        return [mark.ball(placed.placement.translation, shape.radius)]
+        return [ball(placed.placement.translation, shape.radius)]
     if isinstance(shape, coal.Box):
-        return [{"type": mark.CUBE, "pose": pose, "scale": xyz(2.0 * shape.halfSide)}]
+        return [{"type": CUBE, "pose": place, "scale": xyz(2.0 * shape.halfSide)}]
     wide, length = 2.0 * shape.radius, 2.0 * shape.halfLength
-    wall = {"type": mark.CYLINDER, "pose": pose, "scale": xyz((wide, wide, length))}
+    wall = {"type": CYLINDER, "pose": place, "scale": xyz((wide, wide, length))}
     if not isinstance(obstacle, Capsule):
         return [wall]
-    balls = [mark.ball(end, shape.radius) for end in (obstacle.start, obstacle.end)]
+    balls = [ball(end, shape.radius) for end in (obstacle.start, obstacle.end)]
     return [wall, *balls] if length else balls[:1]
 
 
 def _balls(centers: FloatArray, radius: float) -> Marker:
     # Draw at most 20,000 balls of a cloud: every k-th one of a larger cloud.
-    some = mark.points(centers[:: -(-len(centers) // 20_000)])
-    return {"type": mark.SPHERE_LIST, "pose": mark.pose(), "scale": xyz((2.0 * radius,) * 3), "points": some}
+    some = points(centers[:: -(-len(centers) // 20_000)])
+    return {"type": SPHERE_LIST, "pose": pose(), "scale": xyz((2.0 * radius,) * 3), "points": some}

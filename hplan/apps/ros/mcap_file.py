@@ -33,11 +33,10 @@ import numpy as np
 import pinocchio as pin
 
 from hplan.apps.ros import marked_motion as motion
-from hplan.apps.ros import marker_parts as mark
+from hplan.apps.ros import marked_scene as mark
 from hplan.apps.ros.bag_writer import Message, write_bag
 from hplan.apps.ros.joint_messages import to_joint_state, to_joint_trajectory
-from hplan.apps.ros.marked_scene import moving_frame, scene_markers
-from hplan.apps.ros.marker_parts import Marker
+from hplan.apps.ros.marked_scene import Marker, moving_frame, scene_markers
 from hplan.apps.ros.message_times import SECOND_NS, message_time, time_ns
 from hplan.apps.ros.transforms import LinkFrames, robot_description, transform
 from hplan.apps.view.playback import Playback, playable

@@ -86,7 +86,7 @@ def shape(name: str, kind: str, sizes: Sequence[float], place: pin.SE3) -> Obsta
     if kind == "sphere":
         return Sphere(name=name, center=center, radius=sizes[0])
     if kind == "box":
-        return Box(name=name, center=center, size=tuple(sizes), rpy_deg=_rpy_deg(place))
+        return Box(name=name, center=center, size=(sizes[0], sizes[1], sizes[2]), rpy_deg=_rpy_deg(place))
     can = Cylinder(name=name, center=center, radius=sizes[0], length=sizes[1], rpy_deg=_rpy_deg(place))
     if kind == "cylinder":
         return can

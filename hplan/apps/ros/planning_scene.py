@@ -8,7 +8,8 @@ the benchmark files of robowflex, words and lists may replace numbers and named 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from array import array
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -16,29 +17,318 @@ import numpy as np
 import pinocchio as pin
 import yaml
 
-from hplan.apps.ros.placed_shapes import NO_PLANE, SIZES, OpenMeshes, mesh, planning_frame, shape
-from hplan.apps.ros.scene_parts import (
-    MESSAGE,
-    OBJECT,
-    WORLD,
-    FixedFrames,
-    below,
-    check_keys,
-    check_left_out,
-    check_parts,
-    frame_of,
-    mapping,
-    numbers_of,
-    or_else,
-    pose_of,
-    sequence,
-)
-from hplan.base.arguments import file_path, is_number
+from hplan.apps.ros.placed_shapes import NO_OCTOMAP, NO_PLANE, SIZES, OpenMeshes, mesh, planning_frame, pose, shape
+from hplan.base.arguments import file_path, is_number, list_of
 from hplan.base.files import ByteBudget
 from hplan.base.yaml_text import read_yaml
-from hplan.errors import SceneError
+from hplan.errors import OptionError, SceneError
 from hplan.scene.limits import MOST_SCENE_BYTES, Vector
 from hplan.scene.obstacles import Obstacle
+
+#: Parts that are refused if they hold anything, unless they are left out by name.
+PARTS: Final = (
+    "attached_collision_objects",
+    "link_padding",
+    "link_scale",
+    "allowed_collision_matrix",
+    "octomap",
+    "is_diff",
+)
+
+#: Fields of the messages `PlanningScene`, `PlanningSceneWorld` and `CollisionObject`.
+MESSAGE: Final = (
+    *("name", "robot_state", "robot_model_name", "fixed_frame_transforms", "allowed_collision_matrix", "link_padding"),
+    *("link_scale", "object_colors", "world", "is_diff"),
+)
+WORLD: Final = ("collision_objects", "octomap")
+OBJECT: Final = (
+    *("header", "pose", "id", "type", "primitives", "primitive_poses", "meshes", "mesh_poses", "planes", "plane_poses"),
+    *("subframe_names", "subframe_poses", "operation"),
+)
+
+
+def check_left_out(leave_out: Any) -> tuple[str, ...]:
+    """Check the names of the parts to leave out.
+
+    Raises:
+        OptionError: A name that is not in `PARTS`.
+    """
+    names = tuple(list_of("leave_out", leave_out, str, "names of parts of a planning scene"))
+    for name in names:
+        if name not in PARTS:
+            raise OptionError("leave_out", name, f"one of {', '.join(PARTS)}")
+    return names
+
+
+def check_parts(message: Mapping[str, Any], world: Mapping[str, Any], where: str, leave_out: Collection[str]) -> None:
+    """Refuse parts that change which motions are allowed.
+
+    Args:
+        message: The planning scene; empty if only its world is given.
+        world: Its world.
+        where: Key of the world in the message.
+        leave_out: Names of the parts to ignore.
+
+    Raises:
+        SceneError: A part that is not empty and not left out; names the key.
+    """
+    names = {item.get("id") for item in sequence(or_else(world.get("collision_objects"), ()), where) if is_map(item)}
+    for part, fault, key in (
+        ("attached_collision_objects", _attached_fault(message), "robot_state.attached_collision_objects"),
+        ("link_padding", _link_fault(message, "link_padding", "padding", 0.0), "link_padding"),
+        ("link_scale", _link_fault(message, "link_scale", "scale", 1.0), "link_scale"),
+        ("allowed_collision_matrix", _allowed_fault(message, names), "allowed_collision_matrix"),
+        ("octomap", _octomap_fault(world, where), below(where, "octomap")),
+        ("is_diff", _diff_fault(message), "is_diff"),
+    ):
+        if fault and part not in leave_out:
+            raise SceneError(f"{fault}; leave_out=({part!r},) reads the scene without this part", where=key)
+
+
+def _attached_fault(message: Mapping[str, Any]) -> str:
+    where = "robot_state"
+    state = mapping(or_else(message.get(where), {}), where)
+    where += ".attached_collision_objects"
+    for index, item in enumerate(sequence(or_else(state.get("attached_collision_objects"), ()), where)):
+        held = mapping(item, f"{where}[{index}]")
+        name = mapping(or_else(held.get("object"), {}), f"{where}[{index}].object").get("id")
+        return (
+            f"{name!r} is attached to link {held.get('link_name')!r}, and an attached object is no obstacle; model it "
+            "as a part of that link in the URDF"
+        )
+    return ""
+
+
+def _link_fault(message: Mapping[str, Any], key: str, field: str, neutral: float) -> str:
+    """Fault of a link padding or scale; empty if all are neutral."""
+    values = {}
+    for index, item in enumerate(sequence(or_else(message.get(key), ()), key)):
+        entry = mapping(item, f"{key}[{index}]")
+        value = entry.get(field, neutral)
+        if not is_number(value):
+            raise SceneError(f"expected a number, got {value!r}", where=f"{key}[{index}].{field}", value=value)
+        if float(value) != neutral:
+            values[str(entry.get("link_name"))] = float(value)
+    if not values:
+        return ""
+    link, value = max(values.items(), key=lambda each: each[1])
+    instead = f"set `clearance` of the scene to {value:g} m or more" if field == "padding" else "scale the URDF's shape"
+    return f"link {link!r} has the {field} {value:g}, which hplan does not apply: {instead}"
+
+
+def _allowed_fault(message: Mapping[str, Any], names: Collection[Any]) -> str:
+    """Fault of an allowed collision between a world object and a link.
+
+    Empty if no such collision is allowed.
+    """
+    key = "allowed_collision_matrix"
+    matrix = mapping(or_else(message.get(key), {}), key)
+    entries = sequence(or_else(matrix.get("entry_names"), ()), f"{key}.entry_names")
+    rows = sequence(or_else(matrix.get("entry_values"), ()), f"{key}.entry_values")
+    if rows and len(rows) != len(entries):
+        raise SceneError(
+            f"expected a row for each of {len(entries)} names, got {len(rows)}", where=f"{key}.entry_values"
+        )
+    allowed = []
+    for name, row in zip(entries, rows, strict=False):
+        enabled = row.get("enabled") if is_map(row) else row
+        flags = sequence(or_else(enabled, ()), f"{key}.entry_values")
+        allowed += [(name, other) for other, flag in zip(entries, flags, strict=False) if flag]
+    defaults = zip(
+        sequence(or_else(matrix.get("default_entry_names"), ()), f"{key}.default_entry_names"),
+        sequence(or_else(matrix.get("default_entry_values"), ()), f"{key}.default_entry_values"),
+        strict=False,
+    )
+    allowed += [(name, "every link") for name, flag in defaults if flag]
+    for one, other in allowed:
+        if (one in names) != (other in names) and not (other == "every link" and one not in names):
+            thing, link = (one, other) if one in names else (other, one)
+            return f"{thing!r} may touch {link!r}, but hplan keeps all links clear of all obstacles"
+    return ""
+
+
+def _octomap_fault(world: Mapping[str, Any], where: str) -> str:
+    octomap = mapping(or_else(world.get("octomap"), {}), below(where, "octomap"))
+    inner = mapping(or_else(octomap.get("octomap"), {}), below(where, "octomap.octomap"))
+    data = or_else(inner.get("data"), ())
+    return NO_OCTOMAP if not is_number(data) and len(data) else ""
+
+
+def _diff_fault(message: Mapping[str, Any]) -> str:
+    return "the message is a difference and lacks the objects that did not change" if message.get("is_diff") else ""
+
+
+class FixedFrames:
+    """Frames of a planning scene, from its fixed transforms.
+
+    Without transforms the first frame named by an object is the planning frame, and all other frames are refused.
+    """
+
+    def __init__(self, message: Mapping[str, Any]) -> None:
+        """Read the transforms of a message.
+
+        Raises:
+            SceneError: The transforms are malformed, have no common root or a cycle, or two are of one frame.
+        """
+        key = "fixed_frame_transforms"
+        self._parents: dict[str, tuple[str, pin.SE3]] = {}
+        frames = []
+        for index, item in enumerate(sequence(or_else(message.get(key), ()), key)):
+            where = f"{key}[{index}]"
+            item = mapping(item, where)
+            parent, child = frame_of(item, where), _plain(item.get("child_frame_id", ""))
+            place = mapping(or_else(item.get("transform"), {}), f"{where}.transform")
+            placed = pose_of(place, f"{where}.transform", ("translation", "rotation"))
+            frames.append(parent)
+            if child in self._parents:
+                raise SceneError(f"expected one transform of frame {child!r}, got two", where=where, value=child)
+            if child != parent:
+                self._parents[child] = parent, placed
+        roots = {self._root(frame) for frame in frames}
+        if len(roots) > 1:
+            raise SceneError(f"expected one root of all frames, got {', '.join(map(repr, sorted(roots)))}", where=key)
+        self._planning = next(iter(roots), "")
+        self._first = ""
+
+    def _root(self, frame: str) -> str:
+        for _ in range(len(self._parents) + 1):
+            if frame not in self._parents:
+                return frame
+            frame = self._parents[frame][0]
+        raise SceneError(f"frame {frame!r} is its own parent", where="fixed_frame_transforms")
+
+    def place(self, frame: str, name: str, where: str) -> pin.SE3:
+        """Pose of an object's frame in the planning frame.
+
+        Args:
+            frame: Name of the frame; empty for the planning frame.
+            name: Name of the object.
+            where: Key of the object in the message.
+
+        Raises:
+            SceneError: The frame is unknown.
+        """
+        if not self._planning:
+            self._planning, self._first = frame, name
+        found = pin.SE3.Identity()
+        known = [self._planning, *self._parents]
+        if frame and frame not in known:
+            reason = f"{name!r} is in frame {frame!r}, known are {', '.join(map(repr, known))}"
+            if self._first:
+                reason = (
+                    f"{self._first!r} is in frame {self._planning!r}, {name!r} in {frame!r}; expected one frame, or "
+                    "fixed_frame_transforms of the others"
+                )
+            raise SceneError(reason, where=f"{where}.header.frame_id", value=frame)
+        while frame in self._parents:
+            frame, placed = self._parents[frame]
+            found = placed * found
+        return found
+
+
+def frame_of(item: Mapping[str, Any], where: str) -> str:
+    """Frame name in the header of an item."""
+    return _plain(mapping(or_else(item.get("header"), {}), f"{where}.header").get("frame_id", ""))
+
+
+def _plain(frame: Any) -> str:
+    """Frame name without the leading slash of ROS 1."""
+    return str(or_else(frame, "")).removeprefix("/")
+
+
+def pose_of(content: Any, where: str, keys: tuple[str, str] = ("position", "orientation")) -> pin.SE3:
+    """Convert a pose; missing numbers are zero.
+
+    A quaternion of zeros is the identity rotation.
+
+    Args:
+        content: The pose message; None for the identity.
+        where: Its key, for the error.
+        keys: Names of the fields of position [m] and orientation.
+
+    Raises:
+        SceneError: A value is not a number, a key is unknown, or the quaternion's length is not 1.
+    """
+    content = mapping(or_else(content, {}), where)
+    check_keys(content, keys, where)
+    position = numbers_of(or_else(content.get(keys[0]), (0.0, 0.0, 0.0)), "xyz", f"{where}.{keys[0]}")
+    quaternion = numbers_of(or_else(content.get(keys[1]), (0.0, 0.0, 0.0, 0.0)), "xyzw", f"{where}.{keys[1]}")
+    try:
+        return pose(position, quaternion if any(quaternion) else (0.0, 0.0, 0.0, 1.0))
+    except ValueError as error:
+        raise SceneError(str(error), where=f"{where}.{keys[1]}") from error
+
+
+def numbers_of(content: Any, keys: str, where: str) -> list[float]:
+    """Convert numbers given as a list or by keys.
+
+    Missing keys are 0.
+
+    Raises:
+        SceneError: Another number of values, a value that is not a number, or an unknown key.
+    """
+    if is_map(content):
+        values = [content.get(key, 0.0) for key in keys]
+        check_keys(content, keys, where)
+    else:
+        values = list(sequence(content, where))
+    if len(values) != len(keys) or not all(map(is_number, values)):
+        raise SceneError(f"expected {', '.join(keys)}, got {content!r}", where=where)
+    return [float(value) for value in values]
+
+
+def check_keys(content: Mapping[str, Any], known: Iterable[str], where: str) -> None:
+    """Refuse keys that the message type lacks, unless they are empty.
+
+    Raises:
+        SceneError: A key is unknown, for example misspelt.
+    """
+    known = tuple(known)
+    for key, value in content.items():
+        if key not in known and not (value is None or value is False or (hasattr(value, "__len__") and not len(value))):
+            raise SceneError(f"unknown key; expected one of {', '.join(known)}", where=below(where, str(key)))
+
+
+def is_map(content: Any) -> bool:
+    """True for a mapping of keys."""
+    return isinstance(content, Mapping)
+
+
+def mapping(content: Any, where: str) -> Mapping[str, Any]:
+    """Check that a value is a mapping, and return it.
+
+    Raises:
+        SceneError: The value is not a mapping.
+    """
+    if not isinstance(content, Mapping):
+        raise SceneError(f"expected a mapping of keys, got {content!r}", where=where or None)
+    return content
+
+
+def sequence(content: Any, where: str) -> list[Any] | tuple[Any, ...]:
+    """Return a value if it is a list, tuple or array.
+
+    Arrays are converted to lists.
+
+    Raises:
+        SceneError: The value is anything else.
+    """
+    if isinstance(content, array | np.ndarray):
+        return list(content.tolist())
+    if not isinstance(content, (list, tuple)):
+        raise SceneError(f"expected a list, got {content!r}", where=where)
+    return content
+
+
+def below(where: str, key: str) -> str:
+    """Dotted path of a key under another one."""
+    return f"{where}.{key}" if where else key
+
+
+def or_else(content: Any, otherwise: Any) -> Any:
+    """Return the content, with None replaced by the default."""
+    return otherwise if content is None else content
+
 
 #: Values of `operation` that add an object: the byte of a message in its forms, and the words of files.
 _ADDS: Final = (0, "\0", "add", "ADD")

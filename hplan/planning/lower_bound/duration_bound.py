@@ -20,9 +20,9 @@ from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.collision_bodies import collision_bodies
 from hplan.collision.reach import joint_axis
 from hplan.errors import BoundError
+from hplan.planning.lower_bound.cells import AXES
 from hplan.planning.lower_bound.grid_search import GridSearch, TimedGrid
 from hplan.planning.lower_bound.joint_tubes import JointMotions
-from hplan.planning.lower_bound.occupied_cells import AXES
 from hplan.planning.problem import Problem
 from hplan.planning.world import World
 from hplan.robot.limits import Limits

@@ -9,9 +9,8 @@ import numpy as np
 from hplan.base import ties
 from hplan.base.arrays import FloatArray, IntArray, Record, WordArray, frozen
 from hplan.collision.clearance_field import ClearanceField
+from hplan.planning.lower_bound.cells import AXES, Cells, Samples, is_reachable, take_occupied
 from hplan.planning.lower_bound.joint_tubes import JointMotions
-from hplan.planning.lower_bound.occupied_cells import AXES, Cells, take_occupied
-from hplan.planning.lower_bound.reachability import Samples, is_reachable
 
 #: Number of parts of a cell, and the bits of 64 free cells.
 _PARTS, _ALL = 16, np.uint64(2**64 - 1)

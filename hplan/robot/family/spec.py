@@ -11,7 +11,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from hplan.base.options import Options, Positive
+from hplan.base.checked import Options, Positive
 from hplan.errors import OptionError
 
 _HALF_PI = math.pi / 2

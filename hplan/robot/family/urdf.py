@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import yaml
 
 from hplan.robot.family.spec import ArmSpec
-from hplan.robot.files import LIMITS_FORMAT
+from hplan.robot.limits_file import LIMITS_FORMAT
 
 #: Colours of the moving links and of the base.
 _COLORS = {"warm_white": "0.93 0.91 0.86 1", "graphite": "0.17 0.18 0.2 1"}

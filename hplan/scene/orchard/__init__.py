@@ -3,8 +3,7 @@
 from hplan.scene.orchard.capsule_file import import_capsules, import_tree
 from hplan.scene.orchard.fruits import fruit_at_tips
 from hplan.scene.orchard.generator import generate, measured_orchard
-from hplan.scene.orchard.options import TUCKED_DEG, FruitZone, MeasuredOptions, OrchardOptions
-from hplan.scene.orchard.shipped import SHIPPED
+from hplan.scene.orchard.options import SHIPPED, TUCKED_DEG, FruitZone, MeasuredOptions, OrchardOptions
 
 __all__ = [
     "SHIPPED",

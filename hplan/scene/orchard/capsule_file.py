@@ -16,7 +16,7 @@ from hplan.scene.limits import Vector
 from hplan.scene.model import Fruit
 from hplan.scene.obstacles import Capsule
 from hplan.scene.orchard.options import FARTHEST
-from hplan.scene.orchard.pieces import capsule
+from hplan.scene.orchard.wood import capsule
 
 _NUMBERS = ("x1", "y1", "z1", "x2", "y2", "z2", "radius")
 _COLUMNS = ("kind", *_NUMBERS)

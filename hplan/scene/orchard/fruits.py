@@ -18,7 +18,7 @@ from hplan.errors import OptionError
 from hplan.scene.model import Fruit
 from hplan.scene.obstacles import Capsule, Obstacle
 from hplan.scene.orchard.options import FruitZone, OrchardOptions
-from hplan.scene.orchard.pieces import DECIMALS
+from hplan.scene.orchard.wood import DECIMALS
 
 #: Gap larger than the rounding error [m].
 _GAP = 1e-4

@@ -16,8 +16,7 @@ from hplan.scene.obstacles import Box, Capsule
 from hplan.scene.orchard.capsule_file import import_tree
 from hplan.scene.orchard.fruits import fruit_at_tips, hang_fruits, hung
 from hplan.scene.orchard.options import TUCKED_DEG, FruitZone, MeasuredOptions, OrchardOptions
-from hplan.scene.orchard.pieces import DECIMALS, capsule, rounded
-from hplan.scene.orchard.wood import Limb, grow_tree
+from hplan.scene.orchard.wood import DECIMALS, Limb, capsule, grow_tree, rounded
 
 #: The ground, 1 mm below the pedestal to avoid contact; and a vehicle body behind the pedestal, below the tucked arm.
 _GROUND = Box(name="ground", center=(0.0, 0.0, -0.051), size=(6.0, 6.0, 0.1))

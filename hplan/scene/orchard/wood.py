@@ -8,14 +8,32 @@ along each wire, with branches on the arms.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
 import numpy as np
 
 from hplan.base.arrays import FloatArray
+from hplan.scene.limits import Vector
+from hplan.scene.obstacles import Capsule
 from hplan.scene.orchard.options import OrchardOptions
+
+#: Number of decimals of a length in metres.
+DECIMALS = 4
+
+
+def rounded(point: Iterable[float]) -> Vector:
+    """Round a point to the 0.1 mm grid [m]."""
+    # Adding 0.0 turns -0.0, which would appear in files, into 0.0.
+    x, y, z = (round(float(value), DECIMALS) + 0.0 for value in point)
+    return x, y, z
+
+
+def capsule(name: str, start: Vector, end: Vector, radius: float) -> Capsule:
+    """Return a capsule with the given ends [m]."""
+    return Capsule.model_validate({"name": name, "from": start, "to": end, "radius": radius})
+
 
 Kind: TypeAlias = Literal["trunk", "arm", "branch", "shoot"]
 

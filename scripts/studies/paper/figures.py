@@ -17,10 +17,10 @@ from studies.paper.measure import DEMO_CENTRE, DEMO_DIAMETER, PAPER_DENSE, PAPER
 from studies.paper.plain import path_found
 
 from hplan.apps.view import figure_style as look
-from hplan.apps.view.cspace_surface import draw_cspace_obstacle, hidden, joint_box, panes
 from hplan.apps.view.figure_style import new_figure, styled
 from hplan.base.arrays import BoolArray, FloatArray, IntArray
-from hplan.grid.grid import Grid
+from hplan.planar.grid.grid import Grid
+from hplan.planar.pages.cspace_surface import draw_cspace_obstacle, hidden, joint_box, panes
 from hplan.robot.planar_family import PlanarArm
 
 if TYPE_CHECKING:
@@ -45,24 +45,19 @@ CASES = {
 
 def figures(numbers: Reproduction, evidence: Evidence) -> dict[str, Callable[[], Figure]]:
     """File name -> how to draw it, in the paper's order; the overview, which the paper does not have, comes last."""
-    drawings: dict[tuple[int, str], Callable[[], Figure]] = {
-        **{(n + 1, f"link-and-circle-case-{n}"): functools.partial(link_case, n) for n in CASES},
-        (5, "two-links"): lambda: two_links(evidence),
-        (6, "workspace-path"): lambda: workspace_path(evidence),
-        (7, "workspace-layers"): lambda: workspace_layers(evidence),
-        (8, "arm-and-obstacle"): lambda: arm_and_obstacle(evidence),
-        (9, "cspace"): lambda: cspace_obstacle(evidence),
-        (10, "slices"): lambda: slices(evidence),
-        (11, "slice-paths"): lambda: slice_paths(evidence),
-        (12, "sparse-path"): lambda: sparse_path(evidence),
-        (13, "execution"): lambda: snapshots(evidence),
-        (14, "paths-in-cspace"): lambda: paths_in_cspace(evidence),
-        (15, "paths-in-workspace"): lambda: paths_in_workspace(evidence),
-        (16, "comparison"): lambda: comparison(numbers, evidence),
+    drawings: dict[str, Callable[[], Figure]] = {
+        f"link-and-circle-case-{n}": functools.partial(link_case, n) for n in CASES
     }
+    of_evidence: dict[str, Callable[[Evidence], Figure]] = {
+        "two-links": two_links, "workspace-path": workspace_path, "workspace-layers": workspace_layers,
+        "arm-and-obstacle": arm_and_obstacle, "cspace": cspace_obstacle, "slices": slices, "slice-paths": slice_paths,
+        "sparse-path": sparse_path, "execution": snapshots, "paths-in-cspace": paths_in_cspace,
+        "paths-in-workspace": paths_in_workspace, "comparison": functools.partial(comparison, numbers),
+    }  # fmt: skip
+    drawings |= {name: functools.partial(draw, evidence) for name, draw in of_evidence.items()}
     named = {
-        f"figure-{number:02d}-{subject}.png": functools.partial(_numbered, number, draw)
-        for (number, subject), draw in drawings.items()
+        f"figure-{number:02d}-{name}.png": functools.partial(_numbered, number, draw)
+        for number, (name, draw) in enumerate(drawings.items(), start=2)
     }
     return {**named, "overview.png": lambda: overview(evidence)}
 
@@ -239,7 +234,6 @@ def _joint_path(axes: Any, evidence: Evidence, path: IntArray, towards: Any, col
 # The figures
 
 
-@styled
 def link_case(case: int) -> Figure:
     """Figures 2 to 4: one link and a circle in one of the three cases of equations (1)-(3)."""
     from matplotlib.patches import Wedge
@@ -272,7 +266,6 @@ def link_case(case: int) -> Figure:
     return figure
 
 
-@styled
 def two_links(evidence: Evidence) -> Figure:
     """Figure 5: forbidden angles of the second link over theta1.
 
@@ -315,7 +308,6 @@ def _link_occupied(evidence: Evidence, links: int) -> BoolArray:
     return occupied.reshape(grid.shape[:2])
 
 
-@styled
 def workspace_path(evidence: Evidence) -> Figure:
     """Figure 6: the path past the sphere, over the paths of the layers."""
     from matplotlib import colormaps
@@ -346,7 +338,6 @@ def workspace_path(evidence: Evidence) -> Figure:
     return figure
 
 
-@styled
 def workspace_layers(evidence: Evidence) -> Figure:
     """Figure 7: six layers from above, with their paths."""
     grid, path, layers = evidence.demo.grid, path_found(evidence.demo_result), evidence.demo_result.slice_paths
@@ -365,7 +356,6 @@ def workspace_layers(evidence: Evidence) -> Figure:
     return figure
 
 
-@styled
 def arm_and_obstacle(evidence: Evidence) -> Figure:
     """Figure 8: the arm in its plane at start and goal, and the obstacle."""
     arm, grid = evidence.robot.arm, evidence.occupancy.grid
@@ -385,7 +375,6 @@ def arm_and_obstacle(evidence: Evidence) -> Figure:
     return figure
 
 
-@styled
 def cspace_obstacle(evidence: Evidence) -> Figure:
     """Figure 9: the C-space obstacle from two sides."""
     grid, count = evidence.occupancy.grid, evidence.occupancy.occupied_count
@@ -407,7 +396,6 @@ def _six(figure: Figure, evidence: Evidence) -> list[tuple[Any, int, float]]:
     return list(zip(figure.subplots(2, 3).flat, numbers, degrees, strict=True))
 
 
-@styled
 def slices(evidence: Evidence) -> Figure:
     """Figure 10: occupancy of six theta3 slices, and the existence of a path in each."""
     grid = evidence.occupancy.grid
@@ -423,7 +411,6 @@ def slices(evidence: Evidence) -> Figure:
     return figure
 
 
-@styled
 def slice_paths(evidence: Evidence) -> Figure:
     """Figure 11: paths of slices after connectivity restoration, their own or the part kept of the first one."""
     grid, paths, heads = evidence.occupancy.grid, evidence.plain.paths, evidence.plain.heads
@@ -447,7 +434,6 @@ def slice_paths(evidence: Evidence) -> Figure:
     return figure
 
 
-@styled
 def sparse_path(evidence: Evidence) -> Figure:
     """Figure 12: the sparse graph of slice paths and restored parts, and the path found in it."""
     grid, path = evidence.occupancy.grid, path_found(evidence.plain.second)
@@ -463,7 +449,6 @@ def sparse_path(evidence: Evidence) -> Figure:
     return figure
 
 
-@styled
 def snapshots(evidence: Evidence) -> Figure:
     """Figure 13: eight points of the path, start and goal among them, each with its joint angles and clearance."""
     arm, path = evidence.robot.arm, path_found(evidence.plain.second)
@@ -485,7 +470,6 @@ def snapshots(evidence: Evidence) -> Figure:
     return figure
 
 
-@styled
 def paths_in_cspace(evidence: Evidence) -> Figure:
     """Figure 14: the paths of both methods past the C-space obstacle."""
     grid = evidence.occupancy.grid
@@ -514,7 +498,6 @@ def _draw_motion(axes: Any, evidence: Evidence, path: IntArray, color: str) -> N
     _plane(axes, points)
 
 
-@styled
 def paths_in_workspace(evidence: Evidence) -> Figure:
     """Figure 15: the motions of the arm along the paths of both methods."""
     figure = new_figure(12.0, 5.6, "Both paths as motions of the arm")
@@ -526,7 +509,6 @@ def paths_in_workspace(evidence: Evidence) -> Figure:
     return figure
 
 
-@styled
 def comparison(numbers: Reproduction, evidence: Evidence) -> Figure:
     """Figure 16: nodes, time and cost, of the paper and measured, and the nodes' distribution."""
     runs = {

@@ -14,10 +14,11 @@ from studies.paper.plain import RESTORATIONS, PlainTwoLevel, Restoration, path_f
 from studies.planar_cspace import arm_sections, joint_grid
 
 from hplan.base.arrays import FloatArray, IntArray
-from hplan.grid import SearchResult, dense_search, slices_with_path, two_level_search
-from hplan.grid import occupancy as cspace
-from hplan.grid.grid import Grid, Occupancy
-from hplan.grid.sections import LINK_MODELS, ArmSections, LinkModel
+from hplan.planar.grid import SearchResult, dense_search, slices_with_path, two_level_search
+from hplan.planar.grid import occupancy as cspace
+from hplan.planar.grid.grid import Grid, Occupancy
+from hplan.planar.grid.sections import LINK_MODELS, ArmSections
+from hplan.planning.options import LinkModel
 from hplan.robot.model import Robot, load_robot
 from hplan.scene.file import load_scene
 

@@ -15,8 +15,8 @@ import numpy as np
 
 from hplan.base.arrays import BoolArray, IntArray
 from hplan.errors import NoPathError
-from hplan.grid import SearchResult, dense_search
-from hplan.grid.grid import Grid, Occupancy
+from hplan.planar.grid import SearchResult, dense_search
+from hplan.planar.grid.grid import Grid, Occupancy
 
 #: The waypoints that restoration carries back towards the start: the first slice path, or its first waypoint alone.
 Restoration: TypeAlias = Literal["path", "first waypoint"]

@@ -1,9 +1,9 @@
-"""One planner for an hour: four threads call its methods by chance, at the rate of a camera.
+"""One planner whose methods four threads call at random times, at the rate of a camera.
 
-One thread hands in frames, one plans and replans while the motion runs by the clock on the wall, one asks for stops,
-one changes obstacles and goal, gives obstacles tracks and has the base drive, or stand again. Counted are errors that
-are not hplan's, how long frames take, how much memory is in use, and contacts: a sample of what was handed out is
-written down, with the true points of the frame that its scene holds, and looked at by the judge when the hour is over.
+One thread passes frames, one plans and replans while the motion runs by the wall clock, one requests stops, and one
+changes obstacles, goal, tracks and the motion of the base. The study counts foreign exceptions and contacts, and
+measures frame times and memory. A sample of the motions is stored with the true points of the frame in its scene, and
+judged at the end.
 """
 
 from __future__ import annotations
@@ -21,25 +21,24 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from studies.harness import Asked, Row, Study
-from studies.outside import things_of
-from studies.validation.arms import DrawnArm, named_arm
-from studies.validation.episodes import COUNTED, Tally, windows
-from studies.validation.judge import Motion, Moves, Thing, contacts
-from studies.validation.random_scenes import direction
-from studies.validation.worlds import (
+from studies.harness import Row, Study, StudyConfig
+from studies.outside import obstacles_of
+from studies.validation.judge import JudgedObstacle, PoseTrack, SampledMotion, contacts
+from studies.validation.motions import COUNTED, Tally, windows
+from studies.validation.random_arms import DrawnArm, named_arm
+from studies.validation.random_worlds import (
     BALL_M,
     SEEN,
     Item,
     World,
     camera_pose,
+    direction,
     draw_ends,
     draw_item,
     draw_track,
     free,
     middle_of,
-    obstacle,
-    seen_from_base,
+    obstacle_of,
     surface,
 )
 
@@ -57,231 +56,223 @@ from hplan.trajectory.trajectory import Trajectory, write_csv
 #: Frames, replans, stops and changes per second.
 CAMERA_HZ, REPLAN_HZ, STOP_HZ, CHANGE_HZ = 30.0, 4.0, 4.0, 4.0
 
-#: Points of a frame; clouds of which each frame shows one; how many frames' points are remembered.
+#: Points of a frame, number of clouds that frames choose from, and number of remembered frames.
 POINTS, CLOUDS, REMEMBERED = 20_000, 12, 900
 
-#: How long a plan may take; how much later a splice takes over [s].
+#: Time limit of a plan, and time until a splice takes over [s].
 DEADLINE_S, AHEAD_S = 0.5, 0.6
 
-#: Known obstacles at most, and samples of motions that are looked at, at most.
+#: Maximum numbers of known obstacles and of stored motions.
 MOST_KNOWN, MOST_SAMPLES = 30, 1500
 
-#: Share of obstacles that get a track, and of changes with which the base drives or stands.
+#: Share of obstacles with a track, and of changes at which the base starts or stops.
 MOVING, DRIVING = 0.3, 0.03
 
-#: Memory is looked at so often, and counts from then on [s].
+#: Interval of memory measurements, and the time before the first [s].
 MEMORY_EVERY_S, WARM_S = 10.0, 120.0
 
 
 class _Soak:
-    """The planner, and what its threads share."""
+    """The planner, and the data shared by its threads."""
 
     def __init__(self, drawn: DrawnArm, seed: int, seconds: float, folder: Path) -> None:
         self.drawn, self.seed, self.folder = drawn, seed, folder
         self.tally, self.lock = Tally(), threading.Lock()
-        # The camera stands on the base, which begins to drive, or stands, between two frames.
+        # The camera is on the base, which starts or stops between two frames.
         self.driving = threading.Lock()
         self.base: Item | None = None
         self.until = time.monotonic() + seconds
         rng = np.random.default_rng(seed)
         ends = draw_ends(drawn, rng, 0.01)
         if ends is None:
-            raise ValueError("the arm has no place to begin")
+            raise ValueError("the arm has no free start")
         self.home = World(*ends)
         items = free(drawn, self.home, [self.item(rng, f"known {k}") for k in range(8)])
         fruits = tuple(
             {"name": f"fruit {k}", "kind": "sphere", "center": at.tolist(), "radius": 0.035}
             for k, at in enumerate(drawn.robot.tool_positions(q) for q in drawn.arm.drawn(rng, 4))
         )
-        world = World(*ends, items=tuple(items), fruits=fruits)
+        scene = World(*ends, items=tuple(items), fruits=fruits).scene()
         self.clouds = [self.cloud(rng) for _ in range(CLOUDS)]
         self.frames: OrderedDict[str, int] = OrderedDict()
-        self.planner = Planner(drawn.robot, world.scene(), PlanOptions(effort="quick", deadline_s=DEADLINE_S))
-        self.frame_ms = array("f")  # on the wall, and of its thread's CPU, in turn
-        self.handed = 0
+        self.planner = Planner(drawn.robot, scene, PlanOptions(effort="quick", deadline_s=DEADLINE_S))
+        self.frame_ms = array("f")  # wall time and CPU time of the thread, in turn
+        self.stored = 0
 
     def cloud(self, rng: np.random.Generator) -> FloatArray:
-        """Branches about the arm, as points."""
+        """Points on branches near the arm."""
         found: list[FloatArray] = []
         while sum(map(len, found)) < POINTS:
             at = self.drawn.robot.tool_positions(self.drawn.arm.drawn(rng, 1)[0]) + direction(rng) * rng.uniform(0, 0.4)
             half = direction(rng) * rng.uniform(0.1, 0.6)
             item = {"kind": "capsule", "from": at - half, "to": at + half, "radius": float(rng.uniform(0.005, 0.03))}
             points = surface(rng, item, 0.004)
-            found.append(points[self.drawn.arm.beside(self.home.start, points) > 0.05])
+            found.append(points[self.drawn.arm.box_distances(self.home.start, points) > 0.05])
         return np.concatenate(found)[:POINTS]
 
     def item(self, rng: np.random.Generator, name: str) -> Item:
-        """An obstacle that stands, or has a track from about now on."""
+        """An obstacle, static or with a track from now on."""
         item = draw_item(self.drawn, self.home, rng, name)
-        return {**item, **self.track(rng, middle_of(item))} if rng.random() < MOVING else item
+        return {**item, "track": self.track(rng, middle_of(item))} if rng.random() < MOVING else item
 
     def track(self, rng: np.random.Generator, about: list[float], turn_deg: float = 60.0) -> Item:
-        return {"track": draw_track(rng, time.monotonic(), about, turn_deg)}
+        return draw_track(rng, time.monotonic(), about, turn_deg)
 
-    def every(self, rate_hz: float, call: Callable[[np.random.Generator], None], number: int) -> None:
-        """Call again and again until time is up; what is not hplan's error is a fault."""
+    def repeat(self, rate_hz: float, call: Callable[[np.random.Generator], None], number: int) -> None:
+        """Call a function at a rate until the time is up; any exception but hplan's is a fault."""
         rng = np.random.default_rng([self.seed, number])
         while (begin := time.monotonic()) < self.until:
             try:
                 call(rng)
             except HplanError as error:
                 self.count("refused", f"{call.__name__}: {error.kind}")
-            except Exception as error:  # that none is raised is what is looked for
+            except Exception as error:  # the study searches for these
                 with self.lock:
                     self.tally.faults.append({"kind": "foreign exception", "call": call.__name__, "error": repr(error)})
             time.sleep(max(0.0, min(begin + 1.0 / rate_hz, self.until) - time.monotonic()))
 
-    def count(self, name: str, what: str) -> None:
+    def count(self, name: str, key: str) -> None:
         with self.lock:
-            getattr(self.tally, name)[what] += 1
+            getattr(self.tally, name)[key] += 1
 
-    def keep(
-        self, kind: str, scene: Scene, trajectory: Trajectory, certificate: Certificate, *, begin_s: float = 0.0,
+    def store(
+        self, kind: str, scene: Scene, motion: Trajectory, certificate: Certificate, start_time_s: float = 0.0,
         from_s: float = 0.0,
     ) -> None:  # fmt: skip
-        """Write a sample of what was handed out; `begin_s` is when it begins, on the clock of the scene's tracks."""
+        """Store a verified motion for the judge; `start_time_s` is on the clock of the scene's tracks."""
         if not certificate.verified:
             self.count("unverified", kind)
             return
-        seen = _digest(scene)
+        seen = _cloud_digest(scene)
+        self.count("checked", kind)
         with self.lock:
             cloud = -1 if seen is None else self.frames.get(seen)
-        self.count("looked", kind)
-        if cloud is None:
-            return
-        with self.lock:
-            number, self.handed = self.handed, self.handed + 1
-        if number >= MOST_SAMPLES:  # each is as likely to be kept
+            if cloud is None:
+                return
+            number, self.stored = self.stored, self.stored + 1
+        if number >= MOST_SAMPLES:  # reservoir sampling
             number = int(np.random.default_rng().integers(number + 1))
         if number >= MOST_SAMPLES:
             return
         known = scene.with_(obstacles=tuple(o for o in scene.obstacles if o.name != SEEN))
         allowed = windows(certificate, [fruit.model_dump() for fruit in scene.fruits])
-        sample = pickle.dumps((known, kind, cloud, allowed, begin_s, from_s))
-        write_csv(trajectory, self.folder / f"{number}.csv", whole=True)
+        write_csv(motion, self.folder / f"{number}.csv", whole=True)
+        sample = pickle.dumps((known, kind, cloud, allowed, start_time_s, from_s))
         (self.folder / f"{number}.pickle").write_bytes(sample)
 
-    # What the four threads do
+    # The four threads
 
     def frame(self, rng: np.random.Generator) -> None:
-        """The camera looks."""
-        number = int(rng.integers(CLOUDS))
-        pose = camera_pose(rng, 2.0)
+        """Pass a frame."""
+        number, pose = int(rng.integers(CLOUDS)), camera_pose(rng, 2.0)
         with self.driving:
             taken_s = time.monotonic()
-            there = seen_from_base(replace(self.home, base=self.base), self.clouds[number], taken_s)
-            points = np.asarray((there - pose[:3, 3]) @ pose[:3, :3])
+            local = replace(self.home, base=self.base).from_base(self.clouds[number], taken_s)
+            points = np.asarray((local - pose[:3, 3]) @ pose[:3, :3])
             begin, cpu = time.perf_counter(), time.thread_time()
             self.planner.set_cloud(SEEN, points, radius=BALL_M, pose=pose, time_s=taken_s)
         self.frame_ms.extend((1e3 * (time.perf_counter() - begin), 1e3 * (time.thread_time() - cpu)))
         # No other thread replaces this obstacle.
-        digest = _digest(self.planner.scene)
-        with self.lock:
-            if digest is None:
-                return
-            self.frames[digest] = number
-            while len(self.frames) > REMEMBERED:
-                self.frames.popitem(last=False)
+        digest = _cloud_digest(self.planner.scene)
+        if digest is not None:
+            with self.lock:
+                self.frames[digest] = number
+                while len(self.frames) > REMEMBERED:
+                    self.frames.popitem(last=False)
 
     def plan(self, rng: np.random.Generator) -> None:
-        """A new motion, before the last one begins, while it runs, or from its end."""
+        """Plan a new motion, or replan the running one."""
         planner, last = self.planner, self.planner.last
         now = time.monotonic() if last is None else max(time.monotonic(), last.begins_s)
         if last is None or _end_s(last) < now + AHEAD_S or rng.random() < 0.05:
             end = self.home.start if last is None else last.trajectory.position[-1]
             with self.driving:
                 planner.aim(start=Start(joints_rad=tuple(end.tolist())))
-            ask = planner.plan if rng.random() < 0.7 else planner.replan
-            # Among what moves a motion is planned for when it begins.
-            begins_s = now + DEADLINE_S if planner.scene.moves else None
-            found: PlanResult = ask(begins_s=begins_s)
-            if begins_s is None:
+            call = planner.plan if rng.random() < 0.7 else planner.replan
+            # Among moving obstacles a motion is planned for its start time.
+            start_time_s = now + DEADLINE_S if planner.scene.moves else None
+            found: PlanResult = call(begins_s=start_time_s)
+            if start_time_s is None:
                 planner.began(time.monotonic())
-            self.keep("plan", found.scene, found.trajectory, found.certificate)
+            self.store("plan", found.scene, found.trajectory, found.certificate)
             return
         measured = last.trajectory.positions(np.array([now - last.begins_s]))[0]
         spliced = planner.replan(at=now + AHEAD_S, now=now, measured=measured)
-        kind = "kept" if spliced.is_kept else "splice"
-        self.keep(kind, spliced.scene, spliced.trajectory, spliced.certificate)
+        self.store("kept" if spliced.is_kept else "splice", spliced.scene, spliced.trajectory, spliced.certificate)
 
     def stop(self, rng: np.random.Generator) -> None:
-        """A stop, and a scaling, of what runs."""
+        """Request a stop, and sometimes a slower motion."""
         scene, last = self.planner.scene, self.planner.last
         if last is None or not (now := max(time.monotonic(), last.begins_s)) < _end_s(last):
             return
         stop = self.planner.stop_at(float(rng.uniform(now, _end_s(last))), now=now)
         if self.planner.scene is scene and self.planner.last is last:
-            self.keep(
-                "stop", scene, stop.trajectory, stop.certificate, begin_s=last.begins_s, from_s=now - last.begins_s
-            )
+            self.store("stop", scene, stop.trajectory, stop.certificate, last.begins_s, now - last.begins_s)
         if rng.random() < 0.2:
             slower = last.scaled(float(rng.uniform(0.3, 1.0)))
-            self.keep("scaled", last.scene, slower.trajectory, slower.certificate)
+            self.store("scaled", last.scene, slower.trajectory, slower.certificate)
 
     def change(self, rng: np.random.Generator) -> None:
-        """An obstacle comes, moves or goes; or another goal."""
+        """Add, move or remove an obstacle, or set another goal."""
         planner = self.planner
-        names = [item.name for item in planner.scene.obstacles if item.name != SEEN]
+        known = [item for item in planner.scene.obstacles if item.name != SEEN]
         if rng.random() < DRIVING:
             self.drive(rng)
-        what = rng.choice(["add", "move", "track", "remove", "aim"])
-        if what == "add" and len(names) < MOST_KNOWN:
+        change = rng.choice(["add", "move", "track", "remove", "aim"])
+        if change == "add" and len(known) < MOST_KNOWN:
             for item in free(self.drawn, self.home, [self.item(rng, f"new {rng.integers(1 << 40)}")]):
                 if item["kind"] not in ("mesh", "points"):
-                    planner.add(obstacle(item))
-        elif what == "remove" and names:
-            planner.remove(names[int(rng.integers(len(names)))])
-        elif what == "track" and names:
-            planner.move(names[int(rng.integers(len(names)))], track=Track(**self.track(rng, [0.0, 0.0, 1.0])["track"]))
-        elif what == "move" and names:
-            name = names[int(rng.integers(len(names)))]
-            kind = next((each.kind for each in planner.scene.obstacles if each.name == name), "sphere")
-            at = tuple((self.drawn.robot.tool_positions(self.home.goal) + direction(rng) * 0.6).tolist())
-            planner.move(name, **{"position" if kind in ("mesh", "points") else "center": at})
-        elif what == "aim":
-            goals = [q for q in self.drawn.arm.drawn(rng, 10) if self.drawn.arm.has_room(q, 0.02)]
+                    planner.add(obstacle_of(item))
+        elif change == "aim":
+            goals = [q for q in self.drawn.arm.drawn(rng, 10) if self.drawn.arm.is_clear_of_itself(q, 0.02)]
             fruit = str(rng.choice([fruit.name for fruit in planner.scene.fruits]))
-            # Where the base drives no fruit is picked.
+            # A moving base picks no fruit.
             if self.base is None and (rng.random() < 0.5 or not goals):
                 planner.aim(goal=Goal(fruit=fruit))
             elif goals:
                 planner.aim(goal=Goal(joints_rad=tuple(goals[0].tolist())))
+        elif change != "add" and known:
+            chosen = known[int(rng.integers(len(known)))]
+            if change == "remove":
+                planner.remove(chosen.name)
+            elif change == "track":
+                planner.move(chosen.name, track=Track(**self.track(rng, [0.0, 0.0, 1.0])))
+            else:
+                at = tuple((self.drawn.robot.tool_positions(self.home.goal) + direction(rng) * 0.6).tolist())
+                planner.move(chosen.name, **{"position" if chosen.kind in ("mesh", "points") else "center": at})
 
     def drive(self, rng: np.random.Generator) -> None:
-        """The base drives from where it stood, or stands there."""
-        base = self.track(rng, [0.0, 0.0, 0.0], 20.0)["track"] if rng.random() < 0.5 else None
+        """Start or stop the base."""
+        base = self.track(rng, [0.0, 0.0, 0.0], 20.0) if rng.random() < 0.5 else None
         with self.driving:
             self.base = base
             track = None if base is None else Track(**base)
             self.planner.scene = self.planner.scene.with_(base_track=track)
 
-    # Afterwards
-
     def judge(self) -> None:
-        """Look at the samples."""
-        for number in range(min(self.handed, MOST_SAMPLES)):
+        """Check the stored motions."""
+        for number in range(min(self.stored, MOST_SAMPLES)):
             sample = pickle.loads((self.folder / f"{number}.pickle").read_bytes())
-            known, kind, cloud, allowed, begin_s, from_s = sample
-            things = things_of(known)
+            known, kind, cloud, allowed, start_time_s, from_s = sample
+            obstacles = obstacles_of(known)
             if cloud >= 0:
-                things.append(Thing({"name": SEEN, "kind": "points", "points": self.clouds[cloud], "radius": BALL_M}))
-            motion = Motion.read(self.folder / f"{number}.csv", from_s)
-            base = None if known.base_track is None else Moves(known.base_track.model_dump())
-            found = contacts(self.drawn.arm, motion, things, base=base, begin_s=begin_s, windows=allowed)
-            self.tally.looked_in["base drives" if base else "obstacles move" if known.moves else "still"] += 1
+                points = {"name": SEEN, "kind": "points", "points": self.clouds[cloud], "radius": BALL_M}
+                obstacles.append(JudgedObstacle(points))
+            motion = SampledMotion.read(self.folder / f"{number}.csv", from_s)
+            base = None if known.base_track is None else PoseTrack(known.base_track.model_dump())
+            found = contacts(self.drawn.arm, motion, obstacles, base=base, start_time_s=start_time_s, windows=allowed)
+            self.tally.checked_in["base drives" if base else "obstacles move" if known.moves else "still"] += 1
             self.tally.ticks += len(motion.times)
-            for contact in found:
-                self.tally.faults.append({"kind": kind, "sample": number, **vars(contact)})
+            self.tally.faults += [{"kind": kind, "sample": number, **vars(contact)} for contact in found]
 
 
 def soak(seed: int, seconds: float) -> Row:
-    """Run it; which motions come of a seed, the machine decides."""
+    """Run the threads for some time; the machine determines the motions, too."""
     with tempfile.TemporaryDirectory() as name:
         run = _Soak(named_arm("orchard_harvester"), seed, seconds, Path(name))
         calls = [(CAMERA_HZ, run.frame), (REPLAN_HZ, run.plan), (STOP_HZ, run.stop), (CHANGE_HZ, run.change)]
         threads = [
-            threading.Thread(target=run.every, args=(rate, call, k), daemon=True)
+            threading.Thread(target=run.repeat, args=(rate, call, k), daemon=True)
             for k, (rate, call) in enumerate(calls)
         ]
         for thread in threads:
@@ -292,22 +283,22 @@ def soak(seed: int, seconds: float) -> Row:
             if (now := time.monotonic() - begin) >= min(WARM_S, 0.3 * seconds):
                 memory.append((now, _resident_mb()))
         run.judge()
-        return run.tally.row(seed) | _measured(run, memory) | {"judged": min(run.handed, MOST_SAMPLES)}
+        return run.tally.row(seed) | _measurements(run, memory) | {"judged": min(run.stored, MOST_SAMPLES)}
 
 
 def _end_s(plan: PlanResult) -> float:
-    """When a motion ends, on the clock on the wall [s]; NaN where it has not begun."""
+    """End of a motion on the wall clock [s]; NaN before its start."""
     return plan.begins_s + plan.trajectory.duration
 
 
-def _digest(scene: Scene) -> str | None:
-    """Of the cloud that a scene holds."""
+def _cloud_digest(scene: Scene) -> str | None:
+    """Digest of the camera's cloud in a scene."""
     found = (item.data_digest for item in scene.obstacles if item.name == SEEN and isinstance(item, PointCloud))
     return next(found, None)
 
 
-def _measured(run: _Soak, memory: list[tuple[float, float]]) -> Row:
-    """Frames and memory in numbers."""
+def _measurements(run: _Soak, memory: list[tuple[float, float]]) -> Row:
+    """Frame times and memory."""
     frames = np.reshape(run.frame_ms or (math.nan, math.nan), (-1, 2))
     row: Row = {"frames": len(frames), "within_60_ms": float((frames[:, 0] <= 60.0).mean())}
     for share in (50, 95, 99, 100):
@@ -318,18 +309,18 @@ def _measured(run: _Soak, memory: list[tuple[float, float]]) -> Row:
 
 
 def _resident_mb() -> float:
-    """Memory in use [MB]."""
+    """Resident memory of the process [MB]."""
     pages = int(Path("/proc/self/statm").read_text("utf-8").split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
-def _row(asked: Asked, seed: int) -> Row:
-    (minutes,) = asked.values.get("minutes", (1.0,))
+def _row(config: StudyConfig, seed: int) -> Row:
+    (minutes,) = config.values.get("minutes", (1.0,))
     return soak(seed, 60.0 * minutes)
 
 
-def _seed(asked: Asked) -> list[int]:
-    return [asked.seed]
+def _seed(config: StudyConfig) -> list[int]:
+    return [config.seed]
 
 
 SOAK = Study(

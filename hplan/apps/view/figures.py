@@ -1,0 +1,215 @@
+"""Figures of a tree row, a study and a trajectory."""
+
+from __future__ import annotations
+
+import itertools
+import textwrap
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hplan.apps.view.figure_style import (
+    FAINT,
+    GOAL,
+    INK,
+    LINKS,
+    OBSTACLE,
+    PATH,
+    QUIET,
+    RESTORED,
+    START,
+    new_figure,
+    styled,
+)
+from hplan.base.arrays import FloatArray
+from hplan.base.units import joint_unit
+from hplan.robot.model import Robot
+from hplan.scene.obstacles import Capsule
+from hplan.trajectory.trajectory import Trajectory, check_joints
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from hplan.study.run import StudyResult
+    from hplan.tour.row import Place, RowResult
+
+#: Colours of neighbouring stops and their fruits, used in turn.
+_STOPS = (PATH, START, RESTORED, LINKS[1])
+
+
+@styled
+def draw_row(result: RowResult) -> Figure:
+    """Draw the stops of the base and the fruits picked from each.
+
+    The views are from above and from the front. Neighbouring stops have different colours.
+
+    Raises:
+        InputError: Matplotlib is not installed.
+    """
+    from matplotlib.lines import Line2D
+
+    scene, report = result.scene, result.report
+    share = f"{100.0 * report['share_picked']:.0f} % of {report['fruits']} fruits"
+    pace = f"{report['total_s_per_fruit']:.2f} s each"
+    stops = len(result.stops)
+    stands = [(place.along, _across(place, result)) for place, names in result.candidates.items() if names]
+    fruit = np.array([fruit.center for fruit in scene.fruits])
+    (y, x), z = np.concatenate([np.array(stands), fruit[:, 1::-1]]).T, fruit[:, 2]
+    # Margin around the contents [m], and maximum size of both views together [inch].
+    room_m, largest = 0.25, (9.0, 8.0)
+    ends = [(float(values.min()) - room_m, float(values.max()) + room_m) for values in (y, x, z)]
+    wide, deep, high = (end - begin for begin, end in ends)
+    scale = min(largest[0] / wide, largest[1] / (deep + high))  # inches for each metre
+    title = f"{scene.name}: {share} from {stops} stop{'s' * (stops > 1)}, {pace}"
+    figure = new_figure(max(6.4, wide * scale + 1.0), (deep + high) * scale + 2.2, title)
+    above, front = figure.subplots(2, 1, height_ratios=(deep, high))
+    _draw(above, result, 0, "x: across the row [m]", (ends[0], ends[1]))
+    _draw(front, result, 2, "z [m]", (ends[0], ends[2]))
+    front.set_xlabel("y: along the row [m]")
+    above.set_title("from above; numbers are stops, dots what can be picked from each candidate")
+    front.set_title("from the front")
+    handles = [
+        Line2D([], [], marker="o", ls="none", color=PATH, label="picked (a colour for each stop)"),
+        Line2D([], [], marker="o", ls="none", color=OBSTACLE, label="within reach, left"),
+        Line2D([], [], marker="o", ls="none", mfc="none", color=QUIET, label="out of reach or blocked"),
+    ]
+    figure.legend(handles=handles, loc="outside lower center", ncols=3)
+    return figure
+
+
+def _across(place: Place, result: RowResult) -> float:
+    """Position of the base's axis across the tree row [m]."""
+    return 2.0 * result.options.distance * (place.side - 1)
+
+
+def _draw(
+    axes: Any, result: RowResult, axis: int, label: str, ends: tuple[tuple[float, float], tuple[float, float]]
+) -> None:
+    """Draw one view: y to the right, the coordinate `axis` upwards."""
+    from matplotlib.collections import LineCollection
+
+    wood = [one for one in result.scene.obstacles if isinstance(one, Capsule)]
+    lines = [[(end[1], end[axis]) for end in (one.start, one.end)] for one in wood]
+    widths = [max(0.8, 60.0 * one.radius) for one in wood]
+    axes.add_collection(LineCollection(lines, colors="#C8B49E", linewidths=widths, capstyle="round", zorder=1))
+    stop_of = {name: number for number, stop in enumerate(result.stops) for name in stop.tour.order}
+    for fruit in result.scene.fruits:
+        number = stop_of.get(fruit.name)
+        is_left = number is None and fruit.name in result.reachable
+        color = OBSTACLE if is_left else QUIET if number is None else _STOPS[number % len(_STOPS)]
+        face = "none" if number is None and not is_left else color
+        axes.plot(fruit.center[1], fruit.center[axis], "o", ms=4.5, mec=color, mfc=face, zorder=3)
+    if axis == 0:
+        _draw_stops(axes, result)
+    axes.set_ylabel(label)
+    axes.set(xlim=ends[0], ylim=ends[1], aspect="equal")
+    axes.grid(color=FAINT, lw=0.5)
+    axes.set_axisbelow(True)
+
+
+def _draw_stops(axes: Any, result: RowResult) -> None:
+    """Draw the candidate stops as dots and the stops with their numbers.
+
+    The area of a dot grows with the number of fruits that can be picked from it.
+    """
+    some = {place: len(names) for place, names in result.candidates.items() if names}
+    places = [(place.along, _across(place, result)) for place in some]
+    sizes = [1.0 + 22.0 * count / max(some.values()) for count in some.values()]
+    axes.scatter(*np.array(places).T, s=sizes, color=QUIET, alpha=0.5, lw=0, zorder=2)
+    for number, stop in enumerate(result.stops):
+        at, color = (stop.place.along, _across(stop.place, result)), _STOPS[number % len(_STOPS)]
+        axes.plot(*at, "s", ms=13, color=color, mec="white", zorder=4)
+        axes.annotate(str(number + 1), at, ha="center", va="center", color="white", fontweight="bold", zorder=5)
+        if stop.place.height:
+            away = 12 if stop.place.side == 2 else -18
+            axes.annotate(
+                f"{stop.place.height:+.2g} m", at, (0, away), textcoords="offset points", ha="center", color=INK
+            )
+
+
+#: Maximum number of choices on the front that are named below the figure, and line width of these names [characters].
+_NAMED, _WIDTH = 9, 84
+
+
+@styled
+def draw_study(result: StudyResult) -> Figure:
+    """Draw the choices of a study and its Pareto front.
+
+    The cost is the time for each fruit [s] if it was measured, else the arm's reach [m].
+
+    Raises:
+        InputError: Matplotlib is not installed.
+    """
+    shown = [choice for choice in result.choices if choice.share > 0.0]
+    best = sorted((choice for choice in shown if choice.is_best), key=lambda choice: choice.cost)
+    words = list[str]()
+    for number, one in enumerate(best[:_NAMED], start=1):
+        height = f", {one.height_m:g} m high" if one.height_m else ""
+        words += textwrap.wrap(f"{number}  {one.arm}, {one.distance_m:g} m{height}", _WIDTH, subsequent_indent="     ")
+    figure = new_figure(6.4, 4.2 + 0.17 * len(words), result.name)
+    axes = figure.add_subplot()
+    others = [choice for choice in shown if not choice.is_best]
+    axes.plot([one.cost for one in others], [100.0 * one.share for one in others], "o", ms=4, color=QUIET, alpha=0.6)
+    axes.plot(
+        [one.cost for one in best], [100.0 * one.share for one in best], "o-", drawstyle="steps-post", ms=6, color=PATH
+    )
+    for number, one in enumerate(best, start=1):
+        at = one.cost, 100.0 * one.share
+        axes.annotate(str(number), at, (5, 5), textcoords="offset points", color=INK, fontweight="bold")
+    is_timed = any(choice.seconds_per_fruit is not None for choice in shown)
+    axes.set_xlabel("\n".join(["seconds for each fruit" if is_timed else "reach of the arm [m]", "", *words]))
+    axes.xaxis.label.set(ha="left", x=0.0)
+    axes.set_ylabel("share of the fruit picked [%]")
+    axes.margins(x=0.08, y=0.12)
+    axes.set_ylim(bottom=0.0)
+    axes.grid(color=FAINT, lw=0.6)
+    axes.set_axisbelow(True)
+    return figure
+
+
+_COLORS = (PATH, OBSTACLE, START, GOAL, INK, RESTORED, QUIET)
+
+
+@styled
+def draw_trajectory(trajectory: Trajectory, robot: Robot | None = None) -> Figure:
+    """Draw a trajectory over time.
+
+    Args:
+        trajectory: The trajectory.
+        robot: Robot whose limits are drawn as dotted lines; None for no limits.
+
+    Raises:
+        InputError: Matplotlib is not installed, or the joints of the trajectory are not the robot's.
+    """
+    if robot is not None:
+        check_joints(trajectory, robot)
+    slides = trajectory.slides or (False,) * len(trajectory.joint_names)
+    units = [joint_unit(slide) for slide in slides]
+    factors = np.array([unit.factor for unit in units])
+    shown = ", ".join(dict.fromkeys(unit.shown for unit in units))
+    efforts = ", ".join(dict.fromkeys(unit.effort for unit in units))
+    ends: list[tuple[FloatArray, ...]] = [(), (), (), ()]
+    if robot is not None:
+        largest = robot.velocity_limit, robot.acceleration_limit, robot.torque_limit
+        ends = [(robot.lower, robot.upper), *((-limit, limit) for limit in largest)]
+    rows = (
+        (f"position [{shown}]", factors, trajectory.position),
+        (f"velocity [{shown}/s]", factors, trajectory.velocity),
+        (f"acceleration [{shown}/s²]", factors, trajectory.acceleration),
+        (f"effort [{efforts}]", np.ones(len(units)), trajectory.torque),
+    )
+    figure = new_figure(7.2, 8.0, f"{trajectory.duration:.3f} s")
+    axes = figure.subplots(4, sharex=True)
+    for axis, (label, factor, values), limits in zip(axes, rows, ends, strict=True):
+        axis.grid(color=FAINT, lw=0.6)
+        axis.set_ylabel(label)
+        for joint, name in enumerate(trajectory.joint_names):
+            style, color = "-" if joint < len(_COLORS) else "--", _COLORS[joint % len(_COLORS)]
+            axis.plot(trajectory.time, factor[joint] * values[:, joint], style, lw=1.3, color=color, label=name)
+        low, high = axis.get_ylim()
+        for joint, limit in itertools.product(range(len(units)), limits):
+            axis.axhline(factor[joint] * limit[joint], ls=":", lw=0.8, color=_COLORS[joint % len(_COLORS)])
+        axis.set_ylim(low, high)  # limits far outside the trajectory do not rescale the axis
+    axes[-1].set_xlabel("time [s]")
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower left", ncols=4)
+    return figure

@@ -1,1 +1,0 @@
-"""Paths of other planners: checked, and made into certified motions."""

@@ -1,0 +1,273 @@
+"""RRT-Connect with edges verified collision-free over continuous time.
+
+Two rapidly-exploring random trees grow from start and goal (Kuffner and LaValle 2000, "RRT-Connect: an efficient
+approach to single-query path planning"). An edge extends as far as conservative advancement verifies it, so it ends
+close to the obstacle that blocks it, and no resolution has to be chosen. The cost depends on the obstacles between
+start and goal, not on the joint ranges: there is no grid.
+
+Samples come from a seeded generator and the effort is counted in distance queries, so that the same problem gives the
+same path on every machine. If no path is found, nothing is proved.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+
+from hplan.base.arrays import FloatArray, IntArray, frozen
+from hplan.base.deadline import check_deadline, is_up
+from hplan.base.kernels import any_int, kernel
+from hplan.collision.body_motions import shown_part, straight_piece
+from hplan.collision.obstacle_rows import FieldArrays
+from hplan.kinematics.damped_steps import Chain, solve
+from hplan.planning.problem import Problem
+
+#: Number of samples drawn at a time, and maximum number of nodes of a tree.
+_CHUNK, _MOST_NODES = 500, 20_000
+
+#: Maximum length of an edge, in time at the velocity limits [s].
+EDGE_S = 0.25
+
+#: Minimum length of an edge [s].
+LEAST_S = 0.002
+
+#: Maximum number of distance queries along one edge.
+LOOKS = any_int(64)
+
+#: Samples are drawn from the box of start and goal, larger by this on all sides [rad], and around either of them within
+#: 1 rad, half of it, and so on, at this number of scales.
+_ASIDE, _SCALES = 0.6, 7
+
+#: Maximum distance of a sample beyond start and goals in any joint [rad, m].
+_FAR = 4.0 * np.pi
+
+
+class Tree(NamedTuple):
+    """Nodes of one tree.
+
+    Attributes:
+        points: (capacity, dof) configurations.
+        parents: (capacity,) numbers of the parent nodes.
+        size: (1,) number of nodes.
+    """
+
+    points: FloatArray
+    parents: IntArray
+    size: IntArray
+
+
+class Pair(NamedTuple):
+    """Two trees that have not met yet and can grow on.
+
+    Attributes:
+        first: The tree at the start.
+        second: The tree at the goals.
+        generator: Generator of the samples.
+        samples: The current samples; those before the second entry of `looks` are used up.
+        looks: (2,) remaining distance queries, and number of the next sample.
+        evaluations: Total budget of distance queries up to now.
+    """
+
+    first: Tree
+    second: Tree
+    generator: np.random.Generator
+    samples: FloatArray
+    looks: IntArray
+    evaluations: int
+
+
+#: Pairs by seed, margin, identity of the field, and goals.
+Pairs: TypeAlias = dict[tuple[int, float, int, bytes], Pair]
+
+
+class Held(NamedTuple):
+    """A constraint that all nodes of the trees satisfy.
+
+    Attributes:
+        chain: Chain with `hplan.kinematics.damped_steps.UPRIGHT`.
+        edge_s: Maximum length of an edge on which the constraint holds well enough, in time at the velocity limits [s].
+    """
+
+    chain: Chain
+    edge_s: float
+
+
+class Surroundings(NamedTuple):
+    """Arm and obstacles for the verification of edges.
+
+    Attributes:
+        slowness: (dof,) time per unit of each joint at its velocity limit [s/rad].
+        field: Arm and obstacles.
+        margin: Clearance required beyond the scene's own during motions [m].
+        edge_s: Maximum length of an edge, in time at the velocity limits [s].
+    """
+
+    slowness: FloatArray
+    field: FieldArrays
+    margin: float
+    edge_s: float
+
+
+def tree_path(
+    problem: Problem, margin: float, evaluations: int, seed: int,
+    *, goals: FloatArray | None = None, held: Held | None = None, pairs: Pairs | None = None,
+) -> tuple[FloatArray | None, int]:  # fmt: skip
+    """A collision-free path of straight motions from start to goal.
+
+    Args:
+        problem: Start, goals and the joint limits of the motion to the first goal; distances are times at the velocity
+            limits.
+        margin: Clearance required beyond the scene's own during motions [m].
+        evaluations: Maximum number of distance queries, each of all links at one configuration.
+        seed: Seed of the samples.
+        goals: (k, dof) alternative goals, whichever is reached first; None for the problem's first goal.
+        held: Constraint that all nodes satisfy, as start and goals do; None for none.
+        pairs: Pairs of trees from the same start that have grown with less effort. This pair grows on, and stays there
+            if its trees do not meet. None to start from the roots.
+
+    Returns:
+        (m, dof) waypoints, m >= 2, or None if no path was found; and the number of distance queries.
+    """
+    ends = np.array(problem.goal[None] if goals is None else goals)
+    key = seed, margin, id(problem.field), ends.tobytes()
+    known = None if pairs is None else pairs.pop(key, None)
+    slowness = 1.0 / problem.robot.velocity_limit
+    arm = Surroundings(slowness, problem.field.arrays, margin, EDGE_S if held is None else held.edge_s)
+    chain = () if held is None else held.chain
+    if known is None:
+        generator, nothing = np.random.Generator(np.random.PCG64(seed)), np.zeros((0, len(problem.start)))
+        looks = np.zeros(2, dtype=np.int64)
+        known = Pair(_tree(problem.start[None]), _tree(ends), generator, nothing, looks, 0)
+    first, second, generator, samples, looks, before = known
+    looks[0] += evaluations - before
+    path = None
+    while path is None and looks[0] > 0 and max(first.size[0], second.size[0]) < _MOST_NODES - _CHUNK:
+        if looks[1] == len(samples):
+            samples, looks[1] = _samples(generator, problem, ends), 0
+        joined = _grow(samples, first, second, arm, chain, looks)
+        check_deadline()
+        if joined[0] >= 0:
+            there = np.concatenate([_branch(first, int(joined[0]))[::-1], _branch(second, int(joined[1]))])
+            path = frozen(there[np.append(True, (np.diff(there, axis=0) != 0.0).any(axis=1))])
+    if path is None and pairs is not None:
+        pairs[key] = Pair(first, second, generator, samples, looks, evaluations)
+    return path, evaluations - int(looks[0])
+
+
+def _samples(generator: np.random.Generator, problem: Problem, goals: FloatArray) -> FloatArray:
+    """(_CHUNK, dof) samples of three kinds in turn.
+
+    Anywhere; in the box of start and goals; around start or a goal at all scales.
+    """
+    first, last = np.minimum(problem.start, goals.min(axis=0)), np.maximum(problem.start, goals.max(axis=0))
+    lower, upper = np.maximum(problem.lower[0], first - _FAR), np.minimum(problem.upper[0], last + _FAR)
+    samples: FloatArray = generator.random((_CHUNK, len(lower)))
+    low, high = np.maximum(first - _ASIDE, lower), np.minimum(last + _ASIDE, upper)
+    samples[::3] = lower + samples[::3] * (upper - lower)
+    samples[1::3] = low + samples[1::3] * (high - low)
+    chosen = goals[generator.integers(0, len(goals), len(samples[2::3]))]
+    about = np.where(generator.random((len(chosen), 1)) < 0.5, problem.start, chosen)
+    scale = np.ldexp(1.0, -generator.integers(0, _SCALES, (len(chosen), 1)))
+    samples[2::3] = np.clip(about + scale * (2.0 * samples[2::3] - 1.0), lower, upper)
+    return samples
+
+
+def _tree(roots: FloatArray) -> Tree:
+    """A tree with roots alone, each its own parent."""
+    count, dof = roots.shape
+    tree = Tree(np.empty((_MOST_NODES, dof)), np.zeros(_MOST_NODES, dtype=np.int64), np.array([count], dtype=np.int64))
+    tree.points[:count], tree.parents[:count] = roots, np.arange(count)
+    return tree
+
+
+def _branch(tree: Tree, node: int) -> FloatArray:
+    """Configurations from a node to its root."""
+    nodes = [node]
+    while (parent := int(tree.parents[nodes[-1]])) != nodes[-1]:
+        nodes.append(parent)
+    return np.array(tree.points[nodes])
+
+
+@kernel
+def _grow(
+    samples: FloatArray, first: Tree, second: Tree, arm: Surroundings, chain: Chain | tuple[()], looks: IntArray
+) -> IntArray:
+    """Grow both trees by samples; the nodes where they meet."""
+    joined = np.full(2, -1, dtype=np.int64)
+    while looks[1] < samples.shape[0] and looks[0] > 0 and not is_up(arm.field.until):
+        s = looks[1]
+        looks[1] += 1
+        forward = first.size[0] <= second.size[0]
+        tree, towards = (first, second) if forward else (second, first)
+        new = _extend(tree, _nearest(tree, samples[s], arm), samples[s], arm, chain, looks)
+        if new < 0:
+            continue
+        target = tree.points[new]
+        here = _nearest(towards, target, arm)
+        while (
+            here >= 0 and not is_up(arm.field.until) and motion_time(towards.points[here], target, arm.slowness) > 0.0
+        ):
+            here = _extend(towards, here, target, arm, chain, looks)
+        if here >= 0:
+            joined[0], joined[1] = (new, here) if forward else (here, new)
+            break
+    return joined
+
+
+@kernel
+def _nearest(tree: Tree, target: FloatArray, arm: Surroundings) -> int:
+    """The node nearest to a target, by Euclidean distance in time.
+
+    The first of several with the same distance.
+    """
+    nearest, least = 0, np.inf
+    for n in range(tree.size[0]):
+        square = 0.0
+        for i in range(len(target)):
+            square += ((tree.points[n, i] - target[i]) * arm.slowness[i]) ** 2
+        if square < least:
+            nearest, least = n, square
+    return nearest
+
+
+@kernel
+def _extend(
+    tree: Tree, node: int, target: FloatArray, arm: Surroundings, chain: Chain | tuple[()], looks: IntArray
+) -> int:
+    """Extend a tree toward a target; the new node, or -1.
+
+    The edge ends at the last verified configuration. With a chain its end is first projected onto the constraint, at a
+    distance of at most half of the step.
+    """
+    if tree.size[0] >= tree.points.shape[0]:
+        return -1
+    dof = len(target)
+    start = tree.points[node]
+    end = np.empty(dof)
+    time = motion_time(start, target, arm.slowness)
+    part = min(1.0, arm.edge_s / time) if time > 0.0 else 1.0
+    for i in range(dof):
+        end[i] = target[i] if part == 1.0 else start[i] + part * (target[i] - start[i])
+    if len(chain) > 0 and (not solve(chain, end) or motion_time(end, target, arm.slowness) > time * (1.0 - 0.5 * part)):
+        return -1
+    least = 0.5 * LEAST_S / (part * time) if time > 0.0 else 0.0
+    shown, used = shown_part(straight_piece(start, end), arm.field, arm.margin, least, LOOKS)
+    looks[0] -= used
+    if shown * part * time < LEAST_S and not (shown == 1.0 and part == 1.0):
+        return -1
+    new = int(tree.size[0])
+    for i in range(dof):
+        tree.points[new, i] = end[i] if shown == 1.0 else start[i] + shown * (end[i] - start[i])
+    tree.parents[new] = node
+    tree.size[0] = new + 1
+    return new
+
+
+@kernel
+def motion_time(start: FloatArray, end: FloatArray, slowness: FloatArray) -> float:
+    """Minimum duration of the straight motion at the velocity limits [s]."""
+    time = 0.0
+    for k in range(len(start)):
+        time = max(time, abs(end[k] - start[k]) * slowness[k])
+    return time

@@ -1,1 +1,0 @@
-"""Sampling-based planning: RRT-Connect with edges verified over continuous time."""

@@ -17,9 +17,8 @@ import pytest
 
 import hplan
 from hplan.apps.cli.job_folder import read_report
-from hplan.apps.execution.recorded_motion import RecordedMotion, read_motion
 from hplan.apps.execution.simulated_arm import Plant
-from hplan.apps.execution.simulation import execute
+from hplan.apps.execution.simulation import RecordedMotion, execute, read_motion
 from hplan.apps.ros import read_moveit_scene, read_planning_scene
 from hplan.apps.view.page import write_page
 from hplan.apps.view.playback import Playback
@@ -463,7 +462,7 @@ def calls() -> Iterator[Any]:
 
 
 @pytest.mark.parametrize(("function", "good", "argument", "values"), list(calls()))
-def test_a_wrong_value_is_an_error_of_our_own(
+def test_wrong_value_is_an_error_of_our_own(
     function: Callable[..., Any],
     good: dict[str, Any],
     argument: str,
@@ -536,7 +535,9 @@ def test_files_are_read_up_to_a_size(name: str, read: Callable[[Path], object], 
     path = tmp_path / name
     with path.open("wb") as file:
         file.truncate(2**40)
-    with pytest.raises(HplanError, match=r"1,099,511,627,776 bytes or more; at most \d+,000,000 are read|more than 16"):
+    with pytest.raises(
+        HplanError, match=r"at least 1,099,511,627,776 bytes; at most \d+,000,000 are read|more than 16"
+    ):
         read(path)
     with pytest.raises(HplanError):
         read(tmp_path / ("n" * 300 + path.suffix))
@@ -553,7 +554,7 @@ def test_far_too_large_numbers_are_refused_without_a_warning(tmp_path: Path) -> 
                 hplan.load_scene(tmp_path / "scene.yaml")
 
 
-def test_a_scenes_errors_are_value_errors_too() -> None:
+def test_scenes_errors_are_value_errors_too() -> None:
     """As pydantic's were, which such code may have expected."""
     with pytest.raises(ValueError, match=r"scene, radius: input should be greater than 0 \(got -1\)") as caught:
         Sphere(name="ball", center=(0.0, 0.0, 0.0), radius=-1)

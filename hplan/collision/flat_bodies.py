@@ -117,7 +117,7 @@ class FlatBodies(Record):
 
 
 def thicker(bodies: TableArray, pairs: TableArray, by: FloatArray) -> tuple[TableArray, TableArray]:
-    """Grow bodies, and required distances of pairs, by (bodies + pairs,) distances [m]."""
+    """Grow bodies and required distances by (bodies + pairs,) [m]."""
     bodies, pairs = bodies.copy(), pairs.copy()
     for name in ("rounding", "ball_radius", "axis_radius"):
         bodies[name] += by[: len(bodies)]
@@ -137,7 +137,7 @@ def _of_any_arm(robot: Robot) -> FlatBodies:
 
 
 def _of_parts(parts: ArmParts) -> FlatBodies:
-    """Shapes of a planar arm, then turret and pedestal shapes its links can touch."""
+    """Shapes of a planar arm, and base shapes it can touch."""
     (both, _), links = parts.movers, len(parts.shapes)
     return _flat(parts.robot, parts.bodies, np.arange(len(parts.bodies)) < links, both[links:].tolist())
 
@@ -145,7 +145,10 @@ def _of_parts(parts: ArmParts) -> FlatBodies:
 def _flat(
     robot: Robot, bodies: Sequence[CollisionBody], meets: Sequence[bool] | BoolArray, pairs: Sequence[tuple[int, int]]
 ) -> FlatBodies:
-    """Flatten bodies and pairs; `meets` marks the bodies that are checked against obstacles."""
+    """Flatten bodies and pairs.
+
+    `meets` marks the bodies that are checked against obstacles.
+    """
     alone = np.array([points_reach(robot, body.core, body.joint) for body in bodies]).reshape(-1, robot.dof)
     carried = [carriers(robot, body.joint) for body in bodies]
     rows, points, first = np.zeros(len(bodies), BODY), list[FloatArray](), 0
@@ -176,7 +179,7 @@ def _flat(
 
 
 def _capsules(bodies: Sequence[CollisionBody]) -> Iterator[tuple[CollisionBody, tuple[int, ...]]]:
-    """Capsules around a cylinder with a ball of its radius at either end.
+    """Capsules around a cylinder with a ball at either end.
 
     URDFs describe capsules in this way. Each capsule comes with the indices of the three bodies that it contains. Only
     the capsule is checked against obstacles, because it is smooth.

@@ -117,7 +117,7 @@ def as_numbers(obstacles: Any) -> list[Any]:
     return [(item.name, item.kind, np.round(item.core, 9).tolist(), item.rounding) for item in obstacles]
 
 
-def test_words_numbers_and_text_say_the_same(tmp_path: Path) -> None:
+def test_words_numbers_and_text_agree(tmp_path: Path) -> None:
     (tmp_path / "scene.yaml").write_text(WORDS)
     (tmp_path / "scene.json").write_text(json.dumps(message()["world"]))
     (tmp_path / "moveit.scene").write_text(TEXT)
@@ -171,13 +171,13 @@ WRONG: dict[str, tuple[list[Any], Any, str, str]] = {
     "pose": (["pose"], "here", ".pose", "a mapping of keys"),
     "twice": (["id"], "shelf", "", "two objects 'shelf'"),
     "frame": (["header", "frame_id"], "elsewhere", "", "expected one frame"),
-    "removed": (["operation"], 1, ".operation", "only objects that are added"),
-    "plane": (["planes"], [{"coef": [0, 0, 1, 0]}], ".planes", "a plane has no end"),
+    "removed": (["operation"], 1, ".operation", "expected an object that is added"),
+    "plane": (["planes"], [{"coef": [0, 0, 1, 0]}], ".planes", "a plane is infinite"),
 }
 
 
 @pytest.mark.parametrize("case", WRONG)
-def test_what_is_wrong_and_where(case: str) -> None:
+def test_errors_name_fault_and_place(case: str) -> None:
     steps, value, where, reason = WRONG[case]
     scene = message()
     item = scene["world"]["collision_objects"][0]
@@ -285,7 +285,7 @@ def test_parts_that_change_nothing_are_read() -> None:
 def test_octomaps_are_refused(data: Any) -> None:
     scene = echoed()
     scene["world"]["octomap"]["octomap"]["data"] = data
-    with pytest.raises(SceneError, match=r"world\.octomap: an octomap cannot be read"):
+    with pytest.raises(SceneError, match=r"world\.octomap: octomaps are not supported"):
         read_planning_scene(scene)
     assert len(read_planning_scene(scene, leave_out=["octomap"])) == 3
 
@@ -300,7 +300,7 @@ def fixed(parent: str, child: str, shift: list[float]) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def test_objects_stand_in_fixed_frames() -> None:
+def test_objects_are_in_fixed_frames() -> None:
     transforms = [fixed("table", "tray", [0.0, 0.2, 0.3]), fixed("world", "table", [1.0, 0.0, 0.0])]
     scene = echoed(frame="/tray", fixed_frame_transforms=[*transforms, fixed("world", "world", [0.0, 0.0, 0.0])])
     scene["world"]["collision_objects"][0]["header"]["frame_id"] = "world"
@@ -313,7 +313,7 @@ def test_objects_stand_in_fixed_frames() -> None:
         box.core, (other_box.core + np.array([0.0, 0.2, 0.3])) @ turn.T + [1.0, 0.0, 0.0], atol=1e-12
     )
     scene["world"]["collision_objects"][0]["header"]["frame_id"] = "camera"
-    with pytest.raises(SceneError, match="'Can1' is in frame 'camera', known are 'world', 'tray', 'table'"):
+    with pytest.raises(SceneError, match="'Can1' is in frame 'camera', the known frames are 'world', 'tray', 'table'"):
         read_planning_scene(scene)
     for wrong, reason in (
         (fixed("tray", "table", [0.0, 0.0, 0.0]), "is its own parent"),

@@ -105,7 +105,7 @@ def test_draws_touch_no_more_often_than_the_bound(robot: Robot, motion: Trajecto
         assert sum(share.probability for share in found.shares) + found.shared == pytest.approx(found.bound, rel=1e-3)
 
 
-def test_what_moves_together_counts_once(robot: Robot, motion: Trajectory) -> None:
+def test_joint_motion_counts_once(robot: Robot, motion: Trajectory) -> None:
     certain = [thing.model_copy(update={"sigma": 0.0, "covariance": None}) for thing in things()]
     twins = [thing.model_copy(update={"name": f"{thing.name} {n}"}) for thing in certain for n in range(5)]
     together = risk_of(robot, task(tuple(twins), covariance=ROUND), motion)
@@ -117,7 +117,7 @@ def test_what_moves_together_counts_once(robot: Robot, motion: Trajectory) -> No
     assert risk_of(robot, task(tuple(own)), motion).bound > 2.0 * together.bound
 
 
-def test_what_has_no_error_has_no_risk(robot: Robot, motion: Trajectory) -> None:
+def test_obstacle_without_error_has_no_risk(robot: Robot, motion: Trajectory) -> None:
     certain = tuple(thing.model_copy(update={"sigma": 0.0, "covariance": None}) for thing in things())
     for scene in (task(()), task((), covariance=ROUND), task(certain)):
         found = risk_of(robot, scene, motion)
@@ -130,7 +130,7 @@ def test_certify_judges_by_the_bound(robot: Robot, motion: Trajectory) -> None:
     assert hplan.certify(robot, scene, motion, risk=min(1.0, 1.001 * bound)).verified
     refused = hplan.certify(robot, scene, motion, risk=0.999 * bound)
     assert not refused.verified
-    assert "may touch something with a probability" in refused.violations[0]
+    assert "the probability of a contact is bounded by" in refused.violations[0]
     moving = replace_first(scene, Track(times_s=(0.0, 1.0), shifts_m=((0.0, 0.0, 0.0), (0.1, 0.0, 0.0))))
     with pytest.raises(MovingObstacleError):
         hplan.certify(robot, moving, motion, risk=0.1)
@@ -176,11 +176,11 @@ def test_plans_keep_within_the_risk_and_lose_less_time_than_equal_shares(robot: 
 def test_no_motion_is_given_whose_goal_alone_is_riskier(robot: Robot, motion: Trajectory) -> None:
     hand = robot.forward_kinematics(motion.position[-1])[:3, 3]
     beside = Sphere(name="beside", center=hand + np.array([0.0, 0.0, 0.16]), radius=0.05, sigma=0.1)
-    with pytest.raises(CertificationError, match=r"at most 0\.01: the least that was shown is 0\."):
+    with pytest.raises(CertificationError, match=r"at most 0\.01: the lowest bound that was proved is 0\."):
         hplan.plan(robot, task((beside,)), hplan.PlanOptions(risk=0.01))
 
 
-def test_a_deadline_leaves_time_for_the_bound(robot: Robot) -> None:
+def test_deadline_leaves_time_for_the_bound(robot: Robot) -> None:
     found = hplan.plan(robot, task(things()), hplan.PlanOptions(risk=0.01, deadline_s=60.0)).certificate
     assert found.verified
     assert found.risk is not None

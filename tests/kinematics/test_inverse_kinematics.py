@@ -232,7 +232,7 @@ def test_points_nearer_to_the_yaw_axis_than_the_plane(variants, name):
     assert np.diff(yaws) == pytest.approx(2.0 * math.acos(abs(across) / (abs(across) + 1e-3)), abs=1e-5)
     for part in (0.0, 0.5, 0.99):
         inside = np.append(robot.yaw_axis + part * abs(across) * direction, height)
-        with pytest.raises(UnreachableError, match="nearer to the yaw axis than the arm plane") as caught:
+        with pytest.raises(UnreachableError, match="closer to the yaw axis than the arm plane") as caught:
             reach(robot, inside)
         assert caught.value.reason == "off_plane"
         assert caught.value.data["beside_m"] == pytest.approx((1.0 - part) * abs(across), abs=1e-12)
@@ -248,7 +248,7 @@ def test_not_found_is_not_unreachable(variants):
     """
     robot = variants["five links on a yaw"]
     direction = np.array([np.cos(0.3), 0.0, np.sin(0.3)])
-    with pytest.raises(UnreachableError, match="j0, j1 at values of a grid") as caught:
+    with pytest.raises(UnreachableError, match="j0, j1 at grid values") as caught:
         reach(robot, robot.plane_origin + (robot.arm.lengths.sum() - 1e-9) * direction)
     assert caught.value.reason == "not_found"
 
@@ -303,7 +303,7 @@ def test_limits_in_the_way(robot, seed):
         reach(relaxed(0.98), position)
 
 
-def test_yaw_limit_in_the_way(robot):
+def test_yaw_limit_excludes_solutions(robot):
     lower, upper = np.array(robot.lower), np.array(robot.upper)
     lower[0], upper[0] = -1.0, 1.0
     narrow = replace(robot, lower=readonly(lower), upper=readonly(upper))
@@ -348,7 +348,7 @@ def test_solutions_are_at_the_pose_and_within_limits(arm: Robot, seed: int) -> N
     assert (inverse_kinematics(arm, pose, start=start) == found).all()
 
 
-def test_from_where_the_arm_stands_it_stays(arm: Robot) -> None:
+def test_arm_at_goal_stays(arm: Robot) -> None:
     q = drawn(arm, 3)
     assert inverse_kinematics(arm, arm.forward_kinematics(q), start=q)[0] == pytest.approx(q, abs=1e-9)
 
@@ -360,7 +360,7 @@ def test_many_solutions_of_six_joints(tmp_path_factory: pytest.TempPathFactory) 
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_a_free_turn_turns_about_z_alone(tmp_path_factory: pytest.TempPathFactory, seed: int) -> None:
+def test_free_turn_turns_about_z_alone(tmp_path_factory: pytest.TempPathFactory, seed: int) -> None:
     arm = loaded_arm("seven", tmp_path_factory)
     pose = arm.forward_kinematics(drawn(arm, seed))
     turns = []
@@ -386,9 +386,9 @@ def test_locked_joints_and_those_beyond_the_frame_keep_their_values(tmp_path_fac
         assert max(off(arm, found, pose, wrist)) <= 1e-6
 
 
-def test_out_of_reach_is_said_to_be_sought_only(arm: Robot) -> None:
+def test_unreachable_goal_reports_search_only(arm: Robot) -> None:
     far = np.eye(4)
     far[:3, 3] = 50.0
-    with pytest.raises(errors.UnreachableError, match="no proof") as refused:
+    with pytest.raises(errors.UnreachableError, match="does not prove") as refused:
         inverse_kinematics(arm, far, seeds=8)
     assert refused.value.reason == "not_found"

@@ -68,7 +68,7 @@ def rests(motion: Trajectory) -> Trajectory:
     return moving_at_its_end(motion, 0.0)
 
 
-def test_a_file_that_ends_in_motion_and_swings_into_an_obstacle_is_not_verified(picker):
+def test_file_that_ends_in_motion_and_swings_into_an_obstacle_is_not_verified(picker):
     cell, motion = beside(picker), foreign(picker)
     beyond = np.radians(np.add(TO, (10.0, 0.0, 0.0, 0.0)))
     ball = Sphere(name="ball", center=tuple(picker.tool_positions(beyond).tolist()), radius=0.03)
@@ -160,7 +160,7 @@ def test_who_ends_in_motion_before_another_is_compared_up_to_there(picker, speed
         assert np.ptp(after, axis=0).max() < 1e-15
         return
     assert merged.duration == 2.0
-    message = "the motion of arm 'left' ends at 2 s with joint 'base_yaw' at a speed of 0.2; where it is then is not"
+    message = "the motion of arm 'left' ends at 2 s with joint 'base_yaw' at a speed of 0.2; its position after that is"
     assert any(message in each for each in found.between.violations)
     with pytest.raises(InputError, match="ends at 2 s with joint 'base_yaw'"):
         cell.together({"left": short, "right": long})
@@ -194,7 +194,7 @@ def test_files_of_other_joints_are_refused(picker):
             certify_cell(cell, wrong)
 
 
-def test_an_obstacle_that_comes_to_an_arm_that_has_arrived_is_seen(picker):
+def test_obstacle_that_comes_to_an_arm_that_has_arrived_is_seen(picker):
     """The other arm still moves: all of that time belongs to the motion."""
     far = np.add(picker.tool_positions(np.radians(TO)), (0.0, 0.0, 3.0)).tolist()
     track = Track(times_s=(0.0, 4.0, 5.0), shifts_m=((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, -3.0)))
@@ -207,7 +207,7 @@ def test_an_obstacle_that_comes_to_an_arm_that_has_arrived_is_seen(picker):
     assert certify_cell(cell, {"left": short, "right": right}).verified
     found = certify_cell(cell, {"left": short, "right": replace(foreign(picker, 6.0), joint_names=names)})
     assert not found.verified
-    assert any("where it rests from 3 s on it is clear until 4." in message for message in found.violations)
+    assert any("at rest from 3 s on, it is clear until 4." in message for message in found.violations)
 
 
 YAML = """\
@@ -225,7 +225,7 @@ robots:
 """
 
 
-def test_the_command_judges_files_as_given(picker, write, tmp_path, capsys):
+def test_command_judges_files_as_given(picker, write, tmp_path, capsys):
     scene, folder = str(write("cell.yaml", YAML)), tmp_path / "files"
     folder.mkdir()
     good = foreign(picker)
@@ -250,7 +250,7 @@ def test_the_command_judges_files_as_given(picker, write, tmp_path, capsys):
     lines = write_csv(good, file).read_text().splitlines()
     tampered = {
         "nan": (2, lines[2].replace(lines[2].split(",")[1], "nan")),
-        "no later than": (3, lines[2]),
+        "not later than": (3, lines[2]),
         "expected the columns": (0, lines[0].replace("time_s", "time")),
         "expected 0 in the first sample": (1, "0.5" + lines[1][lines[1].index(",") :]),
         "the robot has|the arm has": (0, lines[0].replace("base_yaw", "other")),
@@ -263,7 +263,7 @@ def test_the_command_judges_files_as_given(picker, write, tmp_path, capsys):
 
 
 @pytest.mark.parametrize("option", [["--tracking-error-m", "0.01"], ["--risk", "0.1"], ["--begin", "1"]])
-def test_the_command_refuses_options_without_meaning(write, tmp_path, capsys, option):
+def test_command_refuses_options_without_meaning(write, tmp_path, capsys, option):
     assert main(["certify", str(tmp_path), str(write("cell.yaml", YAML)), *option]) == 2
     assert option[0] in capsys.readouterr().err
 
@@ -291,7 +291,7 @@ def test_owners_go_by_exact_names(picker, names):
     assert plan_cell(cell, QUICK).certificate.verified
 
 
-def test_an_arm_whose_joints_begin_with_its_name(picker, write):
+def test_arm_whose_joints_begin_with_its_name(picker, write):
     """A robot with an arm's name in its own: the prefix is doubled."""
 
     def named(text: str) -> str:
@@ -361,7 +361,7 @@ def test_links_that_touch_by_design_are_declared_and_reported(write, tmp_path, c
     ("pair", "message"),
     [
         ("[[a, base_link], [c, base_link]]", "'c' is not among the robots"),
-        ("[[a, base_link], [a, arm]]", "both links are of 'a'"),
+        ("[[a, base_link], [a, arm]]", "both links belong to 'a'"),
         ("[[a, base_link], [b, plate]]", "'plate' is not a link of arm 'b'"),
         ("[[a, base_link]]", "may_touch"),
     ],

@@ -115,7 +115,7 @@ def beside_the_tip(robot: Robot, joint: int, gap: float) -> Sphere:
 
 @pytest.mark.parametrize("joint", range(4))
 @pytest.mark.parametrize("still", [0.0, 0.002])
-def test_sway_is_as_large_as_it_has_to_be(robot: Robot, scene: Scene, joint: int, still: float) -> None:
+def test_displacement_bound_is_tight(robot: Robot, scene: Scene, joint: int, still: float) -> None:
     """One joint leaves an obstacle at constant speed.
 
     Refused exactly where a tracking error would touch it.
@@ -160,7 +160,7 @@ def test_jerks_on_the_spot_count_by_their_speed(robot: Robot, scene: Scene) -> N
     assert closest < 2e-3
 
 
-def test_the_upper_arm_keeps_what_it_may_sway_itself(robot: Robot) -> None:
+def test_upper_arm_keeps_its_own_displacement(robot: Robot) -> None:
     """A ball 60 mm from the upper arm, far from the tool.
 
     The upper arm is displaced by at most 35 mm with 1 deg per joint, the tool by 105 mm.
@@ -187,7 +187,7 @@ def test_refusal_of_all_grasps_names_the_largest_error(robot: Robot) -> None:
     facts = refused.value.data
     assert facts["tracking_error_deg"] == pytest.approx(1.0)
     largest = math.radians(facts["largest_tracking_error_deg"])
-    assert f"would do is up to {facts['largest_tracking_error_deg']:.4g} deg" in refused.value.message
+    assert f"would succeed with up to {facts['largest_tracking_error_deg']:.4g} deg" in refused.value.message
     assert plan(robot, scene, PlanOptions(tracking_error=0.99 * largest)).certificate.verified
     with pytest.raises(BlockedError):
         plan(robot, scene, PlanOptions(tracking_error=1.01 * largest))
@@ -211,7 +211,7 @@ def turning_above_a_bead(gap: float) -> Scene:
 
 
 @pytest.mark.parametrize("delay_s", [0.0, 0.01])
-def test_refusal_of_a_motion_names_what_there_is_room_for(robot: Robot, delay_s: float) -> None:
+def test_refusal_names_largest_possible_tracking_error(robot: Robot, delay_s: float) -> None:
     """True: the motion found without an error is certified with that much, and not with a little more."""
     gap = 0.02
     scene, error = turning_above_a_bead(gap), math.radians(1.0)
@@ -219,7 +219,7 @@ def test_refusal_of_a_motion_names_what_there_is_room_for(robot: Robot, delay_s:
         plan(robot, scene, PlanOptions(tracking_error=error, tracking_delay_s=delay_s))
     facts, motion = refused.value.data, plan(robot, scene).trajectory
     assert (facts["tracking_error_deg"], facts["tracking_delay_ms"]) == (pytest.approx(1.0), 1e3 * delay_s)
-    assert "has room for up to" in refused.value.message
+    assert "allows up to" in refused.value.message
     share = facts["largest_tracking_error_deg"]
     assert facts["largest_tracking_delay_ms"] == pytest.approx(share * 1e3 * delay_s)
     for factor, shown in ((0.999, True), (1.01, False)):

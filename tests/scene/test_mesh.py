@@ -79,14 +79,14 @@ def faulty():
         "open": (vertices, faces[1:], "the mesh is open: 3 edges"),
         "inside out": (vertices, faces[:, ::-1], "inside out: its volume is -.*flip its faces"),
         "not a number": (nan, faces, r"1 of 64 vertices are not finite; the first is number 3"),
-        "turned": (vertices, turned, "not turned alike: at 3 edges"),
+        "turned": (vertices, turned, "no consistent orientation: at 3 edges"),
         "flat": (flat, FACES, "the mesh is flat"),
         "all but flat": (BLOCK.core * [1, 1, 1e-7], FACES, "the mesh is flat"),
         "no triangles": (vertices, np.zeros((0, 3), dtype=int), "the mesh is empty"),
         "no vertices": (np.zeros((0, 3)), faces, "there are no vertices"),
         "all one": (np.zeros((64, 3)), faces, "the mesh is empty: all of its triangles are points or lines"),
-        "beyond": (vertices, faces + 1, "names vertex 64, but there are 64"),
-        "before": (vertices, faces - 1, "names vertex"),
+        "beyond": (vertices, faces + 1, "refers to vertex 64, but the mesh has 64"),
+        "before": (vertices, faces - 1, "refers to vertex"),
         "fractions": (vertices, faces.astype(float), "whole numbers"),
         "shape": (vertices[:, :2], faces, r"\(n, 3\)"),
         "text": ([["a", "b", "c"]], faces, r"\(n, 3\) numbers"),
@@ -111,10 +111,10 @@ def test_faulty_arrays(name):
         ("file: empty.stl", b"", "file", "empty.stl is empty"),
         ("file: junk.stl", b"this is no mesh", "file", "empty: it has no triangles"),
         ("file: cut.ply", b"ply\nformat ascii 1.0\nelement vertex 3\n", "file", "ply"),
-        ("file: crate.dae", b"<xml/>", "file", "'crate.dae' is no mesh file .*convert it to one of .stl"),
+        ("file: crate.dae", b"<xml/>", "file", "'crate.dae' is not a readable mesh file.*convert it to one of .stl"),
         ("scale: 2.0", None, "file", "this key is missing"),
         ("{file: ring.ply, scale: 0}", None, "scale", "greater than 0"),
-        ("{file: ring.ply, scale: 1.0e+7}", None, "file", "look at its scale"),
+        ("{file: ring.ply, scale: 1.0e+7}", None, "file", "check its scale"),
     ],
 )  # fmt: skip
 def test_faulty_entries(entry, content, where, message, tmp_path):
@@ -145,7 +145,7 @@ def test_saved_and_read_again(tmp_path):
     assert there.obstacles[0].surface[0].tolist() == scene.obstacles[0].surface[0].tolist()
 
 
-def test_arrays_are_written_beside_the_scene(tmp_path):
+def test_arrays_are_written_next_to_the_scene(tmp_path):
     scene = a_scene(Mesh.of("a/b", *torus(n=8)), Mesh.of("a-b", *crate()))
     with pytest.raises(SceneError, match="has no file; save_scene writes one") as caught:
         dump_scene(scene)
@@ -203,7 +203,7 @@ def test_sheets_among_solids_are_held(seed):
 
 
 @pytest.mark.parametrize("thickness", [0.0, 5e-8, 9e-8, 2e-7, 1e-6])
-def test_a_motion_through_a_sheet_is_not_certified(robot, thickness):
+def test_motion_through_a_sheet_is_not_certified(robot, thickness):
     """A trunk out of reach, and a panel across the arm, which was dropped once: the motion was verified."""
     trunk, its_faces = blocks(np.ones((1, 1, 1), dtype=bool), *(np.array([0.0, size]) for size in (0.1, 0.1, 1.0)))
     panel, faces = blocks(np.ones((1, 1, 1), dtype=bool), *(np.array([0.0, size]) for size in (1.0, 0.6, 0.6)))

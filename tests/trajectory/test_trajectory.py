@@ -117,19 +117,19 @@ def test_one_after_the_other():
     assert joined([ending_at_rest(1, 1.0, 1.0)] * 3).samples == 1
 
 
-def test_what_does_not_go_on_is_not_joined():
+def test_discontinuous_motions_are_not_joined():
     first = ending_at_rest(5, 0.0, 1.0)
     with pytest.raises(InputError, match="no motion"):
         joined([])
     with pytest.raises(InputError, match="motion 1 moves other joints"):
         joined([first, ending_at_rest(5, 1.0, 2.0, ("b", "a"))])
     for gap in (0.1, -2.0 * 1e-9):
-        with pytest.raises(InputError, match="motion 2 does not go on where the one before it ends") as caught:
+        with pytest.raises(InputError, match="motion 2 does not begin where the one before it ends") as caught:
             joined([first, first.reversed, ending_at_rest(5, gap, 2.0)])
         assert caught.value.data["motion"] == 2
     joined([first, first.reversed, ending_at_rest(5, 0.5 * 1e-9, 2.0)])
     moving = Trajectory(first.joint_names, first.time, first.position + 1.0, first.velocity + 0.1, *np.zeros((2, 5, 2)))
-    with pytest.raises(InputError, match="does not go on"):
+    with pytest.raises(InputError, match="does not begin where"):
         joined([first, moving])
 
 
@@ -147,7 +147,7 @@ def test_file_is_rfc_4180(tmp_path):
     assert not set('"# ') & set(data.decode())
 
 
-def test_columns_are_where_the_header_says(tmp_path):
+def test_columns_follow_the_header(tmp_path):
     trajectory = some_trajectory()
     path = write_csv(trajectory, tmp_path / "t.csv")
     with path.open(newline="") as stream:
@@ -183,7 +183,7 @@ def test_odd_joint_names_are_quoted(tmp_path, name):
 
 
 @pytest.mark.parametrize("text", [f"{HEADER}\n0,1,2,3,4\n1,1,2,3,4\n", f"\ufeff{HEADER}\r\n0,1,2,3,4\r\n1,1,2,3,4"])
-def test_reads_what_others_write(tmp_path, text):
+def test_reads_files_of_other_programs(tmp_path, text):
     """Line feeds alone, a byte order mark, whole numbers, no line end at the end."""
     (tmp_path / "t.csv").write_bytes(text.encode())
     trajectory = read_csv(tmp_path / "t.csv")
@@ -202,7 +202,7 @@ def test_reads_what_others_write(tmp_path, text):
         ([HEADER, "0,0,0,0,0", "1,0,0,x,0"], 3, "a_acc_rad_s2 is 'x', expected a finite number"),
         ([HEADER, "0,nan,0,0,0"], 2, "a_pos_rad is 'nan', expected a finite number"),
         ([HEADER, "0.5,0,0,0,0"], 2, "time_s is 0.5, expected 0"),
-        ([HEADER, "0,0,0,0,0", "1,0,0,0,0", "1,0,0,0,0"], 4, "no later than"),
+        ([HEADER, "0,0,0,0,0", "1,0,0,0,0", "1,0,0,0,0"], 4, "not later than"),
         ([HEADER, '0,"0,0,0,0'], 2, "unexpected end of data"),
     ],
 )
@@ -265,7 +265,7 @@ def test_a_stop_is_quick(speed):
     assert alone.max() - 2.0 * PERIOD <= found.duration <= 1.1 * alone.max() + 8.0 * PERIOD
 
 
-def test_a_joint_that_cannot_brake(robot):
+def test_joint_that_cannot_brake(robot):
     fast, zero = robot.velocity_limit, np.zeros(4)
     assert braking(robot, zero, fast, zero, PERIOD, np.full(4, 1e-6)) is None
 
@@ -410,7 +410,7 @@ def test_jerk_of_random_motions(robot, limits, rate):
     assert max(uses) <= 1.001
 
 
-def test_tight_torque_slows_the_motion_and_is_kept(robot, smooth_limits):
+def test_tight_torque_limit_slows_motion_and_holds(robot, smooth_limits):
     path = straight(START, GOAL)
     data = robot.model.createData()
     static = np.abs(
@@ -503,8 +503,8 @@ def test_share_of_the_speed(robot, limits, smooth_limits):
     assert free.scaled(0.3).torque is None
 
 
-@pytest.mark.parametrize(("where", "share"), [("begin", (0.0, 0.0, 0.0, 1.0)), ("end", (0.0, 3.0, -3.0, 1.0))])
-def test_a_path_whose_parameter_stands_still_is_refused(robot, limits, where, share):
+@pytest.mark.parametrize(("where", "share"), [("start", (0.0, 0.0, 0.0, 1.0)), ("end", (0.0, 3.0, -3.0, 1.0))])
+def test_path_with_constant_parameter_is_refused(robot, limits, where, share):
     """As in an optimized motion, which begins and ends at rest."""
 
     class Path:
@@ -514,7 +514,7 @@ def test_a_path_whose_parameter_stands_still_is_refused(robot, limits, where, sh
             part = np.polynomial.Polynomial(share).deriv(derivative)(np.asarray(s))
             return START * (derivative == 0) + np.multiply.outer(part, GOAL - START)
 
-    with pytest.raises(TimingError, match=f"stands still at its {where}"):
+    with pytest.raises(TimingError, match=f"zero derivative at its {where}"):
         time_path(Path(), robot.model, limits)
 
 
@@ -582,18 +582,18 @@ def test_motions_of_too_many_rows_are_refused_before_they_are_made(robot, scene)
     """A thousandth of full speed: half an hour, 450,000 samples."""
     begin = time.process_time()
     tracemalloc.start()
-    with pytest.raises(OptionError, match=r"lasts 1\d\d\d s and would have 4\d\d,\d\d\d") as error:
+    with pytest.raises(OptionError, match=r"motion of 1\d\d\d s would have 4\d\d,\d\d\d") as error:
         plan(robot, scene, PlanOptions(speed=1e-3))
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert error.value.data["option"] == "rate_hz"
     assert peak < 2e8
     assert time.process_time() - begin < 100.0  # seconds, kernels compiled in it
-    with pytest.raises(OptionError, match="rows"):
+    with pytest.raises(OptionError, match="samples"):
         plan(robot, scene, PlanOptions(speed=1e-9))
 
 
-def test_a_sharp_bend_does_not_slow_the_whole_motion(robot: Robot) -> None:
+def test_sharp_bend_does_not_slow_the_whole_motion(robot: Robot) -> None:
     """A corner rounded within 1e-4 rad must not slow the rest of the motion."""
     corner = np.array([[0.0, 0.2, 0.2, 0.2], [0.0, 0.9, 0.2, 0.9], [0.0, 0.9, 0.9, 0.9]])
     path = rounded_path(corner, 1e-4)

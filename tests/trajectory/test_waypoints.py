@@ -109,7 +109,7 @@ def test_reversal_and_a_detour_within_the_deviation(toy):
         ({"jerk": [10.0, 0.0]}, "b", "jerk limit of zero"),
     ],
 )
-def test_what_cannot_be_timed_names_joint_and_cause(toy, change, joint, cause):
+def test_untimeable_path_names_joint_and_cause(toy, change, joint, cause):
     limits = {"velocity": [2.0, 2.0], "acceleration": [4.0, 4.0], "torque": [60.0, 60.0]} | change
     with pytest.raises(TimingError, match=f"'{joint}'") as caught:
         time_waypoints(toy, CORNERS, Limits(**{key: np.array(value) for key, value in limits.items()}))
@@ -143,7 +143,7 @@ def test_script_writes_the_csv(script, capsys, files, tmp_path):
     motion = read_csv(out)
     assert motion.joint_names == ("a", "b")
     np.testing.assert_array_equal(motion.position[-1], [0.5, -1.0])
-    for word in ("w.csv", "toy", f"{motion.duration:.3f} s", "1 deg allowed", "holds the motion back"):
+    for word in ("w.csv", "toy", f"{motion.duration:.3f} s", "1 deg allowed", "at a limit"):
         assert word in text
     # hplan's output can be timed again.
     status, text, _ = run(script, capsys, files[0], out, "--acceleration", 4, "--out", tmp_path / "o2.csv", "--quiet")
@@ -160,7 +160,7 @@ def test_script_writes_the_csv(script, capsys, files, tmp_path):
         (("--acceleration", "4", "--rate", "0"), 2, "rate_hz"),
         (("--acceleration", "4", "--speed", "2"), 2, "speed"),
         (("--acceleration", "4", "--deviation", "0"), 2, "deviation_rad"),
-        (("--acceleration", "4", "--joints", "c"), 2, "no joint 'c'"),
+        (("--acceleration", "4", "--joints", "c"), 2, "no moving joint 'c'"),
         (("--acceleration", "4", "--joints", "a", "--hold", "b"), 2, "--hold = 'b'"),
         (("--limits", "none.yaml"), 2, "No such file"),
     ],
@@ -174,7 +174,7 @@ def test_script_failures(script, capsys, files, tmp_path, arguments, status, rea
     assert out.read_text() == "an earlier result"
 
 
-def test_script_does_not_overwrite_what_it_reads(script, capsys, files, tmp_path):
+def test_script_does_not_overwrite_its_input(script, capsys, files, tmp_path):
     before = files[1].read_bytes()
     for out, reason in ((files[1], "another file"), (tmp_path / "none" / "o.csv", "folder does not exist")):
         status, _, text = run(script, capsys, *files, "--acceleration", 4, "--out", out)
@@ -273,11 +273,11 @@ def test_mimic_is_held_with_the_one_it_mimics(load):
     # The mimicking joint follows if the other is elsewhere.
     joints = [*one, other + '<mimic joint="finger" multiplier="-0.5" offset="0.1"/>']
     assert load(*joints, hold={"finger": 0.4})[1] == {"finger": 0.4, "other": pytest.approx(-0.1)}
-    with pytest.raises(InputError, match="'other' cannot be held by itself, for it mimics 'finger'"):
+    with pytest.raises(InputError, match="'other' cannot be held by itself because it mimics 'finger'"):
         load(*joints, hold={"other": 0.4})
 
 
-def test_held_joints_stand_where_told(load):
+def test_held_joints_are_at_given_positions(load):
     wide, narrow = LIMIT, LIMIT.replace('lower="-3"', 'lower="0.5"')
     joints = [f'<joint name="a" type="revolute">{wide}', f'<joint name="b" type="revolute">{narrow}']
     assert load(*joints, joints=["a"])[1] == {"b": 0.5}
@@ -290,7 +290,7 @@ def test_held_joints_stand_where_told(load):
     with pytest.raises(InputError, match="cannot both"):
         load(*joints, joints=["a"], hold={"a": 0.0})
     for name in ("c", "l1"):
-        with pytest.raises(InputError, match=f"no joint '{name}'"):
+        with pytest.raises(InputError, match=f"no moving joint '{name}'"):
             load(*joints, joints=[name])
-    with pytest.raises(InputError, match="no joint is to move"):
+    with pytest.raises(InputError, match="there is no joint to move"):
         load(*joints, joints=[])

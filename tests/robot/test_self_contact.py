@@ -20,7 +20,6 @@ from hplan.certificate.motion_bound import motion_of_movers
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.coal_scene import CoalScene
 from hplan.collision.collision_bodies import collision_bodies
-from hplan.collision.flat_bodies import BODIES
 from hplan.collision.touching_pairs import required_distances, self_pairs
 from hplan.planar.grid.grid import Grid
 from hplan.planar.grid.occupancy import occupancy
@@ -241,7 +240,7 @@ def test_four_links_in_the_cspace_are_exact(tmp_path, lengths):
 def own_clearances(robot, field, truth, q, found):
     """Distances of the arm's own pairs as coal has them, and as they were found."""
     bodies, pairs = collision_bodies(robot), self_pairs(robot)
-    distances, first = truth.distances(q), int(field.numbers[BODIES])
+    distances, first = truth.distances(q), len(field.arm.bodies)
     keys = [key_of(robot, bodies[i], bodies[j]) for i, j in pairs.checked]
     known = np.array([key in distances for key in keys], dtype=bool)
     expected = np.array([distances[key] for key in keys if key in distances])

@@ -199,7 +199,7 @@ def _axes(obstacles: ClearanceField, motions: JointMotions, duration_s: float) -
 
 def _excess(robot: Robot, obstacles: ClearanceField) -> FloatArray:
     """(bodies,) maximum excess of bodies over the certificate's shapes [m]."""
-    excess = np.zeros(len(obstacles.movers))
+    excess = np.zeros(obstacles.count)
     growth = [body.growth for body in collision_bodies(robot)]
     excess[: len(growth)] = growth
     return excess

@@ -19,7 +19,6 @@ from hplan.certificate.certificate import certify
 from hplan.certificate.motion_bound import motion_of_movers
 from hplan.collision.clearance_field import ClearanceField
 from hplan.collision.coal_scene import CoalScene
-from hplan.collision.flat_bodies import BODIES, INNER, OUTER
 from hplan.planar.grid.grid import Grid
 from hplan.planar.grid.occupancy import occupancy
 from hplan.planning.options import PlanOptions
@@ -225,7 +224,7 @@ def test_four_links_in_the_cspace_are_exact(tmp_path, lengths):
 def own_clearances(robot, field, truth, q, found):
     """Distances of the arm's own pairs as coal has them, and as they were found."""
     bodies, distances = self_contact(robot).bodies, truth.distances(q)
-    pairs = field.movers[int(field.numbers[BODIES]) :, [OUTER, INNER]].astype(int).tolist()
+    pairs = field.arm.pairs[["outer", "inner"]].tolist()
     links = robot.arm.link_count
     other = [inner if inner < links else str(bodies[inner - links].number) for _, inner in pairs]
     expected = np.array([distances[outer, inner] for (outer, _), inner in zip(pairs, other, strict=True)])

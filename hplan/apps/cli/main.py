@@ -18,6 +18,7 @@ COMMANDS = {
     "certify": "prove that a trajectory keeps clearance and limits",
     "execute": "run a trajectory on a simulated arm",
     "orchard": "make a scene: a row of fruit trees",
+    "inspect": "list the faults of a robot file, its joints and touching links",
     "view": "show what a job left in its folder, or a trajectory",
     "warmup": "compile whatever hplan may call, at once",
     "completion": "print a script that completes these words: hplan completion bash",
